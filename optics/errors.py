@@ -1,0 +1,62 @@
+"""Errors a caller can make; what happens to the data (lost rays, saturated stars) is recorded as data, not raised.
+
+Every message is one line: what is wrong, the value with its unit, the allowed range, what to do.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+__all__ = [
+    "BackendError",
+    "ConfigError",
+    "ConvergenceError",
+    "DomainError",
+    "StarbenchError",
+    "unknown_name",
+]
+
+
+class StarbenchError(ValueError):
+    """Base of all errors raised on purpose; the command line turns it into one line and exit code 2."""
+
+
+class ConfigError(StarbenchError):
+    """A file, key, name or option is missing, misspelt or of the wrong kind."""
+
+
+class DomainError(StarbenchError):
+    """A value lies outside the range in which the model holds."""
+
+
+class ConvergenceError(StarbenchError):
+    """An iteration ended without reaching its tolerance."""
+
+
+class BackendError(StarbenchError):
+    """The compute backend (LLVM, CUDA) is missing or of a version known to fail."""
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigError:
+    """Error for a name that is not in a registry, with the nearest known names.
+
+    Parameters
+    ----------
+    kind : str
+        What the name stands for, e.g. ``"glass"``.
+    name : str
+        The name that was asked for.
+    known : iterable of str
+        The names that exist.
+
+    Returns
+    -------
+    ConfigError
+        To be raised by the caller.
+    """
+    names = sorted(known)
+    folded = {candidate.casefold(): candidate for candidate in names}
+    near = [folded[match] for match in difflib.get_close_matches(str(name).casefold(), folded, n=3, cutoff=0.5)]
+    hint = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(names[:12])}"
+    return ConfigError(f"unknown {kind} {name!r}; {hint}")

@@ -1,0 +1,75 @@
+"""How records keep their arrays: copied in, shape-checked, finite, write-locked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from optics.errors import DomainError
+
+__all__ = ["freeze", "locked"]
+
+
+def locked(values: Any, dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Contiguous, write-locked copy of ``values``."""
+    array = np.array(values, dtype=dtype, order="C", copy=True)
+    array.setflags(write=False)
+    return array
+
+
+def freeze(
+    record: Any,
+    name: str,
+    *,
+    shape: tuple[int | str, ...],
+    dtype: DTypeLike = np.float64,
+    finite: bool = True,
+    sizes: dict[str, int] | None = None,
+) -> NDArray[Any]:
+    """Replace ``record.name`` by a checked, write-locked copy; for use in ``__post_init__`` of frozen records.
+
+    Parameters
+    ----------
+    record : object
+        The frozen dataclass instance.
+    name : str
+        Field to check.
+    shape : tuple of int or str
+        Expected shape; a string stands for a size that must agree wherever the same ``sizes`` is handed on.
+    dtype : dtype
+        Type of the copy.
+    finite : bool
+        Refuse NaN and infinity (floating-point types only).
+    sizes : dict, optional
+        Symbol table, filled on first use.
+
+    Returns
+    -------
+    numpy.ndarray
+        The locked copy.
+
+    Raises
+    ------
+    DomainError
+        On a wrong shape or a value that is not finite.
+    """
+    owner = type(record).__name__
+    try:
+        array = locked(getattr(record, name), dtype)
+    except (TypeError, ValueError) as error:
+        raise DomainError(f"{owner}.{name}: not convertible to an array of {np.dtype(dtype).name} ({error})") from None
+    table = {} if sizes is None else sizes
+    ok = array.ndim == len(shape)
+    if ok:
+        for axis, wanted in zip(array.shape, shape, strict=True):
+            ok &= axis == (table.setdefault(wanted, axis) if isinstance(wanted, str) else wanted)
+    if not ok:
+        spelled = tuple(table.get(s, s) if isinstance(s, str) else s for s in shape)
+        raise DomainError(f"{owner}.{name}: shape {array.shape} where {spelled} is needed")
+    if finite and np.issubdtype(array.dtype, np.floating) and not np.all(np.isfinite(array)):
+        bad = np.argwhere(~np.isfinite(array))[0].tolist()
+        raise DomainError(f"{owner}.{name}: value at index {bad} is {array[tuple(bad)]}; finite values are needed")
+    object.__setattr__(record, name, array)
+    return array

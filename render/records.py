@@ -1,0 +1,243 @@
+"""Records that pass between sky, renderer, detector and calibration; plain NumPy, importable without Mitsuba."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optics.errors import DomainError
+from optics.records import freeze
+
+__all__ = ["EffectivePsf", "ExpectedImage", "Frame", "StarField", "Truth", "WindowStack"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StarField:
+    """Point sources at infinity with their light at the wavelength nodes of the filter bands.
+
+    Attributes
+    ----------
+    direction : (n, 3)
+        Unit vectors *towards* the stars, in the frame the camera's attitude refers to.
+    wavelength_nm : (b, k)
+        Wavelength nodes of each band (`optics.band.band_nodes`).
+    photon_rate : (n, b, k)
+        Photons per second and mm^2 of area normal to the beam that each node stands for: spectral photon irradiance
+        times filter transmission times node weight.
+    band : tuple of str
+        Names of the b bands.
+
+    Raises
+    ------
+    DomainError
+        On wrong shapes, NaN, negative rates or vectors that are not of unit length (1e-9).
+    """
+
+    direction: FloatArray
+    wavelength_nm: FloatArray
+    photon_rate: FloatArray
+    band: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {"b": len(self.band)}
+        direction = freeze(self, "direction", shape=("n", 3), sizes=sizes)
+        wavelength = freeze(self, "wavelength_nm", shape=("b", "k"), sizes=sizes)
+        rate = freeze(self, "photon_rate", shape=("n", "b", "k"), sizes=sizes)
+        if len(direction):
+            length = np.linalg.norm(direction, axis=1)
+            worst = int(np.argmax(np.abs(length - 1.0)))
+            if abs(length[worst] - 1.0) > 1e-9:
+                raise DomainError(
+                    f"StarField.direction[{worst}] has length {length[worst]:.12g}; unit vectors are needed"
+                )
+        if np.any(rate < 0):
+            worst = int(np.argwhere(rate < 0)[0][0])
+            raise DomainError(
+                f"StarField.photon_rate of star {worst} is negative ({rate[worst].min():.6g} photons/s/mm^2)"
+            )
+        if wavelength.size and wavelength.min() <= 0:
+            raise DomainError(f"StarField.wavelength_nm contains {wavelength.min():.6g} nm; it must be positive")
+
+    def __len__(self) -> int:
+        return len(self.direction)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truth:
+    """What the simulation knows of every star and band; pixels are (column, row), integer = pixel centre.
+
+    Attributes
+    ----------
+    chief_x_px, chief_y_px : (n, b)
+        Ray through the centre of the entrance pupil at the band's mean wavelength.
+    bundle_x_px, bundle_y_px : (n, b)
+        Photon-weighted mean of all traced rays that reach the image plane.
+    photon_x_px, photon_y_px : (n, b)
+        Centroid of the noiseless light on the detector, after charge diffusion, integrated over cells of a fraction of
+        a pixel, before the edge of the detector cuts it. A whole-pixel moment carries the sampling bias of its pixel grid (up to a few
+        1e-3 px for sharp spots), which is a property of an estimator and not of the light.
+    electrons_in : (n, b)
+        Electrons that would be collected if every photon through the entrance aperture reached the detector.
+    electrons_image, electrons_vignetted, electrons_off_edge : (n, b)
+        Where they went; their sum is ``electrons_in``.
+    variance_x_px2, variance_y_px2 : (n, b)
+        Second central moments of the ray bundle (no diffusion, no pixel).
+    """
+
+    chief_x_px: FloatArray
+    chief_y_px: FloatArray
+    bundle_x_px: FloatArray
+    bundle_y_px: FloatArray
+    photon_x_px: FloatArray
+    photon_y_px: FloatArray
+    electrons_in: FloatArray
+    electrons_image: FloatArray
+    electrons_vignetted: FloatArray
+    electrons_off_edge: FloatArray
+    variance_x_px2: FloatArray
+    variance_y_px2: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        for name in self.__dataclass_fields__:  # NaN marks a star of which no ray arrives
+            freeze(self, name, shape=("n", "b"), sizes=sizes, finite=name.startswith("electrons"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExpectedImage:
+    """Noiseless image: expected photo-electrons per pixel and band.
+
+    Attributes
+    ----------
+    electrons : (h, w, b) float32
+        Expectation, charge diffusion included if ``diffused``.
+    band : tuple of str
+        Names of the bands.
+    exposure_s : float
+        Exposure time the expectation was computed for.
+    diffused : bool
+        Whether the charge-diffusion kernel has been applied.
+    truth : Truth or None
+        Per star and band.
+    """
+
+    electrons: NDArray[np.float32]
+    band: tuple[str, ...]
+    exposure_s: float
+    diffused: bool
+    truth: Truth | None = None
+
+    def __post_init__(self) -> None:
+        electrons = freeze(
+            self, "electrons", shape=("h", "w", "b"), dtype=np.float32, sizes={"b": len(self.band)}, finite=True
+        )
+        if electrons.size and electrons.min() < 0:
+            raise DomainError(
+                f"ExpectedImage.electrons contains {electrons.min():.6g} e-; expectations are not negative"
+            )
+        if not self.exposure_s > 0:
+            raise DomainError(f"ExpectedImage.exposure_s = {self.exposure_s} s; it must be positive")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frame:
+    """One readout of the detector.
+
+    Attributes
+    ----------
+    dn : (h, w) uint16
+        Digital numbers.
+    saturated, defect : (h, w) bool
+        Pixels that reached full well or the end of the converter; pixels known to be defective.
+    gain_dn_per_e, offset_dn, read_noise_e : float
+        System gain K, nominal offset and median read noise, as a user of the camera would know them.
+    exposure_s : float
+        Exposure time.
+    band : str
+        Filter band.
+    index : int
+        Frame number (the key of its random streams).
+    """
+
+    dn: NDArray[np.uint16]
+    saturated: NDArray[np.bool_]
+    defect: NDArray[np.bool_]
+    gain_dn_per_e: float
+    offset_dn: float
+    read_noise_e: float
+    exposure_s: float
+    band: str
+    index: int
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "dn", shape=("h", "w"), dtype=np.uint16, sizes=sizes)
+        freeze(self, "saturated", shape=("h", "w"), dtype=np.bool_, sizes=sizes)
+        freeze(self, "defect", shape=("h", "w"), dtype=np.bool_, sizes=sizes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WindowStack:
+    """Readout of n windows in m frames, the same windows in each frame.
+
+    Attributes
+    ----------
+    dn : (m, n, h, w) uint16
+        Digital numbers.
+    saturated : (m, n, h, w) bool
+        Full well or end of the converter.
+    defect : (n, h, w) bool
+        Pixels known to be defective.
+    corner_px : (n, 2) int64
+        (column, row) of each window's first pixel.
+    gain_dn_per_e, offset_dn, read_noise_e, exposure_s, band
+        As in `Frame`.
+    first_index : int
+        Number of the first frame.
+    """
+
+    dn: NDArray[np.uint16]
+    saturated: NDArray[np.bool_]
+    defect: NDArray[np.bool_]
+    corner_px: NDArray[np.int64]
+    gain_dn_per_e: float
+    offset_dn: float
+    read_noise_e: float
+    exposure_s: float
+    band: str
+    first_index: int
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "dn", shape=("m", "n", "h", "w"), dtype=np.uint16, sizes=sizes)
+        freeze(self, "saturated", shape=("m", "n", "h", "w"), dtype=np.bool_, sizes=sizes)
+        freeze(self, "defect", shape=("n", "h", "w"), dtype=np.bool_, sizes=sizes)
+        freeze(self, "corner_px", shape=("n", 2), dtype=np.int64, sizes=sizes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EffectivePsf:
+    """Pixel-integrated point-spread function on a grid finer than the pixel (Anderson & King 2000, PASP 112, 1360).
+
+    Attributes
+    ----------
+    values : (m, m)
+        Fraction of the star's light that a pixel collects whose centre lies at offset
+        ``(column - (m-1)/2) / oversampling``, likewise for rows, from the star's position; m odd.
+    oversampling : int
+        Samples per pixel.
+    """
+
+    values: FloatArray
+    oversampling: int
+
+    def __post_init__(self) -> None:
+        values = freeze(self, "values", shape=("m", "m"), sizes={})
+        if values.shape[0] % 2 == 0 or values.shape[0] < 3:
+            raise DomainError(f"EffectivePsf.values has size {values.shape[0]}; an odd size of at least 3 is needed")
+        if self.oversampling < 1:
+            raise DomainError(f"EffectivePsf.oversampling = {self.oversampling}; it must be at least 1")
