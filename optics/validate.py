@@ -1,0 +1,150 @@
+"""Checked configuration: a mapping (from TOML or a command line) becomes a pydantic model, or one line per fault."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+import typing
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from optics.errors import ConfigError
+
+__all__ = ["parse_model", "parse_toml"]
+
+Model = TypeVar("Model", bound=BaseModel)
+Location = tuple[int | str, ...]
+
+_BOUNDS = (("gt", "above {}"), ("ge", "at least {}"), ("lt", "below {}"), ("le", "at most {}"))
+
+
+def parse_model(model_class: type[Model], mapping: Mapping[str, Any], where: str) -> Model:
+    """Validate a mapping.
+
+    Parameters
+    ----------
+    model_class : type
+        Pydantic model; give it ``model_config = ConfigDict(extra="forbid")`` so that a misspelt key is an error.
+    mapping : mapping
+        What was read.
+    where : str
+        Where it came from (file name, option), to open each line of the message.
+
+    Returns
+    -------
+    model_class
+        The validated model.
+
+    Raises
+    ------
+    ConfigError
+        One line per fault: the key, the value, the allowed range; for an unknown key the nearest existing one.
+    """
+    if not isinstance(mapping, Mapping):
+        raise ConfigError(f"{where}: a table of keys is needed, got {_shown(mapping)}")
+    try:
+        return model_class.model_validate(dict(mapping))
+    except ValidationError as error:
+        lines = [f"{where}: {_sentence(model_class, dict(fault))}" for fault in error.errors(include_url=False)]
+    raise ConfigError("\n".join(dict.fromkeys(lines)))
+
+
+def parse_toml(model_class: type[Model], path: str | Path) -> Model:
+    """Read a TOML file and validate it.
+
+    Parameters
+    ----------
+    model_class : type
+        Pydantic model of the whole file.
+    path : str or pathlib.Path
+        File to read.
+
+    Returns
+    -------
+    model_class
+        The validated model.
+
+    Raises
+    ------
+    ConfigError
+        File missing or unreadable, not TOML (with the line), or not valid (see `parse_model`).
+    """
+    path = Path(path)
+    try:
+        mapping = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not valid TOML ({error})") from None
+    return parse_model(model_class, mapping, path.name)
+
+
+def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
+    location: Location = fault["loc"]
+    key = ".".join(str(step) for step in location) or "(whole table)"
+    kind = fault["type"]
+    if kind == "extra_forbidden":
+        known = sorted({name for owner in _owners(model_class, location[:-1]) for name in owner.model_fields})
+        near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
+        return f"unknown key {key!r}; {hint}"
+    if kind == "missing":
+        return f"key {key!r} is missing{_allowed(model_class, location)}"
+    reason = str(fault["msg"]).removeprefix("Value error, ").replace("\n", " ")
+    if not location:  # a check of the whole model: its sentence says it all
+        return reason
+    return f"{key} = {_shown(fault.get('input'))}: {reason}{_allowed(model_class, location)}"
+
+
+def _shown(value: Any) -> str:
+    text = repr(value).replace("\n", " ")
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in typing.get_args(annotation):
+        yield from _models_in(argument)
+
+
+def _owners(model_class: type[BaseModel], location: Location) -> list[type[BaseModel]]:
+    """Models that the table at ``location`` may stand for; list indices and union tags lead nowhere deeper."""
+    owners = [model_class]
+    for step in location:
+        fields = [owner.model_fields[step] for owner in owners if step in owner.model_fields]
+        if fields:
+            owners = [model for field in fields for model in _models_in(field.annotation)]
+    return owners
+
+
+def _field(model_class: type[BaseModel], location: Location) -> FieldInfo | None:
+    names = [depth for depth, step in enumerate(location) if isinstance(step, str)]
+    for depth in reversed(names):
+        for owner in _owners(model_class, location[:depth]):
+            if location[depth] in owner.model_fields:
+                return owner.model_fields[str(location[depth])]
+    return None
+
+
+def _allowed(model_class: type[BaseModel], location: Location) -> str:
+    """Allowed range of the field and what it is, as far as the model says so."""
+    field = _field(model_class, location)
+    if field is None:
+        return ""
+    bounds = [
+        text.format(getattr(constraint, name))
+        for name, text in _BOUNDS
+        for constraint in field.metadata
+        if getattr(constraint, name, None) is not None
+    ]
+    said = (f" (allowed: {' and '.join(bounds)})" if bounds else "") + (
+        f" [{field.description}]" if field.description else ""
+    )
+    return said

@@ -1,0 +1,87 @@
+"""Checked configuration: what a user reads when a key or value is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pytest
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from optics.errors import ConfigError
+from optics.validate import parse_model, parse_toml
+
+
+class Filter(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    centre_nm: Annotated[float, Field(gt=0, lt=2000, allow_inf_nan=False)]
+    kind: Literal["top_hat", "table"] = "top_hat"
+
+
+class Camera(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    exposure_s: Annotated[float, Field(gt=0)] = 1.0
+    filters: list[Filter] = []
+    low: float = 0.0
+    high: float = 1.0
+
+    @model_validator(mode="after")
+    def ordered(self) -> Camera:
+        if self.low >= self.high:
+            raise ValueError(f"low = {self.low} must be below high = {self.high}")
+        return self
+
+
+def fault(mapping: object) -> str:
+    with pytest.raises(ConfigError) as caught:
+        parse_model(Camera, mapping, "camera.toml")  # type: ignore[arg-type]
+    return str(caught.value)
+
+
+def test_valid_mapping_becomes_model() -> None:
+    camera = parse_model(Camera, {"exposure_s": 2, "filters": [{"centre_nm": 500}]}, "camera.toml")
+    assert camera.exposure_s == 2.0
+    assert camera.filters[0].centre_nm == 500.0
+
+
+@pytest.mark.parametrize(
+    ("mapping", "words"),
+    [
+        ({"exposure": 1.0}, ["unknown key 'exposure'", "did you mean 'exposure_s'"]),
+        ({"zzz": 1.0}, ["unknown key 'zzz'", "known keys: exposure_s, filters"]),
+        ({"filters": [{"center_nm": 1.0, "centre_nm": 1.0}]}, ["'filters.0.center_nm'", "did you mean 'centre_nm'"]),
+        ({"filters": [{}]}, ["'filters.0.centre_nm' is missing", "above 0 and below 2000"]),
+        ({"exposure_s": -1.0}, ["exposure_s = -1.0", "allowed: above 0"]),
+        ({"exposure_s": "long"}, ["exposure_s = 'long'", "valid number"]),
+        ({"filters": [{"centre_nm": float("nan")}]}, ["filters.0.centre_nm = nan"]),
+        ({"filters": [{"centre_nm": 1, "kind": "tophat"}]}, ["'tophat'", "'top_hat'"]),
+        ({"low": 2.0}, ["low = 2.0 must be below high = 1.0"]),
+        (3, ["a table of keys is needed"]),
+    ],
+)
+def test_fault_is_one_line_with_place_value_and_range(mapping: object, words: list[str]) -> None:
+    message = fault(mapping)
+    assert message.startswith("camera.toml: ")
+    assert "\n" not in message
+    for word in words:
+        assert word in message
+
+
+def test_one_line_per_fault() -> None:
+    assert len(fault({"exposure": 1.0, "exposure_s": -1.0}).splitlines()) == 2
+
+
+def test_toml_faults(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no such file"):
+        parse_toml(Camera, tmp_path / "missing.toml")
+    broken = tmp_path / "broken.toml"
+    broken.write_text("exposure_s = = 1\n")
+    with pytest.raises(ConfigError, match=r"not valid TOML .*line 1"):
+        parse_toml(Camera, broken)
+    broken.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="not valid TOML"):
+        parse_toml(Camera, broken)
+    with pytest.raises(ConfigError, match="cannot be read"):
+        parse_toml(Camera, tmp_path)
+    broken.write_text("exposure_s = 3\n")
+    assert parse_toml(Camera, broken).exposure_s == 3.0
