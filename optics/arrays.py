@@ -1,0 +1,57 @@
+"""The few array operations the ray trace needs, so that one source runs on NumPy and on Dr.Jit.
+
+Arithmetic, comparison and mask operators are shared by both libraries; only what follows differs. The Dr.Jit
+counterpart is `render.arrays.DrJitArrays`; nothing here imports it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+__all__ = ["NUMPY", "ArrayNamespace", "NumpyArrays"]
+
+
+class ArrayNamespace(Protocol):
+    """What the trace asks of an array library."""
+
+    def sqrt(self, value: Any) -> Any:
+        """Elementwise square root."""
+
+    def where(self, mask: Any, if_true: Any, if_false: Any) -> Any:
+        """Elementwise selection."""
+
+    def maximum(self, value: Any, other: Any) -> Any:
+        """Elementwise maximum."""
+
+    def parameters(self, theta: Sequence[float]) -> Sequence[Any]:
+        """Lens parameters in the form the arithmetic takes them."""
+
+
+class NumpyArrays:
+    """NumPy float64; parameters stay Python floats."""
+
+    @staticmethod
+    def sqrt(value: Any) -> Any:
+        """Elementwise square root."""
+        return np.sqrt(value)
+
+    @staticmethod
+    def where(mask: Any, if_true: Any, if_false: Any) -> Any:
+        """Elementwise selection."""
+        return np.where(mask, if_true, if_false)
+
+    @staticmethod
+    def maximum(value: Any, other: Any) -> Any:
+        """Elementwise maximum."""
+        return np.maximum(value, other)
+
+    @staticmethod
+    def parameters(theta: Sequence[float]) -> Sequence[Any]:
+        """Lens parameters as Python floats."""
+        return [float(value) for value in theta]
+
+
+NUMPY = NumpyArrays()
