@@ -1,0 +1,143 @@
+"""Tabulated curves over wavelength: quantum efficiency, transmittance, reflectance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from optics.errors import ConfigError, DomainError
+from optics.records import freeze
+
+__all__ = ["Response", "check_table", "checked_wavelength"]
+
+FloatArray = NDArray[np.float64]
+
+
+def checked_wavelength(
+    wavelength_nm: ArrayLike, range_nm: tuple[float, float], what: str, advice: str = "stay inside"
+) -> FloatArray:
+    """Wavelengths as a float64 array, all inside a range.
+
+    Parameters
+    ----------
+    wavelength_nm : array_like
+        Wavelengths [nm], any shape.
+    range_nm : (float, float)
+        Allowed range, ends included.
+    what : str
+        Whose range it is, to open the message.
+    advice : str
+        What to do about it.
+
+    Returns
+    -------
+    numpy.ndarray
+        The same shape.
+
+    Raises
+    ------
+    DomainError
+        On the first wavelength that is NaN or outside.
+    """
+    try:
+        wave = np.asarray(wavelength_nm, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise DomainError(f"{what}: wavelength {wavelength_nm!r} is not a number in nm") from None
+    low, high = range_nm
+    bad = ~((wave >= low) & (wave <= high))
+    if bad.any():
+        value = wave[bad].flat[0] if wave.ndim else float(wave)
+        raise DomainError(f"{what}: wavelength {value:g} nm is outside {low:g} ... {high:g} nm; {advice}")
+    return wave
+
+
+def check_table(wavelength_nm: FloatArray, value: FloatArray, what: str, *, upper: float = np.inf) -> None:
+    """Refuse a curve that is not one: fewer than two points, wavelengths not increasing, values below 0 or above ``upper``.
+
+    Raises
+    ------
+    DomainError
+        With the position and the value of the first fault.
+    """
+    if wavelength_nm.size < 2:
+        raise DomainError(f"{what}: a table needs at least two points, got {wavelength_nm.size}")
+    if wavelength_nm[0] <= 0:
+        raise DomainError(f"{what}: wavelength {wavelength_nm[0]:g} nm is not positive")
+    step = np.diff(wavelength_nm)
+    if not (step > 0).all():
+        at = int(np.argmax(step <= 0))
+        raise DomainError(
+            f"{what}: wavelengths must increase, but {wavelength_nm[at]:g} nm is followed by {wavelength_nm[at + 1]:g} nm"
+        )
+    bad = (value < 0) | (value > upper)
+    if bad.any():
+        at = int(np.argmax(bad))
+        raise DomainError(
+            f"{what}: value {value[at]:g} at {wavelength_nm[at]:g} nm is outside "
+            f"{f'0 ... {upper:g}' if np.isfinite(upper) else '0 ... infinity'}"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Response:
+    """A fraction (0 ... 1) tabulated over wavelength: quantum efficiency, transmittance or reflectance.
+
+    Attributes
+    ----------
+    name, source : str
+        What the curve is and where its numbers come from.
+    wavelength_nm : (n,)
+        Increasing wavelengths [nm].
+    value : (n,)
+        Fraction at each of them.
+
+    Raises
+    ------
+    DomainError
+        Unequal lengths, NaN, wavelengths not increasing, a value outside 0 ... 1.
+    ConfigError
+        No source.
+    """
+
+    name: str
+    source: str
+    wavelength_nm: FloatArray
+    value: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        wave = freeze(self, "wavelength_nm", shape=("n",), sizes=sizes)
+        value = freeze(self, "value", shape=("n",), sizes=sizes)
+        check_table(wave, value, self.name, upper=1.0)
+        if not self.source:
+            raise ConfigError(f"{self.name}: a curve needs a source; say where its numbers come from")
+
+    @property
+    def range_nm(self) -> tuple[float, float]:
+        """First and last wavelength [nm]."""
+        return float(self.wavelength_nm[0]), float(self.wavelength_nm[-1])
+
+    def interpolate(self, wavelength_nm: ArrayLike) -> FloatArray:
+        """Linear interpolation.
+
+        Parameters
+        ----------
+        wavelength_nm : array_like
+            Wavelengths [nm], any shape.
+
+        Returns
+        -------
+        numpy.ndarray
+            Fractions, the same shape.
+
+        Raises
+        ------
+        DomainError
+            Outside the table; a curve is never extrapolated.
+        """
+        wave = checked_wavelength(wavelength_nm, self.range_nm, self.name, "the table ends there")
+        result: Any = np.interp(wave, self.wavelength_nm, self.value)
+        return np.asarray(result)
