@@ -1,0 +1,64 @@
+"""``python -m experiments``: what can be run. Nothing is imported but this; experiments are found by their source."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from pathlib import Path
+
+__all__ = ["experiments", "main"]
+
+
+def experiments(folder: Path | None = None) -> dict[str, str]:
+    """Experiments of a folder: modules that assign ``main = command(...)``.
+
+    Parameters
+    ----------
+    folder : pathlib.Path, optional
+        Where to look; this package if left out.
+
+    Returns
+    -------
+    dict
+        Name -> first line of the module's docstring, in alphabetical order.
+    """
+    found = {}
+    for path in sorted((folder or Path(__file__).parent).glob("*.py")):
+        source = path.read_text(encoding="utf-8")
+        if "command(" not in source or path.name.startswith("_"):
+            continue
+        tree = ast.parse(source)
+        if any(_is_main(statement) for statement in tree.body):
+            found[path.stem] = (ast.get_docstring(tree) or "").partition("\n")[0]
+    return found
+
+
+def _is_main(statement: ast.stmt) -> bool:
+    return (
+        isinstance(statement, ast.Assign)
+        and [target.id for target in statement.targets if isinstance(target, ast.Name)] == ["main"]
+        and isinstance(statement.value, ast.Call)
+        and getattr(statement.value.func, "attr", getattr(statement.value.func, "id", "")) == "command"
+    )
+
+
+def main(argv: list[str]) -> int:
+    """List the experiments; with ``--names`` the bare names, one per line."""
+    found = experiments()
+    if argv == ["--names"]:
+        print("\n".join(found))
+        return 0
+    if argv and argv[0] not in ("-h", "--help"):
+        print(f"error: {argv[0]!r} is not understood here; run python -m experiments.NAME", file=sys.stderr)
+        return 2
+    print("Run one with: python -m experiments.NAME [--quick] [--out DIR] (--help tells the rest)\n")
+    width = max(map(len, found), default=0)
+    for name, line in found.items():
+        print(f"  {name:<{width}}  {line}")
+    if not found:
+        print("  no experiments yet")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

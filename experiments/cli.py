@@ -1,0 +1,287 @@
+"""The command line that all experiments share.
+
+An experiment is a module ``experiments/NAME.py`` with
+
+* ``Config(ExperimentConfig)``: its settings; the defaults are the published run;
+* ``run(config, *, progress) -> Result``: the work, without side effects;
+* ``report(result) -> Report``: what ``report.html`` shows (called inside `plotting.house_style`);
+* ``summary(result) -> (results, criteria)``: a mapping and a sequence of `Criterion`, for ``summary.json``;
+* optionally ``tables(result) -> {name: Table}``: written as ``NAME.ecsv``;
+* optionally ``files(result, folder)``: writes further files (FITS frames) into ``folder``;
+* and, at its end::
+
+      main = command("NAME", config=Config, run=run, report=report, summary=summary, quick={"frames": 4})
+
+      if __name__ == "__main__":
+          sys.exit(main())
+
+The first line of the module's docstring is what ``python -m experiments`` lists. Import what is slow (mitsuba, astropy)
+inside ``run``, so that ``--help`` and mistakes answer at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import json
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+import click
+
+from experiments.config import ExperimentConfig, load_config
+from experiments.outputs import RECORD, OutputFolder
+from experiments.progress import Progress, terminal_progress
+from experiments.summary import Criterion
+from optics.errors import StarbenchError
+
+if TYPE_CHECKING:
+    from experiments.report import Report
+    from experiments.tables import Table
+
+__all__ = ["Experiment", "Main", "command"]
+
+C = TypeVar("C", bound=ExperimentConfig)
+R = TypeVar("R")
+Main = Callable[..., int]
+
+EXIT_GOOD, EXIT_FAILED, EXIT_BAD_INPUT, EXIT_BROKEN, EXIT_INTERRUPTED = 0, 1, 2, 3, 130
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Experiment(Generic[C, R]):
+    """An experiment as the command line sees it; the fields are the parameters of `command`."""
+
+    name: str
+    config: type[C]
+    run: Callable[..., R]
+    report: Callable[[R], Report]
+    summary: Callable[[R], tuple[Mapping[str, Any], Sequence[Criterion]]]
+    quick: Mapping[str, Any] = field(default_factory=dict)
+    tables: Callable[[R], Mapping[str, Table]] | None = None
+    show: Sequence[str] = ()
+    files: Callable[[R, Path], None] | None = None
+    renders: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Options:
+    file: str | None
+    settings: tuple[str, ...]
+    seed: int | None
+    backend: str
+    out: str
+    quick: bool
+
+
+def command(
+    name: str,
+    *,
+    config: type[C],
+    run: Callable[..., R],
+    report: Callable[[R], Report],
+    summary: Callable[[R], tuple[Mapping[str, Any], Sequence[Criterion]]],
+    quick: Mapping[str, Any] | None = None,
+    tables: Callable[[R], Mapping[str, Table]] | None = None,
+    show: Sequence[str] = (),
+    files: Callable[[R, Path], None] | None = None,
+    renders: bool = True,
+) -> Main:
+    """Turn an experiment into a command.
+
+    Parameters
+    ----------
+    name : str
+        Module name; the default output folder is ``out/NAME``.
+    config, run, report, summary
+        See the module's docstring.
+    quick : mapping, optional
+        Dotted key -> value of the ``--quick`` run; the user's own settings win over it.
+    tables : callable, optional
+        ``tables(result) -> {file name without suffix: Table or astropy Table}``.
+    show : sequence of str
+        Names of those tables that are printed in the terminal too.
+    files : callable, optional
+        ``files(result, folder)`` writes anything else.
+    renders : bool
+        Whether the backend has to be ready before `run` (`render.variant.use_backend` is called).
+
+    Returns
+    -------
+    callable
+        ``main(argv=None) -> int``: 0 when all criteria hold, 1 when one does not, 2 on bad input (one line on the
+        error stream), 3 on a fault of the program (with its traceback), 130 after Ctrl-C.
+    """
+    experiment = Experiment(
+        name=name,
+        config=config,
+        run=run,
+        report=report,
+        summary=summary,
+        quick=quick or {},
+        tables=tables,
+        show=show,
+        files=files,
+        renders=renders,
+    )
+    outcome: list[int] = []
+    parser = _parser(experiment, outcome)
+
+    def main(argv: Sequence[str] | None = None) -> int:
+        outcome.clear()
+        with _termination_as_interrupt():
+            status = _guarded(
+                lambda: parser.main(argv, prog_name=f"python -m experiments.{name}", standalone_mode=False)
+            )
+        return status or (outcome[0] if outcome else EXIT_GOOD)
+
+    return main
+
+
+def _parser(experiment: Experiment[Any, Any], outcome: list[int]) -> click.Command:
+    module = inspect.getmodule(experiment.run)
+    about = inspect.cleandoc((module.__doc__ if module else None) or f"The experiment {experiment.name}.")
+
+    @click.command(help=about.partition("\n\n")[0], context_settings={"max_content_width": 100})
+    @click.option("--config", "file", metavar="FILE", help="TOML file with any part of the configuration.")
+    @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="One setting, dotted keys; repeatable.")
+    @click.option("--seed", type=click.IntRange(min=0), help="Seed of all random streams.")
+    @click.option("--backend", type=click.Choice(["auto", "llvm", "cuda"]), default="auto", show_default=True)
+    @click.option("--out", metavar="DIR", default=f"out/{experiment.name}", show_default=True, help="Output folder.")
+    @click.option("--quick", is_flag=True, help="A small run that shows all parts in seconds.")
+    @click.option("--schema", is_flag=True, help="Print the JSON schema of the configuration and stop.")
+    def parse(schema: bool, **options: Any) -> None:
+        if schema:
+            click.echo(json.dumps(experiment.config.model_json_schema(), indent=2, ensure_ascii=False))
+            return
+        outcome.append(_perform(experiment, _Options(**options)))
+
+    return parse
+
+
+def _perform(experiment: Experiment[Any, Any], options: _Options) -> int:
+    config = load_config(
+        experiment.config,
+        quick=experiment.quick if options.quick else None,
+        file=options.file,
+        settings=options.settings,
+        seed=options.seed,
+    )
+    folder = OutputFolder(options.out)
+    variant = None
+    if experiment.renders:
+        from render.variant import use_backend
+
+        variant = use_backend(options.backend)
+    progress = terminal_progress()
+    result = experiment.run(config, progress=progress)
+    with progress.stage("write"):
+        results, criteria = experiment.summary(result)
+        tables = dict(experiment.tables(result)) if experiment.tables else {}
+        with folder.writing() as staging:
+            _write(experiment, result, staging, config, results, criteria, tables, progress, variant, options.quick)
+    _show(experiment, criteria, tables, folder.shown)
+    return EXIT_GOOD if all(criterion.passed for criterion in criteria) else EXIT_FAILED
+
+
+def _write(
+    experiment: Experiment[Any, Any],
+    result: Any,
+    folder: Path,
+    config: ExperimentConfig,
+    results: Mapping[str, Any],
+    criteria: Sequence[Criterion],
+    tables: Mapping[str, Table],
+    progress: Progress,
+    variant: str | None,
+    quick: bool,
+) -> None:
+    from experiments.plotting import house_style
+    from experiments.provenance import collect, file_digests, without_paths
+    from experiments.report import render_html
+    from experiments.summary import dumps, summary
+    from experiments.tables import write_ecsv
+
+    content = summary(experiment.name, config, results, criteria)
+    content["config"] = without_paths(content["config"])
+    (folder / "summary.json").write_text(dumps(content), encoding="utf-8")
+    for name, table in tables.items():
+        write_ecsv(table, folder / f"{name}.ecsv")
+    if experiment.files is not None:
+        experiment.files(result, folder)
+    with house_style():
+        document = experiment.report(result)
+        origin = collect(experiment.name, content["config"], variant=variant, quick=quick, times_s=progress.times_s)
+        (folder / "report.html").write_text(render_html(document, criteria, origin), encoding="utf-8")
+    origin["files"] = file_digests(folder)
+    (folder / RECORD).write_text(dumps(origin), encoding="utf-8")
+
+
+def _show(
+    experiment: Experiment[Any, Any], criteria: Sequence[Criterion], tables: Mapping[str, Any], shown: str
+) -> None:
+    from rich.console import Console
+
+    from experiments.report import verdict_line
+    from experiments.tables import Column, Table, to_rich
+
+    console = Console()
+    for name in experiment.show:
+        console.print(to_rich(tables[name]))
+    rows = [
+        (one.name, one.value, f"{one.relation} {one.limit:.6g}", one.unit, "yes" if one.passed else "NO")
+        for one in criteria
+    ]
+    columns = ("criterion", Column(name="value"), "limit", "unit", "holds")
+    console.print(to_rich(Table(columns=columns, rows=rows, caption="Criteria")))
+    console.print(verdict_line(criteria), style="bold", highlight=False)
+    console.print(f"report: {Path(shown) / 'report.html'}", highlight=False, soft_wrap=True)
+
+
+def _guarded(work: Callable[[], Any]) -> int:
+    """Exit code of ``work``; what the user can mend becomes one line."""
+    try:
+        work()
+    except click.exceptions.Abort:
+        return _say("interrupted; nothing was written", EXIT_INTERRUPTED)
+    except KeyboardInterrupt:
+        return _say("interrupted; nothing was written", EXIT_INTERRUPTED)
+    except click.ClickException as error:
+        return _say(error.format_message(), EXIT_BAD_INPUT)
+    except StarbenchError as error:
+        return _say(str(error), EXIT_BAD_INPUT)
+    except Exception:
+        traceback.print_exc()
+        return EXIT_BROKEN
+    return EXIT_GOOD
+
+
+def _say(sentence: str, status: int) -> int:
+    line = "; ".join(part.strip() for part in sentence.splitlines() if part.strip())
+    print(f"error: {line}" if status == EXIT_BAD_INPUT else line, file=sys.stderr)
+    return status
+
+
+@contextlib.contextmanager
+def _termination_as_interrupt() -> Iterator[None]:
+    """Let a polite kill unwind like Ctrl-C, so that nothing half-written stays."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        del number, frame
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,291 @@
+"""Configuration of an experiment: a checked pydantic model, read in layers (defaults, quick, file, ``--set``, seed)."""
+
+from __future__ import annotations
+
+import copy
+import re
+import tomllib
+import typing
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from optics.errors import ConfigError
+from optics.validate import parse_model
+
+__all__ = ["ExperimentConfig", "StrictModel", "load_config", "read_toml", "with_settings"]
+
+Model = TypeVar("Model", bound=BaseModel)
+
+# Last word of a field's name that tells its unit, or that says it has none.
+_LENGTHS_AND_TIMES = ("nm", "um", "mm", "m", "km", "s", "ms", "us", "min", "h", "px", "px2")
+_ANGLES = ("deg", "arcsec", "arcmin", "rad")
+_OTHERS = ("e", "dn", "c", "k", "hpa", "mag", "hz", "percent", "photon", "photons", "ppm", "mb", "bit", "bits")
+_UNITS = frozenset((*_LENGTHS_AND_TIMES, *_ANGLES, *_OTHERS))
+_PURE_NUMBERS = frozenset(
+    ("fraction", "ratio", "factor", "snr", "sigma", "probability", "confidence", "tolerance", "scale", "exponent")
+)
+
+
+class StrictModel(BaseModel):
+    """Base of every configuration table: frozen, unknown keys are errors, no NaN, units in the key names.
+
+    A field that holds real numbers must end in its unit (``defocus_um``, ``rate_e_per_s``) or in a word that says it
+    has none (``_fraction``, ``_ratio``, ``_snr``, ...); other pure numbers are named in `dimensionless`.
+
+    Raises
+    ------
+    TypeError
+        When a subclass is defined with a real-valued field whose name does not tell its unit.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
+
+    dimensionless: ClassVar[frozenset[str]] = frozenset()
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        """Check the names of a new table's fields."""
+        super().__pydantic_init_subclass__(**kwargs)
+        for name, field in cls.model_fields.items():
+            if _holds_reals(field.annotation) and not _tells_unit(name) and name not in cls.dimensionless:
+                raise TypeError(
+                    f"{cls.__name__}.{name} holds real numbers, but its name does not end in a unit; "
+                    f"rename it (known units: {' '.join(sorted(_UNITS))}) or list it in {cls.__name__}.dimensionless"
+                )
+
+
+class ExperimentConfig(StrictModel):
+    """Base of an experiment's `Config`; its defaults are the published run.
+
+    Every field needs a default and should carry a ``Field(description=...)``: the descriptions appear in error messages
+    and in the JSON schema.
+    """
+
+    seed: int = Field(default=1, ge=0, le=2**63 - 1, description="seed of every random stream")
+
+
+def load_config(
+    model_class: type[Model],
+    *,
+    quick: Mapping[str, Any] | None = None,
+    file: str | Path | None = None,
+    settings: Sequence[str] = (),
+    seed: int | None = None,
+) -> Model:
+    """Configuration from its layers; a later layer wins, and only the keys that it names.
+
+    Parameters
+    ----------
+    model_class : type
+        The experiment's `Config`; all its fields have defaults.
+    quick : mapping, optional
+        Dotted key -> value of the quick run, beneath everything that the user says.
+    file : path, optional
+        TOML file with any part of the configuration.
+    settings : sequence of str
+        ``key=value`` with dotted keys (list items by number: ``bands.0.centre_nm=510``). The value is read as TOML
+        where that fits the field, otherwise taken as text.
+    seed : int, optional
+        Last word on ``seed``.
+
+    Returns
+    -------
+    model_class
+        The validated configuration.
+
+    Raises
+    ------
+    ConfigError
+        File missing or broken, unknown key (with the nearest name), value of the wrong type or out of range.
+    """
+    values = model_class().model_dump()
+    for key, value in (quick or {}).items():
+        values = _with_value(values, key.split("."), value, f"quick setting {key!r}")
+    if quick:
+        parse_model(model_class, values, "quick settings")
+    if file is not None:
+        path = Path(file)
+        values = _merged(values, read_toml(path))
+        parse_model(model_class, values, path.name)
+    values = with_settings(model_class, values, settings)
+    if seed is not None:
+        values["seed"] = seed
+    return parse_model(model_class, values, "configuration")
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Parameters
+    ----------
+    path : path
+        File to read.
+
+    Returns
+    -------
+    dict
+        Its table.
+
+    Raises
+    ------
+    ConfigError
+        Missing, unreadable, or not TOML (with line and column).
+    """
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not valid TOML ({error})") from None
+
+
+def with_settings(model_class: type[BaseModel], values: Mapping[str, Any], settings: Iterable[str]) -> dict[str, Any]:
+    """Apply ``key=value`` settings to a configuration mapping.
+
+    Parameters
+    ----------
+    model_class : type
+        The model that the mapping belongs to; it types the values.
+    values : mapping
+        Complete configuration mapping.
+    settings : iterable of str
+        ``key=value``.
+
+    Returns
+    -------
+    dict
+        A new mapping; the input is unchanged.
+
+    Raises
+    ------
+    ConfigError
+        See `load_config`.
+    """
+    result = copy.deepcopy(dict(values))
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        key = key.strip()
+        if not equals or not key:
+            raise ConfigError(f"--set {setting}: key=value is needed, e.g. --set seed=7")
+        value = _typed(_annotation_at(model_class, key.split(".")), text.strip())
+        result = _with_value(result, key.split("."), value, f"--set {setting}")
+        parse_model(model_class, result, f"--set {setting}")
+    return result
+
+
+def _holds_reals(annotation: Any) -> bool:
+    if annotation is float:
+        return True
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return False
+    return any(_holds_reals(argument) for argument in typing.get_args(annotation))
+
+
+def _tells_unit(name: str) -> bool:
+    words = name.lower().split("_")
+    return words[-1] in _UNITS | _PURE_NUMBERS or "per" in words[1:]
+
+
+def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables are merged key by key, except where a ``kind`` says that another sort of table takes the place."""
+    result = dict(below)
+    for key, value in above.items():
+        old = result.get(key)
+        if (
+            isinstance(old, Mapping)
+            and isinstance(value, Mapping)
+            and value.get("kind", old.get("kind")) == old.get("kind")
+        ):
+            result[key] = _merged(old, value)
+        else:
+            result[key] = value
+    return result
+
+
+def _with_value(values: Mapping[str, Any], keys: Sequence[str], value: Any, where: str) -> dict[str, Any]:
+    """Copy of ``values`` with one entry replaced; lists are entered by number."""
+    result = copy.deepcopy(dict(values))
+    table: Any = result
+    for depth, key in enumerate(keys):
+        last = depth == len(keys) - 1
+        if isinstance(table, (list, tuple)):
+            raise ConfigError(f"{where}: {'.'.join(keys[:depth])} cannot be changed item by item")
+        if last:
+            table[key] = value
+            break
+        inner = table.get(key)
+        if isinstance(inner, (list, tuple)):
+            table[key] = _with_item(list(inner), keys, depth + 1, value, where)
+            break
+        if not isinstance(inner, dict):
+            inner = {}  # an unknown key, or no table: the model says which
+        table[key] = inner
+        table = inner
+    return result
+
+
+def _with_item(items: list[Any], keys: Sequence[str], depth: int, value: Any, where: str) -> list[Any]:
+    here = ".".join(keys[:depth])
+    if not re.fullmatch(r"\d+", keys[depth]) or int(keys[depth]) >= len(items):
+        raise ConfigError(f"{where}: {here} has items 0 to {len(items) - 1}, {keys[depth]!r} is none of them")
+    place = int(keys[depth])
+    if depth == len(keys) - 1:
+        items[place] = value
+    elif isinstance(items[place], dict):
+        items[place] = _with_value(items[place], keys[depth + 1 :], value, where)
+    else:
+        raise ConfigError(f"{where}: {here}.{place} is a value, not a table")
+    return items
+
+
+def _annotation_at(model_class: type[BaseModel], keys: Sequence[str]) -> Any:
+    """Type of the field at a dotted key, or None where the model does not know it."""
+    annotations: list[Any] = [model_class]
+    for key in keys:
+        found: list[Any] = []
+        for annotation in annotations:
+            for part in _alternatives(annotation):
+                if isinstance(part, type) and issubclass(part, BaseModel):
+                    if key in part.model_fields:
+                        found.append(part.model_fields[key].annotation)
+                elif key.isdigit() and typing.get_origin(part) in (list, tuple):
+                    found.extend(argument for argument in typing.get_args(part) if argument is not Ellipsis)
+        annotations = found
+    if not annotations:
+        return None
+    return typing.Union[tuple(annotations)]  # noqa: UP007  # the members are known at run time only
+
+
+def _alternatives(annotation: Any) -> Iterator[Any]:
+    """Members of a union, of ``Annotated`` and so on; anything else as it is."""
+    if isinstance(annotation, type) or typing.get_origin(annotation) in (list, tuple, dict):
+        yield annotation
+    else:
+        for argument in typing.get_args(annotation):
+            yield from _alternatives(argument)
+
+
+def _typed(annotation: Any, text: str) -> Any:
+    """The text as a TOML value where the field takes that; otherwise the bare text."""
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except (tomllib.TOMLDecodeError, KeyError):
+        return text
+    if annotation is None:
+        return value
+    try:
+        TypeAdapter(annotation).validate_python(value)
+    except ValidationError:
+        pass
+    else:
+        return value
+    try:
+        TypeAdapter(annotation).validate_python(text)
+    except ValidationError:
+        return value
+    return text if not isinstance(value, str) else value

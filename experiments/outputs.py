@@ -1,0 +1,202 @@
+"""The output folder appears complete or not at all: files are written beside it, synced, and moved in by one rename."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import json
+import os
+import shutil
+import signal
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+from optics.errors import ConfigError
+
+__all__ = ["PROGRAM", "RECORD", "OutputFolder"]
+
+PROGRAM = "starbench"
+RECORD = "provenance.json"
+
+_RENAME_EXCHANGE = 2  # linux/fs.h
+_AT_FDCWD = -100  # fcntl.h
+
+
+class OutputFolder:
+    """A folder that an experiment is going to write.
+
+    Making the object checks, before any long work, that the folder can be written and that nothing of the user's would
+    be lost; it leaves nothing on disk.
+
+    Parameters
+    ----------
+    path : path
+        Folder to appear. It may be absent, empty, or an earlier output of this program (``provenance.json`` says so),
+        which is then replaced in one step.
+
+    Raises
+    ------
+    ConfigError
+        The path is a file, a mount point, the current folder, not writable, or holds files this program did not write.
+
+    Examples
+    --------
+    >>> folder = OutputFolder("out/chromatic")      # doctest: +SKIP
+    >>> with folder.writing() as staging:           # doctest: +SKIP
+    ...     (staging / "summary.json").write_text("{}")
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.shown = str(path)
+        self.path = Path(os.path.realpath(path))
+        self._refuse_unsuitable()
+        self._probe()
+
+    @contextlib.contextmanager
+    def writing(self) -> Iterator[Path]:
+        """Folder to write into; on leaving without an exception it takes its place, otherwise it vanishes.
+
+        Yields
+        ------
+        pathlib.Path
+            An empty folder on the same file system.
+
+        Raises
+        ------
+        ConfigError
+            The folder cannot be written, or foreign files appeared meanwhile.
+        """
+        made = self._make_parents()
+        staging: Path | None = None
+        done = False
+        try:
+            staging = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.partial-", dir=self.path.parent))
+            yield staging
+            _open_to_umask(staging)
+            _sync_tree(staging)
+            self._refuse_unsuitable()
+            with _uninterrupted():
+                self._take_place(staging)
+                done = True
+        except OSError as error:
+            raise ConfigError(f"{self.shown}: cannot be written ({error.strerror or error})") from error
+        finally:
+            with _uninterrupted():
+                if staging is not None:
+                    shutil.rmtree(staging, ignore_errors=True)  # by now the earlier output, or what was not finished
+                if not done:
+                    for folder in reversed(made):
+                        with contextlib.suppress(OSError):
+                            folder.rmdir()
+
+    def _refuse_unsuitable(self) -> None:
+        try:
+            if not self.path.exists():
+                return
+            if not self.path.is_dir():
+                raise ConfigError(f"{self.shown}: is a file; name a folder")
+            if self.path == Path(os.path.realpath(os.curdir)):
+                raise ConfigError(f"{self.shown}: is the current folder; name a folder inside it")
+            if os.path.ismount(self.path):
+                raise ConfigError(f"{self.shown}: is a mount point; name a folder inside it")
+            present = {str(file.relative_to(self.path)) for file in self.path.rglob("*") if not file.is_dir()}
+        except OSError as error:
+            raise ConfigError(f"{self.shown}: cannot be read ({error.strerror})") from None
+        if not present:
+            return
+        foreign = sorted(present - _written_before(self.path))
+        if foreign:
+            raise ConfigError(
+                f"{self.shown}: holds {foreign[0]}{' and more' if len(foreign) > 1 else ''}, "
+                "which is no earlier output; name another folder or empty it"
+            )
+
+    def _probe(self) -> None:
+        ancestor = self.path.parent
+        try:
+            while not ancestor.exists():
+                ancestor = ancestor.parent
+            os.rmdir(tempfile.mkdtemp(prefix=f".{self.path.name}.probe-", dir=ancestor))
+        except OSError as error:
+            raise ConfigError(f"{self.shown}: cannot be written ({error.strerror or error})") from None
+
+    def _make_parents(self) -> list[Path]:
+        missing = [folder for folder in self.path.parents if not folder.exists()]
+        made = []
+        try:
+            for folder in reversed(missing):
+                folder.mkdir(exist_ok=True)
+                made.append(folder)
+        except OSError as error:
+            raise ConfigError(f"{self.shown}: cannot be written ({error.strerror})") from None
+        return made
+
+    def _take_place(self, staging: Path) -> None:
+        if not self.path.exists() or not any(self.path.iterdir()):
+            os.rename(staging, self.path)  # POSIX: replaces an empty folder in one step
+        elif not _exchange(staging, self.path):
+            earlier = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.earlier-", dir=self.path.parent))
+            os.rename(self.path, earlier)
+            try:
+                os.rename(staging, self.path)
+            except OSError:
+                os.rename(earlier, self.path)
+                raise
+            shutil.rmtree(earlier, ignore_errors=True)
+        _sync(self.path.parent)
+
+
+def _written_before(folder: Path) -> set[str]:
+    """Files that an earlier run lists as its own; empty if the folder is not an earlier output."""
+    try:
+        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        if record["program"] != PROGRAM:
+            return set()
+        return {RECORD, *record["files"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
+
+
+def _exchange(first: Path, second: Path) -> bool:
+    """Swap two folders in one step (Linux renameat2); False where the system or the file system cannot."""
+    try:
+        renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
+    except (AttributeError, OSError, TypeError):
+        return False
+    return bool(renameat2(_AT_FDCWD, os.fsencode(first), _AT_FDCWD, os.fsencode(second), _RENAME_EXCHANGE) == 0)
+
+
+def _open_to_umask(folder: Path) -> None:
+    """Give the folder the rights of any new folder; a temporary one is private."""
+    mask = os.umask(0)
+    os.umask(mask)
+    folder.chmod(0o777 & ~mask)
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _sync_tree(folder: Path) -> None:
+    for path in sorted(folder.rglob("*")):
+        _sync(path)
+    _sync(folder)
+
+
+@contextlib.contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Hold back Ctrl-C and termination while folders change places."""
+    if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

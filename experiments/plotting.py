@@ -1,0 +1,268 @@
+"""House style of the figures, and colours of light; matplotlib's object interface only, no pyplot, no global state.
+
+Use it as ``with house_style(): figure, axes = new_figure(); axes.plot(...)``. The command line of an experiment calls
+``report(result)`` inside `house_style` already.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import lru_cache
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+from optics.errors import DomainError
+
+__all__ = [
+    "INK",
+    "MARKERS",
+    "PALETTE",
+    "WIDTH_IN",
+    "band_colours",
+    "equation_svg",
+    "figure_png",
+    "figure_svg",
+    "house_style",
+    "new_figure",
+    "wavelength_colour",
+]
+
+# Okabe & Ito (2008), "Color Universal Design": told apart with every common colour-vision deficiency.
+PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+INK = "#22262b"
+_FAINT = "#8a9099"
+_GRID = "#e3e5e8"
+
+WIDTH_IN = {"full": 7.6, "half": 3.7}
+
+_RC = {
+    "figure.dpi": 100,
+    "figure.facecolor": "none",
+    "figure.constrained_layout.use": True,
+    "savefig.facecolor": "none",
+    "axes.facecolor": "none",
+    "axes.edgecolor": _FAINT,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "normal",
+    "axes.titlepad": 7,
+    "axes.labelsize": 8.5,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.formatter.use_mathtext": True,
+    "axes.formatter.limits": (-3, 5),
+    "grid.color": _GRID,
+    "grid.linewidth": 0.6,
+    "xtick.color": _FAINT,
+    "ytick.color": _FAINT,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "xtick.major.size": 3,
+    "ytick.major.size": 3,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "xtick.minor.size": 0,
+    "ytick.minor.size": 0,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "legend.handlelength": 1.6,
+    "lines.linewidth": 1.4,
+    "lines.markersize": 4,
+    "lines.markeredgewidth": 0.8,
+    "errorbar.capsize": 0,
+    "patch.linewidth": 0.7,
+    "text.color": INK,
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "mathtext.fontset": "stixsans",
+    "image.cmap": "cividis",
+    "image.origin": "upper",  # image[row, column], row downwards
+    "svg.fonttype": "path",
+}
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """The house style while the block runs; matplotlib's settings are as before afterwards."""
+    from cycler import cycler
+
+    with rc_context({**_RC, "axes.prop_cycle": cycler(color=PALETTE)}):
+        yield
+
+
+def new_figure(
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    width: Literal["full", "half"] = "full",
+    aspect_ratio: float = 0.45,
+    **subplots: Any,
+) -> tuple[Figure, Any]:
+    """Empty figure of a width that fits the report; call inside `house_style`.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Grid of axes.
+    width : {"full", "half"}
+        Of the text column.
+    aspect_ratio : float
+        Height over width of the whole figure.
+    **subplots
+        Handed to `matplotlib.figure.Figure.subplots` (``sharex``, ``width_ratios``, ``subplot_kw`` ...).
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+        Not known to pyplot; nothing has to be closed.
+    axes : matplotlib.axes.Axes or (rows, columns) array of them
+        As `subplots` returns them.
+    """
+    inches = WIDTH_IN[width]
+    figure = Figure(figsize=(inches, inches * aspect_ratio), layout="constrained")
+    return figure, figure.subplots(rows, columns, **subplots)
+
+
+def figure_svg(figure: Figure, *, prefix: str = "f") -> str:
+    """The figure as one ``<svg>`` element to stand inside an HTML page; the same figure gives the same bytes.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        What to draw.
+    prefix : str
+        Put before every id, so that several figures can share a page.
+
+    Returns
+    -------
+    str
+        From ``<svg`` to ``</svg>``.
+    """
+    buffer = io.StringIO()
+    with rc_context({"svg.hashsalt": "starbench", "svg.fonttype": "path"}):
+        FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :].strip()
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r'\bid="', f'id="{prefix}-', text)
+    return re.sub(r"(href=\"|url\()#", rf"\g<1>#{prefix}-", text)
+
+
+def figure_png(figure: Figure, *, dpi: float = 200.0) -> bytes:
+    """The figure as a PNG file [bytes], for drawings with very many marks."""
+    buffer = io.BytesIO()
+    canvas = FigureCanvasAgg(figure)
+    before = figure.get_dpi()
+    try:
+        figure.set_dpi(dpi)
+        canvas.print_png(buffer, metadata={"Software": None})
+    finally:
+        figure.set_dpi(before)
+    return buffer.getvalue()
+
+
+def equation_svg(latex: str, *, prefix: str = "e") -> str:
+    """An equation in matplotlib's subset of LaTeX (without the dollar signs) as an ``<svg>`` element.
+
+    Raises
+    ------
+    DomainError
+        When matplotlib cannot set it.
+    """
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.mathtext import MathTextParser
+
+    with rc_context({"mathtext.fontset": "stix", "text.color": INK}):
+        font = FontProperties(size=12)
+        try:
+            parsed = MathTextParser("path").parse(f"${latex}$", dpi=72, prop=font)
+        except ValueError as error:
+            raise DomainError(f"equation {latex!r} cannot be set: {str(error).splitlines()[-1]}") from None
+        figure = Figure(figsize=((parsed.width + 4) / 72, (parsed.height + parsed.depth + 6) / 72))
+        figure.patch.set_alpha(0)
+        figure.text(2 / 72 / figure.get_figwidth(), 0.5, f"${latex}$", fontproperties=font, va="center", color=INK)
+        return figure_svg(figure, prefix=prefix)
+
+
+@lru_cache(maxsize=1)
+def _cie() -> tuple[np.ndarray, np.ndarray]:
+    """CIE 1931 2 degree colour-matching functions: wavelength (n,) [nm], xyz (n, 3); from colour-science."""
+    import colour
+
+    functions = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+    return np.asarray(functions.wavelengths, dtype=float), np.asarray(functions.values, dtype=float)
+
+
+def wavelength_colour(wavelength_nm: float, *, width_nm: float = 20.0, lightness: float = 55.0) -> str:
+    """Colour of a band of light on a screen: the hue is the light's, the lightness is chosen so that it can be read.
+
+    Parameters
+    ----------
+    wavelength_nm : float
+        Centre of the band; beyond 690 nm (or below 420 nm) the eye's last hue is taken.
+    width_nm : float
+        Full width of a flat band.
+    lightness : float
+        CIE L* from 0 to 100.
+
+    Returns
+    -------
+    str
+        ``#rrggbb``: CIE 1931 -> L*a*b* (D65), L* replaced, chroma reduced until sRGB can show it.
+
+    Raises
+    ------
+    DomainError
+        When the wavelength is not a positive number.
+    """
+    if not (np.isfinite(wavelength_nm) and wavelength_nm > 0):
+        raise DomainError(f"wavelength_nm = {wavelength_nm} nm; it must be positive")
+    import colour
+
+    wavelengths, xyz = _cie()
+    centre = float(np.clip(wavelength_nm, 420.0, 690.0))
+    band = np.abs(wavelengths - centre) <= max(width_nm, 2.0) / 2.0
+    tristimulus = xyz[band].mean(axis=0)
+    white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
+    _, a, b = colour.XYZ_to_Lab(tristimulus / tristimulus[1] * 0.3, white)
+    for saturation in np.linspace(1.0, 0.0, 201):
+        shown = colour.XYZ_to_sRGB(colour.Lab_to_XYZ([lightness, a * saturation, b * saturation], white), white)
+        if np.all((shown >= -1e-6) & (shown <= 1.0 + 1e-6)):
+            break
+    return "#" + "".join(f"{round(255 * float(channel)):02x}" for channel in np.clip(shown, 0.0, 1.0))
+
+
+def band_colours(centres_nm: Sequence[float]) -> tuple[str, ...]:
+    """One colour per band, its own hue, and darker towards the red so that grey prints and every eye tell them apart.
+
+    Parameters
+    ----------
+    centres_nm : sequence of float
+        Centres of the bands, in any order.
+
+    Returns
+    -------
+    tuple of str
+        ``#rrggbb`` in the order given. Use `MARKERS` beside them.
+    """
+    order = np.argsort(np.argsort(centres_nm))
+    steps = max(len(centres_nm) - 1, 1)
+    return tuple(
+        wavelength_colour(centre, lightness=66.0 - 30.0 * rank / steps)
+        for centre, rank in zip(centres_nm, order, strict=True)
+    )

@@ -1,0 +1,187 @@
+"""``summary.json``: what was asked, what came out, and which criteria hold, as valid JSON without NaN."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import json
+import math
+import operator
+from collections.abc import Mapping, Sequence
+from pathlib import PurePath
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel
+
+from optics.errors import DomainError
+
+__all__ = ["Criterion", "Measured", "dumps", "summary", "to_json"]
+
+Relation = Literal["<=", "<", ">=", ">"]
+_RELATIONS = {"<=": operator.le, "<": operator.lt, ">=": operator.ge, ">": operator.gt}
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class Criterion:
+    """A number that has to stay on one side of a limit.
+
+    Attributes
+    ----------
+    name : str
+        What is judged, in words a reader of the report understands.
+    value, limit : float
+        Same unit.
+    unit : str
+        Unit of both; "" for a pure number.
+    relation : {"<=", "<", ">=", ">"}
+        ``value relation limit`` must be true.
+    """
+
+    name: str
+    value: float
+    limit: float
+    unit: str = ""
+    relation: Relation = "<="
+
+    def __post_init__(self) -> None:
+        if self.relation not in _RELATIONS:
+            raise DomainError(f"Criterion {self.name!r}: relation {self.relation!r} is none of {' '.join(_RELATIONS)}")
+        if math.isnan(self.limit):
+            raise DomainError(f"Criterion {self.name!r}: the limit is NaN")
+
+    @property
+    def passed(self) -> bool:
+        """Whether it holds; a value that is NaN does not."""
+        return bool(_RELATIONS[self.relation](self.value, self.limit))
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class Measured:
+    """A number with its unit, its uncertainty and the number of samples behind it.
+
+    Attributes
+    ----------
+    value : float
+        The number.
+    unit : str
+        Its unit; "" for a pure number.
+    uncertainty : float or None
+        One standard deviation, same unit.
+    n : int or None
+        Samples behind it.
+    """
+
+    value: float
+    unit: str = ""
+    uncertainty: float | None = None
+    n: int | None = None
+
+
+def summary(
+    experiment: str,
+    config: BaseModel,
+    results: Mapping[str, Any],
+    criteria: Sequence[Criterion],
+) -> dict[str, Any]:
+    """The content of ``summary.json``.
+
+    Parameters
+    ----------
+    experiment : str
+        Name of the experiment.
+    config : pydantic model
+        With a field ``seed``.
+    results : mapping
+        Any nesting of numbers, NumPy arrays, text, records.
+    criteria : sequence of Criterion
+        What was judged.
+
+    Returns
+    -------
+    dict
+        Keys ``experiment, seed, config, results, criteria``; JSON types only.
+    """
+    settings = config.model_dump(mode="json")
+    return {
+        "experiment": experiment,
+        "seed": settings.get("seed"),
+        "config": to_json(settings),
+        "results": to_json(results),
+        "criteria": [
+            {
+                "name": criterion.name,
+                "value": to_json(criterion.value),
+                "limit": to_json(criterion.limit),
+                "unit": criterion.unit,
+                "passed": criterion.passed,
+            }
+            for criterion in criteria
+        ],
+    }
+
+
+def to_json(value: Any) -> Any:  # noqa: PLR0911  # one return per type
+    """Plain JSON types for a value: NumPy to lists, records to tables, NaN and infinity to null.
+
+    Parameters
+    ----------
+    value : object
+        Number, text, mapping, sequence, set, dataclass, pydantic model, enum, NumPy array or scalar, path (its name
+        only).
+
+    Returns
+    -------
+    object
+        None, bool, int, float, str, list or dict.
+
+    Raises
+    ------
+    TypeError
+        For anything else, e.g. a complex number.
+    """
+    match value:
+        case None | bool() | str():
+            return value if not isinstance(value, enum.Enum) else value.value
+        case enum.Enum():
+            return to_json(value.value)
+        case np.ndarray() | np.generic():
+            if np.iscomplexobj(value):
+                raise TypeError("complex numbers have no place in JSON; give two real numbers")
+            return to_json(value.tolist())
+        case int():
+            return int(value)
+        case float():
+            return float(value) if math.isfinite(value) else None
+        case BaseModel():
+            return to_json(value.model_dump())
+        case Mapping():
+            return {str(to_json(key)): to_json(item) for key, item in value.items()}
+        case PurePath():
+            return value.name
+        case set() | frozenset():
+            return [to_json(item) for item in sorted(value)]
+        case Sequence() if not isinstance(value, bytes):
+            return [to_json(item) for item in value]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: to_json(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
+
+
+def dumps(value: Any) -> str:
+    """JSON text of any value that `to_json` takes; short lists stay on one line."""
+    return _pretty(to_json(value), 0) + "\n"
+
+
+def _pretty(value: Any, indent: int, width: int = 100) -> str:
+    flat = json.dumps(value, allow_nan=False, ensure_ascii=False)
+    if not isinstance(value, (list, dict)) or not value or (indent and len(flat) + indent <= width):
+        return flat
+    pad = " " * (indent + 2)
+    if isinstance(value, list):
+        lines = [pad + _pretty(item, indent + 2, width) for item in value]
+        return "[\n" + ",\n".join(lines) + "\n" + " " * indent + "]"
+    lines = [
+        f"{pad}{json.dumps(key, ensure_ascii=False)}: {_pretty(item, indent + 2, width)}" for key, item in value.items()
+    ]
+    return "{\n" + ",\n".join(lines) + "\n" + " " * indent + "}"
