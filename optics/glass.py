@@ -7,8 +7,9 @@ maker (20 C; OHARA 25 C) and 1013.25 hPa:
 
 Against vacuum and at another temperature (SCHOTT TIE-19, *Temperature coefficient of the refractive index*):
 
-.. math:: n_{abs}(\lambda, T) = n_{rel}(\lambda)\, n_{air}(\lambda, T_0) + \frac{n_{rel}^2 - 1}{2 n_{rel}} \left(D_0 \Delta T
-          + D_1 \Delta T^2 + D_2 \Delta T^3 + \frac{E_0 \Delta T + E_1 \Delta T^2}{\lambda^2 - \lambda_{TK}^2}\right)
+.. math:: n_{abs}(\lambda, T) = n_{rel}(\lambda)\, n_{air}(\lambda, T_0) + \frac{n_{rel}^2 - 1}{2 n_{rel}}
+          \left(D_0 \Delta T + D_1 \Delta T^2 + D_2 \Delta T^3
+          + \frac{E_0 \Delta T + E_1 \Delta T^2}{\lambda^2 - \lambda_{TK}^2}\right)
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache
 from importlib.resources import files
 from typing import Any, Literal
 
@@ -27,13 +28,13 @@ from optics.air import STANDARD_PRESSURE_HPA, AirFormula, air_index
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.response import Response, checked_wavelength
 
-__all__ = ["Glass", "ThermalDispersion", "get_glass", "glass_from_table", "list_glasses", "sellmeier"]
+__all__ = ["Glass", "ThermalDispersion", "get_glass", "glass_from_table", "list_glasses", "sellmeier_squared"]
 
 FloatArray = NDArray[np.float64]
 
 
-def sellmeier(wavelength_nm: Any, B: Sequence[Any], C: Sequence[Any]) -> Any:
-    """Index by Sellmeier's formula, on any array type with arithmetic and powers.
+def sellmeier_squared(wavelength_nm: Any, B: Sequence[Any], C: Sequence[Any]) -> Any:
+    """Squared index by Sellmeier's formula, on any array type with arithmetic.
 
     Parameters
     ----------
@@ -47,13 +48,19 @@ def sellmeier(wavelength_nm: Any, B: Sequence[Any], C: Sequence[Any]) -> Any:
     Returns
     -------
     array
-        Index, type and shape of ``wavelength_nm``.
+        Squared index, type and shape of ``wavelength_nm``.
     """
     l2 = (wavelength_nm * 1e-3) * (wavelength_nm * 1e-3)
-    n2 = 1.0 + 0.0 * l2
+    n2: Any = 1.0
     for strength, resonance in zip(B, C, strict=True):
         n2 = n2 + strength * l2 / (l2 - resonance)
-    return n2**0.5
+    return n2
+
+
+def thermal_change(wavelength_nm: Any, index: Any, volume: Any, strength: Any, resonance: Any) -> Any:
+    """Change of the absolute index by SCHOTT's formula, on any array type; numbers from `ThermalDispersion.terms`."""
+    l2 = (wavelength_nm * 1e-3) * (wavelength_nm * 1e-3)
+    return (index * index - 1.0) / (2.0 * index) * (volume + strength / (l2 - resonance))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,11 +94,13 @@ class ThermalDispersion:
 
     def index_change(self, wavelength_nm: ArrayLike, index: ArrayLike, kelvin: float) -> FloatArray:
         """Change of the absolute index when the glass warms by ``kelvin`` [K]; ``index`` is that at the reference."""
-        l2 = (np.asarray(wavelength_nm, dtype=np.float64) * 1e-3) ** 2
-        n = np.asarray(index, dtype=np.float64)
+        wavelength, n = np.asarray(wavelength_nm, dtype=np.float64), np.asarray(index, dtype=np.float64)
+        return np.asarray(thermal_change(wavelength, n, *self.terms(kelvin)))
+
+    def terms(self, kelvin: float) -> tuple[float, float, float]:
+        """The formula's numbers for one temperature step: volume, resonance strength [um^2], resonance [um^2]."""
         volume = self.D0 * kelvin + self.D1 * kelvin**2 + self.D2 * kelvin**3
-        resonance = (self.E0 * kelvin + self.E1 * kelvin**2) / (l2 - self.lambda_tk_um**2)
-        return (n * n - 1.0) / (2.0 * n) * (volume + resonance)
+        return volume, self.E0 * kelvin + self.E1 * kelvin**2, self.lambda_tk_um**2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,13 +167,15 @@ class Glass:
             raise DomainError(f"glass {self.name}: range_nm {self.range_nm} is not a range of wavelengths [nm]")
         low, high = self.range_nm
         for resonance in self.C:
-            if low <= 1e3 * abs(resonance) ** 0.5 <= high and resonance > 0.0:
+            if resonance > 0.0 and low <= 1e3 * resonance**0.5 <= high:
                 raise DomainError(
                     f"glass {self.name}: C = {resonance:g} um^2 is a resonance at {1e3 * resonance**0.5:g} nm, inside "
                     f"its range {low:g} ... {high:g} nm"
                 )
         l2 = (np.geomspace(low, high, 64) * 1e-3) ** 2
-        n2 = 1.0 + sum(b * l2 / (l2 - c) for b, c in zip(self.B, self.C, strict=True))
+        n2 = np.ones_like(l2)
+        for strength, resonance in zip(self.B, self.C, strict=True):
+            n2 += strength * l2 / (l2 - resonance)
         if not (n2 >= 1.0).all():
             raise DomainError(f"glass {self.name}: n^2 falls to {n2.min():g} inside {low:g} ... {high:g} nm")
         if (self.transmittance is None) != (self.transmittance_mm is None):
@@ -197,7 +208,7 @@ class Glass:
         DomainError
             Outside ``range_nm``, naming glass, value and range.
         """
-        return np.asarray(sellmeier(self._inside(wavelength_nm), self.B, self.C))
+        return np.asarray(np.sqrt(sellmeier_squared(self._inside(wavelength_nm), self.B, self.C)))
 
     def absolute_index(
         self,
@@ -239,7 +250,7 @@ class Glass:
         low, high = self.dndt.range_c
         if not low <= temperature_c <= high:
             raise DomainError(
-                f"glass {self.name}: temperature {temperature_c:g} C is outside {low:g} ... {high:g} C of its dn/dT data"
+                f"glass {self.name}: temperature {temperature_c:g} C is outside {low:g} ... {high:g} C, its dn/dT range"
             )
         return np.asarray(absolute + self.dndt.index_change(wavelength_nm, relative, temperature_c - reference))
 
@@ -322,9 +333,22 @@ def _floats(values: Any, what: str) -> tuple[float, ...]:
 
 
 _KEYS = (
-    "B", "C", "range_nm", "nd", "vd", "dndt", "dndt_range_c", "cte_per_k", "density_g_cm3", "reference_temperature_c", "maker", "source",
-    "transmittance_mm", "transmittance_nm", "transmittance",
-)  # fmt: skip
+    "B",
+    "C",
+    "range_nm",
+    "nd",
+    "vd",
+    "dndt",
+    "dndt_range_c",
+    "cte_per_k",
+    "density_g_cm3",
+    "reference_temperature_c",
+    "maker",
+    "source",
+    "transmittance_mm",
+    "transmittance_nm",
+    "transmittance",
+)
 
 
 def glass_from_table(name: str, table: Mapping[str, Any], *, source: str = "") -> Glass:
@@ -337,8 +361,8 @@ def glass_from_table(name: str, table: Mapping[str, Any], *, source: str = "") -
     table : mapping
         ``B`` and ``C`` [um^2] are needed; ``range_nm``, ``dndt`` (six numbers), ``dndt_range_c``, ``cte_per_k``,
         ``density_g_cm3``, ``nd``, ``vd``, ``reference_temperature_c``, ``maker``, ``source`` and ``transmittance_mm`` /
-        ``_nm`` / ``transmittance`` may follow. Without ``range_nm`` the range is that between the resonances next to the visible, where the formula
-        is regular.
+        ``_nm`` / ``transmittance`` may follow. Without ``range_nm`` the range is that between the resonances next to
+        the visible, where the formula is regular.
     source : str
         Used when the table has none.
 
@@ -418,7 +442,7 @@ def _regular_range(c: tuple[float, ...]) -> tuple[float, float]:
     return below * 1.001, above * 0.999
 
 
-@lru_cache(maxsize=1)
+@cache
 def _catalogue() -> dict[str, Any]:
     return tomllib.loads(files("optics").joinpath("data", "glasses.toml").read_text(encoding="utf-8"))
 
@@ -433,7 +457,7 @@ def list_glasses(maker: str | None = None) -> tuple[str, ...]:
     return tuple(sorted(found))
 
 
-@lru_cache(maxsize=None)
+@cache
 def get_glass(name: str) -> Glass:
     """Glass from the catalogue (``optics/data/glasses.toml``).
 

@@ -55,7 +55,7 @@ def checked_wavelength(
 
 
 def check_table(wavelength_nm: FloatArray, value: FloatArray, what: str, *, upper: float = np.inf) -> None:
-    """Refuse a curve that is not one: fewer than two points, wavelengths not increasing, values below 0 or above ``upper``.
+    """Refuse what is no curve: fewer than two points, wavelengths not increasing, values outside 0 ... ``upper``.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def check_table(wavelength_nm: FloatArray, value: FloatArray, what: str, *, uppe
     if not (step > 0).all():
         at = int(np.argmax(step <= 0))
         raise DomainError(
-            f"{what}: wavelengths must increase, but {wavelength_nm[at]:g} nm is followed by {wavelength_nm[at + 1]:g} nm"
+            f"{what}: wavelengths must increase, but {wavelength_nm[at + 1]:g} nm follows {wavelength_nm[at]:g} nm"
         )
     bad = (value < 0) | (value > upper)
     if bad.any():
