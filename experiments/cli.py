@@ -38,7 +38,7 @@ import click
 
 from experiments.config import ExperimentConfig, load_config
 from experiments.outputs import RECORD, OutputFolder
-from experiments.progress import Progress, terminal_progress
+from experiments.progress import terminal_progress
 from experiments.summary import Criterion
 from optics.errors import StarbenchError
 
@@ -79,6 +79,15 @@ class _Options:
     backend: str
     out: str
     quick: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Outcome:
+    result: Any
+    config: ExperimentConfig
+    results: Mapping[str, Any]
+    criteria: Sequence[Criterion]
+    tables: Mapping[str, Table]
 
 
 def command(
@@ -185,23 +194,21 @@ def _perform(experiment: Experiment[Any, Any], options: _Options) -> int:
     with progress.stage("write"):
         results, criteria = experiment.summary(result)
         tables = dict(experiment.tables(result)) if experiment.tables else {}
+        outcome = _Outcome(result=result, config=config, results=results, criteria=criteria, tables=tables)
         with folder.writing() as staging:
-            _write(experiment, result, staging, config, results, criteria, tables, progress, variant, options.quick)
-    _show(experiment, criteria, tables, folder.shown)
+            _write(experiment, outcome, staging, variant=variant, quick=options.quick, times_s=progress.times_s)
+    _show(experiment, outcome, folder.shown)
     return EXIT_GOOD if all(criterion.passed for criterion in criteria) else EXIT_FAILED
 
 
 def _write(
     experiment: Experiment[Any, Any],
-    result: Any,
+    outcome: _Outcome,
     folder: Path,
-    config: ExperimentConfig,
-    results: Mapping[str, Any],
-    criteria: Sequence[Criterion],
-    tables: Mapping[str, Table],
-    progress: Progress,
+    *,
     variant: str | None,
     quick: bool,
+    times_s: Mapping[str, float],
 ) -> None:
     from experiments.plotting import house_style
     from experiments.provenance import collect, file_digests, without_paths
@@ -209,39 +216,37 @@ def _write(
     from experiments.summary import dumps, summary
     from experiments.tables import write_ecsv
 
-    content = summary(experiment.name, config, results, criteria)
+    content = summary(experiment.name, outcome.config, outcome.results, outcome.criteria)
     content["config"] = without_paths(content["config"])
     (folder / "summary.json").write_text(dumps(content), encoding="utf-8")
-    for name, table in tables.items():
+    for name, table in outcome.tables.items():
         write_ecsv(table, folder / f"{name}.ecsv")
     if experiment.files is not None:
-        experiment.files(result, folder)
+        experiment.files(outcome.result, folder)
     with house_style():
-        document = experiment.report(result)
-        origin = collect(experiment.name, content["config"], variant=variant, quick=quick, times_s=progress.times_s)
-        (folder / "report.html").write_text(render_html(document, criteria, origin), encoding="utf-8")
+        document = experiment.report(outcome.result)
+        origin = collect(experiment.name, content["config"], variant=variant, quick=quick, times_s=times_s)
+        (folder / "report.html").write_text(render_html(document, outcome.criteria, origin), encoding="utf-8")
     origin["files"] = file_digests(folder)
     (folder / RECORD).write_text(dumps(origin), encoding="utf-8")
 
 
-def _show(
-    experiment: Experiment[Any, Any], criteria: Sequence[Criterion], tables: Mapping[str, Any], shown: str
-) -> None:
+def _show(experiment: Experiment[Any, Any], outcome: _Outcome, shown: str) -> None:
     from rich.console import Console
 
     from experiments.report import verdict_line
-    from experiments.tables import Column, Table, to_rich
+    from experiments.tables import Table, to_rich
 
     console = Console()
     for name in experiment.show:
-        console.print(to_rich(tables[name]))
+        console.print(to_rich(outcome.tables[name]))
     rows = [
         (one.name, one.value, f"{one.relation} {one.limit:.6g}", one.unit, "yes" if one.passed else "NO")
-        for one in criteria
+        for one in outcome.criteria
     ]
-    columns = ("criterion", Column(name="value"), "limit", "unit", "holds")
-    console.print(to_rich(Table(columns=columns, rows=rows, caption="Criteria")))
-    console.print(verdict_line(criteria), style="bold", highlight=False)
+    heads = ("criterion", "value", "limit", "unit", "holds")
+    console.print(to_rich(Table(columns=heads, rows=rows, caption="Criteria")))
+    console.print(verdict_line(outcome.criteria), style="bold", highlight=False)
     console.print(f"report: {Path(shown) / 'report.html'}", highlight=False, soft_wrap=True)
 
 

@@ -29,6 +29,19 @@ _PURE_NUMBERS = frozenset(
 )
 
 
+def _holds_reals(annotation: Any) -> bool:
+    if annotation is float:
+        return True
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return False
+    return any(_holds_reals(argument) for argument in typing.get_args(annotation))
+
+
+def _tells_unit(name: str) -> bool:
+    words = name.lower().split("_")
+    return words[-1] in _UNITS | _PURE_NUMBERS or "per" in words[1:]
+
+
 class StrictModel(BaseModel):
     """Base of every configuration table: frozen, unknown keys are errors, no NaN, units in the key names.
 
@@ -176,19 +189,6 @@ def with_settings(model_class: type[BaseModel], values: Mapping[str, Any], setti
         result = _with_value(result, key.split("."), value, f"--set {setting}")
         parse_model(model_class, result, f"--set {setting}")
     return result
-
-
-def _holds_reals(annotation: Any) -> bool:
-    if annotation is float:
-        return True
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return False
-    return any(_holds_reals(argument) for argument in typing.get_args(annotation))
-
-
-def _tells_unit(name: str) -> bool:
-    words = name.lower().split("_")
-    return words[-1] in _UNITS | _PURE_NUMBERS or "per" in words[1:]
 
 
 def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
