@@ -1,0 +1,48 @@
+"""Bits that say what is wrong with a star; the data keep the star, the flag lets the user decide."""
+
+from __future__ import annotations
+
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["StarFlag", "describe_flags", "has_flag"]
+
+
+class StarFlag(IntFlag):
+    """Bit values of ``StarTable.flags``.
+
+    SATURATED
+        A pixel of the window reached full well or the end of the converter (left out of the measurement).
+    EDGE
+        The window reaches beyond the image.
+    BLEND
+        Another detected star lies inside the window.
+    DEFECT
+        A pixel of the window is known to be defective or holds no finite number (left out of the measurement).
+    SPIKE
+        Sharper than any star: nearly all light sits in one pixel (hot pixel, cosmic ray).
+    NOT_CONVERGED
+        The iteration ended without reaching its tolerance; the values are those of the last step.
+    NO_DATA
+        No usable pixel or no light: position and flux are NaN.
+    """
+
+    SATURATED = 1
+    EDGE = 2
+    BLEND = 4
+    DEFECT = 8
+    SPIKE = 16
+    NOT_CONVERGED = 32
+    NO_DATA = 64
+
+
+def has_flag(flags: NDArray[np.uint32], flag: StarFlag) -> NDArray[np.bool_]:
+    """Whether any bit of ``flag`` is set, element by element."""
+    return (np.asarray(flags) & np.uint32(int(flag))) != 0
+
+
+def describe_flags(value: int) -> str:
+    """Names of the bits set in ``value``, joined by ``|``; an empty string for none."""
+    return "|".join(flag.name or "" for flag in StarFlag if int(value) & flag)

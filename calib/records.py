@@ -1,0 +1,263 @@
+"""Records of the inverse model: what detection and centroiding take and give."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from astropy import units
+from astropy.table import Table
+from numpy.typing import NDArray
+
+from optics.errors import DomainError
+from optics.records import freeze
+
+__all__ = ["NoiseModel", "SensorImage", "Stamps", "StarTable"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoiseModel:
+    """Temporal noise of a pixel: electrons = (DN - offset) / gain, variance = expectation + read noise^2.
+
+    The expectation holds everything that arrives as electrons: star, sky background and dark current. Rounding to
+    whole DN adds ``1 / (12 gain^2)`` (EMVA 1288 Release 4.0, quantisation noise). Fixed patterns (PRNU, DSNU) are not
+    temporal noise and are not in it.
+
+    Attributes
+    ----------
+    read_noise_e : float
+        Standard deviation of the signal-free pixel, not negative.
+    gain_dn_per_e : float
+        System gain K (EMVA 1288), positive.
+    offset_dn : float
+        DN of a pixel without electrons.
+    quantised : bool
+        Whether the numbers were rounded to whole DN.
+
+    Raises
+    ------
+    DomainError
+        On a negative read noise, a gain that is not positive, or a value that is not finite.
+    """
+
+    read_noise_e: float
+    gain_dn_per_e: float = 1.0
+    offset_dn: float = 0.0
+    quantised: bool = False
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.read_noise_e) and self.read_noise_e >= 0):
+            raise DomainError(f"NoiseModel.read_noise_e = {self.read_noise_e} e-; it must be finite and not negative")
+        if not (np.isfinite(self.gain_dn_per_e) and self.gain_dn_per_e > 0):
+            raise DomainError(f"NoiseModel.gain_dn_per_e = {self.gain_dn_per_e} DN/e-; it must be finite and positive")
+        if not np.isfinite(self.offset_dn):
+            raise DomainError(f"NoiseModel.offset_dn = {self.offset_dn} DN; it must be finite")
+
+    @property
+    def floor_e2(self) -> float:
+        """Variance of a pixel without electrons [e-^2]."""
+        rounding = 1.0 / (12.0 * self.gain_dn_per_e**2) if self.quantised else 0.0
+        return float(self.read_noise_e**2 + rounding)
+
+    def variance_e2(self, expected_e: FloatArray) -> FloatArray:
+        """Variance [e-^2] of pixels that expect ``expected_e`` electrons; never below 1e-3 e-^2.
+
+        The small floor keeps weights finite where neither light nor read noise is expected.
+        """
+        return np.maximum(np.maximum(expected_e, 0.0) + self.floor_e2, 1e-3)
+
+    def to_electrons(self, dn: NDArray[Any]) -> FloatArray:
+        """Electrons of ``dn``, any shape."""
+        return (np.asarray(dn, dtype=np.float64) - self.offset_dn) / self.gain_dn_per_e
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorImage:
+    """An image of whatever origin, ready for detection.
+
+    Attributes
+    ----------
+    dn : (h, w)
+        Digital numbers; where ``valid`` is false the value is 0 and means nothing.
+    valid, saturated : (h, w) bool
+        Usable pixels (finite, not defective); pixels at full well or the end of the converter.
+    noise : NoiseModel
+        Gain, offset and read noise.
+    assumed : tuple of str
+        Names of the noise-model fields that nobody stated and that therefore hold a default or an estimate.
+    exposure_s : float or None
+        Exposure time, if known.
+    source : str
+        Where the image comes from.
+    """
+
+    dn: FloatArray
+    valid: NDArray[np.bool_]
+    saturated: NDArray[np.bool_]
+    noise: NoiseModel
+    assumed: tuple[str, ...] = ()
+    exposure_s: float | None = None
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        dn = freeze(self, "dn", shape=("h", "w"), sizes=sizes)
+        freeze(self, "valid", shape=("h", "w"), dtype=np.bool_, sizes=sizes)
+        freeze(self, "saturated", shape=("h", "w"), dtype=np.bool_, sizes=sizes)
+        if dn.size == 0:
+            raise DomainError(f"SensorImage.dn has shape {dn.shape}; an image needs at least one pixel")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stamps:
+    """Windows around stars, in electrons, background included; pixels are (column, row) of the full image.
+
+    Attributes
+    ----------
+    electrons : (n, h, w)
+        (DN - offset) / gain. Where ``valid`` is false the value is 0 and means nothing.
+    valid : (n, h, w) bool
+        Pixels that may be used: inside the image, finite, neither saturated nor defective.
+    corner_px : (n, 2) int64
+        (column, row) of each window's first pixel.
+    background_e : (n,)
+        Expected electrons per pixel without the star.
+    start_px : (n, 2)
+        (column, row) where the measurement starts, in the full image.
+    flags : (n,) uint32
+        `StarFlag` bits found while cutting.
+    psf_index : (n,) int64
+        Which of several PSFs belongs to the star; zeros where there is one.
+    """
+
+    electrons: FloatArray
+    valid: NDArray[np.bool_]
+    corner_px: NDArray[np.int64]
+    background_e: FloatArray
+    start_px: FloatArray
+    flags: NDArray[np.uint32]
+    psf_index: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        electrons = freeze(self, "electrons", shape=("n", "h", "w"), sizes=sizes)
+        freeze(self, "valid", shape=("n", "h", "w"), dtype=np.bool_, sizes=sizes)
+        freeze(self, "corner_px", shape=("n", 2), dtype=np.int64, sizes=sizes)
+        freeze(self, "background_e", shape=("n",), sizes=sizes)
+        freeze(self, "start_px", shape=("n", 2), sizes=sizes)
+        freeze(self, "flags", shape=("n",), dtype=np.uint32, sizes=sizes)
+        freeze(self, "psf_index", shape=("n",), dtype=np.int64, sizes=sizes)
+        if min(electrons.shape[1:]) < 3:
+            raise DomainError(f"Stamps.electrons has windows of {electrons.shape[1:]} px; at least 3 x 3 is needed")
+
+    def __len__(self) -> int:
+        return len(self.electrons)
+
+    def select(self, rows: Any) -> Stamps:
+        """The stamps picked by an index array, a mask or a slice."""
+        return Stamps(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
+
+
+_COLUMN_UNITS: dict[str, Any] = {
+    "x_px": units.pix,
+    "y_px": units.pix,
+    "flux_e": units.electron,
+    "background_e": units.electron,
+    "sigma_x_px": units.pix,
+    "sigma_y_px": units.pix,
+    "sigma_flux_e": units.electron,
+    "covariance": None,
+    "chi2": None,
+    "iterations": None,
+    "flags": None,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StarTable:
+    """Measured stars; a star that could not be measured keeps its row, with NaN and a flag.
+
+    Attributes
+    ----------
+    x_px, y_px : (n,)
+        Column and row, integer = pixel centre.
+    flux_e : (n,)
+        Electrons of the star.
+    background_e : (n,)
+        Electrons per pixel under the star.
+    covariance : (n, 3, 3)
+        Of (x, y, flux) [px, px, e-]: temporal noise as the noise model states it.
+    chi2 : (n,)
+        Weighted squared residual per degree of freedom, NaN where no model was fitted.
+    iterations : (n,) int64
+        Steps the estimator took.
+    flags : (n,) uint32
+        `StarFlag` bits.
+    """
+
+    x_px: FloatArray
+    y_px: FloatArray
+    flux_e: FloatArray
+    background_e: FloatArray
+    covariance: FloatArray
+    chi2: FloatArray
+    iterations: NDArray[np.int64]
+    flags: NDArray[np.uint32]
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        for name in ("x_px", "y_px", "flux_e", "background_e", "chi2"):
+            freeze(self, name, shape=("n",), finite=False, sizes=sizes)
+        freeze(self, "covariance", shape=("n", 3, 3), finite=False, sizes=sizes)
+        freeze(self, "iterations", shape=("n",), dtype=np.int64, sizes=sizes)
+        freeze(self, "flags", shape=("n",), dtype=np.uint32, sizes=sizes)
+
+    def __len__(self) -> int:
+        return len(self.x_px)
+
+    @classmethod
+    def empty(cls) -> StarTable:
+        """A table without rows, with all columns."""
+        none = np.empty(0)
+        return cls(
+            x_px=none,
+            y_px=none,
+            flux_e=none,
+            background_e=none,
+            covariance=np.empty((0, 3, 3)),
+            chi2=none,
+            iterations=np.empty(0, np.int64),
+            flags=np.empty(0, np.uint32),
+        )
+
+    @property
+    def sigma_x_px(self) -> FloatArray:
+        """Standard deviation of x [px]."""
+        return np.sqrt(self.covariance[:, 0, 0])
+
+    @property
+    def sigma_y_px(self) -> FloatArray:
+        """Standard deviation of y [px]."""
+        return np.sqrt(self.covariance[:, 1, 1])
+
+    @property
+    def sigma_flux_e(self) -> FloatArray:
+        """Standard deviation of the flux [e-]."""
+        return np.sqrt(self.covariance[:, 2, 2])
+
+    def select(self, rows: Any) -> StarTable:
+        """The stars picked by an index array, a mask or a slice."""
+        return StarTable(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
+
+    def to_table(self, columns: Sequence[str] = tuple(_COLUMN_UNITS)) -> Table:
+        """The stars as an `astropy.table.Table` with units, e.g. to write ECSV."""
+        table = Table()
+        for name in columns:
+            table[name] = np.array(getattr(self, name))
+            if _COLUMN_UNITS[name] is not None:
+                table[name].unit = _COLUMN_UNITS[name]
+        return table
