@@ -6,7 +6,7 @@ counterpart is `render.arrays.DrJitArrays`; nothing here imports it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -26,7 +26,7 @@ class ArrayNamespace(Protocol):
     def maximum(self, value: Any, other: Any) -> Any:
         """Elementwise maximum."""
 
-    def parameters(self, theta: Sequence[float]) -> Sequence[Any]:
+    def parameters(self, theta: Iterable[float]) -> Sequence[Any]:
         """Lens parameters in the form the arithmetic takes them."""
 
 
@@ -49,7 +49,7 @@ class NumpyArrays:
         return np.maximum(value, other)
 
     @staticmethod
-    def parameters(theta: Sequence[float]) -> Sequence[Any]:
+    def parameters(theta: Iterable[float]) -> Sequence[Any]:
         """Lens parameters as Python floats."""
         return [float(value) for value in theta]
 

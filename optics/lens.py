@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from optics.arrays import NUMPY
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.glass import Glass
-from optics.media import CATALOGUE_AIR, Environment
+from optics.media import CATALOGUE_AIR, Environment, IndexFormula, index_parameters
 from optics.records import freeze
 from optics.surface import Plane, Shape
 
@@ -143,6 +144,34 @@ class LensSystem:
         return all(isinstance(s.shape, Plane) and s.medium == AMBIENT for s in before) and (
             self.surfaces[self.stop_index].medium == AMBIENT and isinstance(self.surfaces[self.stop_index].shape, Plane)
         )
+
+    def indices(self, wavelength_nm: FloatArray | float) -> FloatArray:
+        """Absolute refractive index before the first surface and after each one.
+
+        Parameters
+        ----------
+        wavelength_nm : array
+            Vacuum wavelengths [nm], any shape.
+
+        Returns
+        -------
+        (surfaces + 1, ...)
+            Indices.
+
+        Raises
+        ------
+        DomainError
+            If a wavelength is outside the range of one of the glasses.
+        """
+        self.check_wavelength(wavelength_nm)
+        wavelength = np.asarray(wavelength_nm, float)
+        keys = [(AMBIENT, 0.0)] + [(s.medium, s.index_offset) for s in self.surfaces]
+        known = {}
+        for name, offset in dict.fromkeys(keys):
+            glass = None if name == AMBIENT else self.glasses[name]
+            numbers, terms, thermal = index_parameters(glass, self.environment, offset)
+            known[name, offset] = IndexFormula(at=0, terms=terms, thermal=thermal).index(numbers, wavelength, NUMPY)
+        return np.stack([known[key] for key in keys])
 
     def check_wavelength(self, wavelength_nm: FloatArray | float) -> None:
         """Raise DomainError if a wavelength is outside the range of one of the glasses."""

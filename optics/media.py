@@ -1,11 +1,10 @@
 r"""Refractive index along the ray path, on any array library.
 
-Catalogue indices are relative to air at 20 C and 1013.25 hPa. A ray sees absolute indices:
+Catalogue indices are relative to air at the maker's reference temperature and 1013.25 hPa. A ray sees absolute ones:
 
-.. math:: n_{abs}(\lambda, T) = n_{rel}(\lambda) \, n_{air}(\lambda, 20\,C, 1013.25\,hPa) + \Delta n_{abs}(\lambda, T - 20\,C) + \delta
+.. math:: n_{abs}(\lambda, T) = n_{rel}(\lambda) \, n_{air}(\lambda, T_0) + \Delta n_{abs}(\lambda, T - T_0) + \delta
 
-with the Sellmeier formula for :math:`n_{rel}`, Kohlrausch's formula for air (SCHOTT TIE-19, 2016), SCHOTT's dn/dT
-formula for :math:`\Delta n_{abs}`, and :math:`\delta` a perturbation (melt tolerance).
+with the formulas of `optics.glass` and `optics.air`, and :math:`\delta` a perturbation (melt tolerance).
 """
 
 from __future__ import annotations
@@ -15,14 +14,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from optics.air import STANDARD_PRESSURE_HPA, kohlrausch_density, kohlrausch_refractivity
 from optics.arrays import ArrayNamespace
 from optics.errors import DomainError
-from optics.glass import Glass
+from optics.glass import Glass, sellmeier_squared, thermal_change
 
-__all__ = ["CATALOGUE_AIR", "VACUUM", "Environment", "IndexFormula", "air_refractivity"]
+__all__ = ["CATALOGUE_AIR", "VACUUM", "Environment", "IndexFormula", "index_parameters"]
 
-REFERENCE_TEMPERATURE_C = 20.0
-REFERENCE_PRESSURE_HPA = 1013.25
+UNKNOWN_DNDT_K = 5.0
+"""How far from its catalogue temperature a glass of unknown dn/dT may be used; 5 K change an index by about 1e-5."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,8 +37,8 @@ class Environment:
         Air pressure; 0 is vacuum.
     """
 
-    temperature_c: float = REFERENCE_TEMPERATURE_C
-    pressure_hpa: float = REFERENCE_PRESSURE_HPA
+    temperature_c: float = 20.0
+    pressure_hpa: float = STANDARD_PRESSURE_HPA
 
     def __post_init__(self) -> None:
         if not -100.0 <= self.temperature_c <= 140.0:
@@ -49,18 +49,13 @@ class Environment:
             raise DomainError(f"air pressure {self.pressure_hpa} hPa is outside 0 ... 2000 hPa")
 
     @property
-    def air_factor(self) -> float:
-        """Density of the air relative to 15 C and 1013.25 hPa (Kohlrausch)."""
-        return self.pressure_hpa / REFERENCE_PRESSURE_HPA / (1.0 + (self.temperature_c - 15.0) * 3.4785e-3)
+    def air_density(self) -> float:
+        """Density of the air relative to 15 C and 1013.25 hPa."""
+        return kohlrausch_density(self.temperature_c, self.pressure_hpa)
 
 
 CATALOGUE_AIR = Environment()
 VACUUM = Environment(pressure_hpa=0.0)
-
-
-def air_refractivity(l2: Any) -> Any:
-    """n - 1 of standard air at 15 C and 1013.25 hPa; ``l2`` is the squared wavelength [um^2] (Kohlrausch 1968)."""
-    return 1e-8 * (6432.8 + 2949810.0 * l2 / (146.0 * l2 - 1.0) + 25540.0 * l2 / (41.0 * l2 - 1.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +63,8 @@ class IndexFormula:
     """How one medium of a compiled lens gets its index from its slice of the parameter vector.
 
     ``terms`` Sellmeier terms (0: the surroundings), ``thermal`` whether the temperature differs from the catalogue's.
-    Parameters: air factor; then for glass: perturbation, B..., C..., and for ``thermal``: three SCHOTT numbers.
+    Parameters: air density; then for glass: perturbation, B..., C..., and for ``thermal``: three SCHOTT numbers. The
+    air density is that of the surroundings, for glass that of the maker's measurement.
     """
 
     at: int
@@ -77,19 +73,14 @@ class IndexFormula:
 
     def index(self, theta: Sequence[Any], wavelength_nm: Any, xp: ArrayNamespace) -> Any:
         """Absolute refractive index at each wavelength."""
-        l2 = (wavelength_nm * 1e-3) * (wavelength_nm * 1e-3)
+        air = 1.0 + theta[self.at] * kohlrausch_refractivity(wavelength_nm)
         if self.terms == 0:
-            return 1.0 + theta[self.at] * air_refractivity(l2)
-        b = theta[self.at + 2 : self.at + 2 + self.terms]
-        c = theta[self.at + 2 + self.terms : self.at + 2 + 2 * self.terms]
-        n2 = 1.0 + l2 * 0.0
-        for bj, cj in zip(b, c, strict=True):
-            n2 = n2 + bj * l2 / (l2 - cj)
-        relative = xp.sqrt(n2)
-        absolute = relative * (1.0 + CATALOGUE_AIR.air_factor * air_refractivity(l2)) + theta[self.at + 1]
+            return air
+        at_b, at_c, end = (self.at + 2 + i * self.terms for i in range(3))
+        relative = xp.sqrt(sellmeier_squared(wavelength_nm, theta[at_b:at_c], theta[at_c:end]))
+        absolute = relative * air + theta[self.at + 1]
         if self.thermal:
-            d, e, pole = theta[self.at + 2 + 2 * self.terms : self.at + 5 + 2 * self.terms]
-            absolute = absolute + (n2 - 1.0) / (2.0 * relative) * (d + e / (l2 - pole))
+            absolute = absolute + thermal_change(wavelength_nm, relative, *theta[end : end + 3])
         return absolute
 
 
@@ -98,23 +89,30 @@ def index_parameters(
 ) -> tuple[list[float], int, bool]:
     """Parameter slice, number of Sellmeier terms and thermal switch of one medium; ``None`` is the surroundings.
 
+    A glass without dn/dT data keeps its catalogue index within `UNKNOWN_DNDT_K` of the catalogue's temperature.
+
     Raises
     ------
     DomainError
-        If the glass has no dn/dT data and the temperature is not the catalogue's.
+        If the glass has no dn/dT data and the temperature is further away, or if its data do not reach that far.
     """
     if glass is None:
-        return [environment.air_factor], 0, False
-    b, c = [float(v) for v in glass.B], [float(v) for v in glass.C]
-    parameters = [environment.air_factor, perturbation, *b, *c]
-    dt = environment.temperature_c - REFERENCE_TEMPERATURE_C
-    if math.isclose(dt, 0.0, abs_tol=1e-12):
-        return parameters, len(b), False
+        return [environment.air_density], 0, False
+    reference = glass.reference_temperature_c
+    density = kohlrausch_density(reference, STANDARD_PRESSURE_HPA)
+    parameters = [density, perturbation, *glass.B, *glass.C]
+    kelvin = environment.temperature_c - reference
+    if math.isclose(kelvin, 0.0, abs_tol=1e-12) or (glass.dndt is None and abs(kelvin) <= UNKNOWN_DNDT_K):
+        return parameters, len(glass.B), False
     if glass.dndt is None:
         raise DomainError(
-            f"glass {glass.name} has no dn/dT data; the lens cannot be used at {environment.temperature_c} C "
-            f"(catalogue temperature {REFERENCE_TEMPERATURE_C} C)"
+            f"glass {glass.name} has no dn/dT data; the lens cannot be used at {environment.temperature_c:g} C, "
+            f"more than {UNKNOWN_DNDT_K:g} K from the catalogue's {reference:g} C"
         )
-    k = glass.dndt
-    parameters += [k.D0 * dt + k.D1 * dt**2 + k.D2 * dt**3, k.E0 * dt + k.E1 * dt**2, k.lambda_tk_um**2]
-    return parameters, len(b), True
+    low, high = glass.dndt.range_c
+    if not low <= environment.temperature_c <= high:
+        raise DomainError(
+            f"glass {glass.name}: temperature {environment.temperature_c:g} C is outside {low:g} ... {high:g} C "
+            "of its dn/dT data"
+        )
+    return [*parameters, *glass.dndt.terms(kelvin)], len(glass.B), True

@@ -7,7 +7,7 @@ gradient with respect to every number of the prescription is one vector.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +34,7 @@ class Step:
     shape_at, shape_size : int
         Its parameters.
     shift_at : int
-        Three numbers: where this vertex frame's origin lies, subtracted after the rotation.
+        Three numbers: the previous vertex seen from this one, added after the rotation.
     lateral : bool
         Whether the shift has x and y components.
     rotation_at : int
@@ -74,7 +74,7 @@ class _Vector:
     def __init__(self) -> None:
         self.values: list[float] = []
 
-    def add(self, numbers: Sequence[float]) -> int:
+    def add(self, numbers: Iterable[float]) -> int:
         at = len(self.values)
         self.values.extend(float(number) for number in numbers)
         return at
@@ -118,7 +118,7 @@ def compile_lens(lens: LensSystem, *, general: bool = False) -> tuple[LensProgra
         surface = lens.surfaces[i] if i < len(lens.surfaces) else None
         turn = new_rotation.T @ rotation
         shift = new_rotation.T @ (position - new_position)
-        turned = general or not np.array_equal(turn, np.eye(3))
+        turned = general or not np.array_equal(new_rotation, rotation)
         shape: Shape = Plane() if surface is None else surface.shape
         limited = surface is not None and (np.isfinite(surface.semi_diameter_mm) or surface.inner_semi_diameter_mm > 0)
         steps.append(

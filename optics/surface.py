@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from optics.arrays import NUMPY, ArrayNamespace
 from optics.errors import DomainError
 
-__all__ = ["Conic", "EvenAsphere", "Hit", "Plane", "Shape", "Sphere"]
+__all__ = ["Conic", "EvenAsphere", "Hit", "Plane", "Shape", "Sphere", "sag"]
 
 NEWTON_STEPS = 6
 NEWTON_RESIDUAL_MM = 1e-10
@@ -33,7 +33,10 @@ NEWTON_RESIDUAL_MM = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class Hit:
-    """Intersection in the vertex frame: path from the vertex plane, point, unit normal (towards +z), cosine, validity."""
+    """Intersection in the vertex frame: path from the vertex plane, point, unit normal towards +z, cosine, validity.
+
+    ``valid`` is None where every ray is valid; what is zero for all rays may be a plain 0.0.
+    """
 
     path: Any
     x: Any
@@ -70,8 +73,7 @@ class Plane:
     @staticmethod
     def intersect(p: Sequence[Any], x: Any, y: Any, d: Sequence[Any], xp: ArrayNamespace) -> Hit:
         """Intersect rays that stand on the vertex plane."""
-        zero = x * 0.0
-        return Hit(zero, x, y, zero, zero, zero, zero + 1.0, d[2], zero < 1.0)
+        return Hit(0.0, x, y, 0.0, 0.0, 0.0, 1.0, d[2], None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,7 +108,8 @@ class Sphere:
         cos_i = xp.sqrt(xp.maximum(disc, 0.0))
         s = f / (g + cos_i)
         x, y, z = x + s * dx, y + s * dy, s * dz
-        return Hit(s, x, y, z, -(c * x), -(c * y), 1.0 - c * z, cos_i, (disc > 0.0) & (g > 0.0))
+        nz = 1.0 - c * z
+        return Hit(s, x, y, z, -(c * x), -(c * y), nz, cos_i, (disc > 0.0) & (g > 0.0) & (nz > 0.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,7 +153,7 @@ class Conic:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EvenAsphere:
-    """Conic plus even polynomial; ``coefficients[j]`` [mm^-(3+2j)] multiplies r^(4+2j). ``radius_mm`` may be infinite."""
+    """Conic plus even polynomial: ``coefficients[j]`` [mm^-(3+2j)] times r^(4+2j); ``radius_mm`` may be infinite."""
 
     radius_mm: float
     conic: float = 0.0

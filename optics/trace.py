@@ -2,7 +2,8 @@
 
 Each surface: into its vertex frame, to the vertex plane, to the surface, aperture, Snell's law in vector form. Points
 are kept relative to the current vertex, which keeps rounding at 1e-14 mm however long the lens.
-Rays that fail carry on as finite numbers; ``status`` and ``failed_at`` tell the first thing that happened to them.
+Rays that fail are carried on with numbers that mean nothing; ``status`` and ``failed_at`` tell the first thing that
+happened to them: the intersection is checked first, then the clear aperture, then refraction.
 """
 
 from __future__ import annotations
@@ -153,9 +154,10 @@ def trace_program(program: LensProgram, theta: Any, rays: Rays, xp: ArrayNamespa
         hit = step.shape.intersect(theta[step.shape_at : step.shape_at + step.shape_size], x, y, d, xp)
         n1 = index[step.before]
         opl = opl + n1 * (to_plane + hit.path)
-        alive = status == OK
-        status = xp.where(alive & ~hit.valid, MISSED, status)
-        failed_at = xp.where(alive & ~hit.valid, number, failed_at)
+        valid = d[2] > 0.0 if hit.valid is None else hit.valid & (d[2] > 0.0)
+        missed = (status == OK) & ~valid
+        status = xp.where(missed, MISSED, status)
+        failed_at = xp.where(missed, number, failed_at)
         if step.aperture_at >= 0:
             r2 = hit.x * hit.x + hit.y * hit.y
             lost = (status == OK) & (r2 > theta[step.aperture_at])
@@ -174,8 +176,8 @@ def trace_program(program: LensProgram, theta: Any, rays: Rays, xp: ArrayNamespa
             d = (eta * d[0] + bend * hit.nx, eta * d[1] + bend * hit.ny, eta * d[2] + bend * hit.nz)
         p = (hit.x, hit.y, hit.z)
     return Rays(
-        x=p[0], y=p[1], z=p[2], dx=d[0], dy=d[1], dz=d[2], wavelength_nm=rays.wavelength_nm, opl_mm=opl, status=status,
-        failed_at=failed_at,
+        x=p[0], y=p[1], z=p[2] + 0.0 * p[0], dx=d[0], dy=d[1], dz=d[2],
+        wavelength_nm=rays.wavelength_nm, opl_mm=opl, status=status, failed_at=failed_at,
     )  # fmt: skip
 
 

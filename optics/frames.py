@@ -1,0 +1,159 @@
+"""Frames and pixel conventions; the only place where one is turned into another.
+
+* ``cam``: right-handed, +Z boresight into the sky, +X along increasing column, +Y along increasing row.
+* ``lens``: right-handed, light travels towards +z; x_lens = -X_cam, y_lens = +Y_cam, z_lens = -Z_cam.
+* ``pix``: (x, y) = (column, row), an integer is a pixel centre, the centre of the image is ((W-1)/2, (H-1)/2).
+
+The lens inverts the image, and the lens frame is turned by 180 deg about Y_cam: a star towards +X_cam lands at a
+larger column, a star towards +Y_cam at a larger row.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from optics.errors import DomainError
+from optics.units import DEG_RAD, RAD_DEG
+
+__all__ = [
+    "field_angles_deg",
+    "field_direction",
+    "light_direction",
+    "pixel_from_fits",
+    "pixel_from_lens",
+    "pixel_from_mitsuba",
+    "pixel_from_tetra3",
+    "pixel_from_tetra3rs",
+    "pixel_to_fits",
+    "pixel_to_lens",
+    "pixel_to_mitsuba",
+    "pixel_to_tetra3",
+    "pixel_to_tetra3rs",
+    "star_direction",
+]
+
+FloatArray = NDArray[np.float64]
+Pair = tuple[FloatArray, FloatArray]
+
+
+def field_direction(field_x_deg: ArrayLike, field_y_deg: ArrayLike) -> FloatArray:
+    """Unit vector in cam towards a star at field angles: tan(field_x) = X/Z, tan(field_y) = Y/Z.
+
+    Parameters
+    ----------
+    field_x_deg, field_y_deg : array
+        Field angles [deg], broadcastable; positive towards increasing column and row.
+
+    Returns
+    -------
+    (..., 3)
+        Unit vectors in cam.
+
+    Raises
+    ------
+    DomainError
+        At 90 deg or more, or for values that are not finite.
+    """
+    fx, fy = np.broadcast_arrays(np.asarray(field_x_deg, float), np.asarray(field_y_deg, float))
+    if not np.all((np.abs(fx) < 90) & (np.abs(fy) < 90)):
+        raise DomainError(
+            "a field angle is not between -90 and 90 deg; the star would stand beside or behind the camera"
+        )
+    v = np.stack([np.tan(fx * DEG_RAD), np.tan(fy * DEG_RAD), np.ones(fx.shape)], axis=-1)
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def field_angles_deg(v_cam: ArrayLike) -> Pair:
+    """Field angles [deg] of directions (..., 3) in cam; the inverse of `field_direction`.
+
+    Raises
+    ------
+    DomainError
+        If a direction points behind the camera.
+    """
+    v = np.asarray(v_cam, float)
+    if not np.all(v[..., 2] > 0):
+        raise DomainError("a direction points behind the camera: its Z_cam must be positive")
+    return np.arctan2(v[..., 0], v[..., 2]) * RAD_DEG, np.arctan2(v[..., 1], v[..., 2]) * RAD_DEG
+
+
+def light_direction(v_cam: ArrayLike) -> FloatArray:
+    """Direction of travel in the lens frame of the light of stars at ``v_cam`` (..., 3): (X, -Y, Z)."""
+    return np.asarray(v_cam, float) * np.array([1.0, -1.0, 1.0])
+
+
+def star_direction(d_lens: ArrayLike) -> FloatArray:
+    """Direction in cam (..., 3) of the star whose light travels along ``d_lens`` in the lens frame."""
+    return np.asarray(d_lens, float) * np.array([1.0, -1.0, 1.0])
+
+
+def pixel_from_lens(x_mm: ArrayLike, y_mm: ArrayLike, *, pitch_mm: float, size_px: tuple[int, int]) -> Pair:
+    """Pixel (column, row) of points of the image plane.
+
+    Parameters
+    ----------
+    x_mm, y_mm : array
+        Points in the image plane, lens frame [mm]; the image plane's origin is the centre of the detector.
+    pitch_mm : float
+        Pixel pitch [mm].
+    size_px : (int, int)
+        Width and height of the detector [px].
+    """
+    width, height = size_px
+    column = (width - 1) / 2 + np.asarray(x_mm, float) / pitch_mm
+    return column, (height - 1) / 2 - np.asarray(y_mm, float) / pitch_mm
+
+
+def pixel_to_lens(x_px: ArrayLike, y_px: ArrayLike, *, pitch_mm: float, size_px: tuple[int, int]) -> Pair:
+    """Point of the image plane [mm, lens frame] of pixel (column, row); the inverse of `pixel_from_lens`."""
+    width, height = size_px
+    x_mm = (np.asarray(x_px, float) - (width - 1) / 2) * pitch_mm
+    return x_mm, ((height - 1) / 2 - np.asarray(y_px, float)) * pitch_mm
+
+
+def _shifted(x: ArrayLike, y: ArrayLike, by: float) -> Pair:
+    return np.asarray(x, float) + by, np.asarray(y, float) + by
+
+
+def pixel_to_mitsuba(x_px: ArrayLike, y_px: ArrayLike) -> Pair:
+    """Film position of a pixel: Mitsuba counts from the corner, pixel centres lie at +0.5."""
+    return _shifted(x_px, y_px, 0.5)
+
+
+def pixel_from_mitsuba(x_film: ArrayLike, y_film: ArrayLike) -> Pair:
+    """Pixel of a Mitsuba film position."""
+    return _shifted(x_film, y_film, -0.5)
+
+
+def pixel_to_fits(x_px: ArrayLike, y_px: ArrayLike) -> Pair:
+    """FITS image coordinates: the first pixel's centre is (1, 1) (FITS standard 4.0, sec. 8.1)."""
+    return _shifted(x_px, y_px, 1.0)
+
+
+def pixel_from_fits(x_fits: ArrayLike, y_fits: ArrayLike) -> Pair:
+    """Pixel of FITS image coordinates."""
+    return _shifted(x_fits, y_fits, -1.0)
+
+
+def pixel_to_tetra3(x_px: ArrayLike, y_px: ArrayLike) -> Pair:
+    """tetra3 / cedar-solve centroids: (y, x), the corner of the first pixel is (0, 0)."""
+    x, y = _shifted(x_px, y_px, 0.5)
+    return y, x
+
+
+def pixel_from_tetra3(y_tetra: ArrayLike, x_tetra: ArrayLike) -> Pair:
+    """Pixel of a tetra3 centroid, which is given as (y, x)."""
+    return _shifted(x_tetra, y_tetra, -0.5)
+
+
+def pixel_to_tetra3rs(x_px: ArrayLike, y_px: ArrayLike, *, size_px: tuple[int, int]) -> Pair:
+    """tetra3rs centroids: (x, y) from the centre of the image, y down."""
+    width, height = size_px
+    return np.asarray(x_px, float) - (width - 1) / 2, np.asarray(y_px, float) - (height - 1) / 2
+
+
+def pixel_from_tetra3rs(x_centred: ArrayLike, y_centred: ArrayLike, *, size_px: tuple[int, int]) -> Pair:
+    """Pixel of a tetra3rs centroid."""
+    width, height = size_px
+    return np.asarray(x_centred, float) + (width - 1) / 2, np.asarray(y_centred, float) + (height - 1) / 2
