@@ -13,9 +13,9 @@ from typing import Any, ClassVar, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from optics.errors import ConfigError
-from optics.validate import parse_model
+from optics.validate import parse_model, read_toml
 
-__all__ = ["ExperimentConfig", "StrictModel", "load_config", "read_toml", "with_settings"]
+__all__ = ["ExperimentConfig", "StrictModel", "load_config", "with_settings"]
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -127,34 +127,6 @@ def load_config(
     if seed is not None:
         values["seed"] = seed
     return parse_model(model_class, values, "configuration")
-
-
-def read_toml(path: str | Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Parameters
-    ----------
-    path : path
-        File to read.
-
-    Returns
-    -------
-    dict
-        Its table.
-
-    Raises
-    ------
-    ConfigError
-        Missing, unreadable, or not TOML (with line and column).
-    """
-    try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not valid TOML ({error})") from None
 
 
 def with_settings(model_class: type[BaseModel], values: Mapping[str, Any], settings: Iterable[str]) -> dict[str, Any]:

@@ -188,7 +188,7 @@ def equation_svg(latex: str, *, prefix: str = "e") -> str:
     from matplotlib.mathtext import MathTextParser
 
     with rc_context({"mathtext.fontset": "stix", "text.color": INK}):
-        font = FontProperties(size=12)
+        font = FontProperties(size=13.5)
         try:
             parsed = MathTextParser("path").parse(f"${latex}$", dpi=72, prop=font)
         except ValueError as error:

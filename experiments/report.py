@@ -133,7 +133,8 @@ class Report:
     lead : str
         One or two sentences that say what was done and what came out.
     verdict : str
-        One sentence that follows the line "All n criteria hold"; may be empty.
+        What was found, in a sentence that is true whether the criteria hold or not; it follows the line "All n
+        criteria hold" or "m of n criteria do not hold". May be empty.
     key_numbers : sequence of KeyNumber
         At most four or five.
     sections : sequence of Section
@@ -152,8 +153,10 @@ def verdict_line(criteria: Sequence[Criterion]) -> str:
     failed = sum(not criterion.passed for criterion in criteria)
     if not criteria:
         return "No criteria were set."
+    if len(criteria) == 1:
+        return "The criterion does not hold." if failed else "The criterion holds."
     if failed == 0:
-        return "The criterion holds." if len(criteria) == 1 else f"All {len(criteria)} criteria hold."
+        return f"All {len(criteria)} criteria hold."
     return f"{failed} of {len(criteria)} criteria {'does' if failed == 1 else 'do'} not hold."
 
 

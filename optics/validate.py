@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 
 from optics.errors import ConfigError
 
-__all__ = ["parse_model", "parse_toml"]
+__all__ = ["parse_model", "parse_toml", "read_toml"]
 
 Model = TypeVar("Model", bound=BaseModel)
 Location = tuple[int | str, ...]
@@ -73,16 +73,35 @@ def parse_toml(model_class: type[Model], path: str | Path) -> Model:
     ConfigError
         File missing or unreadable, not TOML (with the line), or not valid (see `parse_model`).
     """
-    path = Path(path)
+    return parse_model(model_class, read_toml(path), Path(path).name)
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Parameters
+    ----------
+    path : path
+        File to read.
+
+    Returns
+    -------
+    dict
+        Its table.
+
+    Raises
+    ------
+    ConfigError
+        Missing, unreadable, or not TOML (with line and column).
+    """
     try:
-        mapping = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: not valid TOML ({error})") from None
-    return parse_model(model_class, mapping, path.name)
 
 
 def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
