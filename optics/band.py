@@ -23,7 +23,10 @@ FloatArray = NDArray[np.float64]
 class Band(Protocol):
     """A filter: transmission over wavelength, zero outside its breakpoints."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """What to call it in tables and messages."""
+        ...
 
     @property
     def breakpoints_nm(self) -> FloatArray:
