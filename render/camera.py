@@ -1,0 +1,96 @@
+"""The camera: lens, detector geometry, focus, attitude and spectral response, as one record without Mitsuba."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optics.errors import DomainError
+from optics.lens import LensSystem
+from optics.records import freeze
+from optics.response import Response
+
+__all__ = ["Camera"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Camera:
+    """A lens in front of a pixelated detector.
+
+    Attributes
+    ----------
+    lens : LensSystem
+        The lens; its image plane is the nominal focus.
+    width_px, height_px : int
+        Columns and rows.
+    pixel_pitch_mm : float
+        Pixel pitch [mm].
+    defocus_mm : float
+        Detector shift along the light, positive away from the lens.
+    centre_px : (2,)
+        Where the axis of the lens meets the detector (column, row); default the centre of the image.
+    charge_diffusion_px : float
+        Standard deviation of the Gaussian charge-diffusion kernel [px].
+    rotation_cam_from_world : (3, 3)
+        ``v_cam = rotation_cam_from_world @ v_world``, float64.
+    response : Response or None
+        Electrons per photon against wavelength: quantum efficiency times lens transmission; None is 1.
+    """
+
+    lens: LensSystem
+    width_px: int
+    height_px: int
+    pixel_pitch_mm: float
+    defocus_mm: float = 0.0
+    centre_px: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
+    charge_diffusion_px: float = 0.0
+    rotation_cam_from_world: FloatArray = field(default_factory=lambda: np.eye(3))
+    response: Response | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("width_px", "height_px"):
+            if getattr(self, name) < 1:
+                raise DomainError(f"Camera.{name} = {getattr(self, name)} px; it must be at least 1")
+        if not (self.pixel_pitch_mm > 0 and math.isfinite(self.pixel_pitch_mm)):
+            raise DomainError(f"Camera.pixel_pitch_mm = {self.pixel_pitch_mm} mm; it must be positive")
+        if not (self.charge_diffusion_px >= 0 and math.isfinite(self.charge_diffusion_px)):
+            raise DomainError(f"Camera.charge_diffusion_px = {self.charge_diffusion_px} px; it must not be negative")
+        if not math.isfinite(self.defocus_mm):
+            raise DomainError(f"Camera.defocus_mm = {self.defocus_mm} mm; a finite number is needed")
+        if np.isnan(np.asarray(self.centre_px, float)).all():
+            object.__setattr__(self, "centre_px", np.array([(self.width_px - 1) / 2, (self.height_px - 1) / 2]))
+        freeze(self, "centre_px", shape=(2,))
+        rotation = freeze(self, "rotation_cam_from_world", shape=(3, 3))
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-9) or np.linalg.det(rotation) < 0:
+            raise DomainError(
+                "Camera.rotation_cam_from_world is not a proper rotation (a mirrored sky has determinant -1)"
+            )
+
+    @property
+    def focused_lens(self) -> LensSystem:
+        """The lens with its image plane where the detector is."""
+        axis = self.lens.image_rotation[:, 2]
+        return replace(self.lens, image_position_mm=self.lens.image_position_mm + self.defocus_mm * axis)
+
+    def to_pixel(self, x_mm: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Image-plane coordinates [mm, lens axes] to (column, row) [px]."""
+        return self.centre_px[0] + x_mm / self.pixel_pitch_mm, self.centre_px[1] - y_mm / self.pixel_pitch_mm
+
+    def response_at(self, wavelength_nm: FloatArray) -> FloatArray:
+        """Electrons per photon at each wavelength."""
+        wavelength = np.asarray(wavelength_nm, float)
+        return np.ones_like(wavelength) if self.response is None else self.response.interpolate(wavelength)
+
+    def nominal_direction(
+        self, x_px: FloatArray | float, y_px: FloatArray | float, focal_length_mm: float
+    ) -> FloatArray:
+        """Unit vectors in the camera frame that an ideal lens would image at (column, row); shape (..., 3)."""
+        x = (np.asarray(x_px, float) - self.centre_px[0]) * self.pixel_pitch_mm / focal_length_mm
+        y = (np.asarray(y_px, float) - self.centre_px[1]) * self.pixel_pitch_mm / focal_length_mm
+        v = np.stack([x, y, np.ones_like(x)], axis=-1)
+        return v / np.linalg.norm(v, axis=-1, keepdims=True)
