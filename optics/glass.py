@@ -28,7 +28,16 @@ from optics.air import STANDARD_PRESSURE_HPA, AirFormula, air_index
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.response import Response, checked_wavelength
 
-__all__ = ["Glass", "ThermalDispersion", "get_glass", "glass_from_table", "list_glasses", "sellmeier_squared"]
+__all__ = [
+    "Glass",
+    "ThermalDispersion",
+    "get_glass",
+    "glass_from_table",
+    "list_glasses",
+    "sellmeier",
+    "sellmeier_squared",
+    "thermal_change",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -55,6 +64,11 @@ def sellmeier_squared(wavelength_nm: Any, B: Sequence[Any], C: Sequence[Any]) ->
     for strength, resonance in zip(B, C, strict=True):
         n2 = n2 + strength * l2 / (l2 - resonance)
     return n2
+
+
+def sellmeier(wavelength_nm: ArrayLike, B: Sequence[float], C: Sequence[float]) -> FloatArray:
+    """Index by Sellmeier's formula on NumPy arrays: the root of `sellmeier_squared`, same arguments."""
+    return np.asarray(np.sqrt(sellmeier_squared(np.asarray(wavelength_nm, dtype=np.float64), B, C)))
 
 
 def thermal_change(wavelength_nm: Any, index: Any, volume: Any, strength: Any, resonance: Any) -> Any:
@@ -208,7 +222,7 @@ class Glass:
         DomainError
             Outside ``range_nm``, naming glass, value and range.
         """
-        return np.asarray(np.sqrt(sellmeier_squared(self._inside(wavelength_nm), self.B, self.C)))
+        return sellmeier(self._inside(wavelength_nm), self.B, self.C)
 
     def absolute_index(
         self,
