@@ -117,20 +117,22 @@ def load_config(
     values = model_class().model_dump()
     for key, value in (quick or {}).items():
         values = _with_value(values, key.split("."), value, f"quick setting {key!r}")
-    if quick:
-        parse_model(model_class, values, "quick settings")
+    sources = []
     if file is not None:
-        path = Path(file)
-        values = _merged(values, read_toml(path))
-        parse_model(model_class, values, path.name)
-    values = with_settings(model_class, values, settings)
+        values = _merged(values, read_toml(file))
+        sources.append(Path(file).name)
+    if settings:
+        values = with_settings(model_class, values, settings)
+        sources.append(f"--set {settings[0]}" if len(settings) == 1 else "--set")
     if seed is not None:
         values["seed"] = seed
-    return parse_model(model_class, values, "configuration")
+        sources.append("--seed")
+    # One look at the whole: two settings may be valid only together.
+    return parse_model(model_class, values, ", ".join(sources) or "configuration")
 
 
 def with_settings(model_class: type[BaseModel], values: Mapping[str, Any], settings: Iterable[str]) -> dict[str, Any]:
-    """Apply ``key=value`` settings to a configuration mapping.
+    """Apply ``key=value`` settings to a configuration mapping, without validating it.
 
     Parameters
     ----------
@@ -149,7 +151,7 @@ def with_settings(model_class: type[BaseModel], values: Mapping[str, Any], setti
     Raises
     ------
     ConfigError
-        See `load_config`.
+        A setting is not ``key=value``, or enters a list where it has no item.
     """
     result = copy.deepcopy(dict(values))
     for setting in settings:
@@ -159,7 +161,6 @@ def with_settings(model_class: type[BaseModel], values: Mapping[str, Any], setti
             raise ConfigError(f"--set {setting}: key=value is needed, e.g. --set seed=7")
         value = _typed(_annotation_at(model_class, key.split(".")), text.strip())
         result = _with_value(result, key.split("."), value, f"--set {setting}")
-        parse_model(model_class, result, f"--set {setting}")
     return result
 
 
@@ -188,6 +189,8 @@ def _with_value(values: Mapping[str, Any], keys: Sequence[str], value: Any, wher
         if isinstance(table, (list, tuple)):
             raise ConfigError(f"{where}: {'.'.join(keys[:depth])} cannot be changed item by item")
         if last:
+            if key == "kind" and table.get(key, value) != value:
+                table.clear()  # another sort of table: the keys of the old one mean nothing to it
             table[key] = value
             break
         inner = table.get(key)

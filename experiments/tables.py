@@ -23,6 +23,22 @@ __all__ = ["Column", "Table", "cell_text", "to_astropy", "to_rich", "write_ecsv"
 Cell = str | bool | int | float | Measured | None
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+# How readers see a unit -> how astropy spells it.
+_UNIT_NAMES = {
+    "px": "pix",
+    "px²": "pix2",
+    "e⁻": "electron",
+    "e-": "electron",
+    "DN": "adu",
+    "″": "arcsec",
+    '"': "arcsec",
+    "°": "deg",
+    "µm": "um",
+    "μm": "um",
+    "σ": "",
+    "sigma": "",
+    "%": "percent",
+}
 _MINUS = "\N{MINUS SIGN}"
 _NOTHING = "\N{EN DASH}"
 
@@ -150,17 +166,18 @@ def to_astropy(table: Table, meta: dict[str, Any] | None = None) -> astropy.tabl
     result = AstropyTable(meta={"caption": table.caption, "note": table.note, **(meta or {})})
     for index, column in enumerate(table.heads):
         cells = [row[index] for row in table.rows]
-        key = column.key or "_".join(f"{column.name} {column.unit}".lower().split())
+        key = column.key or "_".join(re.findall(r"[a-z0-9]+", f"{column.name} {column.unit}".lower()))
+        unit = _machine_unit(column.unit)
         values = [cell.value if isinstance(cell, Measured) else cell for cell in cells]
         if table.numeric(index):
             values = [math.nan if value is None else value for value in values]
         else:
             values = ["" if value is None else value for value in values]
-        result[key] = AstropyColumn(values, unit=column.unit or None)
+        result[key] = AstropyColumn(values, unit=unit)
         if any(isinstance(cell, Measured) and cell.uncertainty is not None for cell in cells):
             errors = [cell.uncertainty if isinstance(cell, Measured) else None for cell in cells]
             filled = [math.nan if error is None else error for error in errors]
-            result[f"{key}_error"] = AstropyColumn(filled, unit=column.unit or None, description="1 sigma")
+            result[f"{key}_error"] = AstropyColumn(filled, unit=unit, description="1 sigma")
     return result
 
 
@@ -193,6 +210,13 @@ def to_rich(table: Table) -> rich.table.Table:
     for row in table.rows:
         made.add_row(*(Text(cell_text(cell, column.format)) for cell, column in zip(row, table.heads, strict=True)))
     return made
+
+
+def _machine_unit(shown: str) -> Any:
+    """astropy's unit for one written for readers; an unknown one is kept as text."""
+    from astropy.units import Unit
+
+    return Unit(_UNIT_NAMES.get(shown, shown), parse_strict="silent") if shown else None
 
 
 def _typeset(text: str) -> str:

@@ -28,7 +28,7 @@ class Band(StrictModel):
 
 
 class Config(ExperimentConfig):
-    mean_e: tuple[float, ...] = Field(default=(20.0, 200.0, 2000.0), description="signal levels")
+    mean_e: tuple[float, ...] = Field(default=(20.0, 200.0, 2000.0), min_length=1, description="signal levels")
     samples: int = Field(default=20000, ge=2, description="pixels per level")
     limit_sigma: float = Field(default=4.0, gt=0, description="largest deviation of a variance from its mean")
     label: str = ""
