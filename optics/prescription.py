@@ -11,8 +11,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 from scipy.spatial.transform import Rotation
 
-from optics.errors import ConfigError, unknown_name
-from optics.glass import Glass, get_glass
+from optics.errors import ConfigError, StarbenchError, unknown_name
+from optics.glass import Glass, get_glass, glass_from_table
 from optics.lens import AMBIENT, LensSystem, Surface
 from optics.media import CATALOGUE_AIR, Environment
 from optics.surface import Conic, EvenAsphere, Plane, Shape, Sphere
@@ -59,22 +59,17 @@ class SurfaceTable(_Table):
 
 
 class GlassTable(_Table):
-    """A glass that the built-in list does not hold: n^2 = 1 + sum B l^2 / (l^2 - C), l in um, relative to air."""
+    """A glass that the built-in catalogue does not hold; keys as in `optics.glass.glass_from_table`."""
 
     source: Annotated[str, Field(min_length=1)]
+    maker: str = "generic"
     B: tuple[FiniteFloat, ...]
     C: tuple[FiniteFloat, ...]
     range_nm: tuple[Positive, Positive]
-
-    @model_validator(mode="after")
-    def _pairs(self) -> GlassTable:
-        if len(self.B) != len(self.C) or not self.B:
-            raise ValueError(
-                f"B has {len(self.B)} and C {len(self.C)} coefficients; the same number, at least 1, is needed"
-            )
-        if self.range_nm[0] >= self.range_nm[1]:
-            raise ValueError(f"range_nm = {list(self.range_nm)}: the first must be below the second")
-        return self
+    reference_temperature_c: FiniteFloat = 20.0
+    dndt: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    dndt_range_c: tuple[FiniteFloat, FiniteFloat] | None = None
+    cte_per_k: FiniteFloat | None = None
 
 
 class LensFile(_Table):
@@ -142,6 +137,20 @@ def _surfaces(file: LensFile) -> tuple[list[Surface], float]:
     return surfaces, z
 
 
+def _glasses(file: LensFile, media: list[str], where: str) -> dict[str, Glass]:
+    """Records of the glasses that the surfaces name; the file's own come before the catalogue's."""
+    glasses = {}
+    for name in dict.fromkeys(medium for medium in media if medium != AMBIENT):
+        table = file.glass.get(name)
+        try:
+            glasses[name] = (
+                get_glass(name) if table is None else glass_from_table(name, table.model_dump(exclude_none=True))
+            )
+        except StarbenchError as error:
+            raise ConfigError(f"{where}: {error}") from None
+    return glasses
+
+
 def _builtin() -> dict[str, Path]:
     folder = Path(str(resources.files("optics"))) / "data" / "lenses"
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
@@ -182,17 +191,7 @@ def load_lens(name_or_path: str | Path, *, environment: Environment = CATALOGUE_
         raise unknown_name("lens", text, builtin)
     file = parse_toml(LensFile, path)
     surfaces, image_z = _surfaces(file)
-    glasses: dict[str, Glass] = {}
-    for name in dict.fromkeys(s.medium for s in surfaces if s.medium != AMBIENT):
-        table = file.glass.get(name)
-        try:
-            glasses[name] = (
-                get_glass(name)
-                if table is None
-                else Glass(name=name, maker="", source=table.source, B=table.B, C=table.C, range_nm=table.range_nm)
-            )
-        except ConfigError as error:
-            raise ConfigError(f"{path.name}: {error}") from None
+    glasses = _glasses(file, [s.medium for s in surfaces], path.name)
     if surfaces[-1].medium != AMBIENT:
         raise ConfigError(f"{path.name}: the last surface is followed by {surfaces[-1].medium!r}; it must be 'air'")
     return LensSystem(
