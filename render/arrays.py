@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import drjit as dr
@@ -40,6 +40,6 @@ class DrJitArrays:
         """Elementwise maximum."""
         return dr.maximum(value, other)
 
-    def parameters(self, theta: Sequence[float]) -> Sequence[Any]:
+    def parameters(self, theta: Iterable[float]) -> Sequence[Any]:
         """Lens parameters as evaluated arrays of size one."""
         return [dr.opaque(self.float_type, float(value)) for value in theta]

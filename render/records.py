@@ -78,8 +78,8 @@ class Truth:
         Photon-weighted mean of all traced rays that reach the image plane.
     photon_x_px, photon_y_px : (n, b)
         Centroid of the noiseless light on the detector, after charge diffusion, integrated over cells of a fraction of
-        a pixel, before the edge of the detector cuts it. A whole-pixel moment carries the sampling bias of its pixel grid (up to a few
-        1e-3 px for sharp spots), which is a property of an estimator and not of the light.
+        a pixel, before the edge of the detector cuts it. A moment over whole pixels carries the sampling bias of its
+        pixel grid (up to a few 1e-3 px for sharp spots), which is a property of an estimator and not of the light.
     electrons_in : (n, b)
         Electrons that would be collected if every photon through the entrance aperture reached the detector.
     electrons_image, electrons_vignetted, electrons_off_edge : (n, b)

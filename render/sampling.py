@@ -2,8 +2,8 @@
 
 The quadrature order is found by trial: the characteristic function of the landing points, damped by the diffusion
 kernel, is what the pixel values depend on; the first order that agrees with the next one to `TOLERANCE` is taken. The
-azimuths of each wavelength node are turned by a golden-ratio fraction of their spacing: the nodes fill each other's gaps,
-which halves the number of azimuths needed.
+azimuths of each wavelength node are turned by a golden-ratio fraction of their spacing: the nodes fill each other's
+gaps, which halves the number of azimuths needed.
 """
 
 from __future__ import annotations

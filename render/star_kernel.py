@@ -38,7 +38,7 @@ _MOMENTS = 7
 
 
 def oversampling(diffusion_px: float) -> int:
-    """Cells per pixel such that their first moment is the centroid of the light to 1.5e-4 px times the spot's own transfer.
+    """Cells per pixel such that their first moment is the centroid of the light, to 1.5e-4 px times the spot's transfer.
 
     A sum over cells of width 1/m aliases the light's spectrum at m cycles per pixel into the moment, with weight
     ``exp(-2 (pi m sigma)^2) / (pi m)`` after the diffusion kernel.
@@ -87,7 +87,7 @@ class StarKernel:
         self.F, self.U, self.I, self.U64 = mi.Float64, mi.UInt32, mi.Int32, mi.UInt64
         self.xp = DrJitArrays(self.F)
         self.program, self.geometry = program, geometry
-        self.theta = self.xp.parameters(theta)
+        self.theta = self.xp.parameters(theta.tolist())
         self.numbers = self.xp.parameters(
             [geometry.pitch_mm, *geometry.centre_px, *geometry.pupil_mm, geometry.pupil_radius_mm]
         )
@@ -101,9 +101,17 @@ class StarKernel:
         dx, dy, dz = (dr.gather(self.F, component, star) for component in self.light)
         zero = dr.zeros(self.I, 1)
         rays = Rays(
-            x=x0 + px * radius, y=y0 + py * radius, z=z0, dx=dx, dy=dy, dz=dz, wavelength_nm=wavelength_nm, opl_mm=self.F(0.0),
-            status=zero, failed_at=zero - 1,
-        )  # fmt: skip
+            x=x0 + px * radius,
+            y=y0 + py * radius,
+            z=z0,
+            dx=dx,
+            dy=dy,
+            dz=dz,
+            wavelength_nm=wavelength_nm,
+            opl_mm=self.F(0.0),
+            status=zero,
+            failed_at=zero - 1,
+        )
         out = trace_program(self.program, self.theta, rays, self.xp)
         return cx + out.x / pitch, cy - out.y / pitch, dz, out.status == 0
 
@@ -203,8 +211,8 @@ class StarKernel:
         cells : (s, b, stamp_px * oversampling, stamp_px * oversampling)
             Share of the star's light per cell.
         moments : (s, b, 7)
-            Shares arrived, lost in the lens, outside the stamp; then first and second moments of the arrived rays from the
-            corner in units of the stamp size.
+            Shares arrived, lost in the lens, outside the stamp; then first and second moments of the arrived rays from
+            the corner in units of the stamp size.
         """
         F, U = self.F, self.U
         (bands, nodes), points = wavelength_nm.shape, pupil.shape[1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -137,6 +138,35 @@ class Tracer:
                 self._trace_group(kernel, plan, members, stars.wavelength_nm, share, electrons_in, bounds, image, sums)
             self._chief(kernel, stars.wavelength_nm, share, sums)
         return TracedStars(image, sums.truth(electrons_in), sampling)
+
+    def bundles(self, stars: StarField) -> Callable[[int, int], tuple[FloatArray, FloatArray, FloatArray]]:
+        """Landing points ray by ray, for a few stars.
+
+        Returns
+        -------
+        callable
+            ``(star, band) -> (x_px, y_px, weight)`` of the rays that arrive, each (r,); the weights are shares of the
+            star's collected light.
+        """
+        rotation = self.camera.rotation_cam_from_world
+        rate = stars.photon_rate * self.camera.response_at(stars.wavelength_nm)
+        share = np.where(rate.sum(2, keepdims=True) > 0, rate, 1.0)
+        share = share / share.sum(2, keepdims=True)
+        kernel = self._kernel(stars.direction, rotation)
+        bounds = self._bounds(kernel, stars.wavelength_nm)
+        landed = {}
+        for plan, members in self._groups(stars, rotation, share, bounds):
+            part = self._kernel(stars.direction[members], rotation)
+            x, y, ok = part.land(plan.points, stars.wavelength_nm)
+            weight = share[members][..., None] * plan.weight
+            for i, star in enumerate(members):
+                landed[int(star)] = (x[i], y[i], weight[i], ok[i])
+
+        def bundle(star: int, band: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+            x, y, weight, ok = (values[band] for values in landed[star])
+            return x[ok], y[ok], weight[ok]
+
+        return bundle
 
     def _bounds(self, kernel: StarKernel, wavelength_nm: FloatArray) -> _Bounds:
         """Extent of every bundle [px] and whether it is clear."""

@@ -1,0 +1,102 @@
+"""Star field + camera -> noiseless image, through ``mi.load_dict`` and ``mi.render``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from render.camera import Camera
+from render.lens_camera import share_camera
+from render.plugins import register_plugins
+from render.records import ExpectedImage, StarField
+from render.tracer import TracedStars
+
+__all__ = ["StarRenderer", "render_stars"]
+
+
+class StarRenderer:
+    """Renders star fields through one camera; loaded once, so that the lens is compiled and its pupil planned once.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera. `render.variant.use_backend` must have been called.
+    exposure_s : float
+        Exposure time.
+    sobol_log2_rays : int
+        Logarithm of the rays per star and band where the pupil is not round and clear.
+    seed : int
+        Scrambles the Sobol points; without effect on clear pupils.
+
+    Attributes
+    ----------
+    traced : TracedStars or None
+        What the last image was made of, including how the pupil was sampled.
+    """
+
+    def __init__(self, camera: Camera, *, exposure_s: float = 1.0, sobol_log2_rays: int = 16, seed: int = 0) -> None:
+        register_plugins()
+        import mitsuba as mi
+
+        self._mi: Any = mi
+        self.camera, self.exposure_s, self.seed = camera, float(exposure_s), int(seed)
+        self.traced: TracedStars | None = None
+        self._integrator = mi.load_dict({"type": "star_tracer", "sobol_log2_rays": sobol_log2_rays})
+        self._sensor = mi.load_dict(
+            {
+                "type": "lens_camera",
+                "camera": share_camera(camera),
+                "shutter_close": self.exposure_s,
+                "film": {
+                    "type": "hdrfilm",
+                    "width": camera.width_px,
+                    "height": camera.height_px,
+                    "pixel_format": "luminance",
+                    "component_format": "float32",
+                    "rfilter": {"type": "box"},
+                },
+            }
+        )
+
+    def render(self, stars: StarField) -> ExpectedImage:
+        """Noiseless image with truth.
+
+        Parameters
+        ----------
+        stars : StarField
+            Stars in the camera's world frame.
+
+        Raises
+        ------
+        DomainError
+            Wavelength outside a glass's range, star behind the camera.
+        """
+        mi = self._mi
+        scene = mi.load_dict(
+            {
+                "type": "scene",
+                "camera": self._sensor,
+                "stars": {
+                    "type": "star_field",
+                    "direction": mi.TensorXf64(stars.direction),
+                    "wavelength_nm": mi.TensorXf64(stars.wavelength_nm),
+                    "photon_rate": mi.TensorXf64(stars.photon_rate),
+                    "band": ",".join(stars.band),
+                },
+            }
+        )
+        image = mi.render(scene, sensor=self._sensor, integrator=self._integrator, seed=self.seed)
+        self.traced = self._integrator.traced
+        return ExpectedImage(
+            electrons=np.asarray(image),
+            band=stars.band,
+            exposure_s=self.exposure_s,
+            diffused=True,
+            truth=self._integrator.traced.truth,
+        )
+
+
+def render_stars(camera: Camera, stars: StarField, *, exposure_s: float = 1.0) -> ExpectedImage:
+    """Noiseless image of a star field; see `StarRenderer` for many fields through one camera."""
+    return StarRenderer(camera, exposure_s=exposure_s).render(stars)

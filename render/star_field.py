@@ -1,0 +1,65 @@
+"""Mitsuba emitter ``star_field``: point sources at infinity, with float64 directions and light per wavelength node.
+
+Properties
+----------
+direction : TensorXf64 (n, 3)
+    Unit vectors towards the stars, in the scene's world frame.
+wavelength_nm : TensorXf64 (b, k)
+    Wavelength nodes of each band.
+photon_rate : TensorXf64 (n, b, k)
+    Photons per second and mm^2 per node, filter included (`render.records.StarField`).
+band : str, optional
+    Names of the bands, separated by commas.
+
+Stock integrators see a black emitter: a point at infinity has no radiance a path could find.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from optics.errors import ConfigError
+from render.records import StarField
+
+__all__ = ["define"]
+
+
+def define(mi: Any, dr: Any) -> type:
+    """The plugin class for Mitsuba's active variant."""
+
+    class StarFieldEmitter(mi.Emitter):  # type: ignore[name-defined, misc]
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            arrays = {}
+            for name in ("direction", "wavelength_nm", "photon_rate"):
+                if name not in props:
+                    raise ConfigError(f"star_field: property {name!r} is missing (a TensorXf64)")
+                arrays[name] = np.array(props[name], dtype=float)
+            bands = arrays["wavelength_nm"].shape[0] if arrays["wavelength_nm"].ndim == 2 else 1
+            names = (
+                str(props.get("band", "")).split(",") if props.get("band", "") else [f"band {i}" for i in range(bands)]
+            )
+            self.stars = StarField(band=tuple(names), **arrays)
+            self.m_flags = mi.EmitterFlags.DeltaDirection | mi.EmitterFlags.Infinite
+
+        def eval(self, si: Any, active: Any = True) -> Any:
+            return mi.Spectrum(0)
+
+        def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
+            return dr.zeros(mi.DirectionSample3f), mi.Spectrum(0)
+
+        def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
+            return mi.Float(0)
+
+        def eval_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
+            return mi.Spectrum(0)
+
+        def bbox(self) -> Any:
+            return mi.ScalarBoundingBox3f()
+
+        def to_string(self) -> str:
+            return f"StarField[stars={len(self.stars)}, bands={', '.join(self.stars.band)}]"
+
+    return StarFieldEmitter
