@@ -192,7 +192,9 @@ def write_ecsv(table: Table | astropy.table.Table, path: Path) -> None:
         File to create.
     """
     made = to_astropy(table) if isinstance(table, Table) else table
-    made.write(path, format="ascii.ecsv", delimiter=",")
+    # Importing colour-science switches NumPy's printing to its 1.13 style, 12 digits, which astropy then writes.
+    with np.printoptions(legacy=False):
+        made.write(path, format="ascii.ecsv", delimiter=",")
 
 
 def to_rich(table: Table) -> rich.table.Table:

@@ -62,9 +62,11 @@ def table():
     )
 
 
-def test_ecsv_round_trip(table, tmp_path):
+@pytest.mark.parametrize("style", [False, "1.13"])
+def test_ecsv_round_trip(table, tmp_path, style):
     path = tmp_path / "table1.ecsv"
-    write_ecsv(table, path)
+    with np.printoptions(legacy=style):  # colour-science leaves "1.13" behind
+        write_ecsv(table, path)
     back = AstropyTable.read(path, format="ascii.ecsv")
     assert back.colnames == ["band", "shift_x_px", "shift_x_px_error", "star_count", "noise_e"]
     assert back["shift_x_px"].unit == "pix"
