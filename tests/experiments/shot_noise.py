@@ -52,7 +52,9 @@ def run(config, *, progress):
     drawn = []
     for level in progress.track(config.mean_e, "draw"):
         drawn.append(rng.poisson(level, config.samples).astype(float))
-        time.sleep(config.pause_s)
+        if config.pause_s > 0:  # a test that interrupts the run waits for this line
+            print("drawing", file=sys.stderr, flush=True)
+            time.sleep(config.pause_s)
     values = np.array(drawn)
     # variance of a sample variance of Poisson numbers: (m4 - s^4)/n with m4 = lambda + 3 lambda^2
     level = np.array(config.mean_e)

@@ -1,0 +1,123 @@
+"""Who may know whom, and what keeps a file readable; read from the sources, nothing is imported."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ROOMS = ("optics", "render", "calib", "experiments")
+FILES = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
+ENGINE = {"mitsuba", "drjit"}
+
+# What a room's modules may not import. calib may know render.records, and nothing else of render.
+FORBIDDEN = {
+    "optics": {"render", "calib", "experiments", *ENGINE},
+    "render": {"calib", "experiments"},
+    "calib": {"render", "experiments", *ENGINE},
+    "experiments": set(),
+}
+ALLOWED = {"calib": {"render.records"}}
+LINES = 500
+
+
+def imported(source, package):
+    """Full dotted names of all modules that a source text imports, wherever the statement stands."""
+    names = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            above = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            base = ".".join([*above, *([node.module] if node.module else [])])
+            names.update(f"{base}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Call) and is_dynamic_import(node):
+            names.update(arg.value for arg in node.args[:1] if isinstance(arg, ast.Constant))
+    return names
+
+
+def is_dynamic_import(call):
+    return getattr(call.func, "attr", getattr(call.func, "id", "")) in ("import_module", "__import__")
+
+
+def violations(source, room, package=None):
+    return sorted(
+        name
+        for name in imported(source, package or room)
+        if name.split(".")[0] in FORBIDDEN[room]
+        and not any(name == allowed or name.startswith(f"{allowed}.") for allowed in ALLOWED.get(room, ()))
+    )
+
+
+def calls_set_variant(source):
+    """Whether ``set_variant`` is mentioned in code (comments and docstrings do not count)."""
+    return any(
+        (isinstance(node, ast.Attribute) and node.attr in ("set_variant", "scoped_set_variant"))
+        or (isinstance(node, ast.ImportFrom) and any("set_variant" in alias.name for alias in node.names))
+        for node in ast.walk(ast.parse(source))
+    )
+
+
+def label(path):
+    return path.relative_to(ROOT).as_posix()
+
+
+def test_there_is_something_to_check():
+    assert {path.relative_to(ROOT).parts[0] for path in FILES} == set(ROOMS)
+
+
+@pytest.mark.parametrize("path", FILES, ids=label)
+def test_imports_stay_in_bounds(path):
+    relative = path.relative_to(ROOT)
+    package = ".".join(relative.parts[:-1])
+    assert violations(path.read_text(encoding="utf-8"), relative.parts[0], package) == []
+
+
+@pytest.mark.parametrize(
+    ("source", "room", "expected"),
+    [
+        ("import mitsuba as mi", "optics", ["mitsuba"]),
+        ("def f():\n    import drjit.llvm", "optics", ["drjit.llvm"]),
+        ("from render import records", "optics", ["render.records"]),
+        ("from render.records import Frame", "calib", []),
+        ("from render import records", "calib", []),
+        ("import render.records", "calib", []),
+        ("from render.variant import use_backend", "calib", ["render.variant.use_backend"]),
+        ("from render import records, detector", "calib", ["render.detector"]),
+        ("from ..render import sky", "calib", ["render.sky"]),
+        ("import importlib; importlib.import_module('calib.fit')", "render", ["calib.fit"]),
+        ("from experiments.cli import command", "render", ["experiments.cli.command"]),
+        ("from optics import trace\nfrom .records import Frame", "render", []),
+    ],
+)
+def test_the_rule_sees_what_it_should(source, room, expected):
+    assert violations(source, room, f"{room}.inner" if source.startswith("from ..") else room) == expected
+
+
+def test_only_one_module_sets_the_variant():
+    found = [label(path) for path in FILES if calls_set_variant(path.read_text(encoding="utf-8"))]
+    assert found == ["render/variant.py"]
+    assert calls_set_variant("import mitsuba as mi\nmi.set_variant('llvm_ad_rgb')")
+    assert calls_set_variant("from mitsuba import set_variant")
+    assert not calls_set_variant("'''call set_variant'''  # set_variant")
+
+
+@pytest.mark.parametrize("path", [*FILES, *sorted((ROOT / "tests").rglob("*.py"))], ids=label)
+def test_files_are_short(path):
+    assert len(path.read_text(encoding="utf-8").splitlines()) < LINES
+
+
+def test_tests_are_no_package():
+    assert list((ROOT / "tests").rglob("__init__.py")) == []
+
+
+def test_no_pyplot():
+    """Figures are objects; pyplot keeps global state and opens windows."""
+    users = [
+        label(path)
+        for path in FILES
+        if any(name.startswith("matplotlib.pyplot") for name in imported(path.read_text(encoding="utf-8"), "x"))
+    ]
+    assert users == []
