@@ -21,7 +21,7 @@ from calib.scoring import fit_stamps
 from optics.errors import DomainError
 from render.records import EffectivePsf
 
-__all__ = ["EpsfBank", "EpsfCentroider", "draw_epsf"]
+__all__ = ["EpsfBank", "EpsfCentroider", "cubic_weights", "draw_epsf"]
 
 FloatArray = NDArray[np.float64]
 
@@ -94,7 +94,7 @@ class EpsfBank:
 
     def weights(self, fraction: FloatArray) -> FloatArray:
         """Weights (n, 3, 16) that turn a table into d/dx, d/dy and value of the PSF."""
-        value, slope = _cubic(fraction)
+        value, slope = cubic_weights(fraction)
         slope *= -self.oversampling  # the star moves right, the sample under a pixel moves left
         out = np.empty((len(fraction), 3, 4, 4))
         np.multiply(value[:, 0, :, None], slope[:, 1, None, :], out=out[:, 0])
@@ -103,7 +103,7 @@ class EpsfBank:
         return out.reshape(len(fraction), 3, 16)
 
 
-def _cubic(t: FloatArray) -> tuple[FloatArray, FloatArray]:
+def cubic_weights(t: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Cubic B-spline weights of the four neighbours at fraction ``t`` (...), and their derivatives, (..., 4)."""
     s = 1.0 - t
     value = np.stack([s**3, 3 * t**3 - 6 * t**2 + 4, 3 * s**3 - 6 * s**2 + 4, t**3], axis=-1)
