@@ -193,7 +193,8 @@ def entrance_pupil(
     max_field_deg : float, optional
         Half field angle that has to be covered (circular field); the lens's own if left out.
     wavelength_nm : sequence of float, optional
-        Wavelengths that have to be covered; the design wavelength if left out.
+        Wavelengths that have to be covered; if left out, the design wavelength, 0.75 and 1.4 times that (as far as the
+        glasses are known there).
 
     Raises
     ------
@@ -209,7 +210,8 @@ def entrance_pupil(
     if not (math.isfinite(guess.entrance_pupil_z_mm) and math.isfinite(guess.entrance_pupil_radius_mm)):
         raise DomainError(f"lens {lens.name!r}: the entrance pupil is at infinity; rays cannot be launched from it")
     field = lens.max_field_deg if max_field_deg is None else max_field_deg
-    wavelengths = np.array([lens.design_wavelength_nm] if wavelength_nm is None else wavelength_nm, float)
+    spread = np.clip(lens.design_wavelength_nm * np.array([0.75, 1.0, 1.4]), *lens.wavelength_range_nm)
+    wavelengths = spread if wavelength_nm is None else np.array(wavelength_nm, float)
     radius, needed, step = 1.5 * guess.entrance_pupil_radius_mm, 0.0, 0.0
     for _ in range(SEARCH_DOUBLINGS):
         step = radius / SEARCH_RINGS
