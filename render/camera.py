@@ -12,10 +12,14 @@ from optics.errors import DomainError
 from optics.lens import LensSystem
 from optics.records import freeze
 from optics.response import Response
+from optics.transmission import Coating, lens_transmission
+from render.detector import Detector
 
-__all__ = ["Camera"]
+__all__ = ["Camera", "build_camera"]
 
 FloatArray = NDArray[np.float64]
+
+RESPONSE_STEP_NM = 5.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,3 +98,56 @@ class Camera:
         y = (np.asarray(y_px, float) - self.centre_px[1]) * self.pixel_pitch_mm / focal_length_mm
         v = np.stack([x, y, np.ones_like(x)], axis=-1)
         return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def build_camera(
+    lens: LensSystem,
+    detector: Detector,
+    *,
+    defocus_mm: float = 0.0,
+    coating: Coating | None = None,
+    rotation_cam_from_world: FloatArray | None = None,
+) -> Camera:
+    """Camera of a lens and a detector: geometry, diffusion and response taken from both.
+
+    Parameters
+    ----------
+    lens, detector
+        The parts.
+    defocus_mm : float
+        Detector shift away from the lens.
+    coating : Coating, optional
+        On every air-glass surface; bare glass if left out.
+    rotation_cam_from_world : (3, 3), optional
+        Attitude; identity if left out.
+
+    Raises
+    ------
+    DomainError
+        If quantum efficiency and lens have no wavelength in common.
+    """
+    efficiency = detector.quantum_efficiency
+    low = max(efficiency.range_nm[0], lens.wavelength_range_nm[0])
+    high = min(efficiency.range_nm[1], lens.wavelength_range_nm[1])
+    if low >= high:
+        raise DomainError(
+            f"lens {lens.name!r} works at {lens.wavelength_range_nm[0]:g} ... {lens.wavelength_range_nm[1]:g} nm, detector "
+            f"{detector.name!r} at {efficiency.range_nm[0]:g} ... {efficiency.range_nm[1]:g} nm; nothing is left"
+        )
+    wavelength = np.linspace(low, high, max(2, int((high - low) / RESPONSE_STEP_NM) + 1))
+    response = Response(
+        wavelength_nm=wavelength,
+        value=efficiency.interpolate(wavelength) * lens_transmission(lens, wavelength, coating=coating),
+        name=f"{lens.name} on {detector.name}",
+        source=f"{lens.source}; {efficiency.source}",
+    )
+    return Camera(
+        lens=lens,
+        width_px=detector.width_px,
+        height_px=detector.height_px,
+        pixel_pitch_mm=detector.pixel_pitch_mm,
+        defocus_mm=defocus_mm,
+        charge_diffusion_px=detector.diffusion_sigma_px,
+        rotation_cam_from_world=np.eye(3) if rotation_cam_from_world is None else rotation_cam_from_world,
+        response=response,
+    )

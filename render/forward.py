@@ -79,9 +79,9 @@ class StarRenderer:
                 "camera": self._sensor,
                 "stars": {
                     "type": "star_field",
-                    "direction": mi.TensorXf64(stars.direction),
-                    "wavelength_nm": mi.TensorXf64(stars.wavelength_nm),
-                    "photon_rate": mi.TensorXf64(stars.photon_rate),
+                    "direction": mi.TensorXf64(stars.direction[None]),
+                    "wavelength_nm": mi.TensorXf64(stars.wavelength_nm[None]),
+                    "photon_rate": mi.TensorXf64(stars.photon_rate[None]),
                     "band": ",".join(stars.band),
                 },
             }

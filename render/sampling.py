@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from optics.pupil import gauss_disk, sobol_disk
 from render.star_kernel import StarKernel
 
-__all__ = ["PupilPlan", "bounding_points", "quadrature_plan", "sobol_plan"]
+__all__ = ["PROBES", "TOLERANCE", "PupilPlan", "bounding_points", "quadrature_plan", "sobol_plan"]
 
 FloatArray = NDArray[np.float64]
 
@@ -104,7 +104,9 @@ def _characteristic(
     return np.stack(rows, axis=-1)
 
 
-def quadrature_plan(kernel: StarKernel, wavelength_nm: FloatArray, share: FloatArray, diffusion_px: float) -> PupilPlan:
+def quadrature_plan(
+    kernel: StarKernel, wavelength_nm: FloatArray, share: FloatArray, diffusion_px: float, tolerance: float = TOLERANCE
+) -> PupilPlan:
     """Lowest Gauss x trapezoid order that is converged for the probe stars in ``kernel``.
 
     Parameters
@@ -115,13 +117,15 @@ def quadrature_plan(kernel: StarKernel, wavelength_nm: FloatArray, share: FloatA
         (b, k) wavelengths and (n, b, k) shares of the nodes.
     diffusion_px : float
         Width of the diffusion kernel.
+    tolerance : float
+        Largest change of the characteristic function that counts as converged.
     """
     previous = _characteristic(kernel, wavelength_nm, share, LADDER[0], diffusion_px)
     order, error = LADDER[0], np.inf
     for following in LADDER[1:]:
         current = _characteristic(kernel, wavelength_nm, share, following, diffusion_px)
         error = float(np.abs(current - previous).max())
-        if error < TOLERANCE:
+        if error < tolerance:
             break
         order, previous = following, current
     return PupilPlan("quadrature", *_staggered(order, wavelength_nm.shape[1]), error)

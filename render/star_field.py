@@ -11,6 +11,9 @@ photon_rate : TensorXf64 (n, b, k)
 band : str, optional
     Names of the bands, separated by commas.
 
+Each tensor may have a leading axis of size one: Mitsuba's property parser takes a tensor whose first axis has three entries
+for a colour, and nanobind says so on the error stream before it falls back to the tensor.
+
 Stock integrators see a black emitter: a point at infinity has no radiance a path could find.
 """
 
@@ -33,11 +36,12 @@ def define(mi: Any, dr: Any) -> type:
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             arrays = {}
-            for name in ("direction", "wavelength_nm", "photon_rate"):
+            for name, axes in (("direction", 2), ("wavelength_nm", 2), ("photon_rate", 3)):
                 if name not in props:
                     raise ConfigError(f"star_field: property {name!r} is missing (a TensorXf64)")
-                arrays[name] = np.array(props[name], dtype=float)
-            bands = arrays["wavelength_nm"].shape[0] if arrays["wavelength_nm"].ndim == 2 else 1
+                array = np.array(props[name], dtype=float)
+                arrays[name] = array[0] if array.ndim == axes + 1 and array.shape[0] == 1 else array
+            bands = arrays["wavelength_nm"].shape[0]
             names = (
                 str(props.get("band", "")).split(",") if props.get("band", "") else [f"band {i}" for i in range(bands)]
             )

@@ -16,7 +16,7 @@ from optics.pupil import EntrancePupil, entrance_pupil
 from render.camera import Camera
 from render.compose import add_stamps
 from render.records import StarField, Truth
-from render.sampling import PROBES, PupilPlan, bounding_points, quadrature_plan, sobol_plan
+from render.sampling import PROBES, TOLERANCE, PupilPlan, bounding_points, quadrature_plan, sobol_plan
 from render.star_kernel import KERNEL_REACH, Geometry, StarKernel, oversampling
 
 __all__ = ["TracedStars", "Tracer"]
@@ -60,10 +60,20 @@ class Tracer:
         Logarithm of the rays per star and band where the pupil is not round and clear.
     sobol_seed : int
         Seed of the scrambling.
+    tolerance : float
+        Of the quadrature, see `render.sampling`.
     """
 
-    def __init__(self, mi: Any, camera: Camera, *, sobol_log2_rays: int = 16, sobol_seed: int = 0) -> None:
-        self.mi, self.camera = mi, camera
+    def __init__(
+        self,
+        mi: Any,
+        camera: Camera,
+        *,
+        sobol_log2_rays: int = 16,
+        sobol_seed: int = 0,
+        tolerance: float = TOLERANCE,
+    ) -> None:
+        self.mi, self.camera, self.tolerance = mi, camera, tolerance
         self.sobol_log2_rays, self.sobol_seed = sobol_log2_rays, sobol_seed
         lens = camera.focused_lens
         self.pupil: EntrancePupil = entrance_pupil(lens)
@@ -214,7 +224,7 @@ class Tracer:
         if key not in self._plans:
             probe = self._kernel(stars.direction[probes], rotation)
             self._plans[key] = quadrature_plan(
-                probe, stars.wavelength_nm, share[probes], self.camera.charge_diffusion_px
+                probe, stars.wavelength_nm, share[probes], self.camera.charge_diffusion_px, self.tolerance
             )
         return self._plans[key]
 
