@@ -373,10 +373,9 @@ def glass_from_table(name: str, table: Mapping[str, Any], *, source: str = "") -
     name : str
         Name of the glass.
     table : mapping
-        ``B`` and ``C`` [um^2] are needed; ``range_nm``, ``dndt`` (six numbers), ``dndt_range_c``, ``cte_per_k``,
+        ``B``, ``C`` [um^2] and ``range_nm`` are needed; ``dndt`` (six numbers), ``dndt_range_c``, ``cte_per_k``,
         ``density_g_cm3``, ``nd``, ``vd``, ``reference_temperature_c``, ``maker``, ``source`` and ``transmittance_mm`` /
-        ``_nm`` / ``transmittance`` may follow. Without ``range_nm`` the range is that between the resonances next to
-        the visible, where the formula is regular.
+        ``_nm`` / ``transmittance`` may follow.
     source : str
         Used when the table has none.
 
@@ -388,7 +387,7 @@ def glass_from_table(name: str, table: Mapping[str, Any], *, source: str = "") -
     Raises
     ------
     ConfigError
-        Unknown key (nearest named), missing ``B`` or ``C``, no source.
+        Unknown key (nearest named), a needed one missing, no source.
     DomainError
         Values that make no glass.
     """
@@ -397,13 +396,14 @@ def glass_from_table(name: str, table: Mapping[str, Any], *, source: str = "") -
     for key in table:
         if key not in _KEYS:
             raise unknown_name(f"key of glass {name}:", key, _KEYS)
-    for key in ("B", "C"):
+    for key in ("B", "C", "range_nm"):
         if key not in table:
-            raise ConfigError(f"glass {name}: key {key!r} is missing; give the Sellmeier coefficients B and C [um^2]")
+            raise ConfigError(
+                f"glass {name}: key {key!r} is missing; B, C [um^2] and range_nm make a Sellmeier formula"
+            )
     source = str(table.get("source", source))
     b, c = (_floats(table[key], f"glass {name}: {key}") for key in ("B", "C"))
     curve, thickness = _transmittance(name, table, source)
-    low_high = _floats(table["range_nm"], f"glass {name}: range_nm") if "range_nm" in table else _regular_range(c)
     scalars = ("nd", "vd", "cte_per_k", "density_g_cm3", "reference_temperature_c")
     return Glass(
         name=name,
@@ -411,7 +411,7 @@ def glass_from_table(name: str, table: Mapping[str, Any], *, source: str = "") -
         source=source,
         B=b,
         C=c,
-        range_nm=low_high,  # type: ignore[arg-type]  # its length is checked by the record
+        range_nm=table["range_nm"],  # its length is checked by the record
         dndt=_thermal(name, table),
         transmittance=curve,
         transmittance_mm=thickness,
@@ -446,14 +446,6 @@ def _transmittance(name: str, table: Mapping[str, Any], source: str) -> tuple[Re
         value=table["transmittance"],
     )
     return curve, float(table["transmittance_mm"])
-
-
-def _regular_range(c: tuple[float, ...]) -> tuple[float, float]:
-    """Open interval between the resonances on both sides of 550 nm, pulled in by one part in a thousand."""
-    resonances = [1e3 * value**0.5 for value in c if value > 0.0]
-    below = max((r for r in resonances if r < 550.0), default=100.0)
-    above = min((r for r in resonances if r >= 550.0), default=1e5)
-    return below * 1.001, above * 0.999
 
 
 @cache
