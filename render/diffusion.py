@@ -37,7 +37,7 @@ def diffusion_kernel(sigma_px: float) -> NDArray[np.float64]:
     """
     if not 0.0 <= sigma_px <= 50.0:
         raise DomainError(f"sigma_px = {sigma_px:g} px; charge diffusion must be 0 to 50 px")
-    radius = int(np.ceil(8.0 * sigma_px)) + 2
+    radius = int(np.ceil(9.0 * sigma_px)) + 8  # what lies beyond is below 1e-13 of the variance
     order = np.abs(np.arange(-radius, radius + 1))
     weights: NDArray[np.float64] = np.asarray(ive(order, sigma_px**2), np.float64)
     return weights / weights.sum()
