@@ -14,7 +14,7 @@ from optics.errors import ConfigError, DomainError
 from optics.records import freeze
 from optics.response import check_table
 
-__all__ = ["Band", "BandNodes", "TabulatedBand", "TopHat", "band_nodes"]
+__all__ = ["Band", "BandNodes", "TabulatedBand", "TopHat", "band_nodes", "piecewise_nodes"]
 
 FloatArray = NDArray[np.float64]
 
@@ -230,10 +230,10 @@ class BandNodes:
 def band_nodes(bands: Sequence[Band], count: int) -> BandNodes:
     """Wavelengths and weights that integrate smooth functions over bands.
 
-    Between neighbouring breakpoints a Gauss-Legendre rule, longer pieces getting more nodes. A tabulated band with
-    more pieces than half of ``count`` gets the Gaussian rule of its own transmission curve instead (exact for
-    polynomials of degree ``2 count - 1`` times the curve), computed by the discrete Stieltjes procedure (Gautschi,
-    *Orthogonal Polynomials*, 2004, sec. 2.2).
+    Each band gets the Gaussian rule that has its own transmission as weight function, so that polynomials of degree
+    ``2 count - 1`` times the band are integrated exactly, edges included. For a step band that is Gauss-Legendre;
+    otherwise the rule comes from the discrete Stieltjes procedure (Gautschi, *Orthogonal Polynomials*, 2004, sec. 2.2)
+    on Gauss-Legendre pieces between the breakpoints.
 
     Parameters
     ----------
@@ -252,13 +252,13 @@ def band_nodes(bands: Sequence[Band], count: int) -> BandNodes:
     ConfigError
         No band.
     DomainError
-        Fewer nodes than pieces of a top hat, or a band with a gap in which a node would fall.
+        Less than one node, or a band with a gap into which a node falls.
     """
     if not bands:
         raise ConfigError("no band; give at least one filter")
     if count < 1:
         raise DomainError(f"{count} nodes per band; at least 1 is needed")
-    rules = [_rule(band, count) for band in bands]
+    rules = [_gauss_of_curve(band, count) for band in bands]
     return BandNodes(
         name=tuple(band.name for band in bands),
         wavelength_nm=np.stack([wave for wave, _ in rules]),
@@ -267,39 +267,18 @@ def band_nodes(bands: Sequence[Band], count: int) -> BandNodes:
     )
 
 
-def _rule(band: Band, count: int) -> tuple[FloatArray, FloatArray]:
-    edges = band.breakpoints_nm
-    pieces = edges.size - 1
-    if pieces > 3 and 2 * pieces > count:
-        return _gauss_of_curve(band, count)
-    if pieces > count:
-        raise DomainError(f"band {band.name!r} has {pieces} pieces; {count} nodes are too few, give at least {pieces}")
-    return _piecewise(edges, _share(np.diff(edges), count))
-
-
-def _share(length: FloatArray, count: int) -> list[int]:
-    """One node per piece, the others one by one to where a node has to cover most."""
-    nodes = np.ones(length.size, dtype=np.int64)
-    for _ in range(count - length.size):
-        nodes[np.argmax(length / nodes)] += 1
-    return [int(n) for n in nodes]
-
-
-def _piecewise(edges: FloatArray, nodes: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Legendre on each piece between ``edges``, with as many nodes as ``nodes`` says."""
-    waves, weights = [], []
-    for low, high, n in zip(edges[:-1], edges[1:], nodes, strict=True):
-        x, w = np.polynomial.legendre.leggauss(n)
-        waves.append(0.5 * (low + high) + 0.5 * (high - low) * x)
-        weights.append(0.5 * (high - low) * w)
-    return np.concatenate(waves), np.concatenate(weights)
+def piecewise_nodes(edges_nm: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
+    """Gauss-Legendre nodes and weights [nm], ``order`` of them on every piece between increasing ``edges_nm``."""
+    x, w = np.polynomial.legendre.leggauss(order)
+    middle, half = 0.5 * (edges_nm[1:] + edges_nm[:-1]), 0.5 * np.diff(edges_nm)
+    return (middle[:, None] + half[:, None] * x).ravel(), (half[:, None] * w).ravel()
 
 
 def _gauss_of_curve(band: Band, count: int) -> tuple[FloatArray, FloatArray]:
     """Gaussian rule whose weight function is the transmission; the weights handed back are divided by it."""
     edges = band.breakpoints_nm
     # the curve is linear on a piece, so `count + 1` points make the discrete measure exact for degree 2 count
-    wave, weight = _piecewise(edges, [count + 1] * (edges.size - 1))
+    wave, weight = piecewise_nodes(edges, count + 1)
     mass = weight * band.transmission(wave)
     centre, half = 0.5 * (edges[0] + edges[-1]), 0.5 * (edges[-1] - edges[0])
     x = (wave - centre) / half
@@ -317,5 +296,7 @@ def _gauss_of_curve(band: Band, count: int) -> tuple[FloatArray, FloatArray]:
     transmission = band.transmission(at)
     if not (transmission > 0.0).all():
         gap = at[np.argmin(transmission)]
-        raise DomainError(f"band {band.name!r} has a gap at {gap:g} nm where {count} nodes need light; split the band")
+        raise DomainError(
+            f"band {band.name!r} is opaque at {gap:g} nm, where one of {count} nodes falls; split it in two bands"
+        )
     return at, mass.sum() * vectors[0] ** 2 / transmission

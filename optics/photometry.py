@@ -25,7 +25,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optics.band import Band, TabulatedBand
+from optics.band import Band, TabulatedBand, piecewise_nodes
 from optics.errors import DomainError, unknown_name
 from optics.spectrum import PHOTON_J_NM, Sed
 
@@ -140,11 +140,8 @@ def _fine_nodes(band: Band, breakpoints_nm: FloatArray, order: int) -> tuple[Flo
     """Gauss-Legendre between all breakpoints of band and function; the weights hold the transmission."""
     edges = band.breakpoints_nm
     inner = breakpoints_nm[(breakpoints_nm > edges[0]) & (breakpoints_nm < edges[-1])]
-    edges = np.unique(np.concatenate([edges, inner]))
-    x, w = np.polynomial.legendre.leggauss(order)
-    middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
-    wave = (middle[:, None] + half[:, None] * x).ravel()
-    return wave, (half[:, None] * w).ravel() * band.transmission(wave)
+    wave, weight = piecewise_nodes(np.unique(np.concatenate([edges, inner])), order)
+    return wave, weight * band.transmission(wave)
 
 
 def _covered(sed: Sed, system: MagnitudeSystem) -> None:

@@ -14,6 +14,7 @@ from optics.records import freeze
 __all__ = ["Response", "check_table", "checked_wavelength"]
 
 FloatArray = NDArray[np.float64]
+ROUNDING = 1e-12
 
 
 def checked_wavelength(
@@ -26,7 +27,7 @@ def checked_wavelength(
     wavelength_nm : array_like
         Wavelengths [nm], any shape.
     range_nm : (float, float)
-        Allowed range, ends included.
+        Allowed range, ends included (and a part in 1e12 for the rounding of unit conversions).
     what : str
         Whose range it is, to open the message.
     advice : str
@@ -47,7 +48,7 @@ def checked_wavelength(
     except (TypeError, ValueError):
         raise DomainError(f"{what}: wavelength {wavelength_nm!r} is not a number in nm") from None
     low, high = range_nm
-    bad = ~((wave >= low) & (wave <= high))
+    bad = ~((wave >= low * (1.0 - ROUNDING)) & (wave <= high * (1.0 + ROUNDING)))
     if bad.any():
         value = wave[bad].flat[0] if wave.ndim else float(wave)
         raise DomainError(f"{what}: wavelength {value:g} nm is outside {low:g} ... {high:g} nm; {advice}")
