@@ -18,13 +18,13 @@ rotation : TensorXf64 (3, 3)
 scene_unit_mm : float, default 1
     Length of a scene unit; where rays leave the first lens is placed accordingly.
 wavelength_nm : float
-    Wavelength of extended scenes in variants without spectra; default the lens's design wavelength. In spectral variants
-    only the hero wavelength carries weight, because dispersion separates the others.
+    Wavelength of extended scenes in variants without spectra; default the lens's design wavelength. In spectral
+    variants only the hero wavelength carries weight, because dispersion separates the others.
 shutter_open, shutter_close : float
     Exposure time is their difference; 1 s if it is zero.
 
-Stars are traced forward by ``star_tracer``. Extended bodies are rendered by any stock integrator: `sample_ray` starts on
-the detector, aims at the exit pupil, and traces the lens backwards, so that a pixel's value is the irradiance of its
+Stars are traced forward by ``star_tracer``. Extended bodies are rendered by any stock integrator: `sample_ray` starts
+on the detector, aims at the exit pupil, and traces the lens backwards, so that a pixel's value is the irradiance of its
 centre region: the integral of L cos(theta) over the exit pupil's solid angle (pi sin^2 for a uniform sky).
 """
 
@@ -39,7 +39,8 @@ from optics.errors import BackendError, ConfigError, unknown_name
 from optics.paraxial import axial_paraxial
 from optics.prescription import load_lens
 from optics.program import compile_lens
-from optics.trace import Rays, trace_program
+from optics.reverse import HALF_TURN, reverse
+from optics.trace import OK, Rays, trace_program
 from render.arrays import DrJitArrays
 from render.camera import Camera
 
@@ -122,7 +123,7 @@ def define(mi: Any, dr: Any) -> type:
             self.wavelength_nm = float(props.get("wavelength_nm", self.camera.lens.design_wavelength_nm))
             self.camera.lens.check_wavelength(self.wavelength_nm)
             transform = np.array(props["to_world"].matrix, dtype=float) if "to_world" in props else np.eye(4)
-            self._position = transform[:3, 3]
+            self._position = mi.ScalarVector3d(transform[:3, 3].tolist())
             self._backward: tuple[Any, ...] | None = None
 
         @property
@@ -131,50 +132,88 @@ def define(mi: Any, dr: Any) -> type:
             return float(self.shutter_open_time()) or 1.0
 
         def _reverse(self) -> tuple[Any, ...]:
-            """Compiled reversed lens and the disk its rays aim at."""
+            """Compiled reversed lens, its parameters, and how far away and how large the disk is that rays aim at."""
             if self._backward is None:
                 lens = self.camera.focused_lens
-                from optics.reverse import reverse
-
-                backward, image_z = reverse(lens), float(lens.image_position_mm[2])
                 front = axial_paraxial(lens, self.wavelength_nm)
-                xp = DrJitArrays(mi.Float64)
-                program, theta = compile_lens(backward)
-                reach = image_z - front.exit_pupil_z_mm
+                reach = float(lens.image_position_mm[2]) - front.exit_pupil_z_mm
                 radius = abs(front.exit_pupil_radius_mm) * EXIT_PUPIL_MARGIN
-                if not math.isfinite(reach) or reach <= 0 or not math.isfinite(radius):
+                if not (math.isfinite(reach) and math.isfinite(radius)) or reach <= 0:  # telecentric, or pupil behind
                     last = lens.surfaces[-1]
-                    reach, radius = image_z - float(last.position_mm[2]), float(last.semi_diameter_mm)
+                    reach = float(lens.image_position_mm[2] - last.position_mm[2])
+                    radius = float(last.semi_diameter_mm)
+                xp = DrJitArrays(mi.Float64)
+                program, theta = compile_lens(reverse(lens))
                 self._backward = (program, xp.parameters(theta.tolist()), xp, reach, radius)
             return self._backward
 
+        def _start(self, sample2: Any, sample3: Any, reach: float, radius: float) -> tuple[Any, Any, Any]:
+            """Point on the detector and direction towards the exit pupil in the reversed lens's frame; weight."""
+            F, camera = mi.Float64, self.camera
+            x0 = (F(sample2.x) * camera.width_px - 0.5 - float(camera.centre_px[0])) * camera.pixel_pitch_mm
+            y0 = (float(camera.centre_px[1]) + 0.5 - F(sample2.y) * camera.height_px) * camera.pixel_pitch_mm
+            turn = HALF_TURN @ camera.lens.image_rotation
+            point = mi.Vector3d(*(float(row[0]) * x0 + float(row[1]) * y0 for row in turn))
+            disk = mi.warp.square_to_uniform_disk_concentric(sample3)
+            # the disk stands upright; its points in the reversed frame (x to the left of the image, y down)
+            aim = mi.Vector3d(F(disk.x) * radius, F(disk.y) * radius, reach)
+            d = aim - point
+            distance2 = dr.squared_norm(d)
+            d = d / dr.sqrt(distance2)
+            normal = mi.Vector3d(*(float(v) for v in -turn[:, 2]))
+            return point, d, dr.abs(dr.dot(normal, d)) * d.z * (math.pi * radius**2) / distance2
+
         def sample_ray(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
-        ) -> Any:  # (ray, weight)
+        ) -> tuple[Any, Any]:
+            """Ray into the scene through a detector point (``sample2``) and an exit-pupil point (``sample3``)."""
             F = mi.Float64
             program, theta, xp, reach, radius = self._reverse()
-            camera = self.camera
-            column = F(sample2.x) * camera.width_px - 0.5
-            row = F(sample2.y) * camera.height_px - 0.5
-            x0 = (column - float(camera.centre_px[0])) * camera.pixel_pitch_mm
-            y0 = (float(camera.centre_px[1]) - row) * camera.pixel_pitch_mm
-            disk = mi.warp.square_to_uniform_disk_concentric(sample3)
-            d = dr.normalize(mi.Vector3d(F(disk.x) * radius - x0, F(disk.y) * radius - y0, reach))
-            weight = dr.square(dr.square(d.z)) * (math.pi * (radius / reach) ** 2)
-            wavelengths, spectral = self._wavelengths(sample1, active)
-            hero = F(wavelengths[0]) if dr.size_v(wavelengths) > 0 and mi.is_spectral else F(self.wavelength_nm)
-            # the reversed lens has its object side at the detector: x keeps, y and z turn (half a turn about x)
-            zero = dr.zeros(mi.Int32, dr.width(x0))
-            out = trace_program(
-                program,
-                theta,
-                Rays(
-                    x=-x0, y=y0, z=F(0.0), dx=-d.x, dy=d.y, dz=d.z, wavelength_nm=hero, opl_mm=F(0.0), status=zero,
-                    failed_at=zero - 1,
-                ),
-                xp,
-            )  # fmt: skip
-            return self._world_ray(out, time, wavelengths), spectral * mi.Float(weight) & (active & (out.status == 0))
+            point, d, weight = self._start(sample2, sample3, reach, radius)
+            wavelengths, spectrum, hero = self._wavelengths(sample1, active)
+            zero = dr.zeros(mi.Int32, dr.width(point))
+            rays = Rays(
+                x=point.x,
+                y=point.y,
+                z=point.z,
+                dx=d.x,
+                dy=d.y,
+                dz=d.z,
+                wavelength_nm=hero,
+                opl_mm=F(0.0),
+                status=zero,
+                failed_at=zero - 1,
+            )
+            out = trace_program(program, theta, rays, xp)
+            ray = dr.zeros(mi.Ray3f, dr.width(point))
+            ray.o = mi.Point3f(self._world(out.x, out.y, 0.0, 1.0 / self.scene_unit_mm) + self._position)
+            ray.d = dr.normalize(mi.Vector3f(self._world(out.dx, out.dy, out.dz, 1.0)))
+            ray.time = time
+            ray.wavelengths = wavelengths
+            return ray, (spectrum * mi.Float(weight)) & (active & (out.status == OK))
+
+        def sample_ray_differential(
+            self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
+        ) -> tuple[Any, Any]:
+            """As `sample_ray`, without differentials (textures are then not prefiltered)."""
+            ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
+            return mi.RayDifferential3f(ray), weight
+
+        def _world(self, x: Any, y: Any, z: Any, scale: float) -> Any:
+            """Vector of the reversed lens's frame, whose axes are cam's, in the world."""
+            r = self.camera.rotation_cam_from_world * scale
+            return mi.Vector3d(*(float(r[0, k]) * x + float(r[1, k]) * y + float(r[2, k]) * z for k in range(3)))
+
+        def _wavelengths(self, sample1: Any, active: Any) -> tuple[Any, Any, Any]:
+            """Wavelengths of the ray, its spectral weight, and the wavelength that is traced."""
+            if not mi.is_spectral:
+                return mi.Color0f(), mi.Spectrum(1.0), mi.Float64(self.wavelength_nm)
+            wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), sample1, active)
+            low, high = self.camera.lens.wavelength_range_nm
+            hero = mi.Float64(dr.clip(wavelengths[0], low, high))
+            only_hero = dr.zeros(mi.Spectrum)
+            only_hero[0] = float(dr.size_v(mi.Spectrum))
+            return wavelengths, weight * only_hero, hero
 
         def to_string(self) -> str:
             return f"LensCamera[lens={self.camera.lens.name}, {self.camera.width_px} x {self.camera.height_px} px]"
