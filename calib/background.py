@@ -124,10 +124,11 @@ def estimate_background(
     if not usable.any():
         raise DomainError(f"image {image.source!r} has no usable pixel (all NaN, saturated, defective or excluded)")
     electrons = image.noise.to_electrons(image.dn)
-    first = _mesh(electrons, usable, box_px, clip_sigma)
+    quantum = 1.0 / image.noise.gain_dn_per_e if image.noise.quantised else 0.0
+    first = _mesh(electrons, usable, box_px, clip_sigma, quantum)
     stars = electrons > first.level_image() + 3.0 * first.sigma_image()
     rest = usable & ~binary_dilation(stars & _has_bright_neighbour(stars), np.ones((5, 5), bool))
-    return _mesh(electrons, rest, box_px, clip_sigma) if rest.any() else first
+    return _mesh(electrons, rest, box_px, clip_sigma, quantum) if rest.any() else first
 
 
 def _has_bright_neighbour(bright: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -136,7 +137,9 @@ def _has_bright_neighbour(bright: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(binary_dilation(bright, ring))
 
 
-def _mesh(electrons: FloatArray, usable: NDArray[np.bool_], box_px: int, clip_sigma: float) -> Background:
+def _mesh(
+    electrons: FloatArray, usable: NDArray[np.bool_], box_px: int, clip_sigma: float, quantum: float
+) -> Background:
     height, width = electrons.shape
     rows, columns = max(1, height // box_px), max(1, width // box_px)
     step_y, step_x = -(-height // rows), -(-width // columns)
@@ -144,13 +147,17 @@ def _mesh(electrons: FloatArray, usable: NDArray[np.bool_], box_px: int, clip_si
     padded = np.full((rows * step_y, columns * step_x), np.nan)
     padded[:height, :width] = np.where(usable, electrons, np.nan)
     cells = padded.reshape(rows, step_y, columns, step_x).swapaxes(1, 2).reshape(rows * columns, -1)
-    level, sigma = _clipped_statistics(cells, clip_sigma)
+    level, sigma = _clipped_statistics(cells, clip_sigma, quantum)
     level, sigma = level.reshape(rows, columns), sigma.reshape(rows, columns)
     empty = ~np.isfinite(level)
     if empty.any():
         level[empty], sigma[empty] = np.nanmedian(level), np.nanmedian(sigma)
     if min(rows, columns) >= 3:
-        level, sigma = median_filter(level, 3), median_filter(sigma, 3)
+        smooth, sigma = median_filter(level, 3), median_filter(sigma, 3)
+        # at the border the median of a slope is off by a cell; there only outliers are replaced
+        replace = np.abs(level - smooth) > sigma
+        replace[1:-1, 1:-1] = True
+        level = np.where(replace, smooth, level)
     centre_y = [0.5 * (i * step_y + min((i + 1) * step_y, height) - 1) for i in range(rows)]
     centre_x = [0.5 * (i * step_x + min((i + 1) * step_x, width) - 1) for i in range(columns)]
     return Background(
@@ -162,7 +169,7 @@ def _mesh(electrons: FloatArray, usable: NDArray[np.bool_], box_px: int, clip_si
     )
 
 
-def _clipped_statistics(cells: FloatArray, clip_sigma: float) -> tuple[FloatArray, FloatArray]:
+def _clipped_statistics(cells: FloatArray, clip_sigma: float, quantum: float) -> tuple[FloatArray, FloatArray]:
     """Sigma-clipped level and standard deviation of each row of ``cells`` (k, m); NaN marks pixels to leave out.
 
     The rows are sorted once; clipping then only moves two indices, and prefix sums give the moments.
@@ -191,6 +198,10 @@ def _clipped_statistics(cells: FloatArray, clip_sigma: float) -> tuple[FloatArra
         low, high = new_low, new_high
     median, mean, sigma = _range_moments(shifted, sums, squares, low, high)
     sigma = sigma / np.sqrt(shrink)
+    if quantum > 0:  # median of grouped data: interpolated within the group of equal numbers
+        below = (filled < (median - 0.25 * quantum)[:, None]).sum(axis=1) - low
+        same = (filled <= (median + 0.25 * quantum)[:, None]).sum(axis=1) - low - below
+        median = median + quantum * ((0.5 * (high - low) - below) / np.maximum(same, 1) - 0.5)
     crowded = mean - median > 0.1 * sigma
     level = np.where(crowded, 2.5 * median - 1.5 * mean, mean) + zero[:, 0]
     some = count > 0

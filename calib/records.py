@@ -170,7 +170,9 @@ _COLUMN_UNITS: dict[str, Any] = {
     "sigma_x_px": units.pix,
     "sigma_y_px": units.pix,
     "sigma_flux_e": units.electron,
-    "covariance": None,
+    "correlation_xy": None,
+    "correlation_x_flux": None,
+    "correlation_y_flux": None,
     "chi2": None,
     "iterations": None,
     "flags": None,
@@ -249,12 +251,30 @@ class StarTable:
         """Standard deviation of the flux [e-]."""
         return np.sqrt(self.covariance[:, 2, 2])
 
+    def _correlation(self, i: int, j: int) -> FloatArray:
+        return np.asarray(self.covariance[:, i, j] / np.sqrt(self.covariance[:, i, i] * self.covariance[:, j, j]))
+
+    @property
+    def correlation_xy(self) -> FloatArray:
+        """Correlation of x and y."""
+        return self._correlation(0, 1)
+
+    @property
+    def correlation_x_flux(self) -> FloatArray:
+        """Correlation of x and flux."""
+        return self._correlation(0, 2)
+
+    @property
+    def correlation_y_flux(self) -> FloatArray:
+        """Correlation of y and flux."""
+        return self._correlation(1, 2)
+
     def select(self, rows: Any) -> StarTable:
         """The stars picked by an index array, a mask or a slice."""
         return StarTable(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
 
     def to_table(self, columns: Sequence[str] = tuple(_COLUMN_UNITS)) -> Table:
-        """The stars as an `astropy.table.Table` with units, e.g. to write ECSV."""
+        """The stars as an `astropy.table.Table` of plain columns with units, e.g. to write ECSV."""
         table = Table()
         for name in columns:
             table[name] = np.array(getattr(self, name))

@@ -1,0 +1,72 @@
+import io
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+from calib.flags import StarFlag, describe_flags, has_flag
+from calib.records import NoiseModel, SensorImage, Stamps, StarTable
+from optics.errors import DomainError
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"read_noise_e": -1.0}, "read_noise_e = -1.0 e-"),
+        ({"read_noise_e": np.nan}, "read_noise_e"),
+        ({"read_noise_e": 1.0, "gain_dn_per_e": 0.0}, "gain_dn_per_e = 0.0 DN/e-"),
+        ({"read_noise_e": 1.0, "offset_dn": np.inf}, "offset_dn"),
+    ],
+)
+def test_noise_model_refuses_nonsense_in_one_line(values, text):
+    with pytest.raises(DomainError, match=text) as caught:
+        NoiseModel(**values)
+    assert "\n" not in str(caught.value)
+
+
+def test_noise_model_gain_and_rounding():
+    noise = NoiseModel(read_noise_e=3.0, gain_dn_per_e=0.5, offset_dn=100.0, quantised=True)
+    assert noise.to_electrons(np.array([150])) == pytest.approx([100.0])
+    # rounding to 1 DN = 2 e-: a uniform distribution of that width has variance 4/12
+    assert noise.variance_e2(np.array([20.0])) == pytest.approx([20.0 + 9.0 + 4.0 / 12.0])
+
+
+def test_empty_table_has_all_columns_and_survives_ecsv():
+    table = StarTable.empty().to_table()
+    assert len(table) == 0
+    assert {"x_px", "y_px", "flux_e", "flags", "sigma_x_px", "correlation_xy"} <= set(table.colnames)
+    text = io.StringIO()
+    table.write(text, format="ascii.ecsv")
+    back = Table.read(text.getvalue(), format="ascii.ecsv")
+    assert back.colnames == table.colnames
+    assert str(back["x_px"].unit) == "pix"
+
+
+def test_records_are_locked_copies():
+    dn = np.ones((4, 5))
+    image = SensorImage(
+        dn=dn, valid=np.ones((4, 5), bool), saturated=np.zeros((4, 5), bool), noise=NoiseModel(read_noise_e=1.0)
+    )
+    dn[0, 0] = 7
+    assert image.dn[0, 0] == 1
+    with pytest.raises(ValueError, match="read-only"):
+        image.dn[0, 0] = 2
+
+
+def test_windows_below_three_pixels_are_refused():
+    with pytest.raises(DomainError, match="at least 3 x 3"):
+        Stamps(
+            electrons=np.zeros((1, 2, 2)),
+            valid=np.ones((1, 2, 2), bool),
+            corner_px=np.zeros((1, 2)),
+            background_e=np.zeros(1),
+            start_px=np.zeros((1, 2)),
+            flags=np.zeros(1),
+            psf_index=np.zeros(1),
+        )
+
+
+def test_flags_speak():
+    assert describe_flags(0) == ""
+    assert describe_flags(int(StarFlag.SATURATED | StarFlag.EDGE)) == "SATURATED|EDGE"
+    assert has_flag(np.array([1, 2, 3], np.uint32), StarFlag.EDGE).tolist() == [False, True, True]
