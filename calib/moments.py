@@ -155,8 +155,8 @@ def half_light_radius(light: FloatArray, x: FloatArray, y: FloatArray) -> FloatA
     """Radius [px] around (x, y) that holds half the light of each stamp (n, h, w), from the growth curve."""
     n, height, width = light.shape
     radius2 = (np.arange(width) - x[:, None])[:, None, :] ** 2 + (np.arange(height) - y[:, None])[:, :, None] ** 2
-    order = np.argsort(radius2.reshape(n, -1), axis=1)
-    growth = np.cumsum(np.take_along_axis(light.reshape(n, -1), order, axis=1), axis=1)
+    order = np.argsort(radius2.reshape(n, height * width), axis=1)
+    growth = np.cumsum(np.take_along_axis(light.reshape(n, height * width), order, axis=1), axis=1)
     half = 0.5 * growth[:, -1:]
     first = np.argmax(growth >= half, axis=1)
     # k pixels cover the area pi r^2 = k; between two pixels the growth is taken as linear in area
