@@ -8,18 +8,29 @@ happened to them: the intersection is checked first, then the clear aperture, th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from optics.arrays import NUMPY, ArrayNamespace
 from optics.errors import DomainError
 from optics.lens import LensSystem
 from optics.program import LensProgram, Step, compile_lens
 
-__all__ = ["MISSED", "OK", "STATUS_NAMES", "TOTAL_REFLECTION", "VIGNETTED", "Rays", "trace", "trace_program"]
+__all__ = [
+    "MISSED",
+    "OK",
+    "STATUS_NAMES",
+    "TOTAL_REFLECTION",
+    "VIGNETTED",
+    "Rays",
+    "trace",
+    "trace_path",
+    "trace_program",
+]
 
 OK, MISSED, TOTAL_REFLECTION, VIGNETTED = 0, 1, 2, 3
 STATUS_NAMES = ("ok", "missed", "total reflection", "vignetted")
@@ -127,6 +138,41 @@ def _into_frame(step: Step, theta: Any, p: tuple[Any, Any, Any], d: tuple[Any, A
     return (x, y, z + theta[step.shift_at + 2]), (dx, dy, dz)
 
 
+def _cross(number: int, step: Step, theta: Any, index: Sequence[Any], rays: Rays, xp: ArrayNamespace) -> Rays:
+    """Rays at the next surface, in its vertex frame, after refraction."""
+    (x, y, z), d = _into_frame(step, theta, (rays.x, rays.y, rays.z), (rays.dx, rays.dy, rays.dz))
+    status, failed_at = rays.status, rays.failed_at
+    to_plane = -z / d[2]
+    x, y = x + to_plane * d[0], y + to_plane * d[1]
+    hit = step.shape.intersect(theta[step.shape_at : step.shape_at + step.shape_size], x, y, d, xp)
+    n1 = index[step.before]
+    opl = rays.opl_mm + n1 * (to_plane + hit.path)
+    valid = d[2] > 0.0 if hit.valid is None else hit.valid & (d[2] > 0.0)
+    missed = (status == OK) & ~valid
+    status = xp.where(missed, MISSED, status)
+    failed_at = xp.where(missed, number, failed_at)
+    if step.aperture_at >= 0:
+        r2 = hit.x * hit.x + hit.y * hit.y
+        outside = r2 > theta[step.aperture_at]
+        if step.annular:
+            outside = outside | (r2 < theta[step.aperture_at + 1])
+        lost = (status == OK) & outside
+        status = xp.where(lost, VIGNETTED, status)
+        failed_at = xp.where(lost, number, failed_at)
+    if step.before != step.after:
+        eta = n1 / index[step.after]
+        k = 1.0 - eta * eta * (1.0 - hit.cos_i * hit.cos_i)
+        reflected = (status == OK) & (k < 0.0)
+        status = xp.where(reflected, TOTAL_REFLECTION, status)
+        failed_at = xp.where(reflected, number, failed_at)
+        bend = xp.sqrt(xp.maximum(k, 0.0)) - eta * hit.cos_i
+        d = (eta * d[0] + bend * hit.nx, eta * d[1] + bend * hit.ny, eta * d[2] + bend * hit.nz)
+    return Rays(
+        x=hit.x, y=hit.y, z=hit.z, dx=d[0], dy=d[1], dz=d[2],
+        wavelength_nm=rays.wavelength_nm, opl_mm=opl, status=status, failed_at=failed_at,
+    )  # fmt: skip
+
+
 def trace_program(program: LensProgram, theta: Any, rays: Rays, xp: ArrayNamespace) -> Rays:
     """Trace rays through a compiled lens to its image plane.
 
@@ -145,40 +191,9 @@ def trace_program(program: LensProgram, theta: Any, rays: Rays, xp: ArrayNamespa
         In the frame of the image plane.
     """
     index = [medium.index(theta, rays.wavelength_nm, xp) for medium in program.media]
-    p, d = (rays.x, rays.y, rays.z), (rays.dx, rays.dy, rays.dz)
-    opl, status, failed_at = rays.opl_mm, rays.status, rays.failed_at
     for number, step in enumerate(program.steps):
-        (x, y, z), d = _into_frame(step, theta, p, d)
-        to_plane = -z / d[2]
-        x, y = x + to_plane * d[0], y + to_plane * d[1]
-        hit = step.shape.intersect(theta[step.shape_at : step.shape_at + step.shape_size], x, y, d, xp)
-        n1 = index[step.before]
-        opl = opl + n1 * (to_plane + hit.path)
-        valid = d[2] > 0.0 if hit.valid is None else hit.valid & (d[2] > 0.0)
-        missed = (status == OK) & ~valid
-        status = xp.where(missed, MISSED, status)
-        failed_at = xp.where(missed, number, failed_at)
-        if step.aperture_at >= 0:
-            r2 = hit.x * hit.x + hit.y * hit.y
-            lost = (status == OK) & (r2 > theta[step.aperture_at])
-            if step.annular:
-                lost = lost | ((status == OK) & (r2 < theta[step.aperture_at + 1]))
-            status = xp.where(lost, VIGNETTED, status)
-            failed_at = xp.where(lost, number, failed_at)
-        if step.before != step.after:
-            n2 = index[step.after]
-            eta = n1 / n2
-            k = 1.0 - eta * eta * (1.0 - hit.cos_i * hit.cos_i)
-            reflected = (status == OK) & (k < 0.0)
-            status = xp.where(reflected, TOTAL_REFLECTION, status)
-            failed_at = xp.where(reflected, number, failed_at)
-            bend = xp.sqrt(xp.maximum(k, 0.0)) - eta * hit.cos_i
-            d = (eta * d[0] + bend * hit.nx, eta * d[1] + bend * hit.ny, eta * d[2] + bend * hit.nz)
-        p = (hit.x, hit.y, hit.z)
-    return Rays(
-        x=p[0], y=p[1], z=p[2] + 0.0 * p[0], dx=d[0], dy=d[1], dz=d[2],
-        wavelength_nm=rays.wavelength_nm, opl_mm=opl, status=status, failed_at=failed_at,
-    )  # fmt: skip
+        rays = _cross(number, step, theta, index, rays, xp)
+    return replace(rays, z=rays.z + 0.0 * rays.x)  # a plane leaves z as the number 0
 
 
 def trace(lens: LensSystem, rays: Rays) -> Rays:
@@ -205,3 +220,37 @@ def trace(lens: LensSystem, rays: Rays) -> Rays:
     program, theta = compile_lens(lens)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         return trace_program(program, NUMPY.parameters(theta), rays, NUMPY)
+
+
+def trace_path(lens: LensSystem, rays: Rays) -> NDArray[np.float64]:
+    """Points where NumPy rays meet every surface and the image plane, in the lens frame; for drawings.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    rays : Rays
+        In the lens frame (`Rays.create`).
+
+    Returns
+    -------
+    (surfaces + 2, ..., 3)
+        Start points, points on the surfaces, points in the image plane [mm]; NaN from where a ray is lost on.
+
+    Raises
+    ------
+    DomainError
+        If a wavelength is outside the range of one of the glasses.
+    """
+    lens.check_wavelength(rays.wavelength_nm)
+    program, theta = compile_lens(lens)
+    values = NUMPY.parameters(theta)
+    poses = [(s.position_mm, s.rotation) for s in lens.surfaces] + [(lens.image_position_mm, lens.image_rotation)]
+    points = [np.stack([rays.x, rays.y, rays.z], axis=-1)]
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        index = [medium.index(values, rays.wavelength_nm, NUMPY) for medium in program.media]
+        for number, (step, (position, rotation)) in enumerate(zip(program.steps, poses, strict=True)):
+            rays = _cross(number, step, values, index, rays, NUMPY)
+            local = np.stack(np.broadcast_arrays(rays.x, rays.y, rays.z), axis=-1)
+            points.append(np.where((rays.status == OK)[..., None], local @ rotation.T + position, np.nan))
+    return np.stack(points)

@@ -1,0 +1,53 @@
+"""Figures are files to look at; here only what can be checked: they draw what they were given."""
+
+import matplotlib.pyplot
+import numpy as np
+import pytest
+
+from optics.analysis import spot_moments
+from optics.figures import draw_distortion, draw_lens, draw_spots, wavelength_colour
+from optics.lens import AMBIENT
+from optics.perturb import tilt
+from optics.prescription import list_lenses, load_lens
+
+
+@pytest.mark.parametrize("name", list_lenses())
+def test_lens_drawing_shows_every_piece_of_glass_and_ray(name, tmp_path):
+    lens = load_lens(name)
+    figure = draw_lens(lens, rays=5)
+    (axes,) = figure.axes
+    pieces = sum(surface.medium != AMBIENT for surface in lens.surfaces)
+    assert sum(patch.get_xy().shape[0] > 100 for patch in axes.patches) == pieces
+    assert [len(fan.get_segments()) for fan in axes.collections] == [5, 5, 5]
+    assert {text.get_text() for text in axes.texts} == set(lens.elements)
+    figure.savefig(tmp_path / "lens.png")
+    assert not matplotlib.pyplot.get_fignums()
+
+
+def test_rays_of_the_drawing_end_on_the_image_plane():
+    lens = load_lens("star_tracker_26mm")
+    for tilted in (lens, tilt(lens, "L45", 2.0)):
+        ends = np.concatenate([[s[-1, 0] for s in fan.get_segments()] for fan in draw_lens(tilted).axes[0].collections])
+        np.testing.assert_allclose(ends, lens.image_position_mm[2], atol=1e-9)
+
+
+def test_spot_title_holds_the_white_rms_radius():
+    lens = load_lens("star_camera_206mm")
+    figure = draw_spots(lens, fields_deg=[(0.0, 0.0)], wavelength_nm=[600.0], pixel_um=5.5)
+    title = figure.axes[0].get_title()
+    expected = 1e3 * spot_moments(lens, 0.0, 0.0, 600.0).rms_radius_mm[0, 0]
+    assert f"rms {expected:.2f} µm" in title
+
+
+def test_distortion_grid_is_exaggerated_by_the_stated_factor():
+    lens = load_lens("star_tracker_26mm")
+    plain = draw_distortion(lens, count=5, exaggeration=1.0).axes[0].lines
+    large = draw_distortion(lens, count=5, exaggeration=10.0).axes[0].lines
+    ideal, real, exaggerated = (np.array(lines.get_xdata()) for lines in (plain[0], plain[10], large[10]))
+    np.testing.assert_allclose(exaggerated - ideal, 10.0 * (real - ideal), atol=1e-12)
+
+
+def test_wavelength_colours_differ_along_the_spectrum():
+    colours = [wavelength_colour(w) for w in (450, 550, 650, 800)]
+    assert len(set(colours)) == 4
+    assert all(len(c) == 7 and c[0] == "#" for c in colours)
