@@ -5,8 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from optics.errors import BackendError
-from render.variant import BACKENDS, check_llvm
+from render.variant import choose_backend
 
 __all__ = ["array_types"]
 
@@ -29,16 +28,4 @@ def array_types(backend: str = "llvm") -> Any:
     BackendError
         The backend does not exist or the machine lacks it.
     """
-    if backend not in BACKENDS:
-        raise BackendError(f"backend = {backend!r} does not exist; choose one of {', '.join(BACKENDS)}")
-    dr: Any = importlib.import_module(
-        "drjit"
-    )  # not at import time: `render.variant` may still have to say where LLVM is
-
-    has_gpu = bool(dr.has_backend(dr.JitBackend.CUDA))
-    if backend == "cuda" and not has_gpu:
-        raise BackendError("backend 'cuda' is not available: no NVIDIA GPU or driver was found; use backend 'llvm'")
-    if backend == "cuda" or (backend == "auto" and has_gpu):
-        return importlib.import_module("drjit.cuda")
-    check_llvm(dr.detail.llvm_version(), dr.__version__)
-    return importlib.import_module("drjit.llvm")
+    return importlib.import_module(f"drjit.{choose_backend(backend)}")

@@ -8,6 +8,7 @@ sentence that says what to do.
 from __future__ import annotations
 
 import ctypes
+import importlib
 import os
 import re
 import sys
@@ -16,10 +17,11 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from glob import glob
 from pathlib import Path
+from typing import Any
 
 from optics.errors import BackendError
 
-__all__ = ["BACKENDS", "check_llvm", "find_llvm", "llvm_version", "use_backend"]
+__all__ = ["BACKENDS", "check_llvm", "choose_backend", "find_llvm", "llvm_version", "use_backend"]
 
 BACKENDS = ("auto", "llvm", "cuda")
 
@@ -49,7 +51,8 @@ def use_backend(backend: str = "auto", *, suffix: str = "ad_mono") -> str:
     Parameters
     ----------
     backend : {"auto", "llvm", "cuda"}
-        ``llvm`` runs on the processor, ``cuda`` on an NVIDIA GPU, ``auto`` takes the GPU if there is one.
+        ``llvm`` runs on the processor, ``cuda`` on an NVIDIA GPU; ``auto`` keeps what is active already, otherwise it
+        takes the GPU if there is one.
     suffix : str
         Rest of the variant's name, e.g. ``"ad_mono"``, ``"ad_spectral"``, ``"ad_rgb"``.
 
@@ -68,22 +71,48 @@ def use_backend(backend: str = "auto", *, suffix: str = "ad_mono") -> str:
     -----
     Plugins are registered per variant: register them after this call, and again when the returned name changes.
     """
-    if backend not in BACKENDS:
-        raise BackendError(f"backend = {backend!r} does not exist; choose one of {', '.join(BACKENDS)}")
-    dr, mi, said = _import_engine()
-    has_gpu = bool(dr.has_backend(dr.JitBackend.CUDA))
-    if backend == "cuda" and not has_gpu:
-        raise BackendError("backend 'cuda' is not available: no NVIDIA GPU or driver was found; use backend 'llvm'")
-    chosen = "cuda" if backend == "cuda" or (backend == "auto" and has_gpu) else "llvm"
+    active = sys.modules["mitsuba"].variant() if "mitsuba" in sys.modules else None
+    if backend == "auto" and active in (f"llvm_{suffix}", f"cuda_{suffix}"):
+        return str(active)
+    chosen = choose_backend(backend)
+    mi = _import_mitsuba()
     variant = f"{chosen}_{suffix}"
     if variant not in mi.variants():
         known = ", ".join(sorted(name for name in mi.variants() if name.startswith(chosen)))
         raise BackendError(f"Mitsuba has no variant {variant!r}; it has {known}")
-    if chosen == "llvm":
-        check_llvm(dr.detail.llvm_version(), dr.__version__, said=said)
     if mi.variant() != variant:
         mi.set_variant(variant)
     return variant
+
+
+def choose_backend(backend: str = "auto") -> str:
+    """Which of the two engines to use, after a check that it works here; sets nothing.
+
+    Parameters
+    ----------
+    backend : {"auto", "llvm", "cuda"}
+        ``auto`` takes the GPU if there is one.
+
+    Returns
+    -------
+    str
+        ``"llvm"`` or ``"cuda"``; ``drjit.llvm`` or ``drjit.cuda`` can be imported then.
+
+    Raises
+    ------
+    BackendError
+        As `use_backend`.
+    """
+    if backend not in BACKENDS:
+        raise BackendError(f"backend = {backend!r} does not exist; choose one of {', '.join(BACKENDS)}")
+    dr, said = _import_drjit()
+    has_gpu = bool(dr.has_backend(dr.JitBackend.CUDA))
+    if backend == "cuda" and not has_gpu:
+        raise BackendError("backend 'cuda' is not available: no NVIDIA GPU or driver was found; use backend 'llvm'")
+    if backend == "cuda" or (backend == "auto" and has_gpu):
+        return "cuda"
+    check_llvm(dr.detail.llvm_version(), dr.__version__, said=said)
+    return "llvm"
 
 
 def llvm_version() -> str | None:
@@ -162,25 +191,31 @@ def _where_missing() -> str:
     return f"{state} at {_LIBRARY_VARIABLE}={asked}"
 
 
-def _import_engine():  # type: ignore[no-untyped-def]  # two modules without type information
-    """(drjit, mitsuba, what they printed); points Dr.Jit to a library that its own search would miss."""
+def _import_drjit() -> tuple[Any, str]:
+    """(drjit, what it printed while loading); points it to a library that its own search would miss."""
     if "drjit" in sys.modules:
-        import drjit as dr
-        import mitsuba as mi
-
-        return dr, mi, ""
+        return sys.modules["drjit"], ""
     if _LIBRARY_VARIABLE not in os.environ and not _found_by_drjit():
         library = find_llvm([*os.environ.get("LD_LIBRARY_PATH", "").split(":"), f"{sys.prefix}/lib", *_SEARCHED_HERE])
         if library is not None:
             os.environ[_LIBRARY_VARIABLE] = str(library)
     try:
         with _caught_stderr() as said:
-            import drjit as dr
-            import mitsuba as mi
+            dr = importlib.import_module("drjit")
     except ImportError as error:
-        reason = str(error).splitlines()[0]
-        raise BackendError(f"Mitsuba cannot be loaded ({reason}); pip install 'mitsuba==3.9.0'") from None
-    return dr, mi, "".join(said)
+        raise BackendError(f"Dr.Jit cannot be loaded ({_first_line(error)}); pip install 'drjit==1.4.0'") from None
+    return dr, "".join(said)
+
+
+def _import_mitsuba() -> Any:
+    try:
+        return importlib.import_module("mitsuba")
+    except ImportError as error:
+        raise BackendError(f"Mitsuba cannot be loaded ({_first_line(error)}); pip install 'mitsuba==3.9.0'") from None
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or ["no reason given"])[0]
 
 
 def _found_by_drjit() -> bool:

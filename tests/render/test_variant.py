@@ -120,5 +120,5 @@ def test_second_call_keeps_the_variant():
 
     first = use_backend("llvm")
     plugin = mi.Float
-    assert use_backend("llvm") == first == mi.variant()
+    assert use_backend("llvm") == use_backend("auto") == first == mi.variant()
     assert mi.Float is plugin
