@@ -1,0 +1,70 @@
+"""Conventions by meaning: where a star lands, and where each neighbour puts the centre of the first pixel."""
+
+import numpy as np
+import pytest
+
+from optics import frames
+from optics.analysis import spot_moments
+from optics.errors import DomainError
+from optics.prescription import list_lenses, load_lens
+
+SIZE = (4096, 2048)
+
+
+def test_field_angles_are_those_of_the_projections():
+    v = frames.field_direction(3.0, -2.0)
+    assert np.linalg.norm(v) == pytest.approx(1.0, abs=1e-15)
+    assert v[0] / v[2] == pytest.approx(np.tan(np.radians(3.0)), abs=1e-15)
+    assert v[1] / v[2] == pytest.approx(-np.tan(np.radians(2.0)), abs=1e-15)
+    np.testing.assert_allclose(frames.field_angles_deg(v), (3.0, -2.0), atol=1e-13)
+
+
+def test_light_travels_away_from_its_star():
+    """x_lens = -X_cam, y_lens = Y_cam, z_lens = -Z_cam, and light runs against the direction of the star."""
+    lens_axes_in_cam = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
+    v = frames.field_direction([1.0, -4.0], [2.0, 0.5])
+    np.testing.assert_allclose(frames.light_direction(v), (lens_axes_in_cam @ -v.T).T, atol=1e-16)
+    np.testing.assert_allclose(frames.star_direction(frames.light_direction(v)), v, atol=1e-16)
+    assert np.linalg.det(lens_axes_in_cam) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("name", list_lenses())
+def test_star_towards_plus_x_lands_at_a_larger_column_and_plus_y_at_a_larger_row(name):
+    spots = spot_moments(load_lens(name), [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [600.0])
+    column, row = frames.pixel_from_lens(spots.x_mm[:, 0], spots.y_mm[:, 0], pitch_mm=5.5e-3, size_px=SIZE)
+    assert column[0] == pytest.approx(2047.5, abs=0.02)
+    assert row[0] == pytest.approx(1023.5, abs=0.02)
+    assert column[1] > column[0] + 50
+    assert row[2] > row[0] + 50
+    assert abs(row[1] - row[0]) < 0.02
+    assert abs(column[2] - column[0]) < 0.02
+
+
+def test_pixel_and_millimetres_are_inverse():
+    x, y = np.array([0.0, 17.25]), np.array([3.0, -2.0])
+    mm = frames.pixel_to_lens(x, y, pitch_mm=5.5e-3, size_px=SIZE)
+    np.testing.assert_allclose(frames.pixel_from_lens(*mm, pitch_mm=5.5e-3, size_px=SIZE), (x, y), atol=1e-11)
+
+
+def test_first_pixel_centre_in_every_convention():
+    assert frames.pixel_to_mitsuba(0, 0) == (0.5, 0.5)
+    assert frames.pixel_to_fits(0, 0) == (1.0, 1.0)
+    assert frames.pixel_to_tetra3(3, 7) == (7.5, 3.5)
+    assert frames.pixel_to_tetra3rs(2047.5, 1023.5, size_px=SIZE) == (0.0, 0.0)
+    assert frames.pixel_to_tetra3rs(4095, 2047, size_px=SIZE) == (2047.5, 1023.5)
+
+
+def test_converters_come_back():
+    point = (12.25, -0.5)
+    assert frames.pixel_from_mitsuba(*frames.pixel_to_mitsuba(*point)) == point
+    assert frames.pixel_from_fits(*frames.pixel_to_fits(*point)) == point
+    assert frames.pixel_from_tetra3(*frames.pixel_to_tetra3(*point)) == point
+    assert frames.pixel_from_tetra3rs(*frames.pixel_to_tetra3rs(*point, size_px=SIZE), size_px=SIZE) == point
+
+
+@pytest.mark.parametrize("angles", [(90.0, 0.0), (0.0, -120.0), (np.nan, 0.0)])
+def test_stars_beside_or_behind_the_camera_are_refused(angles):
+    with pytest.raises(DomainError, match="field angle"):
+        frames.field_direction(*angles)
+    with pytest.raises(DomainError, match="behind the camera"):
+        frames.field_angles_deg([0.0, 0.0, -1.0])
