@@ -60,11 +60,6 @@ class Geometry:
     pupil_radius_mm: float
     diffusion_px: float
 
-    @property
-    def oversampling(self) -> int:
-        """Cells per pixel."""
-        return oversampling(self.diffusion_px)
-
 
 class StarKernel:
     """Traces a set of stars through one compiled lens.
@@ -153,9 +148,8 @@ class StarKernel:
         dr.eval(x, y, ok)
         return x.numpy().reshape(shape), y.numpy().reshape(shape), ok.numpy().astype(bool).reshape(shape)
 
-    def _cells(self, position: Any) -> tuple[Any, list[Any]]:
-        """First cell and share of each cell along one axis; ``position`` [px] from the stamp's edge."""
-        fine = self.geometry.oversampling
+    def _cells(self, position: Any, fine: int) -> tuple[Any, list[Any]]:
+        """First cell and share of each cell of 1/``fine`` pixel along one axis; ``position`` [px] from the stamp's edge."""
         sigma = self.geometry.diffusion_px * fine
         cells = position * fine
         reach = KERNEL_REACH * sigma
@@ -186,6 +180,7 @@ class StarKernel:
         node_share: FloatArray,
         corner_px: FloatArray,
         stamp_px: int,
+        cells_per_px: int,
     ) -> tuple[FloatArray, FloatArray]:
         """Stamps and moments of some of the stars.
 
@@ -205,10 +200,12 @@ class StarKernel:
             Outer corner of the stamp's first pixel (column, row).
         stamp_px : int
             Stamp size.
+        cells_per_px : int
+            Cells along a pixel.
 
         Returns
         -------
-        cells : (s, b, stamp_px * oversampling, stamp_px * oversampling)
+        cells : (s, b, stamp_px * cells_per_px, stamp_px * cells_per_px)
             Share of the star's light per cell.
         moments : (s, b, 7)
             Shares arrived, lost in the lens, outside the stamp; then first and second moments of the arrived rays from
@@ -216,7 +213,7 @@ class StarKernel:
         """
         F, U = self.F, self.U
         (bands, nodes), points = wavelength_nm.shape, pupil.shape[1]
-        size = stamp_px * self.geometry.oversampling
+        size = stamp_px * cells_per_px
         i = dr.arange(U, len(stars) * bands * nodes * points)
         point, rest = i % points, i // points
         node, slot = rest % nodes, rest // nodes
@@ -226,7 +223,7 @@ class StarKernel:
         x, y, _, ok = self._launch(dr.gather(U, U(stars), slot // bands), px, py, wavelength)
         x = x - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 0].ravel())), slot)
         y = y - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 1].ravel())), slot)
-        (column, share_x), (row, share_y) = self._cells(x), self._cells(y)
+        (column, share_x), (row, share_y) = self._cells(x, cells_per_px), self._cells(y, cells_per_px)
         limit = dr.opaque(self.I, size)
         inside = ok & (column >= 0) & (row >= 0) & (column + len(share_x) <= limit) & (row + len(share_y) <= limit)
         moments = dr.zeros(self.U64, len(stars) * bands * _MOMENTS)

@@ -167,6 +167,47 @@ class Tracer:
         with np.errstate(invalid="ignore"):
             return np.stack([(weight * v).sum((2, 3)) / weight.sum((2, 3)) for v in (x, y)], axis=-1)
 
+    def centred_cells(self, stars: StarField, *, half_size_px: int, cells_per_px: int) -> FloatArray:
+        """Light of every star and band on a fine grid around its bundle mean.
+
+        Parameters
+        ----------
+        stars : StarField
+            Stars; each needs a clear way to the detector.
+        half_size_px : int
+            The grid reaches from ``-half_size_px - 0.5`` to ``half_size_px + 0.5`` px.
+        cells_per_px : int
+            Cells along a pixel.
+
+        Returns
+        -------
+        (n, b, m, m)
+            Share of the collected light per cell, ``m = (2 half_size_px + 1) * cells_per_px``.
+        """
+        rotation = self.camera.rotation_cam_from_world
+        rate = stars.photon_rate * self.camera.response_at(stars.wavelength_nm)
+        share = np.where(rate.sum(2, keepdims=True) > 0, rate, 1.0)
+        share = share / share.sum(2, keepdims=True)
+        kernel = self._kernel(stars.direction, rotation)
+        corner = self.bundle_means(stars, rings=10, arms=22) - (half_size_px + 0.5)
+        side = (2 * half_size_px + 1) * cells_per_px
+        result = np.empty((*corner.shape[:2], side, side))
+        for plan, members in self._groups(stars, rotation, share, self._bounds(kernel, stars.wavelength_nm)):
+            step = max(1, PASS_BYTES // (corner.shape[1] * side**2 * 16))
+            for part in (members[i : i + step] for i in range(0, len(members), step)):
+                cells, moments = kernel.splat(
+                    stars=part.astype(np.uint32),
+                    pupil=plan.points,
+                    pupil_weight=plan.weight,
+                    wavelength_nm=stars.wavelength_nm,
+                    node_share=np.ascontiguousarray(share[part]),
+                    corner_px=corner[part],
+                    stamp_px=2 * half_size_px + 1,
+                    cells_per_px=cells_per_px,
+                )
+                result[part] = cells / (1.0 - moments[..., 1])[..., None, None]
+        return result
+
     def bundles(self, stars: StarField) -> Callable[[int, int], tuple[FloatArray, FloatArray, FloatArray]]:
         """Landing points ray by ray, for a few stars.
 
@@ -282,6 +323,7 @@ class Tracer:
                     node_share=np.ascontiguousarray(share[stars[part]]),
                     corner_px=corner,
                     stamp_px=stamp_px,
+                    cells_per_px=self.fine,
                 )
                 lost = (moments[..., 2] > 1e-12).any(1)
                 if lost.any() and stamp_px < STAMP_LIMIT_PX:
