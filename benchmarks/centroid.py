@@ -55,7 +55,7 @@ class PsfSource:
     draw: Draw
 
 
-def source_from_fine(name: str, fine: EffectivePsf, oversampling: int = 4) -> PsfSource:
+def source_from_fine(name: str, fine: EffectivePsf, oversampling: int = 8) -> PsfSource:
     """Stars drawn from a finely sampled PSF; the estimators get every k-th sample of it."""
     if fine.oversampling % oversampling:
         raise ValueError(f"{name}: oversampling {fine.oversampling} is no multiple of {oversampling}")
@@ -102,11 +102,39 @@ def comatic_epsf(
     return EffectivePsf(values=(profile(y) * light[:, None]).T @ profile(x), oversampling=oversampling)
 
 
+def lens_source(name: str, x_px: float, y_px: float, defocus_mm: float = 0.01) -> PsfSource:
+    """Our 206 mm lens on its detector, 550 to 650 nm, rendered near pixel (x_px, y_px)."""
+    from optics.band import TopHat, band_nodes
+    from optics.paraxial import axial_paraxial
+    from optics.prescription import load_lens
+    from render.camera import build_camera
+    from render.detector import load_detector
+    from render.psf import render_epsf
+    from render.records import StarField
+    from render.variant import use_backend
+
+    use_backend()
+    import mitsuba as mi
+
+    lens = load_lens("star_camera_206mm")
+    camera = build_camera(lens, load_detector("acc18_mosaic"), defocus_mm=defocus_mm)
+    nodes = band_nodes([TopHat(name="600", centre_nm=600.0, width_nm=100.0, edge_nm=5.0)], 12)
+    rate = nodes.weight_nm * nodes.transmission
+    focal_mm = axial_paraxial(lens, lens.design_wavelength_nm).efl_mm
+    direction = camera.nominal_direction(x_px, y_px, float(focal_mm))
+    stars = StarField(
+        direction=direction[None], wavelength_nm=nodes.wavelength_nm, photon_rate=rate[None], band=nodes.name
+    )
+    return source_from_fine(name, render_epsf(mi, camera, stars, oversampling=32)[0][0])
+
+
 SOURCES: dict[str, Callable[[], PsfSource]] = {
     "gauss0.5": lambda: gaussian_source(0.5),
     "gauss0.7": lambda: gaussian_source(0.7),
     "gauss1.0": lambda: gaussian_source(1.0),
-    "coma": lambda: source_from_fine("coma", comatic_epsf(16)),
+    "coma": lambda: source_from_fine("coma", comatic_epsf(32)),
+    "lens": lambda: lens_source("lens", 2047.5, 1023.5),
+    "lens-corner": lambda: lens_source("lens-corner", 3900.0, 1900.0),
 }
 
 

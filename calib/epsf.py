@@ -32,7 +32,7 @@ class EpsfBank:
     Parameters
     ----------
     psfs : sequence of EffectivePsf
-        The PSFs; smaller ones are padded with zeros.
+        The PSFs; smaller ones are padded with zeros, larger ones cut to what the window can see.
     window : tuple of int
         Rows and columns of the stamps.
 
@@ -51,10 +51,8 @@ class EpsfBank:
         self.oversampling = factors.pop()
         self.window = window
         step = self.oversampling
-        size = max(len(psf.values) for psf in psfs)
-        # stars up to one window away from the window still find (zero) coefficients; whole pixels, for the phases
-        reach = -(-(size // 2) // step) + 2 * max(window) + 2
-        self.origin = reach * step
+        # whole pixels, for the phases: a star may lie three pixels beyond any edge of the window
+        self.origin = (max(window) + 4) * step
         length = 2 * self.origin + step
         coefficients = np.zeros((len(psfs), length, length))
         for row, psf in enumerate(psfs):
@@ -77,7 +75,7 @@ class EpsfBank:
         """First spline coefficient (n, 2) as (row, column) and fraction of a sample (n, 2) for stars in the window."""
         place = self.origin - np.column_stack([y, x]) * self.oversampling
         cell = np.clip(np.floor(np.nan_to_num(place)).astype(np.int64), 1, self._last)
-        return cell, place - cell
+        return cell, place - cell  # beyond the table the fraction leaves 0 ... 1
 
     def tables(self, psf_index: NDArray[np.int64], cell: NDArray[np.int64]) -> FloatArray:
         """The 16 coefficients of every pixel of the window, (n, 16, pixels)."""
@@ -93,8 +91,10 @@ class EpsfBank:
         return patch.reshape(len(cell), 16, self.window[0] * self.window[1])
 
     def weights(self, fraction: FloatArray) -> FloatArray:
-        """Weights (n, 3, 16) that turn a table into d/dx, d/dy and value of the PSF."""
-        value, slope = cubic_weights(fraction)
+        """Weights (n, 3, 16) that turn a table into d/dx, d/dy and value of the PSF; zero for stars beyond it."""
+        inside = np.all((fraction >= 0.0) & (fraction <= 1.0), axis=1)
+        value, slope = cubic_weights(np.where(inside[:, None], fraction, 0.0))
+        value *= inside[:, None, None]
         slope *= -self.oversampling  # the star moves right, the sample under a pixel moves left
         out = np.empty((len(fraction), 3, 4, 4))
         np.multiply(value[:, 0, :, None], slope[:, 1, None, :], out=out[:, 0])
@@ -159,7 +159,7 @@ class EpsfCentroider:
     epsf: EffectivePsf | Sequence[EffectivePsf]
     fit_background: bool = False
     max_shift_px: float = 2.0
-    tolerance: float = 1e-3
+    tolerance: float = 0.01
     max_iterations: int = 30
 
     def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:

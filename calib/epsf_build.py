@@ -72,7 +72,7 @@ def build_epsf(
     star_index: ArrayLike | None = None,
     frame_index: ArrayLike | None = None,
     oversampling: int = 4,
-    roughness: float = 0.01,
+    roughness: float = 0.03,
     fit_background: bool = False,
     max_iterations: int = 40,
     tolerance: float = 0.02,

@@ -21,6 +21,7 @@ __all__ = ["image_from_frame", "read_image", "sensor_image"]
 _GAIN_KEYS = ("EGAIN", "CCDGAIN", "GAIN")  # electrons per DN
 _READ_NOISE_KEYS = ("RDNOISE", "READNOIS", "ENOISE", "RON")  # electrons
 _SATURATION_KEYS = ("SATURATE", "SATLEVEL", "DATAMAX")  # DN
+_OFFSET_KEY = "OFFSET"  # DN, if the comment says so; elsewhere it is a camera setting
 _EXPOSURE_KEYS = ("EXPTIME", "EXPOSURE")  # s
 
 
@@ -138,9 +139,9 @@ def read_image(
     """A FITS image of any origin; header keywords are used where they exist and needed nowhere.
 
     Used keywords: EGAIN or CCDGAIN, or GAIN if its comment speaks of electrons (elsewhere it is a camera setting)
-    [e-/DN]; RDNOISE, READNOIS, ENOISE or RON [e-]; SATURATE, SATLEVEL or DATAMAX [DN]; EXPTIME or EXPOSURE [s]. BSCALE,
-    BZERO, BLANK and tile compression are undone by astropy. Arguments go before keywords; what neither states is
-    estimated as `sensor_image` says.
+    [e-/DN]; OFFSET if its comment gives the unit [DN]; RDNOISE, READNOIS, ENOISE or RON [e-]; SATURATE, SATLEVEL or
+    DATAMAX [DN]; EXPTIME or EXPOSURE [s]. BSCALE, BZERO, BLANK and tile compression are undone by astropy. Arguments go
+    before keywords; what neither states is estimated as `sensor_image` says.
 
     Parameters
     ----------
@@ -179,6 +180,8 @@ def read_image(
     if gain_dn_per_e is None:
         electrons_per_dn = _gain_keyword(header)
         gain_dn_per_e = None if electrons_per_dn is None else 1.0 / electrons_per_dn
+    if offset_dn is None and _OFFSET_KEY in header and "[dn]" in str(header.comments[_OFFSET_KEY]).lower():
+        offset_dn = _number(header, (_OFFSET_KEY,))
     if read_noise_e is None:
         read_noise_e = _number(header, _READ_NOISE_KEYS)
     if saturation_dn is None:

@@ -87,7 +87,7 @@ class GaussianCentroider:
     sigma_start_px: float = 0.8
     fit_background: bool = False
     max_shift_px: float = 2.0
-    tolerance: float = 1e-3
+    tolerance: float = 0.01
     max_iterations: int = 50
 
     def __post_init__(self) -> None:

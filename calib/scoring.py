@@ -67,7 +67,7 @@ def fit_pixels(
     background: FloatArray,
     noise: NoiseModel,
     fit_background: bool = False,
-    tolerance: float = 1e-3,
+    tolerance: float = 0.01,
     max_iterations: int = 30,
 ) -> PixelFit:
     """Fisher scoring: steps ``(J^T W J)^-1 J^T W (d - m)`` with ``W = 1 / variance(m)`` until they are small.
@@ -87,7 +87,8 @@ def fit_pixels(
     fit_background : bool
         Add the background as the last parameter.
     tolerance : float
-        A star is done when its step in x, y and flux is below this part of their standard deviations.
+        A star is done when its step in x, y and flux is below this part of their standard deviations. The next step
+        would be smaller by about 1 / SNR (Fisher scoring is Newton's method but for the noise).
     max_iterations : int
         Stars that need more are not converged.
 
@@ -165,7 +166,7 @@ def fit_stamps(
     *,
     fit_background: bool,
     max_shift_px: float,
-    tolerance: float = 1e-3,
+    tolerance: float = 0.01,
     max_iterations: int = 30,
 ) -> StarTable:
     """`fit_pixels` on stamps, in chunks over the processor's cores, as a `StarTable`.
