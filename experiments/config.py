@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import re
 import tomllib
 import typing
@@ -116,10 +115,10 @@ def load_config(
     """
     values = model_class().model_dump()
     for key, value in (quick or {}).items():
-        values = _with_value(values, key.split("."), value, f"quick setting {key!r}")
+        values = _with_value(model_class, values, key.split("."), value, f"quick setting {key!r}")
     sources = []
     if file is not None:
-        values = _merged(values, read_toml(file))
+        values = _merged(model_class, values, read_toml(file))
         sources.append(Path(file).name)
     if settings:
         values = with_settings(model_class, values, settings)
@@ -153,69 +152,63 @@ def with_settings(model_class: type[BaseModel], values: Mapping[str, Any], setti
     ConfigError
         A setting is not ``key=value``, or enters a list where it has no item.
     """
-    result = copy.deepcopy(dict(values))
+    result = dict(values)
     for setting in settings:
         key, equals, text = setting.partition("=")
         key = key.strip()
         if not equals or not key:
             raise ConfigError(f"--set {setting}: key=value is needed, e.g. --set seed=7")
         value = _typed(_annotation_at(model_class, key.split(".")), text.strip())
-        result = _with_value(result, key.split("."), value, f"--set {setting}")
+        result = _with_value(model_class, result, key.split("."), value, f"--set {setting}")
     return result
 
 
-def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Tables are merged key by key, except where a ``kind`` says that another sort of table takes the place."""
+def _merged(
+    model_class: type[BaseModel], below: Mapping[str, Any], above: Mapping[str, Any], at: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    """Tables are merged key by key, except where another ``kind`` of table takes the place."""
     result = dict(below)
     for key, value in above.items():
         old = result.get(key)
-        if (
-            isinstance(old, Mapping)
-            and isinstance(value, Mapping)
-            and value.get("kind", old.get("kind")) == old.get("kind")
-        ):
-            result[key] = _merged(old, value)
-        else:
+        here = (*at, key)
+        if not isinstance(old, Mapping) or not isinstance(value, Mapping):
             result[key] = value
+        elif _several_kinds(model_class, here) and value.get("kind", old.get("kind")) != old.get("kind"):
+            result[key] = dict(value)
+        else:
+            result[key] = _merged(model_class, old, value, here)
     return result
 
 
-def _with_value(values: Mapping[str, Any], keys: Sequence[str], value: Any, where: str) -> dict[str, Any]:
-    """Copy of ``values`` with one entry replaced; lists are entered by number."""
-    result = copy.deepcopy(dict(values))
-    table: Any = result
-    for depth, key in enumerate(keys):
-        last = depth == len(keys) - 1
-        if isinstance(table, (list, tuple)):
-            raise ConfigError(f"{where}: {'.'.join(keys[:depth])} cannot be changed item by item")
-        if last:
-            if key == "kind" and table.get(key, value) != value:
-                table.clear()  # another sort of table: the keys of the old one mean nothing to it
-            table[key] = value
-            break
-        inner = table.get(key)
-        if isinstance(inner, (list, tuple)):
-            table[key] = _with_item(list(inner), keys, depth + 1, value, where)
-            break
-        if not isinstance(inner, dict):
-            inner = {}  # an unknown key, or no table: the model says which
-        table[key] = inner
-        table = inner
-    return result
+def _several_kinds(model_class: type[BaseModel], keys: Sequence[str]) -> bool:
+    """Whether the table at a key may be one of several models, told apart by their field ``kind``."""
+    parts = _alternatives(_annotation_at(model_class, keys))
+    models = [part for part in parts if isinstance(part, type) and issubclass(part, BaseModel)]
+    return len(models) > 1 and all("kind" in model.model_fields for model in models)
 
 
-def _with_item(items: list[Any], keys: Sequence[str], depth: int, value: Any, where: str) -> list[Any]:
-    here = ".".join(keys[:depth])
-    if not re.fullmatch(r"\d+", keys[depth]) or int(keys[depth]) >= len(items):
-        raise ConfigError(f"{where}: {here} has items 0 to {len(items) - 1}, {keys[depth]!r} is none of them")
-    place = int(keys[depth])
-    if depth == len(keys) - 1:
-        items[place] = value
-    elif isinstance(items[place], dict):
-        items[place] = _with_value(items[place], keys[depth + 1 :], value, where)
-    else:
-        raise ConfigError(f"{where}: {here}.{place} is a value, not a table")
-    return items
+def _with_value(
+    model_class: type[BaseModel], node: Any, keys: Sequence[str], value: Any, where: str, depth: int = 0
+) -> Any:
+    """Copy of a table or list with the entry at ``keys[depth:]`` replaced; lists are entered by number."""
+    key = keys[depth]
+    last = depth == len(keys) - 1
+    if isinstance(node, (list, tuple)):
+        if not re.fullmatch(r"\d+", key) or int(key) >= len(node):
+            here = ".".join(keys[:depth])
+            raise ConfigError(f"{where}: {here} has items 0 to {len(node) - 1}, {key!r} is none of them")
+        items = list(node)
+        place = int(key)
+        items[place] = value if last else _with_value(model_class, items[place], keys, value, where, depth + 1)
+        return items
+    table = dict(node) if isinstance(node, Mapping) else {}  # an unknown key, or no table: the model says which
+    if not last:
+        table[key] = _with_value(model_class, table.get(key), keys, value, where, depth + 1)
+        return table
+    if key == "kind" and table.get(key, value) != value and _several_kinds(model_class, keys[:-1]):
+        table.clear()  # the keys of the other kind mean nothing to this one
+    table[key] = value
+    return table
 
 
 def _annotation_at(model_class: type[BaseModel], keys: Sequence[str]) -> Any:

@@ -27,11 +27,17 @@ class Slit(StrictModel):
     width_um: float = 10.0
 
 
+class Move(StrictModel):
+    kind: Literal["decentre", "tilt"] = "decentre"  # a plain choice, not another sort of table
+    range_um: float = 1.0
+
+
 class Config(ExperimentConfig):
     frames: int = Field(default=30, ge=1, description="frames per position")
     lens: Lens = Lens(defocus_um=12.0)
     filters: tuple[Lens, ...] = (Lens(name="a"), Lens(name="b"))
     mask: Disc | Slit = Field(default=Disc(), discriminator="kind")
+    move: Move = Move(range_um=50.0)
     label: str = ""
     magnitudes_mag: list[float] = Field(default_factory=lambda: [5.0, 6.0])
     cooled: bool = False
@@ -81,6 +87,14 @@ def test_another_kind_of_table_takes_the_place(tmp_path):
     assert load_config(Config, settings=["mask.kind=slit", "mask.width_um=30"]).mask == Slit(width_um=30.0)
 
 
+def test_plain_choice_called_kind_keeps_its_neighbours(tmp_path):
+    file = tmp_path / "run.toml"
+    file.write_text("[move]\nkind = 'tilt'\n")
+    assert load_config(Config, file=file).move == Move(kind="tilt", range_um=50.0)
+    settings = ["move.range_um=7", "move.kind=tilt"]
+    assert load_config(Config, settings=settings).move == Move(kind="tilt", range_um=7.0)
+
+
 def test_settings_do_not_change_their_input():
     values = Config().model_dump()
     before = Config().model_dump()
@@ -100,7 +114,7 @@ def test_settings_do_not_change_their_input():
         ("lens.defocus_um=nan", "finite"),
         ("filters.2.name=c", "items 0 to 1"),
         ("filters.x=c", "items 0 to 1"),
-        ("magnitudes_mag.0.x=c", "not a table"),
+        ("magnitudes_mag.0.x=c", "magnitudes_mag.0 = {'x': 'c'}"),
         ("lens=3", "lens"),
         ("seed=-1", "at least 0"),
     ],
