@@ -46,7 +46,7 @@ def main(argv: list[str]) -> int:
     """List the experiments; with ``--names`` the bare names, one per line."""
     found = experiments()
     if argv == ["--names"]:
-        print("\n".join(found))
+        sys.stdout.writelines(f"{name}\n" for name in found)
         return 0
     if argv and argv[0] not in ("-h", "--help"):
         print(f"error: {argv[0]!r} is not understood here; run python -m experiments.NAME", file=sys.stderr)
