@@ -1,17 +1,21 @@
 """The built-in lenses against the figures printed with them, and the prescription reader against bad files."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from optics.analysis import lateral_colour, spot_moments
 from optics.chief import chief_ray_points, distortion_map, plate_scale_mm
 from optics.errors import ConfigError, DomainError
+from optics.frames import field_direction
 from optics.lens import AMBIENT
 from optics.media import VACUUM, Environment
 from optics.paraxial import paraxial
 from optics.prescription import list_lenses, load_lens
-from optics.pupil import PupilSamples
+from optics.pupil import PupilSamples, entrance_pupil, star_rays
 from optics.surface import Conic, EvenAsphere
+from optics.trace import trace_path
 
 PIXEL_MM = 5.5e-3
 STAR_CAMERA = "star_camera_206mm"
@@ -217,3 +221,17 @@ def test_unknown_and_missing_lenses(tmp_path):
         load_lens("star_camera_206")
     with pytest.raises(ConfigError, match="no such file"):
         load_lens(tmp_path / "absent.toml")
+
+
+def test_star_camera_beam_needs_the_printed_clear_apertures():
+    """Printed with the design to 0.1 mm, some rounded up: semi-diameters that the unvignetted 3.5 deg beam needs."""
+    lens = load_lens(STAR_CAMERA)
+    phi = np.linspace(0.0, 2.0 * np.pi, 721)
+    rim = PupilSamples(x=np.cos(phi), y=np.sin(phi), weight=np.full(phi.size, 1.0 / phi.size))
+    wide = lens.with_surfaces({0: replace(lens.surfaces[0], semi_diameter_mm=35.0 * (1.0 + 1e-9))})
+    waves = np.array([500.0, 600.0, 700.0, 850.0])
+    rays = star_rays(entrance_pupil(lens), rim, field_direction(np.full(4, 3.5), 0.0), waves)
+    points = trace_path(wide, rays)[2:-1]
+    needed = np.hypot(points[..., 0], points[..., 1]).max(axis=(1, 2))
+    printed = [35.2, 34.9, 33.5, 33.6, 34.4, 33.5, 25.7, 23.7, 21.1, 13.8, 13.4]
+    np.testing.assert_allclose(needed, printed, atol=0.1)
