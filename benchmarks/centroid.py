@@ -318,7 +318,7 @@ def judge(
         error2 = (found_x - x - offset_x) ** 2 + (found_y - y - offset_y) ** 2
         kept = np.isfinite(error2) & (error2 < 4.0)
         out["lost"] += float(np.sum(~kept))
-        some = slice(0, min(count, 500))
+        some = slice(0, min(count, 5000))
         out[f"ratio{snr}"] = float(np.sqrt(np.mean(error2[kept]))) / position_bound(source, x[some], y[some], flux)
         out["time_us"] = max(out.get("time_us", 0.0), best / count * 1e6)
         out["cpu_us"] = max(out.get("cpu_us", 0.0), least / count * 1e6)
