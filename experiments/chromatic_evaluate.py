@@ -1,0 +1,269 @@
+"""Reduction of the chromatic test: ACC18's statistic, uncertainties, comparison with truth and prediction, criteria."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.chromatic_measure import Bench, Measurement
+from experiments.chromatic_model import after_calibration, bundle_prediction, rms, shifts, table1
+from experiments.instrument import Instrument
+from experiments.summary import Criterion, Measured
+
+if TYPE_CHECKING:
+    from experiments.chromatic import Result
+
+__all__ = ["Evaluation", "criteria", "evaluate", "lsfe_arcsec", "results", "rule_of_third"]
+
+FloatArray = NDArray[np.float64]
+
+SIGMA_LIMIT = 3.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evaluation:
+    """Reduction of one lens's measurement; pairs of bands are keys such as "800-600".
+
+    Attributes
+    ----------
+    measurement : Measurement
+        The frames' centroids and the truth.
+    shift_px, photon_shift_px, bundle_shift_px, predicted_shift_px : dict of str to (p, j, 2)
+        Shifts of eq. 15: measured, of the noiseless light, of the traced bundle, by ray trace alone.
+    shift_sigma_px : dict of str to (p, j, 2)
+        Standard deviation of a measured shift: frames and predicted fixed pattern.
+    table1_px, table1_sigma_px, photon_table1_px, bundle_table1_px, predicted_table1_px : dict of str to (2,)
+        Eq. 16 of each, with the standard deviation of the measured.
+    method_table1_px : dict of str to dict of str to (2,)
+        Eq. 16 by every centroider.
+    residual_px : dict of str to dict of str to float
+        RMS length of the shift as found and after calibration of the band.
+    chi2 : float
+        Mean of ((measured - photon) / sigma)^2 over all points, pairs and axes; ``chi2_n`` of them.
+    truth_bias_px : (2,)
+        Largest and RMS distance of the mean centroid from the photon centroid.
+    """
+
+    measurement: Measurement
+    shift_px: Mapping[str, FloatArray]
+    photon_shift_px: Mapping[str, FloatArray]
+    bundle_shift_px: Mapping[str, FloatArray]
+    predicted_shift_px: Mapping[str, FloatArray]
+    shift_sigma_px: Mapping[str, FloatArray]
+    table1_px: Mapping[str, FloatArray]
+    table1_sigma_px: Mapping[str, FloatArray]
+    photon_table1_px: Mapping[str, FloatArray]
+    bundle_table1_px: Mapping[str, FloatArray]
+    predicted_table1_px: Mapping[str, FloatArray]
+    method_table1_px: Mapping[str, Mapping[str, FloatArray]]
+    residual_px: Mapping[str, Mapping[str, float]]
+    chi2: float
+    chi2_n: int
+    truth_bias_px: tuple[float, float]
+
+
+def evaluate(
+    bench: Bench, instrument: Instrument, measured: Measurement, pairs: Sequence[tuple[str, int, int]]
+) -> Evaluation:
+    """Reduce one measurement as ACC18 does and compare it with truth and prediction."""
+    method = bench.methods[0]
+    mean, single = measured.mean_px[method], measured.sigma_px[method]
+    found = shifts(mean, pairs)
+    photon, bundle = shifts(measured.photon_px, pairs), shifts(measured.bundle_px, pairs)
+    predicted = shifts(bundle_prediction(bench, instrument, measured.direction), pairs)
+    pattern = shifts(measured.pattern_px, pairs)
+    # pooled over the points of a position: one point's own estimate from 30 frames would have pulls of Student's law
+    of_mean = (single**2).mean(1, keepdims=True) / measured.frames_used[..., None]
+    sigma, sigma_table = {}, {}
+    for name, high, low in pairs:
+        temporal = of_mean[..., high, :] + of_mean[..., low, :]
+        sigma[name] = np.sqrt(temporal + (pattern[name] ** 2).mean(0))
+        count = temporal.shape[0] * temporal.shape[1]
+        sigma_table[name] = np.sqrt(temporal.sum((0, 1)) / (2 * count) ** 2 + (table1(pattern[name]) ** 2).mean(0))
+    place = measured.nominal_px - instrument.camera.centre_px
+    residual = {
+        name: {step: float(np.linalg.norm(rms(left))) for step, left in after_calibration(found[name], place).items()}
+        for name, _, _ in pairs
+    }
+    pulls = np.stack([(found[n] - photon[n]) / sigma[n] for n, _, _ in pairs])
+    distance = np.linalg.norm(mean - measured.photon_px, axis=-1)
+    return Evaluation(
+        measurement=measured,
+        shift_px=found,
+        photon_shift_px=photon,
+        bundle_shift_px=bundle,
+        predicted_shift_px=predicted,
+        shift_sigma_px=sigma,
+        table1_px={n: table1(v) for n, v in found.items()},
+        table1_sigma_px=sigma_table,
+        photon_table1_px={n: table1(v) for n, v in photon.items()},
+        bundle_table1_px={n: table1(v) for n, v in bundle.items()},
+        predicted_table1_px={n: table1(v) for n, v in predicted.items()},
+        method_table1_px={
+            m: {n: table1(v) for n, v in shifts(measured.mean_px[m], pairs).items()} for m in bench.methods
+        },
+        residual_px=residual,
+        chi2=float((pulls**2).mean()),
+        chi2_n=int(pulls.size),
+        truth_bias_px=(float(distance.max()), float(np.sqrt((distance**2).mean()))),
+    )
+
+
+def lsfe_arcsec(result: Result, evaluation: Evaluation) -> tuple[Measured, Measured]:
+    """ACC18's chromatic LSFE per axis, 3 sigma: the largest entry of Table 1, divided by 3, times 3, in arcsec."""
+    scale = result.instrument.pixel_arcsec
+    out = []
+    for axis in range(2):
+        name = max(evaluation.table1_px, key=lambda n: abs(evaluation.table1_px[n][axis]))
+        value, sigma = abs(evaluation.table1_px[name][axis]), evaluation.table1_sigma_px[name][axis]
+        count = result.config.frames * int(np.prod(evaluation.shift_px[name].shape[:2]))
+        out.append(Measured(value=float(value * scale), unit="arcsec", uncertainty=float(sigma * scale), n=count))
+    return out[0], out[1]
+
+
+def rule_of_third(result: Result) -> dict[str, float]:
+    """A third of the halved filter shift of a point [px], read in two ways: RMS and largest."""
+    longest = [np.linalg.norm(shift, axis=-1) for shift in result.centred.photon_shift_px.values()]
+    return {
+        "one third of half the RMS filter shift": float(max(np.sqrt((v**2).mean()) for v in longest) / 6.0),
+        "one third of half the largest filter shift": float(max(v.max() for v in longest) / 6.0),
+    }
+
+
+def _pull(evaluation: Evaluation, against: Mapping[str, FloatArray]) -> float:
+    """Largest distance of a Table 1 entry from another value, in standard deviations."""
+    return float(
+        max(
+            np.abs((evaluation.table1_px[n] - against[n]) / evaluation.table1_sigma_px[n]).max()
+            for n in evaluation.table1_px
+        )
+    )
+
+
+def criteria(result: Result) -> list[Criterion]:
+    """What has to hold for the run to count as passed."""
+    both = (("centred lens", result.centred), ("moved element", result.moved))
+    found: list[Criterion] = []
+    for label, evaluation in both:
+        found += [
+            Criterion(
+                name=f"{label}: Table 1 measured against noiseless photon centroid",
+                value=_pull(evaluation, evaluation.photon_table1_px),
+                limit=SIGMA_LIMIT,
+                unit="sigma",
+            ),
+            Criterion(
+                name=f"{label}: Table 1 measured against ray-trace prediction",
+                value=_pull(evaluation, evaluation.predicted_table1_px),
+                limit=SIGMA_LIMIT,
+                unit="sigma",
+            ),
+            Criterion(
+                name=f"{label}: mean squared pull of the single shifts",
+                value=evaluation.chi2,
+                # the two pairs share the reference band, so their pulls are correlated by 1/2
+                limit=1.0 + 4.0 * float(np.sqrt(2.5 / evaluation.chi2_n)),
+            ),
+            Criterion(
+                name=f"{label}: photon centroid of the image against the traced bundle, largest",
+                value=float(np.nanmax(np.abs(evaluation.measurement.photon_px - evaluation.measurement.bundle_px))),
+                limit=1e-4,
+                unit="px",
+            ),
+        ]
+    zero = {name: np.zeros(2) for name in result.centred.table1_px}
+    found.append(
+        Criterion(
+            name="centred lens: signed mean of eq. 16 against zero",
+            value=_pull(result.centred, zero),
+            limit=SIGMA_LIMIT,
+            unit="sigma",
+        )
+    )
+    wanted, axis = result.config.decentre, "xy".index(result.config.decentre.axis)
+    reached = result.moved.table1_px[wanted.pair][axis] - wanted.wanted_px
+    found.append(
+        Criterion(
+            name=f"moved element: the wanted {wanted.wanted_px:g} px is measured",
+            value=float(abs(reached) / result.moved.table1_sigma_px[wanted.pair][axis]),
+            limit=SIGMA_LIMIT,
+            unit="sigma",
+        )
+    )
+    return found
+
+
+def _xy(values: FloatArray) -> dict[str, float]:
+    return {"x": float(values[0]), "y": float(values[1])}
+
+
+def _evaluation_summary(result: Result, evaluation: Evaluation) -> dict[str, Any]:
+    count = result.config.frames * int(np.prod(evaluation.measurement.nominal_px.shape[:2]))
+    return {
+        "table1_px": {n: _xy(v) for n, v in evaluation.table1_px.items()},
+        "table1_sigma_px": {n: _xy(v) for n, v in evaluation.table1_sigma_px.items()},
+        "table1_n": count,
+        "predicted_table1_px": {n: _xy(v) for n, v in evaluation.predicted_table1_px.items()},
+        "photon_table1_px": {n: _xy(v) for n, v in evaluation.photon_table1_px.items()},
+        "bundle_table1_px": {n: _xy(v) for n, v in evaluation.bundle_table1_px.items()},
+        "rms_shift_px": {n: _xy(rms(v)) for n, v in evaluation.shift_px.items()},
+        "residual_after_calibration_px": {
+            n: {k.replace(" ", "_"): v for k, v in steps.items()} for n, steps in evaluation.residual_px.items()
+        },
+        "truth_bias_px": {"max": evaluation.truth_bias_px[0], "rms": evaluation.truth_bias_px[1]},
+        "mean_squared_pull": evaluation.chi2,
+    }
+
+
+def results(result: Result) -> dict[str, Any]:
+    """The ``results`` of ``summary.json``."""
+    x, y = lsfe_arcsec(result, result.centred)
+    moved_x, moved_y = lsfe_arcsec(result, result.moved)
+    chosen = result.chosen
+    centred = _evaluation_summary(result, result.centred)
+    return {
+        **centred,
+        "lsfe_s_arcsec_3sigma": {"x": x, "y": y},
+        "stellar": {
+            "reference_k": result.config.stars.reference_k,
+            "temperature_k": result.stellar.temperature_k,
+            "rms_shift_px": result.stellar.rms_px,
+            "max_shift_px": result.stellar.max_px,
+            "one_third_rule_px": {k.replace(" ", "_"): v for k, v in rule_of_third(result).items()},
+        },
+        "decentre_solution": {
+            "element": chosen.element,
+            "kind": chosen.kind,
+            "amount": chosen.amount,
+            "unit": chosen.unit,
+            "wanted_px": result.config.decentre.wanted_px,
+            "lsfe_s_arcsec_3sigma": {"x": moved_x, "y": moved_y},
+            "measured": _evaluation_summary(result, result.moved),
+            "all_elements": [
+                {
+                    "element": s.element,
+                    "kind": s.kind,
+                    "amount": s.amount,
+                    "unit": s.unit,
+                    "table1_px": {n: _xy(v) for n, v in s.table1_px.items()},
+                    "boresight_px": _xy(s.boresight_px),
+                }
+                for s in result.solutions
+            ],
+        },
+        "signal_of_v7_5_star_e": result.star_e,
+        "pixel_arcsec": result.instrument.pixel_arcsec,
+        "rms_spot_um": dict(
+            zip(
+                (f"{c:g}" for c in result.config.filters.centres_nm),
+                result.centred.measurement.rms_spot_um,
+                strict=True,
+            )
+        ),
+        "runtime_s": result.runtime_s,
+        "peak_memory_mb": result.peak_memory_mb,
+    }

@@ -1,0 +1,380 @@
+"""The laboratory part of the chromatic test: render, read out, detect, centroid, average."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.background import estimate_background
+from calib.centroid import get_centroider
+from calib.detection import detect
+from calib.flags import StarFlag, has_flag
+from calib.frames import sensor_image
+from calib.records import NoiseModel, Stamps, StarTable
+from calib.stamps import stamps_from_windows
+from experiments.instrument import Instrument
+from experiments.settings import TargetConfig
+from experiments.target import CORNERS, corner_centres, target_directions
+from optics.band import Band, band_nodes
+from optics.errors import DomainError
+from optics.spectrum import Sed
+from render.forward import StarRenderer
+from render.psf import render_epsf
+from render.random import Streams
+from render.readout import expose_windows
+from render.records import EffectivePsf, ExpectedImage, StarField, WindowStack
+
+__all__ = ["Bench", "Measurement", "measure"]
+
+FloatArray = NDArray[np.float64]
+
+MATCH_PX = 4.0
+"""A detection this close to a target point's nominal place is that point."""
+SEARCH_MARGIN_PX = 40
+PATTERNS = 48
+"""Independent fixed patterns from which their effect on the centroids is predicted."""
+NODES = 16
+"""Wavelength nodes per filter."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bench:
+    """What stands in the laboratory.
+
+    Attributes
+    ----------
+    target : TargetConfig
+        Point target.
+    lamp : Sed
+        Spectrum of the source.
+    filters : sequence of Band
+        Filters, b of them; ``reference`` indexes the one the others are compared with.
+    reference : int
+        The 600 nm filter of ACC18.
+    signal_e : float
+        Electrons per point and frame, the same behind every filter (lamp current adjusted).
+    frames, dark_frames : int
+        Exposures per position and filter; exposures with the lamp off, once per position.
+    window_px : int
+        Window read out around each point.
+    methods : sequence of str
+        Centroiders; the first is the one that counts.
+    """
+
+    target: TargetConfig
+    lamp: Sed
+    filters: Sequence[Band]
+    reference: int
+    signal_e: float
+    frames: int
+    dark_frames: int
+    window_px: int
+    methods: Sequence[str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measurement:
+    """Result for one lens; p positions, j points, b filters.
+
+    Attributes
+    ----------
+    direction : (p, j, 3)
+        Unit vectors in cam.
+    nominal_px : (p, j, 2)
+        Where an ideal lens would image the points.
+    chief_px, bundle_px, photon_px : (p, j, b, 2)
+        Truth.
+    mean_px : dict of str to (p, j, b, 2)
+        Mean centroid over the frames, by method.
+    sigma_px : dict of str to (p, j, b, 2)
+        Standard deviation of a single frame's centroid.
+    pattern_px : (q, p, j, b, 2)
+        Predicted effect of q fixed patterns on the first method's centroids, common to the filters.
+    frames_used : (p, j, b)
+        Frames that converged, first method.
+    rms_spot_um : (b,)
+        RMS spot radius of the traced bundles.
+    example : ExpectedImage
+        Noiseless image of the first position.
+    windows : tuple of WindowStack
+        Readout of the first position, per filter.
+    epsf : list of EffectivePsf
+        Of the first point of the first position, per filter.
+    """
+
+    direction: FloatArray
+    nominal_px: FloatArray
+    chief_px: FloatArray
+    bundle_px: FloatArray
+    photon_px: FloatArray
+    mean_px: Mapping[str, FloatArray]
+    sigma_px: Mapping[str, FloatArray]
+    pattern_px: FloatArray
+    frames_used: NDArray[np.int64]
+    rms_spot_um: FloatArray
+    example: ExpectedImage
+    windows: tuple[WindowStack, ...]
+    epsf: Sequence[EffectivePsf]
+
+
+def target_field(bench: Bench, instrument: Instrument, direction: FloatArray) -> StarField:
+    """Star field of one target position, scaled to the wanted signal behind every filter."""
+    nodes = band_nodes(bench.filters, NODES)
+    shape = nodes.weight_nm * nodes.transmission * bench.lamp.photon_density(nodes.wavelength_nm)
+    camera = instrument.camera
+    from optics.pupil import entrance_pupil
+
+    area = entrance_pupil(camera.lens).area_mm2 * instrument.config.exposure_s
+    collected = (shape * camera.response_at(nodes.wavelength_nm)).sum(1) * area
+    rate = (bench.signal_e / collected)[None, :, None] * shape[None] / direction[:, 2][:, None, None]
+    return StarField(direction=direction, wavelength_nm=nodes.wavelength_nm, photon_rate=rate, band=nodes.name)
+
+
+def measure(
+    mi: Any, bench: Bench, instrument: Instrument, streams: Streams, *, backend: str, advance: Callable[[], None]
+) -> Measurement:
+    """Run the test on one lens.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with an active variant.
+    bench, instrument
+        The laboratory.
+    streams : Streams
+        Root of the noise of this run.
+    backend : str
+        Where the detector runs.
+    advance : callable
+        Called after each position.
+
+    Raises
+    ------
+    DomainError
+        If points are not detected, or saturated.
+    """
+    camera = instrument.camera
+    renderer = StarRenderer(camera, exposure_s=instrument.config.exposure_s)
+    centres = corner_centres(bench.target, camera.width_px, camera.height_px)
+    parts: list[dict[str, Any]] = []
+    for place, centre in zip(CORNERS, centres, strict=True):
+        direction = target_directions(bench.target, instrument, centre)
+        stars = target_field(bench, instrument, direction)
+        expected = renderer.render(stars)
+        parts.append(
+            _position(mi, bench, instrument, streams.child(place), place, stars, expected, backend)
+            | {"direction": direction, "example": expected if not parts else None}
+        )
+        advance()
+    stacked = {
+        key: np.stack([part[key] for part in parts])
+        for key in ("direction", "nominal", "chief", "bundle", "photon", "used", "spot")
+    }
+    return Measurement(
+        direction=stacked["direction"],
+        nominal_px=stacked["nominal"],
+        chief_px=stacked["chief"],
+        bundle_px=stacked["bundle"],
+        photon_px=stacked["photon"],
+        mean_px={m: np.stack([part["mean"][m] for part in parts]) for m in bench.methods},
+        sigma_px={m: np.stack([part["sigma"][m] for part in parts]) for m in bench.methods},
+        pattern_px=np.stack([part["pattern"] for part in parts], axis=1),
+        frames_used=stacked["used"],
+        rms_spot_um=stacked["spot"].mean((0, 1)),
+        example=parts[0]["example"],
+        windows=parts[0]["windows"],
+        epsf=parts[0]["epsf"],
+    )
+
+
+def _position(
+    mi: Any,
+    bench: Bench,
+    instrument: Instrument,
+    streams: Streams,
+    place: str,
+    stars: StarField,
+    expected: ExpectedImage,
+    backend: str,
+) -> dict[str, Any]:
+    """All filters at one target position."""
+    camera, truth = instrument.camera, expected.truth
+    assert truth is not None
+    nominal = _nominal(instrument, stars.direction)
+    found = _find(bench, instrument, streams, place, expected, nominal, backend)
+    half = bench.window_px // 2
+    corner = np.rint(found).astype(np.int64) - half
+    index = np.arange(bench.window_px)
+    rows, columns = corner[:, 1, None, None] + index[:, None], corner[:, 0, None, None] + index
+    if rows.min() < 0 or columns.min() < 0 or rows.max() >= camera.height_px or columns.max() >= camera.width_px:
+        raise DomainError(
+            f"a window of {bench.window_px} px at the {place} position leaves the detector; raise target.edge_px"
+        )
+    stamps_e = np.moveaxis(expected.electrons[rows, columns], -1, 0)
+    exposure = {
+        "detector": instrument.detector,
+        "exposure_s": expected.exposure_s,
+        "temperature_c": instrument.config.chip_temperature_c,
+        "streams": streams,
+        "backend": backend,
+    }
+    dark = expose_windows(np.zeros_like(stamps_e[0]), corner, frames=bench.dark_frames, band="dark", **exposure)
+    dark_e = dark.dn.mean(0) / dark.gain_dn_per_e
+    epsf = render_epsf(mi, camera, stars, half_size_px=half + 1)
+    noise_e = np.hypot(instrument.detector.read_noise_e, np.sqrt(1 / 12) / instrument.detector.gain_dn_per_e)
+    mean: dict[str, list[FloatArray]] = {m: [] for m in bench.methods}
+    sigma: dict[str, list[FloatArray]] = {m: [] for m in bench.methods}
+    used, patterns, stacks = [], [], []
+    for band, name in enumerate(stars.band):
+        stack = expose_windows(stamps_e[band], corner, frames=bench.frames, band=name, **exposure)
+        stamps, noise = _dark_subtracted(stack, dark_e, found)
+        if has_flag(stamps.flags, StarFlag.SATURATED).any():
+            raise DomainError(
+                f"target points are saturated behind filter {name} at the {place} position; lower signal_e "
+                f"({bench.signal_e:g} e-)"
+            )
+        stacks.append(stack)
+        for method in bench.methods:
+            options = {"epsf": [row[band] for row in epsf]} if method == "epsf" else {}
+            table = get_centroider(method, **options).measure(stamps, noise)
+            place_mean, place_sigma, count = _average(table, bench.frames)
+            mean[method].append(place_mean)
+            sigma[method].append(place_sigma)
+            if method == bench.methods[0]:
+                used.append(count)
+                patterns.append(
+                    _pattern_effect(
+                        get_centroider(method, **options),
+                        stamps,
+                        noise,
+                        stamps_e[band].astype(float),
+                        prnu=instrument.detector.prnu,
+                        dark_e=float(noise_e / np.sqrt(bench.dark_frames)),
+                        rng=streams.generator("predicted pattern"),  # the same patterns for every filter
+                    )
+                )
+    return {
+        "nominal": nominal,
+        "chief": np.stack([truth.chief_x_px, truth.chief_y_px], axis=-1),
+        "bundle": np.stack([truth.bundle_x_px, truth.bundle_y_px], axis=-1),
+        "photon": np.stack([truth.photon_x_px, truth.photon_y_px], axis=-1),
+        "mean": {m: np.stack(v, axis=1) for m, v in mean.items()},
+        "sigma": {m: np.stack(v, axis=1) for m, v in sigma.items()},
+        "pattern": np.stack(patterns, axis=2),
+        "used": np.stack(used, axis=1),
+        "spot": np.sqrt(truth.variance_x_px2 + truth.variance_y_px2) * camera.pixel_pitch_mm * 1e3,
+        "windows": tuple(stacks),
+        "epsf": epsf[0],
+    }
+
+
+def _nominal(instrument: Instrument, direction: FloatArray) -> FloatArray:
+    """Ideal image (j, 2) of unit vectors."""
+    camera = instrument.camera
+    scale = instrument.focal_length_mm / camera.pixel_pitch_mm
+    return camera.centre_px + scale * direction[:, :2] / direction[:, 2:]
+
+
+def _find(
+    bench: Bench,
+    instrument: Instrument,
+    streams: Streams,
+    place: str,
+    expected: ExpectedImage,
+    nominal: FloatArray,
+    backend: str,
+) -> FloatArray:
+    """Detected places (j, 2) of the points in one readout of the target's surroundings behind the reference filter."""
+    low = np.maximum(np.floor(nominal.min(0)).astype(int) - SEARCH_MARGIN_PX, 0)
+    high = np.minimum(
+        np.ceil(nominal.max(0)).astype(int) + SEARCH_MARGIN_PX + 1,
+        [expected.electrons.shape[1], expected.electrons.shape[0]],
+    )
+    region = expected.electrons[low[1] : high[1], low[0] : high[0], bench.reference]
+    stack = expose_windows(
+        region[None],
+        low[None],
+        instrument.detector,
+        streams=streams.child("search"),
+        frames=1,
+        exposure_s=expected.exposure_s,
+        temperature_c=instrument.config.chip_temperature_c,
+        band=expected.band[bench.reference],
+        backend=backend,
+    )
+    image = sensor_image(
+        stack.dn[0, 0],
+        gain_dn_per_e=stack.gain_dn_per_e,
+        offset_dn=stack.offset_dn,
+        read_noise_e=stack.read_noise_e,
+        defect=stack.defect[0],
+        source=f"target {place}",
+    )
+    table = detect(image, estimate_background(image))
+    position = np.column_stack([table.x_px, table.y_px]) + low
+    if not len(position):
+        raise DomainError(
+            f"no target point was detected at the {place} position; raise signal_e ({bench.signal_e:g} e-)"
+        )
+    distance = np.linalg.norm(position[None] - nominal[:, None], axis=2)
+    nearest = distance.argmin(1)
+    missing = (
+        distance[np.arange(len(nominal)), nearest]
+        > MATCH_PX + np.abs(np.median(position[nearest] - nominal, axis=0)).max()
+    )
+    if missing.any():
+        raise DomainError(
+            f"{int(missing.sum())} of {len(nominal)} target points were not detected at the {place} position; raise "
+            f"signal_e ({bench.signal_e:g} e-)"
+        )
+    return position[nearest]
+
+
+def _dark_subtracted(stack: WindowStack, dark_e: FloatArray, start_px: FloatArray) -> tuple[Stamps, NoiseModel]:
+    """Stamps of a readout minus the mean dark frame; with the lamp off there is no light, so no background is left."""
+    stamps, noise = stamps_from_windows(stack, background_e=0.0, start_px=start_px)
+    pedestal = dark_e - noise.offset_dn / noise.gain_dn_per_e
+    electrons = np.where(stamps.valid, stamps.electrons - np.tile(pedestal, (stack.dn.shape[0], 1, 1)), 0.0)
+    return replace(
+        stamps, electrons=electrons, psf_index=np.tile(np.arange(stack.dn.shape[1]), stack.dn.shape[0])
+    ), noise
+
+
+def _average(table: StarTable, frames: int) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+    """Mean (j, 2), single-frame standard deviation (j, 2) and number of good frames (j,) of each point."""
+    position = np.stack([table.x_px, table.y_px], axis=-1).reshape(frames, -1, 2)
+    bad = has_flag(table.flags, StarFlag.NOT_CONVERGED | StarFlag.NO_DATA).reshape(frames, -1)
+    position = np.where(bad[..., None], np.nan, position)
+    count = (~bad).sum(0)
+    if np.any(count < 2):
+        raise DomainError(
+            f"a target point has {int(count.min())} usable frames of {frames}; at least 2 are needed: raise signal_e "
+            "or frames"
+        )
+    return np.nanmean(position, axis=0), np.nanstd(position, axis=0, ddof=1), count
+
+
+def _pattern_effect(
+    centroider: Any,
+    stamps: Stamps,
+    noise: NoiseModel,
+    expected_e: FloatArray,
+    *,
+    prnu: float,
+    dark_e: float,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Centroid shifts (q, j, 2) by response patterns and dark-frame noise of the stated size, on noiseless windows."""
+    count = len(expected_e)
+    response = 1.0 + prnu * rng.standard_normal((PATTERNS, *expected_e.shape))
+    offset = dark_e * rng.standard_normal(response.shape)
+    disturbed = np.concatenate([expected_e[None], expected_e * response + offset]).reshape(-1, *expected_e.shape[1:])
+    rows = np.tile(np.arange(count), PATTERNS + 1)
+    one = stamps.select(rows)
+    table = centroider.measure(replace(one, electrons=disturbed, valid=np.ones(disturbed.shape, bool)), noise)
+    place = np.stack([table.x_px, table.y_px], axis=-1).reshape(PATTERNS + 1, count, 2)
+    return place[1:] - place[0]

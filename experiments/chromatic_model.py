@@ -1,0 +1,257 @@
+"""What the chromatic test should give: ACC18's statistics, predictions by ray trace alone, the decentre behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from experiments.chromatic_measure import Bench, target_field
+from experiments.instrument import Instrument
+from optics.analysis import spot_moments
+from optics.band import band_nodes
+from optics.errors import ConvergenceError
+from optics.frames import field_angles_deg
+from optics.lens import LensSystem
+from optics.paraxial import lateral_colour_mm
+from optics.perturb import decentre, tilt
+from optics.pupil import gauss_disk
+from render.tracer import Tracer
+
+__all__ = [
+    "CALIBRATIONS",
+    "PUBLISHED_TABLE1_PX",
+    "Solution",
+    "after_calibration",
+    "band_pairs",
+    "bundle_prediction",
+    "paraxial_prediction",
+    "perturbed",
+    "rms",
+    "shifts",
+    "solve_perturbation",
+    "table1",
+]
+
+FloatArray = NDArray[np.float64]
+
+PUBLISHED_TABLE1_PX = {"600-500": (-1e-4, 5e-3), "800-600": (0.12, 7e-3)}
+"""ACC18 Table 1, (X, Y)."""
+
+CALIBRATIONS = ("as found", "principal point", "focal length", "both")
+PREDICTION_NODES = 11
+"""Wavelength nodes of the predictions; another number than the renderer's on purpose."""
+
+
+def band_pairs(centres_nm: Sequence[float], reference: int) -> list[tuple[str, int, int]]:
+    """Name, minuend and subtrahend of each difference as ACC18 eq. 15 has them: the longer wavelength first."""
+    pairs = []
+    for band in range(len(centres_nm)):
+        if band != reference:
+            high, low = (band, reference) if centres_nm[band] > centres_nm[reference] else (reference, band)
+            pairs.append((f"{centres_nm[high]:g}-{centres_nm[low]:g}", high, low))
+    return pairs
+
+
+def shifts(position_px: FloatArray, pairs: Sequence[tuple[str, int, int]]) -> dict[str, FloatArray]:
+    """Shift (..., 2) of every point for each pair of bands, from positions (..., b, 2); ACC18 eq. 15."""
+    return {name: position_px[..., high, :] - position_px[..., low, :] for name, high, low in pairs}
+
+
+def table1(shift_px: FloatArray) -> FloatArray:
+    """Signed mean over positions and points, halved (ACC18 eq. 16): (..., p, j, 2) -> (..., 2)."""
+    return np.asarray(shift_px.mean((-3, -2)) / 2.0)
+
+
+def rms(shift_px: FloatArray) -> FloatArray:
+    """Root mean square per axis over positions and points, (p, j, 2) -> (2,)."""
+    return np.asarray(np.sqrt((shift_px**2).mean((0, 1))))
+
+
+def after_calibration(shift_px: FloatArray, from_centre_px: FloatArray) -> dict[str, FloatArray]:
+    """Shifts that remain when a camera model has parameters of its own for the band.
+
+    Parameters
+    ----------
+    shift_px : (p, j, 2)
+        Shifts of the points.
+    from_centre_px : (p, j, 2)
+        Their places, from the principal point.
+
+    Returns
+    -------
+    dict of str to (p, j, 2)
+        ``as found``; without the mean (a principal point per band); without the scale (a focal length per band, least
+        squares); without both, fitted together.
+    """
+    shift, place = shift_px.reshape(-1, 2), from_centre_px.reshape(-1, 2)
+    one = np.zeros((len(shift), 2, 3))
+    one[:, 0, 0] = one[:, 1, 1] = 1.0
+    one[:, :, 2] = place
+    design, data = one.reshape(-1, 3), shift.ravel()
+    columns = {"as found": [], "principal point": [0, 1], "focal length": [2], "both": [0, 1, 2]}
+    left = {}
+    for name, use in columns.items():
+        fit = design[:, use] @ np.linalg.lstsq(design[:, use], data, rcond=None)[0] if use else np.zeros_like(data)
+        left[name] = (data - fit).reshape(shift_px.shape)
+    return left
+
+
+def _shares(bench: Bench, instrument: Instrument) -> tuple[FloatArray, FloatArray]:
+    """Wavelength nodes (b, k) of the predictions and the share of the light each stands for."""
+    nodes = band_nodes(bench.filters, PREDICTION_NODES)
+    light = nodes.weight_nm * nodes.transmission * bench.lamp.photon_density(nodes.wavelength_nm)
+    light = light * instrument.camera.response_at(nodes.wavelength_nm)
+    return nodes.wavelength_nm, light / light.sum(1, keepdims=True)
+
+
+def bundle_prediction(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
+    """Photon-weighted bundle means (p, j, b, 2) [px] by the NumPy trace, without renderer, image or noise."""
+    camera = instrument.camera
+    wavelength, share = _shares(bench, instrument)
+    field_x, field_y = field_angles_deg(direction.reshape(-1, 3))
+    spot = spot_moments(camera.focused_lens, field_x, field_y, wavelength.ravel(), samples=gauss_disk(5, 12))
+    x, y = ((v.reshape(-1, *share.shape) * share).sum(2) for v in (spot.x_mm, spot.y_mm))
+    return np.stack(camera.to_pixel(x, y), axis=-1).reshape(*direction.shape[:2], len(share), 2)
+
+
+def paraxial_prediction(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
+    """Positions (p, j, b, 2) [px] relative to the reference band by paraxial lateral colour of the centred lens."""
+    camera = instrument.camera
+    wavelength, share = _shares(bench, instrument)
+    mean = (wavelength * share).sum(1)
+    flat = direction.reshape(-1, 3)
+    off_axis = np.hypot(flat[:, 0], flat[:, 1])
+    unit = flat[:, :2] / np.maximum(off_axis, 1e-300)[:, None]
+    field = np.degrees(np.arctan2(off_axis, flat[:, 2]))
+    # the paraxial chief ray is linear in the tangent of the field
+    per_tangent = lateral_colour_mm(camera.focused_lens, 1.0, mean, float(mean[bench.reference])) / np.tan(
+        np.radians(1.0)
+    )
+    radial = np.tan(np.radians(field))[:, None] * np.asarray(per_tangent)[None] / camera.pixel_pitch_mm
+    return (unit[:, None, :] * radial[..., None]).reshape(*direction.shape[:2], len(mean), 2)
+
+
+def perturbed(lens: LensSystem, element: str, kind: str, axis: int, amount: float) -> LensSystem:
+    """The lens with one element moved: ``decentre`` [mm] along x or y, or ``tilt`` [deg] that shifts along x or y."""
+    if kind == "decentre":
+        return decentre(lens, element, *((amount, 0.0) if axis == 0 else (0.0, amount)))
+    return tilt(lens, element, *((0.0, amount) if axis == 0 else (amount, 0.0)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Solution:
+    """The movement of one element that gives the published mean shift.
+
+    Attributes
+    ----------
+    element, kind : str
+        Which, and how: ``decentre`` or ``tilt``.
+    amount : float
+        um for a decentre, arcmin for a tilt; NaN when none up to the limit does.
+    table1_px : dict of str to (2,)
+        ACC18's statistic at this amount, by ray trace.
+    rms_px : dict of str to (2,)
+        RMS shift per axis.
+    boresight_px : (2,)
+        Motion of the whole image in the reference band.
+    """
+
+    element: str
+    kind: str
+    amount: float
+    table1_px: dict[str, FloatArray]
+    rms_px: dict[str, FloatArray]
+    boresight_px: FloatArray
+
+    @property
+    def unit(self) -> str:
+        """Unit of `amount`."""
+        return "um" if self.kind == "decentre" else "arcmin"
+
+
+_LIMIT = {"decentre": 3.0, "tilt": 3.0}
+_UNIT = {"decentre": 1e3, "tilt": 60.0}
+
+
+def solve_perturbation(
+    mi: Any,
+    bench: Bench,
+    instrument: Instrument,
+    direction: FloatArray,
+    *,
+    element: str,
+    kind: str,
+    pair: str,
+    axis: int,
+    wanted_px: float,
+) -> Solution:
+    """How far one element has to move for the statistic of one pair of bands to reach a value.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with an active variant; rays only, no image is rendered.
+    bench, instrument
+        The laboratory with the centred lens.
+    direction : (p, j, 3)
+        Target points.
+    element, kind : str
+        What moves: ``decentre`` (up to 3 mm) or ``tilt`` about the element's own vertex (up to 3 deg).
+    pair, axis : str, int
+        Which entry of Table 1.
+    wanted_px : float
+        Its value.
+
+    Raises
+    ------
+    ConvergenceError
+        If the root is not found within the tolerance.
+    """
+    lens = instrument.camera.lens
+    pairs = band_pairs([band.centre_nm for band in bench.filters], bench.reference)  # type: ignore[attr-defined]
+    stars = target_field(bench, instrument, direction.reshape(-1, 3))
+
+    def means(amount: float) -> FloatArray:
+        camera = replace(instrument.camera, lens=perturbed(lens, element, kind, axis, amount))
+        mean = Tracer(mi, camera, general=True).bundle_means(stars, rings=4, arms=12)
+        return mean.reshape(*direction.shape[:2], len(bench.filters), 2)
+
+    def excess(amount: float) -> float:
+        return float(table1(shifts(means(amount), pairs)[pair])[axis]) - wanted_px
+
+    amount = _root(excess, _LIMIT[kind])
+    found = means(amount if np.isfinite(amount) else 0.0)
+    every = shifts(found, pairs)
+    return Solution(
+        element=element,
+        kind=kind,
+        amount=amount * _UNIT[kind],
+        table1_px={name: table1(shift) for name, shift in every.items()},
+        rms_px={name: rms(shift) for name, shift in every.items()},
+        boresight_px=(found - means(0.0))[:, :, bench.reference].mean((0, 1)),
+    )
+
+
+def _root(excess: Any, limit: float) -> float:
+    """Root of smallest size: the statistic is nearly linear in the movement, so its slope at zero brackets it."""
+    step = limit * 1e-2
+    slope = (excess(step) - excess(-step)) / (2 * step)
+    guess = -excess(0.0) / slope if slope != 0.0 else np.inf
+    if not abs(guess) < 0.8 * limit:
+        return float("nan")
+    low, high = sorted((0.7 * guess, 1.3 * guess))
+    if excess(low) * excess(high) > 0:
+        low, high = sorted((0.2 * guess, 1.25 * limit * np.sign(guess)))
+        if excess(low) * excess(high) > 0:
+            return float("nan")
+    root, state = brentq(excess, low, high, xtol=limit * 1e-6, full_output=True)
+    if not state.converged:
+        raise ConvergenceError(
+            f"the movement that gives the wanted shift was not found within {state.iterations} steps"
+        )
+    return float(root)

@@ -1,0 +1,103 @@
+"""Stars through the full pass band: how far their colour really shifts them, against ACC18's rule of one third."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.instrument import Instrument
+from experiments.settings import StarsConfig
+from optics.band import Band, TopHat, band_nodes
+from optics.photometry import photon_rate
+from optics.pupil import entrance_pupil
+from optics.spectrum import Blackbody
+from render.forward import StarRenderer
+from render.records import StarField
+
+__all__ = ["StellarShift", "electrons_of_star", "stellar_shift"]
+
+FloatArray = NDArray[np.float64]
+
+NODES = 48
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StellarShift:
+    """Chromatic shift of stars.
+
+    Attributes
+    ----------
+    temperature_k : (t,)
+        Effective temperatures.
+    position_px : (g, 2)
+        Field points (photon centroid of the reference star).
+    shift_px : (t, g, 2)
+        Photon centroid minus that of the reference star at the same place.
+    """
+
+    temperature_k: FloatArray
+    position_px: FloatArray
+    shift_px: FloatArray
+
+    @property
+    def rms_px(self) -> FloatArray:
+        """RMS length of the shift over the field, per temperature."""
+        return np.asarray(np.sqrt((self.shift_px**2).sum(2).mean(1)))
+
+    @property
+    def max_px(self) -> FloatArray:
+        """Largest shift over the field, per temperature."""
+        return np.asarray(np.linalg.norm(self.shift_px, axis=2).max(1))
+
+
+def passband(config: StarsConfig) -> Band:
+    """The camera's full pass band."""
+    low, high = config.passband_nm
+    return TopHat(centre_nm=(low + high) / 2, width_nm=high - low, edge_nm=config.edge_nm, name="full pass band")
+
+
+def electrons_of_star(config: StarsConfig, instrument: Instrument, *, magnitude: float, temperature_k: float) -> float:
+    """Electrons per exposure of a star of V magnitude on the axis, through the full pass band."""
+    nodes = band_nodes([passband(config)], NODES)
+    rate = photon_rate(Blackbody(temperature_k=temperature_k), magnitude, wavelength_nm=nodes.wavelength_nm)
+    camera = instrument.camera
+    detected = nodes.integrate(rate * camera.response_at(nodes.wavelength_nm))
+    return float(detected[0] * entrance_pupil(camera.lens).area_mm2 * instrument.config.exposure_s)
+
+
+def stellar_shift(config: StarsConfig, instrument: Instrument) -> StellarShift:
+    """Render every colour at every field point and compare the truth.
+
+    Parameters
+    ----------
+    config : StarsConfig
+        Colours and field points.
+    instrument : Instrument
+        The camera.
+    """
+    camera = instrument.camera
+    fraction = (np.arange(config.grid) + 0.5) / config.grid
+    x, y = np.meshgrid(fraction * camera.width_px - 0.5, fraction * camera.height_px - 0.5)
+    place = camera.nominal_direction(x.ravel(), y.ravel(), instrument.focal_length_mm)
+    temperatures: Sequence[float] = [*config.temperatures_k, config.reference_k]
+    nodes = band_nodes([passband(config)], NODES)
+    light = nodes.weight_nm * nodes.transmission
+    spectra = [light * Blackbody(temperature_k=t).photon_density(nodes.wavelength_nm) for t in temperatures]
+    rate = np.stack([spectrum / spectrum.sum() for spectrum in spectra])
+    stars = StarField(
+        direction=np.tile(place, (len(temperatures), 1)),
+        wavelength_nm=nodes.wavelength_nm,
+        photon_rate=np.repeat(rate, len(place), axis=0),
+        band=("full",),
+    )
+    truth = StarRenderer(camera).render(stars).truth
+    assert truth is not None
+    position = np.stack([truth.photon_x_px, truth.photon_y_px], axis=-1).reshape(len(temperatures), len(place), 2)
+    return StellarShift(
+        temperature_k=np.array(config.temperatures_k),
+        position_px=position[-1],
+        shift_px=position[:-1] - position[-1],
+    )

@@ -1,0 +1,68 @@
+"""The instrument under test, as configuration: which lens, which detector, how focused, how cold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from experiments.settings import InstrumentConfig
+from optics.lens import LensSystem
+from optics.prescription import load_lens
+from optics.transmission import QuarterWave
+from render.camera import Camera, build_camera
+from render.detector import Detector, load_detector
+
+__all__ = ["Instrument", "build_instrument"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Instrument:
+    """A camera with the detector that reads it out.
+
+    Attributes
+    ----------
+    config : InstrumentConfig
+        What it was built from.
+    camera : Camera
+        Lens, geometry, response.
+    detector : Detector
+        Noise and conversion.
+    focal_length_mm : float
+        Paraxial, at the design wavelength.
+    """
+
+    config: InstrumentConfig
+    camera: Camera
+    detector: Detector
+    focal_length_mm: float
+
+    @property
+    def pixel_arcsec(self) -> float:
+        """Angle of a pixel on the axis."""
+        return float(np.degrees(self.camera.pixel_pitch_mm / self.focal_length_mm) * 3600.0)
+
+
+def build_instrument(config: InstrumentConfig, lens: LensSystem | None = None) -> Instrument:
+    """Instrument of a configuration.
+
+    Parameters
+    ----------
+    config : InstrumentConfig
+        The configuration.
+    lens : LensSystem, optional
+        In place of the configured one, e.g. a perturbed copy.
+
+    Raises
+    ------
+    ConfigError, DomainError
+        What lens and detector files raise.
+    """
+    from optics.paraxial import axial_paraxial
+
+    nominal = load_lens(config.lens)
+    detector = load_detector(config.detector)
+    coating = QuarterWave(design_wavelength_nm=config.coating_nm) if config.coating_nm > 0 else None
+    camera = build_camera(nominal if lens is None else lens, detector, defocus_mm=config.defocus_mm, coating=coating)
+    focal_length = axial_paraxial(nominal, nominal.design_wavelength_nm).efl_mm
+    return Instrument(config=config, camera=camera, detector=detector, focal_length_mm=float(focal_length))
