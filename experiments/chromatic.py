@@ -161,7 +161,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from optics.spectrum import Blackbody
     from render.random import Streams
 
-    backend = mi.variant().split("_")[0]
+    backend = str(mi.variant()).split("_")[0]
     instrument = build_instrument(config.instrument)
     centres, reference = config.filters.centres_nm, config.filters.centres_nm.index(config.filters.reference_nm)
     pairs = band_pairs(centres, reference)
@@ -282,7 +282,7 @@ def files(result: Result, folder: Any) -> None:
         streams=Streams(result.config.seed).child("chromatic", "centred", "example"),
         temperature_c=result.config.instrument.chip_temperature_c,
         band=example.band[result.config.filters.centres_nm.index(result.config.filters.reference_nm)],
-        backend=mi.variant().split("_")[0],
+        backend=str(mi.variant()).split("_")[0],
     )
     write_frame(frame, folder / "frame_upper_left.fits")
 

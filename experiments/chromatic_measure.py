@@ -34,7 +34,8 @@ FloatArray = NDArray[np.float64]
 
 MATCH_PX = 4.0
 """A detection this close to a target point's nominal place is that point."""
-SEARCH_MARGIN_PX = 40
+SEARCH_MARGIN_PX = 80
+"""How far the whole target may be displaced."""
 PATTERNS = 48
 """Independent fixed patterns from which their effect on the centroids is predicted."""
 NODES = 16
@@ -160,116 +161,189 @@ def measure(
     camera = instrument.camera
     renderer = StarRenderer(camera, exposure_s=instrument.config.exposure_s)
     centres = corner_centres(bench.target, camera.width_px, camera.height_px)
-    parts: list[dict[str, Any]] = []
+    first: ExpectedImage | None = None
+    parts: list[_Position] = []
     for place, centre in zip(CORNERS, centres, strict=True):
-        direction = target_directions(bench.target, instrument, centre)
-        stars = target_field(bench, instrument, direction)
+        stars = target_field(bench, instrument, target_directions(bench.target, instrument, centre))
         expected = renderer.render(stars)
-        parts.append(
-            _position(mi, bench, instrument, streams.child(place), place, stars, expected, backend)
-            | {"direction": direction, "example": expected if not parts else None}
-        )
+        first = first or expected
+        parts.append(_Readout(mi, bench, instrument, streams.child(place), place, backend).position(stars, expected))
         advance()
-    stacked = {
-        key: np.stack([part[key] for part in parts])
-        for key in ("direction", "nominal", "chief", "bundle", "photon", "used", "spot")
-    }
+    assert first is not None
     return Measurement(
-        direction=stacked["direction"],
-        nominal_px=stacked["nominal"],
-        chief_px=stacked["chief"],
-        bundle_px=stacked["bundle"],
-        photon_px=stacked["photon"],
-        mean_px={m: np.stack([part["mean"][m] for part in parts]) for m in bench.methods},
-        sigma_px={m: np.stack([part["sigma"][m] for part in parts]) for m in bench.methods},
-        pattern_px=np.stack([part["pattern"] for part in parts], axis=1),
-        frames_used=stacked["used"],
-        rms_spot_um=stacked["spot"].mean((0, 1)),
-        example=parts[0]["example"],
-        windows=parts[0]["windows"],
-        epsf=parts[0]["epsf"],
+        direction=np.stack([part.direction for part in parts]),
+        nominal_px=np.stack([part.nominal for part in parts]),
+        chief_px=np.stack([part.chief for part in parts]),
+        bundle_px=np.stack([part.bundle for part in parts]),
+        photon_px=np.stack([part.photon for part in parts]),
+        mean_px={m: np.stack([part.mean[m] for part in parts]) for m in bench.methods},
+        sigma_px={m: np.stack([part.sigma[m] for part in parts]) for m in bench.methods},
+        pattern_px=np.stack([part.pattern for part in parts], axis=1),
+        frames_used=np.stack([part.used for part in parts]),
+        rms_spot_um=np.stack([part.spot_um for part in parts]).mean((0, 1)),
+        example=first,
+        windows=parts[0].windows,
+        epsf=parts[0].epsf,
     )
 
 
-def _position(
-    mi: Any,
-    bench: Bench,
-    instrument: Instrument,
-    streams: Streams,
-    place: str,
-    stars: StarField,
-    expected: ExpectedImage,
-    backend: str,
-) -> dict[str, Any]:
-    """All filters at one target position."""
-    camera, truth = instrument.camera, expected.truth
-    assert truth is not None
-    nominal = _nominal(instrument, stars.direction)
-    found = _find(bench, instrument, streams, place, expected, nominal, backend)
-    half = bench.window_px // 2
-    corner = np.rint(found).astype(np.int64) - half
-    index = np.arange(bench.window_px)
-    rows, columns = corner[:, 1, None, None] + index[:, None], corner[:, 0, None, None] + index
-    if rows.min() < 0 or columns.min() < 0 or rows.max() >= camera.height_px or columns.max() >= camera.width_px:
-        raise DomainError(
-            f"a window of {bench.window_px} px at the {place} position leaves the detector; raise target.edge_px"
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Position:
+    """One target position; fields as in `Measurement`, without the axis of positions."""
+
+    direction: FloatArray
+    nominal: FloatArray
+    chief: FloatArray
+    bundle: FloatArray
+    photon: FloatArray
+    mean: dict[str, FloatArray]
+    sigma: dict[str, FloatArray]
+    pattern: FloatArray
+    used: NDArray[np.int64]
+    spot_um: FloatArray
+    windows: tuple[WindowStack, ...]
+    epsf: Sequence[EffectivePsf]
+
+
+@dataclass(frozen=True, slots=True)
+class _Readout:
+    """Readout and reduction at one target position."""
+
+    mi: Any
+    bench: Bench
+    instrument: Instrument
+    streams: Streams
+    place: str
+    backend: str
+
+    def position(self, stars: StarField, expected: ExpectedImage) -> _Position:
+        """All filters."""
+        bench, camera, truth = self.bench, self.instrument.camera, expected.truth
+        assert truth is not None
+        nominal = _nominal(self.instrument, stars.direction)
+        found = self._find(expected, nominal)
+        corner = self._corners(found)
+        index = np.arange(bench.window_px)
+        rows, columns = corner[:, 1, None, None] + index[:, None], corner[:, 0, None, None] + index
+        light = np.moveaxis(expected.electrons[rows, columns], -1, 0)
+        dark = self._expose(np.zeros_like(light[0]), corner, bench.dark_frames, "dark")
+        dark_e = dark.dn.mean(0) / dark.gain_dn_per_e
+        epsf = render_epsf(self.mi, camera, stars, half_size_px=bench.window_px // 2 + 1)
+        stacks = tuple(self._expose(light[band], corner, bench.frames, name) for band, name in enumerate(stars.band))
+        results = []
+        for band, stack in enumerate(stacks):
+            stamps, noise = _dark_subtracted(stack, dark_e, found)
+            self._refuse_saturated(stamps, stars.band[band])
+            results.append(self._centroids(stamps, noise, light[band].astype(float), [row[band] for row in epsf]))
+        return _Position(
+            direction=stars.direction,
+            nominal=nominal,
+            chief=np.stack([truth.chief_x_px, truth.chief_y_px], axis=-1),
+            bundle=np.stack([truth.bundle_x_px, truth.bundle_y_px], axis=-1),
+            photon=np.stack([truth.photon_x_px, truth.photon_y_px], axis=-1),
+            mean={m: np.stack([one[0][m] for one in results], axis=1) for m in bench.methods},
+            sigma={m: np.stack([one[1][m] for one in results], axis=1) for m in bench.methods},
+            used=np.stack([one[2] for one in results], axis=1),
+            pattern=np.stack([one[3] for one in results], axis=2),
+            spot_um=np.sqrt(truth.variance_x_px2 + truth.variance_y_px2) * camera.pixel_pitch_mm * 1e3,
+            windows=stacks,
+            epsf=epsf[0],
         )
-    stamps_e = np.moveaxis(expected.electrons[rows, columns], -1, 0)
-    exposure = {
-        "detector": instrument.detector,
-        "exposure_s": expected.exposure_s,
-        "temperature_c": instrument.config.chip_temperature_c,
-        "streams": streams,
-        "backend": backend,
-    }
-    dark = expose_windows(np.zeros_like(stamps_e[0]), corner, frames=bench.dark_frames, band="dark", **exposure)
-    dark_e = dark.dn.mean(0) / dark.gain_dn_per_e
-    epsf = render_epsf(mi, camera, stars, half_size_px=half + 1)
-    noise_e = np.hypot(instrument.detector.read_noise_e, np.sqrt(1 / 12) / instrument.detector.gain_dn_per_e)
-    mean: dict[str, list[FloatArray]] = {m: [] for m in bench.methods}
-    sigma: dict[str, list[FloatArray]] = {m: [] for m in bench.methods}
-    used, patterns, stacks = [], [], []
-    for band, name in enumerate(stars.band):
-        stack = expose_windows(stamps_e[band], corner, frames=bench.frames, band=name, **exposure)
-        stamps, noise = _dark_subtracted(stack, dark_e, found)
+
+    def _expose(self, stamps_e: NDArray[Any], corner: NDArray[np.int64], frames: int, band: str) -> WindowStack:
+        """Windowed readout."""
+        return expose_windows(
+            stamps_e,
+            corner,
+            self.instrument.detector,
+            streams=self.streams,
+            frames=frames,
+            exposure_s=self.instrument.config.exposure_s,
+            temperature_c=self.instrument.config.chip_temperature_c,
+            band=band,
+            backend=self.backend,
+        )
+
+    def _corners(self, found: FloatArray) -> NDArray[np.int64]:
+        """First pixels (j, 2) of the windows around the points."""
+        camera, size = self.instrument.camera, self.bench.window_px
+        corner = np.rint(found).astype(np.int64) - size // 2
+        if corner.min() < 0 or np.any(corner.max(0) + size > (camera.width_px, camera.height_px)):
+            raise DomainError(
+                f"a window of {size} px at the {self.place} position leaves the detector; raise target.edge_px"
+            )
+        return corner
+
+    def _refuse_saturated(self, stamps: Stamps, band: str) -> None:
         if has_flag(stamps.flags, StarFlag.SATURATED).any():
             raise DomainError(
-                f"target points are saturated behind filter {name} at the {place} position; lower signal_e "
-                f"({bench.signal_e:g} e-)"
+                f"target points are saturated behind filter {band} at the {self.place} position; lower signal_e "
+                f"({self.bench.signal_e:g} e-)"
             )
-        stacks.append(stack)
-        for method in bench.methods:
-            options = {"epsf": [row[band] for row in epsf]} if method == "epsf" else {}
-            table = get_centroider(method, **options).measure(stamps, noise)
-            place_mean, place_sigma, count = _average(table, bench.frames)
-            mean[method].append(place_mean)
-            sigma[method].append(place_sigma)
-            if method == bench.methods[0]:
-                used.append(count)
-                patterns.append(
-                    _pattern_effect(
-                        get_centroider(method, **options),
-                        stamps,
-                        noise,
-                        stamps_e[band].astype(float),
-                        prnu=instrument.detector.prnu,
-                        dark_e=float(noise_e / np.sqrt(bench.dark_frames)),
-                        rng=streams.generator("predicted pattern"),  # the same patterns for every filter
-                    )
-                )
-    return {
-        "nominal": nominal,
-        "chief": np.stack([truth.chief_x_px, truth.chief_y_px], axis=-1),
-        "bundle": np.stack([truth.bundle_x_px, truth.bundle_y_px], axis=-1),
-        "photon": np.stack([truth.photon_x_px, truth.photon_y_px], axis=-1),
-        "mean": {m: np.stack(v, axis=1) for m, v in mean.items()},
-        "sigma": {m: np.stack(v, axis=1) for m, v in sigma.items()},
-        "pattern": np.stack(patterns, axis=2),
-        "used": np.stack(used, axis=1),
-        "spot": np.sqrt(truth.variance_x_px2 + truth.variance_y_px2) * camera.pixel_pitch_mm * 1e3,
-        "windows": tuple(stacks),
-        "epsf": epsf[0],
-    }
+
+    def _centroids(
+        self, stamps: Stamps, noise: NoiseModel, light_e: FloatArray, epsf: Sequence[EffectivePsf]
+    ) -> tuple[dict[str, FloatArray], dict[str, FloatArray], NDArray[np.int64], FloatArray]:
+        """Mean and scatter by method; usable frames and effect of fixed patterns for the first method."""
+        bench, detector = self.bench, self.instrument.detector
+        centroiders = {m: get_centroider(m, **({"epsf": epsf} if m == "epsf" else {})) for m in bench.methods}
+        averages = {m: _average(c.measure(stamps, noise), bench.frames) for m, c in centroiders.items()}
+        rounding_e = np.sqrt(1.0 / 12.0) / detector.gain_dn_per_e
+        pattern = _pattern_effect(
+            centroiders[bench.methods[0]],
+            stamps,
+            noise,
+            light_e,
+            prnu=detector.prnu,
+            dark_e=float(np.hypot(detector.read_noise_e, rounding_e) / np.sqrt(bench.dark_frames)),
+            rng=self.streams.generator("predicted pattern"),  # the same patterns for every filter
+        )
+        mean, sigma = {m: a[0] for m, a in averages.items()}, {m: a[1] for m, a in averages.items()}
+        return mean, sigma, averages[bench.methods[0]][2], pattern
+
+    def _find(self, expected: ExpectedImage, nominal: FloatArray) -> FloatArray:
+        """Detected places (j, 2) of the points in one readout of the target's surroundings, reference filter."""
+        reference, place = self.bench.reference, self.place
+        height, width, _ = expected.electrons.shape
+        low = np.maximum(np.floor(nominal.min(0)).astype(np.int64) - SEARCH_MARGIN_PX, 0)
+        high = np.minimum(np.ceil(nominal.max(0)).astype(np.int64) + SEARCH_MARGIN_PX + 1, [width, height])
+        region = expected.electrons[low[1] : high[1], low[0] : high[0], reference]
+        search = replace(self, streams=self.streams.child("search"))
+        stack = search._expose(region[None], low[None], 1, expected.band[reference])
+        image = sensor_image(
+            stack.dn[0, 0],
+            gain_dn_per_e=stack.gain_dn_per_e,
+            offset_dn=stack.offset_dn,
+            read_noise_e=stack.read_noise_e,
+            defect=stack.defect[0],
+            source=f"target {place}",
+        )
+        table = detect(image, estimate_background(image))
+        signal = f"raise signal_e ({self.bench.signal_e:g} e-)"
+        if not len(table):
+            raise DomainError(f"no target point was detected at the {place} position; {signal}")
+        position = np.column_stack([table.x_px, table.y_px]) + low
+        # the lens may displace the whole image (a moved element): estimate that first, then look close by
+        offset = position[:, None] - nominal[None]
+        common = _common_shift(offset.reshape(-1, 2))
+        distance = np.linalg.norm(offset - common, axis=2)
+        nearest = distance.argmin(0)
+        missing = distance[nearest, np.arange(len(nominal))] > MATCH_PX
+        if missing.any():
+            raise DomainError(
+                f"{int(missing.sum())} of {len(nominal)} target points were not detected at the {place} position; {signal}"
+            )
+        return position[nearest]
+
+
+def _common_shift(offset: FloatArray) -> FloatArray:
+    """The displacement (2,) that most (detection, point) pairs agree on."""
+    near = offset[np.linalg.norm(offset, axis=1) < SEARCH_MARGIN_PX + MATCH_PX]
+    if not len(near):
+        return np.zeros(2)
+    votes = (np.linalg.norm(near[:, None] - near[None], axis=2) < MATCH_PX).sum(1)
+    centre = near[votes.argmax()]
+    return np.asarray(np.median(near[np.linalg.norm(near - centre, axis=1) < MATCH_PX], axis=0))
 
 
 def _nominal(instrument: Instrument, direction: FloatArray) -> FloatArray:
@@ -277,61 +351,6 @@ def _nominal(instrument: Instrument, direction: FloatArray) -> FloatArray:
     camera = instrument.camera
     scale = instrument.focal_length_mm / camera.pixel_pitch_mm
     return camera.centre_px + scale * direction[:, :2] / direction[:, 2:]
-
-
-def _find(
-    bench: Bench,
-    instrument: Instrument,
-    streams: Streams,
-    place: str,
-    expected: ExpectedImage,
-    nominal: FloatArray,
-    backend: str,
-) -> FloatArray:
-    """Detected places (j, 2) of the points in one readout of the target's surroundings behind the reference filter."""
-    low = np.maximum(np.floor(nominal.min(0)).astype(int) - SEARCH_MARGIN_PX, 0)
-    high = np.minimum(
-        np.ceil(nominal.max(0)).astype(int) + SEARCH_MARGIN_PX + 1,
-        [expected.electrons.shape[1], expected.electrons.shape[0]],
-    )
-    region = expected.electrons[low[1] : high[1], low[0] : high[0], bench.reference]
-    stack = expose_windows(
-        region[None],
-        low[None],
-        instrument.detector,
-        streams=streams.child("search"),
-        frames=1,
-        exposure_s=expected.exposure_s,
-        temperature_c=instrument.config.chip_temperature_c,
-        band=expected.band[bench.reference],
-        backend=backend,
-    )
-    image = sensor_image(
-        stack.dn[0, 0],
-        gain_dn_per_e=stack.gain_dn_per_e,
-        offset_dn=stack.offset_dn,
-        read_noise_e=stack.read_noise_e,
-        defect=stack.defect[0],
-        source=f"target {place}",
-    )
-    table = detect(image, estimate_background(image))
-    position = np.column_stack([table.x_px, table.y_px]) + low
-    if not len(position):
-        raise DomainError(
-            f"no target point was detected at the {place} position; raise signal_e ({bench.signal_e:g} e-)"
-        )
-    distance = np.linalg.norm(position[None] - nominal[:, None], axis=2)
-    nearest = distance.argmin(1)
-    missing = (
-        distance[np.arange(len(nominal)), nearest]
-        > MATCH_PX + np.abs(np.median(position[nearest] - nominal, axis=0)).max()
-    )
-    if missing.any():
-        raise DomainError(
-            f"{int(missing.sum())} of {len(nominal)} target points were not detected at the {place} position; raise "
-            f"signal_e ({bench.signal_e:g} e-)"
-        )
-    return position[nearest]
 
 
 def _dark_subtracted(stack: WindowStack, dark_e: FloatArray, start_px: FloatArray) -> tuple[Stamps, NoiseModel]:

@@ -131,8 +131,8 @@ def _lsfe_text(result: Result) -> str:
         "Read as the document reads it (the largest entry divided by three, times three sigma), the chromatic LSFE "
         "of the "
         f'centred lens is {x.value:.3f}" (x) and {y.value:.3f}" (y), that of the lens with the moved element '
-        f'{moved_x.value:.2f}" and {moved_y.value:.2f}"; published are 0.03" and 0.66". The document has its 0.12 px in X '
-        "of the table and in y of the result; here it stays in X."
+        f'{moved_x.value:.2f}" and {moved_y.value:.2f}"; published are 0.03" and 0.66". The document has its 0.12 px in '
+        "X of the table and in y of the result; here it stays in X."
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from experiments.chromatic_model import PUBLISHED_TABLE1_PX
 from experiments.summary import Measured
-from experiments.tables import Column, Table
+from experiments.tables import Cell, Column, Table
 
 if TYPE_CHECKING:
     from experiments.chromatic import Result
@@ -25,7 +25,7 @@ def moved_label(result: Result) -> str:
 
 def _table1(result: Result) -> Table:
     """Table 1 of ACC18: published, predicted, measured, for the centred lens and with the moved element."""
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for label, evaluation in (("centred", result.centred), (moved_label(result), result.moved)):
         for name in evaluation.table1_px:
             for axis, letter in enumerate("XY"):
@@ -61,7 +61,7 @@ def _table1(result: Result) -> Table:
 
 
 def _methods(result: Result) -> Table:
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for method in result.centred.method_table1_px:
         mean = result.centred.measurement.mean_px[method] - result.centred.measurement.photon_px
         sigma = result.centred.measurement.sigma_px[method]
@@ -96,7 +96,7 @@ def _methods(result: Result) -> Table:
 def _elements(result: Result) -> Table:
     names = [name for name, _, _ in result.pairs]
     axis = "xy".index(result.config.decentre.axis)
-    rows = [
+    rows: list[tuple[Cell, ...]] = [
         (
             s.element,
             s.kind,
