@@ -131,8 +131,9 @@ def build_camera(
     high = min(efficiency.range_nm[1], lens.wavelength_range_nm[1])
     if low >= high:
         raise DomainError(
-            f"lens {lens.name!r} works at {lens.wavelength_range_nm[0]:g} ... {lens.wavelength_range_nm[1]:g} nm, detector "
-            f"{detector.name!r} at {efficiency.range_nm[0]:g} ... {efficiency.range_nm[1]:g} nm; nothing is left"
+            f"lens {lens.name!r} works at {lens.wavelength_range_nm[0]:g} ... {lens.wavelength_range_nm[1]:g} nm, "
+            f"detector {detector.name!r} at {efficiency.range_nm[0]:g} ... {efficiency.range_nm[1]:g} nm; "
+            "nothing is left"
         )
     wavelength = np.linspace(low, high, max(2, int((high - low) / RESPONSE_STEP_NM) + 1))
     response = Response(

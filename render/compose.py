@@ -1,51 +1,130 @@
-"""Stamps into the image."""
+"""Stamps into the image, and sums into the truth."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["add_stamps"]
+from render.records import Truth
+from render.star_kernel import StampSums
+
+__all__ = ["TruthSums", "add_stamps"]
 
 FloatArray = NDArray[np.float64]
 
 
 def add_stamps(
-    image: NDArray[np.float32], cells: FloatArray, corner_px: FloatArray, electrons: FloatArray, oversampling: int
+    image: NDArray[np.float32], pixels: FloatArray, corner_px: FloatArray, electrons: FloatArray
 ) -> FloatArray:
-    """Bin stamps to pixels and add them to the image, in the order of the stars.
+    """Add stamps to the image, in the order of the stars.
 
     Parameters
     ----------
     image : (h, w, b) float32
         Changed in place.
-    cells : (s, b, m * oversampling, m * oversampling)
-        Share of a star's light per cell.
+    pixels : (s, b, m, m)
+        Share of a star's light per pixel.
     corner_px : (s, b, 2)
         Outer corner of the stamps (half-integers).
     electrons : (s, b)
         Light of each star and band [e-].
-    oversampling : int
-        Cells per pixel.
 
     Returns
     -------
     (s, b)
         Share of each star's light that fell on the image.
     """
-    stars, bands, fine, _ = cells.shape
-    size = fine // oversampling
-    share = cells.reshape(stars, bands, size, oversampling, size, oversampling).sum((3, 5))
+    _, bands, size, _ = pixels.shape
     height, width, _ = image.shape
     column = np.rint(corner_px[..., 0] + 0.5).astype(np.int64)[..., None] + np.arange(size)
     row = np.rint(corner_px[..., 1] + 0.5).astype(np.int64)[..., None] + np.arange(size)
-    inside = ((row >= 0) & (row < height))[..., :, None] & ((column >= 0) & (column < width))[..., None, :]
-    band = np.arange(bands)[None, :, None, None]
-    flat = (
-        np.clip(row, 0, height - 1)[..., :, None] * width + np.clip(column, 0, width - 1)[..., None, :]
-    ) * bands + band
-    share = np.where(inside, share, 0.0)
-    lit = share > 0
-    values = (share * electrons[..., None, None])[lit].astype(np.float32)
-    np.add.at(image.reshape(-1), flat[lit], values)
-    return share.sum((2, 3))
+    on_row, on_column = (row >= 0) & (row < height), (column >= 0) & (column < width)
+    lit = (on_row[..., :, None] & on_column[..., None, :]) & (pixels > 0)
+    star, band, r, c = np.nonzero(lit)
+    share = pixels[star, band, r, c]
+    flat = (row[star, band, r] * width + column[star, band, c]) * bands + band
+    np.add.at(image.reshape(-1), flat, (share * electrons[star, band]).astype(np.float32))
+    kept = np.asarray(np.bincount(star * bands + band, weights=share, minlength=pixels.shape[0] * bands), float)
+    return kept.reshape(pixels.shape[:2])
+
+
+@dataclass(frozen=True, slots=True)
+class TruthSums:
+    """Truth under construction, every field (n, b); NaN until stored."""
+
+    chief_x: FloatArray
+    chief_y: FloatArray
+    bundle_x: FloatArray
+    bundle_y: FloatArray
+    photon_x: FloatArray
+    photon_y: FloatArray
+    image: FloatArray
+    vignetted: FloatArray
+    off_edge: FloatArray
+    variance_x: FloatArray
+    variance_y: FloatArray
+
+    @classmethod
+    def empty(cls, stars: int, bands: int) -> TruthSums:
+        """Nothing known yet."""
+        return cls(*(np.full((stars, bands), np.nan) for _ in cls.__dataclass_fields__))
+
+    def store(
+        self,
+        stars: NDArray[np.int64],
+        sums: StampSums,
+        corner_px: FloatArray,
+        electrons_in: FloatArray,
+        on_image: FloatArray,
+    ) -> None:
+        """Moments and balance of one pass.
+
+        Parameters
+        ----------
+        stars : (s,)
+            Which stars.
+        sums : StampSums
+            Their light.
+        corner_px : (s, b, 2)
+            Outer corner of their stamps.
+        electrons_in : (s, b)
+            Light sent into the pupil [e-].
+        on_image : (s, b)
+            Share of it that reached pixels of the image.
+        """
+        size, moments = sums.pixels.shape[-1], sums.moments
+        landed = sums.pixels.sum((2, 3))
+        along = (np.arange(sums.strips_x.shape[-1]) + 0.5) * (size / sums.strips_x.shape[-1])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = moments[..., 3:5] / moments[..., :1]
+            variance = moments[..., 5:7] / moments[..., :1] - mean**2
+            photon_x = sums.strips_x @ along / sums.strips_x.sum(2)
+            photon_y = sums.strips_y @ along / sums.strips_y.sum(2)
+        self.bundle_x[stars] = corner_px[..., 0] + mean[..., 0] * size
+        self.bundle_y[stars] = corner_px[..., 1] + mean[..., 1] * size
+        self.variance_x[stars] = variance[..., 0] * size**2
+        self.variance_y[stars] = variance[..., 1] * size**2
+        self.photon_x[stars] = corner_px[..., 0] + photon_x
+        self.photon_y[stars] = corner_px[..., 1] + photon_y
+        self.image[stars] = on_image * electrons_in
+        self.vignetted[stars] = moments[..., 1] * electrons_in
+        self.off_edge[stars] = (landed - on_image + moments[..., 2]) * electrons_in
+
+    def truth(self, electrons_in: FloatArray) -> Truth:
+        """The finished record."""
+        return Truth(
+            chief_x_px=self.chief_x,
+            chief_y_px=self.chief_y,
+            bundle_x_px=self.bundle_x,
+            bundle_y_px=self.bundle_y,
+            photon_x_px=self.photon_x,
+            photon_y_px=self.photon_y,
+            electrons_in=electrons_in,
+            electrons_image=self.image,
+            electrons_vignetted=self.vignetted,
+            electrons_off_edge=self.off_edge,
+            variance_x_px2=self.variance_x,
+            variance_y_px2=self.variance_y,
+        )

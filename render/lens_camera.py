@@ -111,7 +111,7 @@ def _camera(props: Any, width: int, height: int) -> Camera:
 def define(mi: Any, dr: Any) -> type:
     """The plugin class for Mitsuba's active variant."""
 
-    class LensCamera(mi.Sensor):  # type: ignore[name-defined, misc]
+    class LensCamera(mi.Sensor):
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             if not dr.is_jit_v(mi.Float):

@@ -15,8 +15,8 @@ _registered: dict[str, tuple[type, type, type]] = {}
 def register_plugins() -> tuple[type, type, type]:
     """Make ``star_field``, ``lens_camera`` and ``star_tracer`` known to ``mi.load_dict``.
 
-    Classes belong to a variant: call this after every change of variant (`render.variant.use_backend`). Calling it again
-    does nothing.
+    Classes belong to a variant: call this after every change of variant (`render.variant.use_backend`). Calling it
+    again does nothing.
 
     Returns
     -------

@@ -11,8 +11,8 @@ photon_rate : TensorXf64 (n, b, k)
 band : str, optional
     Names of the bands, separated by commas.
 
-Each tensor may have a leading axis of size one: Mitsuba's property parser takes a tensor whose first axis has three entries
-for a colour, and nanobind says so on the error stream before it falls back to the tensor.
+Each tensor may have a leading axis of size one: Mitsuba's property parser takes a tensor whose first axis has three
+entries for a colour, and nanobind says so on the error stream before it falls back to the tensor.
 
 Stock integrators see a black emitter: a point at infinity has no radiance a path could find.
 """
@@ -32,7 +32,7 @@ __all__ = ["define"]
 def define(mi: Any, dr: Any) -> type:
     """The plugin class for Mitsuba's active variant."""
 
-    class StarFieldEmitter(mi.Emitter):  # type: ignore[name-defined, misc]
+    class StarFieldEmitter(mi.Emitter):
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             arrays = {}

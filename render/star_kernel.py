@@ -1,11 +1,13 @@
-"""Forward tracing of stars on Dr.Jit: star -> pupil -> lens -> fine cells of a small stamp per star and band.
+"""Forward tracing of stars on Dr.Jit: star -> pupil -> lens -> pixels of a small stamp per star and band.
 
 One ray is one lane of a fused kernel; nothing per ray is kept. Its light, a Gaussian of the charge-diffusion width
-around the landing point, is integrated exactly over cells of a fraction of a pixel, so a stamp is the integral of (ray
-density convolved with the diffusion kernel), with no other blur.
+around the landing point, is integrated exactly over pixels, so a stamp is the pixel integral of (ray density convolved
+with the diffusion kernel), with no other blur. The same light is also integrated over narrow strips along columns and
+along rows, fine enough that their first moment is the centroid of the light.
 
 Sums are 64-bit integers (2^-50 of the star's light): their order does not matter, so the result is the same to the last
-bit whatever the number of threads.
+bit whatever the number of threads. Counts that change from call to call reach the kernel from memory, so that one
+compiled kernel serves every star field and every sampling of the pupil.
 """
 
 from __future__ import annotations
@@ -22,13 +24,18 @@ from optics.frames import light_direction
 from optics.program import LensProgram
 from optics.trace import Rays, trace_program
 from render.arrays import DrJitArrays
+from render.pupil_points import PupilPoints
 
-__all__ = ["KERNEL_REACH", "Geometry", "StarKernel", "oversampling"]
+__all__ = ["Geometry", "StampSums", "StarKernel", "reach_px", "strips_per_pixel"]
 
 FloatArray = NDArray[np.float64]
 
-KERNEL_REACH = 6.0
-"""Half-width of the diffusion kernel in standard deviations; what lies beyond (2e-9) goes to the outermost cell."""
+PIXEL_REACH, STRIP_REACH = 5.0, 4.0
+"""Half-width of the diffusion kernel in standard deviations, at least; what lies beyond (6e-7 of the light, 6e-5 for
+the strips, in equal parts left and right) goes to the outermost pixel or strip."""
+
+STRIP_ALIASING_PX = 2e-5
+MOST_STRIPS = 1024
 
 _SCALE = 2.0**50
 _MAGIC = 1.5 * 2.0**52
@@ -37,28 +44,65 @@ _MOMENTS = 7
 """Sums kept per star and band: light arrived, lost, outside the stamp, x, y, x^2, y^2."""
 
 
-def oversampling(diffusion_px: float) -> int:
-    """Cells per pixel such that their first moment is the centroid of the light, to 1.5e-4 px times the spot's transfer.
+def strips_per_pixel(diffusion_px: float) -> int:
+    """Strips per pixel such that their first moment is the centroid of the light, to `STRIP_ALIASING_PX`.
 
-    A sum over cells of width 1/m aliases the light's spectrum at m cycles per pixel into the moment, with weight
-    ``exp(-2 (pi m sigma)^2) / (pi m)`` after the diffusion kernel.
+    A sum over strips of width 1/m aliases the light's spectrum at m cycles per pixel into the moment, with weight
+    ``exp(-2 (pi m sigma)^2) / (pi m)`` after the diffusion kernel; the spectrum of the spot itself lowers it further.
+    Without diffusion that is all there is, and m is `MOST_STRIPS`.
     """
-    for cells in (2, 4):
-        if np.exp(-2.0 * (np.pi * cells * diffusion_px) ** 2) / (np.pi * cells) < 1.5e-4:
-            return cells
-    return 8
+    if diffusion_px * MOST_STRIPS < 0.5:
+        return MOST_STRIPS
+    m = 2
+    while math.exp(-2.0 * (math.pi * m * diffusion_px) ** 2) / (math.pi * m) > STRIP_ALIASING_PX:
+        m += 1
+    return m
+
+
+def reach_px(diffusion_px: float) -> float:
+    """How far from its landing point the light of a ray is spread over pixels."""
+    return 0.5 * math.ceil(2.0 * PIXEL_REACH * diffusion_px)
 
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
     """What a camera looks like to the kernel; numbers only."""
 
-    rotation: FloatArray
     pitch_mm: float
     centre_px: FloatArray
     pupil_mm: tuple[float, float, float]
     pupil_radius_mm: float
     diffusion_px: float
+
+    @property
+    def strips(self) -> int:
+        """Strips per pixel."""
+        return strips_per_pixel(self.diffusion_px)
+
+
+@dataclass(frozen=True, slots=True)
+class StampSums:
+    """What a pass collects of s stars in b bands; light in shares of what the star sends into the pupil.
+
+    Attributes
+    ----------
+    pixels : (s, b, m, m)
+        Light per pixel of the stamp.
+    strips_x, strips_y : (s, b, m * strips)
+        Light per strip of columns and of rows.
+    moments : (s, b, 7)
+        Light on the stamp, lost in the lens, beside the stamp; then first and second moments of the landing points on
+        the stamp from its corner, in units of the stamp's size.
+    """
+
+    pixels: FloatArray
+    strips_x: FloatArray
+    strips_y: FloatArray
+    moments: FloatArray
+
+    def take(self, keep: NDArray[np.bool_]) -> StampSums:
+        """Some of the stars."""
+        return StampSums(self.pixels[keep], self.strips_x[keep], self.strips_y[keep], self.moments[keep])
 
 
 class StarKernel:
@@ -73,12 +117,13 @@ class StarKernel:
     geometry : Geometry
         Camera.
     direction : (n, 3)
-        Unit vectors towards the stars.
+        Unit vectors towards the stars, in cam.
     """
 
     def __init__(
         self, mi: Any, program: LensProgram, theta: FloatArray, geometry: Geometry, direction: FloatArray
     ) -> None:
+        self.types = mi
         self.F, self.U, self.I, self.U64 = mi.Float64, mi.UInt32, mi.Int32, mi.UInt64
         self.xp = DrJitArrays(self.F)
         self.program, self.geometry = program, geometry
@@ -86,12 +131,12 @@ class StarKernel:
         self.numbers = self.xp.parameters(
             [geometry.pitch_mm, *geometry.centre_px, *geometry.pupil_mm, geometry.pupil_radius_mm]
         )
-        light = light_direction(direction @ geometry.rotation.T)
+        light = light_direction(direction)
         self.light = [self.F(np.ascontiguousarray(light[:, i])) for i in range(3)]
         self.count = len(direction)
 
-    def _launch(self, star: Any, px: Any, py: Any, wavelength_nm: Any) -> tuple[Any, Any, Any, Any]:
-        """Column, row [px], obliquity (cosine at the pupil) and arrival of rays through unit-disk points."""
+    def _launch(self, star: Any, px: Any, py: Any, wavelength_nm: Any) -> tuple[Any, Any, Any]:
+        """Column, row [px] and arrival of rays through unit-disk points."""
         pitch, cx, cy, x0, y0, z0, radius = self.numbers
         dx, dy, dz = (dr.gather(self.F, component, star) for component in self.light)
         zero = dr.zeros(self.I, 1)
@@ -108,22 +153,27 @@ class StarKernel:
             failed_at=zero - 1,
         )
         out = trace_program(self.program, self.theta, rays, self.xp)
-        return cx + out.x / pitch, cy - out.y / pitch, dz, out.status == 0
+        return cx + out.x / pitch, cy - out.y / pitch, out.status == 0
 
-    def _pupil_points(self, pupil: FloatArray, point: Any, node: Any) -> tuple[Any, Any]:
-        """Unit-disk coordinates of (node, point)."""
-        at = node * pupil.shape[1] + point
-        x, y = (self.F(np.ascontiguousarray(pupil[..., axis].ravel())) for axis in (0, 1))
-        return dr.gather(self.F, x, at), dr.gather(self.F, y, at)
+    def _numbered(self, total: int, *sizes: int) -> list[Any]:
+        """Indices of lane 0 ... total-1 along axes of the given sizes, last axis first, and what is left over."""
+        left = dr.arange(self.U, total)
+        indices = []
+        for size in reversed(sizes):
+            divisor = dr.opaque(self.U, size)
+            quotient = left // divisor
+            indices.append(left - quotient * divisor)
+            left = quotient
+        return [*indices, left]
 
     def land(
-        self, pupil: FloatArray, wavelength_nm: FloatArray, stars: slice | None = None
+        self, pupil: PupilPoints, wavelength_nm: FloatArray, stars: slice | None = None
     ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
         """Landing points of a few rays per star and band.
 
         Parameters
         ----------
-        pupil : (k, m, 2)
+        pupil : PupilPoints
             Points in the unit disk for each wavelength node.
         wavelength_nm : (b, k)
             Wavelengths.
@@ -137,30 +187,28 @@ class StarKernel:
         arrived : (n, b, k, m)
             Whether the ray reaches the image plane.
         """
-        (bands, nodes), points = wavelength_nm.shape, pupil.shape[1]
+        bands, nodes = wavelength_nm.shape
         first, last = (0, self.count) if stars is None else (stars.start, stars.stop)
-        shape = (last - first, bands, nodes, points)
-        i = dr.arange(self.U, math.prod(shape))
-        point, node = i % points, i // points
-        wavelength = dr.gather(self.F, self.F(wavelength_nm.ravel()), node % (bands * nodes))
-        px, py = self._pupil_points(pupil, point, node % nodes)
-        x, y, _, ok = self._launch(node // (bands * nodes) + dr.opaque(self.U, first), px, py, wavelength)
+        shape = (last - first, bands, nodes, pupil.count)
+        point, node, band, star = self._numbered(math.prod(shape), bands, nodes, pupil.count)
+        wavelength = dr.gather(self.F, self.F(wavelength_nm.ravel()), band * dr.opaque(self.U, nodes) + node)
+        px, py, _ = pupil.sample(self.types, node, point)
+        x, y, ok = self._launch(star + dr.opaque(self.U, first), px, py, wavelength)
         dr.eval(x, y, ok)
         return x.numpy().reshape(shape), y.numpy().reshape(shape), ok.numpy().astype(bool).reshape(shape)
 
-    def _cells(self, position: Any, fine: int) -> tuple[Any, list[Any]]:
-        """First cell and share of each cell of 1/``fine`` pixel along one axis; ``position`` [px] from the stamp's edge."""
-        sigma = self.geometry.diffusion_px * fine
-        cells = position * fine
-        reach = KERNEL_REACH * sigma
-        first = dr.floor(cells - reach)
-        taps = math.ceil(2 * reach) + 1
-        if taps == 1:
+    def _shares(self, position_px: Any, per_pixel: int, reach: float) -> tuple[Any, list[Any]]:
+        """First cell and share of each along one axis, for ``per_pixel`` cells per pixel from the stamp's corner."""
+        sigma = self.geometry.diffusion_px * per_pixel
+        cells = position_px * per_pixel
+        width = math.ceil(2 * reach * sigma)
+        first = dr.floor(cells - 0.5 * width)
+        if width == 0:
             return self.I(first), [self.F(1.0)]
         scale = dr.opaque(self.F, 1.0 / (math.sqrt(2.0) * sigma))
         shares, below = [], self.F(-1.0)
-        for tap in range(1, taps + 1):
-            up_to = dr.erf((first + tap - cells) * scale) if tap < taps else self.F(1.0)
+        for tap in range(1, width + 2):
+            up_to = dr.erf((first + tap - cells) * scale) if tap <= width else self.F(1.0)
             shares.append(0.5 * (up_to - below))
             below = up_to
         return self.I(first), shares
@@ -170,28 +218,30 @@ class StarKernel:
         fixed = dr.reinterpret_array(self.U64, value + _MAGIC) & self.U64(_MASK)
         dr.scatter_add(target, fixed, index, active, mode=dr.ReduceMode.Direct)
 
+    def _numpy(self, fixed: Any, *shape: int) -> FloatArray:
+        """Fixed-point sums as numbers."""
+        values: FloatArray = fixed.numpy().reshape(shape) * (1.0 / _SCALE)
+        return values
+
     def splat(
         self,
         *,
         stars: NDArray[np.uint32],
-        pupil: FloatArray,
-        pupil_weight: FloatArray,
+        pupil: PupilPoints,
         wavelength_nm: FloatArray,
         node_share: FloatArray,
         corner_px: FloatArray,
         stamp_px: int,
-        cells_per_px: int,
-    ) -> tuple[FloatArray, FloatArray]:
+        cells_per_px: int = 1,
+    ) -> StampSums:
         """Stamps and moments of some of the stars.
 
         Parameters
         ----------
         stars : (s,)
             Indices of the stars.
-        pupil : (k, p, 2)
-            Unit-disk points for each wavelength node.
-        pupil_weight : (p,)
-            Their weights, sum 1.
+        pupil : PupilPoints
+            Points in the unit disk for each wavelength node.
         wavelength_nm : (b, k)
             Wavelengths.
         node_share : (s, b, k)
@@ -199,49 +249,57 @@ class StarKernel:
         corner_px : (s, b, 2)
             Outer corner of the stamp's first pixel (column, row).
         stamp_px : int
-            Stamp size.
+            Stamp size [px].
         cells_per_px : int
-            Cells along a pixel.
-
-        Returns
-        -------
-        cells : (s, b, stamp_px * cells_per_px, stamp_px * cells_per_px)
-            Share of the star's light per cell.
-        moments : (s, b, 7)
-            Shares arrived, lost in the lens, outside the stamp; then first and second moments of the arrived rays from
-            the corner in units of the stamp size.
+            With more than 1 the stamp's pixels are cells of that fraction of a pixel, and strips are left out.
         """
         F, U = self.F, self.U
-        (bands, nodes), points = wavelength_nm.shape, pupil.shape[1]
-        size = stamp_px * cells_per_px
-        i = dr.arange(U, len(stars) * bands * nodes * points)
-        point, rest = i % points, i // points
-        node, slot = rest % nodes, rest // nodes
-        px, py = self._pupil_points(pupil, point, node)
-        weight = dr.gather(F, F(pupil_weight), point) * dr.gather(F, F(node_share.ravel()), rest) * _SCALE
-        wavelength = dr.gather(F, F(wavelength_nm.ravel()), (slot % bands) * nodes + node)
-        x, y, _, ok = self._launch(dr.gather(U, U(stars), slot // bands), px, py, wavelength)
+        bands, nodes = wavelength_nm.shape
+        total = len(stars) * bands * nodes * pupil.count
+        point, node, slot = self._numbered(total, nodes, pupil.count)
+        bands_u, nodes_u = dr.opaque(U, bands), dr.opaque(U, nodes)
+        star = slot // bands_u
+        px, py, weight = pupil.sample(self.types, node, point)
+        weight = weight * dr.gather(F, F(node_share.ravel()), slot * nodes_u + node) * _SCALE
+        wavelength = dr.gather(F, F(wavelength_nm.ravel()), (slot - star * bands_u) * nodes_u + node)
+        x, y, ok = self._launch(dr.gather(U, U(stars), star), px, py, wavelength)
         x = x - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 0].ravel())), slot)
         y = y - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 1].ravel())), slot)
-        (column, share_x), (row, share_y) = self._cells(x, cells_per_px), self._cells(y, cells_per_px)
-        limit = dr.opaque(self.I, size)
-        inside = ok & (column >= 0) & (row >= 0) & (column + len(share_x) <= limit) & (row + len(share_y) <= limit)
-        moments = dr.zeros(self.U64, len(stars) * bands * _MOMENTS)
+        return self._collect(x, y, ok, weight, slot, (len(stars), bands), stamp_px, cells_per_px)
+
+    def _collect(
+        self, x: Any, y: Any, ok: Any, weight: Any, slot: Any, shape: tuple[int, int], stamp_px: int, cells_per_px: int
+    ) -> StampSums:
+        """Add the light of every ray to its star's pixels (or cells), strips and moments."""
+        F, U, slots = self.F, self.U, math.prod(shape)
+        size, strips = stamp_px * cells_per_px, stamp_px * self.geometry.strips
+        cells = [self._shares(v, cells_per_px, PIXEL_REACH) for v in (x, y)]
+        marginals = [self._shares(v, self.geometry.strips, STRIP_REACH) for v in (x, y)] if cells_per_px == 1 else []
+        inside = ok
+        for limit, parts in ((size, cells), (strips, marginals)):
+            for first, shares in parts:  # not &=, which would change ``ok`` too
+                inside = inside & (first >= 0) & (first + len(shares) <= dr.opaque(self.I, limit))
+        moments = dr.zeros(self.U64, slots * _MOMENTS)
         base = slot * _MOMENTS
-        u, v = x / dr.opaque(F, stamp_px), y / dr.opaque(F, stamp_px)
         self._add(moments, weight, base + dr.select(inside, U(0), dr.select(ok, U(2), U(1))), dr.mask_t(F)(True))
+        u, v = x / dr.opaque(F, stamp_px), y / dr.opaque(F, stamp_px)
         for k, value in enumerate((u, v, u * u, v * v)):
             self._add(moments, weight * value, base + (3 + k), inside)
-        cells = dr.zeros(self.U64, len(stars) * bands * size * size)
-        origin = (slot * limit + U(row)) * limit + U(column)
-        for r, along_y in enumerate(share_y):
-            line = origin + r * U(limit)
-            part = weight * along_y
-            for c, along_x in enumerate(share_x):
-                self._add(cells, part * along_x, line + c, inside)
-        dr.eval(cells, moments)
-        scaled = dr.opaque(F, 1.0 / _SCALE)
-        return (
-            (F(cells) * scaled).numpy().reshape(len(stars), bands, size, size),
-            (F(moments) * scaled).numpy().reshape(len(stars), bands, _MOMENTS),
+        (column, along_x), (row, along_y) = cells
+        pixels, edge = dr.zeros(self.U64, slots * size**2), dr.opaque(U, size)
+        origin = (slot * edge + U(row)) * edge + U(column)
+        for r, share_y in enumerate(along_y):
+            line = weight * share_y
+            for c, share_x in enumerate(along_x):
+                self._add(pixels, line * share_x, origin + r * edge + c, inside)
+        sums = []
+        for first, shares in marginals:
+            sums.append(dr.zeros(self.U64, slots * strips))
+            start = slot * dr.opaque(U, strips) + U(first)
+            for s, share in enumerate(shares):
+                self._add(sums[-1], weight * share, start + s, inside)
+        dr.eval(pixels, *sums, moments)
+        strips_x, strips_y = (self._numpy(v, *shape, strips) for v in sums) if sums else 2 * (np.empty((*shape, 0)),)
+        return StampSums(
+            self._numpy(pixels, *shape, size, size), strips_x, strips_y, self._numpy(moments, *shape, _MOMENTS)
         )

@@ -5,8 +5,8 @@ Properties
 sobol_log2_rays : int, default 16
     Logarithm of the rays per star and band where the pupil is not round and clear.
 
-``mi.render`` returns an image (h, w, bands) of expected photo-electrons in the exposure (the camera's ``shutter_open`` to
-``shutter_close``); its ``seed`` scrambles the Sobol points. The truth of the last image is in ``integrator.traced``.
+``mi.render`` returns an image (h, w, bands) of expected photo-electrons in the exposure (the camera's ``shutter_open``
+to ``shutter_close``); its ``seed`` scrambles the Sobol points. The truth of the last image is in ``integrator.traced``.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from render.tracer import TracedStars, Tracer
 __all__ = ["define"]
 
 
-def define(mi: Any, dr: Any, emitter_class: type, camera_class: type) -> type:
+def define(mi: Any, dr: Any, emitter_class: Any, camera_class: Any) -> type:
     """The plugin class for Mitsuba's active variant."""
 
-    class StarTracer(mi.AdjointIntegrator):  # type: ignore[name-defined, misc]
+    class StarTracer(mi.AdjointIntegrator):
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             self.sobol_log2_rays = int(props.get("sobol_log2_rays", 16))
