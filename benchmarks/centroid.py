@@ -109,7 +109,7 @@ def lens_source(name: str, x_px: float, y_px: float, defocus_mm: float = 0.01) -
     from optics.prescription import load_lens
     from render.camera import build_camera
     from render.detector import load_detector
-    from render.psf import render_epsf
+    from render.psf import epsf_tracer, render_epsf
     from render.records import StarField
     from render.variant import use_backend
 
@@ -125,7 +125,7 @@ def lens_source(name: str, x_px: float, y_px: float, defocus_mm: float = 0.01) -
     stars = StarField(
         direction=direction[None], wavelength_nm=nodes.wavelength_nm, photon_rate=rate[None], band=nodes.name
     )
-    return source_from_fine(name, render_epsf(mi, camera, stars, oversampling=32)[0][0])
+    return source_from_fine(name, render_epsf(epsf_tracer(mi, camera), stars, oversampling=32)[0][0])
 
 
 SOURCES: dict[str, Callable[[], PsfSource]] = {

@@ -23,10 +23,11 @@ from optics.band import Band, band_nodes
 from optics.errors import DomainError
 from optics.spectrum import Sed
 from render.forward import StarRenderer
-from render.psf import render_epsf
+from render.psf import epsf_tracer, render_epsf
 from render.random import Streams
 from render.readout import expose_windows
 from render.records import EffectivePsf, ExpectedImage, StarField, WindowStack
+from render.tracer import Tracer
 
 __all__ = ["Bench", "Measurement", "measure"]
 
@@ -159,7 +160,7 @@ def measure(
         If points are not detected, or saturated.
     """
     camera = instrument.camera
-    renderer = StarRenderer(camera, exposure_s=instrument.config.exposure_s)
+    renderer, tracer = StarRenderer(camera, exposure_s=instrument.config.exposure_s), epsf_tracer(mi, camera)
     centres = corner_centres(bench.target, camera.width_px, camera.height_px)
     first: ExpectedImage | None = None
     parts: list[_Position] = []
@@ -167,7 +168,9 @@ def measure(
         stars = target_field(bench, instrument, target_directions(bench.target, instrument, centre))
         expected = renderer.render(stars)
         first = first or expected
-        parts.append(_Readout(mi, bench, instrument, streams.child(place), place, backend).position(stars, expected))
+        parts.append(
+            _Readout(tracer, bench, instrument, streams.child(place), place, backend).position(stars, expected)
+        )
         advance()
     assert first is not None
     return Measurement(
@@ -209,7 +212,7 @@ class _Position:
 class _Readout:
     """Readout and reduction at one target position."""
 
-    mi: Any
+    tracer: Tracer
     bench: Bench
     instrument: Instrument
     streams: Streams
@@ -228,7 +231,7 @@ class _Readout:
         light = np.moveaxis(expected.electrons[rows, columns], -1, 0)
         dark = self._expose(np.zeros_like(light[0]), corner, bench.dark_frames, "dark")
         dark_e = dark.dn.mean(0) / dark.gain_dn_per_e
-        epsf = render_epsf(self.mi, camera, stars, half_size_px=bench.window_px // 2 + 1)
+        epsf = render_epsf(self.tracer, stars, half_size_px=bench.window_px // 2 + 1)
         stacks = tuple(self._expose(light[band], corner, bench.frames, name) for band, name in enumerate(stars.band))
         results = []
         for band, stack in enumerate(stacks):

@@ -12,7 +12,7 @@ from render.camera import Camera
 from render.records import EffectivePsf, StarField
 from render.tracer import Tracer
 
-__all__ = ["render_epsf"]
+__all__ = ["epsf_tracer", "render_epsf"]
 
 FloatArray = NDArray[np.float64]
 
@@ -20,8 +20,13 @@ TOLERANCE = 2e-4
 """Of the pupil quadrature: an error of this size at half a cycle per pixel and beyond moves a fit by some 1e-5 px."""
 
 
+def epsf_tracer(mi: Any, camera: Camera) -> Tracer:
+    """Tracer for `render_epsf`; hand it on when one camera needs PSFs at many places, so that it is prepared once."""
+    return Tracer(mi, camera, tolerance=TOLERANCE)
+
+
 def render_epsf(
-    mi: Any, camera: Camera, stars: StarField, *, oversampling: int = 8, half_size_px: int = 7
+    tracer: Tracer, stars: StarField, *, oversampling: int = 8, half_size_px: int = 7
 ) -> list[list[EffectivePsf]]:
     """Effective PSF of every star and band, centred on the bundle mean.
 
@@ -31,10 +36,8 @@ def render_epsf(
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
-    camera : Camera
-        The camera.
+    tracer : Tracer
+        Of the camera (`epsf_tracer`).
     stars : StarField
         Where in the field, with which spectra.
     oversampling : int
@@ -54,7 +57,6 @@ def render_epsf(
     """
     if oversampling < 2 or oversampling % 2:
         raise DomainError(f"render_epsf: oversampling = {oversampling}; an even number of at least 2 is needed")
-    tracer = Tracer(mi, camera, tolerance=TOLERANCE)
     cells = tracer.centred_cells(stars, half_size_px=half_size_px, cells_per_px=oversampling)
     running = np.pad(cells.cumsum(2).cumsum(3), ((0, 0), (0, 0), (1, 0), (1, 0)))
     low, high = running[..., :-oversampling], running[..., oversampling:]

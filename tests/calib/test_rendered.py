@@ -19,7 +19,7 @@ def rendered():
     from render.camera import build_camera
     from render.detector import load_detector
     from render.forward import render_stars
-    from render.psf import render_epsf
+    from render.psf import epsf_tracer, render_epsf
     from render.records import StarField
     from render.variant import use_backend
 
@@ -40,7 +40,7 @@ def rendered():
         band=nodes.name,
     )
     image = render_stars(camera, stars, exposure_s=1.0)
-    psfs = [row[0] for row in render_epsf(mi, camera, stars, oversampling=8)]
+    psfs = [row[0] for row in render_epsf(epsf_tracer(mi, camera), stars, oversampling=8)]
     return image, psfs
 
 
