@@ -17,7 +17,16 @@ if TYPE_CHECKING:
     from experiments.chromatic_evaluate import Evaluation
     from experiments.chromatic_measure import Measurement
 
-__all__ = ["arrow_map", "calibration_bars", "element_bars", "fig7", "spot_gallery", "star_shifts", "target_image"]
+__all__ = [
+    "arrow_map",
+    "arrow_panels",
+    "calibration_bars",
+    "element_bars",
+    "fig7",
+    "spot_gallery",
+    "star_shifts",
+    "target_image",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -79,46 +88,47 @@ def _arrows(axis: Any, place: FloatArray, shift: FloatArray, scale: float, **sty
 
 
 def arrow_map(result: Result, evaluation: Evaluation, title: str) -> Figure:
-    """Shift of every point over the field, with the ray-trace prediction beneath; each panel has its own scale."""
-    camera = result.instrument.camera
-    names = [name for name, _, _ in result.pairs]
-    figure, axes = new_figure(1, len(names), aspect_ratio=0.33, sharey=True, squeeze=False)
-    for axis, name, colour in zip(axes[0], names, PALETTE, strict=False):
+    """Shift of every point over the field, one panel per pair of bands."""
+    return arrow_panels(result, [(evaluation, name, f"{name} nm, {title}") for name, _, _ in result.pairs])
+
+
+def arrow_panels(result: Result, panels: Sequence[tuple[Evaluation, str, str]]) -> Figure:
+    """Shift of every point over the field, the ray-trace prediction beneath; each panel has its own scale.
+
+    Parameters
+    ----------
+    result : Result
+        The run.
+    panels : sequence of (Evaluation, str, str)
+        What is shown: lens, pair of bands, title.
+    """
+    figure, axes = new_figure(1, len(panels), aspect_ratio=0.33, sharey=True, squeeze=False)
+    for axis, (evaluation, name, title), colour in zip(axes[0], panels, PALETTE, strict=False):
         place, shift = evaluation.measurement.nominal_px, evaluation.shift_px[name]
         longest = float(np.linalg.norm(shift, axis=-1).max())
-        scale = 1.6 * result.config.target.pitch_px / longest
+        scale = 1.2 * result.config.target.pitch_px / longest
         _arrows(axis, place, evaluation.predicted_shift_px[name], scale, color="#c3c8ce", width=0.009, headwidth=3)
         _arrows(axis, place, shift, scale, color=colour, width=0.0035, headwidth=4)
-        key = float(f"{longest:.0e}")
-        middle = camera.width_px / 2
-        axis.quiver(
-            middle,
-            camera.height_px / 2,
-            key,
-            0,
-            angles="xy",
-            scale_units="xy",
-            scale=1 / scale,
-            color=INK,
-            width=0.0045,
-        )
-        axis.text(middle, camera.height_px / 2 - 110, f"{key:g} px", fontsize=8)
-        edge = [-0.5, camera.width_px - 0.5, camera.height_px - 0.5]
-        axis.plot(
-            [edge[0], edge[1], edge[1], edge[0], edge[0]],
-            [edge[0], edge[0], edge[2], edge[2], edge[0]],
-            color="#8a9099",
-            lw=0.8,
-        )
-        axis.axvline(middle - 0.5, 0.06, 0.94, color="#c9cdd3", linewidth=0.7)
-        axis.grid(visible=False)
-        axis.set(xlim=(-280, camera.width_px + 280), ylim=(camera.height_px + 200, -200), aspect="equal")
-        axis.set(
-            xlabel="column [px]", xticks=range(0, camera.width_px + 1, 1024), yticks=range(0, camera.height_px + 1, 512)
-        )
-        axis.set_title(f"{name} nm, {title}")
+        _field_frame(result, axis, float(f"{longest:.0e}"), scale)
+        axis.set_title(title)
     axes[0, 0].set_ylabel("row [px]")
     return figure
+
+
+def _field_frame(result: Result, axis: Any, key_px: float, scale: float) -> None:
+    """Outline of the detector, its seam, and an arrow of known length in the middle."""
+    width, height = result.instrument.camera.width_px, result.instrument.camera.height_px
+    middle = (width - 1) / 2, (height - 1) / 2
+    axis.quiver(*middle, key_px, 0, angles="xy", scale_units="xy", scale=1 / scale, color=INK, width=0.0045)
+    axis.text(middle[0], middle[1] - 110, f"{key_px:g} px", fontsize=8)
+    left, right, upper, lower = -0.5, width - 0.5, -0.5, height - 0.5
+    axis.plot([left, right, right, left, left], [upper, upper, lower, lower, upper], color="#8a9099", linewidth=0.8)
+    for seam in range(1, result.instrument.detector.chips):
+        column = seam * (width / result.instrument.detector.chips) - 0.5
+        axis.plot([column, column], [upper, lower], color="#c9cdd3", linewidth=0.7)
+    axis.grid(visible=False)
+    axis.set(xlim=(-280, width + 280), ylim=(height + 200, -200), aspect="equal", xlabel="column [px]")
+    axis.set(xticks=range(0, width + 1, 1024), yticks=range(0, height + 1, 512))
 
 
 def fig7(result: Result, evaluation: Evaluation) -> Figure:
