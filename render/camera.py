@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from optics.errors import DomainError
 from optics.lens import LensSystem
+from optics.paraxial import axial_paraxial
+from optics.pupil import EntrancePupil, entrance_pupil
 from optics.records import freeze
 from optics.response import Response
 from optics.transmission import Coating, lens_transmission
 from render.detector import Detector
 
-__all__ = ["Camera", "build_camera"]
+__all__ = ["Camera", "build_camera", "launch_disk"]
 
 FloatArray = NDArray[np.float64]
 
@@ -81,6 +83,14 @@ class Camera:
         axis = self.lens.image_rotation[:, 2]
         return replace(self.lens, image_position_mm=self.lens.image_position_mm + self.defocus_mm * axis)
 
+    @property
+    def field_reach_rad(self) -> float:
+        """Angle from the axis of the lens to the farthest corner of the detector, or the lens's own field if larger."""
+        corners = np.array([[-0.5, -0.5], [self.width_px - 0.5, self.height_px - 0.5]]) - self.centre_px
+        radius_mm = math.hypot(*np.abs(corners).max(0)) * self.pixel_pitch_mm
+        focal_mm = abs(axial_paraxial(self.lens, self.lens.design_wavelength_nm).efl_mm)
+        return max(math.radians(self.lens.max_field_deg), math.atan2(radius_mm, focal_mm))
+
     def to_pixel(self, x_mm: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Image-plane coordinates [mm, lens axes] to (column, row) [px]."""
         return self.centre_px[0] + x_mm / self.pixel_pitch_mm, self.centre_px[1] - y_mm / self.pixel_pitch_mm
@@ -98,6 +108,17 @@ class Camera:
         y = (np.asarray(y_px, float) - self.centre_px[1]) * self.pixel_pitch_mm / focal_length_mm
         v = np.stack([x, y, np.ones_like(x)], axis=-1)
         return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def launch_disk(camera: Camera) -> EntrancePupil:
+    """Where light for the detector enters the lens, for the field of the detector or of the lens, if that is larger.
+
+    Raises
+    ------
+    ConvergenceError
+        If no ray of any field reaches the image plane.
+    """
+    return entrance_pupil(camera.focused_lens, max_field_deg=math.degrees(camera.field_reach_rad))
 
 
 def build_camera(

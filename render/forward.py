@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
-import numpy as np
-
+from optics.errors import DomainError
 from render.camera import Camera
 from render.lens_camera import share_camera
 from render.plugins import register_plugins
@@ -29,6 +29,11 @@ class StarRenderer:
     seed : int
         Scrambles the Sobol points; without effect on clear pupils.
 
+    Raises
+    ------
+    DomainError
+        Exposure not positive.
+
     Attributes
     ----------
     traced : TracedStars or None
@@ -36,6 +41,8 @@ class StarRenderer:
     """
 
     def __init__(self, camera: Camera, *, exposure_s: float = 1.0, sobol_log2_rays: int = 16, seed: int = 0) -> None:
+        if not (exposure_s > 0 and math.isfinite(exposure_s)):
+            raise DomainError(f"exposure_s = {exposure_s} s; it must be positive and finite")
         register_plugins()
         import mitsuba as mi
 
@@ -86,14 +93,15 @@ class StarRenderer:
                 },
             }
         )
-        image = mi.render(scene, sensor=self._sensor, integrator=self._integrator, seed=self.seed)
-        self.traced = self._integrator.traced
+        mi.render(scene, sensor=self._sensor, integrator=self._integrator, seed=self.seed)
+        traced: TracedStars = self._integrator.traced
+        self.traced = traced
         return ExpectedImage(
-            electrons=np.asarray(image),
+            electrons=traced.electrons,  # what mi.render returned, before it became a tensor
             band=stars.band,
             exposure_s=self.exposure_s,
             diffused=True,
-            truth=self._integrator.traced.truth,
+            truth=traced.truth,
         )
 
 

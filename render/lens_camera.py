@@ -5,7 +5,8 @@ Properties
 lens : str
     Built-in name or path of a prescription; or
 camera : str
-    Handle of a `render.camera.Camera` (`share_camera`), which then sets everything below but film and shutter.
+    Handle of a `render.camera.Camera` (`share_camera`), which then sets lens, pixels, focus and attitude; ``to_world``
+    may only move it.
 pixel_pitch_um : float
     Pixel pitch; the film gives the number of pixels.
 defocus_mm, charge_diffusion_um : float, default 0
@@ -24,30 +25,36 @@ shutter_open, shutter_close : float
     Exposure time is their difference; 1 s if it is zero.
 
 Stars are traced forward by ``star_tracer``. Extended bodies are rendered by any stock integrator: `sample_ray` starts
-on the detector, aims at the exit pupil, and traces the lens backwards, so that a pixel's value is the irradiance of its
-centre region: the integral of L cos(theta) over the exit pupil's solid angle (pi sin^2 for a uniform sky).
+on the detector, aims at the exit pupil, and traces the lens backwards, so that a pixel's value is its mean irradiance:
+the integral of L cos(theta) over the exit pupil's solid angle (pi sin^2 for a uniform sky). Charge diffusion, quantum
+efficiency and the transmission of the lens are not in it.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
-from optics.errors import BackendError, ConfigError, unknown_name
+from optics.errors import BackendError, ConfigError, ConvergenceError, unknown_name
+from optics.frames import light_direction
 from optics.paraxial import axial_paraxial
 from optics.prescription import load_lens
 from optics.program import compile_lens
-from optics.reverse import HALF_TURN, reverse
-from optics.trace import OK, Rays, trace_program
+from optics.reverse import HALF_TURN, retraced, reverse
+from optics.trace import OK, Rays, trace, trace_program
+from optics.units import UM_MM
 from render.arrays import DrJitArrays
-from render.camera import Camera
+from render.camera import Camera, launch_disk
+from render.sampling import probe_fields
 
-__all__ = ["define", "share_camera"]
+__all__ = ["define", "exit_disk", "share_camera"]
 
-EXIT_PUPIL_MARGIN = 1.3
-"""The disk that backward rays aim at, in radii of the paraxial exit pupil: room for pupil aberration."""
+EXIT_PUPIL_MARGIN = 1.03
+"""The disk that backward rays aim at, in radii of what forward rays fill: room for what lies between those."""
+EXIT_PUPIL_RAYS = 400
 
 _MITSUBA_FROM_CAM = np.diag([-1.0, -1.0, 1.0])
 """Mitsuba's local frame has +X to the left and +Y up in the image; cam has +X to the right and +Y down."""
@@ -74,38 +81,90 @@ def share_camera(camera: Camera) -> str:
 def _rotation(props: Any) -> np.ndarray:
     """cam from world, float64, from ``rotation`` or ``to_world``."""
     if "rotation" in props:
-        return np.array(props["rotation"], dtype=float)
+        return np.array(props["rotation"], dtype=float).reshape(3, 3)
     if "to_world" in props:
         matrix = np.array(props["to_world"].matrix, dtype=float)[:3, :3]
-        u, _, vt = np.linalg.svd(matrix)
+        u, size, vt = np.linalg.svd(matrix)
+        if not np.allclose(size, 1.0, atol=1e-5):
+            raise ConfigError(f"lens_camera: to_world scales by {size.max():g}; give scene_unit_mm instead")
         return _MITSUBA_FROM_CAM @ (u @ vt).T
     return _MITSUBA_FROM_CAM
 
 
+def _shared_camera(props: Any, width: int, height: int) -> Camera:
+    """The camera of a handle."""
+    handle = str(props["camera"])
+    if handle not in _shared:
+        raise unknown_name("camera handle", handle, _shared)
+    camera = _shared[handle]
+    if (camera.width_px, camera.height_px) != (width, height):
+        raise ConfigError(
+            f"lens_camera: film of {width} x {height} px for a camera of {camera.width_px} x {camera.height_px} px"
+        )
+    if "rotation" in props or ("to_world" in props and not np.allclose(props["to_world"].matrix, _moved(props))):
+        raise ConfigError("lens_camera: a shared camera has an attitude of its own; to_world may only move it")
+    return camera
+
+
+def _moved(props: Any) -> np.ndarray:
+    """The translation of ``to_world`` alone."""
+    matrix = np.eye(4)
+    if "to_world" in props:
+        matrix[:3, 3] = np.array(props["to_world"].matrix, dtype=float)[:3, 3]
+    return matrix
+
+
 def _camera(props: Any, width: int, height: int) -> Camera:
     if "camera" in props:
-        handle = str(props["camera"])
-        if handle not in _shared:
-            raise unknown_name("camera handle", handle, _shared)
-        camera = _shared[handle]
-        if (camera.width_px, camera.height_px) != (width, height):
-            raise ConfigError(
-                f"lens_camera: film of {width} x {height} px for a camera of {camera.width_px} x {camera.height_px} px"
-            )
-        return camera
+        return _shared_camera(props, width, height)
     for name in ("lens", "pixel_pitch_um"):
         if name not in props:
             raise ConfigError(f"lens_camera: property {name!r} is missing")
     pitch_um = float(props["pixel_pitch_um"])
+    if not pitch_um > 0:
+        raise ConfigError(f"lens_camera: pixel_pitch_um = {pitch_um:g} um; it must be positive")
     return Camera(
         lens=load_lens(str(props["lens"])),
         width_px=width,
         height_px=height,
-        pixel_pitch_mm=pitch_um * 1e-3,
+        pixel_pitch_mm=pitch_um * UM_MM,
         defocus_mm=float(props.get("defocus_mm", 0.0)),
         charge_diffusion_px=float(props.get("charge_diffusion_um", 0.0)) / pitch_um,
         rotation_cam_from_world=_rotation(props),
     )
+
+
+def exit_disk(camera: Camera) -> tuple[float, float, float, float]:
+    """Centre and radius (x, y, z, radius) [mm] of a disk through which all light reaches the detector.
+
+    In the frame of the reversed lens: origin on the detector, z towards the lens (`optics.reverse`). It stands at the
+    paraxial exit pupil, or at the last vertex where that is behind the detector or far away, and is sized by real rays
+    from the whole field.
+    """
+    lens, pupil = camera.focused_lens, launch_disk(camera)
+    last = float(lens.image_position_mm[2] - lens.surfaces[-1].position_mm[2])
+    reach = float(lens.image_position_mm[2]) - axial_paraxial(lens, lens.design_wavelength_nm).exit_pupil_z_mm
+    if not 0.2 * last < reach < 1e4 * last:
+        reach = last
+    i = np.arange(EXIT_PUPIL_RAYS)
+    radius, turn = np.sqrt(i / (len(i) - 1)), i * math.pi * (3.0 - math.sqrt(5.0))
+    low, high = lens.wavelength_range_nm
+    rays = Rays.create(
+        x_mm=pupil.x_mm + pupil.radius_mm * radius * np.cos(turn),
+        y_mm=pupil.y_mm + pupil.radius_mm * radius * np.sin(turn),
+        z_mm=pupil.z_mm,
+        direction=light_direction(probe_fields(camera.field_reach_rad))[:, None, None],
+        wavelength_nm=np.clip(lens.design_wavelength_nm * np.array([0.75, 1.0, 1.4]), low, high)[:, None],
+    )
+    arrived = trace(lens, rays)
+    ok = arrived.ok
+    if not ok.any():
+        raise ConvergenceError(f"lens {lens.name!r}: no ray of any field reaches the image plane")
+    back = retraced(lens, Rays(**{f.name: getattr(arrived, f.name)[ok] for f in fields(Rays)}))
+    x, y = (p + d / back.dz * (reach - back.z) for p, d in ((back.x, back.dx), (back.y, back.dy)))
+    centre_x, centre_y = 0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())
+    radius_mm = EXIT_PUPIL_MARGIN * float(np.hypot(x - centre_x, y - centre_y).max())
+    return float(centre_x), float(centre_y), reach, radius_mm
 
 
 def define(mi: Any, dr: Any) -> type:
@@ -122,42 +181,29 @@ def define(mi: Any, dr: Any) -> type:
             self.scene_unit_mm = float(props.get("scene_unit_mm", 1.0))
             self.wavelength_nm = float(props.get("wavelength_nm", self.camera.lens.design_wavelength_nm))
             self.camera.lens.check_wavelength(self.wavelength_nm)
-            transform = np.array(props["to_world"].matrix, dtype=float) if "to_world" in props else np.eye(4)
-            self._position = mi.ScalarVector3d(transform[:3, 3].tolist())
+            self._position = mi.ScalarVector3d(_moved(props)[:3, 3].tolist())
+            exposure_s = float(props.get("shutter_close", 0.0)) - float(props.get("shutter_open", 0.0))
+            self.exposure_s = exposure_s or 1.0
             self._backward: tuple[Any, ...] | None = None
 
-        @property
-        def exposure_s(self) -> float:
-            """Exposure time."""
-            return float(self.shutter_open_time()) or 1.0
-
         def _reverse(self) -> tuple[Any, ...]:
-            """Compiled reversed lens, its parameters, and how far away and how large the disk is that rays aim at."""
+            """Compiled reversed lens, its parameters, and the disk that rays aim at."""
             if self._backward is None:
-                lens = self.camera.focused_lens
-                front = axial_paraxial(lens, self.wavelength_nm)
-                reach = float(lens.image_position_mm[2]) - front.exit_pupil_z_mm
-                radius = abs(front.exit_pupil_radius_mm) * EXIT_PUPIL_MARGIN
-                if not (math.isfinite(reach) and math.isfinite(radius)) or reach <= 0:  # telecentric, or pupil behind
-                    last = lens.surfaces[-1]
-                    reach = float(lens.image_position_mm[2] - last.position_mm[2])
-                    radius = float(last.semi_diameter_mm)
                 xp = DrJitArrays(mi.Float64)
-                program, theta = compile_lens(reverse(lens))
-                self._backward = (program, xp.parameters(theta.tolist()), xp, reach, radius)
+                program, theta = compile_lens(reverse(self.camera.focused_lens))
+                self._backward = (program, xp.parameters(theta.tolist()), xp, exit_disk(self.camera))
             return self._backward
 
-        def _start(self, sample2: Any, sample3: Any, reach: float, radius: float) -> tuple[Any, Any, Any]:
+        def _start(self, sample2: Any, sample3: Any, disk: tuple[float, ...]) -> tuple[Any, Any, Any]:
             """Point on the detector and direction towards the exit pupil in the reversed lens's frame; weight."""
             F, camera = mi.Float64, self.camera
             x0 = (F(sample2.x) * camera.width_px - 0.5 - float(camera.centre_px[0])) * camera.pixel_pitch_mm
             y0 = (float(camera.centre_px[1]) + 0.5 - F(sample2.y) * camera.height_px) * camera.pixel_pitch_mm
             turn = HALF_TURN @ camera.lens.image_rotation
             point = mi.Vector3d(*(float(row[0]) * x0 + float(row[1]) * y0 for row in turn))
-            disk = mi.warp.square_to_uniform_disk_concentric(sample3)
-            # the disk stands upright; its points in the reversed frame (x to the left of the image, y down)
-            aim = mi.Vector3d(F(disk.x) * radius, F(disk.y) * radius, reach)
-            d = aim - point
+            on_disk = mi.warp.square_to_uniform_disk_concentric(sample3)
+            x, y, z, radius = disk
+            d = mi.Vector3d(x + F(on_disk.x) * radius, y + F(on_disk.y) * radius, z) - point
             distance2 = dr.squared_norm(d)
             d = d / dr.sqrt(distance2)
             normal = mi.Vector3d(*(float(v) for v in -turn[:, 2]))
@@ -168,8 +214,8 @@ def define(mi: Any, dr: Any) -> type:
         ) -> tuple[Any, Any]:
             """Ray into the scene through a detector point (``sample2``) and an exit-pupil point (``sample3``)."""
             F = mi.Float64
-            program, theta, xp, reach, radius = self._reverse()
-            point, d, weight = self._start(sample2, sample3, reach, radius)
+            program, theta, xp, disk = self._reverse()
+            point, d, weight = self._start(sample2, sample3, disk)
             wavelengths, spectrum, hero = self._wavelengths(sample1, active)
             zero = dr.zeros(mi.Int32, dr.width(point))
             rays = Rays(

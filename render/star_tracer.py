@@ -18,6 +18,9 @@ from render.tracer import TracedStars, Tracer
 
 __all__ = ["define"]
 
+KEPT = 8
+"""Cameras (with a seed each) whose compiled lens is kept for the next image."""
+
 
 def define(mi: Any, dr: Any, emitter_class: Any, camera_class: Any) -> type:
     """The plugin class for Mitsuba's active variant."""
@@ -51,6 +54,8 @@ def define(mi: Any, dr: Any, emitter_class: Any, camera_class: Any) -> type:
             number = int(dr.slice(seed)) if dr.is_array_v(seed) else int(seed)
             key = (id(camera), number)
             if key not in self._tracers:  # the sensor is kept too, so that its id stays taken
+                while len(self._tracers) >= KEPT:
+                    self._tracers.pop(next(iter(self._tracers)))
                 tracer = Tracer(mi, camera.camera, sobol_log2_rays=self.sobol_log2_rays, sobol_seed=number)
                 self._tracers[key] = (camera, tracer)
             self.traced = self._tracers[key][1].render(fields[0].stars, exposure_s=camera.exposure_s)

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from optics.errors import DomainError
 from optics.lens import LensSystem
-from optics.paraxial import axial_paraxial
 from optics.program import compile_lens
-from optics.pupil import EntrancePupil, entrance_pupil, gauss_disk
-from render.camera import Camera
+from optics.pupil import EntrancePupil, gauss_disk
+from render.camera import Camera, launch_disk
 from render.compose import TruthSums, add_stamps
 from render.pupil_points import PupilPoints, TablePoints
 from render.records import StarField, Truth
@@ -78,15 +77,6 @@ def _open_stop(lens: LensSystem) -> LensSystem:
     return lens.with_surfaces({at: replace(stop, semi_diameter_mm=stop.semi_diameter_mm * (1.0 + 1e-9))})
 
 
-def _launch_disk(camera: Camera) -> EntrancePupil:
-    """Where light enters, for the field of the lens or of the detector, whichever is larger."""
-    lens = camera.focused_lens
-    corners = np.array([[-0.5, -0.5], [camera.width_px - 0.5, camera.height_px - 0.5]]) - camera.centre_px
-    radius_mm = np.hypot(*np.abs(corners).max(0)) * camera.pixel_pitch_mm
-    focal_mm = abs(axial_paraxial(lens, lens.design_wavelength_nm).efl_mm)
-    return entrance_pupil(lens, max_field_deg=max(lens.max_field_deg, math.degrees(math.atan2(radius_mm, focal_mm))))
-
-
 class Tracer:
     """Renders star fields through one camera; holds what can be reused between fields.
 
@@ -126,7 +116,7 @@ class Tracer:
         self.mi, self.camera, self.tolerance = mi, camera, tolerance
         self.sobol_log2_rays, self.sobol_seed = sobol_log2_rays, sobol_seed
         lens = camera.focused_lens
-        self.pupil: EntrancePupil = _launch_disk(camera)
+        self.pupil: EntrancePupil = launch_disk(camera)
         self.program, self.theta = compile_lens(_open_stop(lens) if self.pupil.exact else lens, general=general)
         self._plans: dict[Any, PupilPlan | None] = {}
 
