@@ -73,11 +73,11 @@ class Truth:
     Attributes
     ----------
     chief_x_px, chief_y_px : (n, b)
-        Ray through the centre of the entrance pupil at the band's mean wavelength.
+        Ray through the centre of the aperture stop, at the mean of the band's wavelength nodes.
     bundle_x_px, bundle_y_px : (n, b)
         Photon-weighted mean of all traced rays that reach the image plane.
     photon_x_px, photon_y_px : (n, b)
-        Centroid of the noiseless light on the detector, after charge diffusion, integrated over cells of a fraction of
+        Centroid of the noiseless light on the detector, after charge diffusion, integrated over strips of a fraction of
         a pixel, before the edge of the detector cuts it. A moment over whole pixels carries the sampling bias of its
         pixel grid (up to a few 1e-3 px for sharp spots), which is a property of an estimator and not of the light.
     electrons_in : (n, b)

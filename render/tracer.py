@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optics.errors import DomainError
+from optics.chief import chief_ray_points
+from optics.errors import ConvergenceError, DomainError
+from optics.frames import field_angles_deg
 from optics.lens import LensSystem
 from optics.program import compile_lens
 from optics.pupil import EntrancePupil, gauss_disk
@@ -75,6 +77,21 @@ def _open_stop(lens: LensSystem) -> LensSystem:
     at = lens.stop_index
     stop = lens.surfaces[at]
     return lens.with_surfaces({at: replace(stop, semi_diameter_mm=stop.semi_diameter_mm * (1.0 + 1e-9))})
+
+
+def _aimed(lens: LensSystem, direction: FloatArray, wavelength_nm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Chief rays (n, b) [mm] of a stop inside the lens; NaN for stars whose chief ray does not get through."""
+    try:
+        field_x, field_y = field_angles_deg(direction[:, None, :])
+        with np.errstate(all="ignore"):
+            return chief_ray_points(lens, field_x, field_y, wavelength_nm)
+    except (ConvergenceError, DomainError):  # not converged, or gone astray
+        n = len(direction)
+        if n == 1:
+            lost = np.full((1, len(wavelength_nm)), np.nan)
+            return lost, lost
+        halves = [_aimed(lens, part, wavelength_nm) for part in (direction[: n // 2], direction[n // 2 :])]
+        return np.concatenate([x for x, _ in halves]), np.concatenate([y for _, y in halves])
 
 
 class Tracer:
@@ -169,7 +186,7 @@ class Tracer:
             plan = sobol_plan(nodes, self.sobol_seed, self.sobol_log2_rays)
             self._trace_group(kernel, plan, rest, light, bounds, image, sums)
             sampling["sobol"] = (len(rest), plan.rays_per_node * nodes)
-        self._chief(kernel, light.wavelength_nm, sums)
+        self._chief(kernel, light.wavelength_nm, direction, sums)
         return sums, sampling
 
     def bundle_means(self, stars: StarField, *, rings: int = 6, arms: int = 14) -> FloatArray:
@@ -394,10 +411,13 @@ class Tracer:
                 f"{STAMP_LIMIT_PX} px can be rendered; check the focus (defocus_mm = {self.camera.defocus_mm:g} mm)"
             )
 
-    @staticmethod
-    def _chief(kernel: StarKernel, wavelength_nm: FloatArray, sums: TruthSums) -> None:
-        """Chief rays at the mean of each band's nodes."""
-        centre = TablePoints(np.zeros((1, 1, 2)), np.ones(1))
-        x, y, ok = kernel.land(centre, wavelength_nm.mean(1, keepdims=True))
-        sums.chief_x[...] = np.where(ok, x, np.nan)[..., 0, 0]
-        sums.chief_y[...] = np.where(ok, y, np.nan)[..., 0, 0]
+    def _chief(self, kernel: StarKernel, wavelength_nm: FloatArray, direction: FloatArray, sums: TruthSums) -> None:
+        """Chief rays, through the centre of the stop, at the mean of each band's nodes."""
+        mean = wavelength_nm.mean(1)
+        if self.pupil.exact:
+            x, y, ok = kernel.land(TablePoints(np.zeros((1, 1, 2)), np.ones(1)), mean[:, None])
+            sums.chief_x[...] = np.where(ok, x, np.nan)[..., 0, 0]
+            sums.chief_y[...] = np.where(ok, y, np.nan)[..., 0, 0]
+        else:
+            x, y = _aimed(self.camera.focused_lens, direction, mean)
+            sums.chief_x[...], sums.chief_y[...] = self.camera.to_pixel(x, y)
