@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from experiments.cli import command
 from experiments.config import ExperimentConfig, StrictModel
@@ -25,6 +25,7 @@ from experiments.summary import Criterion
 
 if TYPE_CHECKING:
     from experiments.chromatic_evaluate import Evaluation
+    from experiments.chromatic_measure import Bench
     from experiments.chromatic_model import Solution
     from experiments.chromatic_stars import StellarShift
     from experiments.instrument import Instrument
@@ -45,13 +46,20 @@ class FilterConfig(StrictModel):
     width_nm: float = Field(default=100.0, gt=0, le=400, description="full width at half maximum")
     edge_nm: float = Field(default=10.0, ge=0, le=100, description="length of each edge, 0 to 100 %")
 
-    @model_validator(mode="after")
-    def _reference(self) -> FilterConfig:
-        if self.reference_nm not in self.centres_nm:
-            raise ValueError(f"reference_nm = {self.reference_nm:g} nm is none of centres_nm = {list(self.centres_nm)}")
-        if len(set(self.centres_nm)) != len(self.centres_nm):
-            raise ValueError(f"centres_nm = {list(self.centres_nm)}: a centre is given twice")
-        return self
+    @field_validator("centres_nm")
+    @classmethod
+    def _different(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        if len({f"{value:g}" for value in values}) != len(values):
+            raise ValueError("a centre is given twice")
+        return values
+
+    @field_validator("reference_nm")
+    @classmethod
+    def _one_of_them(cls, value: float, info: ValidationInfo) -> float:
+        centres = info.data.get("centres_nm")  # absent if it is wrong itself, which is said then
+        if centres is not None and value not in centres:
+            raise ValueError(f"it is none of centres_nm = {list(centres)}")
+        return value
 
 
 class DecentreConfig(StrictModel):
@@ -83,9 +91,20 @@ class Config(ExperimentConfig):
     stars: StarsConfig = StarsConfig()
 
     @model_validator(mode="after")
-    def _odd(self) -> Config:
-        if self.window_px % 2 == 0:
-            raise ValueError(f"window_px = {self.window_px}: an odd number is needed")
+    def _windows(self) -> Config:
+        size, target = self.window_px, self.target
+        if size % 2 == 0:
+            raise ValueError(f"window_px = {size}: an odd number is needed")
+        if target.rows * target.columns > 1 and target.pitch_px < size:
+            raise ValueError(
+                f"target.pitch_px = {target.pitch_px:g} px: at least window_px = {size} px is needed, or "
+                "one window holds two points"
+            )
+        if target.edge_px < size // 2 + 1:
+            raise ValueError(
+                f"target.edge_px = {target.edge_px:g} px: at least {size // 2 + 1} px is needed, or windows of "
+                f"window_px = {size} px leave the detector"
+            )
         return self
 
 
@@ -111,6 +130,8 @@ class Result:
         The one that was rendered.
     stellar : StellarShift
         Stars through the full pass band.
+    field_shift_px : dict of str to (g, 2)
+        Shifts between the filters at the stars' places, by ray trace.
     star_e : float
         Electrons of a V = 7.5 star of the reference temperature through the full pass band.
     runtime_s, peak_memory_mb : float
@@ -126,6 +147,7 @@ class Result:
     solutions: Sequence[Solution]
     chosen: Solution
     stellar: StellarShift
+    field_shift_px: Mapping[str, FloatArray]
     star_e: float
     runtime_s: float
     peak_memory_mb: float
@@ -150,32 +172,73 @@ def run(config: Config, *, progress: Progress) -> Result:
     import mitsuba as mi
 
     from experiments.chromatic_evaluate import evaluate
-    from experiments.chromatic_measure import Bench, measure
-    from experiments.chromatic_model import band_pairs, paraxial_prediction, perturbed, solve_perturbation
+    from experiments.chromatic_measure import measure
+    from experiments.chromatic_model import bundle_prediction, paraxial_prediction, perturbed, shifts
     from experiments.chromatic_stars import electrons_of_star, stellar_shift
     from experiments.instrument import build_instrument
     from experiments.provenance import peak_memory_mb, process_seconds
-    from experiments.target import CORNERS
-    from optics.band import TopHat
-    from optics.errors import unknown_name
-    from optics.spectrum import Blackbody
+    from experiments.target import CORNERS, corner_directions
     from render.random import Streams
 
     backend = str(mi.variant()).split("_")[0]
     instrument = build_instrument(config.instrument)
-    centres, reference = config.filters.centres_nm, config.filters.centres_nm.index(config.filters.reference_nm)
-    pairs = band_pairs(centres, reference)
-    if config.decentre.pair not in [name for name, _, _ in pairs]:
-        raise unknown_name("pair of bands", config.decentre.pair, [name for name, _, _ in pairs])
-    lens = instrument.camera.lens
-    if config.decentre.element != "auto":
-        lens.indices_of(config.decentre.element)
+    bench, pairs = _prepare(config, instrument)
+    direction = corner_directions(config.target, instrument)
+    paraxial_px = paraxial_prediction(bench, instrument, direction)
+    solutions = _solve(mi, config, bench, instrument, direction, progress)
+    chosen = _choose(config, bench, solutions)
+    amount = chosen.amount / (1e3 if chosen.kind == "decentre" else 60.0)
+    axis = "xy".index(config.decentre.axis)
+    moved = build_instrument(
+        config.instrument, perturbed(instrument.camera.lens, chosen.element, chosen.kind, axis, amount)
+    )
+    streams = Streams(config.seed).child("chromatic")
+    found = {}
+    for label, stage_label, one in (("centred", "centred lens", instrument), ("moved", "moved element", moved)):
+        with progress.stage(stage_label, total=len(CORNERS)) as stage:
+            measured = measure(mi, bench, one, streams.child(label), backend=backend, advance=stage.advance)
+        found[label] = evaluate(bench, one, measured, pairs)
+    with progress.stage("stars"):
+        stellar = stellar_shift(config.stars, instrument)
+        field_shift = shifts(bundle_prediction(bench, instrument, stellar.direction[None]), pairs)
+        star_e = electrons_of_star(config.stars, instrument, magnitude=7.5, temperature_k=config.stars.reference_k)
+    return Result(
+        config=config,
+        instrument=instrument,
+        pairs=pairs,
+        centred=found["centred"],
+        moved=found["moved"],
+        paraxial_px=paraxial_px,
+        solutions=solutions,
+        chosen=chosen,
+        stellar=stellar,
+        field_shift_px={name: shift[0] for name, shift in field_shift.items()},
+        star_e=star_e,
+        runtime_s=process_seconds(),
+        peak_memory_mb=peak_memory_mb(),
+    )
+
+
+def _prepare(config: Config, instrument: Instrument) -> tuple[Bench, Sequence[tuple[str, int, int]]]:
+    """The laboratory and the pairs of bands; whatever can be refused without rendering is refused here."""
+    from experiments.chromatic_checks import check_light, check_wavelengths
+    from experiments.chromatic_measure import Bench
+    from experiments.chromatic_model import band_pairs
+    from experiments.chromatic_stars import passband
+    from experiments.target import corner_directions
+    from optics.band import TopHat
+    from optics.errors import unknown_name
+    from optics.spectrum import Blackbody
+
+    filters = config.filters
+    reference = filters.centres_nm.index(filters.reference_nm)
+    pairs = band_pairs(filters.centres_nm, reference)
     bench = Bench(
         target=config.target,
         lamp=Blackbody(temperature_k=config.lamp_k),
         filters=[
-            TopHat(centre_nm=c, width_nm=config.filters.width_nm, edge_nm=config.filters.edge_nm, name=f"{c:g} nm")
-            for c in centres
+            TopHat(centre_nm=c, width_nm=filters.width_nm, edge_nm=filters.edge_nm, name=f"{c:g} nm")
+            for c in filters.centres_nm
         ],
         reference=reference,
         signal_e=config.signal_e,
@@ -184,66 +247,61 @@ def run(config: Config, *, progress: Progress) -> Result:
         window_px=config.window_px,
         methods=tuple(dict.fromkeys((config.centroid, *config.compare))),
     )
-    streams = Streams(config.seed).child("chromatic")
-    with progress.stage("centred lens", total=len(CORNERS)) as stage:
-        measured = measure(mi, bench, instrument, streams.child("centred"), backend=backend, advance=stage.advance)
-    centred = evaluate(bench, instrument, measured, pairs)
-    axis = "xy".index(config.decentre.axis)
-    moves = [(element, kind) for kind in ("decentre", "tilt") for element in lens.elements]
-    solutions = [
+    bands = [("filters.centres_nm", band) for band in bench.filters]
+    check_wavelengths(instrument, [*bands, ("stars.passband_nm", passband(config.stars))])
+    if config.decentre.pair not in [name for name, _, _ in pairs]:
+        raise unknown_name("decentre.pair", config.decentre.pair, [name for name, _, _ in pairs])
+    if config.decentre.element != "auto":
+        instrument.camera.lens.indices_of(config.decentre.element)
+    check_light(bench, instrument, corner_directions(config.target, instrument))
+    return bench, pairs
+
+
+def _solve(
+    mi: Any, config: Config, bench: Bench, instrument: Instrument, direction: FloatArray, progress: Progress
+) -> list[Solution]:
+    """The movement of every element, decentre and tilt, that gives the published number."""
+    from experiments.chromatic_model import solve_perturbation
+
+    moves = [(element, kind) for kind in ("decentre", "tilt") for element in instrument.camera.lens.elements]
+    return [
         solve_perturbation(
             mi,
             bench,
             instrument,
-            measured.direction,
+            direction,
             element=element,
             kind=kind,
             pair=config.decentre.pair,
-            axis=axis,
+            axis="xy".index(config.decentre.axis),
             wanted_px=config.decentre.wanted_px,
         )
         for element, kind in progress.track(moves, "which element")
     ]
-    chosen = _choose(config, solutions)
-    amount = chosen.amount / (1e3 if chosen.kind == "decentre" else 60.0)
-    moved_lens = perturbed(lens, chosen.element, chosen.kind, axis, amount)
-    moved_instrument = build_instrument(config.instrument, moved_lens)
-    with progress.stage("moved element", total=len(CORNERS)) as stage:
-        again = measure(mi, bench, moved_instrument, streams.child("moved"), backend=backend, advance=stage.advance)
-    with progress.stage("stars"):
-        stellar = stellar_shift(config.stars, instrument)
-        star_e = electrons_of_star(config.stars, instrument, magnitude=7.5, temperature_k=config.stars.reference_k)
-    return Result(
-        config=config,
-        instrument=instrument,
-        pairs=pairs,
-        centred=centred,
-        moved=evaluate(bench, moved_instrument, again, pairs),
-        paraxial_px=paraxial_prediction(bench, instrument, measured.direction),
-        solutions=solutions,
-        chosen=chosen,
-        stellar=stellar,
-        star_e=star_e,
-        runtime_s=process_seconds(),
-        peak_memory_mb=peak_memory_mb(),
-    )
 
 
-def _choose(config: Config, solutions: Sequence[Solution]) -> Solution:
+def _choose(config: Config, bench: Bench, solutions: Sequence[Solution]) -> Solution:
     """The configured element, or the one whose movement of the wanted kind is smallest."""
+    from experiments.chromatic_checks import check_motion
     from optics.errors import ConvergenceError
 
+    wanted = config.decentre
     able = [
         s
         for s in solutions
-        if s.kind == config.decentre.kind and config.decentre.element in ("auto", s.element) and np.isfinite(s.amount)
+        if s.kind == wanted.kind and wanted.element in ("auto", s.element) and np.isfinite(s.amount)
     ]
     if not able:
+        who = "any element" if wanted.element == "auto" else f"element {wanted.element}"
+        reach = "3 mm" if wanted.kind == "decentre" else "3 deg"
         raise ConvergenceError(
-            f"no {config.decentre.kind} of element {config.decentre.element!r} up to 3 mm or 3 deg gives a mean shift "
-            f"of {config.decentre.wanted_px:g} px; choose another element or a smaller decentre.wanted_px"
+            f"no {wanted.kind} of {who} up to {reach} gives a mean shift of decentre.wanted_px = "
+            f"{wanted.wanted_px:g} px in {wanted.pair}, {wanted.axis}; lower it, or choose another "
+            "decentre.element or decentre.kind"
         )
-    return min(able, key=lambda s: abs(s.amount))
+    chosen = min(able, key=lambda s: abs(s.amount))
+    check_motion(bench, chosen, wanted.wanted_px)
+    return chosen
 
 
 def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:

@@ -40,8 +40,8 @@ class Evaluation:
         Eq. 16 of each, with the standard deviation of the measured.
     method_table1_px : dict of str to dict of str to (2,)
         Eq. 16 by every centroider.
-    residual_px : dict of str to dict of str to float
-        RMS length of the shift as found and after calibration of the band.
+    residual_px, photon_residual_px : dict of str to dict of str to float
+        RMS length of the shift as found and after calibration of the band: of the measured, of the noiseless light.
     chi2 : float
         Mean of ((measured - photon) / sigma)^2 over all points, pairs and axes; ``chi2_n`` of them.
     truth_bias_px : (2,)
@@ -61,6 +61,7 @@ class Evaluation:
     predicted_table1_px: Mapping[str, FloatArray]
     method_table1_px: Mapping[str, Mapping[str, FloatArray]]
     residual_px: Mapping[str, Mapping[str, float]]
+    photon_residual_px: Mapping[str, Mapping[str, float]]
     chi2: float
     chi2_n: int
     truth_bias_px: tuple[float, float]
@@ -85,10 +86,6 @@ def evaluate(
         count = temporal.shape[0] * temporal.shape[1]
         sigma_table[name] = np.sqrt(temporal.sum((0, 1)) / (2 * count) ** 2 + (table1(pattern[name]) ** 2).mean(0))
     place = measured.nominal_px - instrument.camera.centre_px
-    residual = {
-        name: {step: float(np.linalg.norm(rms(left))) for step, left in after_calibration(found[name], place).items()}
-        for name, _, _ in pairs
-    }
     pulls = np.stack([(found[n] - photon[n]) / sigma[n] for n, _, _ in pairs])
     distance = np.linalg.norm(mean - measured.photon_px, axis=-1)
     return Evaluation(
@@ -106,11 +103,20 @@ def evaluate(
         method_table1_px={
             m: {n: table1(v) for n, v in shifts(measured.mean_px[m], pairs).items()} for m in bench.methods
         },
-        residual_px=residual,
+        residual_px=_residuals(found, place),
+        photon_residual_px=_residuals(photon, place),
         chi2=float((pulls**2).mean()),
         chi2_n=int(pulls.size),
         truth_bias_px=(float(distance.max()), float(np.sqrt((distance**2).mean()))),
     )
+
+
+def _residuals(shift_px: Mapping[str, FloatArray], place_px: FloatArray) -> dict[str, dict[str, float]]:
+    """RMS length of the shifts of each pair, as found and after each calibration."""
+    return {
+        name: {step: float(np.linalg.norm(rms(left))) for step, left in after_calibration(shift, place_px).items()}
+        for name, shift in shift_px.items()
+    }
 
 
 def lsfe_arcsec(result: Result, evaluation: Evaluation) -> tuple[Measured, Measured]:
@@ -126,11 +132,11 @@ def lsfe_arcsec(result: Result, evaluation: Evaluation) -> tuple[Measured, Measu
 
 
 def rule_of_third(result: Result) -> dict[str, float]:
-    """A third of the halved filter shift of a point [px], read in two ways: RMS and largest."""
-    longest = [np.linalg.norm(shift, axis=-1) for shift in result.centred.photon_shift_px.values()]
+    """A third of the halved filter shift of a point [px], RMS and largest over the same places where the stars are."""
+    length = [np.linalg.norm(shift, axis=-1) for shift in result.field_shift_px.values()]
     return {
-        "one third of half the RMS filter shift": float(max(np.sqrt((v**2).mean()) for v in longest) / 6.0),
-        "one third of half the largest filter shift": float(max(v.max() for v in longest) / 6.0),
+        "one third of half the RMS filter shift": float(max(np.sqrt((v**2).mean()) for v in length) / 6.0),
+        "one third of half the largest filter shift": float(max(v.max() for v in length) / 6.0),
     }
 
 
@@ -214,6 +220,9 @@ def _evaluation_summary(result: Result, evaluation: Evaluation) -> dict[str, Any
         "residual_after_calibration_px": {
             n: {k.replace(" ", "_"): v for k, v in steps.items()} for n, steps in evaluation.residual_px.items()
         },
+        "photon_residual_after_calibration_px": {
+            n: {k.replace(" ", "_"): v for k, v in steps.items()} for n, steps in evaluation.photon_residual_px.items()
+        },
         "truth_bias_px": {"max": evaluation.truth_bias_px[0], "rms": evaluation.truth_bias_px[1]},
         "mean_squared_pull": evaluation.chi2,
     }
@@ -233,6 +242,7 @@ def results(result: Result) -> dict[str, Any]:
             "temperature_k": result.stellar.temperature_k,
             "rms_shift_px": result.stellar.rms_px,
             "max_shift_px": result.stellar.max_px,
+            "most_different_rms_px": result.stellar.most_different_rms_px,
             "one_third_rule_px": {k.replace(" ", "_"): v for k, v in rule_of_third(result).items()},
         },
         "decentre_solution": {

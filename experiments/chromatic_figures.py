@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = [
     "arrow_map",
     "arrow_panels",
-    "calibration_bars",
+    "calibration_dots",
     "element_bars",
     "fig7",
     "spot_gallery",
@@ -161,31 +161,31 @@ def fig7(result: Result, evaluation: Evaluation) -> Figure:
                 axis.axvline(edge - 0.5, color="#d6dade", linewidth=0.7)
             axis.set_title(f"{name} nm, {'XY'[direction]}")
     for axis in np.atleast_2d(axes)[-1]:
-        axis.set_xlabel("target point (four positions of 25)")
+        axis.set_xlabel(f"target point (four positions of {count})")
     for axis in np.atleast_2d(axes)[:, 0]:
         axis.set_ylabel("shift [px]")
-    np.atleast_2d(axes)[0, 1].legend(loc="upper right", ncols=3, fontsize=7)
+    corner = np.atleast_2d(axes)[0, 1]
+    corner.margins(y=0.25)
+    corner.legend(loc="upper right", ncols=3, fontsize=7)
     return figure
 
 
-def calibration_bars(result: Result) -> Figure:
+def calibration_dots(result: Result) -> Figure:
     """RMS shift as found and with band-dependent camera parameters, centred and moved."""
     figure, axes = new_figure(1, 2, aspect_ratio=0.36, sharey=True)
     for axis, evaluation, title in zip(
         axes, (result.centred, result.moved), ("centred lens", "element moved"), strict=True
     ):
-        for k, (name, steps) in enumerate(evaluation.residual_px.items()):
-            axis.bar(
-                np.arange(len(steps)) + 0.36 * (k - 0.5),
-                list(steps.values()),
-                0.34,
-                color=PALETTE[k],
-                label=f"{name} nm",
-            )
+        width = 0.72 / len(evaluation.residual_px)
+        for k, ((name, steps), colour) in enumerate(zip(evaluation.residual_px.items(), PALETTE, strict=False)):
+            place = np.arange(len(steps)) + width * (k - (len(evaluation.residual_px) - 1) / 2)
+            axis.plot(place, list(steps.values()), MARKERS[0], color=colour, label=f"{name} nm")
+            light = list(evaluation.photon_residual_px[name].values())
+            axis.plot(place, light, "_", color=colour, markersize=13, label="noiseless light" if k == 0 else None)
         axis.set_xticks(np.arange(len(steps)), [s.replace(" ", "\n") for s in steps])
         axis.set_title(title)
         axis.grid(visible=False, axis="x")
-    axes[0].set(ylabel="RMS shift [px]", yscale="log")
+    axes[0].set(ylabel="RMS shift [px]", ylim=(0, None))
     axes[0].legend()
     return figure
 

@@ -18,9 +18,10 @@ from calib.records import NoiseModel, Stamps, StarTable
 from calib.stamps import stamps_from_windows
 from experiments.instrument import Instrument
 from experiments.settings import TargetConfig
-from experiments.target import CORNERS, corner_centres, target_directions
+from experiments.target import CORNERS, corner_directions
 from optics.band import Band, band_nodes
 from optics.errors import DomainError
+from optics.pupil import entrance_pupil
 from optics.spectrum import Sed
 from render.forward import StarRenderer
 from render.psf import epsf_tracer, render_epsf
@@ -128,8 +129,6 @@ def target_field(bench: Bench, instrument: Instrument, direction: FloatArray) ->
     nodes = band_nodes(bench.filters, NODES)
     shape = nodes.weight_nm * nodes.transmission * bench.lamp.photon_density(nodes.wavelength_nm)
     camera = instrument.camera
-    from optics.pupil import entrance_pupil
-
     area = entrance_pupil(camera.lens).area_mm2 * instrument.config.exposure_s
     collected = (shape * camera.response_at(nodes.wavelength_nm)).sum(1) * area
     rate = (bench.signal_e / collected)[None, :, None] * shape[None] / direction[:, 2][:, None, None]
@@ -161,11 +160,10 @@ def measure(
     """
     camera = instrument.camera
     renderer, tracer = StarRenderer(camera, exposure_s=instrument.config.exposure_s), epsf_tracer(mi, camera)
-    centres = corner_centres(bench.target, camera.width_px, camera.height_px)
     first: ExpectedImage | None = None
     parts: list[_Position] = []
-    for place, centre in zip(CORNERS, centres, strict=True):
-        stars = target_field(bench, instrument, target_directions(bench.target, instrument, centre))
+    for place, direction in zip(CORNERS, corner_directions(bench.target, instrument), strict=True):
+        stars = target_field(bench, instrument, direction)
         expected = renderer.render(stars)
         first = first or expected
         parts.append(
@@ -291,14 +289,15 @@ class _Readout:
         bench, detector = self.bench, self.instrument.detector
         centroiders = {m: get_centroider(m, **({"epsf": epsf} if m == "epsf" else {})) for m in bench.methods}
         averages = {m: _average(c.measure(stamps, noise), bench.frames) for m, c in centroiders.items()}
-        rounding_e = np.sqrt(1.0 / 12.0) / detector.gain_dn_per_e
+        config, rounding_e = self.instrument.config, np.sqrt(1.0 / 12.0) / detector.gain_dn_per_e
+        thermal_e = detector.dark_current_e_per_s * detector.dark_factor(config.chip_temperature_c) * config.exposure_s
         pattern = _pattern_effect(
             centroiders[bench.methods[0]],
             stamps,
             noise,
             light_e,
             prnu=detector.prnu,
-            dark_e=float(np.hypot(detector.read_noise_e, rounding_e) / np.sqrt(bench.dark_frames)),
+            dark_e=float(np.sqrt((detector.read_noise_e**2 + rounding_e**2 + thermal_e) / bench.dark_frames)),
             rng=self.streams.generator("predicted pattern"),  # the same patterns for every filter
         )
         mean, sigma = {m: a[0] for m, a in averages.items()}, {m: a[1] for m, a in averages.items()}
@@ -322,9 +321,8 @@ class _Readout:
             source=f"target {place}",
         )
         table = detect(image, estimate_background(image))
-        signal = f"raise signal_e ({self.bench.signal_e:g} e-)"
         if not len(table):
-            raise DomainError(f"no target point was detected at the {place} position; {signal}")
+            raise self._unseen("no target point was detected")
         position = np.column_stack([table.x_px, table.y_px]) + low
         # the lens may displace the whole image (a moved element): estimate that first, then look close by
         offset = position[:, None] - nominal[None]
@@ -333,10 +331,21 @@ class _Readout:
         nearest = distance.argmin(0)
         missing = distance[nearest, np.arange(len(nominal))] > MATCH_PX
         if missing.any():
+            raise self._unseen(f"target points not detected: {int(missing.sum())} of {len(nominal)}")
+        if len(np.unique(nearest)) < len(nearest):
             raise DomainError(
-                f"{int(missing.sum())} of {len(nominal)} target points were not detected at the {place} position; {signal}"
+                f"target points at the {place} position run into each other: two of them are one detection; raise "
+                f"target.pitch_px ({self.bench.target.pitch_px:g} px)"
             )
         return position[nearest]
+
+    def _unseen(self, what: str) -> DomainError:
+        set_up = self.instrument.config
+        return DomainError(
+            f"{what} at the {self.place} position; raise signal_e ({self.bench.signal_e:g} e-), come nearer to focus "
+            f"(instrument.defocus_mm = {set_up.defocus_mm:g} mm), or lower the dark current "
+            f"({set_up.exposure_s:g} s at {set_up.chip_temperature_c:g} C)"
+        )
 
 
 def _common_shift(offset: FloatArray) -> FloatArray:

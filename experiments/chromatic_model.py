@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -29,6 +29,7 @@ __all__ = [
     "after_calibration",
     "band_pairs",
     "bundle_prediction",
+    "expected_spots",
     "paraxial_prediction",
     "perturbed",
     "rms",
@@ -109,35 +110,45 @@ def _shares(bench: Bench, instrument: Instrument) -> tuple[FloatArray, FloatArra
     return nodes.wavelength_nm, light / light.sum(1, keepdims=True)
 
 
-def bundle_prediction(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
-    """Photon-weighted bundle means (p, j, b, 2) [px] by the NumPy trace, without renderer, image or noise."""
+def expected_spots(bench: Bench, instrument: Instrument, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean (p, j, b, 2) and RMS radius (p, j, b) of the photon-weighted ray bundles [px], by the NumPy trace alone.
+
+    Neither renderer nor image nor noise takes part; NaN where no ray arrives.
+    """
     camera = instrument.camera
     wavelength, share = _shares(bench, instrument)
     field_x, field_y = field_angles_deg(direction.reshape(-1, 3))
     spot = spot_moments(camera.focused_lens, field_x, field_y, wavelength.ravel(), samples=gauss_disk(5, 12))
-    x, y = ((v.reshape(-1, *share.shape) * share).sum(2) for v in (spot.x_mm, spot.y_mm))
-    return np.stack(camera.to_pixel(x, y), axis=-1).reshape(*direction.shape[:2], len(share), 2)
+    x, y, second = (v.reshape(-1, *share.shape) for v in (spot.x_mm, spot.y_mm, spot.xx_mm2 + spot.yy_mm2))
+    mean_x, mean_y = ((v * share).sum(2) for v in (x, y))
+    apart = (x - mean_x[..., None]) ** 2 + (y - mean_y[..., None]) ** 2
+    radius = np.sqrt(((second + apart) * share).sum(2)) / camera.pixel_pitch_mm
+    shape = (*direction.shape[:2], len(share))
+    return np.stack(camera.to_pixel(mean_x, mean_y), axis=-1).reshape(*shape, 2), radius.reshape(shape)
+
+
+def bundle_prediction(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
+    """Photon-weighted bundle means (p, j, b, 2) [px] by the NumPy trace, without renderer, image or noise."""
+    return expected_spots(bench, instrument, direction)[0]
 
 
 def paraxial_prediction(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
-    """Positions (p, j, b, 2) [px] relative to the reference band by paraxial lateral colour of the centred lens."""
+    """Positions (p, j, b, 2) [px] relative to the reference band by paraxial lateral colour of the centred lens.
+
+    The chief ray's height is averaged over the light of each band: over 100 nm it is far from linear in wavelength.
+    """
     camera = instrument.camera
     wavelength, share = _shares(bench, instrument)
-    mean = (wavelength * share).sum(1)
-    flat = direction.reshape(-1, 3)
-    off_axis = np.hypot(flat[:, 0], flat[:, 1])
-    unit = flat[:, :2] / np.maximum(off_axis, 1e-300)[:, None]
-    field = np.degrees(np.arctan2(off_axis, flat[:, 2]))
+    tangent = direction.reshape(-1, 3)[:, :2] / direction.reshape(-1, 3)[:, 2:]
     # the paraxial chief ray is linear in the tangent of the field
-    per_tangent = lateral_colour_mm(camera.focused_lens, 1.0, mean, float(mean[bench.reference])) / np.tan(
-        np.radians(1.0)
-    )
-    radial = np.tan(np.radians(field))[:, None] * np.asarray(per_tangent)[None] / camera.pixel_pitch_mm
-    return (unit[:, None, :] * radial[..., None]).reshape(*direction.shape[:2], len(mean), 2)
+    height_mm = lateral_colour_mm(camera.focused_lens, 1.0, wavelength) / np.tan(np.radians(1.0))
+    per_tangent = (height_mm * share).sum(1)
+    per_tangent = (per_tangent - per_tangent[bench.reference]) / camera.pixel_pitch_mm
+    return (tangent[:, None, :] * per_tangent[:, None]).reshape(*direction.shape[:2], len(share), 2)
 
 
 def perturbed(lens: LensSystem, element: str, kind: str, axis: int, amount: float) -> LensSystem:
-    """The lens with one element moved: ``decentre`` [mm] along x or y, or ``tilt`` [deg] that shifts along x or y."""
+    """The lens with one element moved: ``decentre`` [mm] along x or y, ``tilt`` [deg] in the plane of x or y and z."""
     if kind == "decentre":
         return decentre(lens, element, *((amount, 0.0) if axis == 0 else (0.0, amount)))
     return tilt(lens, element, *((0.0, amount) if axis == 0 else (amount, 0.0)))
@@ -201,9 +212,10 @@ def solve_perturbation(
     direction : (p, j, 3)
         Target points.
     element, kind : str
-        What moves: ``decentre`` (up to 3 mm) or ``tilt`` about the element's own vertex (up to 3 deg).
+        What moves: ``decentre`` (up to 3 mm) or ``tilt`` about the element's own first vertex (up to 3 deg).
     pair, axis : str, int
-        Which entry of Table 1.
+        Which entry of Table 1. Amounts count in the lens frame: a decentre along +x (increasing column) or +y
+        (decreasing row); a tilt as rotation vector along +y for axis x, along +x for axis y.
     wanted_px : float
         Its value.
 
@@ -237,18 +249,22 @@ def solve_perturbation(
     )
 
 
-def _root(excess: Any, limit: float) -> float:
-    """Root of smallest size: the statistic is nearly linear in the movement, so its slope at zero brackets it."""
+def _root(excess: Callable[[float], float], limit: float) -> float:
+    """Root nearest to zero within +-limit; NaN if there is none.
+
+    The statistic is nearly linear in the movement, so its slope at zero tells where to look.
+    """
     step = limit * 1e-2
     slope = (excess(step) - excess(-step)) / (2 * step)
     guess = -excess(0.0) / slope if slope != 0.0 else np.inf
-    if not abs(guess) < 0.8 * limit:
+    if not abs(guess) < 1.5 * limit:
         return float("nan")
-    low, high = sorted((0.7 * guess, 1.3 * guess))
-    if excess(low) * excess(high) > 0:
-        low, high = sorted((0.2 * guess, 1.25 * limit * np.sign(guess)))
-        if excess(low) * excess(high) > 0:
-            return float("nan")
+    for margin in (0.3 * abs(guess) + 0.1 * step, limit):
+        low, high = max(guess - margin, -limit), min(guess + margin, limit)
+        if low < high and excess(low) * excess(high) <= 0:
+            break
+    else:
+        return float("nan")
     root, state = brentq(excess, low, high, xtol=limit * 1e-6, full_output=True)
     if not state.converged:
         raise ConvergenceError(

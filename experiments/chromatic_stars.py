@@ -17,7 +17,7 @@ from optics.spectrum import Blackbody
 from render.forward import StarRenderer
 from render.records import StarField
 
-__all__ = ["StellarShift", "electrons_of_star", "stellar_shift"]
+__all__ = ["StellarShift", "electrons_of_star", "passband", "stellar_shift"]
 
 FloatArray = NDArray[np.float64]
 
@@ -32,6 +32,8 @@ class StellarShift:
     ----------
     temperature_k : (t,)
         Effective temperatures.
+    direction : (g, 3)
+        Field points, unit vectors in cam.
     position_px : (g, 2)
         Field points (photon centroid of the reference star).
     shift_px : (t, g, 2)
@@ -39,6 +41,7 @@ class StellarShift:
     """
 
     temperature_k: FloatArray
+    direction: FloatArray
     position_px: FloatArray
     shift_px: FloatArray
 
@@ -51,6 +54,12 @@ class StellarShift:
     def max_px(self) -> FloatArray:
         """Largest shift over the field, per temperature."""
         return np.asarray(np.linalg.norm(self.shift_px, axis=2).max(1))
+
+    @property
+    def most_different_rms_px(self) -> float:
+        """RMS distance over the field of the two stars that differ most, whatever the reference."""
+        apart = self.shift_px[:, None] - self.shift_px[None]
+        return float(np.sqrt((apart**2).sum(-1).mean(-1)).max())
 
 
 def passband(config: StarsConfig) -> Band:
@@ -98,6 +107,7 @@ def stellar_shift(config: StarsConfig, instrument: Instrument) -> StellarShift:
     position = np.stack([truth.photon_x_px, truth.photon_y_px], axis=-1).reshape(len(temperatures), len(place), 2)
     return StellarShift(
         temperature_k=np.array(config.temperatures_k),
+        direction=place,
         position_px=position[-1],
         shift_px=position[:-1] - position[-1],
     )

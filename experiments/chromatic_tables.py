@@ -79,17 +79,16 @@ def _methods(result: Result) -> Table:
     return Table(
         columns=(
             "Centroider",
-            Column(name="Noise of a frame", unit="px", key="noise_px", format=".4f"),
-            Column(name="RMS distance from the light", unit="px", key="rms_bias_px", format=".4f"),
-            Column(name=f"{pair} X, centred", unit="px", key="centred_x_px", format=".5f"),
-            Column(name=f"{pair} Y, centred", unit="px", key="centred_y_px", format=".5f"),
-            Column(
-                name=f"{pair} {result.config.decentre.axis.upper()}, moved", unit="px", key="moved_px", format=".5f"
-            ),
+            Column(name="Noise", unit="px", key="noise_px", format=".4f"),
+            Column(name="RMS error", unit="px", key="rms_bias_px", format=".4f"),
+            Column(name="X, centred", unit="px", key="centred_x_px", format=".5f"),
+            Column(name="Y, centred", unit="px", key="centred_y_px", format=".5f"),
+            Column(name=f"{result.config.decentre.axis.upper()}, moved", unit="px", key="moved_px", format=".5f"),
         ),
         rows=rows,
-        caption="The same frames through every centroider.",
-        note="Distance of the mean centroid from the noiseless light's, per axis, over all points and filters.",
+        caption=f"The same frames through every centroider, and the entries of Table 1 ({pair} nm) each finds.",
+        note="Noise: standard deviation of a single frame. RMS error: mean centroid against the centroid of the "
+        "noiseless light, centred lens. Both per axis, over all points and filters.",
     )
 
 
@@ -115,18 +114,19 @@ def _elements(result: Result) -> Table:
             Column(name="Amount", key="amount", format=".1f"),
             "Unit",
             *(Column(name=f"{n} {letter}", unit="px", key=f"mean_{n}_px", format=".4f") for n in names),
-            Column(name="Boresight moves", unit="px", key="boresight_px", format=".1f"),
+            Column(name="Image moves", unit="px", key="boresight_px", format=".1f"),
         ),
         rows=rows,
         caption=f"Movement of each element that gives {result.config.decentre.wanted_px:g} px in "
         f"{result.config.decentre.pair}, {letter}; and what the other pair then shows.",
-        note="By ray trace. Empty: not within 3 mm or 3 deg. Tilts are about the element's own vertex.",
+        note="By ray trace. Empty: not within 3 mm or 3 deg. Tilts are about the element's first vertex. Decentres "
+        "count along increasing column (x), against increasing row (y).",
     )
 
 
 def _residuals(result: Result) -> Table:
-    rows = [
-        (label, name, *steps.values())
+    rows: list[tuple[Cell, ...]] = [
+        (label, name, *steps.values(), evaluation.photon_residual_px[name]["both"])
         for label, evaluation in (("centred", result.centred), (moved_label(result), result.moved))
         for name, steps in evaluation.residual_px.items()
     ]
@@ -135,12 +135,14 @@ def _residuals(result: Result) -> Table:
             "Lens",
             Column(name="Bands", unit="nm", key="bands"),
             Column(name="As found", unit="px", key="as_found_px", format=".4f"),
-            Column(name="Principal point per band", unit="px", key="principal_point_px", format=".4f"),
-            Column(name="Focal length per band", unit="px", key="focal_length_px", format=".4f"),
+            Column(name="Principal point", unit="px", key="principal_point_px", format=".4f"),
+            Column(name="Focal length", unit="px", key="focal_length_px", format=".4f"),
             Column(name="Both", unit="px", key="both_px", format=".4f"),
+            Column(name="Both, no noise", unit="px", key="both_photon_px", format=".4f"),
         ),
         rows=rows,
-        caption="RMS length of the shift of a point, as found and after calibrating the band.",
+        caption="RMS length of the shift of a point, as found and with camera parameters of its own for each band.",
+        note="Noise of the centroids included, except in the last column, which is of the noiseless light.",
     )
 
 
@@ -159,7 +161,7 @@ def _stellar(result: Result) -> Table:
 
 def _points(result: Result) -> Table:
     """Every point: where it is, its measured shift, the truth, the predictions."""
-    rows, names = [], [name for name, _, _ in result.pairs]
+    rows: list[tuple[Cell, ...]] = []
     for label, evaluation in (("centred", result.centred), ("moved", result.moved)):
         place = evaluation.measurement.nominal_px.reshape(-1, 2)
         for name, high, low in result.pairs:
@@ -174,9 +176,8 @@ def _points(result: Result) -> Table:
                 )
             ]
             paraxial = (result.paraxial_px[..., high, :] - result.paraxial_px[..., low, :]).reshape(-1, 2)
-            for i in range(len(place)):
-                rows.append((label, name, *place[i], *(c for v in flat for c in v[i]), *paraxial[i]))
-    assert names
+            for numbers in np.hstack([place, *flat, paraxial]).tolist():
+                rows.append((label, name, *numbers))
     columns = [
         Column(name=f"{what} {axis}", unit="px", key=f"{key}_{axis}_px")
         for what, key in (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator
 
 from experiments.config import StrictModel
 
@@ -44,11 +44,17 @@ class StarsConfig(StrictModel):
     passband_nm: tuple[float, float] = Field(default=(450.0, 900.0), description="pass band of the camera")
     edge_nm: float = Field(default=20.0, ge=0, description="length of the pass band's edges")
 
-    @model_validator(mode="after")
-    def _in_range(self) -> StarsConfig:
-        for temperature in self.temperatures_k:
+    @field_validator("temperatures_k")
+    @classmethod
+    def _temperatures(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        for temperature in values:
             if not 1000.0 <= temperature <= 1e5:
-                raise ValueError(f"temperatures_k: {temperature:g} K is outside 1000 ... 100000 K")
-        if not 0.0 < self.passband_nm[0] < self.passband_nm[1]:
-            raise ValueError(f"passband_nm = {list(self.passband_nm)}: two increasing wavelengths are needed")
-        return self
+                raise ValueError(f"{temperature:g} K is outside 1000 ... 100000 K")
+        return values
+
+    @field_validator("passband_nm")
+    @classmethod
+    def _increasing(cls, values: tuple[float, float]) -> tuple[float, float]:
+        if not 0.0 < values[0] < values[1]:
+            raise ValueError("two increasing wavelengths are needed")
+        return values

@@ -10,7 +10,7 @@ from experiments.instrument import Instrument
 from experiments.settings import TargetConfig
 from optics.errors import DomainError
 
-__all__ = ["CORNERS", "corner_centres", "target_directions"]
+__all__ = ["CORNERS", "corner_centres", "corner_directions", "target_directions"]
 
 FloatArray = NDArray[np.float64]
 
@@ -54,3 +54,23 @@ def target_directions(target: TargetConfig, instrument: Instrument, centre_px: F
     turn = Rotation.from_rotvec(axis / sine * np.arctan2(sine, aim[2])) if sine > 0 else Rotation.identity()
     turned: FloatArray = turn.apply(points)
     return turned / np.linalg.norm(turned, axis=1, keepdims=True)
+
+
+def corner_directions(target: TargetConfig, instrument: Instrument) -> FloatArray:
+    """Unit vectors (4, rows * columns, 3) in cam towards the points, the target in the four corners (`CORNERS`).
+
+    Raises
+    ------
+    DomainError
+        If the target does not fit on the detector, or reaches beyond the field of the lens.
+    """
+    camera = instrument.camera
+    centres = corner_centres(target, camera.width_px, camera.height_px)
+    direction = np.stack([target_directions(target, instrument, centre) for centre in centres])
+    widest = float(np.degrees(np.arctan2(np.hypot(direction[..., 0], direction[..., 1]), direction[..., 2])).max())
+    if widest > camera.lens.max_field_deg:
+        raise DomainError(
+            f"the target reaches {widest:.2f} deg from the axis; lens {camera.lens.name!r} has a field of "
+            f"{camera.lens.max_field_deg:g} deg; raise target.edge_px or take a smaller instrument.detector"
+        )
+    return direction
