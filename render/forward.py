@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from optics.errors import DomainError
+from optics.errors import DomainError, StarbenchError
 from render.camera import Camera
 from render.lens_camera import share_camera
 from render.plugins import register_plugins
@@ -89,11 +89,16 @@ class StarRenderer:
                     "direction": mi.TensorXf64(stars.direction[None]),
                     "wavelength_nm": mi.TensorXf64(stars.wavelength_nm[None]),
                     "photon_rate": mi.TensorXf64(stars.photon_rate[None]),
-                    "band": ",".join(stars.band),
+                    "band": ",".join(name.replace(",", ";") for name in stars.band),
                 },
             }
         )
-        mi.render(scene, sensor=self._sensor, integrator=self._integrator, seed=self.seed)
+        try:
+            mi.render(scene, sensor=self._sensor, integrator=self._integrator, seed=self.seed)
+        except RuntimeError as error:  # Mitsuba wraps what a plugin raises, Ctrl-C too
+            if isinstance(error.__cause__, (StarbenchError, KeyboardInterrupt)):
+                raise error.__cause__ from None
+            raise
         traced: TracedStars = self._integrator.traced
         self.traced = traced
         return ExpectedImage(

@@ -187,35 +187,37 @@ def define(mi: Any, dr: Any) -> type:
             self._backward: tuple[Any, ...] | None = None
 
         def _reverse(self) -> tuple[Any, ...]:
-            """Compiled reversed lens, its parameters, and the disk that rays aim at."""
+            """Compiled reversed lens, its parameters, and the numbers of `_start`; none of them ends up in a kernel."""
             if self._backward is None:
-                xp = DrJitArrays(mi.Float64)
-                program, theta = compile_lens(reverse(self.camera.focused_lens))
-                self._backward = (program, xp.parameters(theta.tolist()), xp, exit_disk(self.camera))
+                camera, xp = self.camera, DrJitArrays(mi.Float64)
+                program, theta = compile_lens(reverse(camera.focused_lens))
+                pitch, (cx, cy), turn = camera.pixel_pitch_mm, camera.centre_px, HALF_TURN @ camera.lens.image_rotation
+                film = [camera.width_px * pitch, -(0.5 + cx) * pitch, -camera.height_px * pitch, (0.5 + cy) * pitch]
+                numbers = [*film, *turn.ravel(), *exit_disk(camera), *camera.rotation_cam_from_world.ravel()]
+                self._backward = (program, xp.parameters(theta.tolist()), xp, xp.parameters(numbers))
             return self._backward
 
-        def _start(self, sample2: Any, sample3: Any, disk: tuple[float, ...]) -> tuple[Any, Any, Any]:
+        def _start(self, sample2: Any, sample3: Any, numbers: Any) -> tuple[Any, Any, Any]:
             """Point on the detector and direction towards the exit pupil in the reversed lens's frame; weight."""
-            F, camera = mi.Float64, self.camera
-            x0 = (F(sample2.x) * camera.width_px - 0.5 - float(camera.centre_px[0])) * camera.pixel_pitch_mm
-            y0 = (float(camera.centre_px[1]) + 0.5 - F(sample2.y) * camera.height_px) * camera.pixel_pitch_mm
-            turn = HALF_TURN @ camera.lens.image_rotation
-            point = mi.Vector3d(*(float(row[0]) * x0 + float(row[1]) * y0 for row in turn))
+            F = mi.Float64
+            width, left, height, top, *turn = numbers[:13]
+            x, y, z, radius = numbers[13:17]
+            x0, y0 = F(sample2.x) * width + left, F(sample2.y) * height + top
+            point = mi.Vector3d(*(turn[3 * row] * x0 + turn[3 * row + 1] * y0 for row in range(3)))
             on_disk = mi.warp.square_to_uniform_disk_concentric(sample3)
-            x, y, z, radius = disk
             d = mi.Vector3d(x + F(on_disk.x) * radius, y + F(on_disk.y) * radius, z) - point
             distance2 = dr.squared_norm(d)
             d = d / dr.sqrt(distance2)
-            normal = mi.Vector3d(*(float(v) for v in -turn[:, 2]))
-            return point, d, dr.abs(dr.dot(normal, d)) * d.z * (math.pi * radius**2) / distance2
+            obliquity = dr.abs(turn[2] * d.x + turn[5] * d.y + turn[8] * d.z)
+            return point, d, obliquity * d.z * (math.pi * dr.square(radius)) / distance2
 
         def sample_ray(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> tuple[Any, Any]:
             """Ray into the scene through a detector point (``sample2``) and an exit-pupil point (``sample3``)."""
             F = mi.Float64
-            program, theta, xp, disk = self._reverse()
-            point, d, weight = self._start(sample2, sample3, disk)
+            program, theta, xp, numbers = self._reverse()
+            point, d, weight = self._start(sample2, sample3, numbers)
             wavelengths, spectrum, hero = self._wavelengths(sample1, active)
             zero = dr.zeros(mi.Int32, dr.width(point))
             rays = Rays(
@@ -231,11 +233,10 @@ def define(mi: Any, dr: Any) -> type:
                 failed_at=zero - 1,
             )
             out = trace_program(program, theta, rays, xp)
-            ray = dr.zeros(mi.Ray3f, dr.width(point))
-            ray.o = mi.Point3f(self._world(out.x, out.y, 0.0, 1.0 / self.scene_unit_mm) + self._position)
-            ray.d = dr.normalize(mi.Vector3f(self._world(out.dx, out.dy, out.dz, 1.0)))
-            ray.time = time
-            ray.wavelengths = wavelengths
+            scale, rotation = 1.0 / self.scene_unit_mm, numbers[17:26]
+            origin = self._world(rotation, out.x * scale, out.y * scale, 0.0) + self._position
+            direction = dr.normalize(mi.Vector3f(self._world(rotation, out.dx, out.dy, out.dz)))
+            ray = mi.Ray3f(mi.Point3f(origin), direction, time, wavelengths)
             return ray, (spectrum * mi.Float(weight)) & (active & (out.status == OK))
 
         def sample_ray_differential(
@@ -245,10 +246,10 @@ def define(mi: Any, dr: Any) -> type:
             ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
             return mi.RayDifferential3f(ray), weight
 
-        def _world(self, x: Any, y: Any, z: Any, scale: float) -> Any:
+        @staticmethod
+        def _world(rotation: Any, x: Any, y: Any, z: Any) -> Any:
             """Vector of the reversed lens's frame, whose axes are cam's, in the world."""
-            r = self.camera.rotation_cam_from_world * scale
-            return mi.Vector3d(*(float(r[0, k]) * x + float(r[1, k]) * y + float(r[2, k]) * z for k in range(3)))
+            return mi.Vector3d(*(rotation[k] * x + rotation[3 + k] * y + rotation[6 + k] * z for k in range(3)))
 
         def _wavelengths(self, sample1: Any, active: Any) -> tuple[Any, Any, Any]:
             """Wavelengths of the ray, its spectral weight, and the wavelength that is traced."""
