@@ -10,147 +10,27 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from experiments.chromatic_settings import Config
 from experiments.cli import command
-from experiments.config import ExperimentConfig, StrictModel
 from experiments.progress import Progress
-from experiments.settings import InstrumentConfig, StarsConfig, TargetConfig
 from experiments.summary import Criterion
 
 if TYPE_CHECKING:
-    from experiments.chromatic_evaluate import Evaluation
     from experiments.chromatic_measure import Bench
     from experiments.chromatic_model import Solution
-    from experiments.chromatic_stars import StellarShift
+    from experiments.chromatic_result import Result
     from experiments.instrument import Instrument
     from experiments.report import Report
     from experiments.tables import Table
 
-__all__ = ["Config", "Result", "main", "report", "run", "summary", "tables"]
+__all__ = ["Config", "main", "report", "run", "summary", "tables"]
 
 FloatArray = NDArray[np.float64]
-Method = Literal["epsf", "gaussian", "windowed", "tcog", "cog"]
-
-
-class FilterConfig(StrictModel):
-    """Interference filters; ``reference_nm`` is the one that the others are compared with."""
-
-    centres_nm: tuple[float, ...] = Field(default=(500.0, 600.0, 800.0), min_length=2, description="band centres")
-    reference_nm: float = Field(default=600.0, description="centre of the reference band; one of centres_nm")
-    width_nm: float = Field(default=100.0, gt=0, le=400, description="full width at half maximum")
-    edge_nm: float = Field(default=10.0, ge=0, le=100, description="length of each edge, 0 to 100 %")
-
-    @field_validator("centres_nm")
-    @classmethod
-    def _different(cls, values: tuple[float, ...]) -> tuple[float, ...]:
-        if len({f"{value:g}" for value in values}) != len(values):
-            raise ValueError("a centre is given twice")
-        return values
-
-    @field_validator("reference_nm")
-    @classmethod
-    def _one_of_them(cls, value: float, info: ValidationInfo) -> float:
-        centres = info.data.get("centres_nm")  # absent if it is wrong itself, which is said then
-        if centres is not None and value not in centres:
-            raise ValueError(f"it is none of centres_nm = {list(centres)}")
-        return value
-
-
-class DecentreConfig(StrictModel):
-    """Which published number is to be reproduced by moving an element."""
-
-    wanted_px: float = Field(default=0.12, description="mean shift, halved (ACC18 Table 1)")
-    pair: str = Field(default="800-600", description="pair of bands")
-    axis: Literal["x", "y"] = Field(default="x", description="axis of Table 1")
-    element: str = Field(default="auto", description="element to move in the rendered check; auto: see kind")
-    kind: Literal["decentre", "tilt"] = Field(default="decentre", description="how it moves in the rendered check")
-
-
-class Config(ExperimentConfig):
-    """The published run: ACC18 gives all of it but the signal, the pass band of the stars and the lens."""
-
-    instrument: InstrumentConfig = InstrumentConfig()
-    target: TargetConfig = TargetConfig()
-    filters: FilterConfig = FilterConfig()
-    lamp_k: float = Field(default=3000.0, ge=1000, le=20000, description="colour temperature of the lamp")
-    signal_e: float = Field(default=6000.0, gt=0, le=1e6, description="electrons per point and frame, every filter")
-    frames: int = Field(default=30, ge=2, le=10000, description="frames per position and filter")
-    dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off, per position")
-    window_px: int = Field(default=13, ge=7, le=63, description="window around a point, odd")
-    centroid: Method = Field(default="epsf", description="centroider that counts")
-    compare: tuple[Method, ...] = Field(
-        default=("gaussian", "windowed", "tcog", "cog"), description="others shown beside it"
-    )
-    decentre: DecentreConfig = DecentreConfig()
-    stars: StarsConfig = StarsConfig()
-
-    @model_validator(mode="after")
-    def _windows(self) -> Config:
-        size, target = self.window_px, self.target
-        if size % 2 == 0:
-            raise ValueError(f"window_px = {size}: an odd number is needed")
-        if target.rows * target.columns > 1 and target.pitch_px < size:
-            raise ValueError(
-                f"target.pitch_px = {target.pitch_px:g} px: at least window_px = {size} px is needed, or "
-                "one window holds two points"
-            )
-        if target.edge_px < size // 2 + 1:
-            raise ValueError(
-                f"target.edge_px = {target.edge_px:g} px: at least {size // 2 + 1} px is needed, or windows of "
-                f"window_px = {size} px leave the detector"
-            )
-        return self
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Result:
-    """Everything the run found.
-
-    Attributes
-    ----------
-    config : Config
-        Settings.
-    instrument : Instrument
-        The centred camera.
-    pairs : sequence of (str, int, int)
-        Pairs of bands.
-    centred, moved : Evaluation
-        The lens as designed; with the element of ``chosen`` moved.
-    paraxial_px : (p, j, b, 2)
-        Paraxial lateral colour of the centred lens.
-    solutions : sequence of Solution
-        The movement of each element, decentre and tilt, that gives the published number.
-    chosen : Solution
-        The one that was rendered.
-    stellar : StellarShift
-        Stars through the full pass band.
-    field_shift_px : dict of str to (g, 2)
-        Shifts between the filters at the stars' places, by ray trace.
-    star_e : float
-        Electrons of a V = 7.5 star of the reference temperature through the full pass band.
-    runtime_s, peak_memory_mb : float
-        Of the process up to the end of the run.
-    """
-
-    config: Config
-    instrument: Instrument
-    pairs: Sequence[tuple[str, int, int]]
-    centred: Evaluation
-    moved: Evaluation
-    paraxial_px: FloatArray
-    solutions: Sequence[Solution]
-    chosen: Solution
-    stellar: StellarShift
-    field_shift_px: Mapping[str, FloatArray]
-    star_e: float
-    runtime_s: float
-    peak_memory_mb: float
 
 
 def run(config: Config, *, progress: Progress) -> Result:
@@ -174,6 +54,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.chromatic_evaluate import evaluate
     from experiments.chromatic_measure import measure
     from experiments.chromatic_model import bundle_prediction, paraxial_prediction, perturbed, shifts
+    from experiments.chromatic_result import Result
     from experiments.chromatic_stars import electrons_of_star, stellar_shift
     from experiments.instrument import build_instrument
     from experiments.provenance import peak_memory_mb, process_seconds

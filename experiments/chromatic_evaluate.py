@@ -3,68 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from experiments.chromatic_measure import Bench, Measurement
 from experiments.chromatic_model import after_calibration, bundle_prediction, rms, shifts, table1
+from experiments.chromatic_result import Evaluation, Result
 from experiments.instrument import Instrument
 from experiments.summary import Criterion, Measured
 
-if TYPE_CHECKING:
-    from experiments.chromatic import Result
-
-__all__ = ["Evaluation", "criteria", "evaluate", "lsfe_arcsec", "results", "rule_of_third"]
+__all__ = ["criteria", "evaluate", "lsfe_arcsec", "results", "rule_of_third"]
 
 FloatArray = NDArray[np.float64]
 
 SIGMA_LIMIT = 3.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Evaluation:
-    """Reduction of one lens's measurement; pairs of bands are keys such as "800-600".
-
-    Attributes
-    ----------
-    measurement : Measurement
-        The frames' centroids and the truth.
-    shift_px, photon_shift_px, bundle_shift_px, predicted_shift_px : dict of str to (p, j, 2)
-        Shifts of eq. 15: measured, of the noiseless light, of the traced bundle, by ray trace alone.
-    shift_sigma_px : dict of str to (p, j, 2)
-        Standard deviation of a measured shift: frames and predicted fixed pattern.
-    table1_px, table1_sigma_px, photon_table1_px, bundle_table1_px, predicted_table1_px : dict of str to (2,)
-        Eq. 16 of each, with the standard deviation of the measured.
-    method_table1_px : dict of str to dict of str to (2,)
-        Eq. 16 by every centroider.
-    residual_px, photon_residual_px : dict of str to dict of str to float
-        RMS length of the shift as found and after calibration of the band: of the measured, of the noiseless light.
-    chi2 : float
-        Mean of ((measured - photon) / sigma)^2 over all points, pairs and axes; ``chi2_n`` of them.
-    truth_bias_px : (2,)
-        Largest and RMS distance of the mean centroid from the photon centroid.
-    """
-
-    measurement: Measurement
-    shift_px: Mapping[str, FloatArray]
-    photon_shift_px: Mapping[str, FloatArray]
-    bundle_shift_px: Mapping[str, FloatArray]
-    predicted_shift_px: Mapping[str, FloatArray]
-    shift_sigma_px: Mapping[str, FloatArray]
-    table1_px: Mapping[str, FloatArray]
-    table1_sigma_px: Mapping[str, FloatArray]
-    photon_table1_px: Mapping[str, FloatArray]
-    bundle_table1_px: Mapping[str, FloatArray]
-    predicted_table1_px: Mapping[str, FloatArray]
-    method_table1_px: Mapping[str, Mapping[str, FloatArray]]
-    residual_px: Mapping[str, Mapping[str, float]]
-    photon_residual_px: Mapping[str, Mapping[str, float]]
-    chi2: float
-    chi2_n: int
-    truth_bias_px: tuple[float, float]
 
 
 def evaluate(

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from experiments.plotting import INK, MARKERS, PALETTE, band_colours, new_figure
 
 if TYPE_CHECKING:
-    from experiments.chromatic import Result
-    from experiments.chromatic_evaluate import Evaluation
     from experiments.chromatic_measure import Measurement
+    from experiments.chromatic_result import Evaluation, Result
 
 __all__ = [
     "arrow_map",

@@ -23,7 +23,7 @@ from experiments.summary import Measured
 from experiments.tables import cell_text
 
 if TYPE_CHECKING:
-    from experiments.chromatic import Result
+    from experiments.chromatic_result import Result
 
 __all__ = ["build_report"]
 

@@ -12,7 +12,7 @@ from experiments.summary import Measured
 from experiments.tables import Cell, Column, Table
 
 if TYPE_CHECKING:
-    from experiments.chromatic import Result
+    from experiments.chromatic_result import Result
 
 __all__ = ["all_tables", "moved_label"]
 
