@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from optics.errors import DomainError
 from render import tracer as tracer_module
 from render.star_kernel import reach_px, strips_per_pixel
 from render.tracer import Tracer
@@ -141,8 +142,6 @@ def test_stamp_that_is_too_small_is_done_again(mi, bench, monkeypatch):
 
 
 def test_image_larger_than_the_largest_stamp(mi, bench):
-    from optics.errors import DomainError
-
     camera = bench.camera_of(defocus_mm=30.0)
     with pytest.raises(DomainError, match=r"star 0 is \d+ px wide; at most 1024 px .*defocus_mm = 30 mm"):
         Tracer(mi, camera, sobol_log2_rays=8).render(bench.stars_at(camera, 2000, 1000, nodes=1), exposure_s=1.0)

@@ -1,0 +1,93 @@
+"""`StarRenderer`: many fields through one camera, as expected images with their truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from optics.errors import ConvergenceError, DomainError
+from optics.prescription import load_lens
+from render.forward import StarRenderer, render_stars
+from render.tracer import Tracer
+
+
+@pytest.fixture
+def small(mi, bench):
+    """A camera with a small film, and the whole camera it was cut from."""
+    whole = bench.camera_of()
+    return bench.window(whole, 120, 3000, 500), whole
+
+
+def test_image_and_truth_are_those_of_the_tracer(mi, bench, small):
+    camera, whole = small
+    stars = bench.stars_at(whole, [2990.2, 3010.4], [500.3, 520.1], bands=((500.0, 50.0), (800.0, 100.0)))
+    renderer = StarRenderer(camera, exposure_s=0.1)
+    image = renderer.render(stars)
+    traced = Tracer(mi, camera).render(stars, exposure_s=0.1)
+    assert np.array_equal(image.electrons, traced.electrons)
+    for name in image.truth.__dataclass_fields__:
+        assert np.array_equal(getattr(image.truth, name), getattr(traced.truth, name))
+    assert (image.band, image.exposure_s, image.diffused) == (("500", "800"), 0.1, True)
+    assert renderer.traced.sampling == traced.sampling == {"quadrature": (2, traced.sampling["quadrature"][1])}
+
+
+def test_fields_do_not_influence_each_other(mi, bench, small):
+    camera, whole = small
+    first = bench.stars_at(whole, [2990.2], [500.3])
+    second = bench.stars_at(whole, [3010.4, 2950.1], [520.1, 480.2], bands=((500.0, 50.0), (800.0, 100.0)))
+    renderer = StarRenderer(camera)
+    a, b, again = renderer.render(first), renderer.render(second), renderer.render(first)
+    assert np.array_equal(a.electrons, again.electrons)
+    assert np.array_equal(b.electrons, render_stars(camera, second).electrons)
+    assert not a.electrons.flags.writeable
+
+
+def test_a_star_that_moves_smoothly_gives_an_image_that_changes_smoothly(mi, bench, small):
+    """A pass of a star over two pixels: no jumps from stamp corners, taps or strips."""
+    camera, whole = small
+    renderer = StarRenderer(camera)
+    x = 3000.0 + np.linspace(-1.0, 1.0, 41)
+    stack = np.stack([renderer.render(bench.stars_at(whole, v, 500.3)).electrons[..., 0] for v in x]).astype(float)
+    second = np.diff(stack, 2, axis=0) / stack.sum((1, 2)).mean()
+    assert np.abs(np.diff(second, axis=0)).max() < 5e-3  # third difference of a smooth pass: (0.05/0.2)^3 / 5
+
+
+def test_camera_with_a_band_name_that_holds_a_comma(mi, bench, small):
+    camera, whole = small
+    stars = replace(bench.stars_at(whole, 3000.0, 500.0), band=("V, narrow",))
+    assert render_stars(camera, stars).band == ("V, narrow",)
+
+
+def test_no_stars(mi, bench, small):
+    image = render_stars(small[0], bench.stars_at(small[0], np.empty(0), np.empty(0)))
+    assert image.electrons.shape == (120, 120, 1)
+    assert not image.electrons.any()
+    assert image.truth.electrons_in.shape == (0, 1)
+
+
+@pytest.mark.parametrize("exposure_s", [0.0, -1.0, np.nan, np.inf])
+def test_exposure_must_be_positive(bench, small, exposure_s):
+    with pytest.raises(DomainError, match=r"exposure_s = .* s; it must be positive"):
+        StarRenderer(small[0], exposure_s=exposure_s)
+
+
+def test_errors_come_out_as_they_are_raised(mi, bench, small):
+    """Not wrapped by Mitsuba: one line, of the library's own kind."""
+    camera, whole = small
+    stars = bench.stars_at(whole, 3000.0, 500.0)
+    renderer = StarRenderer(camera)
+    with pytest.raises(DomainError, match="star 0 lies behind the camera"):
+        renderer.render(replace(stars, direction=-stars.direction))
+    with pytest.raises(DomainError, match=r"wavelength 5000 nm is outside .*, the range of glass N-FK51A"):
+        renderer.render(replace(stars, wavelength_nm=np.full_like(stars.wavelength_nm, 5000.0)))
+    assert renderer.render(stars).electrons.sum() > 0  # still of use
+
+
+def test_lens_whose_rays_all_fail(mi, bench):
+    lens = load_lens("star_tracker_26mm")
+    front = replace(lens.surfaces[0], semi_diameter_mm=4.0, inner_semi_diameter_mm=3.999999)
+    camera = bench.camera_of(lens.with_surfaces({0: front}), width_px=64, height_px=64)
+    with pytest.raises(ConvergenceError, match="no ray of any field reaches the image plane"):
+        render_stars(camera, bench.stars_at(camera, 30.0, 30.0))
