@@ -46,8 +46,8 @@ def check_wavelengths(instrument: Instrument, bands: Sequence[tuple[str, Band]])
         if start < low or end > high:
             limit = first if start < low else last
             raise DomainError(
-                f"{key}: {band.name} passes {start:g} ... {end:g} nm; lens {camera.lens.name!r} on "
-                f"{instrument.detector.name!r} is known for {low:g} ... {high:g} nm ({limit} ends there)"
+                f"{key}: {band.name!r} passes {start:g} ... {end:g} nm; lens {camera.lens.name!r} on "
+                f"{instrument.detector.name!r} is known for {low:g} ... {high:g} nm (the range of {limit})"
             )
 
 
@@ -68,7 +68,7 @@ def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
     ConvergenceError
         If no ray of any point gets through the lens.
     """
-    position, radius_px = expected_spots(bench, instrument, direction)
+    position, radius_px, _ = expected_spots(bench, instrument, direction)
     dark = ~np.isfinite(position).all(axis=(2, 3))
     if dark.any():
         raise DomainError(
@@ -107,6 +107,6 @@ def check_motion(bench: Bench, chosen: Solution, wanted_px: float) -> None:
         raise DomainError(
             f"a mean shift of decentre.wanted_px = {wanted_px:g} px takes a {chosen.kind} of {chosen.element} by "
             f"{chosen.amount:.0f} {chosen.unit}, which moves the whole image by {moves:.0f} px; at most {room:.0f} px "
-            "can be followed: lower decentre.wanted_px, name another decentre.element, or raise target.edge_px up to "
-            f"{SEARCH_MARGIN_PX + bench.window_px} px"
+            f"can be followed (target.edge_px = {bench.target.edge_px:g} px, and {SEARCH_MARGIN_PX} px in any case): "
+            "lower decentre.wanted_px or name another decentre.element"
         )
