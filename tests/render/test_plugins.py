@@ -262,7 +262,7 @@ def test_plugins_say_what_they_are(mi):
     assert any(str(e) == "StarField[stars=1, bands=green, red]" for e in scene.emitters())
 
 
-@pytest.mark.parametrize("variant", [None, "scalar_rgb"])
+@pytest.mark.parametrize("variant", [pytest.param(None, marks=pytest.mark.slow), "scalar_rgb"])
 def test_registration_needs_a_vectorised_variant(variant):
     """Scalar variants have no arrays to trace with; without any variant there are no plugin classes."""
     program = (

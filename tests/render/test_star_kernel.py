@@ -33,8 +33,17 @@ def worst_pixel(bench, camera, stars, traced, rays=None, **dense):
     return worst
 
 
-@pytest.mark.parametrize("diffusion_px", [0.18, 0.3])
-@pytest.mark.parametrize("defocus_mm", [0.0, 0.02, -0.05])
+@pytest.mark.parametrize(
+    ("defocus_mm", "diffusion_px"),
+    [
+        (0.0, 0.18),
+        (-0.05, 0.3),
+        pytest.param(0.0, 0.3, marks=pytest.mark.slow),
+        pytest.param(0.02, 0.18, marks=pytest.mark.slow),
+        pytest.param(0.02, 0.3, marks=pytest.mark.slow),
+        pytest.param(-0.05, 0.18, marks=pytest.mark.slow),
+    ],
+)
 def test_pixels_against_brute_force(mi, bench, defocus_mm, diffusion_px):
     camera = bench.camera_of(defocus_mm=defocus_mm, charge_diffusion_px=diffusion_px)
     stars = bench.stars_at(camera, *PLACES, nodes=2)
@@ -67,7 +76,7 @@ def test_pixels_without_diffusion_converge(mi, bench):
     assert error[2] < error[0] / 20
 
 
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
+@pytest.mark.parametrize("tolerance", [pytest.param(1e-3, marks=pytest.mark.slow), 1e-5])
 def test_tolerance_rules_the_error(mi, bench, tolerance):
     camera = bench.camera_of(defocus_mm=0.02)
     stars = bench.stars_at(camera, *PLACES, nodes=2)
@@ -76,7 +85,7 @@ def test_tolerance_rules_the_error(mi, bench, tolerance):
     assert error < max(tolerance, 5e-6)  # of the brute force itself
 
 
-@pytest.mark.parametrize("fine", [1, 4])
+@pytest.mark.parametrize("fine", [pytest.param(1, marks=pytest.mark.slow), 4])
 def test_second_moments_hold_no_hidden_blur(mi, bench, fine):
     """Sheppard: variance over pixels = variance of the bundle + diffusion^2 + 1/12 of a pixel's square.
 
@@ -103,7 +112,7 @@ def test_second_moments_hold_no_hidden_blur(mi, bench, fine):
         assert abs(bundle - spread) < 1e-4 * spread
 
 
-@pytest.mark.parametrize("diffusion_px", [0.18, 0.3])
+@pytest.mark.parametrize("diffusion_px", [0.18, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_first_moment_over_native_pixels_aliases_as_predicted(mi, bench, diffusion_px):
     r"""A moment over whole pixels is off by sum_k (-1)^k / (pi k) exp(-2 (pi k sigma)^2) <sin(2 pi k x)>.
 

@@ -43,7 +43,7 @@ def test_photon_centroid_is_the_bundle_mean(mi, bench, name, diffusion_px):
     assert np.hypot(truth.photon_x_px - truth.bundle_x_px, truth.photon_y_px - truth.bundle_y_px).max() < 1e-5
 
 
-@pytest.mark.parametrize("name", LENSES)
+@pytest.mark.parametrize("name", [*LENSES[:2], pytest.param(LENSES[2], marks=pytest.mark.slow)])
 def test_image_on_finer_pixels_has_the_same_centroid(mi, bench, name):
     """The image itself, not the strips: 4 times finer pixels sample the diffused light without aliasing."""
     x, y = over_the_field(bench, name)
@@ -64,7 +64,7 @@ def test_image_on_finer_pixels_has_the_same_centroid(mi, bench, name):
     assert worst < 1e-5  # demanded: 1e-4 px
 
 
-@pytest.mark.parametrize("name", LENSES)
+@pytest.mark.parametrize("name", [*LENSES[:2], pytest.param(LENSES[2], marks=pytest.mark.slow)])
 def test_truth_against_a_dense_numpy_bundle(mi, bench, name):
     """Bundle means, variances and vignetting; where apertures cut the bundle, as good as 2^16 Sobol rays are."""
     camera = bench.camera_of(name, film=False)
@@ -73,7 +73,7 @@ def test_truth_against_a_dense_numpy_bundle(mi, bench, name):
     truth = rendered(mi, camera, stars).truth
     exact = name == "star_camera_206mm"
     for star in range(3):
-        rays = bench.bundle(camera, stars, star, 0, rings=400 if exact else 600, arms=400, stagger=not exact)
+        rays = bench.bundle(camera, stars, star, 0, rings=120 if exact else 400, arms=400, stagger=not exact)
         mean, light = bench.mean_of(*rays), rays[2].sum()
         spread = np.sqrt(truth.variance_x_px2[star, 0] + truth.variance_y_px2[star, 0])
         tolerance = 1e-6 if exact else 1e-3 * spread  # the error scales with the size of the spot
@@ -112,10 +112,12 @@ def test_every_electron_is_accounted_for(mi, bench):
             assert np.abs(total / truth.electrons_in - 1).max() < 1e-9  # demanded: 1e-6
             on_image = traced.electrons.sum((0, 1), dtype=float)
             assert on_image == pytest.approx(truth.electrons_image.sum(0), rel=1e-6)
-            share = truth.electrons_image / (truth.electrons_image + truth.electrons_off_edge)
-            assert (share[0] == 1.0).all()
-            assert ((share[1:5] > 0.1) & (share[1:5] < 0.9)).all()
-            assert (share[8] == 0).all()
+            arrived = truth.electrons_image + truth.electrons_off_edge
+            assert (truth.electrons_image[0] == arrived[0]).all()
+            if system is lens:
+                assert (truth.electrons_image[1:5] > 0.1 * arrived[1:5]).all()
+                assert (truth.electrons_image[1:5] < 0.9 * arrived[1:5]).all()
+            assert (truth.electrons_image[8] == 0).all()
             assert (truth.electrons_vignetted.max() > 0.1 * truth.electrons_in.max()) == (system is cut)
 
 
