@@ -15,16 +15,20 @@ sampled `EffectivePsf` (for instance a rendered one) to `source_from_fine`.
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 from scipy.special import ndtr
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from calib.centroid import get_centroider
 from calib.crlb import fisher_information, flux_for_snr
