@@ -18,3 +18,48 @@ def shot_noise():
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="session")
+def mi():
+    """Mitsuba on the processor."""
+    from render.variant import use_backend
+
+    use_backend("llvm")
+    import mitsuba
+
+    return mitsuba
+
+
+@pytest.fixture(scope="session")
+def star_camera():
+    """The default instrument of the experiments."""
+    from experiments.instrument import build_instrument
+    from experiments.settings import InstrumentConfig
+
+    return build_instrument(InstrumentConfig())
+
+
+@pytest.fixture(scope="session")
+def bench_of():
+    """A laboratory with three filters; keywords change it."""
+    from experiments.chromatic_measure import Bench
+    from experiments.settings import TargetConfig
+    from optics.band import TopHat
+    from optics.spectrum import Blackbody
+
+    def make(rows=2, columns=2, centres_nm=(500.0, 600.0, 800.0), reference=1, edge_px=150.0, **changes):
+        settings = {
+            "target": TargetConfig(rows=rows, columns=columns, edge_px=edge_px),
+            "lamp": Blackbody(temperature_k=3000.0),
+            "filters": [TopHat(centre_nm=c, width_nm=100.0, edge_nm=10.0, name=f"{c:g} nm") for c in centres_nm],
+            "reference": reference,
+            "signal_e": 6000.0,
+            "frames": 8,
+            "dark_frames": 20,
+            "window_px": 13,
+            "methods": ("epsf",),
+        }
+        return Bench(**(settings | changes))
+
+    return make
