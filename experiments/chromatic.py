@@ -80,7 +80,7 @@ def run(config: Config, *, progress: Progress) -> Result:
             measured = measure(mi, bench, one, streams.child(label), backend=backend, advance=stage.advance)
         found[label] = evaluate(bench, one, measured, pairs)
     with progress.stage("stars"):
-        stellar = stellar_shift(config.stars, instrument)
+        stellar, moved_stellar = (stellar_shift(config.stars, one) for one in (instrument, moved))
         field_shift = shifts(bundle_prediction(bench, instrument, stellar.direction[None]), pairs)
         star_e = electrons_of_star(config.stars, instrument, magnitude=7.5, temperature_k=config.stars.reference_k)
     return Result(
@@ -93,6 +93,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         solutions=solutions,
         chosen=chosen,
         stellar=stellar,
+        moved_stellar=moved_stellar,
         field_shift_px={name: shift[0] for name, shift in field_shift.items()},
         star_e=star_e,
         runtime_s=process_seconds(),

@@ -30,9 +30,9 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 
-def spot_gallery(result: Result) -> Figure:
+def spot_gallery(result: Result, evaluation: Evaluation) -> Figure:
     """One target point behind each filter: noiseless, one frame, mean of all frames."""
-    measured: Measurement = result.centred.measurement
+    measured: Measurement = evaluation.measurement
     centres = result.config.filters.centres_nm
     figure, axes = new_figure(3, len(centres), aspect_ratio=1.0, width="half", sharex=True, sharey=True)
     size = result.config.window_px
@@ -209,10 +209,17 @@ def element_bars(result: Result) -> Figure:
 
 def star_shifts(result: Result, rule_px: Mapping[str, float]) -> Figure:
     """Chromatic shift of stars over temperature, beside one third of the filter shift."""
-    stellar = result.stellar
+    stellar, moved = result.stellar, result.moved_stellar
     figure, axis = new_figure(aspect_ratio=0.42)
-    axis.plot(stellar.temperature_k, stellar.rms_px, marker=MARKERS[0], color=PALETTE[0], label="RMS over the field")
-    axis.plot(stellar.temperature_k, stellar.max_px, marker=MARKERS[1], color=PALETTE[1], label="largest in the field")
+    for k, (values, label) in enumerate(
+        (
+            (stellar.rms_px, "centred, RMS over the field"),
+            (stellar.max_px, "centred, largest in the field"),
+            (moved.rms_px, "element moved, RMS over the field"),
+            (np.linalg.norm(moved.mean_px, axis=1), "element moved, mean over the field"),
+        )
+    ):
+        axis.plot(stellar.temperature_k, values, marker=MARKERS[k], color=PALETTE[k], label=label)
     handles, _ = axis.get_legend_handles_labels()
     for (name, value), style in zip(rule_px.items(), ("--", ":", "-."), strict=False):
         axis.axhline(value, color=INK, linewidth=0.9, linestyle=style)
@@ -223,5 +230,5 @@ def star_shifts(result: Result, rule_px: Mapping[str, float]) -> Figure:
     ticks: Sequence[int] = (3000, 4000, 5000, 6000, 8000, 10000, 15000, 20000, 30000)
     axis.set_xticks(ticks, [f"{t}" for t in ticks])
     axis.minorticks_off()
-    axis.legend(handles=handles)
+    axis.legend(handles=handles, loc="upper center", ncols=2, bbox_to_anchor=(0.5, -0.2))
     return figure

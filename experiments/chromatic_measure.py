@@ -235,7 +235,8 @@ class _Readout:
         for band, stack in enumerate(stacks):
             stamps, noise = _dark_subtracted(stack, dark_e, found)
             self._refuse_saturated(stamps, stars.band[band])
-            results.append(self._centroids(stamps, noise, light[band].astype(float), [row[band] for row in epsf]))
+            psfs = {"epsf": [row[band] for row in epsf], "epsf_reference": [row[bench.reference] for row in epsf]}
+            results.append(self._centroids(stamps, noise, light[band].astype(float), psfs))
         return _Position(
             direction=stars.direction,
             nominal=nominal,
@@ -283,12 +284,20 @@ class _Readout:
             )
 
     def _centroids(
-        self, stamps: Stamps, noise: NoiseModel, light_e: FloatArray, epsf: Sequence[EffectivePsf]
+        self, stamps: Stamps, noise: NoiseModel, light_e: FloatArray, psfs: Mapping[str, Sequence[EffectivePsf]]
     ) -> tuple[dict[str, FloatArray], dict[str, FloatArray], NDArray[np.int64], FloatArray]:
         """Mean and scatter by method; usable frames and effect of fixed patterns for the first method."""
         bench, detector = self.bench, self.instrument.detector
-        centroiders = {m: get_centroider(m, **({"epsf": epsf} if m == "epsf" else {})) for m in bench.methods}
+        centroiders = {
+            m: get_centroider("epsf", epsf=psfs[m]) if m in psfs else get_centroider(m) for m in bench.methods
+        }
         averages = {m: _average(c.measure(stamps, noise), bench.frames) for m, c in centroiders.items()}
+        fewest = int(averages[bench.methods[0]][2].min())
+        if fewest < 2:
+            raise DomainError(
+                f"centroider {bench.methods[0]!r} gives {fewest} usable frames of {bench.frames} for a target point at "
+                f"the {self.place} position; at least 2 are needed: raise signal_e or frames, or take another centroid"
+            )
         config, rounding_e = self.instrument.config, np.sqrt(1.0 / 12.0) / detector.gain_dn_per_e
         thermal_e = detector.dark_current_e_per_s * detector.dark_factor(config.chip_temperature_c) * config.exposure_s
         pattern = _pattern_effect(
@@ -376,17 +385,18 @@ def _dark_subtracted(stack: WindowStack, dark_e: FloatArray, start_px: FloatArra
 
 
 def _average(table: StarTable, frames: int) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
-    """Mean (j, 2), single-frame standard deviation (j, 2) and number of good frames (j,) of each point."""
+    """Mean (j, 2), single-frame standard deviation (j, 2) and number of good frames (j,) of each point.
+
+    Mean and standard deviation are NaN where fewer than two frames are good.
+    """
     position = np.stack([table.x_px, table.y_px], axis=-1).reshape(frames, -1, 2)
     bad = has_flag(table.flags, StarFlag.NOT_CONVERGED | StarFlag.NO_DATA).reshape(frames, -1)
     position = np.where(bad[..., None], np.nan, position)
     count = (~bad).sum(0)
-    if np.any(count < 2):
-        raise DomainError(
-            f"a target point has {int(count.min())} usable frames of {frames}; at least 2 are needed: raise signal_e "
-            "or frames"
-        )
-    return np.nanmean(position, axis=0), np.nanstd(position, axis=0, ddof=1), count
+    enough = (count >= 2)[:, None]
+    filled = np.where(enough, position, 0.0)
+    mean, sigma = np.nanmean(filled, axis=0), np.nanstd(filled, axis=0, ddof=1)
+    return np.where(enough, mean, np.nan), np.where(enough, sigma, np.nan), count
 
 
 def _pattern_effect(

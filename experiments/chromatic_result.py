@@ -37,6 +37,8 @@ class Evaluation:
         Eq. 16 by every centroider.
     residual_px, photon_residual_px : dict of str to dict of str to float
         RMS length of the shift as found and after calibration of the band: of the measured, of the noiseless light.
+    largest_pull : float
+        Largest |measured - photon| / sigma of all points, pairs and axes.
     chi2 : float
         Mean of ((measured - photon) / sigma)^2 over all points, pairs and axes; ``chi2_n`` of them.
     truth_bias_px : (2,)
@@ -57,6 +59,7 @@ class Evaluation:
     method_table1_px: Mapping[str, Mapping[str, FloatArray]]
     residual_px: Mapping[str, Mapping[str, float]]
     photon_residual_px: Mapping[str, Mapping[str, float]]
+    largest_pull: float
     chi2: float
     chi2_n: int
     truth_bias_px: tuple[float, float]
@@ -86,6 +89,8 @@ class Result:
         Stars through the full pass band.
     field_shift_px : dict of str to (g, 2)
         Shifts between the filters at the stars' places, by ray trace.
+    moved_stellar : StellarShift
+        The same stars through the lens with the moved element.
     star_e : float
         Electrons of a V = 7.5 star of the reference temperature through the full pass band.
     runtime_s, peak_memory_mb : float
@@ -102,6 +107,7 @@ class Result:
     chosen: Solution
     stellar: StellarShift
     field_shift_px: Mapping[str, FloatArray]
+    moved_stellar: StellarShift
     star_e: float
     runtime_s: float
     peak_memory_mb: float

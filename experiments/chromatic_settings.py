@@ -11,7 +11,7 @@ from experiments.settings import InstrumentConfig, StarsConfig, TargetConfig
 
 __all__ = ["Config", "DecentreConfig", "FilterConfig"]
 
-Method = Literal["epsf", "gaussian", "windowed", "tcog", "cog"]
+Method = Literal["epsf", "epsf_reference", "gaussian", "windowed", "tcog", "cog"]
 
 
 class FilterConfig(StrictModel):
@@ -61,7 +61,7 @@ class Config(ExperimentConfig):
     window_px: int = Field(default=13, ge=7, le=63, description="window around a point, odd")
     centroid: Method = Field(default="epsf", description="centroider that counts")
     compare: tuple[Method, ...] = Field(
-        default=("gaussian", "windowed", "tcog", "cog"), description="others shown beside it"
+        default=("epsf_reference", "gaussian", "windowed", "tcog", "cog"), description="others shown beside it"
     )
     decentre: DecentreConfig = DecentreConfig()
     stars: StarsConfig = StarsConfig()

@@ -56,6 +56,11 @@ class StellarShift:
         return np.asarray(np.linalg.norm(self.shift_px, axis=2).max(1))
 
     @property
+    def mean_px(self) -> FloatArray:
+        """Mean shift over the field (t, 2): what a signed mean keeps."""
+        return np.asarray(self.shift_px.mean(1))
+
+    @property
     def most_different_rms_px(self) -> float:
         """RMS distance over the field of the two stars that differ most, whatever the reference."""
         apart = self.shift_px[:, None] - self.shift_px[None]

@@ -14,7 +14,16 @@ from experiments.tables import Cell, Column, Table
 if TYPE_CHECKING:
     from experiments.chromatic_result import Result
 
-__all__ = ["all_tables", "moved_label"]
+__all__ = ["all_tables", "anatomy", "moved_label"]
+
+METHOD_NAMES = {
+    "epsf": "ePSF of each filter",
+    "epsf_reference": "ePSF of the reference filter",
+    "gaussian": "Gaussian fit",
+    "windowed": "windowed (XWIN)",
+    "tcog": "thresholded centre of gravity",
+    "cog": "centre of gravity",
+}
 
 
 def moved_label(result: Result) -> str:
@@ -62,33 +71,65 @@ def _table1(result: Result) -> Table:
 
 def _methods(result: Result) -> Table:
     rows: list[tuple[Cell, ...]] = []
+    pair, axis = result.config.decentre.pair, "xy".index(result.config.decentre.axis)
+    letter = result.config.decentre.axis.upper()
     for method in result.centred.method_table1_px:
         mean = result.centred.measurement.mean_px[method] - result.centred.measurement.photon_px
         sigma = result.centred.measurement.sigma_px[method]
-        moved = result.moved.method_table1_px[method][result.config.decentre.pair]
+        moved = result.moved.method_table1_px[method]
         rows.append(
             (
-                method,
-                float(np.sqrt((sigma**2).mean())),
-                float(np.sqrt((mean**2).mean())),
-                *(float(v) for v in result.centred.method_table1_px[method][result.config.decentre.pair]),
-                float(moved["xy".index(result.config.decentre.axis)]),
+                METHOD_NAMES[method],
+                _found(np.sqrt((sigma**2).mean())),
+                _found(np.sqrt((mean**2).mean())),
+                *(_found(v) for v in result.centred.method_table1_px[method][pair]),
+                *(_found(moved[name][axis]) for name, _, _ in result.pairs),
             )
         )
-    pair = result.config.decentre.pair
     return Table(
         columns=(
             "Centroider",
             Column(name="Noise", unit="px", key="noise_px", format=".4f"),
             Column(name="RMS error", unit="px", key="rms_bias_px", format=".4f"),
-            Column(name="X, centred", unit="px", key="centred_x_px", format=".5f"),
-            Column(name="Y, centred", unit="px", key="centred_y_px", format=".5f"),
-            Column(name=f"{result.config.decentre.axis.upper()}, moved", unit="px", key="moved_px", format=".5f"),
+            Column(name=f"{pair} X, centred", unit="px", key="centred_x_px", format=".5f"),
+            Column(name=f"{pair} Y, centred", unit="px", key="centred_y_px", format=".5f"),
+            *(
+                Column(name=f"{name} {letter}, moved", unit="px", key=f"moved_{name}_px", format=".4f")
+                for name, _, _ in result.pairs
+            ),
         ),
         rows=rows,
-        caption=f"The same frames through every centroider, and the entries of Table 1 ({pair} nm) each finds.",
+        caption="The same frames through every centroider, and the entries of Table 1 each finds.",
         note="Noise: standard deviation of a single frame. RMS error: mean centroid against the centroid of the "
-        "noiseless light, centred lens. Both per axis, over all points and filters.",
+        "noiseless light, centred lens. Both per axis, over all points and filters. Empty: the method does not "
+        "converge on some point.",
+    )
+
+
+def _found(value: float) -> float | None:
+    """A number for a cell; None where a method found none."""
+    return float(value) if np.isfinite(value) else None
+
+
+def anatomy(result: Result) -> Table:
+    """What the shift of the centred lens is made of: its radial part, from the axis outwards, mean over the points."""
+    place = result.centred.measurement.nominal_px - result.instrument.camera.centre_px
+    outward = place / np.linalg.norm(place, axis=-1, keepdims=True)
+    rows: list[tuple[Cell, ...]] = []
+    for name, high, low in result.pairs:
+        positions = (result.paraxial_px, result.centred.measurement.chief_px, result.centred.measurement.bundle_px)
+        radial = [float(((p[..., high, :] - p[..., low, :]) * outward).sum(-1).mean()) for p in positions]
+        rows.append((name, *radial))
+    return Table(
+        columns=(
+            Column(name="Bands", unit="nm", key="bands"),
+            Column(name="Paraxial", unit="px", key="paraxial_px", format="+.4f"),
+            Column(name="Chief ray", unit="px", key="chief_px", format="+.4f"),
+            Column(name="All rays", unit="px", key="bundle_px", format="+.4f"),
+        ),
+        rows=rows,
+        caption="Radial shift of the centred lens, mean over the points: paraxial lateral colour; the chief ray adds "
+        "chromatic distortion; all rays add coma and spherical aberration that change with colour.",
     )
 
 
@@ -203,6 +244,7 @@ def all_tables(result: Result) -> Mapping[str, Table]:
         "calibration": _residuals(result),
         "elements": _elements(result),
         "centroiders": _methods(result),
+        "anatomy": anatomy(result),
         "stars": _stellar(result),
         "points": _points(result),
     }
