@@ -135,6 +135,7 @@ def _stars_text(result: Result) -> str:
     moved, wanted = result.moved_stellar, result.config.decentre
     third, _ = rule.values()
     worst = float(stellar.rms_px.max())
+    farthest = int(np.argmax(np.abs(moved.mean_px[:, "xy".index(wanted.axis)])))
     extreme = f"{float(stellar.temperature_k[int(np.argmax(stellar.rms_px))]):g} K"
     axis = "xy".index(wanted.axis)
     means = moved.mean_px[:, axis]
@@ -151,8 +152,8 @@ def _stars_text(result: Result) -> str:
         "Applied to "
         "the document's signed mean, which is zero here, the rule would predict no stellar shift at all.\n\n"
         f"**Element moved**, where the signed mean is {wanted.wanted_px:g} px and the rule allows "
-        f"{wanted.wanted_px / 3:.3f} px: the mean over the field of {extreme} stars shifts by "
-        f"{_number(means[int(np.argmax(np.abs(means)))], '+.3f')} px in {wanted.axis.upper()}, and the means of the "
+        f"{wanted.wanted_px / 3:.3f} px: the mean of {moved.temperature_k[farthest]:g} K stars over the field shifts by "
+        f"{_number(means[farthest], '+.3f')} px in {wanted.axis.upper()}, and the means of the "
         "list span "
         f"{float(np.ptp(np.append(means, 0.0))):.3f} px. "
         + (
@@ -285,7 +286,7 @@ def _signed_mean(result: Result) -> Section:
     )
     return Section(
         title=f"Why the signed mean vanishes, and what makes it {result.config.decentre.wanted_px:g} px",
-        blocks=(Text(_why_zero(result)), arrows, Row((spots, all_tables(result)["elements"])), bars),
+        blocks=(Text(_why_zero(result)), arrows, Row((spots,)), bars, all_tables(result)["elements"]),
     )
 
 
@@ -335,8 +336,8 @@ def build_report(result: Result) -> Report:
     )
     stars = Figure(
         drawing=star_shifts(result, rule_of_third(result)),
-        caption="Chromatic shift of black-body stars through the full pass band against the reference star; black lines: "
-        "a third of half the shift between filters at the same places, centred lens.",
+        caption="Chromatic shift of black-body stars through the full pass band against the reference star; black lines: a "
+        "third of half the shift between filters at the same places, centred lens.",
     )
     every = all_tables(result)
     seen = cell_text(

@@ -82,7 +82,7 @@ def _methods(result: Result) -> Table:
                 METHOD_NAMES[method],
                 _found(np.sqrt((sigma**2).mean())),
                 _found(np.sqrt((mean**2).mean())),
-                *(_found(v) for v in result.centred.method_table1_px[method][pair]),
+                _found(result.centred.method_table1_px[method][pair][axis]),
                 *(_found(moved[name][axis]) for name, _, _ in result.pairs),
             )
         )
@@ -91,8 +91,7 @@ def _methods(result: Result) -> Table:
             "Centroider",
             Column(name="Noise", unit="px", key="noise_px", format=".4f"),
             Column(name="RMS error", unit="px", key="rms_bias_px", format=".4f"),
-            Column(name=f"{pair} X, centred", unit="px", key="centred_x_px", format=".5f"),
-            Column(name=f"{pair} Y, centred", unit="px", key="centred_y_px", format=".5f"),
+            Column(name=f"{pair} {letter}, centred", unit="px", key="centred_px", format=".5f"),
             *(
                 Column(name=f"{name} {letter}, moved", unit="px", key=f"moved_{name}_px", format=".4f")
                 for name, _, _ in result.pairs

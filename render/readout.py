@@ -1,6 +1,6 @@
 """Expected electrons in, digital numbers out.
 
-The order of effects (DESIGN.md), each from the EMVA 1288 description in `render.detector`:
+The order of effects, each from the EMVA 1288 description in `render.detector`:
 
 1. charge diffusion on the expectation (only where the renderer has not applied it; `render.diffusion`);
 2. response non-uniformity (PRNU) on all light, signal and background;

@@ -79,7 +79,7 @@ class Truth:
     photon_x_px, photon_y_px : (n, b)
         Centroid of the noiseless light on the detector, after charge diffusion, integrated over strips of a fraction of
         a pixel, before the edge of the detector cuts it. A moment over whole pixels carries the sampling bias of its
-        pixel grid (up to a few 1e-3 px for sharp spots), which is a property of an estimator and not of the light.
+        pixel grid (up to some 1e-2 px for sharp spots), which is a property of an estimator and not of the light.
     electrons_in : (n, b)
         Electrons that would be collected if every photon through the entrance aperture reached the detector.
     electrons_image, electrons_vignetted, electrons_off_edge : (n, b)
