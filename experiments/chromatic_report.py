@@ -336,8 +336,8 @@ def build_report(result: Result) -> Report:
     )
     stars = Figure(
         drawing=star_shifts(result, rule_of_third(result)),
-        caption="Chromatic shift of black-body stars through the full pass band against the reference star; black lines: a "
-        "third of half the shift between filters at the same places, centred lens.",
+        caption="Chromatic shift of black-body stars through the full pass band, against the reference star. Black "
+        "lines: a third of half the shift between filters at the same places, centred lens.",
     )
     every = all_tables(result)
     seen = cell_text(

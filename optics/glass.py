@@ -210,7 +210,7 @@ class Glass:
         Parameters
         ----------
         wavelength_nm : array_like
-            Wavelengths in air [nm], any shape.
+            Wavelengths [nm], any shape. The testbed passes vacuum wavelengths (docs/conventions.md).
 
         Returns
         -------
