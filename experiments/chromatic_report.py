@@ -152,7 +152,7 @@ def _stars_text(result: Result) -> str:
         "Applied to "
         "the document's signed mean, which is zero here, the rule would predict no stellar shift at all.\n\n"
         f"**Element moved**, where the signed mean is {wanted.wanted_px:g} px and the rule allows "
-        f"{wanted.wanted_px / 3:.3f} px: the mean of {moved.temperature_k[farthest]:g} K stars over the field shifts by "
+        f"{wanted.wanted_px / 3:.3f} px: {moved.temperature_k[farthest]:g} K stars shift, averaged over the field, by "
         f"{_number(means[farthest], '+.3f')} px in {wanted.axis.upper()}, and the means of the "
         "list span "
         f"{float(np.ptp(np.append(means, 0.0))):.3f} px. "
