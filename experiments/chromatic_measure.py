@@ -375,12 +375,22 @@ def _nominal(instrument: Instrument, direction: FloatArray) -> FloatArray:
 
 
 def _dark_subtracted(stack: WindowStack, dark_e: FloatArray, start_px: FloatArray) -> tuple[Stamps, NoiseModel]:
-    """Stamps of a readout minus the mean dark frame; with the lamp off there is no light, so no background is left."""
+    """Stamps of a readout minus the mean dark frame; with the lamp off there is no light, so no background is left.
+
+    Centroiders start at the centre of gravity of the mean frame: the tail of a spot draws it away from the detection.
+    """
     stamps, noise = stamps_from_windows(stack, background_e=0.0, start_px=start_px)
     pedestal = dark_e - noise.offset_dn / noise.gain_dn_per_e
-    electrons = np.where(stamps.valid, stamps.electrons - np.tile(pedestal, (stack.dn.shape[0], 1, 1)), 0.0)
+    frames, points, height, width = stack.dn.shape
+    electrons = np.where(stamps.valid, stamps.electrons - np.tile(pedestal, (frames, 1, 1)), 0.0)
+    light = np.maximum(electrons.reshape(frames, points, height, width).mean(0), 0.0)
+    light /= np.maximum(light.sum((1, 2), keepdims=True), 1e-300)
+    gravity = np.column_stack([light.sum(1) @ np.arange(width), light.sum(2) @ np.arange(height)])
     return replace(
-        stamps, electrons=electrons, psf_index=np.tile(np.arange(stack.dn.shape[1]), stack.dn.shape[0])
+        stamps,
+        electrons=electrons,
+        start_px=np.tile(stack.corner_px + gravity, (frames, 1)),
+        psf_index=np.tile(np.arange(points), frames),
     ), noise
 
 
