@@ -66,6 +66,10 @@ def get_centroider(name: str, **options: Any) -> Centroider:
     for key in options:
         if key not in known:
             raise unknown_name(f"option of centroider {name!r}:", key, known)
+    if name == "epsf" and "epsf" not in options:
+        raise ConfigError(
+            "centroider 'epsf' needs epsf=: an EffectivePsf, from render.psf.render_epsf or calib.epsf_build.build_epsf"
+        )
     try:
         return maker(**options)
     except TypeError as error:

@@ -49,7 +49,8 @@ def main(argv: list[str]) -> int:
         sys.stdout.writelines(f"{name}\n" for name in found)
         return 0
     if argv and argv[0] not in ("-h", "--help"):
-        print(f"error: {argv[0]!r} is not understood here; run python -m experiments.NAME", file=sys.stderr)
+        hint = f"run python -m experiments.{argv[0]}" if argv[0] in found else "run python -m experiments.NAME"
+        print(f"error: {argv[0]!r} is not understood here; {hint}", file=sys.stderr)
         return 2
     print("Run one with: python -m experiments.NAME [--quick] [--out DIR] (--help tells the rest)\n")
     width = max(map(len, found), default=0)

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from experiments.chromatic_measure import SEARCH_MARGIN_PX, Bench
 from experiments.chromatic_model import Solution, expected_spots
 from experiments.instrument import Instrument
+from optics.analysis import best_focus_shift_mm
 from optics.band import Band
 from optics.errors import DomainError
+from optics.frames import field_angles_deg
 
 __all__ = ["check_light", "check_motion", "check_wavelengths"]
 
@@ -77,10 +79,13 @@ def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
         )
     widest = float(radius_px.max())
     if 4.0 * widest > bench.window_px:
+        field_x, field_y = field_angles_deg(direction.reshape(-1, 3))
+        waves = [band.centre_nm for band in bench.filters]  # type: ignore[attr-defined]
+        best = best_focus_shift_mm(instrument.camera.lens, field_x, field_y, waves)
         raise DomainError(
             f"the image of a target point has an RMS radius of {widest:.1f} px, for which window_px = "
-            f"{bench.window_px} is too small (at least four RMS radii); bring instrument.defocus_mm = "
-            f"{instrument.config.defocus_mm:g} mm nearer to focus or enlarge the window"
+            f"{bench.window_px} is too small (at least four RMS radii); best focus for these filters is at "
+            f"instrument.defocus_mm = {best:.3f} mm (it is {instrument.config.defocus_mm:g} mm), or enlarge the window"
         )
 
 

@@ -63,6 +63,12 @@ def build_instrument(config: InstrumentConfig, lens: LensSystem | None = None) -
     nominal = load_lens(config.lens)
     detector = load_detector(config.detector)
     coating = QuarterWave(design_wavelength_nm=config.coating_nm) if config.coating_nm > 0 else None
-    camera = build_camera(nominal if lens is None else lens, detector, defocus_mm=config.defocus_mm, coating=coating)
+    camera = build_camera(
+        nominal if lens is None else lens,
+        detector,
+        defocus_mm=config.defocus_mm,
+        coating=coating,
+        absorption=config.absorption,
+    )
     focal_length = axial_paraxial(nominal, nominal.design_wavelength_nm).efl_mm
     return Instrument(config=config, camera=camera, detector=detector, focal_length_mm=float(focal_length))

@@ -17,6 +17,9 @@ class InstrumentConfig(StrictModel):
     defocus_mm: float = Field(default=0.010, ge=-1, le=1, description="detector shift away from the lens")
     exposure_s: float = Field(default=0.1, gt=0, le=1e4, description="exposure time")
     chip_temperature_c: float = Field(default=0.0, ge=-100, le=80, description="temperature of the detector")
+    absorption: bool = Field(
+        default=True, description="count absorption in the glass; needs the internal transmittance of every glass"
+    )
     coating_nm: float = Field(
         default=550.0, ge=0, le=2000, description="design wavelength of the MgF2 quarter-wave coatings; 0: bare glass"
     )

@@ -328,7 +328,7 @@ class Glass:
         """
         if self.transmittance is None or self.transmittance_mm is None:
             raise DomainError(
-                f"glass {self.name} has no internal transmittance table; choose one that has, or give it one"
+                f"glass {self.name} has no internal transmittance table; set absorption = false or take another"
             )
         path = np.asarray(path_mm, dtype=np.float64)
         if not (path >= 0.0).all():

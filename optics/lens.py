@@ -73,7 +73,7 @@ class Surface:
             )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class LensSystem:
     """A lens prescription, ready to be traced, perturbed or drawn.
 
@@ -120,6 +120,12 @@ class LensSystem:
                 raise unknown_name("glass", surface.medium, self.glasses)
         if not 0 < self.max_field_deg < 90:
             raise DomainError(f"lens {self.name!r}: max_field_deg = {self.max_field_deg} deg is outside 0 ... 90 deg")
+
+    def __repr__(self) -> str:
+        return (
+            f"LensSystem({self.name!r}, {len(self.surfaces)} surfaces, elements {' '.join(self.elements)}, "
+            f"half field {self.max_field_deg:g} deg, {self.environment})"
+        )
 
     @property
     def stop_index(self) -> int:

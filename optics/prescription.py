@@ -151,6 +151,19 @@ def _glasses(file: LensFile, media: list[str], where: str) -> dict[str, Glass]:
     return glasses
 
 
+def _check_apertures(file: LensFile, where: str) -> None:
+    """Refuse a clear aperture that reaches beyond the rim where a sphere or conic ends."""
+    for number, table in enumerate(file.surface):
+        if not math.isfinite(table.radius_mm) or table.conic <= -1.0:
+            continue
+        rim = abs(table.radius_mm) / math.sqrt(1.0 + table.conic)
+        if table.semi_diameter_mm >= rim:
+            raise ConfigError(
+                f"{where}: surface {number}: semi_diameter_mm = {table.semi_diameter_mm:g} mm reaches the rim of the "
+                f"surface (radius_mm = {table.radius_mm:g} mm, conic {table.conic:g}); it must be below {rim:.6g} mm"
+            )
+
+
 def _builtin() -> dict[str, Path]:
     folder = Path(str(resources.files("optics"))) / "data" / "lenses"
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
@@ -194,6 +207,7 @@ def load_lens(name_or_path: str | Path, *, environment: Environment = CATALOGUE_
     glasses = _glasses(file, [s.medium for s in surfaces], path.name)
     if surfaces[-1].medium != AMBIENT:
         raise ConfigError(f"{path.name}: the last surface is followed by {surfaces[-1].medium!r}; it must be 'air'")
+    _check_apertures(file, path.name)
     return LensSystem(
         name=file.name,
         source=file.source,

@@ -127,6 +127,7 @@ def build_camera(
     *,
     defocus_mm: float = 0.0,
     coating: Coating | None = None,
+    absorption: bool = True,
     rotation_cam_from_world: FloatArray | None = None,
 ) -> Camera:
     """Camera of a lens and a detector: geometry, diffusion and response taken from both.
@@ -139,6 +140,8 @@ def build_camera(
         Detector shift away from the lens.
     coating : Coating, optional
         On every air-glass surface; bare glass if left out.
+    absorption : bool
+        Whether to count absorption in the glass; needs the internal transmittance of every glass.
     rotation_cam_from_world : (3, 3), optional
         Attitude; identity if left out.
 
@@ -159,7 +162,8 @@ def build_camera(
     wavelength = np.linspace(low, high, max(2, int((high - low) / RESPONSE_STEP_NM) + 1))
     response = Response(
         wavelength_nm=wavelength,
-        value=efficiency.interpolate(wavelength) * lens_transmission(lens, wavelength, coating=coating),
+        value=efficiency.interpolate(wavelength)
+        * lens_transmission(lens, wavelength, coating=coating, absorption=absorption),
         name=f"{lens.name} on {detector.name}",
         source=f"{lens.source}; {efficiency.source}",
     )
