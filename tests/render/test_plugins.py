@@ -274,3 +274,18 @@ def test_registration_needs_a_vectorised_variant(variant):
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.startswith(f"BackendError Mitsuba variant {variant} is active")
     assert "use_backend" in done.stdout
+
+
+def test_code_of_the_documentation(mi):
+    """docs/rendering.md is run as it stands."""
+    text = (ROOT / "docs" / "rendering.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    assert len([line for line in code.splitlines() if line.strip()]) <= 20
+    names = {}
+    exec(compile(code, "rendering.md", "exec"), names)
+    electrons, irradiance = np.array(names["electrons"]), np.array(names["irradiance"])
+    assert electrons.shape == (480, 640, 1)
+    assert electrons.sum() == pytest.approx(names["truth"].electrons_image.sum(), rel=1e-6)
+    assert np.unravel_index(electrons.argmax(), (480, 640)) in {(239, 319), (239, 320), (240, 319), (240, 320)}
+    column = (irradiance[..., 0].sum(0) @ np.arange(640)) / irradiance.sum()
+    assert column == pytest.approx(319.5 - 8 / 2000 * 206.2 / 5.5e-3, abs=2.0)  # +X is to the left, as in Mitsuba
