@@ -63,3 +63,20 @@ def bench_of():
         return Bench(**(settings | changes))
 
     return make
+
+
+@pytest.fixture(scope="session")
+def small_detector(tmp_path_factory):
+    """Data file of a smaller detector of the same make: frames that take a test less time and memory."""
+    path = tmp_path_factory.mktemp("detector") / "small.toml"
+    path.write_text('base = "cmv4000"\nname = "small"\nchip_width_px = 3072\nchip_height_px = 1536\n')
+    return path
+
+
+@pytest.fixture(scope="session")
+def small_camera(small_detector):
+    """The default lens in front of the small detector."""
+    from experiments.instrument import build_instrument
+    from experiments.settings import InstrumentConfig
+
+    return build_instrument(InstrumentConfig(detector=str(small_detector)))

@@ -190,7 +190,7 @@ def test_real_rays_of_a_singlet_approach_the_paraxial_shift_near_the_axis(single
 
 
 def test_spot_radius_of_a_defocused_lens(star_camera, bench_of):
-    """Far out of focus the spot is the cone of an F/2.95 beam cut by the detector, filled evenly in sin^2 of its angle."""
+    """Far out of focus the spot is a cut through the cone of an F/2.95 beam, filled evenly in sin^2 of its angle."""
     bench = bench_of(rows=1, columns=1)
     axis = np.array([[[0.0, 0.0, 1.0]]])
     radius = [
