@@ -236,8 +236,10 @@ def define(mi: Any, dr: Any) -> type:
             scale, rotation = 1.0 / self.scene_unit_mm, numbers[17:26]
             origin = self._world(rotation, out.x * scale, out.y * scale, 0.0) + self._position
             direction = dr.normalize(mi.Vector3f(self._world(rotation, out.dx, out.dy, out.dz)))
-            ray = mi.Ray3f(mi.Point3f(origin), direction, time, wavelengths)
-            return ray, (spectrum * mi.Float(weight)) & (active & (out.status == OK))
+            ok = active & (out.status == OK)  # rays that failed carry numbers that mean nothing
+            origin, direction = dr.select(ok, mi.Point3f(origin), 0.0), dr.select(ok, direction, mi.Vector3f(0, 0, 1))
+            ray = mi.Ray3f(origin, direction, time, wavelengths)
+            return ray, (spectrum * mi.Float(weight)) & ok
 
         def sample_ray_differential(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
@@ -254,7 +256,7 @@ def define(mi: Any, dr: Any) -> type:
         def _wavelengths(self, sample1: Any, active: Any) -> tuple[Any, Any, Any]:
             """Wavelengths of the ray, its spectral weight, and the wavelength that is traced."""
             if not mi.is_spectral:
-                return mi.Color0f(), mi.Spectrum(1.0), mi.Float64(self.wavelength_nm)
+                return mi.Color0f(), mi.Spectrum(1.0), dr.opaque(mi.Float64, self.wavelength_nm)
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), sample1, active)
             low, high = self.camera.lens.wavelength_range_nm
             hero = mi.Float64(dr.clip(wavelengths[0], low, high))
