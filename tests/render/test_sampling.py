@@ -131,6 +131,22 @@ def test_rule_is_chosen_by_the_pupil(mi, bench):
     assert rule(camera(ring), 2000, 1000) == {"sobol"}
 
 
+def test_a_sliver_cut_from_the_pupil_is_noticed(mi, bench):
+    """A thousandth of the light lost at one edge: quadrature would be wrong, so it is not taken."""
+    lens = load_lens("star_camera_206mm")
+    last = len(lens.surfaces) - 1
+    for radius_mm, expected in ((12.60, "quadrature"), (12.55, "sobol"), (12.50, "sobol")):
+        cut = lens.with_surfaces({last: replace(lens.surfaces[last], semi_diameter_mm=radius_mm)})
+        camera = bench.camera_of(cut, film=False)
+        stars = bench.stars_at(camera, 4000.2, 1900.3, bands=((600.0, 0.0),))
+        traced = Tracer(mi, camera).render(stars, exposure_s=1.0)
+        assert set(traced.sampling) == {expected}
+        _, _, weight = bench.bundle(camera, stars, 0, 0, rings=400, arms=400, stagger=True)
+        lost = traced.truth.electrons_vignetted[0, 0] / traced.truth.electrons_in[0, 0]
+        assert lost == pytest.approx(1 - weight.sum(), abs=1e-4)
+        assert (lost > 5e-4) == (expected == "sobol")
+
+
 def test_sobol_agrees_with_quadrature_on_the_same_clear_pupil(mi, bench):
     camera = bench.camera_of(defocus_mm=0.02)
     stars = bench.stars_at(camera, [2047.5, 3000.2, 4010.4], [1023.5, 400.8, 60.1])
