@@ -131,39 +131,45 @@ def _calibration_text(result: Result) -> str:
 
 
 def _stars_text(result: Result) -> str:
-    rule, stellar, stars = rule_of_third(result), result.stellar, result.config.stars
-    moved, wanted = result.moved_stellar, result.config.decentre
-    third, _ = rule.values()
-    worst = float(stellar.rms_px.max())
-    farthest = int(np.argmax(np.abs(moved.mean_px[:, "xy".index(wanted.axis)])))
+    stellar, stars = result.stellar, result.config.stars
+    half = 3 * next(iter(rule_of_third(result).values()))
+    worst, apart = float(stellar.rms_px.max()), stellar.most_different_rms_px
     extreme = f"{float(stellar.temperature_k[int(np.argmax(stellar.rms_px))]):g} K"
-    axis = "xy".index(wanted.axis)
-    means = moved.mean_px[:, axis]
+    bound = "so here a third bounds it" if apart <= half / 3 else "so a third is the right size but no upper bound"
+    if apart > half:
+        bound = "so a third is far too little"
     return (
-        "The document divides by three because starlight fills the pass band of the camera, not of one filter. "
-        f"Black bodies were rendered through {stars.passband_nm[0]:g} to {stars.passband_nm[1]:g} nm at {stars.grid} "
-        f"× {stars.grid} places over the whole detector.\n\n"
+        "The document divides by three because starlight fills the pass band of the camera, not of one filter. Black "
+        f"bodies were rendered through {stars.passband_nm[0]:g} to {stars.passband_nm[1]:g} nm at {stars.grid} × "
+        f"{stars.grid} places over the whole detector.\n\n"
         f"**Centred lens.** The star that moves most ({extreme}) shifts by {worst:.3f} px RMS against one of "
-        f"{stars.reference_k:g} K, and by up to {float(stellar.max_px.max()):.3f} px at one place; the two stars of "
-        "the list "
-        f"that differ most are {stellar.most_different_rms_px:.3f} px apart. Half the filter shift of a *point* is "
-        f"{3 * third:.3f} px RMS at the same places: stars shift by {worst / (3 * third):.2f} and "
-        f"{stellar.most_different_rms_px / (3 * third):.2f} of it, so a third is the right size but no upper bound. "
-        "Applied to "
-        "the document's signed mean, which is zero here, the rule would predict no stellar shift at all.\n\n"
-        f"**Element moved**, where the signed mean is {wanted.wanted_px:g} px and the rule allows "
-        f"{wanted.wanted_px / 3:.3f} px: {moved.temperature_k[farthest]:g} K stars shift, averaged over the field, by "
-        f"{_number(means[farthest], '+.3f')} px in {wanted.axis.upper()}, and the means of the "
-        "list span "
-        f"{float(np.ptp(np.append(means, 0.0))):.3f} px. "
-        + (
-            "There the document's third is too small by a factor of "
-            f"{float(np.abs(means).max()) / abs(wanted.wanted_px / 3):.1f}: a wedge disperses the blue end of the "
-            "pass band most, "
-            "and eq. 16 halves what a star feels in full."
-            if np.abs(means).max() > abs(wanted.wanted_px) / 3
-            else "There the document's third holds."
+        f"{stars.reference_k:g} K, and by up to {float(stellar.max_px.max()):.3f} px at one place; the two stars of the "
+        f"list that differ most are {apart:.3f} px apart. Half the filter shift of a *point* is {half:.3f} px RMS at "
+        f"the same places: stars shift by {worst / half:.2f} and {apart / half:.2f} of it, {bound}. Applied to the "
+        "document's signed mean, which is zero here, the rule would predict no stellar shift at all."
+        + _moved_stars_text(result)
+    )
+
+
+def _moved_stars_text(result: Result) -> str:
+    """The rule on the lens whose signed mean is not zero; nothing where nothing was moved."""
+    moved, wanted = result.moved_stellar, result.config.decentre
+    if wanted.wanted_px == 0:
+        return ""
+    means, allowed = moved.mean_px[:, "xy".index(wanted.axis)], abs(wanted.wanted_px) / 3
+    farthest = int(np.argmax(np.abs(means)))
+    largest = float(np.abs(means[farthest]))
+    outcome = "There the document's third holds."
+    if largest > allowed:
+        outcome = (
+            f"There the document's third is too small by a factor of {largest / allowed:.1f}: a wedge disperses the "
+            "blue end of the pass band most, and eq. 16 halves what a star feels in full."
         )
+    return (
+        f"\n\n**Element moved**, where the signed mean is {_number(wanted.wanted_px, 'g')} px and the rule allows "
+        f"{allowed:.3f} px: {moved.temperature_k[farthest]:g} K stars shift, averaged over the field, by "
+        f"{_number(means[farthest], '+.3f')} px in {wanted.axis.upper()}, and the means of the list span "
+        f"{float(np.ptp(np.append(means, 0.0))):.3f} px. {outcome}"
     )
 
 

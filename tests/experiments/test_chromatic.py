@@ -294,9 +294,9 @@ SENSORS = 40
 def test_effect_of_the_fixed_pattern_is_predicted(mi, bench_of, small_camera):
     """The prediction draws response patterns; here 40 sensors are made, and their mean centroids scatter.
 
-    16 points x 2 axes x 40 sensors against 48 predicted patterns of as many: the relative standard deviation of either
-    variance is sqrt(2 / (32 x 40)) and sqrt(2 / (32 x 48)), together 5.4 %; four of them are allowed. The temporal
-    part, a hundredth of the whole, is taken off.
+    16 points x 2 axes x 40 sensors, against 48 predicted patterns for each of those: the relative standard deviation of
+    their variances is sqrt(2 / 1280) and sqrt(2 / 61440), together 4.0 %; four of them are allowed. The filters do not
+    count, the pattern is common to them. The temporal part is taken off.
     """
     bench = bench_of(frames=40, dark_frames=100)
     place, temporal, predicted = [], [], []
