@@ -139,15 +139,14 @@ def _stars_text(result: Result) -> str:
     if apart > half:
         bound = "so a third is far too little"
     return (
-        "The document divides by three because starlight fills the pass band of the camera, not of one filter. Black "
-        f"bodies were rendered through {stars.passband_nm[0]:g} to {stars.passband_nm[1]:g} nm at {stars.grid} × "
-        f"{stars.grid} places over the whole detector.\n\n"
-        f"**Centred lens.** The star that moves most ({extreme}) shifts by {worst:.3f} px RMS against one of "
-        f"{stars.reference_k:g} K, and by up to {float(stellar.max_px.max()):.3f} px at one place; the two stars of the "
-        f"list that differ most are {apart:.3f} px apart. Half the filter shift of a *point* is {half:.3f} px RMS at "
-        f"the same places: stars shift by {worst / half:.2f} and {apart / half:.2f} of it, {bound}. Applied to the "
-        "document's signed mean, which is zero here, the rule would predict no stellar shift at all."
-        + _moved_stars_text(result)
+        "The document divides by three because starlight fills the pass band of the camera, not of one filter. "
+        f"Black bodies were rendered through {stars.passband_nm[0]:g} to {stars.passband_nm[1]:g} nm at {stars.grid} "
+        f"× {stars.grid} places over the whole detector.\n\n**Centred lens.** The star that moves most ({extreme}) "
+        f"shifts by {worst:.3f} px RMS against one of {stars.reference_k:g} K, and by up to "
+        f"{float(stellar.max_px.max()):.3f} px at one place; the two stars of the list that differ most are "
+        f"{apart:.3f} px apart. Half the filter shift of a *point* is {half:.3f} px RMS at the same places: stars "
+        f"shift by {worst / half:.2f} and {apart / half:.2f} of it, {bound}. Applied to the document's signed mean, "
+        "which is zero here, the rule would predict no stellar shift at all." + _moved_stars_text(result)
     )
 
 
