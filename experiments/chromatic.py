@@ -53,7 +53,7 @@ def run(config: Config, *, progress: Progress) -> Result:
 
     from experiments.chromatic_evaluate import evaluate
     from experiments.chromatic_measure import measure
-    from experiments.chromatic_model import bundle_prediction, paraxial_prediction, perturbed, shifts
+    from experiments.chromatic_model import bundle_prediction, paraxial_prediction, shifts
     from experiments.chromatic_result import Result
     from experiments.chromatic_stars import electrons_of_star, stellar_shift
     from experiments.instrument import build_instrument
@@ -68,11 +68,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     paraxial_px = paraxial_prediction(bench, instrument, direction)
     solutions = _solve(mi, config, bench, instrument, direction, progress)
     chosen = _choose(config, bench, solutions)
-    amount = chosen.amount / (1e3 if chosen.kind == "decentre" else 60.0)
-    axis = "xy".index(config.decentre.axis)
-    moved = build_instrument(
-        config.instrument, perturbed(instrument.camera.lens, chosen.element, chosen.kind, axis, amount)
-    )
+    moved = _moved(config, instrument, chosen)
     streams = Streams(config.seed).child("chromatic")
     found = {}
     for label, stage_label, one in (("centred", "centred lens", instrument), ("moved", "moved element", moved)):
@@ -160,6 +156,18 @@ def _solve(
         )
         for element, kind in progress.track(moves, "which element")
     ]
+
+
+def _moved(config: Config, instrument: Instrument, chosen: Solution) -> Instrument:
+    """The camera with the chosen element moved."""
+    from experiments.chromatic_model import perturbed
+    from experiments.instrument import build_instrument
+
+    amount = chosen.amount / (1e3 if chosen.kind == "decentre" else 60.0)  # mm or deg
+    axis = "xy".index(config.decentre.axis)
+    return build_instrument(
+        config.instrument, perturbed(instrument.camera.lens, chosen.element, chosen.kind, axis, amount)
+    )
 
 
 def _choose(config: Config, bench: Bench, solutions: Sequence[Solution]) -> Solution:

@@ -199,6 +199,11 @@ def _evaluation_summary(result: Result, evaluation: Evaluation) -> dict[str, Any
     }
 
 
+def _methods_summary(evaluation: Evaluation) -> dict[str, Any]:
+    """Table 1 by every centroider."""
+    return {m: {n: _xy(v) for n, v in entries.items()} for m, entries in evaluation.method_table1_px.items()}
+
+
 def results(result: Result) -> dict[str, Any]:
     """The ``results`` of ``summary.json``."""
     x, y = lsfe_arcsec(result, result.centred)
@@ -221,10 +226,7 @@ def results(result: Result) -> dict[str, Any]:
                 "most_different_rms_px": result.moved_stellar.most_different_rms_px,
             },
         },
-        "method_table1_px": {
-            method: {n: _xy(v) for n, v in entries.items()}
-            for method, entries in result.centred.method_table1_px.items()
-        },
+        "method_table1_px": _methods_summary(result.centred),
         "decentre_solution": {
             "element": chosen.element,
             "kind": chosen.kind,
@@ -233,10 +235,7 @@ def results(result: Result) -> dict[str, Any]:
             "wanted_px": result.config.decentre.wanted_px,
             "lsfe_s_arcsec_3sigma": {"x": moved_x, "y": moved_y},
             "measured": _evaluation_summary(result, result.moved),
-            "method_table1_px": {
-                method: {n: _xy(v) for n, v in entries.items()}
-                for method, entries in result.moved.method_table1_px.items()
-            },
+            "method_table1_px": _methods_summary(result.moved),
             "all_elements": [
                 {
                     "element": s.element,
