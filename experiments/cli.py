@@ -52,6 +52,8 @@ C = TypeVar("C", bound=ExperimentConfig)
 R = TypeVar("R")
 Main = Callable[..., int]
 
+_INTERRUPTED = "interrupted; nothing was written"
+
 EXIT_GOOD, EXIT_FAILED, EXIT_BAD_INPUT, EXIT_BROKEN, EXIT_INTERRUPTED = 0, 1, 2, 3, 130
 
 
@@ -145,9 +147,9 @@ def command(
 
     def main(argv: Sequence[str] | None = None) -> int:
         outcome.clear()
-        with _termination_as_interrupt():
+        with _interrupts() as asked:
             status = _guarded(
-                lambda: parser.main(argv, prog_name=f"python -m experiments.{name}", standalone_mode=False)
+                lambda: parser.main(argv, prog_name=f"python -m experiments.{name}", standalone_mode=False), asked
             )
         return status or (outcome[0] if outcome else EXIT_GOOD)
 
@@ -250,19 +252,23 @@ def _show(experiment: Experiment[Any, Any], outcome: _Outcome, shown: str) -> No
     console.print(f"report: {Path(shown) / 'report.html'}", highlight=False, soft_wrap=True)
 
 
-def _guarded(work: Callable[[], Any]) -> int:
-    """Exit code of ``work``; what the user can mend becomes one line."""
+def _guarded(work: Callable[[], Any], asked: Sequence[int]) -> int:
+    """Exit code of ``work``; what the user can mend becomes one line.
+
+    An interrupt in the middle of an import may come out as another error (an extension module that failed to load), so
+    any error after one was ``asked`` for counts as the interrupt.
+    """
     try:
         work()
-    except click.exceptions.Abort:
-        return _say("interrupted; nothing was written", EXIT_INTERRUPTED)
-    except KeyboardInterrupt:
-        return _say("interrupted; nothing was written", EXIT_INTERRUPTED)
-    except click.ClickException as error:
-        return _say(error.format_message(), EXIT_BAD_INPUT)
-    except StarbenchError as error:
-        return _say(str(error), EXIT_BAD_INPUT)
-    except Exception:
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        return _say(_INTERRUPTED, EXIT_INTERRUPTED)
+    except Exception as error:
+        if asked:
+            return _say(_INTERRUPTED, EXIT_INTERRUPTED)
+        if isinstance(error, click.ClickException):
+            return _say(error.format_message(), EXIT_BAD_INPUT)
+        if isinstance(error, StarbenchError):
+            return _say(str(error), EXIT_BAD_INPUT)
         traceback.print_exc()
         return EXIT_BROKEN
     return EXIT_GOOD
@@ -275,18 +281,21 @@ def _say(sentence: str, status: int) -> int:
 
 
 @contextlib.contextmanager
-def _termination_as_interrupt() -> Iterator[None]:
-    """Let a polite kill unwind like Ctrl-C, so that nothing half-written stays."""
+def _interrupts() -> Iterator[list[int]]:
+    """Let a polite kill unwind like Ctrl-C, so that nothing half-written stays; yields the signals that came."""
+    asked: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield asked
         return
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        del number, frame
+        del frame
+        asked.append(number)
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
-        yield
+        yield asked
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
