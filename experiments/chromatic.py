@@ -58,13 +58,12 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.chromatic_stars import electrons_of_star, stellar_shift
     from experiments.instrument import build_instrument
     from experiments.provenance import peak_memory_mb, process_seconds
-    from experiments.target import CORNERS, corner_directions
+    from experiments.target import CORNERS
     from render.random import Streams
 
     backend = str(mi.variant()).split("_")[0]
     instrument = build_instrument(config.instrument)
-    bench, pairs = _prepare(config, instrument)
-    direction = corner_directions(config.target, instrument)
+    bench, pairs, direction = _prepare(config, instrument)
     paraxial_px = paraxial_prediction(bench, instrument, direction)
     solutions = _solve(mi, config, bench, instrument, direction, progress)
     chosen = _choose(config, bench, solutions)
@@ -97,8 +96,8 @@ def run(config: Config, *, progress: Progress) -> Result:
     )
 
 
-def _prepare(config: Config, instrument: Instrument) -> tuple[Bench, Sequence[tuple[str, int, int]]]:
-    """The laboratory and the pairs of bands; whatever can be refused without rendering is refused here."""
+def _prepare(config: Config, instrument: Instrument) -> tuple[Bench, Sequence[tuple[str, int, int]], FloatArray]:
+    """Laboratory, pairs of bands and target points; whatever can be refused without rendering is refused here."""
     from experiments.chromatic_checks import check_light, check_wavelengths
     from experiments.chromatic_measure import Bench
     from experiments.chromatic_model import band_pairs
@@ -131,8 +130,9 @@ def _prepare(config: Config, instrument: Instrument) -> tuple[Bench, Sequence[tu
         raise unknown_name("decentre.pair", config.decentre.pair, [name for name, _, _ in pairs])
     if config.decentre.element != "auto":
         instrument.camera.lens.indices_of(config.decentre.element)
-    check_light(bench, instrument, corner_directions(config.target, instrument))
-    return bench, pairs
+    direction = corner_directions(config.target, instrument)
+    check_light(bench, instrument, direction)
+    return bench, pairs, direction
 
 
 def _solve(
@@ -160,14 +160,9 @@ def _solve(
 
 def _moved(config: Config, instrument: Instrument, chosen: Solution) -> Instrument:
     """The camera with the chosen element moved."""
-    from experiments.chromatic_model import perturbed
     from experiments.instrument import build_instrument
 
-    amount = chosen.amount / (1e3 if chosen.kind == "decentre" else 60.0)  # mm or deg
-    axis = "xy".index(config.decentre.axis)
-    return build_instrument(
-        config.instrument, perturbed(instrument.camera.lens, chosen.element, chosen.kind, axis, amount)
-    )
+    return build_instrument(config.instrument, chosen.apply(instrument.camera.lens, "xy".index(config.decentre.axis)))
 
 
 def _choose(config: Config, bench: Bench, solutions: Sequence[Solution]) -> Solution:

@@ -80,7 +80,7 @@ def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
     widest = float(radius_px.max())
     if 4.0 * widest > bench.window_px:
         field_x, field_y = field_angles_deg(direction.reshape(-1, 3))
-        waves = [band.centre_nm for band in bench.filters]  # type: ignore[attr-defined]
+        waves = [band.centre_nm for band in bench.filters]
         best = best_focus_shift_mm(instrument.camera.lens, field_x, field_y, waves)
         raise DomainError(
             f"the image of a target point has an RMS radius of {widest:.1f} px, for which window_px = "

@@ -19,7 +19,7 @@ from calib.stamps import stamps_from_windows
 from experiments.instrument import Instrument
 from experiments.settings import TargetConfig
 from experiments.target import CORNERS, corner_directions
-from optics.band import Band, band_nodes
+from optics.band import TopHat, band_nodes
 from optics.errors import DomainError
 from optics.pupil import entrance_pupil
 from optics.spectrum import Sed
@@ -54,7 +54,7 @@ class Bench:
         Point target.
     lamp : Sed
         Spectrum of the source.
-    filters : sequence of Band
+    filters : sequence of TopHat
         Filters, b of them; ``reference`` indexes the one the others are compared with.
     reference : int
         The 600 nm filter of ACC18.
@@ -70,7 +70,7 @@ class Bench:
 
     target: TargetConfig
     lamp: Sed
-    filters: Sequence[Band]
+    filters: Sequence[TopHat]
     reference: int
     signal_e: float
     frames: int
@@ -105,8 +105,6 @@ class Measurement:
         Noiseless image of the first position.
     windows : tuple of WindowStack
         Readout of the first position, per filter.
-    epsf : list of EffectivePsf
-        Of the first point of the first position, per filter.
     """
 
     direction: FloatArray
@@ -121,7 +119,6 @@ class Measurement:
     rms_spot_um: FloatArray
     example: ExpectedImage
     windows: tuple[WindowStack, ...]
-    epsf: Sequence[EffectivePsf]
 
 
 def target_field(bench: Bench, instrument: Instrument, direction: FloatArray) -> StarField:
@@ -184,7 +181,6 @@ def measure(
         rms_spot_um=np.stack([part.spot_um for part in parts]).mean((0, 1)),
         example=first,
         windows=parts[0].windows,
-        epsf=parts[0].epsf,
     )
 
 
@@ -203,7 +199,6 @@ class _Position:
     used: NDArray[np.int64]
     spot_um: FloatArray
     windows: tuple[WindowStack, ...]
-    epsf: Sequence[EffectivePsf]
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +244,6 @@ class _Readout:
             pattern=np.stack([one[3] for one in results], axis=2),
             spot_um=np.sqrt(truth.variance_x_px2 + truth.variance_y_px2) * camera.pixel_pitch_mm * 1e3,
             windows=stacks,
-            epsf=epsf[0],
         )
 
     def _expose(self, stamps_e: NDArray[Any], corner: NDArray[np.int64], frames: int, band: str) -> WindowStack:

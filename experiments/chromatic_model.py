@@ -199,9 +199,14 @@ class Solution:
         """Unit of `amount`."""
         return "um" if self.kind == "decentre" else "arcmin"
 
+    def apply(self, lens: LensSystem, axis: int) -> LensSystem:
+        """The lens with the element moved by this amount; see `perturbed`."""
+        return perturbed(lens, self.element, self.kind, axis, self.amount / _UNIT[self.kind])
+
 
 _LIMIT = {"decentre": 3.0, "tilt": 3.0}
 _UNIT = {"decentre": 1e3, "tilt": 60.0}
+"""um per mm, arcmin per deg: `Solution.amount` against the argument of `perturbed`."""
 
 
 def solve_perturbation(
@@ -240,7 +245,7 @@ def solve_perturbation(
         If the root is not found within the tolerance.
     """
     lens = instrument.camera.lens
-    pairs = band_pairs([band.centre_nm for band in bench.filters], bench.reference)  # type: ignore[attr-defined]
+    pairs = band_pairs([band.centre_nm for band in bench.filters], bench.reference)
     stars = target_field(bench, instrument, direction.reshape(-1, 3))
 
     def means(amount: float) -> FloatArray:

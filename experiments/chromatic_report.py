@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,10 +18,10 @@ from experiments.chromatic_figures import (
     target_image,
 )
 from experiments.chromatic_model import PUBLISHED_TABLE1_PX
-from experiments.chromatic_tables import all_tables, anatomy, moved_label
+from experiments.chromatic_tables import all_tables, moved_label
 from experiments.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
 from experiments.summary import Measured
-from experiments.tables import cell_text
+from experiments.tables import Table, cell_text
 
 if TYPE_CHECKING:
     from experiments.chromatic_result import Result
@@ -249,7 +250,7 @@ def _frames(result: Result) -> Section:
     return Section(title="The frames", blocks=(Row((target, spots)), Text(_frames_text(result))))
 
 
-def _table1(result: Result) -> Section:
+def _table1(result: Result, every: Mapping[str, Table]) -> Section:
     arrows = Figure(
         drawing=arrow_map(result, result.centred, "centred"),
         caption="Shift of every point between two filters. Coloured: measured; grey beneath: ray-trace prediction. The "
@@ -264,17 +265,17 @@ def _table1(result: Result) -> Section:
         title="Table 1",
         blocks=(
             Equation(latex=EQ16, note="ACC18 eq. 16"),
-            all_tables(result)["table1"],
+            every["table1"],
             Text(_lsfe_text(result)),
             Text(_prediction_text(result)),
-            anatomy(result),
+            every["anatomy"],
             arrows,
             points,
         ),
     )
 
 
-def _signed_mean(result: Result) -> Section:
+def _signed_mean(result: Result, every: Mapping[str, Table]) -> Section:
     arrows = Figure(
         drawing=arrow_map(result, result.moved, "moved"),
         caption=f"The same with {moved_label(result)}: an even term that all points share is added to the odd one.",
@@ -291,7 +292,7 @@ def _signed_mean(result: Result) -> Section:
     )
     return Section(
         title=f"Why the signed mean vanishes, and what makes it {result.config.decentre.wanted_px:g} px",
-        blocks=(Text(_why_zero(result)), arrows, Row((spots,)), bars, all_tables(result)["elements"]),
+        blocks=(Text(_why_zero(result)), arrows, Row((spots,)), bars, every["elements"]),
     )
 
 
@@ -364,8 +365,8 @@ def build_report(result: Result) -> Report:
         key_numbers=_key_numbers(result),
         sections=(
             _frames(result),
-            _table1(result),
-            _signed_mean(result),
+            _table1(result, every),
+            _signed_mean(result, every),
             Section(
                 title="What is left for a camera that calibrates its colour",
                 blocks=(Text(_calibration_text(result)), calibration, every["calibration"]),

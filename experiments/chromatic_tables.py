@@ -14,7 +14,7 @@ from experiments.tables import Cell, Column, Table
 if TYPE_CHECKING:
     from experiments.chromatic_result import Result
 
-__all__ = ["all_tables", "anatomy", "moved_label"]
+__all__ = ["all_tables", "moved_label"]
 
 METHOD_NAMES = {
     "epsf": "ePSF of each filter",
@@ -110,7 +110,7 @@ def _found(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def anatomy(result: Result) -> Table:
+def _anatomy(result: Result) -> Table:
     """What the shift of the centred lens is made of: its radial part, from the axis outwards, mean over the points."""
     place = result.centred.measurement.nominal_px - result.instrument.camera.centre_px
     outward = place / np.linalg.norm(place, axis=-1, keepdims=True)
@@ -243,7 +243,7 @@ def all_tables(result: Result) -> Mapping[str, Table]:
         "calibration": _residuals(result),
         "elements": _elements(result),
         "centroiders": _methods(result),
-        "anatomy": anatomy(result),
+        "anatomy": _anatomy(result),
         "stars": _stellar(result),
         "points": _points(result),
     }
