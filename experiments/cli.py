@@ -147,10 +147,13 @@ def command(
 
     def main(argv: Sequence[str] | None = None) -> int:
         outcome.clear()
-        with _interrupts() as asked:
-            status = _guarded(
-                lambda: parser.main(argv, prog_name=f"python -m experiments.{name}", standalone_mode=False), asked
-            )
+        asked: list[int] = []
+
+        def work() -> None:
+            with _interrupts(asked):
+                parser.main(argv, prog_name=f"python -m experiments.{name}", standalone_mode=False)
+
+        status = _guarded(work, asked)
         return status or (outcome[0] if outcome else EXIT_GOOD)
 
     return main
@@ -252,7 +255,7 @@ def _show(experiment: Experiment[Any, Any], outcome: _Outcome, shown: str) -> No
     console.print(f"report: {Path(shown) / 'report.html'}", highlight=False, soft_wrap=True)
 
 
-def _guarded(work: Callable[[], Any], asked: Sequence[int]) -> int:
+def _guarded(work: Callable[[], None], asked: Sequence[int]) -> int:
     """Exit code of ``work``; what the user can mend becomes one line.
 
     An interrupt in the middle of an import may come out as another error (an extension module that failed to load), so
@@ -281,11 +284,10 @@ def _say(sentence: str, status: int) -> int:
 
 
 @contextlib.contextmanager
-def _interrupts() -> Iterator[list[int]]:
-    """Let a polite kill unwind like Ctrl-C, so that nothing half-written stays; yields the signals that came."""
-    asked: list[int] = []
+def _interrupts(asked: list[int]) -> Iterator[None]:
+    """Let a polite kill unwind like Ctrl-C, so that nothing half-written stays; notes the signals in ``asked``."""
     if threading.current_thread() is not threading.main_thread():
-        yield asked
+        yield
         return
 
     def interrupt(number: int, frame: FrameType | None) -> None:
@@ -293,9 +295,9 @@ def _interrupts() -> Iterator[list[int]]:
         asked.append(number)
         raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGINT)}
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield asked
+        yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
