@@ -1,0 +1,1 @@
+"""The virtual laboratory: one small record per device, shared by all experiments."""
