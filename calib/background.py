@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -80,7 +80,12 @@ class Background:
 
 
 def estimate_background(
-    image: SensorImage, *, box_px: int = 64, clip_sigma: float = 3.0, exclude: NDArray[np.bool_] | None = None
+    image: SensorImage,
+    *,
+    box_px: int = 64,
+    clip_sigma: float = 3.0,
+    exclude: NDArray[np.bool_] | None = None,
+    step_px: int = 1,
 ) -> Background:
     """Background level and noise of an image.
 
@@ -101,6 +106,9 @@ def estimate_background(
         Clipping limit, at least 1.5.
     exclude : (h, w) bool, optional
         Pixels to leave out.
+    step_px : int
+        Use every ``step_px``-th pixel of every ``step_px``-th row only: faster by its square, noisier by itself. A
+        cell needs at least 8 x 8 of them.
 
     Returns
     -------
@@ -110,10 +118,17 @@ def estimate_background(
     Raises
     ------
     DomainError
-        If no pixel is usable, or ``box_px`` or ``clip_sigma`` is out of range.
+        If no pixel is usable, or ``box_px``, ``clip_sigma`` or ``step_px`` is out of range.
     """
-    if box_px < 8:
-        raise DomainError(f"box_px = {box_px} px; a background cell needs at least 8 px")
+    if step_px < 1:
+        raise DomainError(f"step_px = {step_px}; it must be at least 1")
+    if box_px < 8 * step_px:
+        raise DomainError(
+            f"box_px = {box_px} px; a background cell needs at least 8 px"
+            + (f" in steps of step_px = {step_px}, so {8 * step_px} px" if step_px > 1 else "")
+        )
+    if step_px > 1:
+        return _thinned(image, box_px, clip_sigma, exclude, step_px)
     if not clip_sigma >= 1.5:
         raise DomainError(f"clip_sigma = {clip_sigma}; it must be at least 1.5")
     usable = image.valid & ~image.saturated
@@ -129,6 +144,22 @@ def estimate_background(
     stars = electrons > first.level_image() + 3.0 * first.sigma_image()
     rest = usable & ~binary_dilation(stars & _has_bright_neighbour(stars), np.ones((5, 5), bool))
     return _mesh(electrons, rest, box_px, clip_sigma, quantum) if rest.any() else first
+
+
+def _thinned(
+    image: SensorImage, box_px: int, clip_sigma: float, exclude: NDArray[np.bool_] | None, step_px: int
+) -> Background:
+    """The background from every ``step_px``-th pixel in either direction, on the coordinates of the whole image."""
+    every = (slice(None, None, step_px), slice(None, None, step_px))
+    some = replace(image, dn=image.dn[every], valid=image.valid[every], saturated=image.saturated[every])
+    left_out = None if exclude is None else np.asarray(exclude, dtype=bool)[every]
+    found = estimate_background(some, box_px=box_px // step_px, clip_sigma=clip_sigma, exclude=left_out)
+    return replace(
+        found,
+        centre_x_px=found.centre_x_px * step_px,
+        centre_y_px=found.centre_y_px * step_px,
+        shape=(image.dn.shape[0], image.dn.shape[1]),
+    )
 
 
 def _has_bright_neighbour(bright: NDArray[np.bool_]) -> NDArray[np.bool_]:

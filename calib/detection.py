@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
-from skimage.feature import peak_local_max
 from skimage.measure import label
 
 from calib.background import Background, estimate_background
@@ -79,12 +78,11 @@ def detect(
     kernel = gaussian_filter(_delta(fwhm_px), width, mode="constant")
     power = float(np.sum(kernel**2))
     signal_to_noise = filtered / (sigma * np.sqrt(power))
-    y, x = peak_local_max(
-        signal_to_noise, min_distance=1, threshold_abs=threshold_sigma, exclude_border=False
-    ).T.astype(np.int64)
+    bright = signal_to_noise > threshold_sigma
+    y, x = _local_maxima(signal_to_noise, bright)
     if not len(x):
         return StarTable.empty()
-    regions = label(signal_to_noise > threshold_sigma, connectivity=2)
+    regions = label(bright, connectivity=2)
     keep, flags = _judge(
         image, light=light, regions=regions, filtered=filtered, x=x, y=y, spike_fraction=spike_fraction
     )
@@ -100,6 +98,22 @@ def _delta(fwhm_px: float) -> FloatArray:
     delta = np.zeros((2 * half + 1, 2 * half + 1))
     delta[half, half] = 1.0
     return delta
+
+
+def _local_maxima(values: FloatArray, candidates: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of candidates that no neighbour exceeds; of equal neighbours the first in the raster stands.
+
+    Stars cover a small part of an image, so only the candidates are compared and not every pixel.
+    """
+    height, width = values.shape
+    y, x = np.nonzero(candidates)
+    here, keep = values[y, x], np.ones(len(y), bool)
+    for step_y, step_x in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)):
+        at_y, at_x = y + step_y, x + step_x
+        inside = (at_y >= 0) & (at_y < height) & (at_x >= 0) & (at_x < width)
+        there = np.where(inside, values[np.clip(at_y, 0, height - 1), np.clip(at_x, 0, width - 1)], -np.inf)
+        keep &= (here > there) if (step_y, step_x) < (0, 0) else (here >= there)
+    return y[keep], x[keep]
 
 
 def _judge(

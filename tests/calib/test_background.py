@@ -92,3 +92,21 @@ def test_input_is_not_changed_and_nonsense_is_refused():
         estimate_background(good, box_px=2)
     with pytest.raises(DomainError, match="exclude has shape"):
         estimate_background(good, exclude=np.zeros((3, 3), bool))
+
+
+def test_a_part_of_the_pixels_gives_the_same_mesh_where_it_belongs():
+    """A gradient seen by every fourth pixel of a cell: 1024 of them, 5 standard errors, and centres within 1.5 px."""
+    rng = np.random.default_rng(5)
+    slope = 0.05
+    ramp = 20.0 + slope * np.arange(512)[None, :] + np.zeros((400, 1))
+    image = image_of(rng.normal(ramp, 3.0))
+    whole, part = (estimate_background(image, box_px=128, step_px=step) for step in (1, 4))
+    assert part.shape == whole.shape == (400, 512)
+    assert np.abs(part.centre_x_px - whole.centre_x_px).max() <= 1.5
+    spread = np.sqrt(3.0**2 + (slope * 128) ** 2 / 12)
+    assert np.abs(part.level_e - whole.level_e).max() < 5 * spread / 32 + 1.5 * slope
+    assert np.abs(part.sigma_e / whole.sigma_e - 1).max() < 5 / np.sqrt(2 * 1024)
+    with pytest.raises(DomainError, match="step_px = 0"):
+        estimate_background(image, step_px=0)
+    with pytest.raises(DomainError, match=r"box_px = 64 px; .* step_px = 16, so 128 px"):
+        estimate_background(image, step_px=16)

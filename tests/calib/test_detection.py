@@ -124,3 +124,22 @@ def test_brightest_are_kept(sky):
 def test_parameters_out_of_range(bad):
     with pytest.raises(DomainError, match=next(iter(bad))):
         detect(image_of(np.ones((32, 32))), **bad)
+
+
+def test_maxima_are_those_of_a_search_of_every_pixel():
+    """Against a plain loop over all pixels; a plateau counts once."""
+    from calib.detection import _local_maxima
+
+    rng = np.random.default_rng(8)
+    values = rng.integers(0, 30, (40, 60)).astype(float)  # many equal neighbours
+    values[10, 20:23] = 99.0
+    y, x = _local_maxima(values, values > 20)
+    found = set(zip(y.tolist(), x.tolist(), strict=True))
+    padded = np.pad(values, 1, constant_values=-np.inf)
+    for row in range(40):
+        for column in range(60):
+            around = padded[row : row + 3, column : column + 3].ravel()
+            here = values[row, column]
+            highest = here > 20 and here > around[:4].max() and here >= around[5:].max()
+            assert ((row, column) in found) == highest
+    assert {(10, 20)} == {place for place in found if values[place] == 99.0}
