@@ -21,10 +21,10 @@ from experiments.progress import Progress
 from experiments.summary import Criterion
 
 if TYPE_CHECKING:
-    from experiments.chromatic_measure import Bench
     from experiments.chromatic_model import Solution
     from experiments.chromatic_result import Result
     from experiments.instrument import Instrument
+    from experiments.laboratory.bench import Bench
     from experiments.report import Report
     from experiments.tables import Table
 
@@ -99,9 +99,9 @@ def run(config: Config, *, progress: Progress) -> Result:
 def _prepare(config: Config, instrument: Instrument) -> tuple[Bench, Sequence[tuple[str, int, int]], FloatArray]:
     """Laboratory, pairs of bands and target points; whatever can be refused without rendering is refused here."""
     from experiments.chromatic_checks import check_light, check_wavelengths
-    from experiments.chromatic_measure import Bench
     from experiments.chromatic_model import band_pairs
     from experiments.chromatic_stars import passband
+    from experiments.laboratory.bench import Bench
     from experiments.target import corner_directions
     from optics.band import TopHat
     from optics.errors import unknown_name

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.chromatic_measure import SEARCH_MARGIN_PX, Bench
 from experiments.chromatic_model import Solution, expected_spots
 from experiments.instrument import Instrument
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.points import SEARCH_MARGIN_PX
 from optics.analysis import best_focus_shift_mm
 from optics.band import Band
 from optics.errors import DomainError

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from experiments.chromatic_measure import Bench, Measurement
+from experiments.chromatic_measure import Measurement
 from experiments.chromatic_model import after_calibration, bundle_prediction, rms, shifts, table1
 from experiments.chromatic_result import Evaluation, Result
 from experiments.instrument import Instrument
+from experiments.laboratory.bench import Bench
 from experiments.summary import Criterion, Measured
 from optics.pupil import entrance_pupil
 

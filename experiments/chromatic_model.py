@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from experiments.chromatic_measure import Bench, target_field
 from experiments.instrument import Instrument
+from experiments.laboratory.bench import Bench, point_field
 from optics.analysis import spot_moments
 from optics.band import band_nodes
 from optics.errors import ConvergenceError
@@ -246,7 +246,7 @@ def solve_perturbation(
     """
     lens = instrument.camera.lens
     pairs = band_pairs([band.centre_nm for band in bench.filters], bench.reference)
-    stars = target_field(bench, instrument, direction.reshape(-1, 3))
+    stars = point_field(bench, instrument, direction.reshape(-1, 3))
 
     def means(amount: float) -> FloatArray:
         camera = replace(instrument.camera, lens=perturbed(lens, element, kind, axis, amount))

@@ -43,7 +43,7 @@ def star_camera():
 @pytest.fixture(scope="session")
 def bench_of():
     """A laboratory with three filters; keywords change it."""
-    from experiments.chromatic_measure import Bench
+    from experiments.laboratory.bench import Bench
     from experiments.settings import TargetConfig
     from optics.band import TopHat
     from optics.spectrum import Blackbody

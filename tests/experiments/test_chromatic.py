@@ -16,9 +16,10 @@ from astropy.table import Table
 from calib.stamps import stamps_from_windows
 from experiments.chromatic import Config, main
 from experiments.chromatic_evaluate import evaluate
-from experiments.chromatic_measure import _common_shift, _pattern_effect, measure
+from experiments.chromatic_measure import measure
 from experiments.chromatic_model import band_pairs, bundle_prediction, shifts, table1
 from experiments.instrument import build_instrument
+from experiments.laboratory.points import common_shift, pattern_effect
 from experiments.target import corner_directions
 from optics.perturb import decentre
 from render.random import Streams
@@ -182,11 +183,11 @@ def test_rendered_image_is_locked(result):
         result.centred.measurement.example.electrons[0, 0, 0] = 1.0
 
 
-def test_common_shift_is_what_most_detections_agree_on():
+def testcommon_shift_is_what_most_detections_agree_on():
     rng = np.random.default_rng(1)
     offset = np.concatenate([rng.normal([31.0, -12.0], 0.5, (25, 2)), rng.uniform(-80, 80, (60, 2))])
-    assert _common_shift(offset) == pytest.approx([31.0, -12.0], abs=0.5)
-    assert _common_shift(np.full((3, 2), 500.0)) == pytest.approx([0, 0])
+    assert common_shift(offset) == pytest.approx([31.0, -12.0], abs=0.5)
+    assert common_shift(np.full((3, 2), 500.0)) == pytest.approx([0, 0])
 
 
 def quick_measure(mi, bench, instrument, seed):
@@ -322,7 +323,7 @@ def test_pattern_that_filters_share_cancels_in_part(mi, bench_of, small_camera):
         assert np.sqrt((shift**2).mean()) < 1.2 * single
 
 
-def test_pattern_effect_on_a_centre_of_gravity(measured):
+def testpattern_effect_on_a_centre_of_gravity(measured):
     """No PRNU and no dark noise: nothing moves. With PRNU: the closed form of a centre of gravity."""
 
     class Centre:
@@ -336,9 +337,9 @@ def test_pattern_effect_on_a_centre_of_gravity(measured):
 
     stamps, noise = stamps_from_windows(measured.windows[0], background_e=0.0, start_px=measured.photon_px[0, :, 0])
     light = np.random.default_rng(2).uniform(10, 20, (2, 13, 13))
-    still = _pattern_effect(Centre(), stamps, noise, light, prnu=0.0, dark_e=0.0, rng=np.random.default_rng(3))
+    still = pattern_effect(Centre(), stamps, noise, light, prnu=0.0, dark_e=0.0, rng=np.random.default_rng(3))
     assert np.all(still == 0)
-    moved = _pattern_effect(Centre(), stamps, noise, light, prnu=0.01, dark_e=0.0, rng=np.random.default_rng(3))
+    moved = pattern_effect(Centre(), stamps, noise, light, prnu=0.01, dark_e=0.0, rng=np.random.default_rng(3))
     # centroid of independent pixel errors: var = prnu^2 sum (x - c)^2 e^2 / (sum e)^2
     index = np.arange(13)
     total = light.sum((1, 2))

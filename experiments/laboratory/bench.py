@@ -1,0 +1,69 @@
+"""What stands in the laboratory for a test with point targets, and the light it sends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.instrument import Instrument
+from experiments.settings import TargetConfig
+from optics.band import TopHat, band_nodes
+from optics.pupil import entrance_pupil
+from optics.spectrum import Sed
+from render.records import StarField
+
+__all__ = ["Bench", "point_field"]
+
+FloatArray = NDArray[np.float64]
+
+NODES = 16
+"""Wavelength nodes per filter."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bench:
+    """What stands in the laboratory.
+
+    Attributes
+    ----------
+    target : TargetConfig
+        Point target.
+    lamp : Sed
+        Spectrum of the source.
+    filters : sequence of TopHat
+        Filters, b of them; ``reference`` indexes the one the others are compared with.
+    reference : int
+        The 600 nm filter of ACC18.
+    signal_e : float
+        Electrons per point and frame, the same behind every filter (lamp current adjusted).
+    frames, dark_frames : int
+        Exposures per position and filter; exposures with the lamp off, once per position.
+    window_px : int
+        Window read out around each point.
+    methods : sequence of str
+        Centroiders; the first is the one that counts.
+    """
+
+    target: TargetConfig
+    lamp: Sed
+    filters: Sequence[TopHat]
+    reference: int
+    signal_e: float
+    frames: int
+    dark_frames: int
+    window_px: int
+    methods: Sequence[str]
+
+
+def point_field(bench: Bench, instrument: Instrument, direction: FloatArray) -> StarField:
+    """Star field of one target position, scaled to the wanted signal behind every filter."""
+    nodes = band_nodes(bench.filters, NODES)
+    shape = nodes.weight_nm * nodes.transmission * bench.lamp.photon_density(nodes.wavelength_nm)
+    camera = instrument.camera
+    area = entrance_pupil(camera.lens).area_mm2 * instrument.config.exposure_s
+    collected = (shape * camera.response_at(nodes.wavelength_nm)).sum(1) * area
+    rate = (bench.signal_e / collected)[None, :, None] * shape[None] / direction[:, 2][:, None, None]
+    return StarField(direction=direction, wavelength_nm=nodes.wavelength_nm, photon_rate=rate, band=nodes.name)
