@@ -1,0 +1,161 @@
+"""The bench on paper: which angles bring the star's image where, and what the camera then sees.
+
+Three frames: the laboratory, in which the star stands still and which is the table's frame at zero angles; the table
+top; the camera. With the installation M (cam from table top) and the table's attitude R (laboratory from table top)::
+
+    v_cam = M R^T s
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from experiments.laboratory.turntable import Turntable
+from optics.errors import DomainError
+from optics.records import freeze
+from render.random import Streams
+
+__all__ = ["Bench", "Visits", "aim", "angle_effect", "lean_effect", "visit"]
+
+FloatArray = NDArray[np.float64]
+
+AIM_STEPS = 60
+AIM_TOLERANCE_RAD = 1e-12
+LONGEST_STEP_RAD = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bench:
+    """Star, table and camera mounting, as they really are.
+
+    Attributes
+    ----------
+    table : Turntable
+        The table.
+    star : (3,)
+        Direction of the star in the laboratory.
+    installation : Rotation
+        Cam from table top.
+    """
+
+    table: Turntable
+    star: FloatArray
+    installation: Rotation
+
+    def __post_init__(self) -> None:
+        freeze(self, "star", shape=(3,))
+
+    def seen(self, angle_rad: FloatArray) -> FloatArray:
+        """Unit vectors (n, 3) in cam towards the star at true angles (n, k)."""
+        on_table = self.table.rotation(angle_rad).inv().apply(self.star.copy())
+        return np.asarray(self.installation.apply(on_table))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Visits:
+    """Places that the star's image visits, n of them.
+
+    Attributes
+    ----------
+    wanted_px : (n, 2)
+        Where the image was to be.
+    true_rad, reading_rad : (n, k)
+        Angles of the table as they are and as they are read.
+    direction : (n, 3)
+        Unit vectors in cam towards the star, at the true angles.
+    """
+
+    wanted_px: FloatArray
+    true_rad: FloatArray
+    reading_rad: FloatArray
+    direction: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "wanted_px", shape=("n", 2), sizes=sizes)
+        freeze(self, "true_rad", shape=("n", "k"), sizes=sizes)
+        freeze(self, "reading_rad", shape=("n", "k"), sizes=sizes)
+        freeze(self, "direction", shape=("n", 3), sizes=sizes)
+
+    def __len__(self) -> int:
+        return len(self.wanted_px)
+
+
+def aim(bench: Bench, wanted_cam: FloatArray, roll_rad: FloatArray) -> FloatArray:
+    """Angles that put the star at wanted directions in cam.
+
+    Parameters
+    ----------
+    bench : Bench
+        The bench.
+    wanted_cam : (n, 3)
+        Unit vectors.
+    roll_rad : (n,)
+        Angle of the third axis, if there is one; it is kept.
+
+    Returns
+    -------
+    (n, k)
+        Angles [rad].
+
+    Raises
+    ------
+    DomainError
+        If the table cannot bring the star there.
+    """
+    table, count = bench.table, len(bench.table.axis)
+    on_table = bench.installation.inv().apply(wanted_cam)
+    angle = np.zeros((len(wanted_cam), count))
+    if count == 3:
+        angle[:, 2] = roll_rad
+    off = np.full(len(wanted_cam), np.inf)
+    for _ in range(AIM_STEPS):
+        now = table.rotation(angle).apply(on_table)
+        off = np.linalg.norm(bench.star - now, axis=1)
+        if off.max() < AIM_TOLERANCE_RAD:
+            return angle
+        motion = np.cross(table.angle_rates(angle)[:, :2], now[:, None])  # (n, 2, 3): of the star, per radian
+        step = (np.linalg.pinv(np.swapaxes(motion, 1, 2), rcond=1e-6) @ (bench.star - now)[..., None])[..., 0]
+        longest = np.abs(step).max(1, keepdims=True)
+        angle[:, :2] += step * np.minimum(1.0, LONGEST_STEP_RAD / np.maximum(longest, 1e-300))
+    at = int(np.argmax(off))
+    raise DomainError(
+        f"the table cannot turn the camera so that the star appears at place {at}: the nearest it comes is "
+        f"{np.degrees(off[at]):.3g} deg; at zero angles the star should stand near the camera's axis and across the "
+        "outer two axes"
+    )
+
+
+def visit(
+    bench: Bench, wanted_px: FloatArray, wanted_cam: FloatArray, roll_rad: FloatArray, streams: Streams
+) -> Visits:
+    """Turn the table to every wanted place, with the errors of setting and reading."""
+    true = bench.table.set(aim(bench, wanted_cam, roll_rad), streams)
+    return Visits(
+        wanted_px=wanted_px,
+        true_rad=true,
+        reading_rad=bench.table.read(true, streams),
+        direction=bench.seen(true),
+    )
+
+
+def angle_effect(bench: Bench, angle_rad: FloatArray) -> FloatArray:
+    """What an angle does to the direction in cam: (n, k, 3) per radian.
+
+    From v = M R^T s and dR = [w x] R: dv = -M R^T (w x s).
+    """
+    return _effect(bench, angle_rad, bench.table.angle_rates(angle_rad))
+
+
+def lean_effect(bench: Bench, angle_rad: FloatArray) -> FloatArray:
+    """What a non-orthogonality does to the direction in cam: (n, k - 1, 3) per radian."""
+    return _effect(bench, angle_rad, bench.table.lean_rates(angle_rad))
+
+
+def _effect(bench: Bench, angle_rad: FloatArray, rates: FloatArray) -> FloatArray:
+    to_cam = bench.installation.as_matrix() @ np.swapaxes(bench.table.rotation(angle_rad).as_matrix(), 1, 2)
+    return np.asarray(np.cross(bench.star, rates) @ np.swapaxes(to_cam, 1, 2))
