@@ -265,7 +265,7 @@ def solve_wahba_many(
     outer = _summed(share[:, None, None] * predicted[:, :, None] * predicted[:, None, :], index, count)
     # 2 * smallest eigenvalue of B R^T: what a reflection loses (positive) or gains (negative) against the rotation.
     symmetric = profile @ matrix.swapaxes(1, 2)
-    smallest = np.linalg.eigvalsh(0.5 * (symmetric + symmetric.swapaxes(1, 2)))[:, 0]
+    smallest = np.asarray(np.linalg.eigvalsh(0.5 * (symmetric + symmetric.swapaxes(1, 2)))[:, 0], np.float64)
     return _judged(Rotation.from_matrix(matrix), outer, loss, smallest, total, stars, stated=sigma_rad is not None)
 
 
