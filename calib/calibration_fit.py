@@ -1,0 +1,365 @@
+"""What all calibrations have in common: checks before, stages of the fit, judgement after.
+
+Stages. A robust loss with a poor start would throw good stars away, so its scale starts at the typical residual of the
+start and comes down as the fit improves; the last fit is at the stated sigma. Two-step calibrations (ACF17, sec. 2.2)
+first fit without distortion.
+
+Judgement. A calibration is refused, with its reason, when there are fewer measurements than unknowns, when the typical
+residual is far above the stated sigma, when too many stars do not fit, or when the sky is mirrored. The numbers stay in
+the record, for whoever wants to see what went wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.cameras.base import CameraModel
+from calib.least_squares import Fit, solve
+from calib.observations import Observations
+from calib.robust_loss import Loss
+from calib.solution import Calibration, Solution
+from calib.star_problem import StarProblem, StarState
+from calib.wahba import rotation_svd
+from optics.errors import DomainError
+
+__all__ = [
+    "LARGEST_RMS",
+    "LARGEST_WRONG_PART",
+    "Selection",
+    "fit_stages",
+    "frames_with",
+    "free_stages",
+    "mirrored",
+    "packed",
+    "refused",
+    "start_attitudes",
+    "verdict",
+]
+
+FloatArray = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+LARGEST_RMS = 10.0  # typical residual over the stated sigma above which a fit is refused
+LARGEST_WRONG_PART = 0.4  # part of the stars beyond WRONG_PULL above which a robust fit is refused
+WRONG_PULL = 6.0  # length of a star's residual [sigma] beyond which it counts as a wrong match
+RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))  # median length of a two-dimensional unit normal vector
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection:
+    """Stars that a method can use.
+
+    Attributes
+    ----------
+    observations : Observations
+        Those stars, frame numbers as before.
+    used : (n,) bool
+        Which of all stars they are.
+    note : str
+        What was left out, for the message; empty if nothing was.
+    """
+
+    observations: Observations
+    used: Mask
+    note: str
+
+
+def frames_with(observations: Observations, model: CameraModel, least: int) -> Selection:
+    """Stars of frames that hold at least ``least`` of them.
+
+    Raises
+    ------
+    DomainError
+        If more than 1 % of the stars lie outside the detector: then the list is in another convention.
+    """
+    size = np.array([model.geometry.width_px, model.geometry.height_px])
+    position = observations.pixel_px
+    outside = np.any((position < -1.0) | (position > size), axis=1)
+    if np.count_nonzero(outside) > 0.01 * len(position):
+        raise DomainError(
+            f"{np.count_nonzero(outside)} of {len(position)} star positions lie outside the detector of {size[0]} x "
+            f"{size[1]} px (columns {position[:, 0].min():.1f} to {position[:, 0].max():.1f}, rows "
+            f"{position[:, 1].min():.1f} to {position[:, 1].max():.1f}); (column, row) from the centre of the first "
+            "pixel is needed, optics.frames converts other tools' lists"
+        )
+    count = np.bincount(observations.frame, minlength=observations.frames)
+    used = ~outside & (count >= least)[observations.frame]
+    few = int(np.count_nonzero((count < least) & (count > 0)))
+    notes = []
+    if few:
+        notes.append(f"{few} frames with fewer than {least} stars tell nothing and were left out")
+    if outside.any():
+        notes.append(f"{np.count_nonzero(outside)} stars outside the detector were left out")
+    return Selection(
+        observations=observations.select(used) if not used.all() else observations, used=used, note="; ".join(notes)
+    )
+
+
+def free_stages(model: CameraModel, free: Mask, *, two_step: bool) -> list[Mask]:
+    """Masks of the camera parameters that move, stage by stage: without distortion first, if wanted and possible."""
+    ideal = np.array([name in model.pinhole_names for name in model.parameter_names]) & free
+    return [ideal, free] if two_step and ideal.any() and not np.array_equal(ideal, free) else [free]
+
+
+def start_attitudes(
+    observations: Observations, model: CameraModel, *, group: NDArray[np.int64] | None = None, robust: bool = False
+) -> FloatArray:
+    """Attitudes by Wahba's problem with a start camera, all frames at once.
+
+    Parameters
+    ----------
+    observations : Observations
+        Measured stars.
+    model : CameraModel
+        Start camera.
+    group : (n,) int, optional
+        What the stars belong to, if not their frame.
+    robust : bool
+        Least lengths instead of least squares, by reweighting, so that wrong matches do not turn the attitude away.
+
+    Returns
+    -------
+    (f, 3, 3)
+        cam from reference; frames without stars get the identity.
+    """
+    seen = model.unproject(observations.pixel_px, observations.band)
+    return wahba(seen, observations.direction, observations.frame, observations.frames, robust=robust)
+
+
+def wahba(
+    seen: FloatArray, reference: FloatArray, group: NDArray[np.int64], groups: int, *, robust: bool
+) -> FloatArray:
+    """Rotations (g, 3, 3) with ``seen = R reference`` in groups of directions; identity where a group is empty."""
+    good = np.all(np.isfinite(seen), axis=1)
+    seen = np.where(good[:, None], seen, 0.0)
+    products = (seen[:, :, None] * reference[:, None, :]).reshape(-1, 9)
+    weight = good.astype(np.float64)
+    rotation = np.broadcast_to(np.eye(3), (groups, 3, 3))
+    for _ in range(20 if robust else 1):
+        columns = [np.bincount(group, weight * products[:, i], minlength=groups) for i in range(9)]
+        profile = np.asarray(np.stack(columns, axis=1).reshape(-1, 3, 3), np.float64)
+        empty = ~np.any(profile, axis=(1, 2))
+        profile[empty] = np.eye(3)
+        rotation = rotation_svd(profile)
+        miss = np.linalg.norm(seen - np.einsum("nij,nj->ni", rotation[group], reference), axis=1)
+        weight = good / np.maximum(miss, 1e-5)
+    return rotation
+
+
+def fit_stages(
+    make: Callable[[Mask], StarProblem], start: StarState, stages: Sequence[Mask], loss: Loss
+) -> tuple[Fit, float]:
+    """Fit stage by stage, the last one to the end.
+
+    Returns
+    -------
+    fit : Fit
+        The last fit.
+    spread : float
+        Typical residual of the last but one over the stated sigma, at least 1: the scale at which a robust loss
+        settled.
+    """
+    state, spread, steps = start, 1.0, 0
+    for stage in stages[:-1]:
+        problem = make(stage)
+        if loss.name != "linear":
+            state, spread, count = _lower_scale(problem, state, loss)
+            steps += count
+        else:
+            fit = solve(problem, state, tolerance=1.0, max_iterations=60)
+            state, steps = fit.state, steps + fit.solution.iterations
+    problem = make(stages[-1])
+    if loss.name != "linear":
+        state, spread, count = _lower_scale(problem, state, loss)
+        steps += count
+    fit = solve(problem, state, loss=loss, scale=spread)
+    return replace(fit, solution=replace(fit.solution, iterations=fit.solution.iterations + steps)), spread
+
+
+def typical_pull(residual: FloatArray) -> float:
+    """Median length of the stars' residuals over that of a unit normal vector: 1 where the sigma is right."""
+    length = np.sqrt(np.einsum("ni,ni->n", residual, residual))
+    return float(np.median(length)) / RAYLEIGH_MEDIAN if len(length) else 1.0
+
+
+def _lower_scale(problem: StarProblem, state: StarState, loss: Loss) -> tuple[StarState, float, int]:
+    """Lower the scale of a robust loss to the typical residual, as far as the residuals follow."""
+    residual = problem.evaluate(state).residual
+    scale = typical_pull(residual) if np.all(np.isfinite(residual)) else 1.0
+    steps = 0
+    for _ in range(30):
+        if scale <= 1.0:
+            break
+        fit = solve(problem, state, loss=loss, scale=scale, tolerance=0.1 * scale, max_iterations=30)
+        state, steps = fit.state, steps + fit.solution.iterations
+        now = typical_pull(fit.evaluation.residual)
+        if now > 0.9 * scale:
+            scale = now
+            break
+        scale = now
+    return state, max(scale, 1.0), steps
+
+
+def verdict(fit: Fit, spread: float, loss: Loss, hint: Callable[[], str]) -> tuple[str, str]:
+    """Status and message of a finished fit.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    spread : float
+        Typical residual at which the robust loss settled.
+    loss : Loss
+        The loss.
+    hint : callable
+        What could be wrong; asked only when the fit is refused.
+    """
+    solution = fit.solution
+    residual = solution.residual_pulls.reshape(-1, 2)
+    if solution.status in ("refused", "stalled", "iteration_limit"):
+        return solution.status, f"{solution.message}{_also(hint())}"
+    if loss.name == "linear":
+        rms = float(np.sqrt(solution.chi2 / max(solution.degrees_of_freedom, 1)))
+        if rms > LARGEST_RMS:
+            return "refused", (
+                f"residuals are {rms:.3g} times the stated sigma, more than {LARGEST_RMS:g}: wrong matches (take a "
+                f"robust loss), a wrong camera model or too small a sigma{_also(hint())}"
+            )
+        return solution.status, solution.message
+    length = np.sqrt(np.einsum("ni,ni->n", residual, residual))
+    wrong = float(np.mean(length > WRONG_PULL * spread)) if len(length) else 0.0
+    if spread > LARGEST_RMS:
+        return "refused", (
+            f"the typical residual is {spread:.3g} times the stated sigma, more than {LARGEST_RMS:g}: about half of "
+            f"the matches are wrong, or the camera model or the sigma is{_also(hint())}"
+        )
+    if wrong > LARGEST_WRONG_PART:
+        return "refused", (
+            f"{100 * wrong:.0f} % of the stars do not fit, more than {100 * LARGEST_WRONG_PART:g} %{_also(hint())}"
+        )
+    note = (
+        f"; {np.count_nonzero(length > WRONG_PULL * spread)} stars do not fit and were given no weight" if wrong else ""
+    )
+    settled = f"; typical residual {spread:.2f} times the stated sigma" if spread > 1.1 else ""
+    return solution.status, solution.message + note + settled
+
+
+def _also(text: str) -> str:
+    return f"; {text}" if text else ""
+
+
+def mirrored(seen: FloatArray, reference: FloatArray, group: NDArray[np.int64], groups: int) -> str:
+    """Hint on parity: whether reflections fit the directions better than rotations do.
+
+    Parameters
+    ----------
+    seen, reference : (n, 3)
+        Directions in cam by a start camera, and in the reference frame.
+    group : (n,) int
+        Stars that share one rotation; groups of fewer than three stars have no parity.
+    groups : int
+        Number of groups.
+
+    Returns
+    -------
+    str
+        A line that says so, or nothing.
+    """
+    good = np.all(np.isfinite(seen), axis=1)
+    products = (seen[good][:, :, None] * reference[good][:, None, :]).reshape(-1, 9)
+    profile = np.stack([np.bincount(group[good], products[:, i], minlength=groups) for i in range(9)], axis=1)
+    u, size, vt = np.linalg.svd(profile.reshape(-1, 3, 3))
+    parity = np.sign(np.linalg.det(u) * np.linalg.det(vt))
+    enough = np.bincount(group[good], minlength=groups) >= 3
+    total = float(np.count_nonzero(good)) - float(np.sum(size[:, :2]))  # loss without the third part
+    third = float(np.sum((parity * size[:, 2])[enough]))
+    if third < 0 and abs(third) > 0.5 * abs(total - abs(third)):
+        return (
+            "the sky is mirrored: reflections fit better than rotations; exchange the axes "
+            "(row, column) -> (column, row) or turn one of them round"
+        )
+    return ""
+
+
+def packed(
+    method: str,
+    fit: Fit,
+    model: CameraModel,
+    free: Mask,
+    *,
+    selection: Selection,
+    status: str,
+    message: str,
+    attitude: FloatArray,
+    installation: Rotation | None = None,
+) -> Calibration:
+    """Calibration record of a fit."""
+    camera = model.with_parameters(fit.state.camera)
+    covariance = np.zeros((len(free), len(free)))
+    count = int(free.sum())
+    covariance[np.ix_(free, free)] = fit.solution.covariance[:count, :count]
+    notes = [part for part in (message, selection.note, _coverage(selection.observations, model)) if part]
+    return Calibration(
+        method=method,
+        model=camera,
+        covariance=covariance,
+        solution=replace(fit.solution, status=status, message="; ".join(notes)),
+        attitude=Rotation.from_matrix(attitude),
+        installation=installation,
+        used=selection.used,
+    )
+
+
+def _coverage(observations: Observations, model: CameraModel) -> str:
+    """A warning where the stars leave most of the detector empty."""
+    size = np.array([model.geometry.width_px, model.geometry.height_px])
+    cell = np.clip(np.floor((observations.pixel_px + 0.5) / size * 4.0), 0, 3).astype(np.int64)
+    seen = len(np.unique(cell[:, 0] * 4 + cell[:, 1]))
+    if seen >= 8:
+        return ""
+    return f"stars reach only {seen} of 16 parts of the detector, the calibration is extrapolated over the rest"
+
+
+def refused(
+    method: str,
+    names: Sequence[str],
+    model: CameraModel,
+    *,
+    message: str,
+    selection: Selection,
+    unknowns: int,
+    attitude: FloatArray,
+    installation: Rotation | None = None,
+) -> Calibration:
+    """Calibration record of a fit that was not begun: the start values, with infinite variances."""
+    size = len(names)
+    infinite = np.diag(np.full(size, np.inf))
+    value = np.full(size, np.nan)
+    count = len(selection.observations.pixel_px)
+    solution = Solution(
+        value=value,
+        names=tuple(names),
+        covariance=infinite,
+        status="refused",
+        message=message,
+        iterations=0,
+        chi2=float("inf"),
+        degrees_of_freedom=2 * count - unknowns,
+        condition=float("inf"),
+        residual_pulls=np.full(2 * count, np.nan),
+        robust_weight=np.ones(count),
+    )
+    return Calibration(
+        method=method,
+        model=model,
+        covariance=np.diag(np.full(len(model.parameters), np.inf)),
+        solution=solution,
+        attitude=Rotation.from_matrix(attitude),
+        installation=installation,
+        used=selection.used,
+    )
