@@ -1,35 +1,33 @@
 """From the sky to the renderer: which stars fall on the detector, and their light at the wavelength nodes.
 
-`field_of` finds the stars and where they are seen; `star_light` prepares bands once; `star_field` makes the `StarField`
-that `render.forward` renders, with directions along icrs: the camera's world is the sky.
+`field_of_view` asks a camera once what it sees, `field_of` finds the stars of an attitude and where they are seen,
+`star_field` gives them their light (`render.star_light`): the `StarField` that `render.forward` renders, directions
+along icrs, the camera's world being the sky.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import constants
 from scipy.spatial.transform import Rotation
 
-from optics.band import Band, band_nodes
 from optics.chief import chief_ray_points
 from optics.errors import ConfigError, DomainError
 from optics.frames import field_angles_deg
 from optics.paraxial import axial_paraxial
-from optics.photometry import photon_rate
 from optics.records import freeze
-from optics.spectrum import Blackbody, Sed
 from render.camera import Camera
 from render.catalogue import StarCatalog
 from render.catalogue_motion import Observer, directions_at
 from render.catalogue_temperature import TYPICAL_TEMPERATURE_K, colour_temperature
 from render.records import StarField
 from render.sky_index import SkyIndex
+from render.star_light import StarLight, star_light
 
 __all__ = ["FieldOfView", "SkyField", "StarLight", "field_of", "field_of_view", "pointed", "star_field", "star_light"]
 
@@ -37,9 +35,8 @@ FloatArray = NDArray[np.float64]
 
 _DEGREE = 9
 _GRID = 25
+_WIDENINGS = 4
 _LIGHT_KM_PER_S = constants.c / 1e3
-TEMPERATURE_KNOTS = 96
-COLDEST_K, HOTTEST_K = 900.0, 70000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,15 +49,12 @@ class FieldOfView:
         Size of the detector.
     margin_px : float
         Strip around it in which stars still count.
+    half_width : (2,)
+        Largest |X/Z| and |Y/Z| in cam of what it sees, margin included.
     radius_rad : float
         Half angle of the cone about +Z of cam that holds all of it.
-    focal_length_mm : float
-        Paraxial, at the design wavelength: the scale of the polynomial.
-    coefficient : (t, 2)
-        Polynomial in X/Z and Y/Z (scaled to the corner) for the column and row of the chief ray at the design
-        wavelength.
-    reach : float
-        tan of the corner, the scale.
+    coefficient : (d, d, 2)
+        Of powers of X/Z and Y/Z, scaled to the corner: column and row of the chief ray at the design wavelength.
     residual_px : float
         Largest distance of the polynomial from the chief rays it was fitted to.
     """
@@ -68,21 +62,28 @@ class FieldOfView:
     width_px: int
     height_px: int
     margin_px: float
+    half_width: FloatArray
     radius_rad: float
-    focal_length_mm: float
     coefficient: FloatArray
-    reach: float
     residual_px: float
 
     def __post_init__(self) -> None:
-        freeze(self, "coefficient", shape=("t", 2), sizes={})
+        freeze(self, "half_width", shape=(2,))
+        freeze(self, "coefficient", shape=("d", "d", 2), sizes={})
+
+    def inside(self, v_cam: FloatArray, slack_rad: float = 0.0) -> NDArray[np.bool_]:
+        """Whether directions (n, 3) in cam, slack added on all sides, can fall on the detector or its margin."""
+        v = np.asarray(v_cam, np.float64)
+        wide = np.tan(np.minimum(np.arctan(self.half_width) + slack_rad, 1.57)) * (1.0 + 1e-12)
+        z = v[:, 2]
+        return np.asarray((z > 0.0) & (np.abs(v[:, 0]) <= wide[0] * z) & (np.abs(v[:, 1]) <= wide[1] * z))
 
     def pixel_of(self, v_cam: FloatArray) -> FloatArray:
-        """Column and row (n, 2) of directions (n, 3) in cam; NaN farther than ``radius_rad`` from +Z."""
+        """Column and row (n, 2) of directions (n, 3) in cam; NaN where not `inside`: no extrapolation."""
         v = np.asarray(v_cam, np.float64)
-        inside = v[:, 2] > math.cos(self.radius_rad) - 1e-12
+        inside = self.inside(v)
         pixel = np.full((len(v), 2), np.nan)
-        pixel[inside] = _terms(v[inside], self.reach) @ self.coefficient
+        pixel[inside] = _polynomial(v[inside], math.tan(self.radius_rad), self.coefficient)
         return pixel
 
     def on_detector(self, pixel_px: FloatArray) -> NDArray[np.bool_]:
@@ -92,11 +93,41 @@ class FieldOfView:
         return (x >= low) & (y >= low) & (x <= self.width_px - 1 - low) & (y <= self.height_px - 1 - low)
 
 
-def _terms(v_cam: FloatArray, reach: float) -> FloatArray:
-    """Products of powers up to `_DEGREE` of X/Z and Y/Z, (n, t)."""
-    x, y = v_cam[:, 0] / (v_cam[:, 2] * reach), v_cam[:, 1] / (v_cam[:, 2] * reach)
-    powers_x, powers_y = (np.vander(u, _DEGREE + 1, increasing=True) for u in (x, y))
-    return np.stack([powers_x[:, i] * powers_y[:, j] for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)], 1)
+def _scaled(v_cam: FloatArray, reach: float) -> tuple[FloatArray, FloatArray]:
+    """X/Z and Y/Z over reach."""
+    z = v_cam[:, 2] * reach
+    return v_cam[:, 0] / z, v_cam[:, 1] / z
+
+
+def _polynomial(v_cam: FloatArray, reach: float, coefficient: FloatArray) -> FloatArray:
+    """Values (n, 2) of a polynomial in two variables of total degree d - 1, by Horner's rule.
+
+    Not a matrix product: on a machine that is busy, the threads of BLAS take longer to meet than this takes.
+    """
+    x, y = _scaled(v_cam, reach)
+    top = len(coefficient) - 1
+    out = np.empty((len(v_cam), 2))
+    for axis in range(2):
+        total = np.zeros_like(x)
+        for i in range(top, -1, -1):
+            row = np.full_like(y, coefficient[i, top - i, axis])
+            for j in range(top - i - 1, -1, -1):
+                row *= y
+                row += coefficient[i, j, axis]
+            total *= x
+            total += row
+        out[:, axis] = total
+    return out
+
+
+def _fitted(v_cam: FloatArray, reach: float, pixel: FloatArray) -> FloatArray:
+    """Coefficients (d, d, 2) of the polynomial of total degree `_DEGREE` nearest to pixels (n, 2)."""
+    count = _DEGREE + 1
+    x, y = (np.vander(values, count, increasing=True) for values in _scaled(v_cam, reach))
+    i, j = np.nonzero(np.add.outer(np.arange(count), np.arange(count)) <= _DEGREE)
+    coefficient = np.zeros((count, count, 2))
+    coefficient[i, j] = np.linalg.lstsq(x[:, i] * y[:, j], pixel, rcond=None)[0]
+    return coefficient
 
 
 def field_of_view(camera: Camera, *, margin_px: float = 16.0) -> FieldOfView:
@@ -127,33 +158,29 @@ def field_of_view(camera: Camera, *, margin_px: float = 16.0) -> FieldOfView:
     lens = camera.focused_lens
     focal = abs(axial_paraxial(lens, lens.design_wavelength_nm).efl_mm)
     size = np.array([camera.width_px, camera.height_px])
-    low, high = -0.5 - margin_px - camera.centre_px, size - 0.5 + margin_px - camera.centre_px
-    half = np.maximum(np.abs(low), np.abs(high)) * camera.pixel_pitch_mm / focal
-    for _ in range(3):  # widen until the edge of the grid images to the edge of the margin
-        x, y = np.meshgrid(*(np.cos(np.pi * (np.arange(_GRID) + 0.5) / _GRID) * h for h in half))
-        edge = (
-            _chief_px(camera, np.array([half[0], 0.0, half[0]]), np.array([0.0, half[1], half[1]])) - camera.centre_px
-        )
-        short = np.maximum(np.abs(low), np.abs(high)) / np.array(
-            [np.abs(edge[[0, 2], 0]).min(), np.abs(edge[[1, 2], 1]).min()]
-        )
+    wanted = np.maximum(np.abs(-0.5 - margin_px - camera.centre_px), np.abs(size - 0.5 + margin_px - camera.centre_px))
+    half = wanted * camera.pixel_pitch_mm / focal
+    for _ in range(_WIDENINGS):  # until the edge of the grid images to the edge of the margin or beyond
+        x, y = np.array([half[0], 0.0, half[0]]), np.array([0.0, half[1], half[1]])
+        edge = np.abs(_chief_px(camera, x, y) - camera.centre_px)
+        short = wanted / [edge[[0, 2], 0].min(), edge[[1, 2], 1].min()]
         if short.max() <= 1.0:
             break
-        half = half * np.maximum(short * 1.002, 1.0)
-    v = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
+        half = half * np.maximum(short * 1.001, 1.0)
+    nodes = np.cos(np.pi * np.arange(_GRID) / (_GRID - 1))  # Chebyshev's, edges included
+    grid_x, grid_y = np.meshgrid(half[0] * nodes, half[1] * nodes)
+    v = np.stack([grid_x.ravel(), grid_y.ravel(), np.ones(grid_x.size)], axis=1)
     reach = float(np.hypot(*half))
-    pixel = _chief_px(camera, x.ravel(), y.ravel())
-    terms = _terms(v, reach)
-    coefficient, *_ = np.linalg.lstsq(terms, pixel, rcond=None)
+    pixel = _chief_px(camera, v[:, 0], v[:, 1])
+    coefficient = _fitted(v, reach, pixel)
     return FieldOfView(
         width_px=camera.width_px,
         height_px=camera.height_px,
         margin_px=float(margin_px),
+        half_width=half,
         radius_rad=math.atan(reach),
-        focal_length_mm=focal,
-        coefficient=np.asarray(coefficient, np.float64),
-        reach=reach,
-        residual_px=float(np.linalg.norm(terms @ coefficient - pixel, axis=1).max()),
+        coefficient=coefficient,
+        residual_px=float(np.linalg.norm(_polynomial(v, reach, coefficient) - pixel, axis=1).max()),
     )
 
 
@@ -251,12 +278,13 @@ def field_of(
     )
     boresight = matrix[2] / math.sqrt(float(matrix[2] @ matrix[2]))
     rows = index.within(boresight, min(view.radius_rad + slack, math.pi), magnitude_limit=magnitude_limit)
+    rows = rows[view.inside(_turned(index.catalog.direction[rows], matrix), slack)]
     stars = index.catalog.select(rows)
     direction = directions_at(stars, epoch, observer)
-    pixel = view.pixel_of(direction @ matrix.T)
+    pixel = view.pixel_of(_turned(direction, matrix))
     seen = view.on_detector(pixel)
     return SkyField(
-        stars=stars.select(seen),
+        stars=stars if seen.all() else stars.select(seen),
         row=rows[seen],
         direction=direction[seen],
         pixel_px=pixel[seen],
@@ -264,103 +292,9 @@ def field_of(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StarLight:
-    """Light of stars of any temperature in given bands; made by `star_light`, once per set of bands.
-
-    Attributes
-    ----------
-    band : tuple of str
-        Names of the b bands.
-    wavelength_nm : (b, k)
-        Nodes (`optics.band.band_nodes`).
-    magnitude_system : {"V", "G"}
-        Scale of the magnitudes that it takes.
-    log_temperature : (s,)
-        Knots, equally spaced in log T.
-    spline : scipy.interpolate.CubicSpline
-        Logarithm of the photon rate of a star of magnitude 0 at each node over log T, (b, k).
-    """
-
-    band: tuple[str, ...]
-    wavelength_nm: FloatArray
-    magnitude_system: Literal["V", "G"]
-    log_temperature: FloatArray
-    spline: Any
-
-    def __post_init__(self) -> None:
-        freeze(self, "wavelength_nm", shape=("b", "k"), sizes={"b": len(self.band)})
-        freeze(self, "log_temperature", shape=("s",), sizes={})
-
-    def photon_rate(self, magnitude: FloatArray, temperature_k: FloatArray) -> FloatArray:
-        """Photons s^-1 mm^-2 that each node stands for, (n, b, k), of n stars.
-
-        Raises
-        ------
-        DomainError
-            A magnitude or temperature that is not finite, or a temperature outside the knots.
-        """
-        m, t = np.asarray(magnitude, np.float64), np.asarray(temperature_k, np.float64)
-        low, high = np.exp(self.log_temperature[[0, -1]])
-        for what, values, good, unit, advice in (
-            ("magnitude", m, np.isfinite(m), "", "leave such stars out with a magnitude limit"),
-            ("temperature", t, (t >= low) & (t <= high), " K", f"{low:.0f} ... {high:.0f} K is allowed"),
-        ):
-            if not good.all():
-                at = int(np.argmin(good))
-                raise DomainError(f"{what} of star {at} is {values[at]:g}{unit}; {advice}")
-        return np.asarray(np.exp(self.spline(np.log(t)) - (0.4 * math.log(10.0)) * m[:, None, None]))
-
-
-def star_light(
-    bands: Sequence[Band],
-    *,
-    nodes: int = 5,
-    magnitude_system: Literal["V", "G"] = "G",
-    spectrum: Callable[[float], Sed] | None = None,
-) -> StarLight:
-    """Prepare bands: the light of a star of magnitude 0 against temperature, to be interpolated.
-
-    Parameters
-    ----------
-    bands : sequence of Band
-        b filters.
-    nodes : int
-        Wavelength nodes per band, k.
-    magnitude_system : {"V", "G"}
-        Scale of the magnitudes of the catalogue.
-    spectrum : callable, optional
-        Spectrum of a temperature [K]; black bodies if left out.
-
-    Returns
-    -------
-    StarLight
-        Exact at 96 temperatures from 900 to 70 000 K, a cubic spline in log T of the logarithm between them: below 1e-5
-        of the rate between 1200 and 50 000 K for black bodies.
-
-    Raises
-    ------
-    ConfigError, DomainError
-        As `optics.band.band_nodes` and `optics.photometry.photon_rate`.
-    """
-    from scipy.interpolate import CubicSpline
-
-    rule = band_nodes(bands, nodes)
-    log_t = np.linspace(math.log(COLDEST_K), math.log(HOTTEST_K), TEMPERATURE_KNOTS)
-    of = (lambda t: Blackbody(temperature_k=t)) if spectrum is None else spectrum
-    rates = [
-        photon_rate(of(float(t)), 0.0, wavelength_nm=rule.wavelength_nm, system=magnitude_system) for t in np.exp(log_t)
-    ]
-    light = np.array(rates) * rule.weight_nm * rule.transmission
-    if not (light > 0.0).all():
-        raise DomainError("a band has a wavelength node without light; leave out its dark parts")
-    return StarLight(
-        band=rule.name,
-        wavelength_nm=rule.wavelength_nm,
-        magnitude_system=magnitude_system,
-        log_temperature=log_t,
-        spline=CubicSpline(log_t, np.log(light)),
-    )
+def _turned(direction: FloatArray, matrix: FloatArray) -> FloatArray:
+    """``matrix @ v`` of directions (n, 3)."""
+    return np.asarray(np.einsum("ij,kj->ik", direction, matrix))
 
 
 def star_field(
