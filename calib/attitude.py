@@ -257,12 +257,13 @@ def solve_wahba_many(
     stars = np.asarray(np.bincount(index, minlength=count), np.int64)
     total = _counted(index, weights, count)
     share = weights / np.where(total > 0, total, 1.0)[index]
-    profile = _summed(share[:, None, None] * v_cam[:, :, None] * v_ref[:, None, :], index, count)
+    seen, reference = np.ascontiguousarray(v_cam.T), np.ascontiguousarray(v_ref.T)
+    profile = _summed(share * seen, reference, index, count)
     matrix = rotation_quest(profile) if method == "quest" else rotation_svd(profile)
 
-    predicted = np.einsum("nij,nj->ni", matrix[index], v_ref)
-    loss = 0.5 * _counted(index, weights * np.sum((v_cam - predicted) ** 2, axis=1), count)
-    outer = _summed(share[:, None, None] * predicted[:, :, None] * predicted[:, None, :], index, count)
+    predicted = np.matmul(matrix[index], v_ref[:, :, None])[:, :, 0].T
+    loss = 0.5 * _counted(index, weights * np.sum((seen - predicted) ** 2, axis=0), count)
+    outer = matrix @ _summed(share * reference, reference, index, count) @ matrix.swapaxes(1, 2)
     # 2 * smallest eigenvalue of B R^T: what a reflection loses (positive) or gains (negative) against the rotation.
     symmetric = profile @ matrix.swapaxes(1, 2)
     smallest = np.asarray(np.linalg.eigvalsh(0.5 * (symmetric + symmetric.swapaxes(1, 2)))[:, 0], np.float64)
@@ -334,10 +335,10 @@ def _counted(index: NDArray[np.int64], values: FloatArray, count: int) -> FloatA
     return np.asarray(np.bincount(index, values, minlength=count), np.float64)
 
 
-def _summed(values: FloatArray, index: NDArray[np.int64], count: int) -> FloatArray:
-    """Sums (f, 3, 3) over the stars (n, 3, 3) of each frame."""
-    flat = values.reshape(-1, 9)
-    return np.stack([_counted(index, flat[:, k], count) for k in range(9)], axis=1).reshape(-1, 3, 3)
+def _summed(left: FloatArray, right: FloatArray, index: NDArray[np.int64], count: int) -> FloatArray:
+    """Sums (f, 3, 3) of ``left right^T`` (3, n each) over the stars of each frame."""
+    sums = [[_counted(index, row * column, count) for column in right] for row in left]
+    return np.asarray(np.moveaxis(np.array(sums), 2, 0))
 
 
 def _directions(name: str, values: ArrayLike) -> FloatArray:

@@ -41,8 +41,9 @@ def rotation_svd(profile: FloatArray) -> FloatArray:
 
 def adjugate3(m: FloatArray) -> FloatArray:
     """Adjugates (f, 3, 3) of matrices (f, 3, 3): ``m @ adjugate3(m) = det(m) I``."""
-    rows = [np.cross(m[:, :, 1], m[:, :, 2]), np.cross(m[:, :, 2], m[:, :, 0]), np.cross(m[:, :, 0], m[:, :, 1])]
-    return np.stack(rows, axis=1)
+    a, b = m[:, [1, 2, 0]], m[:, [2, 0, 1]]
+    cofactors = a[:, :, [1, 2, 0]] * b[:, :, [2, 0, 1]] - a[:, :, [2, 0, 1]] * b[:, :, [1, 2, 0]]
+    return np.asarray(cofactors.swapaxes(1, 2))
 
 
 def rotation_quest(profile: FloatArray) -> FloatArray:
