@@ -13,17 +13,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.cameras.base import CameraModel
-from calib.least_squares import Fit, solve
+from calib.least_squares import Fit, Problem, solve
 from calib.observations import Observations
 from calib.robust_loss import Loss
 from calib.solution import Calibration, Solution
-from calib.star_problem import StarProblem, StarState
+from calib.star_problem import StarState
 from calib.wahba import rotation_svd
 from optics.errors import DomainError
 
@@ -47,7 +48,8 @@ Mask = NDArray[np.bool_]
 LARGEST_RMS = 10.0  # typical residual over the stated sigma above which a fit is refused
 LARGEST_WRONG_PART = 0.4  # part of the stars beyond WRONG_PULL above which a robust fit is refused
 WRONG_PULL = 6.0  # length of a star's residual [sigma] beyond which it counts as a wrong match
-RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))  # median length of a two-dimensional unit normal vector
+# median length of a unit normal vector in one dimension (of a pair's angle) and two (of a star's position)
+MEDIAN_LENGTH = {1: 0.6744897501960817, 2: float(np.sqrt(2.0 * np.log(2.0)))}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,9 +153,7 @@ def wahba(
     return rotation
 
 
-def fit_stages(
-    make: Callable[[Mask], StarProblem], start: StarState, stages: Sequence[Mask], loss: Loss
-) -> tuple[Fit, float]:
+def fit_stages(make: Callable[[Mask], Problem], start: Any, stages: Sequence[Mask], loss: Loss) -> tuple[Fit, float]:
     """Fit stage by stage, the last one to the end.
 
     Returns
@@ -171,7 +171,7 @@ def fit_stages(
             state, spread, count = _lower_scale(problem, state, loss)
             steps += count
         else:
-            fit = solve(problem, state, tolerance=1.0, max_iterations=60)
+            fit = solve(problem, state, tolerance=1.0, slack=0.02, max_iterations=60)
             state, steps = fit.state, steps + fit.solution.iterations
     problem = make(stages[-1])
     if loss.name != "linear":
@@ -184,10 +184,10 @@ def fit_stages(
 def typical_pull(residual: FloatArray) -> float:
     """Median length of the stars' residuals over that of a unit normal vector: 1 where the sigma is right."""
     length = np.sqrt(np.einsum("ni,ni->n", residual, residual))
-    return float(np.median(length)) / RAYLEIGH_MEDIAN if len(length) else 1.0
+    return float(np.median(length)) / MEDIAN_LENGTH[residual.shape[1]] if len(length) else 1.0
 
 
-def _lower_scale(problem: StarProblem, state: StarState, loss: Loss) -> tuple[StarState, float, int]:
+def _lower_scale(problem: Problem, state: Any, loss: Loss) -> tuple[Any, float, int]:
     """Lower the scale of a robust loss to the typical residual, as far as the residuals follow."""
     residual = problem.evaluate(state).residual
     scale = typical_pull(residual) if np.all(np.isfinite(residual)) else 1.0
@@ -195,7 +195,7 @@ def _lower_scale(problem: StarProblem, state: StarState, loss: Loss) -> tuple[St
     for _ in range(30):
         if scale <= 1.0:
             break
-        fit = solve(problem, state, loss=loss, scale=scale, tolerance=0.1 * scale, max_iterations=30)
+        fit = solve(problem, state, loss=loss, scale=scale, tolerance=0.1 * scale, slack=0.01, max_iterations=30)
         state, steps = fit.state, steps + fit.solution.iterations
         now = typical_pull(fit.evaluation.residual)
         if now > 0.9 * scale:
@@ -299,7 +299,8 @@ def packed(
     installation: Rotation | None = None,
 ) -> Calibration:
     """Calibration record of a fit."""
-    camera = model.with_parameters(fit.state.camera)
+    state = fit.state.camera if isinstance(fit.state, StarState) else fit.state
+    camera = model.with_parameters(state)
     covariance = np.zeros((len(free), len(free)))
     count = int(free.sum())
     covariance[np.ix_(free, free)] = fit.solution.covariance[:count, :count]

@@ -131,6 +131,7 @@ def solve(
     loss: str | Loss = "linear",
     scale: float = 1.0,
     tolerance: float = 1e-6,
+    slack: float = 0.0,
     max_iterations: int = 100,
 ) -> Fit:
     """Minimise the loss of a problem from a start.
@@ -147,6 +148,8 @@ def solve(
         The loss sees residuals divided by this; more than 1 makes it more tolerant on the way to a solution.
     tolerance : float
         Length of the next step below which the fit has converged [sigma].
+    slack : float
+        Content as well when the next step would lower the cost by less than this part of it; for intermediate fits.
     max_iterations : int
         Steps tried at most.
 
@@ -158,7 +161,7 @@ def solve(
         the message names them); "refused" where the start lies outside the domain or is not finite.
     """
     chosen = get_loss(loss)
-    walk = _walk(problem, start, chosen, scale, tolerance, max_iterations)
+    walk = _walk(problem, start, chosen, scale, (tolerance, max(slack, 1e-15)), max_iterations)
     residual = walk.evaluation.residual
     inside = bool(np.all(np.isfinite(residual)))
     if not inside:
@@ -203,7 +206,10 @@ def _cost(evaluation: Any, loss: Loss, scale: float) -> float:
     return value + float(evaluation.penalty)
 
 
-def _walk(problem: Problem, start: Any, loss: Loss, scale: float, tolerance: float, max_iterations: int) -> _Walk:
+def _walk(
+    problem: Problem, start: Any, loss: Loss, scale: float, limits: tuple[float, float], max_iterations: int
+) -> _Walk:
+    tolerance, slack = limits
     evaluation = problem.evaluate(start)
     walk = _Walk(start, evaluation, _cost(evaluation, loss, scale), "iteration_limit", "", 0)
     if not np.isfinite(walk.cost):
@@ -219,7 +225,7 @@ def _walk(problem: Problem, start: Any, loss: Loss, scale: float, tolerance: flo
         moved = False
         while not moved and walk.iterations < max_iterations:
             step = system.step(damping, common_scale, block_scale)
-            if step.length < tolerance or step.decrease <= 1e-15 * walk.cost:
+            if step.length < tolerance or step.decrease <= slack * walk.cost:
                 if damping <= 1e-6:
                     walk.status, walk.message = "converged", f"next step below {tolerance:g} sigma"
                     return walk
