@@ -116,7 +116,7 @@ class GyroWalk:
         self._bias_information = noise.bias_sigma_rad_per_s**-2 if self._with_bias else 0.0
         walk = max(noise.angle_random_walk_rad_per_sqrt_s, LEAST_WALK)
         self._step_information = 1.0 / (walk**2 * np.diff(time_s))
-        self._lever = _bias_levers(turn, time_s)
+        self.lever = _bias_levers(turn, time_s)
         self.names = ANGLE_NAMES + (BIAS_NAMES if self._with_bias else ())
         self.block_size = 3
         self.block_unknowns = 3 * (self._frames - 1)
@@ -132,7 +132,7 @@ class GyroWalk:
         return np.asarray(a @ self._body(state) @ (a.T @ state.link.first))
 
     def _error(self, state: WalkState) -> FloatArray:
-        return np.asarray(self._lever @ state.bias + state.walk)
+        return np.asarray(self.lever @ state.bias + state.walk)
 
     def _body(self, state: WalkState) -> FloatArray:
         return np.asarray(self._link.turn @ exponential(self._error(state)))
@@ -143,7 +143,7 @@ class GyroWalk:
         block = state.link.installation @ self._body(state) @ right_jacobian(self._error(state))
         parts = [linked, np.eye(3) - linked]
         if self._with_bias:
-            parts.append(block @ self._lever)
+            parts.append(block @ self.lever)
         block[0] = 0.0  # the walk begins at the first frame
         return np.concatenate(parts, axis=2), block
 

@@ -12,7 +12,8 @@ matter; lambda follows the ratio of the true to the predicted decrease (Nielsen 
 leaves the domain (a star behind the camera) has infinite cost and is not taken.
 
 It has converged when the next step is shorter than ``tolerance`` in the metric of the information, that is, when no
-unknown would move by more than that part of its own sigma, whatever the units.
+unknown would move by more than that part of its own sigma, whatever the units; or when a full step of less than
+1e-3 sigma no longer lowers the cost, which is rounding.
 """
 
 from __future__ import annotations
@@ -29,13 +30,14 @@ from calib.robust_loss import Loss, get_loss
 from calib.solution import Solution
 from optics.errors import DomainError, unknown_name
 
-__all__ = ["DenseProblem", "Evaluation", "Fit", "Problem", "covariance_of", "solve"]
+__all__ = ["DenseProblem", "Evaluation", "Fit", "Problem", "covariance_of", "solve", "transformed_covariance"]
 
 FloatArray = NDArray[np.float64]
 
 DAMPING_START = 1e-4
 DAMPING_LEAST = 1e-13
 DAMPING_MOST = 1e12
+ROUNDING_STEP = 1e-3  # sigma: a full step this short that does not lower the cost says that rounding has been reached
 
 
 class Evaluation(Protocol):
@@ -181,7 +183,7 @@ def solve(
     solution = Solution(
         value=value,
         names=problem.names,
-        covariance=_transformed(covariance, derivative),
+        covariance=transformed_covariance(covariance, derivative),
         status=status,
         message=message,
         iterations=walk.iterations,
@@ -240,7 +242,7 @@ def _walk(
                 walk.state, walk.evaluation, walk.cost, moved = trial, evaluation, cost, True
                 damping = max(damping * max(0.1, 1.0 - (2.0 * ratio - 1.0) ** 3), DAMPING_LEAST)
                 growth = 2.0
-            elif abs(walk.cost - cost) <= 1e-12 * walk.cost:
+            elif abs(walk.cost - cost) <= 1e-12 * walk.cost or (step.length < ROUNDING_STEP and damping <= 1e-3):
                 walk.status, walk.message = "converged", "the cost no longer changes within rounding"
                 return walk
             else:
@@ -300,7 +302,7 @@ def covariance_of(
     return covariance, condition, [name for name, gone in zip(names, lost, strict=True) if gone]
 
 
-def _transformed(covariance: FloatArray, derivative: FloatArray) -> FloatArray:
+def transformed_covariance(covariance: FloatArray, derivative: FloatArray) -> FloatArray:
     """Covariance after a change of coordinates; infinite variances stay infinite in whatever they touch."""
     lost = ~np.isfinite(np.diagonal(covariance))
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
