@@ -1,0 +1,160 @@
+"""What the document's own numbers say about what it leaves out: the pixel, and the stars in a frame.
+
+Table 2 prints a calibrated camera and attitude beside the true ones. Principal point and attitude are nearly
+degenerate: their errors must cancel in the image, x0 in pixels against phi in arcseconds, and they do so for one size
+of the pixel only. So the printed values, reprojected on the first frame, tell the pixel by where their RMS is least;
+and their likelihood under the covariance of eq. 11 tells the size of the errors, hence the number of stars. The angles
+theta are left out, because what they do depends on a motion that is not given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.attitude_link import increment_per_angle, rotation_of_angles
+from experiments.acf_predict import correlated
+from experiments.acf_published import FIG4_RMS_PX, TABLE2_CALIBRATED, TABLE2_ROUNDING, TABLE2_TRUE
+from experiments.acf_settings import Config
+from experiments.acf_simulate import build_scene
+from experiments.acf_tasks import Point, gyro_error, sky_of
+from optics.records import freeze
+from optics.units import DEG_RAD
+
+__all__ = ["Inference", "infer"]
+
+FloatArray = NDArray[np.float64]
+
+CAMERA, FIRST = 8, 11
+"""Unknowns of the camera; those and the angles of the first frame."""
+STARS = 40
+"""In the frames of the design that is scaled to other numbers."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Inference:
+    """Pixel and stars from Table 2, read as one calibration at 0.1 px.
+
+    Attributes
+    ----------
+    pixel_um : (m,)
+        Pixels tried, for the reprojection.
+    reprojected_px : (m, 2)
+        RMS difference, x and y, between the printed and the true camera and attitude over the detector.
+    tried_um : (k,)
+        Pixels tried, for the likelihood.
+    tried_stars : (s,)
+        Stars per frame tried.
+    likelihood : (k, s)
+        Logarithm, 0 at its greatest.
+    best_um, sigma_um : float
+        Most likely pixel, and its standard deviation.
+    best_stars, low_stars, high_stars : float
+        Most likely number of stars per frame, and where the likelihood (the pixel at its best) has fallen by 1/2.
+    chi2 : float
+        Of the 11 printed errors at the best place.
+    chi2_assumed : float
+        The same at the pixel that the experiment assumes, with the most likely number of stars there.
+    """
+
+    pixel_um: FloatArray
+    reprojected_px: FloatArray
+    tried_um: FloatArray
+    tried_stars: FloatArray
+    likelihood: FloatArray
+    best_um: float
+    sigma_um: float
+    best_stars: float
+    low_stars: float
+    high_stars: float
+    chi2: float
+    chi2_assumed: float
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "pixel_um", shape=("m",), sizes=sizes)
+        freeze(self, "reprojected_px", shape=("m", 2), sizes=sizes)
+        freeze(self, "tried_um", shape=("k",), sizes=sizes)
+        freeze(self, "tried_stars", shape=("s",), sizes=sizes)
+        freeze(self, "likelihood", shape=("k", "s"), sizes=sizes)
+
+    @property
+    def least_um(self) -> float:
+        """Pixel of the least reprojection error of the printed values."""
+        return float(self.pixel_um[np.argmin((self.reprojected_px**2).sum(1))])
+
+
+def printed_reprojection(config: Config, pixel_um: float) -> FloatArray:
+    """RMS difference (2,) [px] between printed and true camera and attitude, on the first frame."""
+    true = build_scene(config, pixel_um).camera
+    direction = true.unproject(true.geometry.grid_px(25))
+    turn = rotation_of_angles(DEG_RAD * TABLE2_CALIBRATED[8:11]) * rotation_of_angles(DEG_RAD * TABLE2_TRUE[8:11]).inv()
+    moved = true.with_parameters(TABLE2_CALIBRATED[:CAMERA]).project(turn.apply(direction))
+    return np.asarray(np.sqrt(((moved - true.project(direction)) ** 2).mean(0)))
+
+
+def infer(points: int = 25) -> Inference:
+    """Pixel and stars per frame from Table 2; a function of the document alone, not of the configuration.
+
+    Parameters
+    ----------
+    points : int
+        Pixels tried for the likelihood.
+    """
+    config = Config()
+    pixel = np.linspace(4.0, 12.0, 161)
+    reprojected = np.stack([printed_reprojection(config, um) for um in pixel])
+    least = float(pixel[np.argmin((reprojected**2).sum(1))])
+    tried, stars = np.linspace(0.88, 1.12, points) * least, np.geomspace(2.0, 200.0, 93)
+    chi2, log_likelihood = np.moveaxis(np.stack([_fit(config, um, stars) for um in tried]), 1, 0)
+    place = np.unravel_index(np.argmax(log_likelihood), log_likelihood.shape)
+    over_pixel, over_stars = log_likelihood.max(1), log_likelihood.max(0)
+    weight = np.exp(over_pixel - over_pixel.max())
+    mean = float(weight @ tried / weight.sum())
+    near = stars[over_stars > over_stars.max() - 0.5]
+    assumed_chi2, assumed = _fit(config, config.camera.pixel_um, stars)
+    return Inference(
+        pixel_um=pixel,
+        reprojected_px=reprojected,
+        tried_um=tried,
+        tried_stars=stars,
+        likelihood=log_likelihood - log_likelihood.max(),
+        best_um=mean,
+        sigma_um=float(np.sqrt(weight @ (tried - mean) ** 2 / weight.sum())),
+        best_stars=float(stars[place[1]]),
+        low_stars=float(near[0]),
+        high_stars=float(near[-1]),
+        chi2=float(chi2[place]),
+        chi2_assumed=float(assumed_chi2[np.argmax(assumed)]),
+    )
+
+
+def _fit(config: Config, pixel_um: float, stars: FloatArray) -> FloatArray:
+    """chi^2 of the printed errors and logarithm of their likelihood (2, s), for numbers of stars per frame (s,)."""
+    scene = build_scene(config, pixel_um)
+    sky = sky_of(config, Point(name="inference", noise_px=0.1, gyro=(), methods=(), stars=STARS, pixel_um=pixel_um), 0)
+    design = sky.design.select(sky.used)
+    noise = (config.gyro.bias_deg_per_h, config.gyro.angle_random_walk_deg_per_sqrt_h)
+    perfect, drift = correlated(design, 0.1), gyro_error(scene, noise)
+    gyro = correlated(design, 0.1, drift) - perfect
+    unit = np.eye(FIRST)
+    unit[CAMERA:, CAMERA:] = np.linalg.inv(increment_per_angle(DEG_RAD * TABLE2_TRUE[8:11])) / DEG_RAD
+    perfect, gyro = (unit @ part[:FIRST, :FIRST] @ unit.T for part in (perfect, gyro))
+    error = (TABLE2_CALIBRATED - TABLE2_TRUE)[:FIRST]
+    rounding = np.diag(TABLE2_ROUNDING[:FIRST] ** 2 / 12.0)
+    found = np.empty((2, len(stars)))
+    for k, count in enumerate(stars):
+        covariance = perfect * (STARS / count) + gyro + rounding
+        scale = np.sqrt(np.diag(covariance))
+        correlation, pull = covariance / np.outer(scale, scale), error / scale
+        chi2 = float(pull @ np.linalg.solve(correlation, pull))
+        determinant = float(np.linalg.slogdet(correlation)[1] + 2.0 * np.log(scale).sum())
+        found[:, k] = chi2, -0.5 * (chi2 + determinant)
+    return found
+
+
+def published_total_px() -> float:
+    """RMS length of the reprojection error of Fig. 4."""
+    return float(np.linalg.norm(FIG4_RMS_PX))

@@ -1,0 +1,367 @@
+"""What the calibrations must reach, from the design alone: no star is drawn, no adjustment is run.
+
+Linear model of star j in frame k, all perturbations small and to the left (cam from reference):
+
+    d pixel = B_j dp + A_j d_k,        d_k = S_k u + T_k e_k
+
+with the camera parameters p, the frame's attitude error d_k [rad], u = (first attitude, installation) and the gyro's
+accumulated error e_k in the first body frame. From eq. 6 of ACF17, with M_k = C G_k C^T the camera's rotation since the
+first frame, S_k = [M_k, I - M_k] and T_k = -M_k C. Stars have noise sigma per axis; e has the covariance of a bias
+(a size per axis, sign unknown) and an angle random walk:
+
+    E[e_k e_l^T] = bias^2 P_k P_l^T + walk^2 min(t_k, t_l) I,       P_k = integral of G^T dt from the first frame to k.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.cameras.base import unproject_jacobian
+from optics.records import freeze
+from optics.units import ARCSEC_RAD
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
+    from calib.cameras.base import CameraModel
+
+__all__ = [
+    "Design",
+    "GyroError",
+    "Reprojection",
+    "correlated",
+    "free",
+    "linked",
+    "reprojection",
+    "sight_arcsec",
+    "sight_operator",
+]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Design:
+    """Derivatives at the truth.
+
+    Attributes
+    ----------
+    by_model : (n, 2, p)
+        Of a star's pixel position by the camera's parameters.
+    by_attitude : (n, 2, 3)
+        By the attitude of its frame, a rotation vector in cam [px/rad].
+    frame : (n,)
+        Frame of each star.
+    link : (f, 3, 6)
+        S_k: attitude of a frame by that of the first and by the installation.
+    drift : (f, 3, 3)
+        T_k: attitude of a frame by the gyro's accumulated error.
+    """
+
+    by_model: FloatArray
+    by_attitude: FloatArray
+    frame: IntArray
+    link: FloatArray
+    drift: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "by_model", shape=("n", 2, "p"), sizes=sizes)
+        freeze(self, "by_attitude", shape=("n", 2, 3), sizes=sizes)
+        freeze(self, "frame", shape=("n",), dtype=np.int64, sizes=sizes)
+        freeze(self, "link", shape=("f", 3, 6), sizes=sizes)
+        freeze(self, "drift", shape=("f", 3, 3), sizes=sizes)
+
+    @classmethod
+    def at(
+        cls, model: CameraModel, attitude: Rotation, installation: Rotation, direction: FloatArray, frame: IntArray
+    ) -> Design:
+        """Design of stars seen by a camera.
+
+        Parameters
+        ----------
+        model : CameraModel
+            Camera.
+        attitude : Rotation of f
+            Cam from reference, per frame.
+        installation : Rotation
+            Cam from gyro body.
+        direction : (n, 3)
+            Stars in the reference frame.
+        frame : (n,)
+            Frame of each.
+        """
+        matrix = attitude.as_matrix()
+        seen = np.einsum("nij,nj->ni", matrix[frame], direction)
+        jacobian = model.project_jacobian(seen)
+        turn = -_cross_matrix(seen)  # v + d x v
+        moved = matrix @ matrix[0].T
+        return cls(
+            by_model=jacobian.by_parameter,
+            by_attitude=jacobian.by_direction @ turn,
+            frame=frame,
+            link=np.concatenate([moved, np.eye(3) - moved], axis=2),
+            drift=-moved @ installation.as_matrix(),
+        )
+
+    def select(self, mask: NDArray[np.bool_]) -> Design:
+        """The same with some of the stars."""
+        return Design(
+            by_model=self.by_model[mask],
+            by_attitude=self.by_attitude[mask],
+            frame=self.frame[mask],
+            link=self.link,
+            drift=self.drift,
+        )
+
+    @property
+    def frames(self) -> int:
+        """Number of frames, with or without stars."""
+        return len(self.link)
+
+    def by_unknown(self) -> FloatArray:
+        """(2 n, p + 6): by camera parameters, first attitude, installation."""
+        tied = self.by_attitude @ self.link[self.frame]
+        return np.concatenate([self.by_model, tied], axis=2).reshape(-1, self.by_model.shape[2] + 6)
+
+    def by_drift(self) -> FloatArray:
+        """(2 n, 3): by the gyro's accumulated error of the star's frame."""
+        return (self.by_attitude @ self.drift[self.frame]).reshape(-1, 3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GyroError:
+    """Accumulated error of a gyro at the frames, as what drives it: e = steady s + walk w [rad].
+
+    Attributes
+    ----------
+    steady : (3 f, 3)
+        By the signs s (each +1 or -1) of the three axes' bias.
+    walk : (3 f, m)
+        By independent unit normal increments w of the angle random walk.
+    """
+
+    steady: FloatArray
+    walk: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "steady", shape=("n", 3), sizes=sizes)
+        freeze(self, "walk", shape=("n", "m"), sizes=sizes)
+
+    @classmethod
+    def of(
+        cls, time_s: FloatArray, swept: FloatArray, *, bias_rad_per_s: float, walk_rad_per_sqrt_s: float
+    ) -> GyroError:
+        """Error at frames.
+
+        Parameters
+        ----------
+        time_s : (f,)
+            Time since the first frame [s].
+        swept : (f, 3, 3)
+            P_k: integral over time of the first body from the body at t [s].
+        bias_rad_per_s, walk_rad_per_sqrt_s : float
+            Sizes per axis.
+        """
+        step = np.sqrt(np.diff(time_s))
+        reached = np.tril(np.ones((len(time_s), len(step))), -1) * step
+        return cls(steady=bias_rad_per_s * swept.reshape(-1, 3), walk=walk_rad_per_sqrt_s * np.kron(reached, np.eye(3)))
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (3 f, 3 f) [rad^2]."""
+        return np.asarray(self.steady @ self.steady.T + self.walk @ self.walk.T)
+
+
+def correlated(design: Design, sigma_px: float, gyro: GyroError | None = None) -> FloatArray:
+    """Covariance (p + 6, p + 6) of ACC (eq. 11), which takes the gyro as perfect.
+
+    Parameters
+    ----------
+    design : Design
+        Stars used.
+    sigma_px : float
+        Noise of a star's position, per axis.
+    gyro : GyroError, optional
+        What the gyro's error adds, though the estimator does not know of it; perfect gyro if left out.
+    """
+    normal, scale = _scaled_normal(design)
+    inverse = np.linalg.inv(normal)
+    covariance = sigma_px**2 * inverse
+    if gyro is not None:
+        gain = inverse @ (_per_frame_drift(design) / scale[:, None])
+        covariance = covariance + gain @ gyro.covariance @ gain.T
+    return np.asarray(covariance / np.outer(scale, scale))
+
+
+def linked(design: Design, sigma_px: float, gyro: GyroError) -> FloatArray:
+    """Cramer-Rao bound (p + 6, p + 6) with a gyro of that covariance, weighted as it deserves.
+
+    Between `correlated` (perfect gyro) and `free` (useless gyro).
+    """
+    normal, scale = _scaled_normal(design)
+    drift = _per_frame_drift(design) / scale[:, None]
+    inner = _blocks(design)
+    # sum over the gyro's errors as a prior, without inverting its singular covariance (the first frame has no error)
+    prior = gyro.covariance
+    carried = prior @ np.linalg.solve(sigma_px**2 * np.eye(len(prior)) + inner @ prior, drift.T)
+    reduced = normal - drift @ carried
+    return np.asarray(sigma_px**2 * np.linalg.inv(reduced) / np.outer(scale, scale))
+
+
+def free(design: Design, sigma_px: float) -> FloatArray:
+    """Cramer-Rao bound (p, p) of the camera parameters when every frame has an attitude of its own."""
+    count = design.by_model.shape[2]
+    flat = design.by_model.reshape(-1, count)
+    scale = np.sqrt((flat**2).sum(0))
+    normal = (flat / scale).T @ (flat / scale)
+    for rows in _frame_rows(design):
+        camera = design.by_model[rows].reshape(-1, count) / scale
+        attitude = design.by_attitude[rows].reshape(-1, 3)
+        # a frame of one star leaves one direction of its attitude open: the pseudo-inverse takes what there is
+        basis, size, _ = np.linalg.svd(attitude, full_matrices=False)
+        basis = basis[:, size > 1e-9 * size[0]]
+        share = basis.T @ camera
+        normal -= share.T @ share
+    return np.asarray(sigma_px**2 * np.linalg.inv(normal) / np.outer(scale, scale))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reprojection:
+    """Expected error of noise-free stars reprojected with a calibration.
+
+    Attributes
+    ----------
+    axis_px : (2,)
+        Root of the mean square, x and y.
+    total_px : float
+        The same of the length.
+    mean_px : float
+        Expected value of one run's RMS length, which is what the document averages: the root's curvature is in it, to
+        second order in the scatter of the mean square.
+    scatter_px : float
+        Standard deviation of one run's RMS length.
+    """
+
+    axis_px: FloatArray
+    total_px: float
+    mean_px: float
+    scatter_px: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "axis_px", shape=(2,))
+
+
+def reprojection(used: Design, judged: Design, sigma_px: float, gyro: GyroError | None = None) -> Reprojection:
+    """Reprojection error of ACC on other frames, where the gyro's error counts a second time.
+
+    For a perfect gyro and frames alike this is sigma sqrt(14 / n): the 14 unknowns share the information of n stars.
+
+    Parameters
+    ----------
+    used, judged : Design
+        Stars that calibrate; noise-free stars that are reprojected.
+    sigma_px : float
+        Noise of the former, per axis.
+    gyro : GyroError, optional
+        The gyro's error; perfect if left out.
+    """
+    normal, scale = _scaled_normal(used)
+    root = np.linalg.cholesky(np.linalg.inv(normal))
+    ahead = judged.by_unknown() / scale
+    parts, signs = [sigma_px * ahead @ root], np.empty((len(ahead), 0))
+    if gyro is not None:
+        drift = np.zeros((len(ahead), 3 * judged.frames))
+        own, frame = judged.by_drift(), np.repeat(judged.frame, 2)
+        for axis in range(3):
+            drift[np.arange(len(ahead)), 3 * frame + axis] = own[:, axis]
+        drift -= ahead @ np.linalg.solve(normal, _per_frame_drift(used) / scale[:, None])
+        signs = drift @ gyro.steady
+        parts += [drift @ gyro.walk, signs]
+    sources = np.concatenate(parts, axis=1)
+    stars = len(judged.frame)
+    axis_px2 = (sources**2).sum(1).reshape(-1, 2).sum(0) / stars
+    mean_square = float(axis_px2.sum())
+    # of a square form: 2 tr(M^2) for normal sources; a sign always has the square 1, its own diagonal does not scatter
+    variance = 2.0 * float(((sources.T @ sources) ** 2).sum() - ((signs**2).sum(0) ** 2).sum()) / stars**2
+    total = float(np.sqrt(mean_square))
+    return Reprojection(
+        axis_px=np.sqrt(axis_px2),
+        total_px=total,
+        mean_px=total * (1.0 - variance / (8.0 * mean_square**2)),
+        scatter_px=float(np.sqrt(variance)) / (2.0 * total),
+    )
+
+
+def sight_operator(model: CameraModel, points: int) -> FloatArray:
+    """Line-of-sight error over the detector after the best rotation, by the camera's parameters (2 n, p) [arcsec].
+
+    Rows are the components across the line of sight, in two directions square to it, of a grid of ``points`` along each
+    side: ``sqrt(trace(O C O^T) / n)`` is the expected RMS length for parameters of covariance C.
+    """
+    pixel = model.geometry.grid_px(points)
+    direction, _, by_parameter = unproject_jacobian(model, pixel)
+    across = np.linalg.svd(direction[:, None, :])[2][:, 1:, :]
+    change = (across @ by_parameter).reshape(-1, by_parameter.shape[2])
+    turn = (across @ -_cross_matrix(direction)).reshape(-1, 3)
+    left = change - turn @ np.linalg.lstsq(turn, change, rcond=None)[0]
+    return np.asarray(left / ARCSEC_RAD)
+
+
+def sight_arcsec(operator: FloatArray, covariance: FloatArray) -> float:
+    """Expected RMS length of the line-of-sight map's error, of parameters with that covariance [arcsec]."""
+    count = operator.shape[1]
+    square = np.einsum("ij,jk,ik->", operator, covariance[:count, :count], operator, optimize=True)
+    return float(np.sqrt(2.0 * square / len(operator)))
+
+
+def _cross_matrix(v: FloatArray) -> FloatArray:
+    """(n, 3, 3) with ``_cross_matrix(v) @ w = v x w``."""
+    matrix = np.zeros((len(v), 3, 3))
+    matrix[:, 0, 1], matrix[:, 0, 2] = -v[:, 2], v[:, 1]
+    matrix[:, 1, 0], matrix[:, 1, 2] = v[:, 2], -v[:, 0]
+    matrix[:, 2, 0], matrix[:, 2, 1] = -v[:, 1], v[:, 0]
+    return matrix
+
+
+def _scaled_normal(design: Design) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix of all unknowns with columns of length one, and the lengths."""
+    columns = design.by_unknown()
+    scale = np.sqrt((columns**2).sum(0))
+    columns = columns / scale
+    return columns.T @ columns, scale
+
+
+def _frame_rows(design: Design) -> list[IntArray]:
+    """Stars of each frame that has any."""
+    order = np.argsort(design.frame, kind="stable")
+    edges = np.flatnonzero(np.diff(design.frame[order])) + 1
+    return np.split(order, edges)
+
+
+def _per_frame_drift(design: Design) -> FloatArray:
+    """(p + 6, 3 f): unknowns against the gyro's errors, summed over stars."""
+    columns, drift = design.by_unknown(), design.by_drift()
+    result = np.zeros((columns.shape[1], 3 * design.frames))
+    for rows in _frame_rows(design):
+        k = int(design.frame[rows[0]])
+        pair = np.stack([2 * rows, 2 * rows + 1], axis=1).ravel()
+        result[:, 3 * k : 3 * k + 3] = columns[pair].T @ drift[pair]
+    return result
+
+
+def _blocks(design: Design) -> FloatArray:
+    """(3 f, 3 f): the gyro's errors against themselves, block diagonal."""
+    drift = design.by_drift()
+    result = np.zeros((3 * design.frames, 3 * design.frames))
+    for rows in _frame_rows(design):
+        k = 3 * int(design.frame[rows[0]])
+        pair = np.stack([2 * rows, 2 * rows + 1], axis=1).ravel()
+        result[k : k + 3, k : k + 3] = drift[pair].T @ drift[pair]
+    return result

@@ -1,0 +1,204 @@
+"""Configuration of the attitude-correlated-frames experiment; the defaults are Table 1 of ACF17."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Literal, TypeVar
+
+from pydantic import Field, field_validator, model_validator
+
+from experiments.config import ExperimentConfig, StrictModel
+
+__all__ = ["CameraConfig", "Config", "GyroConfig", "SkyConfig", "StartConfig", "SweepConfig"]
+
+WIDEST_DEG = 120.0
+"""Across the diagonal; a rectilinear image of more is all edge."""
+UNKNOWNS = 14
+Number = TypeVar("Number", int, float)
+
+
+def _ascending(values: tuple[Number, ...]) -> tuple[Number, ...]:
+    if any(later <= earlier for earlier, later in pairwise(values)):
+        raise ValueError("increasing values are needed, each once")
+    return values
+
+
+class CameraConfig(StrictModel):
+    """The star sensor of Table 1; the pixel is not given there."""
+
+    width_px: int = Field(default=1024, ge=16, le=20000, description="columns")
+    height_px: int = Field(default=1024, ge=16, le=20000, description="rows")
+    pixel_um: float = Field(default=10.0, gt=0, le=1000, description="pixel pitch; not in the document")
+    focal_length_mm: float = Field(default=25.6, gt=0, le=1e5, description="f")
+    x0_px: float = Field(default=10.0, description="principal point from the centre of the image, columns")
+    y0_px: float = Field(default=-10.0, description="principal point from the centre of the image, rows")
+    q1_per_mm2: float = Field(default=2e-4, description="radial distortion, cubic")
+    q2_per_mm4: float = Field(default=-4e-7, description="radial distortion, fifth order")
+    q3_per_mm6: float = Field(default=1e-8, description="radial distortion, seventh order")
+    p1_per_mm: float = Field(default=2e-4, description="tangential distortion")
+    p2_per_mm: float = Field(default=2e-4, description="tangential distortion")
+
+    @property
+    def diagonal_deg(self) -> float:
+        """Field across the diagonal, without distortion."""
+        half_mm = 0.5e-3 * self.pixel_um * math.hypot(self.width_px, self.height_px)
+        return 2.0 * math.degrees(math.atan2(half_mm, self.focal_length_mm))
+
+    @model_validator(mode="after")
+    def _forms_an_image(self) -> CameraConfig:
+        if self.diagonal_deg > WIDEST_DEG:
+            raise ValueError(
+                f"focal_length_mm = {self.focal_length_mm:g} mm: the field is {self.diagonal_deg:.0f} deg across the "
+                f"diagonal; at most {WIDEST_DEG:g} deg can be taken by a rectilinear camera: use a longer focal "
+                "length or a smaller detector"
+            )
+        off_px = max(abs(self.x0_px) / self.width_px, abs(self.y0_px) / self.height_px)
+        if off_px > 0.25:
+            raise ValueError(
+                f"principal point ({self.x0_px:g}, {self.y0_px:g}) px: at most a quarter of the image "
+                f"({self.width_px} x {self.height_px} px) from its centre"
+            )
+        return self
+
+
+class StartConfig(StrictModel):
+    """Where the adjustment starts: the initial values of Table 2; the angles start at 0 deg, distortion at zero."""
+
+    focal_length_mm: float = Field(default=20.0, gt=0, le=1e5, description="initial focal length")
+    x0_px: float = Field(default=0.0, description="initial principal point, columns")
+    y0_px: float = Field(default=0.0, description="initial principal point, rows")
+
+
+class GyroConfig(StrictModel):
+    """The gyro of Table 1, and how it moves; the document does not say about which axes it turns."""
+
+    rate_hz: float = Field(default=100.0, gt=0, le=10000, description="samples per second")
+    angular_speed_deg_per_s: float = Field(default=0.5, gt=0, le=20, description="size of the rate vector")
+    motion: Literal["turning_axis", "fixed_axis"] = Field(
+        default="turning_axis", description="whether the axis of rotation turns in the body, once in the sequence"
+    )
+    bias_deg_per_h: float = Field(default=0.03, ge=0, le=1000, description="size per axis; its sign is drawn per run")
+    angle_random_walk_deg_per_sqrt_h: float = Field(default=0.005, ge=0, le=100, description="per axis")
+    installation_deg: tuple[float, float, float] = Field(
+        default=(2.0, 2.0, 2.0), description="theta1, theta2, theta3: star sensor from gyro, angles as in eq. 2"
+    )
+
+
+class SkyConfig(StrictModel):
+    """Stars, uniform over the sphere; their number is not in the document."""
+
+    stars_per_frame: float = Field(default=34.0, le=200, description="mean number in a frame")
+    phi_deg: tuple[float, float, float] = Field(
+        default=(56.9476, -1.0046, -25.3335), description="phi1, phi2, phi3 of the first frame (Table 2)"
+    )
+
+    @field_validator("stars_per_frame")
+    @classmethod
+    def _pairs(cls, value: float) -> float:
+        if value < 2.0:
+            raise ValueError(
+                "at least 2 are needed: with one star in a frame there is no interstar angle and no free attitude"
+            )
+        return value
+
+
+class SweepConfig(StrictModel):
+    """What the document lacks: gain over free attitudes against stars per frame and gyro noise."""
+
+    stars: tuple[int, ...] = Field(default=(2, 3, 4, 6, 10, 20, 40), min_length=2, description="stars in every frame")
+    gyro_factor: tuple[float, ...] = Field(
+        default=(0.0, 1.0, 10.0, 100.0), min_length=1, description="bias and random walk in units of Table 1's"
+    )
+    noise_px: float = Field(default=0.1, gt=0, le=10, description="noise of a star's position, per axis")
+    skies: int = Field(default=100, ge=4, le=10000, description="runs per point, each with a sky of its own")
+
+    @field_validator("stars")
+    @classmethod
+    def _whole_frames(cls, values: tuple[int, ...]) -> tuple[int, ...]:
+        for value in values:
+            if not 2 <= value <= 100:
+                raise ValueError(f"{value} stars in every frame: 2 to 100 are possible")
+        return _ascending(values)
+
+    @field_validator("gyro_factor")
+    @classmethod
+    def _not_negative(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        for value in values:
+            if not 0.0 <= value <= 1e5:
+                raise ValueError(f"{value:g} times the gyro's noise: 0 to 100000 are possible")
+        return _ascending(values)
+
+
+class Config(ExperimentConfig):
+    """The published runs: ACF17 gives all of it but the pixel, the number of stars and the axes of the motion."""
+
+    camera: CameraConfig = CameraConfig()
+    start: StartConfig = StartConfig()
+    gyro: GyroConfig = GyroConfig()
+    sky: SkyConfig = SkyConfig()
+    frames: int = Field(default=60, ge=4, le=1000, description="frames; odd ones calibrate, even ones judge (sec. 3.1)")
+    frame_rate_hz: float = Field(default=1.0, gt=0, le=1000, description="frames per second")
+    runs: int = Field(default=100, ge=4, le=100000, description="Monte-Carlo runs per point")
+    noise_px: tuple[float, ...] = Field(
+        default=(0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5),
+        min_length=2,
+        description="noise of a star's position, per axis (Fig. 3, Fig. 5)",
+    )
+    table_noise_px: float = Field(default=0.1, gt=0, le=10, description="the same for Fig. 4 and Table 2")
+    bias_deg_per_h: tuple[float, ...] = Field(
+        default=(0.001, 0.01, 0.1), min_length=1, description="Fig. 3a; random walk zero"
+    )
+    angle_random_walk_deg_per_sqrt_h: tuple[float, ...] = Field(
+        default=(0.0001, 0.001, 0.01), min_length=1, description="Fig. 3b; bias zero"
+    )
+    counts: tuple[int, ...] = Field(
+        default=(6, 10, 14, 20, 34, 60), min_length=2, description="stars in every frame, for Fig. 4's RMS against them"
+    )
+    sweep: SweepConfig = SweepConfig()
+    workers: int = Field(default=0, ge=0, le=256, description="processes; 0: one per processor; changes no result")
+
+    @field_validator("noise_px")
+    @classmethod
+    def _noises(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        for value in values:
+            if not 0.0 < value <= 10.0:
+                raise ValueError(f"{value:g} px of noise: above 0 and at most 10 px are possible")
+        return _ascending(values)
+
+    @field_validator("bias_deg_per_h", "angle_random_walk_deg_per_sqrt_h")
+    @classmethod
+    def _gyros(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        for value in values:
+            if not 0.0 <= value <= 1000.0:
+                raise ValueError(f"{value:g}: at least 0 and at most 1000")
+        return _ascending(values)
+
+    @field_validator("counts")
+    @classmethod
+    def _counts(cls, values: tuple[int, ...]) -> tuple[int, ...]:
+        for value in values:
+            if not 2 <= value <= 200:
+                raise ValueError(f"{value} stars in every frame: 2 to 200 are possible")
+        return _ascending(values)
+
+    @model_validator(mode="after")
+    def _enough(self) -> Config:
+        if self.gyro.rate_hz < self.frame_rate_hz:
+            raise ValueError(
+                f"gyro.rate_hz = {self.gyro.rate_hz:g} Hz: at least frame_rate_hz = {self.frame_rate_hz:g} Hz is needed"
+            )
+        calibrating = (self.frames + 1) // 2
+        for key, stars in (
+            ("sky.stars_per_frame", self.sky.stars_per_frame),
+            ("counts", float(self.counts[0])),
+            ("sweep.stars", float(self.sweep.stars[0])),
+        ):
+            equations = 2 * calibrating * stars
+            if equations < 2 * UNKNOWNS:
+                raise ValueError(
+                    f"{key} = {stars:g}, frames = {self.frames}: {calibrating} frames calibrate and give "
+                    f"{equations:g} equations for {UNKNOWNS} unknowns; at least {2 * UNKNOWNS} are needed: more stars "
+                    "or more frames"
+                )
+        return self
