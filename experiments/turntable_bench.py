@@ -64,7 +64,7 @@ class Visits:
     wanted_px : (n, 2)
         Where the image was to be.
     true_rad, reading_rad : (n, k)
-        Angles of the table as they are and as they are read.
+        Angles of the table as they are and as they are read, mean of all readings.
     direction : (n, 3)
         Unit vectors in cam towards the star, at the true angles.
     """
@@ -131,14 +131,20 @@ def aim(bench: Bench, wanted_cam: FloatArray, roll_rad: FloatArray) -> FloatArra
 
 
 def visit(
-    bench: Bench, wanted_px: FloatArray, wanted_cam: FloatArray, roll_rad: FloatArray, streams: Streams
+    bench: Bench,
+    wanted_px: FloatArray,
+    wanted_cam: FloatArray,
+    roll_rad: FloatArray,
+    streams: Streams,
+    *,
+    readings: int,
 ) -> Visits:
-    """Turn the table to every wanted place, with the errors of setting and reading."""
+    """Turn the table to every wanted place and read it there several times, with the errors of setting and reading."""
     true = bench.table.set(aim(bench, wanted_cam, roll_rad), streams)
     return Visits(
         wanted_px=wanted_px,
         true_rad=true,
-        reading_rad=bench.table.read(true, streams),
+        reading_rad=np.mean([bench.table.read(true, streams, call=i) for i in range(readings)], axis=0),
         direction=bench.seen(true),
     )
 

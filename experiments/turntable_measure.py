@@ -30,6 +30,7 @@ from render.tracer import Tracer
 __all__ = [
     "Measurement",
     "TracedMap",
+    "averaged",
     "build_bench",
     "build_star",
     "build_table",
@@ -126,6 +127,11 @@ def build_table(config: TableConfig, axes: str | None = None) -> Turntable:
     )
 
 
+def averaged(table: Turntable, readings: int) -> Turntable:
+    """The table as the mean of several readings shows it: what is random in them averages out."""
+    return replace(table, reading_noise_arcsec=table.reading_noise_arcsec / np.sqrt(readings))
+
+
 def _spread(values: tuple[float, ...]) -> float | tuple[float, ...]:
     return values[0] if len(values) == 1 else values
 
@@ -205,7 +211,7 @@ def measure(
     wanted = grid_px(config, instrument)
     aimed = camera.nominal_direction(wanted[:, 0], wanted[:, 1], instrument.focal_length_mm)
     rolls = np.radians(table.rolls_deg)
-    visits = visit(bench, wanted, aimed, rolls[np.arange(len(wanted)) % len(rolls)], streams)
+    visits = visit(bench, wanted, aimed, rolls[np.arange(len(wanted)) % len(rolls)], streams, readings=config.frames)
     _check_field(visits, instrument)
     stars = build_star(config).seen(visits.direction, instrument)
     advance()
@@ -213,6 +219,7 @@ def measure(
     assert expected.truth is not None
     bundle = np.column_stack([expected.truth.bundle_x_px, expected.truth.bundle_y_px])
     _check_places(bundle, instrument, config.window_px)
+    _check_spot(float(np.sqrt(np.max(expected.truth.variance_x_px2 + expected.truth.variance_y_px2))), config)
     advance()
     psfs = [row[0] for row in render_epsf(epsf_tracer(mi, camera), stars, half_size_px=config.window_px // 2 + 1)]
     advance()
@@ -244,6 +251,15 @@ def _check_places(place_px: FloatArray, instrument: Instrument, window_px: int) 
             f"the star is off the detector at {int((~inside).sum())} of {len(place_px)} places, first at column "
             f"{place_px[at, 0]:.0f}, row {place_px[at, 1]:.0f} of {camera.width_px} x {camera.height_px} px; raise "
             "grid.edge_px or lower setting_noise_arcsec"
+        )
+
+
+def _check_spot(radius_px: float, config: Config) -> None:
+    if 4.0 * radius_px > config.window_px:
+        raise DomainError(
+            f"the star's image has an RMS radius of {radius_px:.1f} px, for which window_px = {config.window_px} is "
+            f"too small (at least four RMS radii); come nearer to focus (instrument.defocus_mm = "
+            f"{config.instrument.defocus_mm:g} mm) or enlarge the window"
         )
 
 

@@ -32,7 +32,9 @@ class TableConfig(StrictModel):
     """A turntable; one number for all axes, or one per axis, outermost first."""
 
     axes: str = Field(description="axes, outermost first, as letters of the laboratory frame, minus for left turns")
-    reading_noise_arcsec: tuple[float, ...] = Field(description="standard deviation of a reading, per axis")
+    reading_noise_arcsec: tuple[float, ...] = Field(
+        description="standard deviation of a reading, per axis; one per frame"
+    )
     non_orthogonality_arcsec: tuple[float, ...] = Field(description="90 deg minus the angle of neighbouring axes")
     setting_noise_arcsec: float = Field(default=5.0, ge=0, le=1e4, description="how far from the commanded angle")
     encoder_amplitude_arcsec: float = Field(default=0.0, ge=0, le=1e3, description="sinusoidal error of the readings")
@@ -84,9 +86,11 @@ class StudyConfig(StrictModel):
     """Monte-Carlo runs and sweeps on coordinates."""
 
     runs: int = Field(default=400, ge=20, le=100000, description="runs of the Monte-Carlo, each table")
-    sweep_runs: int = Field(default=40, ge=5, le=10000, description="runs per point of a sweep")
+    sweep_runs: int = Field(default=50, ge=5, le=10000, description="runs per point of a sweep")
     reading_noise_arcsec: tuple[float, ...] = Field(
-        default=(0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0), min_length=2, description="reading errors to sweep"
+        default=(0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0),
+        min_length=2,
+        description="errors of the mean reading of a place to sweep",
     )
     non_orthogonality_arcsec: tuple[float, ...] = Field(
         default=(0.0, 2.0, 5.0, 10.0, 20.0, 40.0), min_length=2, description="non-orthogonalities to sweep"
@@ -124,7 +128,7 @@ class Config(ExperimentConfig):
     two_axis: TableConfig = Field(default_factory=_two_axes)
     three_axis: TableConfig = Field(default_factory=_three_axes)
     grid: GridConfig = GridConfig()
-    frames: int = Field(default=10, ge=2, le=10000, description="frames per place")
+    frames: int = Field(default=10, ge=2, le=10000, description="frames per place, each with a reading of the table")
     dark_frames: int = Field(default=30, ge=2, le=10000, description="frames with the star off, per place")
     window_px: int = Field(default=13, ge=7, le=41, description="window around the star, odd")
     reduction: ReductionConfig = ReductionConfig()
