@@ -266,7 +266,10 @@ def checked_vectors(values: ArrayLike, columns: int, name: str) -> FloatArray:
     DomainError
         On another shape, or on values that are not finite.
     """
-    array = np.asarray(values, dtype=np.float64)
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise DomainError(f"{name}: not convertible to an array of float64 ({error})") from None
     if array.ndim != 2 or array.shape[1] != columns:
         raise DomainError(f"{name}: shape {array.shape} where (n, {columns}) is needed")
     if not np.isfinite(array).all():

@@ -1,0 +1,157 @@
+"""Fit of a camera model to a map of directions to pixels that is known without noise, such as a traced lens.
+
+What is left is the part of the map that the model cannot follow: the mismatch of the distortion model. The model may
+be turned against the map by a small rotation exp(w), w in cam, because a model with a fixed gauge (the polynomial) puts
+its axis elsewhere than the lens does, and because a line of sight is judged after the best rotation anyway:
+
+    minimise  sum |project(exp(w) d_i) - pixel_i|^2
+
+over the model's parameters and w. With v = exp(w) d and V the left Jacobian of the rotation group at w,
+d pixel / d w = -A [v] V, A = d pixel / d v.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.cameras.base import CameraModel, checked_vectors
+from calib.least_squares import DenseProblem, solve
+from calib.line_of_sight import LineOfSightMap, line_of_sight_map
+from calib.solution import Solution
+from optics.errors import DomainError
+
+__all__ = ["MapFit", "fit_to_map"]
+
+FloatArray = NDArray[np.float64]
+
+TURN_NAMES = ("turn_x_rad", "turn_y_rad", "turn_z_rad")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapFit:
+    """A camera model fitted to a map.
+
+    Attributes
+    ----------
+    model : CameraModel
+        The model with fitted parameters.
+    rotation : Rotation
+        The model's cam from the cam of the map; the identity if the model was not allowed to turn.
+    residual_px : (n, 2)
+        Model minus map.
+    line_of_sight : LineOfSightMap
+        The same as angles on the sky, at the map's pixels.
+    solution : Solution
+        Status and statistics of the fit, for residuals in px; sigmas mean nothing, since there is no noise.
+    """
+
+    model: CameraModel
+    rotation: Rotation
+    residual_px: FloatArray
+    line_of_sight: LineOfSightMap
+    solution: Solution
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square length of the residual, both axes together."""
+        return float(np.sqrt(np.mean(np.sum(self.residual_px**2, axis=1))))
+
+    @property
+    def max_px(self) -> float:
+        """Largest length of the residual."""
+        return float(np.max(np.hypot(self.residual_px[:, 0], self.residual_px[:, 1])))
+
+
+def fit_to_map(
+    model: CameraModel,
+    direction: ArrayLike,
+    pixel_px: ArrayLike,
+    *,
+    band: ArrayLike | None = None,
+    free: Sequence[str] | None = None,
+    turn: bool = True,
+    max_iterations: int = 200,
+) -> MapFit:
+    """Fit a camera model to a noiseless map of directions to pixels.
+
+    Parameters
+    ----------
+    model : CameraModel
+        The family and the start.
+    direction : (n, 3)
+        Directions in cam of the map.
+    pixel_px : (n, 2)
+        Their pixels; equal weights, so spread them evenly over the detector.
+    band : int or (n,) int, optional
+        Bands.
+    free : sequence of str, optional
+        Parameters that may move; all if left out.
+    turn : bool
+        Whether the model may be turned against the map. The principal point of a Brown-Conrady camera is nearly
+        degenerate with it; the fit is unharmed, the single values mean little.
+    max_iterations : int
+        Steps tried at most.
+
+    Returns
+    -------
+    MapFit
+        The model, what is left, and the status of the fit.
+
+    Raises
+    ------
+    DomainError
+        On wrong shapes, values that are not finite, or fewer measurements than unknowns.
+    ConfigError
+        On an unknown name in ``free``.
+    """
+    vector = checked_vectors(direction, 3, "direction")
+    pixel = checked_vectors(pixel_px, 2, "pixel_px")
+    size = len(model.parameters)
+    names = (*model.parameter_names, *TURN_NAMES)
+    chosen = (*(model.parameter_names if free is None else free), *(TURN_NAMES if turn else ()))
+    if len(vector) != len(pixel) or 2 * len(pixel) < len(chosen):
+        raise DomainError(f"{len(vector)} directions and {len(pixel)} pixels for {len(chosen)} unknowns")
+
+    def residuals(state: FloatArray) -> FloatArray:
+        turned = Rotation.from_rotvec(state[size:]).apply(vector)
+        return np.asarray(model.with_parameters(state[:size]).project(turned, band) - pixel).ravel()
+
+    def jacobian(state: FloatArray) -> FloatArray:
+        turned = Rotation.from_rotvec(state[size:]).apply(vector)
+        at = model.with_parameters(state[:size]).project_jacobian(turned, band)
+        by_turn = np.cross(turned[:, None, :], at.by_direction) @ left_jacobian(state[size:])
+        return np.concatenate([at.by_parameter, by_turn], axis=2).reshape(2 * len(vector), size + 3)
+
+    start = np.concatenate([model.parameters, np.zeros(3)])
+    problem = DenseProblem(residuals, jacobian, names, start, free=chosen)
+    fit = solve(problem, start, tolerance=1e-8, max_iterations=max_iterations)
+    fitted = model.with_parameters(fit.state[:size])
+    rotation = Rotation.from_rotvec(fit.state[size:])
+    at = fitted.project(rotation.apply(vector), band)
+    return MapFit(
+        model=fitted,
+        rotation=rotation,
+        residual_px=at - pixel,
+        line_of_sight=line_of_sight_map(
+            fitted, vector / np.linalg.norm(vector, axis=1, keepdims=True), pixel, band=band
+        ),
+        solution=fit.solution,
+    )
+
+
+def left_jacobian(vector: FloatArray) -> FloatArray:
+    """V (3, 3) with exp(w + dw) = exp(V dw) exp(w), to first order; w a rotation vector (3,).
+
+    V = 1 + (1 - cos a)/a^2 [w] + (a - sin a)/a^3 [w]^2 with a = |w| (Barfoot 2017, State Estimation for Robotics, 7.1).
+    """
+    a2 = float(vector @ vector)
+    cross = np.cross(np.eye(3), vector)
+    if a2 < 1e-6:
+        return np.asarray(np.eye(3) + (0.5 - a2 / 24.0) * cross + (1.0 / 6.0 - a2 / 120.0) * cross @ cross)
+    a = np.sqrt(a2)
+    return np.asarray(np.eye(3) + (1.0 - np.cos(a)) / a2 * cross + (a - np.sin(a)) / (a2 * a) * cross @ cross)

@@ -1,0 +1,83 @@
+"""Brown-Conrady against OpenCV's projectPoints."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.cameras import BrownConrady, SensorGeometry
+from optics.errors import DomainError
+
+GEOMETRY = SensorGeometry(width_px=1024, height_px=768, pixel_pitch_mm=0.01)
+VALUES = {
+    "focal_length_mm": 25.6,
+    "x0_px": 10.0,
+    "y0_px": -7.0,
+    "q1_per_mm2": 2e-4,
+    "q2_per_mm4": -4e-7,
+    "q3_per_mm6": 1e-8,
+    "p1_per_mm": 2e-4,
+    "p2_per_mm": -5e-4,
+}
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("scale", [1.0, 10.0])
+def test_projection_and_derivatives_agree_with_opencv(scale):
+    cv2 = pytest.importorskip("cv2")
+    distorted = {k: v * scale for k, v in VALUES.items() if k[0] in "qp"}
+    camera = BrownConrady.create(GEOMETRY, **{**VALUES, **distorted})
+    ideal = BrownConrady.create(GEOMETRY, focal_length_mm=25.6)
+    direction = ideal.unproject(GEOMETRY.grid_px(12))
+    matrix, coefficients = camera.to_opencv()
+    points, jacobian = cv2.projectPoints(direction, np.zeros(3), np.zeros(3), matrix, coefficients)
+    projection = camera.project_jacobian(direction)
+    np.testing.assert_allclose(projection.pixel_px, points[:, 0], rtol=0, atol=1e-10)
+    # OpenCV's columns: rotation 0-2 (about the camera's axes), translation 3-5, fx, fy, cx, cy, k1, k2, p1, p2, k3
+    theirs = jacobian.reshape(len(direction), 2, -1)
+    np.testing.assert_allclose(projection.by_direction, theirs[:, :, 3:6], rtol=0, atol=1e-8)
+    f = camera.value("focal_length_mm")
+    pairs = {"q1_per_mm2": (10, 2), "q2_per_mm4": (11, 4), "p2_per_mm": (12, 1), "p1_per_mm": (13, 1)}
+    pairs["q3_per_mm6"] = (14, 6)
+    for name, (column, power) in pairs.items():
+        ours = projection.by_parameter[:, :, camera.parameter_names.index(name)]
+        np.testing.assert_allclose(ours, f**power * theirs[:, :, column], rtol=1e-9, atol=1e-9 * np.abs(ours).max())
+
+
+@pytest.mark.reference
+def test_unprojection_agrees_with_opencv():
+    cv2 = pytest.importorskip("cv2")
+    camera = BrownConrady.create(GEOMETRY, **VALUES)
+    pixel = GEOMETRY.grid_px(9)
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-14)
+    theirs = cv2.undistortPoints(pixel[:, None], *camera.to_opencv(), criteria=criteria)[:, 0]
+    direction = camera.unproject(pixel)
+    np.testing.assert_allclose(direction[:, :2] / direction[:, 2:], theirs, rtol=0, atol=1e-9)
+
+
+def test_opencv_coefficients_there_and_back():
+    camera = BrownConrady.create(GEOMETRY, **VALUES)
+    matrix, coefficients = camera.to_opencv()
+    again = BrownConrady.from_opencv(GEOMETRY, matrix, coefficients)
+    np.testing.assert_allclose(again.parameters, camera.parameters, rtol=1e-12, atol=1e-12)
+    four = BrownConrady.from_opencv(GEOMETRY, matrix, coefficients[:4])
+    assert four.value("q3_per_mm6") == 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"matrix": [[2500.0, 0.0, 500.0], [0.0, 2600.0, 400.0], [0.0, 0.0, 1.0]]}, "one focal length"),
+        ({"matrix": [[2500.0, 3.0, 500.0], [0.0, 2500.0, 400.0], [0.0, 0.0, 1.0]]}, "skew"),
+        ({"matrix": np.eye(2)}, "4 or 5"),
+        ({"coefficients": [0.1, 0.2]}, "4 or 5"),
+        ({"coefficients": [0.0] * 5 + [0.1, 0.0, 0.0]}, "beyond k3"),
+    ],
+)
+def test_what_the_model_cannot_hold_is_refused(change, match):
+    given = {
+        "matrix": [[2500.0, 0.0, 500.0], [0.0, 2500.0, 400.0], [0.0, 0.0, 1.0]],
+        "coefficients": [0.0] * 5,
+    } | change
+    with pytest.raises(DomainError, match=match):
+        BrownConrady.from_opencv(GEOMETRY, given["matrix"], given["coefficients"])
