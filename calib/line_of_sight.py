@@ -151,7 +151,7 @@ def line_of_sight_map(
     rotation = best_rotation(direction[known], truth[known])
     # taken in cam, at the model's directions, so that the frame of the truth does not matter
     axes = _tangent_axes(direction)
-    error = np.einsum("nai,ni->na", axes, direction - rotation.inv().apply(truth))
+    error = np.einsum("nai,ni->na", axes, direction - truth @ rotation.as_matrix())
     sigma = np.full(pixel.shape, np.nan)
     if covariance is not None and jacobian is not None:
         sigma[known] = _predicted_sigma(direction[known], axes[known], jacobian[known], covariance)

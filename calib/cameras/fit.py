@@ -118,11 +118,11 @@ def fit_to_map(
         raise DomainError(f"{len(vector)} directions and {len(pixel)} pixels for {len(chosen)} unknowns")
 
     def residuals(state: FloatArray) -> FloatArray:
-        turned = Rotation.from_rotvec(state[size:]).apply(vector)
+        turned = vector @ Rotation.from_rotvec(state[size:]).as_matrix().T
         return np.asarray(model.with_parameters(state[:size]).project(turned, band) - pixel).ravel()
 
     def jacobian(state: FloatArray) -> FloatArray:
-        turned = Rotation.from_rotvec(state[size:]).apply(vector)
+        turned = vector @ Rotation.from_rotvec(state[size:]).as_matrix().T
         at = model.with_parameters(state[:size]).project_jacobian(turned, band)
         by_turn = np.cross(turned[:, None, :], at.by_direction) @ left_jacobian(state[size:])
         return np.concatenate([at.by_parameter, by_turn], axis=2).reshape(2 * len(vector), size + 3)
@@ -132,7 +132,7 @@ def fit_to_map(
     fit = solve(problem, start, tolerance=1e-8, max_iterations=max_iterations)
     fitted = model.with_parameters(fit.state[:size])
     rotation = Rotation.from_rotvec(fit.state[size:])
-    at = fitted.project(rotation.apply(vector), band)
+    at = fitted.project(vector @ rotation.as_matrix().T, band)
     return MapFit(
         model=fitted,
         rotation=rotation,

@@ -123,8 +123,10 @@ def test_unproject_jacobian_agrees_with_central_differences(model):
         step = 0.05 * np.eye(2)[axis]
         slope = (model.unproject(pixel + step, band) - model.unproject(pixel - step, band)) / 0.1
         np.testing.assert_allclose(by_pixel[:, :, axis], slope, rtol=0, atol=2e-7 * scale)
-    for k, size in enumerate(model.parameter_scales):
-        step = np.zeros(len(model.parameters))
+    count = len(model.parameters)
+    for k in range(0, count, 1 + count // 20):
+        size = model.parameter_scales[k]
+        step = np.zeros(count)
         step[k] = 1e-3 * size
         ahead, behind = (model.with_parameters(model.parameters + s * step) for s in (1, -1))
         slope = (ahead.unproject(pixel, band) - behind.unproject(pixel, band)) / 2e-3

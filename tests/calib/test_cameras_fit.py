@@ -45,8 +45,9 @@ def traced(lens_name, geometry, count=11, wavelength_nm=None):
 
 def test_the_true_family_is_found_from_a_poor_start():
     pixel = GEOMETRY.grid_px(15)
-    start = BrownConrady.create(GEOMETRY, focal_length_mm=20.0)
-    fit = fit_to_map(start, acf17().unproject(pixel), pixel, turn=False)
+    direction = acf17().unproject(pixel)
+    direction.setflags(write=False)  # as the arrays of records are
+    fit = fit_to_map(BrownConrady.create(GEOMETRY, focal_length_mm=20.0), direction, pixel, turn=False)
     assert fit.solution.converged
     assert fit.max_px < 1e-10
     np.testing.assert_allclose(fit.model.parameters, acf17().parameters, rtol=1e-9)
@@ -62,7 +63,7 @@ def test_a_polynomial_follows_a_turned_brown_conrady_camera():
     )
     assert fit.solution.converged
     assert fit.rms_px < 1e-4
-    assert fit.line_of_sight.rms_arcsec < 1e-3
+    assert fit.line_of_sight.rms_arcsec < 1e-4 * np.degrees(0.01 / 25.6) * 3600  # the same, as an angle
     assert abs((fit.rotation * turn).as_rotvec()[2]) < 2e-3
 
 

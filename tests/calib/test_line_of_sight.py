@@ -40,6 +40,7 @@ def spread(model, sigma_px, seed):
 def test_a_pure_rotation_is_no_error(angle_rad):
     turn = Rotation.from_rotvec(angle_rad * np.array([2.0, -1.0, 2.0]) / 3.0)
     truth = turn.apply(camera().unproject(GRID))
+    truth.setflags(write=False)  # as the arrays of records are
     result = line_of_sight_map(camera(), truth, GRID)
     np.testing.assert_allclose(result.error_arcsec, 0.0, atol=1e-9)
     assert (result.rotation * turn.inv()).magnitude() < 1e-12
