@@ -12,8 +12,9 @@ No angle is singular inside. What is reported are the document's angles phi of R
 (`calib.attitude_link`), with the covariance carried over. If the body turns about a single axis, the turn of A about
 that axis does not show in any star, and A is "singular"; the camera is not.
 
-The start of ACF17 is 0 px, 20 mm, no distortion, phi = 0 and theta = 0. phi = 0 is 62 deg from its truth and puts stars
-behind the camera; by default phi comes from the identified stars by Wahba's problem, and theta from the turns between
+The start of ACF17 is 0 px, 20 mm, no distortion, phi = 0 and theta = 0. With phi = 0 the stars stand 62 deg from where
+they should be, and it still converges as long as none of them falls behind the camera (else the start is "refused"). By
+default phi comes from the identified stars by Wahba's problem, and theta from the turns between
 frames.
 """
 
@@ -44,7 +45,7 @@ from calib.solution import Calibration
 from calib.star_problem import Prior, StarProblem, StarState, free_mask
 from optics.errors import DomainError
 
-__all__ = ["ANGLE_NAMES", "GyroLink", "LinkState", "calibrate_attitude_correlated", "start_link"]
+__all__ = ["ANGLE_NAMES", "GyroLink", "LinkState", "calibrate_attitude_correlated", "linked_parity", "start_link"]
 
 FloatArray = NDArray[np.float64]
 METHOD = "attitude_correlated"
@@ -162,6 +163,15 @@ def start_link(
     return LinkState(wahba(back, observations.direction, group, 1, robust=robust)[0], installation)
 
 
+def linked_parity(observations: Observations, turn: FloatArray, model: CameraModel) -> str:
+    """Hint on a mirrored sky; frames with fewer than three stars are judged together, turned back by the gyro."""
+    seen = model.unproject(observations.pixel_px, observations.band)
+    if np.bincount(observations.frame, minlength=1).max() >= 3:
+        return mirrored(seen, observations.direction, observations.frame, observations.frames)
+    back = np.einsum("nji,nj->ni", turn[observations.frame], seen)
+    return mirrored(back, observations.direction, np.zeros(len(back), dtype=np.int64), 1)
+
+
 def calibrate_attitude_correlated(
     observations: Observations,
     gyro_rotation: Rotation,
@@ -241,11 +251,7 @@ def calibrate_attitude_correlated(
         chosen,
     )
 
-    def hint() -> str:
-        seen = start_model.unproject(stars.pixel_px, stars.band)
-        return mirrored(seen, stars.direction, stars.frame, stars.frames)
-
-    status, message = verdict(fit, spread, chosen, hint)
+    status, message = verdict(fit, spread, chosen, lambda: linked_parity(stars, turn, start_model))
     return packed(
         METHOD,
         fit,

@@ -47,6 +47,7 @@ Mask = NDArray[np.bool_]
 
 LARGEST_RMS = 10.0  # typical residual over the stated sigma above which a fit is refused
 LARGEST_WRONG_PART = 0.4  # part of the stars beyond WRONG_PULL above which a robust fit is refused
+SAME_SPREAD = 1.2  # a typical residual this close to the stated sigma is the stated sigma
 WRONG_PULL = 6.0  # length of a star's residual [sigma] beyond which it counts as a wrong match
 # median length of a unit normal vector in one dimension (of a pair's angle) and two (of a star's position)
 MEDIAN_LENGTH = {1: 0.6744897501960817, 2: float(np.sqrt(2.0 * np.log(2.0)))}
@@ -161,30 +162,43 @@ def fit_stages(make: Callable[[Mask], Problem], start: Any, stages: Sequence[Mas
     fit : Fit
         The last fit.
     spread : float
-        Typical residual of the last but one over the stated sigma, at least 1: the scale at which a robust loss
-        settled.
+        Typical residual over the stated sigma, at least 1.
     """
-    state, spread, steps = start, 1.0, 0
+    state, steps, scale = start, 0, 1.0
     for stage in stages[:-1]:
         problem = make(stage)
-        if loss.name != "linear":
-            state, spread, count = _lower_scale(problem, state, loss)
-            steps += count
+        if loss.redescending:
+            state, _, count = _lower_scale(problem, state, loss)
         else:
-            fit = solve(problem, state, tolerance=1.0, slack=0.02, max_iterations=60)
-            state, steps = fit.state, steps + fit.solution.iterations
-    problem = make(stages[-1])
-    if loss.name != "linear":
-        state, spread, count = _lower_scale(problem, state, loss)
+            fit = solve(problem, state, loss=loss, tolerance=1.0, slack=0.02, max_iterations=60)
+            state, count = fit.state, fit.solution.iterations
         steps += count
-    fit = solve(problem, state, loss=loss, scale=spread)
+    problem = make(stages[-1])
+    if loss.redescending:
+        state, scale, count = _lower_scale(problem, state, loss)
+        steps += count
+    fit = solve(problem, state, loss=loss, scale=scale)
+    residual = fit.evaluation.residual
+    spread = max(1.0, typical_pull(residual)) if np.isfinite(residual).all() else 1.0
     return replace(fit, solution=replace(fit.solution, iterations=fit.solution.iterations + steps)), spread
 
 
 def typical_pull(residual: FloatArray) -> float:
-    """Median length of the stars' residuals over that of a unit normal vector: 1 where the sigma is right."""
+    """Median length of the residuals over that of a unit normal vector: 1 where the sigma is right.
+
+    Residuals beyond ``WRONG_PULL`` times the value itself do not count, so that a clear minority has no say.
+    """
     length = np.sqrt(np.einsum("ni,ni->n", residual, residual))
-    return float(np.median(length)) / MEDIAN_LENGTH[residual.shape[1]] if len(length) else 1.0
+    value = 1.0
+    for _ in range(5):
+        if not len(length):
+            break
+        value = float(np.median(length)) / MEDIAN_LENGTH[residual.shape[1]]
+        kept = length[length <= WRONG_PULL * value]
+        if len(kept) == len(length):
+            break
+        length = kept
+    return value
 
 
 def _lower_scale(problem: Problem, state: Any, loss: Loss) -> tuple[Any, float, int]:
@@ -202,7 +216,7 @@ def _lower_scale(problem: Problem, state: Any, loss: Loss) -> tuple[Any, float, 
             scale = now
             break
         scale = now
-    return state, max(scale, 1.0), steps
+    return state, scale if scale > SAME_SPREAD else 1.0, steps
 
 
 def verdict(fit: Fit, spread: float, loss: Loss, hint: Callable[[], str]) -> tuple[str, str]:
@@ -220,33 +234,35 @@ def verdict(fit: Fit, spread: float, loss: Loss, hint: Callable[[], str]) -> tup
         What could be wrong; asked only when the fit is refused.
     """
     solution = fit.solution
-    residual = solution.residual_pulls.reshape(-1, 2)
-    if solution.status in ("refused", "stalled", "iteration_limit"):
+    if solution.status == "refused":
         return solution.status, f"{solution.message}{_also(hint())}"
+    residual = solution.residual_pulls.reshape(-1, 2)
+    free = max(solution.degrees_of_freedom, 1)
     if loss.name == "linear":
-        rms = float(np.sqrt(solution.chi2 / max(solution.degrees_of_freedom, 1)))
-        if rms > LARGEST_RMS:
+        spread = float(np.sqrt(solution.chi2 / free))
+        if spread > LARGEST_RMS:
             return "refused", (
-                f"residuals are {rms:.3g} times the stated sigma, more than {LARGEST_RMS:g}: wrong matches (take a "
-                f"robust loss), a wrong camera model or too small a sigma{_also(hint())}"
+                f"residuals are {spread:.3g} times the stated sigma, more than {LARGEST_RMS:g}: wrong matches (take the "
+                f'loss "tukey"), a wrong camera model or too small a sigma{_also(hint())}'
             )
-        return solution.status, solution.message
-    length = np.sqrt(np.einsum("ni,ni->n", residual, residual))
-    wrong = float(np.mean(length > WRONG_PULL * spread)) if len(length) else 0.0
-    if spread > LARGEST_RMS:
-        return "refused", (
-            f"the typical residual is {spread:.3g} times the stated sigma, more than {LARGEST_RMS:g}: about half of "
-            f"the matches are wrong, or the camera model or the sigma is{_also(hint())}"
-        )
-    if wrong > LARGEST_WRONG_PART:
-        return "refused", (
-            f"{100 * wrong:.0f} % of the stars do not fit, more than {100 * LARGEST_WRONG_PART:g} %{_also(hint())}"
-        )
-    note = (
-        f"; {np.count_nonzero(length > WRONG_PULL * spread)} stars do not fit and were given no weight" if wrong else ""
-    )
-    settled = f"; typical residual {spread:.2f} times the stated sigma" if spread > 1.1 else ""
-    return solution.status, solution.message + note + settled
+        note = ""
+    else:
+        length = np.sqrt(np.einsum("ni,ni->n", residual, residual))
+        wrong = length > WRONG_PULL * spread
+        if spread > LARGEST_RMS:
+            return "refused", (
+                f"the typical residual is {spread:.3g} times the stated sigma, more than {LARGEST_RMS:g}: about half "
+                f"of the matches are wrong, or the camera model or the sigma is{_also(hint())}"
+            )
+        if np.mean(wrong) > LARGEST_WRONG_PART:
+            percent, limit = 100 * np.mean(wrong), 100 * LARGEST_WRONG_PART
+            return "refused", f"{percent:.0f} % of the stars do not fit, more than {limit:g} %{_also(hint())}"
+        note = f"; {np.count_nonzero(wrong)} stars do not fit" if wrong.any() else ""
+    if solution.status in ("stalled", "iteration_limit"):
+        return solution.status, f"{solution.message}{_also(hint())}"
+    if spread > 1.0 + 5.0 / np.sqrt(2.0 * free) and spread > SAME_SPREAD:
+        note += f"; residuals are {spread:.2f} times the stated sigma, which the covariance does not include"
+    return solution.status, solution.message + note
 
 
 def _also(text: str) -> str:
@@ -304,6 +320,12 @@ def packed(
     covariance = np.zeros((len(free), len(free)))
     count = int(free.sum())
     covariance[np.ix_(free, free)] = fit.solution.covariance[:count, :count]
+    used = selection.used.copy()
+    weight = fit.solution.robust_weight
+    if len(weight) == np.count_nonzero(used):
+        used[used] = weight > 0
+    if not _upright(camera):
+        status, message = "refused", f"the fitted camera is mirrored, the star list must be; {message}"
     notes = [part for part in (message, selection.note, _coverage(selection.observations, model)) if part]
     return Calibration(
         method=method,
@@ -312,8 +334,14 @@ def packed(
         solution=replace(fit.solution, status=status, message="; ".join(notes)),
         attitude=Rotation.from_matrix(attitude),
         installation=installation,
-        used=selection.used,
+        used=used,
     )
+
+
+def _upright(camera: CameraModel) -> bool:
+    """Whether +X and +Y of cam lead to larger columns and rows without a reflection, at the boresight."""
+    by_direction = camera.project_jacobian(np.array([[0.0, 0.0, 1.0]])).by_direction[0]
+    return bool(np.linalg.det(by_direction[:, :2]) > 0)
 
 
 def _coverage(observations: Observations, model: CameraModel) -> str:

@@ -25,13 +25,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.attitude_correlated import ANGLE_NAMES, GyroLink, LinkState, start_link
+from calib.attitude_correlated import ANGLE_NAMES, GyroLink, LinkState, linked_parity, start_link
 from calib.attitude_link import exponential, right_jacobian
 from calib.calibration_fit import (
     fit_stages,
     frames_with,
     free_stages,
-    mirrored,
     packed,
     refused,
     verdict,
@@ -278,11 +277,7 @@ def calibrate_gyro_linked(
         chosen,
     )
 
-    def hint() -> str:
-        seen = start_model.unproject(stars.pixel_px, stars.band)
-        return mirrored(seen, stars.direction, stars.frame, stars.frames)
-
-    status, message = verdict(fit, spread, chosen, hint)
+    status, message = verdict(fit, spread, chosen, lambda: linked_parity(stars, turn, start_model))
     return packed(
         METHOD,
         fit,

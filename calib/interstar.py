@@ -161,7 +161,7 @@ def _fit_pairs(
         kept = _fitting_stars(every, model.with_parameters(state), mask, WRONG_PULL * spread)
         lonely = np.bincount(observations.frame[kept], minlength=observations.frames) < 2
         kept &= ~lonely[observations.frame]
-        if np.count_nonzero(kept) * 2 <= len(kept):
+        if spread > LARGEST_RMS or np.count_nonzero(kept) * 2 <= len(kept):
             return _PairFit(fit, every, kept, spread)
         stars = StarFrames(observations.select(kept), pairs)
     sigma = _sigma(stars, model.with_parameters(state), mask)
@@ -237,12 +237,15 @@ def _judged(
     if len(fitted):
         seen = camera.unproject(fitted.pixel_px, fitted.band)
         parity = mirrored(seen, fitted.direction, fitted.frame, fitted.frames)
-    if wrong > LARGEST_WRONG_PART or found.spread > LARGEST_RMS:
+    if found.spread > LARGEST_RMS:
         status = "refused"
         message = (
-            f"{100 * wrong:.0f} % of the stars do not fit (limit {100 * LARGEST_WRONG_PART:g} %), the typical pair is "
-            f"{found.spread:.3g} times its sigma off (limit {LARGEST_RMS:g})"
+            f"the typical pair is {found.spread:.3g} times its sigma off, more than {LARGEST_RMS:g}: too many matches "
+            "are wrong, or the camera model or the sigma is"
         )
+    elif wrong > LARGEST_WRONG_PART:
+        status = "refused"
+        message = f"{100 * wrong:.0f} % of the stars do not fit, more than {100 * LARGEST_WRONG_PART:g} %"
     elif rms > LARGEST_RMS:
         status = "refused"
         message = (

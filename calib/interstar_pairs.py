@@ -106,8 +106,9 @@ class StarFrames:
 
     def directions(self, model: CameraModel, free: Mask) -> Directions | None:
         """Directions by a camera, with derivatives; None where a pixel has no direction."""
-        seen = unproject_jacobian(model, self.observations.pixel_px, self.observations.band)
-        if not np.isfinite(seen.direction).all():
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # a camera on its way may fold the image
+            seen = unproject_jacobian(model, self.observations.pixel_px, self.observations.band)
+        if not (np.isfinite(seen.direction).all() and np.isfinite(seen.by_parameter).all()):
             return None
         return Directions(
             self.padded(seen.direction),

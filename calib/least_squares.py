@@ -171,6 +171,7 @@ def solve(
     weight = chosen.weight(_squares(residual) / scale**2)
     system = problem.system(walk.evaluation, weight) if inside else _empty_system(len(problem.names))
     reduced = system.reduce()
+    counted = weight > 0  # what a redescending loss threw away is no longer in the fit
     value, derivative = problem.reported(walk.state)
     factor = chosen.variance_factor(residual.shape[1])
     covariance, condition, unknown = covariance_of(reduced, problem.names, factor=factor)
@@ -187,8 +188,8 @@ def solve(
         status=status,
         message=message,
         iterations=walk.iterations,
-        chi2=float(np.sum(residual**2) + walk.evaluation.penalty) if inside else float("inf"),
-        degrees_of_freedom=int(residual.size + problem.prior_terms - problem.unknowns),
+        chi2=float(np.sum(residual[counted] ** 2) + walk.evaluation.penalty) if inside else float("inf"),
+        degrees_of_freedom=int(residual[counted].size + problem.prior_terms - problem.unknowns),
         condition=condition,
         residual_pulls=residual.ravel(),
         robust_weight=weight,
@@ -223,6 +224,9 @@ def _walk(
     block_scale: FloatArray | None = None
     while walk.iterations < max_iterations:
         system = problem.system(walk.evaluation, loss.weight(_squares(walk.evaluation.residual) / scale**2))
+        if not (np.isfinite(system.common).all() and np.isfinite(system.gradient).all()):
+            walk.status, walk.message = "stalled", "the derivatives are not finite"
+            return walk
         common_scale, block_scale = _larger(system, common_scale, block_scale)
         moved = False
         while not moved and walk.iterations < max_iterations:

@@ -49,6 +49,11 @@ class Loss:
     name: str
     tuning: float
 
+    @property
+    def redescending(self) -> bool:
+        """Whether the pull of a residual falls again far out; such a loss has local minima and needs a good start."""
+        return self.name in ("cauchy", "tukey")
+
     def rho(self, squared: FloatArray) -> FloatArray:
         """Loss of squared residual lengths (n,)."""
         c2 = self.tuning**2
