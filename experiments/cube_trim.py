@@ -1,0 +1,396 @@
+"""Trimming a face until spot and aperture are concentric: pictures, circle fits, and the operator (CUBE09, step 2).
+
+Two pictures, one after the other, as published: the reflected light is kept away and the aperture is imaged (here a
+sheet of tracing paper covers it and glows); then the light comes back and the spot is imaged around the hole. The spot is
+as wide as the aperture plus the sun's image over twice the distance, so only its rim shows around the hole; the contour
+fitted to it is taken low on the rim. The edge of the hole in the same picture also gives the aperture (the improved
+procedure uses that).
+
+Edges are taken from the picture to the plane of the screen before the circles are fitted, so that the oblique view plays
+no part. Offsets are (x, y) in the laboratory, spot minus aperture, in pixels of the screen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.circle_edge import EdgePoints, edge_crossings, sample_spokes, smoothed
+from calib.circle_fit import CircleFit, fit_circle
+from experiments.cube_bench import Case, Laboratory, Truth, electrons_per_radiance, put_cube, start_angles
+from experiments.cube_checks import check_landing
+from experiments.laboratory.turntable import Turntable
+from optics.errors import ConvergenceError
+from optics.units import RAD_DEG
+from render.bench_camera import BenchCamera
+from render.random import Streams
+
+__all__ = ["FaceTrim", "Offset", "Picture", "TrimRow", "measure_offset", "take_aperture", "take_spot", "trim_face"]
+
+FloatArray = NDArray[np.float64]
+
+RIM_LEVEL = 0.3
+"""Contour of the spot, as part of the brightest rim."""
+
+SPOKES, RAYS = 90, 3
+HOLE_MARGIN_PX = 4.0
+EDGE_HALF_WIDTH_PX = {"aperture": 1.5, "spot": 8.0, "hole": 1.5}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Picture:
+    """A read-out picture of the screen.
+
+    Attributes
+    ----------
+    electrons : (h, w)
+        (DN - offset) / gain.
+    camera : BenchCamera
+        The camera as it is believed to stand.
+    """
+
+    electrons: FloatArray
+    camera: BenchCamera
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Offset:
+    """Spot minus aperture.
+
+    Attributes
+    ----------
+    offset_px : (2,)
+        x and y in the laboratory, in pixels of the screen.
+    covariance_px2 : (2, 2)
+        From the two circle fits.
+    spot, aperture : CircleFit
+        In mm on the screen.
+    """
+
+    offset_px: FloatArray
+    covariance_px2: FloatArray
+    spot: CircleFit
+    aperture: CircleFit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrimRow:
+    """One setting of the table, as in Table 1 of CUBE09.
+
+    Attributes
+    ----------
+    outer_deg, inner_deg : float
+        What the table was sent to.
+    offset_px : (2,)
+        What the pictures say.
+    sigma_px : (2,)
+        Standard deviations of that.
+    """
+
+    outer_deg: float
+    inner_deg: float
+    offset_px: FloatArray
+    sigma_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FaceTrim:
+    """A trimmed face.
+
+    Attributes
+    ----------
+    face : str
+        Which.
+    rows : tuple of TrimRow
+        The trims.
+    reading_rad : (2,)
+        Outer and inner angle that were read at the end.
+    offset : Offset
+        The last one.
+    pictures : tuple of Picture
+        Aperture, first spot, last spot, where they were kept.
+    """
+
+    face: str
+    rows: tuple[TrimRow, ...]
+    reading_rad: FloatArray
+    offset: Offset
+    pictures: tuple[Picture, ...] = ()
+
+
+def _exposed(laboratory: Laboratory, electrons: NDArray[np.float32], streams: Streams) -> Picture:
+    from render.readout import expose
+
+    frame = expose(
+        electrons,
+        laboratory.detector,
+        streams=streams,
+        exposure_s=laboratory.config.camera.exposure_s,
+        backend=laboratory.backend,
+    )
+    dn = frame.dn.astype(np.float64)
+    return Picture(electrons=(dn - frame.offset_dn) / frame.gain_dn_per_e, camera=laboratory.camera)
+
+
+def take_aperture(laboratory: Laboratory, streams: Streams) -> Picture:
+    """Picture of the covered aperture; the light is the same every time, the noise is not."""
+    return _exposed(laboratory, laboratory.aperture_e, streams.child("aperture"))
+
+
+def take_spot(
+    laboratory: Laboratory,
+    streams: Streams,
+    *,
+    sensor: Any,
+    log2_particles: int,
+) -> Picture:
+    """Picture of the spot, with the cube of the scene where it is."""
+    from render.bench_trace import trace_screen
+    from render.diffusion import diffuse
+
+    light = trace_screen(
+        laboratory.mi,
+        laboratory.scene,
+        sensor,
+        laboratory.camera,
+        laboratory.geometry,
+        covered=False,
+        log2_particles=log2_particles,
+        seed=streams.key("particles") >> 1,
+    )
+    scaled = light * np.float32(electrons_per_radiance(laboratory.config))
+    return _exposed(laboratory, diffuse(scaled, laboratory.detector.diffusion_sigma_px), streams.child("spot"))
+
+
+def moved_sensor(laboratory: Laboratory, shift_mm: FloatArray) -> Any:
+    """The camera of Mitsuba after its mount gave way: it aims ``-shift_mm`` beside, so the picture moves by it."""
+    if not np.any(shift_mm):
+        return laboratory.sensor
+    camera = laboratory.camera
+    moved = BenchCamera(
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        pitch_mm=camera.pitch_mm,
+        distance_mm=camera.distance_mm,
+        angle_deg=camera.angle_deg,
+        aim_mm=camera.aim_mm - shift_mm,
+    )
+    return moved.sensor(laboratory.mi)
+
+
+def _spokes(picture: Picture, centre_mm: FloatArray, low_mm: float, high_mm: float, step_px: float = 0.5) -> Any:
+    radius = np.arange(low_mm, high_mm, step_px * picture.camera.pitch_mm)
+    return sample_spokes(
+        picture.electrons, centre_mm, radius, to_pixel=picture.camera.to_pixel, spokes=SPOKES, rays=RAYS
+    )
+
+
+def fit_aperture(picture: Picture, radius_mm: float) -> CircleFit:
+    """Circle through the edge of the glowing aperture: half the brightness of its inside."""
+    width = EDGE_HALF_WIDTH_PX["aperture"] * picture.camera.pitch_mm
+    centre = np.zeros(2)
+    for _ in range(2):
+        spokes = _spokes(picture, centre, 0.6 * radius_mm, radius_mm + 12 * picture.camera.pitch_mm)
+        inside = spokes.radius < 0.85 * radius_mm
+        outside = spokes.radius > radius_mm + 8 * picture.camera.pitch_mm
+        level = 0.5 * (np.nanmedian(spokes.value[:, inside]) + np.nanmedian(spokes.value[:, outside]))
+        edge = edge_crossings(spokes, level, rising=False, half_width=width)
+        _enough(edge, "aperture")
+        fit = fit_circle(edge.point, sigma=edge.sigma)
+        centre = fit.centre
+    return fit
+
+
+def fit_spot(picture: Picture, aperture: CircleFit, reach_mm: float) -> CircleFit:
+    """Circle through a contour low on the rim of the spot, where it shows outside the hole.
+
+    Parameters
+    ----------
+    picture : Picture
+        Of the spot.
+    aperture : CircleFit
+        The hole: contour points nearer than `HOLE_MARGIN_PX` to its edge belong to it.
+    reach_mm : float
+        Radius of the whole spot.
+    """
+    pitch = picture.camera.pitch_mm
+    width = EDGE_HALF_WIDTH_PX["spot"] * pitch
+    centre = _brightest(picture, aperture)
+    for _ in range(2):
+        spokes = _spokes(picture, centre, 0.5 * aperture.radius, reach_mm + 25 * pitch, 1.0)
+        dark = np.nanmedian(spokes.value[:, -8:])
+        rim = np.nanmax(smoothed(spokes, width), axis=1)
+        level = dark + RIM_LEVEL * (np.nanpercentile(rim, 90) - dark)
+        edge = edge_crossings(spokes, level, rising=False, half_width=width)
+        edge = edge.outside(aperture.centre, aperture.radius + HOLE_MARGIN_PX * pitch)
+        _enough(edge, "spot")
+        fit = fit_circle(edge.point, sigma=edge.sigma)
+        centre = fit.centre
+    return fit
+
+
+def fit_hole(picture: Picture, aperture: CircleFit) -> CircleFit:
+    """Circle through the dark edge of the hole in the picture of the spot, each spoke at half its own brightness."""
+    pitch = picture.camera.pitch_mm
+    width = EDGE_HALF_WIDTH_PX["hole"] * pitch
+    centre = aperture.centre
+    for _ in range(2):
+        spokes = _spokes(picture, centre, 0.6 * aperture.radius, aperture.radius + 9 * pitch)
+        inside = spokes.radius < aperture.radius - 5 * pitch
+        beside = (spokes.radius > aperture.radius + 2.5 * pitch) & (spokes.radius < aperture.radius + 7 * pitch)
+        dark = np.nanmedian(spokes.value[:, inside])
+        slope, at_edge = _lines(spokes.radius[beside] - aperture.radius, spokes.value[:, beside])
+        edge = edge_crossings(spokes, 0.5 * (dark + at_edge), rising=True, half_width=width)
+        _enough(edge, "edge of the hole")
+        fit = fit_circle(edge.point, sigma=edge.sigma)
+        centre = fit.centre
+    return fit
+
+
+def _lines(x: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Slope and value at x = 0 of a line through each row."""
+    coefficients = np.polynomial.polynomial.polyfit(x, value.T, 1)
+    return coefficients[1], coefficients[0]
+
+
+def _brightest(picture: Picture, aperture: CircleFit) -> FloatArray:
+    """Rough centre of the spot: mean of the picture's light, the hole taken as evenly filled."""
+    height, width = picture.electrons.shape
+    step = 4
+    row, column = np.mgrid[0:height:step, 0:width:step]
+    light = picture.electrons[::step, ::step]
+    light = np.clip(light - np.percentile(light, 20), 0, None)
+    light = np.where(light > 0.05 * light.max(), light, 0.0)
+    point = picture.camera.to_screen(np.column_stack([column.ravel(), row.ravel()]))
+    weight = light.ravel()
+    if not weight.sum() > 0:
+        return aperture.centre
+    return np.asarray((weight @ point) / weight.sum())
+
+
+def _enough(edge: EdgePoints, what: str) -> None:
+    if len(edge) < SPOKES // 6:
+        raise ConvergenceError(
+            f"the {what} shows only {len(edge)} edge points on {SPOKES} spokes; is it in the picture and bright enough? "
+            "(camera.plateau_e, simulator.source_arcmin, trim.start_px)"
+        )
+
+
+def measure_offset(aperture: CircleFit, spot: CircleFit, pitch_mm: float) -> Offset:
+    """Difference of two fitted centres."""
+    return Offset(
+        offset_px=(spot.centre - aperture.centre) / pitch_mm,
+        covariance_px2=(spot.covariance[:2, :2] + aperture.covariance[:2, :2]) / pitch_mm**2,
+        spot=spot,
+        aperture=aperture,
+    )
+
+
+def trim_face(
+    laboratory: Laboratory,
+    truth: Truth,
+    case: Case,
+    table: Turntable,
+    face: int,
+    repeat: int,
+    *,
+    streams: Streams,
+    log2_particles: int,
+    keep: bool = False,
+) -> FaceTrim:
+    """Turn a face to the light and trim the table until spot and aperture are concentric.
+
+    Parameters
+    ----------
+    laboratory : Laboratory
+        The rendered bench; its cube is moved.
+    truth : Truth
+        The bench.
+    case : Case
+        Which errors act.
+    table : Turntable
+        The table as it is built.
+    face, repeat : int
+        Which face, and which of its measurements.
+    streams : Streams
+        Of this face.
+    log2_particles : int
+        Particles per picture.
+    keep : bool
+        Keep pictures for the report.
+
+    Returns
+    -------
+    FaceTrim
+
+    Raises
+    ------
+    ConvergenceError
+        The stop rule does not hold after ``trim.allowed`` settings, or an edge cannot be seen.
+    DomainError
+        The beam misses the face, or the spot leaves the screen or the picture.
+    """
+    config, name = laboratory.config, laboratory.config.cube.faces[face]
+    tilt = laboratory.tilt_per_px
+    radius, reach = laboratory.geometry.aperture_mm / 2, spot_reach_mm(laboratory)
+    aim = case.aim_px * truth.aim[face, repeat]
+    shift_mm = np.zeros(2)
+    if case.mounting:
+        sigma_mm = config.camera.mounting_arcsec / 206264.80624709636 * laboratory.geometry.path_mm
+        shift_mm = truth.mounting[face, repeat] * sigma_mm
+    sensor = moved_sensor(laboratory, shift_mm)
+    glowing = take_aperture(laboratory, streams)
+    aperture = fit_aperture(glowing, radius)
+    commanded = start_angles(laboratory, truth, table, face, repeat)
+    rows: list[TrimRow] = []
+    pictures: list[Picture] = [glowing]
+    for setting in range(config.trim.allowed):
+        here = streams.child("setting", setting)
+        actual = table.set(commanded[None], here)
+        pose = put_cube(laboratory, truth, table.rotation(actual)[0].as_matrix())
+        check_landing(config, laboratory.geometry, laboratory.camera, pose, name)
+        picture = take_spot(laboratory, here, sensor=sensor, log2_particles=log2_particles)
+        spot = fit_spot(picture, aperture, reach)
+        reference = fit_hole(picture, aperture) if case.improved and setting > 0 else aperture
+        offset = measure_offset(reference, spot, laboratory.pitch_mm)
+        shown = actual[0] * RAD_DEG
+        rows.append(
+            TrimRow(
+                outer_deg=float(shown[0]),
+                inner_deg=float(shown[1]),
+                offset_px=offset.offset_px,
+                sigma_px=np.sqrt(np.diag(offset.covariance_px2)),
+            )
+        )
+        if keep and (setting == 0 or len(pictures) < 3):
+            pictures.append(picture)
+        elif keep:
+            pictures[-1] = picture
+        left = offset.offset_px - aim
+        stop = config.trim.stop_px if case.coarse else FINE_STOP_PX
+        if np.all(np.abs(left) < stop) and not (case.improved and setting == 0):
+            reading = table.read(actual, here)[0]
+            return FaceTrim(
+                face=name, rows=tuple(rows), reading_rad=reading, offset=offset, pictures=tuple(pictures)
+            )
+        gain = config.trim.gain_ratio if case.coarse else 1.0
+        commanded = actual[0] + gain * tilt * np.array([left[1], -left[0]])
+    last = rows[-1].offset_px
+    raise ConvergenceError(
+        f"face {name} is not concentric after trim.allowed = {config.trim.allowed} settings: offsets "
+        f"{last[0]:.3f}, {last[1]:.3f} px where trim.stop_px = {config.trim.stop_px:g} px is asked; allow more trims, a finer "
+        "trim.step_deg or another trim.gain_ratio"
+    )
+
+
+FINE_STOP_PX = 0.3
+"""Where the table's steps play no part, one correction reaches its aim within this."""
+
+
+def spot_reach_mm(laboratory: Laboratory) -> float:
+    """Radius of the whole spot."""
+    geometry = laboratory.geometry
+    return geometry.aperture_mm / 2 + geometry.blur_mm(geometry.path_mm)
