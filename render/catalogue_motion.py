@@ -6,9 +6,10 @@ radial motion mu_r = v_r parallax / A, A = 4.740470463 km/s per au/year,
 
 .. math:: u(t) = r (1 + \\mu_r t) + \\mu t, \\qquad r(t) = u / |u|, \\qquad \\varpi(t) = \\varpi / |u|
 
-The changing time that light takes from the star is left out, as there. That costs 0.014 mas in 35 years for the fastest
-of the bright stars (61 Cygni), far less for others. An observer away from the barycentre sees the star where it was
-when the light passed him, not the barycentre (up to 8 min, 0.16 mas for Barnard's star).
+Observed motions are per year of arrival of the light, and a star that comes nearer shows later years of its path
+sooner; a moving clock goes slower. All of it is counted in as ERFA's ``starpm`` does (A. G. Butkevich and L. Lindegren,
+A&A 570, A62 (2014)): together 0.5 mas in 50 years for Kapteyn's star. An observer away from the barycentre sees the
+star where it was when the light passed him, not the barycentre: up to 8 min, 0.16 mas for Barnard's star.
 
 Deflection: S. A. Klioner, AJ 125, 1580 (2003), eq. 70, for the Sun alone. Aberration: his eq. 10, the exact formula of
 special relativity. `erfa.ab` adds the potential of the Sun, below 0.001 mas.
@@ -38,6 +39,7 @@ _LIGHT_YEAR_PER_AU = constants.au / constants.c / (365.25 * 86400.0)
 _SUN_AU = 2.0 * 1.3271244e20 / constants.c**2 / constants.au
 _SUN_RADIUS_AU = 0.00465
 _LONGEST_YEAR = 5000.0
+_STEPS = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -136,8 +138,64 @@ def _motion(catalog: StarCatalog) -> tuple[FloatArray, FloatArray]:
     return velocity, parallax
 
 
+def _light_years(velocity: FloatArray, parallax: FloatArray) -> FloatArray:
+    """Distances; 0 where not known, or where the star would move at a tenth of the velocity of light."""
+    light_years = np.divide(_LIGHT_YEAR_PER_AU, parallax, out=np.zeros_like(parallax), where=parallax > 0)
+    return np.where(_length(velocity) * light_years < 0.1, light_years, 0.0)
+
+
+def _moved(catalog: StarCatalog, years: FloatArray | float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Where stars are seen after years of observation.
+
+    Returns place (n, 3) and velocity (n, 3) over the distance at the epoch, the velocity per year in the frame of the
+    barycentre, and parallax (n,).
+    """
+    velocity, parallax = _motion(catalog)
+    distance = _light_years(velocity, parallax)
+    elapsed = np.broadcast_to(np.asarray(years, np.float64), parallax.shape)
+    place = catalog.direction + elapsed[:, None] * velocity
+    near = np.flatnonzero(distance)
+    r, observed, far, wait = catalog.direction[near], velocity[near], distance[near], elapsed[near]
+    # velocities in units of that of light; d is the Doppler factor without the clock, slow the slower clock
+    beta_radial = np.einsum("ij,ij->i", observed, r) * far
+    across = observed * far[:, None] - beta_radial[:, None] * r
+    radial, d, slow = beta_radial, np.ones_like(far), np.zeros_like(far)
+    for _ in range(_STEPS):  # each is nearer by the star's velocity over that of light
+        d = 1.0 + radial
+        slow = _clock(radial, d * _length(across))
+        radial = d * beta_radial + slow
+    true = (d[:, None] * across + (d * beta_radial + slow)[:, None] * r) / far[:, None]
+    there = r + wait[:, None] * true
+    for _ in range(_STEPS):
+        there = r + (wait + far * (1.0 - _length(there)))[:, None] * true
+    place[near], velocity[near] = there, true
+    return place, velocity, parallax
+
+
+def _clock(radial: FloatArray, across: FloatArray) -> FloatArray:
+    """1/gamma - 1 of velocities in units of that of light."""
+    square = radial * radial + across * across
+    return np.asarray(-square / (np.sqrt(1.0 - square) + 1.0))
+
+
+def _observed(place: FloatArray, velocity: FloatArray, parallax: FloatArray) -> FloatArray:
+    """Velocity over distance (n, 3) per year of arrival, from the one in the frame of the barycentre."""
+    r = _unit(place)
+    distance = _light_years(velocity, parallax)
+    radial = np.einsum("ij,ij->i", velocity, r)
+    across = velocity - radial[:, None] * r
+    slow = _clock(radial * distance, _length(across) * distance)
+    d = 1.0 + radial * distance
+    slow = np.divide(slow, distance, out=np.zeros_like(slow), where=distance > 0)
+    return np.asarray((across + (radial - slow)[:, None] * r) / (d * _length(place))[:, None])
+
+
+def _length(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
+
+
 def _unit(vectors: FloatArray) -> FloatArray:
-    return np.asarray(vectors / np.sqrt(np.einsum("ij,ij->i", vectors, vectors))[:, None])
+    return np.asarray(vectors / _length(vectors)[:, None])
 
 
 def directions_at(catalog: StarCatalog, epoch_year: float, observer: Observer | None = None) -> FloatArray:
@@ -162,13 +220,12 @@ def directions_at(catalog: StarCatalog, epoch_year: float, observer: Observer | 
     DomainError
         More than 5000 years from the epoch of the catalogue.
     """
-    velocity, parallax = _motion(catalog)
     years = _interval(catalog, epoch_year)
     if observer is None:
-        return _unit(catalog.direction + years * velocity)
-    later = catalog.direction @ observer.position_au * _LIGHT_YEAR_PER_AU
-    place = catalog.direction + (years + later)[:, None] * velocity - parallax[:, None] * observer.position_au
-    seen = _unit(place)
+        return _unit(_moved(catalog, years)[0])
+    earlier = np.einsum("ij,j->i", catalog.direction, observer.position_au * _LIGHT_YEAR_PER_AU)
+    place, _, parallax = _moved(catalog, years + earlier)
+    seen = _unit(place - parallax[:, None] * observer.position_au)
     if observer.from_sun_au is not None:
         seen = deflected(seen, observer.from_sun_au)
     return aberrated(seen, observer.velocity_km_per_s)
@@ -256,11 +313,10 @@ def propagate(catalog: StarCatalog, epoch_year: float) -> StarCatalog:
     DomainError
         More than 5000 years from the epoch of the catalogue.
     """
-    velocity, parallax = _motion(catalog)
-    place = catalog.direction + _interval(catalog, epoch_year) * velocity
-    nearer = 1.0 / np.sqrt(np.einsum("ij,ij->i", place, place))
+    place, velocity, parallax = _moved(catalog, _interval(catalog, epoch_year))
+    nearer = 1.0 / _length(place)
     direction = place * nearer[:, None]
-    rate = velocity * nearer[:, None]
+    rate = _observed(place, velocity, parallax)
     along = np.einsum("ij,ij->i", rate, direction)
     horizontal = np.hypot(direction[:, 0], direction[:, 1])
     polar = horizontal == 0.0

@@ -34,7 +34,8 @@ __all__ = ["FieldOfView", "SkyField", "StarLight", "field_of", "field_of_view", 
 FloatArray = NDArray[np.float64]
 
 _DEGREE = 9
-_GRID = 25
+_GRID = 14
+_CHECKS = 11
 _WIDENINGS = 4
 _LIGHT_KM_PER_S = constants.c / 1e3
 
@@ -51,25 +52,27 @@ class FieldOfView:
         Strip around it in which stars still count.
     half_width : (2,)
         Largest |X/Z| and |Y/Z| in cam of what it sees, margin included.
-    radius_rad : float
-        Half angle of the cone about +Z of cam that holds all of it.
     coefficient : (d, d, 2)
-        Of powers of X/Z and Y/Z, scaled to the corner: column and row of the chief ray at the design wavelength.
+        Of powers of X/Z and Y/Z over ``half_width``: column and row of the chief ray at the design wavelength.
     residual_px : float
-        Largest distance of the polynomial from the chief rays it was fitted to.
+        Largest distance of the polynomial from chief rays of a grid other than the one it was made from.
     """
 
     width_px: int
     height_px: int
     margin_px: float
     half_width: FloatArray
-    radius_rad: float
     coefficient: FloatArray
     residual_px: float
 
     def __post_init__(self) -> None:
         freeze(self, "half_width", shape=(2,))
         freeze(self, "coefficient", shape=("d", "d", 2), sizes={})
+
+    @property
+    def radius_rad(self) -> float:
+        """Half angle of the cone about +Z of cam that holds all of it."""
+        return math.atan(math.hypot(*self.half_width))
 
     def inside(self, v_cam: FloatArray, slack_rad: float = 0.0) -> NDArray[np.bool_]:
         """Whether directions (n, 3) in cam, slack added on all sides, can fall on the detector or its margin."""
@@ -83,7 +86,8 @@ class FieldOfView:
         v = np.asarray(v_cam, np.float64)
         inside = self.inside(v)
         pixel = np.full((len(v), 2), np.nan)
-        pixel[inside] = _polynomial(v[inside], math.tan(self.radius_rad), self.coefficient)
+        x, y, z = v[inside].T
+        pixel[inside] = _polynomial(x / z / self.half_width[0], y / z / self.half_width[1], self.coefficient)
         return pixel
 
     def on_detector(self, pixel_px: FloatArray) -> NDArray[np.bool_]:
@@ -93,20 +97,13 @@ class FieldOfView:
         return (x >= low) & (y >= low) & (x <= self.width_px - 1 - low) & (y <= self.height_px - 1 - low)
 
 
-def _scaled(v_cam: FloatArray, reach: float) -> tuple[FloatArray, FloatArray]:
-    """X/Z and Y/Z over reach."""
-    z = v_cam[:, 2] * reach
-    return v_cam[:, 0] / z, v_cam[:, 1] / z
-
-
-def _polynomial(v_cam: FloatArray, reach: float, coefficient: FloatArray) -> FloatArray:
+def _polynomial(x: FloatArray, y: FloatArray, coefficient: FloatArray) -> FloatArray:
     """Values (n, 2) of a polynomial in two variables of total degree d - 1, by Horner's rule.
 
     Not a matrix product: on a machine that is busy, the threads of BLAS take longer to meet than this takes.
     """
-    x, y = _scaled(v_cam, reach)
     top = len(coefficient) - 1
-    out = np.empty((len(v_cam), 2))
+    out = np.empty((len(x), 2))
     for axis in range(2):
         total = np.zeros_like(x)
         for i in range(top, -1, -1):
@@ -120,14 +117,24 @@ def _polynomial(v_cam: FloatArray, reach: float, coefficient: FloatArray) -> Flo
     return out
 
 
-def _fitted(v_cam: FloatArray, reach: float, pixel: FloatArray) -> FloatArray:
-    """Coefficients (d, d, 2) of the polynomial of total degree `_DEGREE` nearest to pixels (n, 2)."""
-    count = _DEGREE + 1
-    x, y = (np.vander(values, count, increasing=True) for values in _scaled(v_cam, reach))
-    i, j = np.nonzero(np.add.outer(np.arange(count), np.arange(count)) <= _DEGREE)
-    coefficient = np.zeros((count, count, 2))
-    coefficient[i, j] = np.linalg.lstsq(x[:, i] * y[:, j], pixel, rcond=None)[0]
-    return coefficient
+def _fitted(pixel: FloatArray) -> FloatArray:
+    """Coefficients (d, d, 2) of the polynomial of total degree `_DEGREE` through pixels (n, n, 2) at Chebyshev's nodes.
+
+    Least squares there is a sum over the nodes, as Chebyshev's polynomials are orthogonal on them.
+    """
+    grid, count = len(pixel), _DEGREE + 1
+    basis = np.polynomial.chebyshev.chebvander(_nodes(), _DEGREE)
+    weight = np.where(np.arange(count) > 0, 2.0, 1.0) / grid
+    chebyshev = np.einsum("ki,lj,klp,i,j->ijp", basis, basis, pixel, weight, weight)
+    chebyshev[np.add.outer(np.arange(count), np.arange(count)) > _DEGREE] = 0.0
+    power = np.zeros((count, count))
+    for i in range(count):
+        power[i, : i + 1] = np.polynomial.chebyshev.cheb2poly([0.0] * i + [1.0])
+    return np.asarray(np.einsum("ia,jb,ijp->abp", power, power, chebyshev))
+
+
+def _nodes() -> FloatArray:
+    return np.asarray(np.cos(np.pi * (np.arange(_GRID) + 0.5) / _GRID))
 
 
 def field_of_view(camera: Camera, *, margin_px: float = 16.0) -> FieldOfView:
@@ -167,21 +174,24 @@ def field_of_view(camera: Camera, *, margin_px: float = 16.0) -> FieldOfView:
         if short.max() <= 1.0:
             break
         half = half * np.maximum(short * 1.001, 1.0)
-    nodes = np.cos(np.pi * np.arange(_GRID) / (_GRID - 1))  # Chebyshev's, edges included
-    grid_x, grid_y = np.meshgrid(half[0] * nodes, half[1] * nodes)
-    v = np.stack([grid_x.ravel(), grid_y.ravel(), np.ones(grid_x.size)], axis=1)
-    reach = float(np.hypot(*half))
-    pixel = _chief_px(camera, v[:, 0], v[:, 1])
-    coefficient = _fitted(v, reach, pixel)
+    coefficient = _fitted(_grid_px(camera, half, _nodes()))
+    check = np.linspace(-1.0, 1.0, _CHECKS)
+    at_x, at_y = (axis.ravel() for axis in np.meshgrid(check, check, indexing="ij"))
+    residual = _polynomial(at_x, at_y, coefficient) - _grid_px(camera, half, check).reshape(-1, 2)
     return FieldOfView(
         width_px=camera.width_px,
         height_px=camera.height_px,
         margin_px=float(margin_px),
         half_width=half,
-        radius_rad=math.atan(reach),
         coefficient=coefficient,
-        residual_px=float(np.linalg.norm(_polynomial(v, reach, coefficient) - pixel, axis=1).max()),
+        residual_px=float(np.hypot(*residual.T).max()),
     )
+
+
+def _grid_px(camera: Camera, half: FloatArray, nodes: FloatArray) -> FloatArray:
+    """Pixels (n, n, 2) of chief rays on a grid of X/Z and Y/Z, in units of ``half``."""
+    x, y = np.meshgrid(half[0] * nodes, half[1] * nodes, indexing="ij")
+    return _chief_px(camera, x.ravel(), y.ravel()).reshape(len(nodes), len(nodes), 2)
 
 
 def _chief_px(camera: Camera, x: FloatArray, y: FloatArray) -> FloatArray:
