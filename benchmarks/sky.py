@@ -81,8 +81,8 @@ def fields(index: SkyIndex, repetitions: int) -> None:
         start = time.perf_counter()
         view = field_of_view(camera)
         print(
-            f"{name}, {width} x {height}: field of view {1e3 * (time.perf_counter() - start):.0f} ms, polynomial within "
-            f"{view.residual_px:.1e} px of the chief rays"
+            f"{name}, {width} x {height}: field of view {1e3 * (time.perf_counter() - start):.0f} ms, polynomial "
+            f"within {view.residual_px:.1e} px of the chief rays"
         )
         for limit in (8.0, 10.0):
 
