@@ -25,7 +25,15 @@ from render.readout import expose_windows
 from render.records import EffectivePsf, ExpectedImage, StarField, WindowStack
 from render.tracer import Tracer
 
-__all__ = ["SEARCH_MARGIN_PX", "PointMeasurement", "PointReadout", "common_shift", "pattern_effect"]
+__all__ = [
+    "SEARCH_MARGIN_PX",
+    "PointMeasurement",
+    "PointReadout",
+    "common_shift",
+    "dark_subtracted",
+    "nominal_px",
+    "pattern_effect",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -118,19 +126,19 @@ class PointReadout:
         """
         bench, camera, truth = self.bench, self.instrument.camera, expected.truth
         assert truth is not None
-        nominal = _nominal(self.instrument, stars.direction)
-        found = self._find(expected, nominal)
-        corner = self._corners(found)
+        nominal = nominal_px(self.instrument, stars.direction)
+        found = self.find(expected, nominal)
+        corner = self.corners(found)
         index = np.arange(bench.window_px)
         rows, columns = corner[:, 1, None, None] + index[:, None], corner[:, 0, None, None] + index
         light = np.moveaxis(expected.electrons[rows, columns], -1, 0)
-        dark = self._expose(np.zeros_like(light[0]), corner, bench.dark_frames, "dark")
+        dark = self.expose(np.zeros_like(light[0]), corner, bench.dark_frames, "dark")
         dark_e = dark.dn.mean(0) / dark.gain_dn_per_e
         epsf = render_epsf(self.tracer, stars, half_size_px=bench.window_px // 2 + 1)
-        stacks = tuple(self._expose(light[band], corner, bench.frames, name) for band, name in enumerate(stars.band))
+        stacks = tuple(self.expose(light[band], corner, bench.frames, name) for band, name in enumerate(stars.band))
         results = []
         for band, stack in enumerate(stacks):
-            stamps, noise = _dark_subtracted(stack, dark_e, found)
+            stamps, noise = dark_subtracted(stack, dark_e, found)
             self._refuse_saturated(stamps, stars.band[band])
             psfs = {"epsf": [row[band] for row in epsf], "epsf_reference": [row[bench.reference] for row in epsf]}
             results.append(self._centroids(stamps, noise, light[band].astype(float), psfs))
@@ -148,8 +156,8 @@ class PointReadout:
             windows=stacks,
         )
 
-    def _expose(self, stamps_e: NDArray[Any], corner: NDArray[np.int64], frames: int, band: str) -> WindowStack:
-        """Windowed readout."""
+    def expose(self, stamps_e: NDArray[Any], corner: NDArray[np.int64], frames: int, band: str) -> WindowStack:
+        """Windowed readout, conditions as the instrument is set; ``band`` labels the streams."""
         return expose_windows(
             stamps_e,
             corner,
@@ -162,7 +170,7 @@ class PointReadout:
             backend=self.backend,
         )
 
-    def _corners(self, found: FloatArray) -> NDArray[np.int64]:
+    def corners(self, found: FloatArray) -> NDArray[np.int64]:
         """First pixels (j, 2) of the windows around the points."""
         camera, size = self.instrument.camera, self.bench.window_px
         corner = np.rint(found).astype(np.int64) - size // 2
@@ -208,7 +216,7 @@ class PointReadout:
         mean, sigma = {m: a[0] for m, a in averages.items()}, {m: a[1] for m, a in averages.items()}
         return mean, sigma, averages[bench.methods[0]][2], pattern
 
-    def _find(self, expected: ExpectedImage, nominal: FloatArray) -> FloatArray:
+    def find(self, expected: ExpectedImage, nominal: FloatArray) -> FloatArray:
         """Detected places (j, 2) of the points in one readout of the target's surroundings, reference filter."""
         reference, place = self.bench.reference, self.place
         height, width, _ = expected.electrons.shape
@@ -216,7 +224,7 @@ class PointReadout:
         high = np.minimum(np.ceil(nominal.max(0)).astype(np.int64) + SEARCH_MARGIN_PX + 1, [width, height])
         region = expected.electrons[low[1] : high[1], low[0] : high[0], reference]
         search = replace(self, streams=self.streams.child("search"))
-        stack = search._expose(region[None], low[None], 1, expected.band[reference])
+        stack = search.expose(region[None], low[None], 1, expected.band[reference])
         image = sensor_image(
             stack.dn[0, 0],
             gain_dn_per_e=stack.gain_dn_per_e,
@@ -263,14 +271,14 @@ def common_shift(offset: FloatArray) -> FloatArray:
     return np.asarray(np.median(near[np.linalg.norm(near - centre, axis=1) < MATCH_PX], axis=0))
 
 
-def _nominal(instrument: Instrument, direction: FloatArray) -> FloatArray:
+def nominal_px(instrument: Instrument, direction: FloatArray) -> FloatArray:
     """Ideal image (j, 2) of unit vectors."""
     camera = instrument.camera
     scale = instrument.focal_length_mm / camera.pixel_pitch_mm
     return camera.centre_px + scale * direction[:, :2] / direction[:, 2:]
 
 
-def _dark_subtracted(stack: WindowStack, dark_e: FloatArray, start_px: FloatArray) -> tuple[Stamps, NoiseModel]:
+def dark_subtracted(stack: WindowStack, dark_e: FloatArray, start_px: FloatArray) -> tuple[Stamps, NoiseModel]:
     """Stamps of a readout minus the mean dark frame; with the lamp off there is no light, so no background is left.
 
     Centroiders start at the centre of gravity of the mean frame: the tail of a spot draws it away from the detection.

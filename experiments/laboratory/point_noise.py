@@ -1,0 +1,271 @@
+"""What noise and fixed patterns do to centroids, predicted without frames: PSFs, positions, the detector's data sheet.
+
+A pixel's electrons, as the reduction sees them, are
+
+    light (1 + PRNU) + offset pattern + temporal noise,
+
+temporal noise being photons, dark current, read noise and rounding. To first order a centroid moves by the sum over the
+pixels of g x disturbance; g is the influence of a pixel, found by raising one pixel after the other in a noiseless
+window (`experiments.laboratory.windows.linear_response`). Where that is not enough (a threshold is no linear
+operation), noise is drawn on the noiseless windows and centroided. Positions come from the NumPy trace, PSFs from
+traced bundles; no image is rendered, and the detector chain takes no part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.centroid import Centroider
+from calib.crlb import fisher_information
+from calib.epsf import EpsfBank, EpsfModel
+from calib.records import NoiseModel, Stamps
+from experiments.chromatic_model import bundle_prediction
+from experiments.instrument import Instrument
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.point_frames import measured_positions, noiseless_positions
+from experiments.laboratory.windows import linear_response
+from optics.records import freeze
+from render.detector import Detector
+from render.records import EffectivePsf
+
+__all__ = ["ExpectedWindows", "Influence", "PixelNoise", "bound_px", "expected_windows", "influence", "sampled_px"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PixelNoise:
+    """Noise and patterns of a pixel [e-], from the detector's data sheet and the conditions.
+
+    Attributes
+    ----------
+    read_e2 : float
+        Mean variance of the read noise over the pixels (they differ by `Detector.read_noise_spread`, log-normal).
+    read_e4 : float
+        Variance over the pixels of that variance: one chip differs from the next.
+    thermal_e : float
+        Mean dark charge of a frame, normal pixels.
+    rounding_e2 : float
+        Variance of rounding to whole DN.
+    prnu : float
+        Standard deviation of the response over the pixels, relative.
+    offset_e, column_e : float
+        Standard deviation of the offset over the pixels (DSNU and dark-current pattern) and over the columns.
+    """
+
+    read_e2: float
+    read_e4: float
+    thermal_e: float
+    rounding_e2: float
+    prnu: float
+    offset_e: float
+    column_e: float
+
+    @classmethod
+    def of(cls, instrument: Instrument, detector: Detector | None = None) -> Self:
+        """Of an instrument, or of another detector under its conditions."""
+        chip, config = detector or instrument.detector, instrument.config
+        dark_s = chip.dark_factor(config.chip_temperature_c) * config.exposure_s
+        spread2, mean = chip.read_noise_spread**2, float(chip.read_noise_e**2 * np.exp(2.0 * chip.read_noise_spread**2))
+        return cls(
+            read_e2=mean,
+            read_e4=float(mean**2 * np.expm1(4.0 * spread2)),
+            thermal_e=float(chip.dark_current_e_per_s * dark_s),
+            rounding_e2=1.0 / (12.0 * chip.gain_dn_per_e**2),
+            prnu=chip.prnu,
+            offset_e=float(np.hypot(chip.dsnu_e, chip.dark_spread_e_per_s * dark_s)),
+            column_e=chip.column_pattern_e,
+        )
+
+    @property
+    def floor_e2(self) -> float:
+        """Temporal variance of a pixel without light."""
+        return self.read_e2 + self.thermal_e + self.rounding_e2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExpectedWindows:
+    """n noiseless windows drawn from PSFs.
+
+    Attributes
+    ----------
+    place_px : (n, 2)
+        Mean of the rays, by the NumPy trace.
+    corner_px : (n, 2) int64
+        First pixels.
+    light_e : (n, h, w)
+        Expected electrons.
+    psf : tuple of EffectivePsf
+        PSFs; ``psf_index`` says which belongs to which window.
+    psf_index : (n,) int64
+        Index into ``psf``.
+    """
+
+    place_px: FloatArray
+    corner_px: NDArray[np.int64]
+    light_e: FloatArray
+    psf: tuple[EffectivePsf, ...]
+    psf_index: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "place_px", shape=("n", 2), sizes=sizes)
+        freeze(self, "corner_px", shape=("n", 2), dtype=np.int64, sizes=sizes)
+        freeze(self, "light_e", shape=("n", "h", "w"), sizes=sizes)
+        freeze(self, "psf_index", shape=("n",), dtype=np.int64, sizes=sizes)
+
+
+def expected_windows(
+    bench: Bench, instrument: Instrument, direction: FloatArray, psf: Sequence[EffectivePsf]
+) -> ExpectedWindows:
+    """Windows around target points at m places, as the bench's reference filter shows them.
+
+    Parameters
+    ----------
+    bench, instrument
+        The laboratory; signal and window size are the bench's.
+    direction : (m, j, 3)
+        Unit vectors in cam.
+    psf : sequence of EffectivePsf
+        Of the j points.
+
+    Returns
+    -------
+    ExpectedWindows
+        n = m j, place after place.
+    """
+    place = bundle_prediction(bench, instrument, direction)[:, :, bench.reference].reshape(-1, 2)
+    size = bench.window_px
+    corner = np.rint(place).astype(np.int64) - size // 2
+    index = np.tile(np.arange(len(psf)), len(direction))
+    model = EpsfModel(EpsfBank(tuple(psf), (size, size)), index)
+    theta = np.column_stack([place - corner, np.full(len(place), bench.signal_e)])
+    light, _ = model.evaluate(theta, np.arange(len(place)))
+    light = np.maximum(light, 0.0)  # the spline between the samples of a sharp PSF swings below zero by some 1e-6
+    return ExpectedWindows(
+        place_px=place,
+        corner_px=corner,
+        light_e=_bent(light, instrument.detector).reshape(-1, size, size),
+        psf=tuple(psf),
+        psf_index=index,
+    )
+
+
+def _bent(light_e: FloatArray, detector: Detector) -> FloatArray:
+    """Electrons as a reduction with a constant gain sees them: the converter's non-linearity."""
+    fraction = light_e / detector.full_well_e
+    return np.asarray(light_e * (1.0 + sum(c * fraction ** (i + 1) for i, c in enumerate(detector.nonlinearity))))
+
+
+def nominal_noise(instrument: Instrument) -> NoiseModel:
+    """The noise model that the readout states to the reduction."""
+    chip = instrument.detector
+    return NoiseModel(
+        read_noise_e=chip.read_noise_e, gain_dn_per_e=chip.gain_dn_per_e, offset_dn=chip.offset_dn, quantised=True
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Influence:
+    """Response of a centroider to the pixels of n windows.
+
+    Attributes
+    ----------
+    position_px : (n, 2)
+        Its position of the noiseless window.
+    gain_px_per_e : (n, 2, h, w)
+        Shift per electron in a pixel.
+    """
+
+    position_px: FloatArray
+    gain_px_per_e: FloatArray
+
+    def sigma_px(self, light_e: FloatArray, floor_e2: float) -> FloatArray:
+        """Standard deviation (n, 2) by temporal noise of windows (n, h, w)."""
+        return np.asarray(np.sqrt(np.einsum("nahw,nhw->na", self.gain_px_per_e**2, light_e + floor_e2)))
+
+    def device_sigma_px(self, light_e: FloatArray, noise: PixelNoise) -> FloatArray:
+        """By how much `sigma_px` differs from chip to chip (n, 2): read noise differs from pixel to pixel."""
+        of_variance = np.sqrt((self.gain_px_per_e**4).sum((2, 3)) * noise.read_e4)
+        return np.asarray(0.5 * of_variance / np.maximum(self.sigma_px(light_e, noise.floor_e2), 1e-300))
+
+
+def influence(
+    centroider: Centroider, instrument: Instrument, windows: ExpectedWindows, valid: NDArray[np.bool_] | None = None
+) -> Influence:
+    """Position and influence function of a centroider on noiseless windows."""
+    noise = nominal_noise(instrument)
+    position, stamps = noiseless_positions(
+        centroider,
+        noise,
+        light_e=windows.light_e,
+        corner_px=windows.corner_px,
+        valid=valid,
+        psf_index=windows.psf_index,
+    )
+    return Influence(
+        position_px=position, gain_px_per_e=linear_response(_tight(centroider), stamps, noise, windows.light_e)
+    )
+
+
+def _tight(centroider: Centroider) -> Centroider:
+    """The centroider with its iterations carried on, where it has a tolerance: differences need more digits."""
+    return replace(centroider, tolerance=1e-6) if hasattr(centroider, "tolerance") else centroider  # type: ignore[type-var]
+
+
+def bound_px(windows: ExpectedWindows, noise: PixelNoise) -> FloatArray:
+    """Cramer-Rao bound (n, 2) of the standard deviation of x and y: flux unknown, background known."""
+    count, height, width = windows.light_e.shape
+    flux = windows.light_e.sum((1, 2))
+    model = EpsfModel(EpsfBank(windows.psf, (height, width)), windows.psf_index)
+    theta = np.column_stack([windows.place_px - windows.corner_px, flux])
+    signal, jacobian = model.evaluate(theta, np.arange(count))
+    pixel = NoiseModel(read_noise_e=float(np.sqrt(noise.floor_e2)))
+    information = fisher_information(jacobian, np.maximum(signal, 0.0), pixel)
+    covariance = np.linalg.inv(information)
+    return np.sqrt(np.stack([covariance[:, 0, 0], covariance[:, 1, 1]], axis=1))
+
+
+def sampled_px(
+    centroider: Centroider,
+    instrument: Instrument,
+    windows: ExpectedWindows,
+    noise: PixelNoise,
+    *,
+    draws: int,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Standard deviation (n, 2) by noise drawn on the windows with NumPy: Poisson, normal, rounded.
+
+    Parameters
+    ----------
+    centroider : Centroider
+        The estimator.
+    instrument : Instrument
+        Gain, and the noise model that the estimator is told.
+    windows : ExpectedWindows
+        Noiseless windows.
+    noise : PixelNoise
+        True noise.
+    draws : int
+        Noisy copies of each window.
+    rng : numpy.random.Generator
+        Source of the draws.
+    """
+    stated = nominal_noise(instrument)
+    _, stamps = noiseless_positions(
+        centroider, stated, light_e=windows.light_e, corner_px=windows.corner_px, psf_index=windows.psf_index
+    )
+    shape = (draws, *windows.light_e.shape)
+    electrons = rng.poisson(windows.light_e + noise.thermal_e, shape) - noise.thermal_e
+    electrons = electrons + np.sqrt(noise.read_e2) * rng.standard_normal(shape)
+    electrons = np.rint(electrons * stated.gain_dn_per_e) / stated.gain_dn_per_e
+    many = stamps.select(np.tile(np.arange(len(stamps)), draws))
+    noisy: Stamps = replace(many, electrons=electrons.reshape(-1, *shape[2:]))
+    position = measured_positions(centroider, noisy, stated, draws)
+    return np.asarray(np.nanstd(position, axis=0, ddof=1))

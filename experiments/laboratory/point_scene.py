@@ -1,0 +1,159 @@
+"""Light of point targets on the detector: rendered without noise, found by detection, cut into windows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.instrument import Instrument
+from experiments.laboratory.bench import Bench, point_field
+from experiments.laboratory.points import PointReadout, nominal_px
+from optics.records import freeze
+from render.forward import StarRenderer
+from render.psf import epsf_tracer, render_epsf
+from render.random import Streams
+from render.records import EffectivePsf
+from render.tracer import Tracer
+
+__all__ = ["PointLight", "PointScene", "one_filter", "point_scene"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PointLight:
+    """A target at one place: j windows of noiseless light through one filter.
+
+    Attributes
+    ----------
+    direction : (j, 3)
+        Unit vectors in cam.
+    nominal_px : (j, 2)
+        Where an ideal lens would image the points.
+    bundle_px, photon_px : (j, 2)
+        Truth: mean of the traced rays, centroid of the noiseless light.
+    found_px : (j, 2)
+        Where the points were detected.
+    corner_px : (j, 2) int64
+        First pixel of each window.
+    light_e : (j, h, w)
+        Expected electrons at the signal of the bench.
+    psf : tuple of EffectivePsf
+        PSF of each point, of the lens as it is.
+    """
+
+    direction: FloatArray
+    nominal_px: FloatArray
+    bundle_px: FloatArray
+    photon_px: FloatArray
+    found_px: FloatArray
+    corner_px: NDArray[np.int64]
+    light_e: FloatArray
+    psf: tuple[EffectivePsf, ...]
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {"j": len(self.psf)}
+        freeze(self, "direction", shape=("j", 3), sizes=sizes)
+        for name in ("nominal_px", "bundle_px", "photon_px", "found_px"):
+            freeze(self, name, shape=("j", 2), sizes=sizes)
+        freeze(self, "corner_px", shape=("j", 2), dtype=np.int64, sizes=sizes)
+        freeze(self, "light_e", shape=("j", "h", "w"), sizes=sizes)
+
+    def __len__(self) -> int:
+        return len(self.psf)
+
+
+@dataclass(frozen=True, slots=True)
+class PointScene:
+    """Renders point targets through one camera; holds what is prepared once (`point_scene`).
+
+    Attributes
+    ----------
+    bench, instrument
+        The laboratory; the bench has one filter.
+    renderer, tracer
+        For images and for PSFs.
+    backend : str
+        Where the detector runs.
+    """
+
+    bench: Bench
+    instrument: Instrument
+    renderer: StarRenderer
+    tracer: Tracer
+    backend: str
+
+    def psfs(self, direction: FloatArray) -> tuple[EffectivePsf, ...]:
+        """PSF of each of the points (j, 3)."""
+        stars = point_field(self.bench, self.instrument, direction)
+        half = self.bench.window_px // 2 + 2
+        return tuple(row[0] for row in render_epsf(self.tracer, stars, half_size_px=half))
+
+    def light(
+        self, direction: FloatArray, streams: Streams, place: str, *, psf: Sequence[EffectivePsf] | None = None
+    ) -> PointLight:
+        """Render a target, find its points in one readout, cut windows around them.
+
+        Parameters
+        ----------
+        direction : (j, 3)
+            Unit vectors in cam.
+        streams : Streams
+            Noise of the readout in which the points are detected.
+        place : str
+            What error messages call the target's place.
+        psf : sequence of EffectivePsf, optional
+            Of the points, if known from a place nearby.
+
+        Raises
+        ------
+        DomainError
+            If points are not detected, run into each other or lie too near to the edge of the detector.
+        """
+        stars = point_field(self.bench, self.instrument, direction)
+        expected = self.renderer.render(stars)
+        truth = expected.truth
+        assert truth is not None
+        nominal = nominal_px(self.instrument, direction)
+        readout = PointReadout(self.tracer, self.bench, self.instrument, streams, place, self.backend)
+        found = readout.find(expected, nominal)
+        corner = readout.corners(found)
+        index = np.arange(self.bench.window_px)
+        rows, columns = corner[:, 1, None, None] + index[:, None], corner[:, 0, None, None] + index
+        return PointLight(
+            direction=direction,
+            nominal_px=nominal,
+            bundle_px=np.column_stack([truth.bundle_x_px[:, 0], truth.bundle_y_px[:, 0]]),
+            photon_px=np.column_stack([truth.photon_x_px[:, 0], truth.photon_y_px[:, 0]]),
+            found_px=found,
+            corner_px=corner,
+            light_e=expected.electrons[rows, columns, 0].astype(np.float64),
+            psf=tuple(psf) if psf is not None else self.psfs(direction),
+        )
+
+
+def one_filter(bench: Bench) -> Bench:
+    """The bench with its reference filter alone."""
+    return replace(bench, filters=[bench.filters[bench.reference]], reference=0)
+
+
+def point_scene(bench: Bench, instrument: Instrument, backend: str) -> PointScene:
+    """Scene of a bench; its reference filter is the one that is used.
+
+    Parameters
+    ----------
+    bench, instrument
+        The laboratory.
+    backend : str
+        Where the detector runs; `render.variant.use_backend` must have been called.
+    """
+    import mitsuba as mi
+
+    module: Any = mi
+    camera = instrument.camera
+    renderer = StarRenderer(camera, exposure_s=instrument.config.exposure_s)
+    return PointScene(one_filter(bench), instrument, renderer, epsf_tracer(module, camera), backend)

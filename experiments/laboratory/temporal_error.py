@@ -1,0 +1,284 @@
+"""Temporal error of a star camera (ACC18 eq. 1-2): measured on frames of a static target, predicted without them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln
+
+from experiments.instrument import Instrument
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.point_frames import SUBTRACTIONS, Subtraction, centroiders, read_points
+from experiments.laboratory.point_noise import PixelNoise, bound_px, expected_windows, influence, sampled_px
+from experiments.laboratory.point_scene import PointLight, PointScene, one_filter, point_scene
+from experiments.summary import Measured
+from experiments.target import target_directions
+from render.random import Streams
+from render.records import EffectivePsf, WindowStack
+
+__all__ = [
+    "TemporalMeasurement",
+    "TemporalPrediction",
+    "measure_temporal",
+    "predict_temporal",
+    "small_sample_factor",
+    "target_place",
+    "temporal_error_arcsec",
+]
+
+FloatArray = NDArray[np.float64]
+
+
+def small_sample_factor(frames: int) -> float:
+    """Expectation of a standard deviation from ``frames`` normal samples (divisor N - 1) over the true one: c4(N)."""
+    n = float(frames)
+    return float(np.sqrt(2.0 / (n - 1.0)) * np.exp(gammaln(n / 2.0) - gammaln((n - 1.0) / 2.0)))
+
+
+def temporal_error_arcsec(sigma_px: FloatArray, pixel_arcsec: float, frames: int) -> tuple[Measured, Measured]:
+    """ACC18 eq. 1-2 per axis: three times the mean over the stars of their standard deviations.
+
+    Parameters
+    ----------
+    sigma_px : (j, 2)
+        Standard deviation of each star's centroid over the frames, divisor N - 1.
+    pixel_arcsec : float
+        Angle of a pixel (ACC18: 5.5).
+    frames : int
+        N; sets the uncertainty, sigma sqrt(1 - c4(N)^2) for each star.
+
+    Returns
+    -------
+    tuple of Measured
+        3 sigma, x and y [arcsec]; the small-sample factor c4 is in it, as in the document.
+    """
+    scale = 3.0 * pixel_arcsec
+    c4 = small_sample_factor(frames)
+    spread = np.sqrt((sigma_px**2).sum(0)) / len(sigma_px) * np.sqrt(1.0 - c4**2) / c4
+    value, count = sigma_px.mean(0), frames * len(sigma_px)
+    x, y = (
+        Measured(value=float(value[a] * scale), unit="arcsec", uncertainty=float(spread[a] * scale), n=count)
+        for a in range(2)
+    )
+    return x, y
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TemporalMeasurement:
+    """Scatter of the centroids at l signal levels, j stars.
+
+    Attributes
+    ----------
+    levels_e : (l,)
+        Electrons per star and frame.
+    frames : int
+        N of each level.
+    pixel_arcsec : float
+        Angle of a pixel.
+    sigma_px : dict of str to dict of str to (l, j, 2)
+        By subtraction ("dark", "raw") and method.
+    light : PointLight
+        The target as rendered, at the signal of the bench.
+    windows : WindowStack
+        Readout at the level nearest to that of the bench.
+    position_px : dict of str to (f, j, 2)
+        Centroids of these frames, dark-subtracted.
+    """
+
+    levels_e: FloatArray
+    frames: int
+    pixel_arcsec: float
+    sigma_px: Mapping[str, Mapping[str, FloatArray]]
+    light: PointLight
+    windows: WindowStack
+    position_px: Mapping[str, FloatArray]
+
+    def te_arcsec(self, method: str, level: int = 0, subtraction: Subtraction = "dark") -> tuple[Measured, Measured]:
+        """Temporal error at a level, x and y, 3 sigma (`temporal_error_arcsec`)."""
+        return temporal_error_arcsec(self.sigma_px[subtraction][method][level], self.pixel_arcsec, self.frames)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TemporalPrediction:
+    """What `TemporalMeasurement` should give.
+
+    Attributes
+    ----------
+    levels_e : (l,)
+        Electrons per star and frame.
+    pixel_arcsec : float
+        Angle of a pixel.
+    linear_px, sampled_px : dict of str to (l, j, 2)
+        Standard deviation of a frame's centroid by influence function, and by noise drawn on noiseless windows.
+    draws : int
+        Draws per window behind ``sampled_px``.
+    bound_px : (l, j, 2)
+        Cramer-Rao bound.
+    device_px : dict of str to (l, j, 2)
+        By how much the standard deviation differs from chip to chip.
+    """
+
+    levels_e: FloatArray
+    pixel_arcsec: float
+    linear_px: Mapping[str, FloatArray]
+    device_px: Mapping[str, FloatArray]
+    sampled_px: Mapping[str, FloatArray]
+    draws: int
+    bound_px: FloatArray
+
+    def te_arcsec(self, method: str, level: int = 0) -> FloatArray:
+        """Temporal error at a level, (x, y), 3 sigma, by influence function."""
+        return np.asarray(3.0 * self.pixel_arcsec * self.linear_px[method][level].mean(0))
+
+    def sampled_te_arcsec(self, method: str, level: int = 0) -> FloatArray:
+        """The same by drawn noise."""
+        return np.asarray(3.0 * self.pixel_arcsec * self.sampled_px[method][level].mean(0))
+
+    def te_uncertainty_arcsec(self, method: str, level: int = 0) -> FloatArray:
+        """Standard deviation of `sampled_te_arcsec` (x, y): finite draws, and one chip against the next."""
+        device = self.device_px[method][level]
+        drawn = self.sampled_px[method][level] / np.sqrt(2.0 * max(self.draws - 1, 1)) if self.draws >= 2 else 0.0
+        spread = np.sqrt((device**2 + np.square(drawn)).sum(0)) / len(device)
+        return np.asarray(3.0 * self.pixel_arcsec * spread)
+
+    def bound_te_arcsec(self, level: int = 0) -> FloatArray:
+        """The same for the best unbiased estimator."""
+        return np.asarray(3.0 * self.pixel_arcsec * self.bound_px[level].mean(0))
+
+
+def target_place(bench: Bench, instrument: Instrument, place_px: Sequence[float] | None = None) -> FloatArray:
+    """Unit vectors (j, 3) in cam towards the multi-star target; by default in the middle of the first chip."""
+    detector = instrument.detector
+    middle = ((detector.chip_width_px - 1) / 2, (detector.chip_height_px - 1) / 2)
+    return target_directions(bench.target, instrument, np.asarray(middle if place_px is None else place_px, float))
+
+
+def measure_temporal(
+    bench: Bench,
+    instrument: Instrument,
+    *,
+    levels_e: Sequence[float] | FloatArray | None = None,
+    place_px: Sequence[float] | None = None,
+    subtractions: Sequence[Subtraction] = SUBTRACTIONS[:1],
+    streams: Streams,
+    backend: str,
+    scene: PointScene | None = None,
+    advance: Callable[[], None] = lambda: None,
+) -> TemporalMeasurement:
+    """Frames of a static target at several signal levels, as ACC18 section 1.2.
+
+    The target stands still: its points are detected once, at the signal of the bench, and only the brightness changes.
+
+    Parameters
+    ----------
+    bench, instrument
+        The laboratory; ``bench.frames`` is N, ``bench.methods`` are the centroiders.
+    levels_e : sequence of float, optional
+        Electrons per star and frame; that of the bench alone if left out.
+    place_px : (2,), optional
+        Middle of the target on the detector (`target_place`).
+    subtractions : sequence of {"dark", "raw"}
+        See `experiments.laboratory.point_frames.SUBTRACTIONS`.
+    streams : Streams
+        Root of the noise.
+    backend : str
+        Where the detector runs.
+    scene : PointScene, optional
+        If prepared already.
+    advance : callable
+        Called after each level.
+
+    Raises
+    ------
+    DomainError
+        On points that are not detected or saturated, or too few usable frames.
+    """
+    scene = scene or point_scene(bench, instrument, backend)
+    bench = scene.bench
+    light = scene.light(target_place(bench, instrument, place_px), streams, "target")
+    levels = np.array([bench.signal_e] if levels_e is None else levels_e, float)
+    nearest = int(np.argmin(np.abs(np.log(levels / bench.signal_e))))
+    sigma: dict[str, dict[str, list[FloatArray]]] = {s: {m: [] for m in bench.methods} for s in subtractions}
+    kept = None
+    for number, level in enumerate(levels):
+        for subtraction in subtractions:
+            frames = read_points(
+                light,
+                bench,
+                instrument,
+                streams=streams.child("level", number),
+                signal_ratio=float(level / bench.signal_e),
+                subtraction=subtraction,
+                backend=backend,
+            )
+            for method in bench.methods:
+                sigma[subtraction][method].append(frames.sigma_px(method))
+            if number == nearest and kept is None:
+                kept = frames
+        advance()
+    assert kept is not None
+    return TemporalMeasurement(
+        levels_e=levels,
+        frames=bench.frames,
+        pixel_arcsec=instrument.pixel_arcsec,
+        sigma_px={s: {m: np.stack(v) for m, v in of.items()} for s, of in sigma.items()},
+        light=light,
+        windows=kept.windows,
+        position_px=kept.position_px,
+    )
+
+
+def predict_temporal(
+    bench: Bench,
+    instrument: Instrument,
+    *,
+    psf: Sequence[EffectivePsf],
+    levels_e: Sequence[float] | FloatArray | None = None,
+    place_px: Sequence[float] | None = None,
+    draws: int = 100,
+    seed: int = 0,
+) -> TemporalPrediction:
+    """The same without frames: PSFs, traced positions, the detector's data sheet.
+
+    Parameters
+    ----------
+    bench, instrument, levels_e, place_px
+        As in `measure_temporal`.
+    psf : sequence of EffectivePsf
+        Of the target's points (`PointScene.psfs`).
+    draws : int
+        Noisy copies per star and level for the sampled prediction; 0 leaves it out (it is then the linear one).
+    seed : int
+        Of the draws; they have nothing in common with the frames.
+    """
+    bench = one_filter(bench)
+    direction = target_place(bench, instrument, place_px)[None]
+    levels = np.array([bench.signal_e] if levels_e is None else levels_e, float)
+    noise, rng = PixelNoise.of(instrument), Streams(seed).generator("temporal prediction")
+    methods = centroiders(bench.methods, psf)
+    linear: dict[str, list[FloatArray]] = {m: [] for m in methods}
+    sampled: dict[str, list[FloatArray]] = {m: [] for m in methods}
+    device: dict[str, list[FloatArray]] = {m: [] for m in methods}
+    bound = []
+    for level in levels:
+        windows = expected_windows(replace(bench, signal_e=float(level)), instrument, direction, psf)
+        bound.append(bound_px(windows, noise))
+        for name, centroider in methods.items():
+            gain = influence(centroider, instrument, windows)
+            linear[name].append(gain.sigma_px(windows.light_e, noise.floor_e2))
+            device[name].append(gain.device_sigma_px(windows.light_e, noise))
+            if draws >= 2:
+                sampled[name].append(sampled_px(centroider, instrument, windows, noise, draws=draws, rng=rng))
+    stacked = {m: np.stack(v) for m, v in linear.items()}
+    return TemporalPrediction(
+        levels_e=levels,
+        pixel_arcsec=instrument.pixel_arcsec,
+        linear_px=stacked,
+        device_px={m: np.stack(v) for m, v in device.items()},
+        sampled_px={m: np.stack(v) for m, v in sampled.items()} if draws >= 2 else stacked,
+        draws=draws,
+        bound_px=np.stack(bound),
+    )
