@@ -54,6 +54,7 @@ def run(config: Config, *, progress: Progress) -> Result:
 
     from experiments.provenance import peak_memory_mb, process_seconds
     from experiments.turntable_bound import field_sweep
+    from experiments.turntable_lenses import lens_points
     from experiments.turntable_measure import traced_map
     from experiments.turntable_result import Result
     from experiments.turntable_study import lean_sweep, reading_sweep
@@ -88,6 +89,8 @@ def run(config: Config, *, progress: Progress) -> Result:
     with progress.stage("field of view"):
         sigma = float(np.sqrt(np.einsum("nii->", setup.covariance_px2) / (2 * len(setup.covariance_px2))))
         by_field = field_sweep(study.field_deg, sigma)
+    with progress.stage("other lenses"):
+        lenses = lens_points(mi, config, instrument, traced)
     return Result(
         config=config,
         instrument=instrument,
@@ -98,6 +101,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         centroid_bound_arcsec=setup.with_reading_noise(0.0).map_bound_arcsec(traced),
         field_sweep=by_field,
         field_sigma_px=sigma,
+        lenses=lenses,
         runtime_s=process_seconds(),
         peak_memory_mb=peak_memory_mb(),
     )

@@ -52,6 +52,8 @@ class Bound:
         Unknowns as `calib.turntable` names them: camera parameters, star, installation, leans.
     covariance : (q, q)
         Of the unknowns; rows of camera parameters that are held are zero.
+    alone : (q,)
+        Standard deviations if all other unknowns were known.
     condition : float
         Of the information matrix scaled to a unit diagonal.
     map_sigma_arcsec : float
@@ -60,6 +62,7 @@ class Bound:
 
     names: tuple[str, ...]
     covariance: FloatArray
+    alone: FloatArray
     condition: float
     map_sigma_arcsec: float
 
@@ -68,16 +71,13 @@ class Bound:
         """Standard deviations (q,)."""
         return np.sqrt(np.diagonal(self.covariance))
 
-    @property
-    def correlation(self) -> FloatArray:
-        """Correlation matrix (q, q); rows of held parameters are zero."""
-        sigma = self.sigma
-        scale = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0)
-        return self.covariance * np.outer(scale, scale)
-
     def of(self, name: str) -> float:
         """Standard deviation of one unknown."""
         return float(self.sigma[self.names.index(name)])
+
+    def inflation(self, name: str) -> float:
+        """How many times worse an unknown is known because the others are not known either."""
+        return self.of(name) / float(self.alone[self.names.index(name)])
 
 
 def reading_covariance_px2(model: CameraModel, bench: Bench, angle_rad: FloatArray) -> FloatArray:
@@ -169,11 +169,19 @@ def bound(
         )
     covariance = np.zeros((len(names), len(names)))
     covariance[np.ix_(use, use)] = np.linalg.inv(scaled) * np.outer(scale, scale)
+    alone = np.zeros(len(names))
+    alone[use] = scale
     count = len(model.parameter_names)
     judged = line_of_sight_map(
         model, map_direction.copy(), model.project(map_direction), covariance=covariance[:count, :count]
     )
-    return Bound(names=names, covariance=covariance, condition=condition, map_sigma_arcsec=judged.predicted_rms_arcsec)
+    return Bound(
+        names=names,
+        covariance=covariance,
+        alone=alone,
+        condition=condition,
+        map_sigma_arcsec=judged.predicted_rms_arcsec,
+    )
 
 
 def knowledge(
@@ -237,24 +245,25 @@ class FieldPoint:
     ----------
     field_deg : float
         Full width.
-    full, no_tangential, pinhole : Bound
-        All eight intrinsics unknown; without p1, p2; with principal point and focal length alone.
-    star_known : Bound
-        As ``pinhole``, the direction of the star known too.
+    full : Bound
+        All unknowns, two-axis table.
+    rolled : Bound
+        All unknowns, three-axis table, the camera rolled by quarter turns from place to place.
+    plain : Bound
+        Principal point, focal length and installation alone, two-axis table.
     arcsec_per_px : float
         On the axis.
     """
 
     field_deg: float
     full: Bound
-    no_tangential: Bound
-    pinhole: Bound
-    star_known: Bound
+    rolled: Bound
+    plain: Bound
     arcsec_per_px: float
 
 
 def field_sweep(fields_deg: Sequence[float], sigma_px: float) -> list[FieldPoint]:
-    """Bounds for ideal cameras of 2048 x 2048 pixels, 13 x 13 places, on a perfect table.
+    """Bounds for ideal cameras of 2048 x 2048 pixels, 13 x 13 places, on perfect tables.
 
     Parameters
     ----------
@@ -264,31 +273,31 @@ def field_sweep(fields_deg: Sequence[float], sigma_px: float) -> list[FieldPoint
         Error of an image, per axis.
     """
     geometry = SensorGeometry(width_px=SWEEP_PX, height_px=SWEEP_PX, pixel_pitch_mm=SWEEP_PITCH_MM)
-    bench = Bench(table=build_turntable("xy"), star=np.array([0.0, 0.0, 1.0]), installation=Rotation.identity())
     points = []
     for field in fields_deg:
         focal = SWEEP_PX * SWEEP_PITCH_MM / 2 / np.tan(np.radians(field) / 2)
         model = BrownConrady.create(geometry, focal_length_mm=float(focal))
-        direction = model.unproject(geometry.grid_px(SWEEP_SIDE))
-        angle = aim(bench, direction, np.zeros(len(direction)))
-        covariance = np.broadcast_to(np.eye(2) * sigma_px**2, (len(direction), 2, 2))
-        distortion = [n for n in model.parameter_names if n.startswith("q")]
-        central = [n for n in model.parameter_names if not n.startswith(("p1", "p2", "q"))]
-        found = [
-            bound(model, bench, angle, covariance, direction, leans=False, free=free, star=star)
-            for free, star in ((None, True), (central + distortion, True), (central, True), (central, False))
-        ]
         points.append(
             FieldPoint(
                 field_deg=float(field),
-                full=found[0],
-                no_tangential=found[1],
-                pinhole=found[2],
-                star_known=found[3],
+                full=_ideal(model, "xy", sigma_px),
+                rolled=_ideal(model, "xyz", sigma_px),
+                plain=_ideal(model, "xy", sigma_px, star=False, free=("x0_px", "y0_px", "focal_length_mm")),
                 arcsec_per_px=float(SWEEP_PITCH_MM / focal * RAD_ARCSEC),
             )
         )
     return points
+
+
+def _ideal(
+    model: CameraModel, axes: str, sigma_px: float, *, star: bool = True, free: Sequence[str] | None = None
+) -> Bound:
+    """Bound of one ideal camera on a perfect table; a third axis makes quarter turns."""
+    bench = Bench(table=build_turntable(axes), star=np.array([0.0, 0.0, 1.0]), installation=Rotation.identity())
+    direction = model.unproject(model.geometry.grid_px(SWEEP_SIDE))
+    angle = aim(bench, direction, np.asarray(np.arange(len(direction)) % 4 * (np.pi / 2), np.float64))
+    covariance = np.broadcast_to(np.eye(2) * sigma_px**2, (len(direction), 2, 2))
+    return bound(model, bench, angle, covariance, direction, leans=False, free=free, star=star)
 
 
 def closed_form_px(field_deg: float, sigma_px: float) -> float:

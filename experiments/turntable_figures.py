@@ -44,18 +44,29 @@ def visited_places(result: Result) -> Figure:
             rolls = np.round(angle[:, 2]).astype(int)
             for roll, colour in zip(np.unique(rolls), PALETTE, strict=False):
                 axis.plot(*place[rolls == roll].T, "o", markersize=3, color=colour, label=f"{roll}°")
-            axis.legend(title="inner axis", loc="center left", bbox_to_anchor=(1.0, 0.5), title_fontsize=8)
+            axis.legend(
+                loc="lower right",
+                bbox_to_anchor=(1.02, 0.98),
+                ncols=4,
+                fontsize=7,
+                handletextpad=0.1,
+                columnspacing=0.8,
+            )
         else:
             axis.plot(*place.T, "o", markersize=3, color=PALETTE[0])
-        spans = ", ".join(
-            f"{name} {low:.1f}° … {high:.1f}°"
+        spans = "   ".join(
+            f"{name} {_degrees(low)} … {_degrees(high)}"
             for name, low, high in zip(case.measurement.bench.table.axis_names, angle.min(0), angle.max(0), strict=True)
         )
         _detector(axis, result)
-        axis.set_title(f"{case.name} table, {len(place)} places")
-        axis.set_xlabel(f"column [px]\n{spans}")
+        axis.set_title(f"{case.name} table")
+        axis.set_xlabel(f"column [px]\n{spans}", fontsize=7.5)
     axes[0, 0].set_ylabel("row [px]")
     return figure
+
+
+def _degrees(value: float) -> str:
+    return f"{round(value, 1) + 0.0:.1f}°".replace("-", "−")
 
 
 def star_windows(result: Result) -> Figure:
@@ -125,7 +136,7 @@ def error_maps(result: Result, cases: Sequence[Case]) -> Figure:
         line = case.reductions["estimated"].line_of_sight
         error = np.linalg.norm(line.error_arcsec, axis=1)
         sigma = np.linalg.norm(line.predicted_sigma_arcsec, axis=1)
-        scale = Normalize(0.0, float(max(error.max(), sigma.max())))
+        scale = Normalize(0.0, float(np.quantile(np.concatenate([error, sigma]), 0.98)))
         place = result.traced.pixel_px
         for axis, values, title in zip(
             row, (error, sigma), ("error against the traced lens", "predicted 1 σ"), strict=True
@@ -146,7 +157,7 @@ def error_maps(result: Result, cases: Sequence[Case]) -> Figure:
             width=0.0025,
             headwidth=4,
         )
-        figure.colorbar(mesh, ax=list(row), label="arcsec", shrink=0.9, pad=0.01)
+        figure.colorbar(mesh, ax=list(row), label="arcsec", shrink=0.9, pad=0.01, extend="max")
         row[0].set_ylabel("row [px]")
     for axis in axes[-1]:
         axis.set_xlabel("column [px]")

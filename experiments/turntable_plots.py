@@ -66,26 +66,21 @@ def field_curves(result: Result) -> Figure:
     points = result.field_sweep
     field = np.array([p.field_deg for p in points])
     scale = np.array([p.arcsec_per_px for p in points])
-    curves = (
-        ("full", "all eight intrinsics unknown", PALETTE[1]),
-        ("no_tangential", "no $p_1$, $p_2$", PALETTE[4]),
-        ("pinhole", "$x_0$, $y_0$, $f$ alone", PALETTE[3]),
-        ("star_known", "$x_0$, $y_0$, $f$ alone, star known", PALETTE[5]),
-    )
-    for (key, label, colour), marker in zip(curves, MARKERS, strict=False):
+    for key, label, colour, marker in (
+        ("full", "principal point, two axes", PALETTE[1], "o"),
+        ("rolled", "principal point, three axes", PALETTE[4], "s"),
+        ("plain", "principal point, only $x_0, y_0, f, M$ unknown", PALETTE[3], "^"),
+    ):
         sigma = np.array([getattr(p, key).of("x0_px") for p in points]) * scale
-        axis.plot(field, sigma, marker=marker, color=colour, label=f"principal point: {label}")
+        axis.plot(field, sigma, marker=marker, color=colour, label=label)
     closed = np.array([closed_form_px(f, result.field_sigma_px) for f in field]) * scale
-    axis.plot(
-        field,
-        closed,
-        color=INK,
-        linewidth=0.9,
-        linestyle="--",
-        label=r"closed form $\sigma/\sqrt{n\langle t^4\rangle}$",
-    )
-    judged = np.array([p.full.map_sigma_arcsec for p in points]) / np.sqrt(2.0)  # length to one axis
-    axis.plot(field, judged, marker="o", color=PALETTE[0], linewidth=2.0, label="line of sight after the best rotation")
+    axis.plot(field, closed, color=INK, linewidth=0.9, linestyle="--", label="its closed form")
+    for key, label, colour in (
+        ("full", "line of sight, two axes", PALETTE[0]),
+        ("rolled", "line of sight, three axes", PALETTE[5]),
+    ):
+        judged = np.array([getattr(p, key).map_sigma_arcsec for p in points]) / np.sqrt(2.0)  # length to one axis
+        axis.plot(field, judged, marker="o", color=colour, linewidth=2.0, label=label)
     axis.plot(field, result.field_sigma_px * scale, color="#9aa1a9", linestyle=":", label="a single image")
     axis.set(xscale="log", yscale="log", xlabel="full field of view [deg]", ylabel="1 σ per axis [arcsec]")
     axis.set_xticks(field, [f"{f:g}" for f in field])

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from experiments.instrument import Instrument
 from experiments.turntable_bound import Bound, FieldPoint
+from experiments.turntable_lenses import LensPoint
 from experiments.turntable_measure import Measurement, TracedMap
 from experiments.turntable_reduce import Reduction
 from experiments.turntable_settings import Config, TableConfig
@@ -81,6 +82,8 @@ class Result:
         Ideal cameras.
     field_sigma_px : float
         Error of an image in that sweep.
+    lenses : sequence of LensPoint
+        What the camera model leaves of traced lenses.
     runtime_s, peak_memory_mb : float
         Cost.
     """
@@ -94,5 +97,6 @@ class Result:
     centroid_bound_arcsec: float
     field_sweep: Sequence[FieldPoint]
     field_sigma_px: float
+    lenses: Sequence[LensPoint]
     runtime_s: float
     peak_memory_mb: float

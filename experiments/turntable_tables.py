@@ -15,21 +15,21 @@ from optics.units import RAD_ARCSEC
 __all__ = ["all_tables", "unknown_label"]
 
 _LABELS = {
-    "x0_px": ("Principal point x₀", "px", 1.0),
-    "y0_px": ("Principal point y₀", "px", 1.0),
-    "focal_length_mm": ("Focal length f", "mm", 1.0),
-    "q1_per_mm2": ("Distortion q₁", "mm⁻²", 1.0),
-    "q2_per_mm4": ("Distortion q₂", "mm⁻⁴", 1.0),
-    "q3_per_mm6": ("Distortion q₃", "mm⁻⁶", 1.0),
-    "p1_per_mm": ("Distortion p₁", "mm⁻¹", 1.0),
-    "p2_per_mm": ("Distortion p₂", "mm⁻¹", 1.0),
-    "star_azimuth_rad": ("Star azimuth", "″", RAD_ARCSEC),
-    "star_elevation_rad": ("Star elevation", "″", RAD_ARCSEC),
-    "theta1_rad": ("Installation θ₁", "″", RAD_ARCSEC),
-    "theta2_rad": ("Installation θ₂", "″", RAD_ARCSEC),
-    "theta3_rad": ("Installation θ₃", "″", RAD_ARCSEC),
-    "lean1_rad": ("Lean of the second axis", "″", RAD_ARCSEC),
-    "lean2_rad": ("Lean of the third axis", "″", RAD_ARCSEC),
+    "x0_px": ("x₀", "px", 1.0),
+    "y0_px": ("y₀", "px", 1.0),
+    "focal_length_mm": ("f", "mm", 1.0),
+    "q1_per_mm2": ("q₁", "mm⁻²", 1.0),
+    "q2_per_mm4": ("q₂", "mm⁻⁴", 1.0),
+    "q3_per_mm6": ("q₃", "mm⁻⁶", 1.0),
+    "p1_per_mm": ("p₁", "mm⁻¹", 1.0),
+    "p2_per_mm": ("p₂", "mm⁻¹", 1.0),
+    "star_azimuth_rad": ("star az.", "″", RAD_ARCSEC),
+    "star_elevation_rad": ("star el.", "″", RAD_ARCSEC),
+    "theta1_rad": ("θ₁", "″", RAD_ARCSEC),
+    "theta2_rad": ("θ₂", "″", RAD_ARCSEC),
+    "theta3_rad": ("θ₃", "″", RAD_ARCSEC),
+    "lean1_rad": ("lean, axis 2", "″", RAD_ARCSEC),
+    "lean2_rad": ("lean, axis 3", "″", RAD_ARCSEC),
 }
 
 
@@ -71,8 +71,8 @@ def _unknowns(case: Case) -> Table:
         ),
         rows=rows,
         caption=f"Unknowns on the {case.name} table.",
-        note="Truth of the camera: the model fitted to the traced rays without noise; of star, installation, axes: as "
-        f"set. Uncertainties are 1 σ of the estimator's covariance. Monte-Carlo: {found.runs} runs on coordinates.",
+        note="Truth of the camera: the model fitted to the traced rays without noise; of star, installation (θ), axes: "
+        f"as set. Uncertainties are 1 σ of the estimator's covariance. Monte-Carlo: {found.runs} runs on coordinates.",
     )
 
 
@@ -134,15 +134,15 @@ def _knowledge(result: Result) -> Table:
             line += [found.of("x0_px"), found.of("y0_px"), found.map_sigma_arcsec]
         rows.append(tuple(line))
     columns = [
-        Column(name=f"{case.name}: {what}", unit=unit, key=f"{case.name.replace('-', '_')}_{key}", format=".3g")
-        for case in result.cases
+        Column(name=f"{what} ({axes})", unit=unit, key=f"{case.name.replace('-', '_')}_{key}", format=".3g")
+        for case, axes in zip(result.cases, "23", strict=True)
         for what, unit, key in (("σ(x₀)", "px", "x0_px"), ("σ(y₀)", "px", "y0_px"), ("map", "″", "map_arcsec"))
     ]
     return Table(
         columns=("Known besides", *columns),
         rows=rows,
         caption="What it would be worth to know more (Cramér–Rao).",
-        note="Map: RMS length of the line-of-sight error after the best rotation.",
+        note="(2), (3): on the table of two, of three axes. Map: RMS length of the error after the best rotation.",
     )
 
 
@@ -198,9 +198,10 @@ def _fields(result: Result) -> Table:
             p.field_deg,
             p.full.of("x0_px"),
             p.full.of("x0_px") * p.arcsec_per_px,
-            p.full.of("theta2_rad") * RAD_ARCSEC,
-            abs(float(p.full.correlation[p.full.names.index("x0_px"), p.full.names.index("theta2_rad")])),
+            p.full.inflation("x0_px"),
             p.full.map_sigma_arcsec,
+            p.rolled.of("x0_px"),
+            p.rolled.map_sigma_arcsec,
             p.full.condition,
         )
         for p in result.field_sweep
@@ -208,17 +209,33 @@ def _fields(result: Result) -> Table:
     return Table(
         columns=(
             Column(name="Field", unit="deg", key="field_deg", format="g"),
-            Column(name="σ(x₀)", unit="px", key="x0_px", format=".4g"),
-            Column(name="σ(x₀)", unit="″", key="x0_arcsec", format=".4g"),
-            Column(name="σ(θ₂)", unit="″", key="installation_arcsec", format=".4g"),
-            Column(name="|correlation|", key="correlation", format=".7f"),
-            Column(name="Map, RMS length", unit="″", key="map_arcsec", format=".4f"),
+            Column(name="σ(x₀)", unit="px", key="x0_px", format=".3g"),
+            Column(name="σ(x₀)", unit="″", key="x0_arcsec", format=".3g"),
+            Column(name="inflated", key="inflation", format=".0f"),
+            Column(name="Map", unit="″", key="map_arcsec", format=".4f"),
+            Column(name="σ(x₀), rolled", unit="px", key="rolled_x0_px", format=".3g"),
+            Column(name="Map, rolled", unit="″", key="rolled_map_arcsec", format=".4f"),
             Column(name="Condition", key="condition", format=".1e"),
         ),
         rows=rows,
         caption="The near-degeneracy over the field of view (Cramér–Rao).",
         note=f"Ideal cameras of 2048 × 2048 px, 13 × 13 places, images good to {result.field_sigma_px:.3g} px per "
-        "axis, all unknowns of the joint calibration, a perfect two-axis table.",
+        "axis, all unknowns, perfect tables. Inflated: σ(x₀) over what it would be with everything else known. Rolled: "
+        "quarter turns of a third axis from place to place. Map: RMS length after the best rotation.",
+    )
+
+
+def _lenses(result: Result) -> Table:
+    return Table(
+        columns=(
+            "Lens",
+            Column(name="Diagonal field", unit="deg", key="field_deg", format=".1f"),
+            Column(name="RMS", unit="″", key="rms_arcsec", format=".3g"),
+            Column(name="largest", unit="″", key="max_arcsec", format=".3g"),
+            Column(name="largest", unit="px", key="max_px", format=".2g"),
+        ),
+        rows=[(p.label, p.field_deg, p.rms_arcsec, p.max_arcsec, p.max_px) for p in result.lenses],
+        caption="What the camera model leaves of a lens: fitted to noise-free rays over the whole detector.",
     )
 
 
@@ -311,5 +328,6 @@ def all_tables(result: Result) -> Mapping[str, Table]:
         "lean_sweep": _leans(result),
         "field_sweep": _fields(result),
         "vectors": _vectors(result),
+        "lenses": _lenses(result),
         "places": _places(result),
     }
