@@ -128,7 +128,7 @@ class ArrowSystem:
             pulled = flat.T @ solved.reshape(len(flat), -1)
             damped = damped - pulled[:, :-1]
             right = right - pulled[:, -1]
-        common = -_solve_scaled(damped, right, np.sqrt(common_scale))
+        common = -_solve_scaled(damped, right)
         block = None if solved is None else -(solved[:, :, :-1] @ common + solved[:, :, -1])
         slope = float(self.gradient @ common)
         size = damping * float(common_scale @ common**2)
@@ -181,9 +181,10 @@ class ArrowSystem:
         return np.asarray(solution).reshape(frames, size, columns)
 
 
-def _solve_scaled(matrix: FloatArray, right: FloatArray, scale: FloatArray) -> FloatArray:
+def _solve_scaled(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solution of a symmetric system, scaled; directions without information stay where they are."""
-    inverse = 1.0 / np.where(scale > 0, scale, 1.0)
+    diagonal = np.diagonal(matrix)
+    inverse = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     value, vector = np.linalg.eigh(matrix * inverse[:, None] * inverse)
     known = value > NULL_PART * max(float(value[-1]), 0.0)
     part = (vector.T @ (right * inverse)) * known / np.where(known, value, 1.0)

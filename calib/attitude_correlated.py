@@ -45,7 +45,15 @@ from calib.solution import Calibration
 from calib.star_problem import Prior, StarProblem, StarState, free_mask
 from optics.errors import DomainError
 
-__all__ = ["ANGLE_NAMES", "GyroLink", "LinkState", "calibrate_attitude_correlated", "linked_parity", "start_link"]
+__all__ = [
+    "ANGLE_NAMES",
+    "GyroLink",
+    "LinkState",
+    "calibrate_attitude_correlated",
+    "linked_parity",
+    "start_link",
+    "without_rounding",
+]
 
 FloatArray = NDArray[np.float64]
 METHOD = "attitude_correlated"
@@ -99,7 +107,7 @@ class GyroLink:
     def rates(self, state: LinkState, rotation: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """M_k and I - M_k."""
         linked = rotation @ state.first.T
-        return np.concatenate([linked, np.eye(3) - linked], axis=2), None
+        return np.concatenate([linked, without_rounding(np.eye(3) - linked)], axis=2), None
 
     def move(self, state: LinkState, common: FloatArray, block: FloatArray | None) -> LinkState:
         """Turn the first attitude and the installation."""
@@ -121,6 +129,11 @@ class GyroLink:
         for i, value in enumerate(angle):
             derivative[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = np.linalg.pinv(increment_per_angle(value))
         return angle.ravel(), derivative
+
+
+def without_rounding(rates: FloatArray) -> FloatArray:
+    """Rates with what is rounding set to zero: an unknown without effect must not be scaled up to one."""
+    return np.where(np.abs(rates) < 1e-13, 0.0, rates)
 
 
 def start_link(

@@ -242,8 +242,8 @@ def verdict(fit: Fit, spread: float, loss: Loss, hint: Callable[[], str]) -> tup
         spread = float(np.sqrt(solution.chi2 / free))
         if spread > LARGEST_RMS:
             return "refused", (
-                f"residuals are {spread:.3g} times the stated sigma, more than {LARGEST_RMS:g}: wrong matches (take the "
-                f'loss "tukey"), a wrong camera model or too small a sigma{_also(hint())}'
+                f"residuals are {spread:.3g} times the stated sigma, more than {LARGEST_RMS:g}: wrong matches (take "
+                f'the loss "tukey"), a wrong camera model or too small a sigma{_also(hint())}'
             )
         note = ""
     else:

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.attitude_correlated import ANGLE_NAMES, GyroLink, LinkState, linked_parity, start_link
+from calib.attitude_correlated import ANGLE_NAMES, GyroLink, LinkState, linked_parity, start_link, without_rounding
 from calib.attitude_link import exponential, right_jacobian
 from calib.calibration_fit import (
     fit_stages,
@@ -140,7 +140,7 @@ class GyroWalk:
         """Those of ACC, then the bias; the walk of each frame."""
         linked = rotation @ state.link.first.T
         block = state.link.installation @ self._body(state) @ right_jacobian(self._error(state))
-        parts = [linked, np.eye(3) - linked]
+        parts = [linked, without_rounding(np.eye(3) - linked)]
         if self._with_bias:
             parts.append(block @ self.lever)
         block[0] = 0.0  # the walk begins at the first frame

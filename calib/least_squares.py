@@ -6,9 +6,9 @@ curved space (rotations), so the core only ever asks for "this state moved by th
     cost = sum over groups of rho(|r|^2) + penalty,
 
 a group being what is kept or thrown away together (the two coordinates of a star), the penalty a sum of squares of
-prior knowledge. Steps solve (H + lambda D) step = -g with H = J^T W J, W the weights of the loss, and D the largest
-diagonal of H met so far (More 1978, Lecture Notes in Mathematics 630, 105), so that the units of the unknowns do not
-matter; lambda follows the ratio of the true to the predicted decrease (Nielsen 1999, IMM-REP-1999-05). A step that
+prior knowledge. Steps solve (H + lambda D) step = -g with H = J^T W J, W the weights of the loss, and D the diagonal of
+H (Marquardt 1963, J. SIAM 11, 431), so that the units of the unknowns do not matter; lambda follows the ratio of the
+true to the predicted decrease (Nielsen 1999, IMM-REP-1999-05). A step that
 leaves the domain (a star behind the camera) has infinite cost and is not taken.
 
 It has converged when the next step is shorter than ``tolerance`` in the metric of the information, that is, when no
@@ -35,8 +35,7 @@ __all__ = ["DenseProblem", "Evaluation", "Fit", "Problem", "covariance_of", "sol
 FloatArray = NDArray[np.float64]
 
 DAMPING_START = 1e-4
-DAMPING_LEAST = 1e-13
-DAMPING_MOST = 1e12
+DAMPING_LEAST = 1e-14
 ROUNDING_STEP = 1e-3  # sigma: a full step this short that does not lower the cost says that rounding has been reached
 
 
@@ -125,6 +124,11 @@ class _Walk:
     message: str
     iterations: int
 
+    def ended(self, status: str, message: str) -> _Walk:
+        """The same, with its end noted."""
+        self.status, self.message = status, message
+        return self
+
 
 def solve(
     problem: Problem,
@@ -209,33 +213,27 @@ def _cost(evaluation: Any, loss: Loss, scale: float) -> float:
     return value + float(evaluation.penalty)
 
 
-def _walk(
-    problem: Problem, start: Any, loss: Loss, scale: float, limits: tuple[float, float], max_iterations: int
-) -> _Walk:
+def _walk(problem: Problem, start: Any, loss: Loss, scale: float, limits: tuple[float, float], most: int) -> _Walk:
     tolerance, slack = limits
     evaluation = problem.evaluate(start)
     walk = _Walk(start, evaluation, _cost(evaluation, loss, scale), "iteration_limit", "", 0)
     if not np.isfinite(walk.cost):
-        walk.status = "refused"
-        walk.message = "the start is outside the domain of the model (a star behind the camera, or not finite)"
-        return walk
-    damping, growth = DAMPING_START, 2.0
-    common_scale: FloatArray | None = None
-    block_scale: FloatArray | None = None
-    while walk.iterations < max_iterations:
+        return walk.ended("refused", "the start is outside the domain (a star behind the camera, or not finite)")
+    damping = DAMPING_START
+    while walk.iterations < most:
         system = problem.system(walk.evaluation, loss.weight(_squares(walk.evaluation.residual) / scale**2))
         if not (np.isfinite(system.common).all() and np.isfinite(system.gradient).all()):
-            walk.status, walk.message = "stalled", "the derivatives are not finite"
-            return walk
-        common_scale, block_scale = _larger(system, common_scale, block_scale)
-        moved = False
-        while not moved and walk.iterations < max_iterations:
-            step = system.step(damping, common_scale, block_scale)
+            return walk.ended("stalled", "the derivatives are not finite")
+        scales = _positive_diagonal(system)
+        moved, growth = False, 2.0
+        while not moved and walk.iterations < most:
+            step = system.step(damping, *scales)
             if step.length < tolerance or step.decrease <= slack * walk.cost:
-                if damping <= 1e-6:
-                    walk.status, walk.message = "converged", f"next step below {tolerance:g} sigma"
-                    return walk
-                damping, growth = 1e-3 * damping, 2.0  # short because it is damped: look further
+                if damping <= DAMPING_LEAST:
+                    return walk.ended("converged", f"next step below {tolerance:g} sigma")
+                if growth > 2.0:  # short because longer ones were of no use
+                    return walk.ended("stalled", "no step lowers the cost, the gradient is not zero")
+                damping = DAMPING_LEAST  # it may be short because it is damped: look at the whole step
                 continue
             walk.iterations += 1
             trial = problem.move(walk.state, step)
@@ -245,30 +243,17 @@ def _walk(
             if ratio > 1e-4:
                 walk.state, walk.evaluation, walk.cost, moved = trial, evaluation, cost, True
                 damping = max(damping * max(0.1, 1.0 - (2.0 * ratio - 1.0) ** 3), DAMPING_LEAST)
-                growth = 2.0
-            elif abs(walk.cost - cost) <= 1e-12 * walk.cost or (step.length < ROUNDING_STEP and damping <= 1e-3):
-                walk.status, walk.message = "converged", "the cost no longer changes within rounding"
-                return walk
+            elif abs(walk.cost - cost) <= 1e-12 * walk.cost or (step.length < ROUNDING_STEP and damping <= 1e-12):
+                return walk.ended("converged", "the cost no longer changes within rounding")
             else:
-                damping, growth = damping * growth, growth * 2.0
-                if damping > DAMPING_MOST:
-                    walk.status, walk.message = "stalled", "no step lowers the cost, the gradient is not zero"
-                    return walk
-    walk.message = f"not converged after {walk.iterations} steps"
-    return walk
+                damping, growth = max(damping, 1e-7) * growth, growth * 2.0
+    return walk.ended("iteration_limit", f"not converged after {walk.iterations} steps")
 
 
-def _larger(
-    system: ArrowSystem, common: FloatArray | None, block: FloatArray | None
-) -> tuple[FloatArray, FloatArray | None]:
-    """Scales of the unknowns: the largest diagonal so far; 1 where an unknown has no effect at all."""
-    new_common, new_block = system.diagonal()
-    common = np.array(new_common) if common is None else np.maximum(common, new_common)
-    common = np.where(common > 0, common, 1.0)
-    if new_block is not None:
-        block = np.array(new_block) if block is None else np.maximum(block, new_block)
-        block = np.where(block > 0, block, 1.0)
-    return common, block
+def _positive_diagonal(system: ArrowSystem) -> tuple[FloatArray, FloatArray | None]:
+    """Squared scales of the unknowns: their diagonals, 1 where an unknown has no effect."""
+    common, block = system.diagonal()
+    return np.where(common > 0, common, 1.0), None if block is None else np.where(block > 0, block, 1.0)
 
 
 def covariance_of(

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -70,3 +73,14 @@ def sky():
 @pytest.fixture(scope="session")
 def noise():
     return NoiseModel(read_noise_e=5.0)
+
+
+@pytest.fixture(scope="session")
+def scenes():
+    """The module ``calibration_scene.py`` of this folder: star lists with known truth."""
+    path = Path(__file__).with_name("calibration_scene.py")
+    spec = importlib.util.spec_from_file_location("calibration_scene_for_tests", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
