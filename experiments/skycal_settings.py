@@ -1,0 +1,193 @@
+"""Configuration of the calibration on rendered frames of a moving sky."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from experiments.config import ExperimentConfig, StrictModel
+from experiments.settings import InstrumentConfig
+
+__all__ = [
+    "CameraConfig",
+    "Config",
+    "GyroConfig",
+    "MotionConfig",
+    "SkyConfig",
+    "StartConfig",
+    "model_label",
+    "parse_model_name",
+]
+
+FEWEST_FRAMES = 4
+
+
+def parse_model_name(name: str) -> tuple[str, int]:
+    """Family and degree of a camera model: ``"brown_conrady"``, ``"pinhole"`` or ``"polynomial_5"``.
+
+    Raises
+    ------
+    ValueError
+        Anything else.
+    """
+    if name in ("brown_conrady", "pinhole"):
+        return name, 0
+    found = re.fullmatch(r"polynomial_([1-9])", name)
+    if not found:
+        raise ValueError(f"{name!r}: a camera model is 'pinhole', 'brown_conrady' or 'polynomial_1' to 'polynomial_9'")
+    return "polynomial", int(found.group(1))
+
+
+def model_label(name: str) -> str:
+    """Name of a camera model for readers."""
+    family, degree = parse_model_name(name)
+    return {"pinhole": "pinhole", "brown_conrady": "Brown–Conrady"}.get(family, f"polynomial, degree {degree}")
+
+
+class CameraConfig(StrictModel):
+    """One camera under the sky."""
+
+    instrument: InstrumentConfig = InstrumentConfig()
+    window_px: int = Field(
+        default=0, ge=0, le=32768, description="side of the square around the centre that is read out; 0: everything"
+    )
+    faintest_mag: float = Field(default=9.0, ge=0, le=12, description="faintest stars rendered, Gaia G")
+    background_e_per_s: float = Field(default=2.0, ge=0, le=1e5, description="sky light per pixel")
+    sobol_log2_rays: int = Field(
+        default=14, ge=8, le=20, description="logarithm of the rays per star where the pupil is not clear"
+    )
+    psf_spacing_px: float = Field(default=256.0, gt=8, le=1e5, description="distance between rendered PSFs")
+    model: str = Field(default="brown_conrady", description="camera model that counts, one of models")
+    models: tuple[str, ...] = Field(
+        default=("pinhole", "polynomial_3", "brown_conrady", "polynomial_5", "polynomial_7"),
+        min_length=1,
+        description="camera models that are compared: pinhole, brown_conrady, polynomial_1 to polynomial_9",
+    )
+
+    @field_validator("models")
+    @classmethod
+    def _known(cls, values: tuple[str, ...]) -> tuple[str, ...]:
+        for value in values:
+            parse_model_name(value)
+        if len(set(values)) != len(values):
+            raise ValueError("a camera model is given twice")
+        return values
+
+    @model_validator(mode="after")
+    def _among_them(self) -> CameraConfig:
+        if self.model not in self.models:
+            raise ValueError(f"model = {self.model!r} is none of models = {list(self.models)}")
+        return self
+
+
+class SkyConfig(StrictModel):
+    """Where the stars come from and in which light they are seen."""
+
+    source: Literal["gaia", "random"] = Field(
+        default="gaia", description="gaia: the bundled Gaia DR3 stars; random: uniform, counts and colours as in Gaia"
+    )
+    ra_deg: float = Field(default=260.0, ge=0, le=360, description="right ascension of the first boresight")
+    dec_deg: float = Field(default=30.0, ge=-89, le=89, description="its declination")
+    passband_nm: tuple[float, float] = Field(default=(450.0, 900.0), description="pass band of the cameras")
+    edge_nm: float = Field(default=20.0, ge=0, le=200, description="length of the pass band's edges")
+    nodes: int = Field(default=16, ge=4, le=64, description="wavelengths at which the pass band is sampled")
+    reference_k: float = Field(
+        default=4800.0, ge=1000, le=1e5, description="star colour that the map, the PSF and the truth refer to"
+    )
+
+    @field_validator("passband_nm")
+    @classmethod
+    def _increasing(cls, values: tuple[float, float]) -> tuple[float, float]:
+        if not 0.0 < values[0] < values[1]:
+            raise ValueError("two increasing wavelengths are needed")
+        return values
+
+
+class MotionConfig(StrictModel):
+    """How the sky moves through the field, and what the user of the camera is told about it."""
+
+    rate_deg_per_s: float = Field(default=0.5, gt=0, le=20, description="angular speed")
+    axis_deg: float = Field(
+        default=60.0, ge=0, le=90, description="angle of the axis of rotation from the boresight; 90: no roll"
+    )
+    frame_rate_hz: float = Field(default=1.0, gt=0, le=1000, description="frames per second")
+    attitude_error_arcmin: float = Field(
+        default=3.0, ge=0, le=60, description="standard deviation per axis of the attitude known beforehand"
+    )
+
+
+class GyroConfig(StrictModel):
+    """The gyro of ACF17, Table 1."""
+
+    rate_hz: float = Field(default=100.0, gt=0, le=10000, description="samples per second")
+    bias_deg_per_h: float = Field(default=0.03, ge=0, le=1000, description="size per axis")
+    angle_random_walk_deg_per_sqrt_h: float = Field(default=0.005, ge=0, le=100, description="per axis")
+    installation_deg: tuple[float, float, float] = Field(
+        default=(2.0, 2.0, 2.0), description="theta1, theta2, theta3: camera from gyro, angles as in ACF17 eq. 2"
+    )
+
+
+class StartConfig(StrictModel):
+    """What the adjustment starts from, and what the first matching assumes."""
+
+    focal_ratio: float = Field(
+        default=0.78125, gt=0.3, lt=3, description="focal length the adjustment starts from, over the true one"
+    )
+    sheet_error_fraction: float = Field(
+        default=0.003, ge=-0.1, le=0.1, description="error of the focal length that the first matching assumes"
+    )
+
+
+class Config(ExperimentConfig):
+    """Sixty frames through the 206 mm lens and through a wide one."""
+
+    which: Literal["both", "narrow", "wide"] = Field(default="both", description="cameras to run")
+    narrow: CameraConfig = CameraConfig(faintest_mag=9.5, background_e_per_s=2.0)
+    wide: CameraConfig = CameraConfig(
+        instrument=InstrumentConfig(lens="star_tracker_26mm", detector="cmv4000", defocus_mm=0.010),
+        window_px=1862,
+        faintest_mag=6.5,
+        background_e_per_s=6.0,
+        psf_spacing_px=120.0,
+    )
+    sky: SkyConfig = SkyConfig()
+    motion: MotionConfig = MotionConfig()
+    gyro: GyroConfig = GyroConfig()
+    start: StartConfig = StartConfig()
+    frames: int = Field(default=60, ge=FEWEST_FRAMES, le=10000, description="frames per camera")
+    dark_frames: int = Field(default=20, ge=1, le=1000, description="frames without light, averaged and subtracted")
+    centroid: Literal["epsf", "gaussian", "windowed"] = Field(
+        default="epsf", description="centroider; epsf: the PSF of the reference colour at each place of the field"
+    )
+    window_px: int = Field(default=13, ge=7, le=63, description="window around a star, odd")
+    threshold_sigma: float = Field(default=6.0, gt=0, le=1000, description="detection limit")
+    least_snr: float = Field(default=15.0, gt=0, le=1e5, description="signal-to-noise ratio a star needs to take part")
+    wrong_fraction: float = Field(default=0.1, ge=0, le=0.5, description="wrong matches put in for the robust fit")
+    map_points: int = Field(default=25, ge=5, le=101, description="points of the map along the longer side")
+
+    @field_validator("window_px")
+    @classmethod
+    def _odd(cls, value: int) -> int:
+        if value % 2 == 0:
+            raise ValueError("an odd number is needed")
+        return value
+
+    @model_validator(mode="after")
+    def _turns(self) -> Config:
+        total = self.motion.rate_deg_per_s * (self.frames - 1) / self.motion.frame_rate_hz
+        if not math.isfinite(total) or total > 3600.0:
+            raise ValueError(f"the camera turns by {total:.0f} deg; at most 3600 deg (ten revolutions) are possible")
+        if self.gyro.rate_hz < self.motion.frame_rate_hz:
+            raise ValueError(
+                f"gyro.rate_hz = {self.gyro.rate_hz:g} Hz: at least motion.frame_rate_hz = "
+                f"{self.motion.frame_rate_hz:g} Hz is needed"
+            )
+        return self
+
+    @property
+    def cameras(self) -> dict[str, CameraConfig]:
+        """The cameras that are run, by name."""
+        return {name: getattr(self, name) for name in ("narrow", "wide") if self.which in ("both", name)}
