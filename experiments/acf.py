@@ -102,14 +102,14 @@ main = command(
     show=("table2", "fig4"),
     renders=False,
     quick={
-        "runs": 20,
-        "noise_px": [0.05, 0.1, 0.3, 0.5],
+        "runs": 12,
+        "noise_px": [0.05, 0.1, 0.5],
         "bias_deg_per_h": [0.001, 0.1],
         "angle_random_walk_deg_per_sqrt_h": [0.0001, 0.01],
         "counts": [10, 20, 40],
         "sweep.stars": [3, 6, 20],
         "sweep.gyro_factor": [0.0, 1.0, 10.0],
-        "sweep.skies": 20,
+        "sweep.skies": 12,
     },
 )
 

@@ -324,11 +324,11 @@ def gains(result: Result) -> Gains:
     for point in points:
         outcome = result.outcome[point.name]
         row: dict[str, list[float]] = {name: [] for name in found}
-        free, free_bound = outcome.of("free", "sight_arcsec"), outcome.values["bound.free"]
+        free, free_bound = _usable(outcome, "free", "sight_arcsec"), outcome.values["bound.free"]
         pick = rng.integers(0, len(free), (RESAMPLES, len(free)))
         for k in factors:
             for method in ("acc", "linked"):
-                other, bound = outcome.of(method, "sight_arcsec", k), outcome.values[f"bound@{k}.{method}"]
+                other, bound = _usable(outcome, method, "sight_arcsec", k), outcome.values[f"bound@{k}.{method}"]
                 row[method].append(float(np.median(free) / np.median(other)))
                 again = np.median(free[pick], axis=1) / np.median(other[pick], axis=1)
                 row[f"{method}_error"].append(float(again.std(ddof=1)))
@@ -340,6 +340,13 @@ def gains(result: Result) -> Gains:
         for name, values in row.items():
             found[name].append(values)
     return Gains(**{name: np.array(values) for name, values in found.items()}, runs=result.config.sweep.skies)
+
+
+def _usable(outcome: Outcome, method: str, what: str, gyro: int | None = 0) -> FloatArray:
+    """A figure of merit, infinitely bad where the adjustment did not converge or has no direction for a pixel."""
+    values = outcome.of(method, what, gyro)
+    good = (outcome.of(method, "converged", gyro) > 0.5) & np.isfinite(values)
+    return np.where(good, values, np.inf)
 
 
 def _median_length(xy: FloatArray) -> float:
@@ -362,10 +369,15 @@ def map_expected(result: Result, expected: Covariances) -> FloatArray:
     return np.asarray(np.sqrt(square).reshape(side, side))
 
 
-def failures(result: Result) -> dict[str, tuple[int, int]]:
-    """Calibrations that did not converge, and how many there were, by method."""
+def failures(result: Result, *, sweep: bool) -> dict[str, tuple[int, int]]:
+    """Calibrations that did not converge, and how many there were, by method; of the sweep or of all else.
+
+    In the sweep some are expected: two stars in a frame, or a gyro so bad that ACC's residuals refuse it.
+    """
     found: dict[str, tuple[int, int]] = {}
     for outcome in result.outcome.values():
+        if (outcome.point in result.plan.sweep) != sweep:
+            continue
         for key, values in outcome.values.items():
             if key.endswith(".converged"):
                 method = key.split(".")[0].split("@")[0]

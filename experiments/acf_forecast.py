@@ -61,12 +61,23 @@ class StarCount:
         With the gyro of Table 1; infinite where the gyro alone gives more than is published.
     gyro_px : float
         What that gyro alone gives.
+    stars : (m,)
+        Numbers of stars tried.
+    mean_px, scatter_px : (m,)
+        Expected RMS length of a run with the gyro of Table 1, and its standard deviation.
+    low, high : float
+        Between these the published value lies within one standard deviation of a run; NaN if nowhere.
     """
 
     pixel_um: float
     closed_form: float
     with_gyro: float
     gyro_px: float
+    stars: FloatArray
+    mean_px: FloatArray
+    scatter_px: FloatArray
+    low: float
+    high: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,17 +125,27 @@ def forecast(config: Config, plan: Plan, inferred_um: float) -> Forecast:
 def stars_for_published(config: Config, pixel_um: float, stars: int = 40) -> StarCount:
     """Solve for the number of stars: their part of the mean square goes with 1 / n, that of the gyro does not."""
     table1 = (config.gyro.bias_deg_per_h, config.gyro.angle_random_walk_deg_per_sqrt_h)
-    point = Point(
-        name="", noise_px=config.table_noise_px, gyro=(table1, (0.0, 0.0)), methods=(), stars=stars, pixel_um=pixel_um
-    )
-    every, perfect = _judged(config, point, 0).total_px ** 2, _judged(config, point, 1).total_px ** 2
-    wanted, gyro = float(FIG4_RMS_PX @ FIG4_RMS_PX), every - perfect
-    frames = (config.frames + 1) // 2
+    sigma_px = config.table_noise_px
+    point = Point(name="", noise_px=sigma_px, gyro=(table1,), methods=(), stars=stars, pixel_um=pixel_um)
+    scene, used, judged = _designs(config, point)
+    error = gyro_error(scene, table1)
+    tried = np.geomspace(5.0, 125.0, 25)
+    expected = [reprojection(used, judged, sigma_px * float(np.sqrt(stars / n)), error) for n in tried]
+    perfect = reprojection(used, judged, sigma_px).total_px ** 2
+    gyro = expected[0].total_px ** 2 - perfect * stars / tried[0]
+    wanted = float(FIG4_RMS_PX @ FIG4_RMS_PX)
+    mean, scatter = (np.array([getattr(one, name) for one in expected]) for name in ("mean_px", "scatter_px"))
+    within = tried[np.abs(np.sqrt(wanted) - mean) < scatter]
     return StarCount(
         pixel_um=pixel_um,
-        closed_form=14.0 * config.table_noise_px**2 / wanted / frames,
+        closed_form=14.0 * sigma_px**2 / wanted / ((config.frames + 1) // 2),
         with_gyro=stars * perfect / (wanted - gyro) if wanted > gyro else float("inf"),
-        gyro_px=float(np.sqrt(gyro)),
+        gyro_px=float(np.sqrt(max(gyro, 0.0))),
+        stars=tried,
+        mean_px=mean,
+        scatter_px=scatter,
+        low=float(within[0]) if len(within) else float("nan"),
+        high=float(within[-1]) if len(within) else float("nan"),
     )
 
 

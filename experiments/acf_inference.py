@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.attitude_link import increment_per_angle, rotation_of_angles
-from experiments.acf_predict import correlated
-from experiments.acf_published import FIG4_RMS_PX, TABLE2_CALIBRATED, TABLE2_ROUNDING, TABLE2_TRUE
+from experiments.acf_predict import Design, correlated
+from experiments.acf_published import TABLE2_CALIBRATED, TABLE2_ROUNDING, TABLE2_TRUE
 from experiments.acf_settings import Config
 from experiments.acf_simulate import build_scene
-from experiments.acf_tasks import Point, gyro_error, sky_of
+from experiments.acf_tasks import gyro_error
 from optics.records import freeze
 from optics.units import DEG_RAD
 
@@ -29,8 +29,8 @@ FloatArray = NDArray[np.float64]
 
 CAMERA, FIRST = 8, 11
 """Unknowns of the camera; those and the angles of the first frame."""
-STARS = 40
-"""In the frames of the design that is scaled to other numbers."""
+PLACES = 11
+"""Stars along each side of the detector, a regular grid, in the design that is scaled to other numbers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,7 +95,7 @@ def printed_reprojection(config: Config, pixel_um: float) -> FloatArray:
     return np.asarray(np.sqrt(((moved - true.project(direction)) ** 2).mean(0)))
 
 
-def infer(points: int = 25) -> Inference:
+def infer(points: int = 29) -> Inference:
     """Pixel and stars per frame from Table 2; a function of the document alone, not of the configuration.
 
     Parameters
@@ -107,7 +107,7 @@ def infer(points: int = 25) -> Inference:
     pixel = np.linspace(4.0, 12.0, 161)
     reprojected = np.stack([printed_reprojection(config, um) for um in pixel])
     least = float(pixel[np.argmin((reprojected**2).sum(1))])
-    tried, stars = np.linspace(0.88, 1.12, points) * least, np.geomspace(2.0, 200.0, 93)
+    tried, stars = np.linspace(0.86, 1.14, points) * least, np.geomspace(2.0, 200.0, 93)
     chi2, log_likelihood = np.moveaxis(np.stack([_fit(config, um, stars) for um in tried]), 1, 0)
     place = np.unravel_index(np.argmax(log_likelihood), log_likelihood.shape)
     over_pixel, over_stars = log_likelihood.max(1), log_likelihood.max(0)
@@ -133,9 +133,7 @@ def infer(points: int = 25) -> Inference:
 
 def _fit(config: Config, pixel_um: float, stars: FloatArray) -> FloatArray:
     """chi^2 of the printed errors and logarithm of their likelihood (2, s), for numbers of stars per frame (s,)."""
-    scene = build_scene(config, pixel_um)
-    sky = sky_of(config, Point(name="inference", noise_px=0.1, gyro=(), methods=(), stars=STARS, pixel_um=pixel_um), 0)
-    design = sky.design.select(sky.used)
+    scene, design = build_scene(config, pixel_um), _even_design(config, pixel_um)
     noise = (config.gyro.bias_deg_per_h, config.gyro.angle_random_walk_deg_per_sqrt_h)
     perfect, drift = correlated(design, 0.1), gyro_error(scene, noise)
     gyro = correlated(design, 0.1, drift) - perfect
@@ -146,7 +144,7 @@ def _fit(config: Config, pixel_um: float, stars: FloatArray) -> FloatArray:
     rounding = np.diag(TABLE2_ROUNDING[:FIRST] ** 2 / 12.0)
     found = np.empty((2, len(stars)))
     for k, count in enumerate(stars):
-        covariance = perfect * (STARS / count) + gyro + rounding
+        covariance = perfect * (PLACES**2 / count) + gyro + rounding
         scale = np.sqrt(np.diag(covariance))
         correlation, pull = covariance / np.outer(scale, scale), error / scale
         chi2 = float(pull @ np.linalg.solve(correlation, pull))
@@ -155,6 +153,13 @@ def _fit(config: Config, pixel_um: float, stars: FloatArray) -> FloatArray:
     return found
 
 
-def published_total_px() -> float:
-    """RMS length of the reprojection error of Fig. 4."""
-    return float(np.linalg.norm(FIG4_RMS_PX))
+def _even_design(config: Config, pixel_um: float) -> Design:
+    """Stars spread evenly over the detector, in the frames that calibrate."""
+    scene = build_scene(config, pixel_um)
+    camera, geometry = scene.camera, scene.camera.geometry
+    step = (np.arange(PLACES) + 0.5) / PLACES - 0.5
+    place = np.stack(np.meshgrid(step * geometry.width_px, step * geometry.height_px), axis=-1).reshape(-1, 2)
+    seen = camera.unproject(geometry.centre_px + place)
+    frames = np.arange(0, config.frames, 2)
+    direction = np.concatenate([rotation.inv().apply(seen) for rotation in scene.attitude[frames]])
+    return Design.at(camera, scene.attitude, scene.installation, direction, np.repeat(frames, len(seen)))

@@ -171,7 +171,10 @@ class GyroError:
         """
         step = np.sqrt(np.diff(time_s))
         reached = np.tril(np.ones((len(time_s), len(step))), -1) * step
-        return cls(steady=bias_rad_per_s * swept.reshape(-1, 3), walk=walk_rad_per_sqrt_s * np.kron(reached, np.eye(3)))
+        return cls(
+            steady=bias_rad_per_s * swept.reshape(-1, 3),
+            walk=np.asarray(walk_rad_per_sqrt_s * np.kron(reached, np.eye(3)), float),
+        )
 
     @property
     def covariance(self) -> FloatArray:

@@ -108,7 +108,7 @@ class SweepConfig(StrictModel):
 
     stars: tuple[int, ...] = Field(default=(2, 3, 4, 6, 10, 20, 40), min_length=2, description="stars in every frame")
     gyro_factor: tuple[float, ...] = Field(
-        default=(0.0, 1.0, 10.0, 100.0), min_length=1, description="bias and random walk in units of Table 1's"
+        default=(0.0, 1.0, 10.0, 50.0), min_length=1, description="bias and random walk in units of Table 1's"
     )
     noise_px: float = Field(default=0.1, gt=0, le=10, description="noise of a star's position, per axis")
     skies: int = Field(default=100, ge=4, le=10000, description="runs per point, each with a sky of its own")
