@@ -8,6 +8,7 @@ An experiment is a module ``experiments/NAME.py`` with
 * ``summary(result) -> (results, criteria)``: a mapping and a sequence of `Criterion`, for ``summary.json``;
 * optionally ``tables(result) -> {name: Table}``: written as ``NAME.ecsv``;
 * optionally ``files(result, folder)``: writes further files (FITS frames) into ``folder``;
+* optionally ``options``: text options of its own, each short for one key of the configuration;
 * and, at its end::
 
       main = command("NAME", config=Config, run=run, report=report, summary=summary, quick={"frames": 4})
@@ -71,12 +72,14 @@ class Experiment(Generic[C, R]):
     show: Sequence[str] = ()
     files: Callable[[R, Path], None] | None = None
     renders: bool = True
+    options: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Options:
     file: str | None
     settings: tuple[str, ...]
+    short: Mapping[str, str]
     seed: int | None
     backend: str
     out: str
@@ -104,6 +107,7 @@ def command(
     show: Sequence[str] = (),
     files: Callable[[R, Path], None] | None = None,
     renders: bool = True,
+    options: Mapping[str, tuple[str, str]] | None = None,
 ) -> Main:
     """Turn an experiment into a command.
 
@@ -123,6 +127,9 @@ def command(
         ``files(result, folder)`` writes anything else.
     renders : bool
         Whether the backend has to be ready before `run` (`render.variant.use_backend` is called).
+    options : mapping, optional
+        Name of an option without dashes -> (key of the configuration, help text): ``--NAME TEXT`` is short for
+        ``--set KEY=TEXT`` and wins over it.
 
     Returns
     -------
@@ -141,6 +148,7 @@ def command(
         show=show,
         files=files,
         renders=renders,
+        options=options or {},
     )
     outcome: list[int] = []
     parser = _parser(experiment, outcome)
@@ -175,17 +183,23 @@ def _parser(experiment: Experiment[Any, Any], outcome: list[int]) -> click.Comma
         if schema:
             click.echo(json.dumps(experiment.config.model_json_schema(), indent=2, ensure_ascii=False))
             return
-        outcome.append(_perform(experiment, _Options(**options)))
+        given = {name: options.pop(f"short_{name}") for name in experiment.options}
+        short = {name: text for name, text in given.items() if text is not None}
+        outcome.append(_perform(experiment, _Options(short=short, **options)))
 
+    for name, (key, text) in experiment.options.items():
+        help_text = f"{text} Short for --set {key}=TEXT."
+        parse = click.option(f"--{name}", f"short_{name}", metavar="TEXT", help=help_text)(parse)
     return parse
 
 
 def _perform(experiment: Experiment[Any, Any], options: _Options) -> int:
+    short = [f"{experiment.options[name][0]}={text}" for name, text in options.short.items()]
     config = load_config(
         experiment.config,
         quick=experiment.quick if options.quick else None,
-        file=options.file,
-        settings=options.settings,
+        file=_configuration(options.file),
+        settings=[*options.settings, *short],
         seed=options.seed,
     )
     folder = OutputFolder(options.out)
@@ -204,6 +218,14 @@ def _perform(experiment: Experiment[Any, Any], options: _Options) -> int:
             _write(experiment, outcome, staging, variant=variant, quick=options.quick, times_s=progress.times_s)
     _show(experiment, outcome, folder.shown)
     return EXIT_GOOD if all(criterion.passed for criterion in criteria) else EXIT_FAILED
+
+
+def _configuration(name: str | None) -> str | Path | None:
+    """The file that is meant: a path, or the bare name of one that comes with the program (``experiments/data``)."""
+    shipped = Path(__file__).with_name("data") / f"{name}.toml"
+    if name is None or Path(name).suffix or len(Path(name).parts) > 1 or not shipped.is_file():
+        return name
+    return shipped
 
 
 def _write(

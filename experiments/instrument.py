@@ -43,7 +43,9 @@ class Instrument:
         return float(np.degrees(self.camera.pixel_pitch_mm / self.focal_length_mm) * 3600.0)
 
 
-def build_instrument(config: InstrumentConfig, lens: LensSystem | None = None) -> Instrument:
+def build_instrument(
+    config: InstrumentConfig, lens: LensSystem | None = None, detector: Detector | None = None
+) -> Instrument:
     """Instrument of a configuration.
 
     Parameters
@@ -52,6 +54,8 @@ def build_instrument(config: InstrumentConfig, lens: LensSystem | None = None) -
         The configuration.
     lens : LensSystem, optional
         In place of the configured one, e.g. a perturbed copy.
+    detector : Detector, optional
+        In place of the configured one, e.g. with another read noise.
 
     Raises
     ------
@@ -61,14 +65,14 @@ def build_instrument(config: InstrumentConfig, lens: LensSystem | None = None) -
     from optics.paraxial import axial_paraxial
 
     nominal = load_lens(config.lens)
-    detector = load_detector(config.detector)
+    chip = load_detector(config.detector) if detector is None else detector
     coating = QuarterWave(design_wavelength_nm=config.coating_nm) if config.coating_nm > 0 else None
     camera = build_camera(
         nominal if lens is None else lens,
-        detector,
+        chip,
         defocus_mm=config.defocus_mm,
         coating=coating,
         absorption=config.absorption,
     )
     focal_length = axial_paraxial(nominal, nominal.design_wavelength_nm).efl_mm
-    return Instrument(config=config, camera=camera, detector=detector, focal_length_mm=float(focal_length))
+    return Instrument(config=config, camera=camera, detector=chip, focal_length_mm=float(focal_length))

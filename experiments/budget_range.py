@@ -1,0 +1,152 @@
+"""A sweep as text, ``KEY=LOW:HIGH:POINTS``: which number of the configuration, and its values."""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from optics.errors import ConfigError, unknown_name
+
+__all__ = ["SweepRange", "check_range", "leaf_keys", "parse_sweep", "value_at", "with_value"]
+
+LARGEST = 200
+"""Most points of a sweep."""
+_FORM = "KEY=LOW:HIGH:POINTS is needed, e.g. defocus_mm=-0.2:0.2:9"
+_NOT_SWEPT = frozenset({"seed", "trials", "draws", "sensor_seed", "adc_bits"})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepRange:
+    """Values of one number of the configuration.
+
+    Attributes
+    ----------
+    key : str
+        Dotted key.
+    values : tuple of float or int
+        In order; whole numbers where the configuration has whole numbers.
+    """
+
+    key: str
+    values: tuple[float, ...]
+
+
+def leaf_keys(model: type[BaseModel], prefix: str = "") -> dict[str, FieldInfo]:
+    """Dotted keys of all single numbers of a configuration, with their fields."""
+    found: dict[str, FieldInfo] = {}
+    for name, field in model.model_fields.items():
+        annotation = field.annotation
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            found |= leaf_keys(annotation, f"{prefix}{name}.")
+        elif _number_of(annotation) is not None and name not in _NOT_SWEPT:
+            found[prefix + name] = field
+    return found
+
+
+def _members(annotation: Any) -> Iterator[Any]:
+    arguments = typing.get_args(annotation)
+    yield from arguments if arguments and typing.get_origin(annotation) not in (tuple, list) else (annotation,)
+
+
+def _number_of(annotation: Any) -> type | None:
+    """``float`` or ``int`` if the field holds one such number (or nothing), else None."""
+    kinds = [member for member in _members(annotation) if member is not type(None)]
+    return kinds[0] if len(kinds) == 1 and kinds[0] in (float, int) else None
+
+
+def parse_sweep(text: str, keys: Mapping[str, FieldInfo]) -> SweepRange:
+    """Read a sweep.
+
+    Parameters
+    ----------
+    text : str
+        ``KEY=LOW:HIGH:POINTS``; of a dotted key the last word is enough where that is unique.
+    keys : mapping
+        As of `leaf_keys`.
+
+    Raises
+    ------
+    ConfigError
+        On another form, an unknown or ambiguous key, a range that is empty or not finite, fewer than two points.
+    """
+    name, equals, values = text.partition("=")
+    parts = [part.strip() for part in values.split(":")]
+    if not equals or len(parts) != 3:
+        raise ConfigError(f"sweep {text!r}: {_FORM}")
+    key = _full_key(name.strip(), keys)
+    try:
+        low, high = float(parts[0]), float(parts[1])
+    except ValueError:
+        raise ConfigError(f"sweep {text!r}: {parts[0]!r} and {parts[1]!r} must be numbers; {_FORM}") from None
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise ConfigError(f"sweep {text!r}: the ends of the range must be finite numbers")
+    if low == high:
+        raise ConfigError(f"sweep {text!r}: the range from {low:g} to {high:g} is empty")
+    if not re.fullmatch(r"\d+", parts[2]) or not 2 <= int(parts[2]) <= LARGEST:
+        raise ConfigError(f"sweep {text!r}: {parts[2]!r} points; a whole number from 2 to {LARGEST} is needed")
+    points: NDArray[Any] = np.linspace(low, high, int(parts[2]))
+    points[np.abs(points) < 1e-12 * max(abs(low), abs(high))] = 0.0
+    if _number_of(keys[key].annotation) is int:
+        points = np.unique(np.rint(points).astype(int))
+        if len(points) < 2:
+            raise ConfigError(f"sweep {text!r}: {key} takes whole numbers, and the range holds fewer than two of them")
+    return SweepRange(key=key, values=tuple(points.tolist()))
+
+
+def _full_key(name: str, keys: Mapping[str, FieldInfo]) -> str:
+    if name in keys:
+        return name
+    tails = [key for key in keys if key.endswith(f".{name}")]
+    if len(tails) == 1:
+        return tails[0]
+    if tails:
+        raise ConfigError(f"sweep: {name!r} stands for {' and '.join(tails)}; name one of them")
+    words = {key.rpartition(".")[2] for key in keys}
+    raise unknown_name("parameter of the sweep", name, keys if "." in name else words)
+
+
+def check_range(model: type[BaseModel], sweep: SweepRange) -> None:
+    """Refuse a sweep that leaves the allowed values of its parameter.
+
+    Raises
+    ------
+    ConfigError
+        Naming the value and the limit.
+    """
+    tests = {"ge": (operator.ge, "at least"), "gt": (operator.gt, "above")}
+    tests |= {"le": (operator.le, "at most"), "lt": (operator.lt, "below")}
+    for limit in leaf_keys(model)[sweep.key].metadata:
+        for name, (holds, words) in tests.items():
+            bound = getattr(limit, name, None)
+            for value in (sweep.values[0], sweep.values[-1]):
+                if bound is not None and not holds(value, bound):
+                    raise ConfigError(f"sweep: {sweep.key} = {value:g} is not allowed; it must be {words} {bound:g}")
+
+
+def value_at(config: BaseModel, key: str) -> Any:
+    """The value at a dotted key."""
+    node: Any = config
+    for word in key.split("."):
+        node = getattr(node, word)
+    return node
+
+
+def with_value(config: Any, key: str, value: Any) -> Any:
+    """A copy of a configuration with another value at a dotted key; checked again."""
+    values = config.model_dump()
+    node = values
+    words: Sequence[str] = key.split(".")
+    for word in words[:-1]:
+        node = node[word]
+    node[words[-1]] = value
+    return type(config).model_validate(values)
