@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
-from calib.cube_mirror import normal_in_table, normal_of_offset, triad
+from calib.cube_mirror import normal_of_offset, triad
 from experiments.cube_settings import Config
 from experiments.laboratory.turntable import Turntable, build_turntable
-from optics.errors import DomainError
 from optics.units import ARCSEC_RAD, DEG_RAD
 from render.bench_camera import BenchCamera
 from render.bench_scene import FACES, BenchGeometry, CubePose, bench_scene, place_cube
@@ -101,8 +100,8 @@ class Case:
     lean, mounting, reading : bool
         Axes out of square, camera mount, angle reading.
     coarse : bool
-        Trim in steps of the table, with the operator's gain, until the stop rule holds; otherwise the table
-        goes where it is sent and one correction is enough.
+        Trim from where the eye left the spot, in steps of the table, with the operator's gain, until the stop rule
+        holds; otherwise the table goes where it is sent, starts trimmed, and one correction is enough.
     improved : bool
         Aperture and spot from one picture, what is left of the offset taken into account, axes and beam from the joint
         fit with the sun sensor.
@@ -221,7 +220,9 @@ def build_laboratory(mi: Any, config: Config) -> Laboratory:
     pose = CubePose.of_table(geometry, Rotation.from_euler("y", 180, degrees=True).as_matrix(), NOMINAL_CUBE, SQUARE)
     sensor = camera.sensor(mi)
     covered = bench_scene(mi, geometry, pose, covered=True)
-    light = trace_screen(mi, covered, sensor, camera, geometry, covered=True, log2_particles=COVER_LOG2, seed=config.seed)
+    light = trace_screen(
+        mi, covered, sensor, camera, geometry, covered=True, log2_particles=COVER_LOG2, seed=config.seed
+    )
     return Laboratory(
         mi=mi,
         config=config,
@@ -264,8 +265,10 @@ def put_cube(laboratory: Laboratory, truth: Truth, lab_from_table: FloatArray) -
     return pose
 
 
-def concentric_angles(table: Turntable, normal: FloatArray, face: str) -> FloatArray:
-    """Angles (outer, inner) [rad] at which a normal (table frame) looks at the Sun; Newton on the true table."""
+def concentric_angles(
+    table: Turntable, normal: FloatArray, face: str, beam: ArrayLike = (0.0, 0.0, 1.0)
+) -> FloatArray:
+    """Angles (outer, inner) [rad] at which a normal (table frame) looks along the beam; Newton on the true table."""
     angle = np.array(FACE_ANGLES_DEG[face]) * DEG_RAD
     nominal = np.arcsin(normal[1]), np.arctan2(-normal[0], normal[2])
     angle += (np.array(nominal) - angle + np.pi) % (2 * np.pi) - np.pi
@@ -274,7 +277,7 @@ def concentric_angles(table: Turntable, normal: FloatArray, face: str) -> FloatA
         looks = turn.apply(normal)
         rates = table.angle_rates(angle[None])[0]
         leverage = np.cross(rates, looks)[:, :2].T
-        angle -= np.linalg.solve(leverage, looks[:2])
+        angle -= np.linalg.solve(leverage, looks[:2] - np.asarray(beam)[:2])
     return angle
 
 
@@ -341,20 +344,14 @@ def _mask(config: Config, build: FloatArray) -> MaskSensor:
     )
 
 
-def start_angles(laboratory: Laboratory, truth: Truth, table: Turntable, face: int, repeat: int) -> FloatArray:
-    """Where the eye leaves the table (2,) [rad]: the spot stands ``start`` of ``trim.start_px`` from the aperture."""
-    config = laboratory.config
-    name = config.cube.faces[face]
-    offset = truth.start[face, repeat] * config.trim.start_px * laboratory.pitch_mm
-    if not np.all(np.isfinite(offset)):
-        raise DomainError(f"trim.start_px = {config.trim.start_px:g} px is too far for any bench")
+def start_angles(
+    laboratory: Laboratory, truth: Truth, table: Turntable, face: int, repeat: int, *, within_px: float
+) -> FloatArray:
+    """Where the table stands at first (2,) [rad]: the spot is ``start`` times ``within_px`` from the aperture."""
+    name = laboratory.config.cube.faces[face]
+    offset = truth.start[face, repeat] * within_px * laboratory.pitch_mm
     straight = replace(table, non_orthogonality_arcsec=np.zeros(1))
     normal = normal_of_offset(offset, laboratory.geometry.distance_mm)
     angle = concentric_angles(straight, truth.normal_in_table(name), name)
     # from looking at the Sun to looking beside it: turn about y and x by the offset of the normal
     return angle + np.array([-normal[1], normal[0]])
-
-
-def nominal_direction(face: str) -> FloatArray:
-    """Where a face of a perfectly mounted cube looks, in the table frame."""
-    return normal_in_table(*(np.array(FACE_ANGLES_DEG[face]) * DEG_RAD))

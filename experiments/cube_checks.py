@@ -50,9 +50,7 @@ def check_bench(config: Config, geometry: BenchGeometry, camera: BenchCamera) ->
     _check_spot(config, geometry, camera, np.array([start, start]), "trim.start_px")
 
 
-def _check_spot(
-    config: Config, geometry: BenchGeometry, camera: BenchCamera, spot_mm: FloatArray, hint: str
-) -> None:
+def _check_spot(config: Config, geometry: BenchGeometry, camera: BenchCamera, spot_mm: FloatArray, hint: str) -> None:
     """The whole spot must be on the screen and in the picture."""
     reach = geometry.aperture_mm / 2 + geometry.blur_mm(geometry.path_mm)
     edge = float(np.max(np.abs(spot_mm)) + reach)
@@ -73,9 +71,7 @@ def _check_spot(
         )
 
 
-def check_landing(
-    config: Config, geometry: BenchGeometry, camera: BenchCamera, pose: CubePose, face: str
-) -> None:
+def check_landing(config: Config, geometry: BenchGeometry, camera: BenchCamera, pose: CubePose, face: str) -> None:
     """Refuse a pose in which the beam misses the face or the spot is lost.
 
     Raises

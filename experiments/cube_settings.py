@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from experiments.config import ExperimentConfig, StrictModel
 
@@ -72,7 +72,7 @@ class TrimConfig(StrictModel):
     stop_px: float = Field(default=1.0, gt=0, le=100, description="both offsets below this (CUBE09: 1 px)")
     allowed: int = Field(default=20, ge=1, le=1000, description="settings of the table per face")
     step_deg: float = Field(default=0.001, ge=0, le=1, description="the table is set in whole steps (Table 1)")
-    gain_ratio: float = Field(default=0.7, gt=0, le=1.5, description="part of the offset that a trim takes out")
+    gain_ratio: float = Field(default=0.8, gt=0, le=1.5, description="part of the offset that a trim takes out")
     start_px: float = Field(default=20.0, ge=0, description="the eye starts within this, per axis (Table 1)")
 
 
@@ -85,19 +85,19 @@ class SunSensorConfig(StrictModel):
     gap_tolerance_um: float = Field(default=10.0, ge=0, le=200, description="1 sigma of it")
     centring_px: float = Field(default=4.0, ge=0, le=100, description="1 sigma: hole against detector")
     mount_arcmin: float = Field(default=20.0, ge=0, le=300, description="1 sigma per axis: sensor against table")
-    field_deg: float = Field(default=40.0, gt=1, le=60, description="table angles go from minus to plus this")
-    grid: int = Field(default=9, ge=3, le=41, description="positions along each axis")
-    frames: int = Field(default=4, ge=1, le=1000, description="frames averaged at each position")
-    plateau_e: float = Field(default=8000.0, gt=0, le=1e6, description="electrons of a pixel in the spot, Sun ahead")
+    field_deg: float = Field(default=43.0, gt=1, le=60, description="table angles go from minus to plus this")
+    grid: int = Field(default=11, ge=3, le=41, description="positions along each axis")
+    frames: int = Field(default=2, ge=1, le=1000, description="frames averaged at each position")
+    plateau_e: float = Field(default=10000.0, gt=0, le=1e6, description="electrons of a pixel in the spot, Sun ahead")
     window_px: int = Field(default=48, ge=16, le=512, description="window around a spot")
-    log2_particles: int = Field(default=12, ge=8, le=16, description="particles per spot")
+    log2_particles: int = Field(default=13, ge=8, le=16, description="particles per spot")
 
 
 class BenchesConfig(StrictModel):
     """The Monte-Carlo."""
 
     count: int = Field(default=100, ge=2, le=10000, description="misaligned benches")
-    log2_particles: int = Field(default=17, ge=12, le=24, description="particles per picture of the screen")
+    log2_particles: int = Field(default=18, ge=12, le=24, description="particles per picture of the screen")
     shown_log2_particles: int = Field(default=21, ge=12, le=24, description="the same for the pictures in the report")
 
 
@@ -112,11 +112,6 @@ class Config(ExperimentConfig):
     trim: TrimConfig = TrimConfig()
     sensor: SunSensorConfig = SunSensorConfig()
     benches: BenchesConfig = BenchesConfig()
-
-    @field_validator("seed")
-    @classmethod
-    def _seed(cls, value: int) -> int:
-        return value
 
     @model_validator(mode="after")
     def _reachable(self) -> Config:

@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from calib.circle_edge import EdgePoints, edge_crossings, sample_spokes, smoothed
 from calib.circle_fit import CircleFit, fit_circle
 from experiments.cube_bench import Case, Laboratory, Truth, electrons_per_radiance, put_cube, start_angles
-from experiments.cube_checks import check_landing
+from experiments.cube_checks import check_landing, reflected_spot_mm
+from experiments.cube_settings import Config
 from experiments.laboratory.turntable import Turntable
 from optics.errors import ConvergenceError
-from optics.units import RAD_DEG
+from optics.units import ARCSEC_RAD, RAD_DEG
 from render.bench_camera import BenchCamera
 from render.random import Streams
 
@@ -37,7 +38,11 @@ RIM_LEVEL = 0.3
 
 SPOKES, RAYS = 90, 3
 HOLE_MARGIN_PX = 4.0
-EDGE_HALF_WIDTH_PX = {"aperture": 1.5, "spot": 8.0, "hole": 1.5}
+INNER_MARGIN_PX = 2.0
+ROUGH_PX, ROUGH_LOG2 = 3.0, 2
+"""Pictures that will show a larger offset than this take a quarter of the particles: they only steer."""
+
+EDGE_HALF_WIDTH_PX = {"aperture": 1.5, "spot": 14.0, "hole": 1.5}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,6 +151,7 @@ def take_spot(
     *,
     sensor: Any,
     log2_particles: int,
+    inner_mm: float = 0.0,
 ) -> Picture:
     """Picture of the spot, with the cube of the scene where it is."""
     from render.bench_trace import trace_screen
@@ -159,6 +165,7 @@ def take_spot(
         laboratory.geometry,
         covered=False,
         log2_particles=log2_particles,
+        inner_mm=inner_mm,
         seed=streams.key("particles") >> 1,
     )
     scaled = light * np.float32(electrons_per_radiance(laboratory.config))
@@ -339,55 +346,62 @@ def trim_face(
     aim = case.aim_px * truth.aim[face, repeat]
     shift_mm = np.zeros(2)
     if case.mounting:
-        sigma_mm = config.camera.mounting_arcsec / 206264.80624709636 * laboratory.geometry.path_mm
+        sigma_mm = config.camera.mounting_arcsec * ARCSEC_RAD * laboratory.geometry.path_mm
         shift_mm = truth.mounting[face, repeat] * sigma_mm
     sensor = moved_sensor(laboratory, shift_mm)
     glowing = take_aperture(laboratory, streams)
     aperture = fit_aperture(glowing, radius)
-    commanded = start_angles(laboratory, truth, table, face, repeat)
+    commanded = start_angles(laboratory, truth, table, face, repeat, within_px=_start_px(config, case))
     rows: list[TrimRow] = []
     pictures: list[Picture] = [glowing]
+    ahead_px = _start_px(config, case)
     for setting in range(config.trim.allowed):
         here = streams.child("setting", setting)
         actual = table.set(commanded[None], here)
         pose = put_cube(laboratory, truth, table.rotation(actual)[0].as_matrix())
         check_landing(config, laboratory.geometry, laboratory.camera, pose, name)
-        picture = take_spot(laboratory, here, sensor=sensor, log2_particles=log2_particles)
-        spot = fit_spot(picture, aperture, reach)
-        reference = fit_hole(picture, aperture) if case.improved and setting > 0 else aperture
-        offset = measure_offset(reference, spot, laboratory.pitch_mm)
-        shown = actual[0] * RAD_DEG
-        rows.append(
-            TrimRow(
-                outer_deg=float(shown[0]),
-                inner_deg=float(shown[1]),
-                offset_px=offset.offset_px,
-                sigma_px=np.sqrt(np.diag(offset.covariance_px2)),
-            )
+        particles = log2_particles - (ROUGH_LOG2 if ahead_px > ROUGH_PX else 0)
+        displaced = float(np.hypot(*reflected_spot_mm(laboratory.geometry, pose, name)))
+        picture = take_spot(
+            laboratory,
+            here,
+            sensor=sensor,
+            log2_particles=particles,
+            inner_mm=max(radius - displaced - INNER_MARGIN_PX * laboratory.pitch_mm, 0.0),
         )
-        if keep and (setting == 0 or len(pictures) < 3):
-            pictures.append(picture)
-        elif keep:
-            pictures[-1] = picture
+        spot = fit_spot(picture, aperture, reach)
+        near = bool(np.all(np.abs(spot.centre - aperture.centre) < ROUGH_PX * laboratory.pitch_mm))
+        reference = fit_hole(picture, aperture) if case.improved and near else aperture
+        offset = measure_offset(reference, spot, laboratory.pitch_mm)
+        rows.append(_row(actual[0], offset))
+        if keep:
+            pictures = [*pictures[:2], picture]
         left = offset.offset_px - aim
-        stop = config.trim.stop_px if case.coarse else FINE_STOP_PX
-        if np.all(np.abs(left) < stop) and not (case.improved and setting == 0):
+        correction = tilt * np.array([left[1], -left[0]])
+        if not case.coarse:  # the table goes where it is sent: one last correction, which no picture has to confirm
+            reading = table.read(actual + correction, here)[0]
+            return FaceTrim(face=name, rows=tuple(rows), reading_rad=reading, offset=offset, pictures=tuple(pictures))
+        if np.all(np.abs(left) < config.trim.stop_px):
             reading = table.read(actual, here)[0]
-            return FaceTrim(
-                face=name, rows=tuple(rows), reading_rad=reading, offset=offset, pictures=tuple(pictures)
-            )
-        gain = config.trim.gain_ratio if case.coarse else 1.0
-        commanded = actual[0] + gain * tilt * np.array([left[1], -left[0]])
-    last = rows[-1].offset_px
+            return FaceTrim(face=name, rows=tuple(rows), reading_rad=reading, offset=offset, pictures=tuple(pictures))
+        commanded = actual[0] + config.trim.gain_ratio * correction
+        ahead_px = float(np.max(np.abs((1 - config.trim.gain_ratio) * left)))
     raise ConvergenceError(
         f"face {name} is not concentric after trim.allowed = {config.trim.allowed} settings: offsets "
-        f"{last[0]:.3f}, {last[1]:.3f} px where trim.stop_px = {config.trim.stop_px:g} px is asked; allow more trims, a finer "
-        "trim.step_deg or another trim.gain_ratio"
+        f"{left[0]:.3f}, {left[1]:.3f} px where trim.stop_px = {config.trim.stop_px:g} px is asked; allow more trims, a "
+        "finer trim.step_deg or another trim.gain_ratio"
     )
 
 
-FINE_STOP_PX = 0.3
-"""Where the table's steps play no part, one correction reaches its aim within this."""
+def _start_px(config: Config, case: Case) -> float:
+    """How far off the first picture is: where the eye left the spot, or, for terms alone, already trimmed."""
+    return config.trim.start_px if case.coarse else min(config.trim.stop_px, config.trim.start_px)
+
+
+def _row(angle_rad: FloatArray, offset: Offset) -> TrimRow:
+    outer, inner = (float(one) for one in angle_rad * RAD_DEG)
+    sigma = np.sqrt(np.diag(offset.covariance_px2))
+    return TrimRow(outer_deg=outer, inner_deg=inner, offset_px=offset.offset_px, sigma_px=sigma)
 
 
 def spot_reach_mm(laboratory: Laboratory) -> float:

@@ -130,20 +130,34 @@ def start_rays(
     return origin, dr.normalize(direction)
 
 
-def _beam(mi: Any, geometry: BenchGeometry, log2_particles: int, seed: int) -> Any:
-    """Rays from the simulator that fall on the aperture and a narrow ring around it."""
+def _beam(mi: Any, geometry: BenchGeometry, log2_particles: int, seed: int, *, inner_mm: float = 0.0) -> Any:
+    """Rays from the simulator that fall on the aperture and a narrow ring around it.
+
+    With ``inner_mm``, those are left out that a mirror square to the beam would send to within that distance of
+    the aperture's centre: what a nearly square face returns into the aperture is not seen by anybody.
+    """
     low, high = LOG2_LIMITS
     if not low <= log2_particles <= high:
         raise DomainError(f"log2_particles = {log2_particles}; it must be {low} to {high}")
-    origin, direction = start_rays(
-        mi,
-        log2_particles=log2_particles,
-        seed=seed,
-        index=dr.arange(mi.UInt32, 1 << log2_particles),
-        hole_mm=OVERSCAN * geometry.aperture_mm,
-        start_mm=geometry.simulator_gap_mm,
-        half_angle_rad=geometry.half_angle_rad,
-    )
+
+    def rays(index: Any, start_mm: float) -> tuple[Any, Any]:
+        return start_rays(
+            mi,
+            log2_particles=log2_particles,
+            seed=seed,
+            index=index,
+            hole_mm=OVERSCAN * geometry.aperture_mm,
+            start_mm=start_mm,
+            half_angle_rad=geometry.half_angle_rad,
+        )
+
+    index = dr.arange(mi.UInt32, 1 << log2_particles)
+    if inner_mm > 0:
+        place, direction = rays(index, 0.0)
+        path = dr.opaque(mi.Float, geometry.path_mm) / dr.abs(direction.z)
+        x, y = place.x + path * direction.x, place.y + path * direction.y
+        index = dr.compress(x * x + y * y > dr.opaque(mi.Float, inner_mm**2))
+    origin, direction = rays(index, geometry.simulator_gap_mm)
     return mi.Ray3f(origin, direction)
 
 
@@ -194,6 +208,7 @@ def trace_screen(
     covered: bool,
     log2_particles: int,
     seed: int,
+    inner_mm: float = 0.0,
 ) -> NDArray[np.float32]:
     """Image that the camera takes of the screen.
 
@@ -215,13 +230,16 @@ def trace_screen(
         Logarithm of the number of particles, 8 to 24.
     seed : int
         Of the sampling.
+    inner_mm : float
+        Particles that a mirror square to the beam would send to within this distance of the middle of the aperture are
+        not started. With the aperture's radius less the spot's displacement nothing that can be seen is lost.
 
     Returns
     -------
     (height, width) float32
         Radiance per unit irradiance of the beam [1/sr].
     """
-    ray = _beam(mi, geometry, log2_particles, seed)
+    ray = _beam(mi, geometry, log2_particles, seed, inner_mm=inner_mm)
     area = np.pi * (OVERSCAN * geometry.aperture_mm / 2) ** 2
     pixels = camera.width_px * camera.height_px
     image = dr.zeros(mi.Float, pixels)
