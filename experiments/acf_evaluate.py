@@ -173,10 +173,10 @@ class Comparison:
         Mean of the largest residual distortion; RMS of the line-of-sight map.
     distortion_error_px, sight_error_arcsec : (s,)
         Their standard errors.
-    expected_camera : (s, 8) or None
-        Expected RMS errors; None for a method without a prediction here.
+    expected_camera : (s, 8)
+        Expected RMS errors: from the design, or (unweighted angles) by the method's own covariance.
     expected_distortion_px, expected_sight_arcsec : (s,) or None
-        Expected figures.
+        Expected figures; None for unweighted angles.
     pooled : (8,)
         RMS error over noise, all noises together.
     runs : int
@@ -189,7 +189,7 @@ class Comparison:
     distortion_error_px: FloatArray
     sight_arcsec: FloatArray
     sight_error_arcsec: FloatArray
-    expected_camera: FloatArray | None
+    expected_camera: FloatArray
     expected_distortion_px: FloatArray | None
     expected_sight_arcsec: FloatArray | None
     pooled: FloatArray
@@ -217,12 +217,19 @@ def _compared(result: Result, method: str) -> Comparison:
         distortion_error_px=distortion.std(1, ddof=1) / np.sqrt(runs),
         sight_arcsec=rms_sight,
         sight_error_arcsec=(sight**2).std(1, ddof=1) / np.sqrt(runs) / (2.0 * rms_sight),
-        expected_camera=None if expected is None else np.stack([np.sqrt(np.diag(one)[:8]) for one in expected]),
+        expected_camera=_expected_camera(outcomes, method, expected),
         expected_distortion_px=None if expected is None else _expected_distortion(result, expected),
         expected_sight_arcsec=None if expected is None else _expected_sight(result, expected),
         pooled=np.sqrt(((error / noise[:, None, None]) ** 2).mean((0, 1))),
         runs=runs,
     )
+
+
+def _expected_camera(outcomes: Sequence[Outcome], method: str, expected: Sequence[FloatArray] | None) -> FloatArray:
+    """Expected RMS errors (s, 8); of unweighted angles what their own covariance says, on average."""
+    if expected is None:
+        return np.stack([np.sqrt((one.of(method, "sigma")[:, :8] ** 2).mean(0)) for one in outcomes])
+    return np.stack([np.sqrt(np.diag(one)[:8]) for one in expected])
 
 
 def _expected_covariances(result: Result, method: str) -> list[FloatArray] | None:

@@ -114,14 +114,15 @@ def fig3_curves(result: Result) -> Figure:
         columns = [(0, "perfect gyro")] + [(start + k, f"{value:g} {unit}") for k, value in enumerate(values)]
         for style, (column, label) in enumerate(columns):
             _with_expected(axis, config.noise_px, [row[column] for row in rows], style, label)
-        axis.set(xlabel="star noise, per axis [px]", title=title, xlim=(0, None), ylim=(0, None))
+        axis.set(xlabel="star noise, per axis [px]", title=title, xlim=(0, None))
         axis.legend(loc="upper left")
+    axes[0].set_ylim(0, 1.06 * max(max(one.value, one.expected) for row in rows for one in row))
     axes[0].set_ylabel("RMS reprojection error [px]")
     return figure
 
 
 def _with_expected(axis: Any, x: Any, runs: list[Runs], style: int, label: str) -> None:
-    """Points with error bars on the line of their expectation."""
+    """Points with error bars on the line of their expectation; hollow and of falling size, for they lie together."""
     colour, marker = PALETTE[style % len(PALETTE)], MARKERS[style % len(MARKERS)]
     axis.plot(x, [one.expected for one in runs], color=colour, linewidth=1.0)
     axis.errorbar(
@@ -130,7 +131,9 @@ def _with_expected(axis: Any, x: Any, runs: list[Runs], style: int, label: str) 
         [one.error for one in runs],
         fmt=marker,
         color=colour,
-        markersize=3.6,
+        markerfacecolor="none",
+        markersize=max(8.0 - 1.6 * style, 3.0),
+        elinewidth=0.8,
         label=label,
     )
 
@@ -243,8 +246,6 @@ def fig5_curves(result: Result) -> Figure:
 
 
 def _expected_line(one: Comparison, expected: Any, column: int, title: str) -> FloatArray | None:
-    if one.expected_camera is None:
-        return None
     if expected is not None:
         return np.asarray(expected(one)[:, column] * (1e3 if "µm" in title else 1.0))
     return one.expected_distortion_px if "distortion" in title else one.expected_sight_arcsec

@@ -181,23 +181,30 @@ def _methods_text(result: Result) -> str:
 def _gain_text(result: Result) -> str:
     found, sweep = gains(result), result.config.sweep
     stars, factors = sweep.stars, sweep.gyro_factor
-    first, last = found.acc_bound[:, 0], len(stars) - 1
+    first, point, last = found.acc_bound[:, 0], found.point_bound[:, 0], len(stars) - 1
     null = [n for n, gain in zip(stars, first, strict=True) if gain < 1.05]
     where = f"from {null[0]} stars on the gain is below 5 %" if null else "it stays above 5 % in this range"
+    gyro = "a perfect gyro" if factors[0] == 0 else f"{factors[0]:g} times the noise of Table 1"
+    text = (
+        "A frame with an attitude of its own spends three of its 2n measurements on it. With many stars that is cheap, "
+        f"with few it is not. With {gyro} the line of sight of ACC is expected {first[0]:.2g} times better with "
+        f"{stars[0]} stars, {first[1]:.2f} times with {stars[1]} and {first[last]:.2f} times with {stars[last]}; "
+        f"{where}. In the principal point alone it is {point[0]:.2g}, {point[1]:.2f} and {point[last]:.2f}. "
+    )
+    if stars[0] == 2:
+        text += (
+            "Two stars are a case of their own: the two brightest of a sky stay in the field for many frames, and the "
+            "few different distances between them do not hold a camera of eight unknowns. "
+        )
     worst = len(factors) - 1
     harm = float(found.acc_bound[last, worst])
-    return (
-        "A frame with its own attitude spends three of its 2n measurements on it. With many stars that is cheap, with "
-        f"few it is not. With {'a perfect gyro' if factors[0] == 0 else f'{factors[0]:g} times the noise'} ACC's "
-        f"line of sight is {first[0]:.2g} times better with {stars[0]} stars, {first[1]:.2f} times with {stars[1]}, "
-        f"{first[last]:.2f} times with {stars[last]}; {where}. Two stars are a case of their own here: the two "
-        "brightest of a real sky stay in the field for many frames, and the few different distances between them do "
-        "not hold a camera of eight unknowns.\n\n"
-        "Trusting a gyro has a price. ACC with "
-        f"{factors[worst]:g} times the noise of Table 1 is {1 / harm:.2g} times *worse* than free attitudes at "
-        f"{stars[last]} stars, and it does not know. Weighted as it deserves, a gyro never harms: its gain goes to 1, "
-        "not below. Both are shown against their expectation."
-    )
+    if harm < 0.95:
+        text += (
+            f"\n\nTrusting a gyro has a price. With {factors[worst]:g} times the noise of Table 1 ACC is "
+            f"{1 / harm:.2g} times *worse* than free attitudes at {stars[last]} stars, and its covariance does not "
+            "say so (its residuals do). Weighted as it deserves, a gyro never harms: its gain goes to 1, not below."
+        )
+    return text
 
 
 def _limits_text(result: Result) -> str:
@@ -353,9 +360,8 @@ def _key_numbers(result: Result) -> tuple[KeyNumber, ...]:
     carried = pulls(result).rms("carried")
     return (
         KeyNumber(
-            label="Reprojection RMS, x and y",
+            label="Reprojection RMS, x and y [px]",
             value=f"{found.rms_px[0]:.4f}, {found.rms_px[1]:.4f}",
-            unit="px",
             note="published 0.0132, 0.0123",
         ),
         KeyNumber(
