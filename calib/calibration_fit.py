@@ -31,6 +31,8 @@ from optics.errors import DomainError
 __all__ = [
     "LARGEST_RMS",
     "LARGEST_WRONG_PART",
+    "SAME_SPREAD",
+    "WRONG_PULL",
     "Selection",
     "fit_stages",
     "frames_with",

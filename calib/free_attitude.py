@@ -39,6 +39,7 @@ __all__ = ["FreeAttitudes", "calibrate_free_attitude"]
 
 FloatArray = NDArray[np.float64]
 METHOD = "free_attitude"
+LOST_PART = 0.5  # of a frame's stars without weight, above which its attitude is looked for again
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,12 +163,19 @@ def calibrate_free_attitude(
             unknowns=unknowns,
             attitude=attitude,
         )
+    stages = free_stages(start_model, mask, two_step=two_step)
     fit, spread = fit_stages(
         lambda stage: StarProblem(stars, start_model, stage, family),
         StarState(np.array(start_model.parameters), attitude),
-        free_stages(start_model, mask, two_step=two_step),
+        stages,
         chosen,
     )
+    if chosen.redescending:
+        again = _lost_frames_found(stars, start_model, fit.state, fit.solution.robust_weight)
+        if again is not None:
+            fit, spread = fit_stages(
+                lambda stage: StarProblem(stars, start_model, stage, family), again, stages[-1:], chosen
+            )
 
     def hint() -> str:
         seen = start_model.unproject(stars.pixel_px, stars.band)
@@ -178,6 +186,22 @@ def calibrate_free_attitude(
     return packed(
         METHOD, fit, start_model, mask, selection=selection, status=status, message=message, attitude=attitude
     )
+
+
+def _lost_frames_found(
+    stars: Observations, model: CameraModel, state: StarState, weight: FloatArray
+) -> StarState | None:
+    """A new start for frames most of whose stars were thrown away; None if there is none.
+
+    With a poor start camera wrong matches may turn a single frame so far away that its good stars look like the wrong
+    ones. By the camera that the other frames have given, they no longer do.
+    """
+    total = np.maximum(np.bincount(stars.frame, minlength=stars.frames), 1)
+    lost = np.bincount(stars.frame, weight <= 0, minlength=stars.frames) > LOST_PART * total
+    if not lost.any():
+        return None
+    found = start_attitudes(stars, model.with_parameters(state.camera), robust=True)
+    return StarState(state.camera, np.where(lost[:, None, None], found, state.pose))
 
 
 def _too_few(stars: int, unknowns: int, selection: Selection) -> str:

@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 from calib.calibration_fit import (
     LARGEST_RMS,
     LARGEST_WRONG_PART,
+    SAME_SPREAD,
     WRONG_PULL,
     Selection,
     fit_stages,
@@ -124,8 +125,7 @@ def calibrate_interstar(
     chosen, mask = get_loss(loss), free_mask(start_model, free)
     selection = frames_with(observations, start_model, 2)
     names = tuple(n for n, moves in zip(start_model.parameter_names, mask, strict=True) if moves)
-    count = np.bincount(selection.observations.frame, minlength=observations.frames)
-    independent = int(np.sum(2 * count[count > 0] - 3))
+    independent = _independent(selection.observations)
     message = ""
     if independent <= len(names):
         message = f"{independent} independent angles for {len(names)} unknowns; more stars per frame are needed"
@@ -145,6 +145,12 @@ def calibrate_interstar(
     if weighting == "full":
         found = _fit_weighted(found, start_model, mask)
     return _judged(found, observations, selection, start_model, mask)
+
+
+def _independent(observations: Observations) -> int:
+    """Number of independent angles: 2 n - 3 in a frame of n stars."""
+    count = np.bincount(observations.frame, minlength=1)
+    return int(np.sum(np.maximum(2 * count[count > 0] - 3, 0)))
 
 
 def _fit_pairs(
@@ -254,6 +260,8 @@ def _judged(
         )
     elif wrong:
         message += f"; {np.count_nonzero(~found.kept)} stars do not fit and were left out"
+    if status != "refused" and rms > 1.0 + 5.0 / np.sqrt(2.0 * max(_independent(fitted), 1)) and rms > SAME_SPREAD:
+        message += f"; angles are {rms:.2f} times the stated sigma off, which the covariance does not include"
     if parity:
         status, message = "refused", f"{parity}; {message}"
     attitude = start_attitudes(fitted, camera) if len(fitted) else np.tile(np.eye(3), (observations.frames, 1, 1))

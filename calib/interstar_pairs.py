@@ -263,7 +263,9 @@ def pair_covariance(problem: PairProblem, evaluation: PairEvaluation, weight: Fl
     table = problem.stars.weight_table(weight)
     reach = problem.stars.reach(seen, table)
     normal, _ = problem.stars.normal_equations(seen, weight)
-    scale = np.sqrt(np.diagonal(normal))
+    scale = np.sqrt(np.maximum(np.diagonal(normal), 0.0))
+    if not np.all(scale > 0):
+        return np.diag(np.full(problem.unknowns, np.inf))
     value, vector = np.linalg.eigh(normal / np.outer(scale, scale))
     if not value[0] > 1e-13 * value[-1]:
         return np.diag(np.full(problem.unknowns, np.inf))

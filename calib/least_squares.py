@@ -243,8 +243,10 @@ def _walk(problem: Problem, start: Any, loss: Loss, scale: float, limits: tuple[
             if ratio > 1e-4:
                 walk.state, walk.evaluation, walk.cost, moved = trial, evaluation, cost, True
                 damping = max(damping * max(0.1, 1.0 - (2.0 * ratio - 1.0) ** 3), DAMPING_LEAST)
-            elif abs(walk.cost - cost) <= 1e-12 * walk.cost or (step.length < ROUNDING_STEP and damping <= 1e-12):
-                return walk.ended("converged", "the cost no longer changes within rounding")
+            elif abs(walk.cost - cost) <= 1e-12 * walk.cost or (step.length < ROUNDING_STEP and damping <= 1e-3):
+                if damping <= DAMPING_LEAST:
+                    return walk.ended("converged", "the cost no longer changes within rounding")
+                damping = DAMPING_LEAST
             else:
                 damping, growth = max(damping, 1e-7) * growth, growth * 2.0
     return walk.ended("iteration_limit", f"not converged after {walk.iterations} steps")

@@ -23,6 +23,10 @@ same holds for the principal point and the two small turns of A across the bores
 differ in second order of the field angle only. The condition number and the covariance show it; it is not hidden by
 fixing one.
 
+Mirror. A mirrored image with the star at -s fits exactly as well as the true one with s: a reflection is a turn times
+the inversion, and the inversion goes into s. Only the nominal direction of the star tells them apart; a solution far
+from it is refused.
+
 s is reported as azimuth and elevation, s = (cos e sin a, sin e, cos e cos a): azimuth from +Z towards +X, elevation
 towards +Y; near e = 90 deg the azimuth loses its meaning, nothing else does. A is reported by the angles theta of ACF17
 (`calib.attitude_link`).
@@ -52,6 +56,7 @@ FloatArray = NDArray[np.float64]
 METHOD = "turntable"
 STAR_NAMES = ("star_azimuth_rad", "star_elevation_rad")
 TARGET_NAMES = ("target1_rad", "target2_rad", "target3_rad")
+LARGEST_TURN = np.deg2rad(60.0)  # of the star from its start; further is not an error of a bench
 INSTALLATION_NAMES = ("theta1_rad", "theta2_rad", "theta3_rad")
 
 
@@ -352,6 +357,13 @@ def calibrate_turntable(
     status, message = verdict(
         fit, spread, chosen, lambda: mirrored(seen, on_table, np.zeros(len(seen), dtype=np.int64), 1)
     )
+    turned = float(Rotation.from_matrix(fit.state.pose.target @ target.T).magnitude())
+    if status != "refused" and turned > LARGEST_TURN:
+        status = "refused"
+        message = (
+            f"the star comes out {np.degrees(turned):.0f} deg from where it was said to be: the image is mirrored "
+            "(exchange the axes or turn one of them round), or start_star or the axes of the table are wrong"
+        )
     return packed(
         METHOD,
         fit,
