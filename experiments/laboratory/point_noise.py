@@ -33,7 +33,16 @@ from optics.records import freeze
 from render.detector import Detector
 from render.records import EffectivePsf
 
-__all__ = ["ExpectedWindows", "Influence", "PixelNoise", "bound_px", "expected_windows", "influence", "sampled_px"]
+__all__ = [
+    "ExpectedWindows",
+    "Influence",
+    "PixelNoise",
+    "bound_px",
+    "expected_windows",
+    "influence",
+    "nominal_noise",
+    "sampled_px",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -121,7 +130,11 @@ class ExpectedWindows:
 
 
 def expected_windows(
-    bench: Bench, instrument: Instrument, direction: FloatArray, psf: Sequence[EffectivePsf]
+    bench: Bench,
+    instrument: Instrument,
+    direction: FloatArray,
+    psf: Sequence[EffectivePsf],
+    shift_px: FloatArray | None = None,
 ) -> ExpectedWindows:
     """Windows around target points at m places, as the bench's reference filter shows them.
 
@@ -133,13 +146,16 @@ def expected_windows(
         Unit vectors in cam.
     psf : sequence of EffectivePsf
         Of the j points.
+    shift_px : (m, 2), optional
+        Moves all points of a place.
 
     Returns
     -------
     ExpectedWindows
         n = m j, place after place.
     """
-    place = bundle_prediction(bench, instrument, direction)[:, :, bench.reference].reshape(-1, 2)
+    place = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
+    place = (place if shift_px is None else place + np.asarray(shift_px)[:, None]).reshape(-1, 2)
     size = bench.window_px
     corner = np.rint(place).astype(np.int64) - size // 2
     index = np.tile(np.arange(len(psf)), len(direction))

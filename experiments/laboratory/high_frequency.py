@@ -1,0 +1,352 @@
+"""High spatial frequency error (ACC18 eq. 3-12) measured: small steps of a hexapod, causes switched off one by one.
+
+Every cause is measured twice on the same random streams: *alone* (a detector with nothing but it, against one with
+nothing at all) and *switched off* (everything, against everything but it). Both are differences of mean centroids from
+frames with the same noise, which therefore largely cancels; what is left of it (another rounding, another Poisson
+variate) shows in the scatter of the difference over the frames and is taken away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.instrument import Instrument
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.hexapod import Hexapod, HexapodPath, step_path, turned
+from experiments.laboratory.point_frames import Subtraction, centroiders, noiseless_positions, read_points
+from experiments.laboratory.point_noise import nominal_noise
+from experiments.laboratory.point_scene import PointLight, PointScene, point_scene
+from experiments.laboratory.step_statistics import (
+    common_removed,
+    document_rms_px,
+    halved_px,
+    jackknife_px,
+    single_rms_px,
+)
+from experiments.laboratory.temporal_error import target_place
+from experiments.summary import Measured
+from optics.errors import DomainError
+from optics.units import ARCSEC_RAD
+from render.detector import Detector
+from render.random import Streams
+
+__all__ = ["CAUSES", "SWITCHES", "HighFrequencyMeasurement", "StepPlan", "measure_high_frequency", "switched"]
+
+FloatArray = NDArray[np.float64]
+
+SWITCHES: Mapping[str, Mapping[str, float]] = {
+    "prnu": {"prnu": 0.0},
+    "pattern": {"dsnu_e": 0.0, "column_pattern_e": 0.0, "dark_spread_e_per_s": 0.0},
+    "defects": {"hot_fraction": 0.0, "dead_fraction": 0.0},
+}
+"""What to set in a detector to switch a cause off."""
+CAUSES = ("s_curve", *SWITCHES)
+"""S-curve: what pixels and the centroider's model make of a noiseless image; it is no property of the detector."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepPlan:
+    """The test: positions along a line.
+
+    Attributes
+    ----------
+    positions : int
+        M. The document counts 0, 0.2 ... 2.0 px as 12 positions, which is 11.
+    step_px : float
+        Length of a step of the image.
+    direction_deg : float
+        Of the motion, from increasing column towards increasing row.
+
+    Raises
+    ------
+    DomainError
+        On fewer than two positions or a step that is not positive.
+    """
+
+    positions: int = 12
+    step_px: float = 0.2
+    direction_deg: float = 45.0
+
+    def __post_init__(self) -> None:
+        if self.positions < 2:
+            raise DomainError(f"StepPlan.positions = {self.positions}; at least 2 are needed")
+        if not (np.isfinite(self.step_px) and self.step_px > 0):
+            raise DomainError(f"StepPlan.step_px = {self.step_px} px; it must be positive")
+
+    def path(self, instrument: Instrument, hexapod: Hexapod, rng: np.random.Generator) -> HexapodPath:
+        """Poses of the hexapod."""
+        return step_path(
+            hexapod,
+            rng,
+            positions=self.positions,
+            step_rad=self.step_px * instrument.pixel_arcsec * ARCSEC_RAD,
+            direction_deg=self.direction_deg,
+        )
+
+    def check(self, bench: Bench) -> None:
+        """Refuse steps that leave the window.
+
+        Raises
+        ------
+        DomainError
+            If a step is not smaller than half the window.
+        """
+        if self.step_px >= bench.window_px / 2:
+            raise DomainError(
+                f"a step of {self.step_px:g} px is not smaller than half the window (window_px = {bench.window_px}); "
+                "ACC18 takes 0.2 px"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HighFrequencyMeasurement:
+    """Mean centroids of m positions and j stars, with every effect, and with some switched off.
+
+    Attributes
+    ----------
+    plan : StepPlan
+        The test.
+    frames : int
+        N per position.
+    pixel_arcsec : float
+        Angle of a pixel.
+    path : HexapodPath
+        What the hexapod did.
+    direction : (j, 3)
+        Target points at rest.
+    photon_px : (m, j, 2)
+        Truth: centroid of the noiseless light.
+    noiseless_px : dict of str to (m, j, 2)
+        What each method makes of the noiseless windows.
+    mean_px : dict of str to dict of str to (m, j, 2)
+        Mean centroids by run and method: "all", "none", "only CAUSE", "without CAUSE".
+    sigma_px : dict of str to (m, j, 2)
+        Standard deviation of a single frame's centroid, run "all".
+    paired_px : dict of str to dict of str to (m, j, 2)
+        Standard deviation over the frames of the difference of two runs, by cause ("only CAUSE", "without CAUSE").
+    lights : tuple of PointLight
+        The target at every position.
+    """
+
+    plan: StepPlan
+    frames: int
+    pixel_arcsec: float
+    path: HexapodPath
+    direction: FloatArray
+    photon_px: FloatArray
+    noiseless_px: Mapping[str, FloatArray]
+    mean_px: Mapping[str, Mapping[str, FloatArray]]
+    sigma_px: Mapping[str, FloatArray]
+    paired_px: Mapping[str, Mapping[str, FloatArray]]
+    lights: tuple[PointLight, ...]
+
+    def document_px(self, method: str, run: str = "all") -> FloatArray:
+        """The document's RMS (2,), 1 sigma."""
+        return document_rms_px(self.mean_px[run][method])
+
+    def document_arcsec(self, method: str) -> tuple[Measured, Measured]:
+        """HSFE as printed (eq. 11-12), 3 sigma, x and y; uncertainty by the jackknife over the stars."""
+        scale, mean = 3.0 * self.pixel_arcsec, self.mean_px["all"][method]
+        value, error = document_rms_px(mean), jackknife_px(mean)
+        count = mean.shape[1] * (mean.shape[0] - 1)
+        x, y = (
+            Measured(value=float(value[a] * scale), unit="arcsec", uncertainty=float(error[a] * scale), n=count)
+            for a in range(2)
+        )
+        return x, y
+
+    def halved_px(self, method: str) -> FloatArray:
+        """Error of one position (2,) from the document's number, as if neighbours were independent (`halved_px`)."""
+        return halved_px(self.document_px(method), self.sigma_px[method], self.frames)
+
+    def single_px(self, method: str) -> FloatArray:
+        """Error of one position (2,) against the truth, common motion and temporal noise taken away."""
+        error = self.mean_px["all"][method] - self.photon_px
+        return single_rms_px(error, self.sigma_px[method], self.frames)
+
+    def temporal_px(self, method: str) -> FloatArray:
+        """Averaged temporal noise in the document's number (2,)."""
+        return np.sqrt(self._averaged2(self.sigma_px[method]))
+
+    def _averaged2(self, sigma_px: FloatArray) -> FloatArray:
+        """Square of what noise of the frames leaves in the document's number (2,)."""
+        of_mean = sigma_px**2 / self.frames
+        return np.asarray((of_mean[1:] + of_mean[:-1]).mean((0, 1)) * (1.0 - 1.0 / sigma_px.shape[1]))
+
+    def effect_px(self, method: str, cause: str, *, alone: bool) -> FloatArray:
+        """What a cause does to the mean centroids (m, j, 2): acting alone, or missing when switched off."""
+        if cause == "s_curve":
+            return np.asarray(self.noiseless_px[method] - self.photon_px)
+        runs = (f"only {cause}", "none") if alone else ("all", f"without {cause}")
+        return np.asarray(self.mean_px[runs[0]][method] - self.mean_px[runs[1]][method])
+
+    def _left(self, method: str, cause: str, *, alone: bool) -> FloatArray:
+        """Noise (m, j, 2) of a frame that does not cancel between the two runs of `effect_px`."""
+        if cause == "s_curve":
+            return np.zeros_like(self.photon_px)
+        return self.paired_px[f"{'only' if alone else 'without'} {cause}"][method]
+
+    def cause_px(self, method: str, cause: str, *, alone: bool = True) -> FloatArray:
+        """A cause's part (2,) in the document's number."""
+        found = document_rms_px(self.effect_px(method, cause, alone=alone)) ** 2
+        return np.sqrt(np.maximum(found - self._averaged2(self._left(method, cause, alone=alone)), 0.0))
+
+    def cause_single_px(self, method: str, cause: str, *, alone: bool = True) -> FloatArray:
+        """A cause's part (2,) in the error of a position."""
+        noise = self._left(method, cause, alone=alone)
+        return single_rms_px(self.effect_px(method, cause, alone=alone), noise, self.frames)
+
+    def quadrature_px(self, method: str) -> FloatArray:
+        """Causes (alone) and temporal noise, added in quadrature (2,): to be compared with `document_px`."""
+        parts = [self.cause_px(method, cause) for cause in CAUSES]
+        return np.asarray(np.sqrt(sum((part**2 for part in parts), self.temporal_px(method) ** 2)))
+
+    def common_shift_px(self, method: str, place_px: FloatArray) -> FloatArray:
+        """By how much the whole image stood off predicted places (m, j, 2) at every position (m, 2), as measured."""
+        return np.asarray((self.mean_px["all"][method] - place_px).mean(1))
+
+    @property
+    def motion_px(self) -> FloatArray:
+        """The document's number (2,) for the true motion of the light: what hexapod and distortion leave in it."""
+        return document_rms_px(self.photon_px)
+
+    @property
+    def step_px(self) -> FloatArray:
+        """Mean step over the stars (m - 1, 2), by the truth."""
+        return np.asarray(np.diff(self.photon_px, axis=0).mean(1))
+
+    @property
+    def residual_light_px(self) -> FloatArray:
+        """True positions (m, j, 2) without the common motion."""
+        return common_removed(self.photon_px)
+
+
+def switched(detector: Detector, keep: Collection[str]) -> Detector:
+    """The same chip with every cause of `SWITCHES` off but those to ``keep``; patterns that stay are the same."""
+    off = {name: value for cause, values in SWITCHES.items() if cause not in keep for name, value in values.items()}
+    return replace(detector, **off)  # type: ignore[arg-type]
+
+
+def runs_of(*, split: bool) -> dict[str, tuple[str, ...]]:
+    """Names of the runs and the causes that act in each."""
+    every = tuple(SWITCHES)
+    runs: dict[str, tuple[str, ...]] = {"all": every}
+    if split:
+        runs["none"] = ()
+        for cause in every:
+            runs[f"only {cause}"] = (cause,)
+            runs[f"without {cause}"] = tuple(c for c in every if c != cause)
+    return runs
+
+
+def measure_high_frequency(
+    bench: Bench,
+    instrument: Instrument,
+    hexapod: Hexapod,
+    plan: StepPlan,
+    *,
+    place_px: Sequence[float] | None = None,
+    subtraction: Subtraction = "dark",
+    split: bool = True,
+    streams: Streams,
+    backend: str,
+    scene: PointScene | None = None,
+    advance: Callable[[], None] = lambda: None,
+) -> HighFrequencyMeasurement:
+    """Step the camera, take frames at every position, centroid (ACC18 section 1.3).
+
+    Dark frames are taken once, before the steps: all positions share them pixel by pixel.
+
+    Parameters
+    ----------
+    bench, instrument, hexapod
+        The laboratory; ``bench.frames`` is N, ``bench.methods`` are the centroiders.
+    plan : StepPlan
+        Positions.
+    place_px : (2,), optional
+        Middle of the target on the detector (`temporal_error.target_place`).
+    subtraction : {"dark", "raw"}
+        See `experiments.laboratory.point_frames.SUBTRACTIONS`.
+    split : bool
+        Whether to repeat everything with causes switched off.
+    streams : Streams
+        Root of the noise; the same for every run.
+    backend : str
+        Where the detector runs.
+    scene : PointScene, optional
+        If prepared already.
+    advance : callable
+        Called after each position.
+
+    Raises
+    ------
+    DomainError
+        On a step larger than the window, points that are not detected or saturated, or too few usable frames.
+    """
+    plan.check(bench)
+    scene = scene or point_scene(bench, instrument, backend)
+    bench = scene.bench
+    rest = target_place(bench, instrument, place_px)
+    path = plan.path(instrument, hexapod, streams.generator("hexapod"))
+    psf = scene.psfs(rest)
+    chips = {run: switched(instrument.detector, keep) for run, keep in runs_of(split=split).items()}
+    mean: dict[str, dict[str, list[FloatArray]]] = {run: {m: [] for m in bench.methods} for run in chips}
+    sigma: dict[str, list[FloatArray]] = {m: [] for m in bench.methods}
+    paired: dict[str, dict[str, list[FloatArray]]] = {
+        run: {m: [] for m in bench.methods} for run in chips if run not in ("all", "none")
+    }
+    lights = []
+    for number, direction in enumerate(turned(rest, path.true_rad)):
+        here = streams.child("position", number)
+        light = scene.light(direction, here, f"step {number + 1}", psf=psf)
+        lights.append(light)
+        frames = {
+            run: read_points(
+                light,
+                bench,
+                instrument,
+                streams=here,
+                dark_streams=streams.child("before"),
+                detector=chip,
+                subtraction=subtraction,
+                backend=backend,
+            )
+            for run, chip in chips.items()
+        }
+        for method in bench.methods:
+            for run, one in frames.items():
+                mean[run][method].append(one.mean_px(method))
+            sigma[method].append(frames["all"].sigma_px(method))
+            for run, of in paired.items():
+                against = frames["none" if run.startswith("only") else "all"]
+                difference = frames[run].position_px[method] - against.position_px[method]
+                of[method].append(np.nanstd(difference, axis=0, ddof=1))
+        advance()
+    return HighFrequencyMeasurement(
+        plan=plan,
+        frames=bench.frames,
+        pixel_arcsec=instrument.pixel_arcsec,
+        path=path,
+        direction=rest,
+        photon_px=np.stack([light.photon_px for light in lights]),
+        noiseless_px=_noiseless(lights, bench, instrument),
+        mean_px={run: {m: np.stack(v) for m, v in of.items()} for run, of in mean.items()},
+        sigma_px={m: np.stack(v) for m, v in sigma.items()},
+        paired_px={run: {m: np.stack(v) for m, v in of.items()} for run, of in paired.items()},
+        lights=tuple(lights),
+    )
+
+
+def _noiseless(lights: Sequence[PointLight], bench: Bench, instrument: Instrument) -> dict[str, FloatArray]:
+    """What each method makes of the rendered light itself."""
+    noise, out = nominal_noise(instrument), {}
+    for name, centroider in centroiders(bench.methods, lights[0].psf).items():
+        found = [
+            noiseless_positions(centroider, noise, light_e=one.light_e, corner_px=one.corner_px)[0] for one in lights
+        ]
+        out[name] = np.stack(found)
+    return out

@@ -1,0 +1,295 @@
+"""High spatial frequency error predicted without frames: S-curve by PSF sampling, patterns by the influence function.
+
+A pattern value p of a pixel (variance s^2, independent from pixel to pixel, standing still while the image moves) moves
+the centroid at position k by h_k p, h_k being the influence of the pixel times what p multiplies: the light for PRNU, 1
+for an offset. In the document's number the pattern counts by h_{k+1} - h_k, in the error of one position by h_k:
+
+    document:  s^2 sum (h_{k+1} - h_k)^2 (1 - 1/W),        one position:  s^2 sum h_k^2.
+
+The S-curve and masked pixels are known functions of where the star lies; they enter as they are. Where it lies depends
+on the hexapod: its errors move all stars together and drop out of the differences as motion, but not as S-curve, because
+longer and shorter steps sample that curve otherwise. So a prediction is made either for many drawn paths of the hexapod
+(before the test), or for the common motion that was seen in the images (after it).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.centroid import Centroider
+from experiments.instrument import Instrument
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.hexapod import Hexapod, turned
+from experiments.laboratory.high_frequency import CAUSES, StepPlan
+from experiments.laboratory.point_frames import Subtraction, centroiders, noiseless_positions
+from experiments.laboratory.point_noise import ExpectedWindows, PixelNoise, expected_windows, influence, nominal_noise
+from experiments.laboratory.point_scene import one_filter
+from experiments.laboratory.step_statistics import document_rms_px, single_rms_px
+from experiments.laboratory.temporal_error import target_place
+from render.random import Streams
+from render.records import EffectivePsf
+
+__all__ = ["HighFrequencyPrediction", "MethodPrediction", "predict_high_frequency"]
+
+FloatArray = NDArray[np.float64]
+
+PATHS = 24
+"""Drawn paths of a hexapod with errors; its roll moves the stars differently by less than 0.01 px and is left out."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MethodPrediction:
+    """What one centroider should show; all pixels, 1 sigma, (x, y).
+
+    Attributes
+    ----------
+    s_curve_px : (m, j, 2)
+        Error of the noiseless centroid.
+    cause_px : dict of str to (2,)
+        Each cause in the document's number.
+    cause_single_px : dict of str to (2,)
+        Each cause in the error of one position.
+    temporal_px, dark_px : (2,)
+        Averaged temporal noise, and noise of the averaged dark frames, in the document's number.
+    document_px : (2,)
+        The document's number, RMS over drawn chips, paths and noise.
+    scatter_px : (2,)
+        Standard deviation of the document's number over them.
+    single_px : (2,)
+        Error of one position.
+    single_scatter_px : (2,)
+        Its standard deviation over drawn chips and paths.
+    """
+
+    s_curve_px: FloatArray
+    cause_px: Mapping[str, FloatArray]
+    cause_single_px: Mapping[str, FloatArray]
+    temporal_px: FloatArray
+    dark_px: FloatArray
+    document_px: FloatArray
+    scatter_px: FloatArray
+    single_px: FloatArray
+    single_scatter_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HighFrequencyPrediction:
+    """Predictions by centroider.
+
+    Attributes
+    ----------
+    pixel_arcsec : float
+        Angle of a pixel.
+    place_px : (m, j, 2)
+        Traced positions of an ideal hexapod, or as shifted.
+    method : dict of str to MethodPrediction
+        By name.
+    """
+
+    pixel_arcsec: float
+    place_px: FloatArray
+    method: Mapping[str, MethodPrediction]
+
+    def document_arcsec(self, method: str) -> FloatArray:
+        """HSFE as printed (2,), 3 sigma."""
+        return 3.0 * self.pixel_arcsec * self.method[method].document_px
+
+    def scatter_arcsec(self, method: str) -> FloatArray:
+        """Standard deviation of that over chips and noise (2,)."""
+        return 3.0 * self.pixel_arcsec * self.method[method].scatter_px
+
+
+def predict_high_frequency(
+    bench: Bench,
+    instrument: Instrument,
+    plan: StepPlan,
+    *,
+    psf: Sequence[EffectivePsf],
+    hexapod: Hexapod | None = None,
+    shift_px: FloatArray | None = None,
+    place_px: Sequence[float] | None = None,
+    subtraction: Subtraction = "dark",
+    defect: NDArray[np.bool_] | None = None,
+    draws: int = 200,
+    seed: int = 0,
+) -> HighFrequencyPrediction:
+    """Prediction for every centroider of the bench.
+
+    Parameters
+    ----------
+    bench, instrument, plan, place_px, subtraction
+        As in `high_frequency.measure_high_frequency`.
+    psf : sequence of EffectivePsf
+        Of the target's points (`PointScene.psfs`).
+    hexapod : Hexapod, optional
+        Its errors are drawn; an ideal one without it.
+    shift_px : (m, 2), optional
+        Instead: where the whole image stood off the ideal path at each position, as seen.
+    defect : (h, w) bool, optional
+        The camera's list of hot and dead pixels, which the reduction leaves out; none without it.
+    draws : int
+        Drawn chips.
+    seed : int
+        Of the draws; they have nothing in common with the frames.
+    """
+    bench = one_filter(bench)
+    rng = Streams(seed).generator("high-frequency prediction")
+    ideal = Hexapod(step_error_arcsec=0.0, roll_error_arcsec=0.0, reading_error_arcsec=0.0)
+    path = plan.path(instrument, ideal, rng)
+    direction = turned(target_place(bench, instrument, place_px), path.commanded_rad)
+    shift = np.zeros((plan.positions, 2)) if shift_px is None else np.asarray(shift_px, float)
+    windows = expected_windows(bench, instrument, direction, psf, shift)
+    error_px = hexapod.step_error_arcsec / instrument.pixel_arcsec if hexapod is not None and shift_px is None else 0.0
+    drawn = [error_px * rng.standard_normal(shift.shape) for _ in range(PATHS if error_px > 0 else 0)]
+    model = _Model(
+        bench=bench,
+        instrument=instrument,
+        windows=windows,
+        others=[expected_windows(bench, instrument, direction, psf, one) for one in drawn],
+        positions=plan.positions,
+        noise=PixelNoise.of(instrument),
+        subtraction=subtraction,
+        defect=defect,
+        draws=draws,
+    )
+    return HighFrequencyPrediction(
+        pixel_arcsec=instrument.pixel_arcsec,
+        place_px=windows.place_px.reshape(plan.positions, -1, 2),
+        method={name: model.method(one, rng) for name, one in centroiders(bench.methods, psf).items()},
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Model:
+    bench: Bench
+    instrument: Instrument
+    windows: ExpectedWindows
+    others: Sequence[ExpectedWindows]
+    positions: int
+    noise: PixelNoise
+    subtraction: Subtraction
+    defect: NDArray[np.bool_] | None
+    draws: int
+
+    def method(self, centroider: Centroider, rng: np.random.Generator) -> MethodPrediction:
+        """Everything about one centroider."""
+        windows, m = self.windows, self.positions
+        gain = influence(centroider, self.instrument, windows)
+        curves, masked = [(gain.position_px - windows.place_px).reshape(m, -1, 2)], [self._masked(centroider, windows)]
+        for other in self.others:
+            curves.append(self._curve(centroider, other))
+            masked.append(self._masked(centroider, other))
+        if self.others:  # the ideal path is not one of those that an erring hexapod takes
+            curves, masked = curves[1:], masked[1:]
+        g, stars = gain.gain_px_per_e, curves[0].shape[1]
+        prnu = self._fixed(g * windows.light_e[:, None], self.noise.prnu)
+        offsets, dark = self._offsets(g)
+        share = 1.0 - 1.0 / stars
+        cause = {
+            "s_curve": _rms([document_rms_px(one) for one in curves]),
+            "prnu": np.sqrt(share * _steps2(prnu)),
+            "pattern": np.sqrt(share * sum((_steps2(part) for part in offsets), np.zeros(2))),
+            "defects": _rms([document_rms_px(one) for one in masked]),
+        }
+        single = {
+            "s_curve": _rms([single_rms_px(one) for one in curves]),
+            "prnu": np.sqrt(_mean2(prnu)),
+            "pattern": np.sqrt(sum((_mean2(part) for part in offsets), np.zeros(2))),
+            "defects": _rms([single_rms_px(one) for one in masked]),
+        }
+        sigma = gain.sigma_px(windows.light_e, self.noise.floor_e2).reshape(m, stars, 2) / np.sqrt(self.bench.frames)
+        document, error = [], []
+        for draw in range(self.draws):
+            fixed = curves[draw % len(curves)] + masked[draw % len(curves)]
+            for part in (prnu, *offsets, *dark):
+                fixed = fixed + np.einsum("jmayx,jyx->mja", part, rng.standard_normal((stars, *part.shape[3:])))
+            document.append(document_rms_px(fixed + sigma * rng.standard_normal(sigma.shape)))
+            error.append(single_rms_px(fixed))
+        return MethodPrediction(
+            s_curve_px=curves[0],
+            cause_px={name: np.asarray(cause[name]) for name in CAUSES},
+            cause_single_px={name: np.asarray(single[name]) for name in CAUSES},
+            temporal_px=np.sqrt(share * (sigma[1:] ** 2 + sigma[:-1] ** 2).mean((0, 1))),
+            dark_px=np.sqrt(share * sum((_steps2(part) for part in dark), np.zeros(2))),
+            document_px=_rms(document),
+            scatter_px=np.std(document, axis=0, ddof=1),
+            single_px=_rms(error),
+            single_scatter_px=np.std(error, axis=0, ddof=1),
+        )
+
+    def _offsets(self, gain: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Responses to offset patterns that are left in the data, and to the noise of the dark frames."""
+        if self.subtraction == "raw":
+            column = self._fixed(gain, self.noise.column_e).sum(3, keepdims=True)
+            return [self._fixed(gain, self.noise.offset_e), column], []
+        return [], [self._fixed(gain, float(np.sqrt(self.noise.floor_e2 / self.bench.dark_frames)))]
+
+    def _curve(self, centroider: Centroider, windows: ExpectedWindows) -> FloatArray:
+        """Error (m, j, 2) of the noiseless centroids."""
+        found, _ = noiseless_positions(
+            centroider,
+            nominal_noise(self.instrument),
+            light_e=windows.light_e,
+            corner_px=windows.corner_px,
+            psf_index=windows.psf_index,
+        )
+        return np.asarray((found - windows.place_px).reshape(self.positions, -1, 2))
+
+    def _fixed(self, response: FloatArray, size: float) -> FloatArray:
+        """Responses (n, 2, h, w) times ``size``, on pixels common to all positions of a star: (j, m, 2, y, x)."""
+        m = self.positions
+        _, _, height, width = response.shape
+        corner = self.windows.corner_px.reshape(m, -1, 2)
+        first = corner.min(0)
+        extent = (corner - first).max((0, 1))
+        stars = corner.shape[1]
+        out = np.zeros((stars, m, 2, height + int(extent[1]), width + int(extent[0])))
+        parts = size * response.reshape(m, stars, 2, height, width)
+        for k in range(m):
+            for j in range(stars):
+                x, y = (int(v) for v in corner[k, j] - first[j])
+                out[j, k, :, y : y + height, x : x + width] = parts[k, j]
+        return out
+
+    def _masked(self, centroider: Centroider, windows: ExpectedWindows) -> FloatArray:
+        """What leaving out known bad pixels does to the noiseless centroids (m, j, 2)."""
+        moved = np.zeros_like(windows.place_px)
+        if self.defect is not None:
+            index = np.arange(self.bench.window_px)
+            rows = windows.corner_px[:, 1, None, None] + index[:, None]
+            columns = windows.corner_px[:, 0, None, None] + index
+            bad = self.defect[rows, columns]
+            hit = np.flatnonzero(bad.any((1, 2)))
+            found = []
+            for valid in (~bad[hit], np.ones_like(bad[hit])) if hit.size else ():
+                position, _ = noiseless_positions(
+                    centroider,
+                    nominal_noise(self.instrument),
+                    light_e=windows.light_e[hit],
+                    corner_px=windows.corner_px[hit],
+                    valid=valid,
+                    psf_index=windows.psf_index[hit],
+                )
+                found.append(position)
+            if found:
+                moved[hit] = found[0] - found[1]
+        return moved.reshape(self.positions, -1, 2)
+
+
+def _rms(values: Sequence[FloatArray]) -> FloatArray:
+    """Root mean square over a list."""
+    return np.asarray(np.sqrt(np.mean(np.square(values), axis=0)))
+
+
+def _steps2(part: FloatArray) -> FloatArray:
+    """Mean square (2,) of the change from one position to the next, from responses (j, m, 2, y, x)."""
+    return np.asarray((np.diff(part, axis=1) ** 2).sum((3, 4)).mean((0, 1)))
+
+
+def _mean2(part: FloatArray) -> FloatArray:
+    """Mean square (2,) at a position."""
+    return np.asarray((part**2).sum((3, 4)).mean((0, 1)))
