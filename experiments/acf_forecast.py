@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calib.attitude_link import angles_of_rotation, increment_per_angle
 from experiments.acf_plan import Plan
-from experiments.acf_predict import Design, Reprojection, correlated, free, linked, reprojection
+from experiments.acf_predict import Design, Reprojection, correlated, free, linked, reprojection, reprojections
 from experiments.acf_published import FIG4_RMS_PX
 from experiments.acf_settings import Config
 from experiments.acf_simulate import Scene, build_scene
@@ -112,7 +112,7 @@ class Forecast:
 def forecast(config: Config, plan: Plan, inferred_um: float) -> Forecast:
     """Expected results of a plan."""
     return Forecast(
-        fig3=[[_judged(config, point, k) for k in range(len(point.gyro))] for point in plan.fig3],
+        fig3=_fig3(config, plan.fig3),
         table2=_covariances(config, plan.table2),
         fig4=_judged(config, plan.table2, 0),
         inferred=_judged(config, plan.inferred, 0),
@@ -130,7 +130,7 @@ def stars_for_published(config: Config, pixel_um: float, stars: int = 40) -> Sta
     scene, used, judged = _designs(config, point)
     error = gyro_error(scene, table1)
     tried = np.geomspace(5.0, 125.0, 25)
-    expected = [reprojection(used, judged, sigma_px * float(np.sqrt(stars / n)), error) for n in tried]
+    expected = reprojections(used, judged, [sigma_px * float(np.sqrt(stars / n)) for n in tried], error)
     perfect = reprojection(used, judged, sigma_px).total_px ** 2
     gyro = expected[0].total_px ** 2 - perfect * stars / tried[0]
     wanted = float(FIG4_RMS_PX @ FIG4_RMS_PX)
@@ -147,6 +147,17 @@ def stars_for_published(config: Config, pixel_um: float, stars: int = 40) -> Sta
         low=float(within[0]) if len(within) else float("nan"),
         high=float(within[-1]) if len(within) else float("nan"),
     )
+
+
+def _fig3(config: Config, points: Sequence[Point]) -> list[list[Reprojection]]:
+    """All noises see the same stars, so each gyro needs one look at the design."""
+    scene, used, judged = _designs(config, points[0])
+    noises = [point.noise_px for point in points]
+    by_gyro = [
+        reprojections(used, judged, noises, gyro_error(scene, noise) if any(noise) else None)
+        for noise in points[0].gyro
+    ]
+    return [list(row) for row in zip(*by_gyro, strict=True)]
 
 
 def _designs(config: Config, point: Point) -> tuple[Scene, Design, Design]:

@@ -14,6 +14,7 @@ first frame, S_k = [M_k, I - M_k] and T_k = -M_k C. Stars have noise sigma per a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -37,6 +38,7 @@ __all__ = [
     "free",
     "linked",
     "reprojection",
+    "reprojections",
     "sight_arcsec",
     "sight_operator",
 ]
@@ -275,31 +277,45 @@ def reprojection(used: Design, judged: Design, sigma_px: float, gyro: GyroError 
     gyro : GyroError, optional
         The gyro's error; perfect if left out.
     """
+    return reprojections(used, judged, [sigma_px], gyro)[0]
+
+
+def reprojections(
+    used: Design, judged: Design, sigmas_px: Sequence[float], gyro: GyroError | None = None
+) -> list[Reprojection]:
+    """As `reprojection`, for several noises of the same stars."""
     normal, scale = _scaled_normal(used)
-    root = np.linalg.cholesky(np.linalg.inv(normal))
     ahead = judged.by_unknown() / scale
-    parts, signs = [sigma_px * ahead @ root], np.empty((len(ahead), 0))
+    parts = [ahead @ np.linalg.cholesky(np.linalg.inv(normal))]
     if gyro is not None:
         drift = np.zeros((len(ahead), 3 * judged.frames))
         own, frame = judged.by_drift(), np.repeat(judged.frame, 2)
         for axis in range(3):
             drift[np.arange(len(ahead)), 3 * frame + axis] = own[:, axis]
         drift -= ahead @ np.linalg.solve(normal, _per_frame_drift(used) / scale[:, None])
-        signs = drift @ gyro.steady
-        parts += [drift @ gyro.walk, signs]
+        parts += [drift @ gyro.walk, drift @ gyro.steady]
     sources = np.concatenate(parts, axis=1)
-    stars = len(judged.frame)
-    axis_px2 = (sources**2).sum(1).reshape(-1, 2).sum(0) / stars
-    mean_square = float(axis_px2.sum())
-    # of a square form: 2 tr(M^2) for normal sources; a sign always has the square 1, its own diagonal does not scatter
-    variance = 2.0 * float(((sources.T @ sources) ** 2).sum() - ((signs**2).sum(0) ** 2).sum()) / stars**2
-    total = float(np.sqrt(mean_square))
-    return Reprojection(
-        axis_px=np.sqrt(axis_px2),
-        total_px=total,
-        mean_px=total * (1.0 - variance / (8.0 * mean_square**2)),
-        scatter_px=float(np.sqrt(variance)) / (2.0 * total),
-    )
+    stars, unknowns, signs = len(judged.frame), len(scale), 0 if gyro is None else 3
+    by_axis = np.stack([(sources[axis::2] ** 2).sum(0) for axis in range(2)]) / stars
+    gram = sources.T @ sources / stars
+    found = []
+    for sigma in sigmas_px:
+        size = np.where(np.arange(len(gram)) < unknowns, sigma, 1.0)
+        axis_px2 = by_axis @ size**2
+        # of a square form: 2 tr(M^2) for normal sources; a sign always has the square 1, its diagonal does not scatter
+        fixed = float((np.diag(gram)[len(gram) - signs :] ** 2).sum())
+        variance = 2.0 * (float(((gram * np.outer(size, size)) ** 2).sum()) - fixed)
+        mean_square = float(axis_px2.sum())
+        total = float(np.sqrt(mean_square))
+        found.append(
+            Reprojection(
+                axis_px=np.sqrt(axis_px2),
+                total_px=total,
+                mean_px=total * (1.0 - variance / (8.0 * mean_square**2)),
+                scatter_px=float(np.sqrt(variance)) / (2.0 * total),
+            )
+        )
+    return found
 
 
 def sight_operator(model: CameraModel, points: int) -> FloatArray:

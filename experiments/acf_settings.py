@@ -15,6 +15,7 @@ __all__ = ["CameraConfig", "Config", "GyroConfig", "SkyConfig", "StartConfig", "
 WIDEST_DEG = 120.0
 """Across the diagonal; a rectilinear image of more is all edge."""
 UNKNOWNS = 14
+CAMERA_UNKNOWNS = 8
 Number = TypeVar("Number", int, float)
 
 
@@ -192,7 +193,6 @@ class Config(ExperimentConfig):
         for key, stars in (
             ("sky.stars_per_frame", self.sky.stars_per_frame),
             ("counts", float(self.counts[0])),
-            ("sweep.stars", float(self.sweep.stars[0])),
         ):
             equations = 2 * calibrating * stars
             if equations < 2 * UNKNOWNS:
@@ -201,4 +201,11 @@ class Config(ExperimentConfig):
                     f"{equations:g} equations for {UNKNOWNS} unknowns; at least {2 * UNKNOWNS} are needed: more stars "
                     "or more frames"
                 )
+        measured, unknowns = 2 * self.frames * self.sweep.stars[0], CAMERA_UNKNOWNS + 3 * self.frames
+        if measured < unknowns + CAMERA_UNKNOWNS:
+            raise ValueError(
+                f"sweep.stars = {self.sweep.stars[0]}, frames = {self.frames}: {measured} measurements for {unknowns} "
+                f"unknowns of the camera and free attitudes; at least {unknowns + CAMERA_UNKNOWNS} are needed: more "
+                "stars or more frames"
+            )
         return self

@@ -77,9 +77,11 @@ def _wait(future: Future[Done], index: int, done: Callable[[int], None]) -> Done
 def _stop(pool: ProcessPoolExecutor, others: Sequence[object]) -> None:
     """End the workers now; what they were at is of no use any more. Processes of others are left alone."""
     pool.shutdown(wait=False, cancel_futures=True)
-    for child in multiprocessing.active_children():
-        if child not in others:
-            child.terminate()
+    ours = [child for child in multiprocessing.active_children() if child not in others]
+    for child in ours:
+        child.terminate()
+    for child in ours:
+        child.join(timeout=5.0)
 
 
 def _processors() -> int:

@@ -1,0 +1,220 @@
+"""The attitude-correlated-frames experiment on a small scale: what it finds, that its numbers agree, what it writes."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments import acf_inference, acf_plan
+from experiments.acf import Config, main, run, summary, tables
+from experiments.acf_evaluate import comparison, fig3, fig4, gains, pulls
+from experiments.acf_inference import infer
+from experiments.acf_plan import make_plan
+from experiments.acf_published import TABLE2_CALIBRATED, TABLE2_START, TABLE2_TRUE
+from experiments.acf_settings import SkyConfig, SweepConfig
+from experiments.acf_tasks import Point, Task, work
+from experiments.progress import Progress
+
+ROOT = Path(__file__).parents[2]
+SMALL = Config(
+    frames=16,
+    runs=4,
+    noise_px=(0.1, 0.4),
+    bias_deg_per_h=(0.1,),
+    angle_random_walk_deg_per_sqrt_h=(0.01,),
+    counts=(8, 16),
+    sky=SkyConfig(stars_per_frame=12.0),
+    sweep=SweepConfig(stars=(4, 12), gyro_factor=(0.0, 20.0), skies=4),
+)
+
+
+@pytest.fixture(scope="module")
+def inference():
+    return infer(points=11)
+
+
+@pytest.fixture(scope="module")
+def result(inference):
+    """A small run in this process; the workers have a test of their own."""
+
+    def in_process(task_of, tasks, *, workers, done):
+        del workers
+        found = []
+        for index, task in enumerate(tasks):
+            found.append(task_of(task))
+            done(index)
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(acf_plan, "run_tasks", in_process)
+        patch.setattr(acf_inference, "infer", lambda: inference)
+        return run(SMALL, progress=Progress())
+
+
+@pytest.fixture(scope="module")
+def found(result):
+    return json.loads(json.dumps(json_of(summary(result)[0])))
+
+
+def json_of(value):
+    from experiments.summary import to_json
+
+    return to_json(value)
+
+
+def test_summary_holds_what_was_agreed(found):
+    assert {"table2", "fig3a", "fig3b", "fig4_rms_px", "fig5", "gain_sweep", "rendered", "runtime_s"} <= set(found)
+    assert len(found["table2"]) == 14
+    for entry in found["table2"].values():
+        assert {"published", "mean", "std", "bound"} <= set(entry)
+    assert np.shape(found["fig3a"]["rms_px"]) == (2, 2)  # noise, (perfect, bias)
+    assert np.shape(found["gain_sweep"]["acc_bound"]) == (2, 2)  # stars, factor
+    assert all(np.isfinite(found["fig4_rms_px"][axis]) for axis in "xy")
+    assert set(found["not_converged"]["figures"]) == {"acc", "linked", "free", "iac", "iac_full"}
+
+
+def test_nothing_fails_to_converge_from_the_poor_start(found):
+    assert sum(one["failed"] for one in found["not_converged"]["figures"].values()) == 0
+
+
+def test_more_noise_more_error(result):
+    assert all(low.value < high.value for low, high in zip(*fig3(result), strict=True))
+    for one in comparison(result).values():
+        assert one.sight_arcsec[1] > 2.5 * one.sight_arcsec[0]
+
+
+def test_full_weights_are_free_attitudes(result):
+    """2 n - 3 measurements of a frame either way; they differ by the terms that a linear weight leaves out."""
+    every = comparison(result)
+    assert every["iac_full"].camera == pytest.approx(every["free"].camera, rel=0.02)
+
+
+def test_the_gyro_of_stated_noise_is_acc_when_the_gyro_is_perfect(result):
+    found = gains(result)
+    assert found.linked[:, 0] == pytest.approx(found.acc[:, 0], rel=1e-3)
+    assert found.linked_bound[:, 0] == pytest.approx(found.acc_bound[:, 0], rel=1e-9)
+    assert np.all(found.acc_bound[:, 1] < 1.0)  # twenty times the noise, trusted: harm
+    assert np.all(found.linked_bound >= 1.0)
+
+
+def test_errors_are_as_large_as_predicted(result):
+    """8 runs of 14 unknowns: chi^2 of at most 112, and strongly correlated; a factor of two is allowed."""
+    found = pulls(result)
+    assert found.own.shape == (8, 14)
+    for which in ("carried", "linked"):
+        assert 0.5 < np.sqrt((getattr(found, which) ** 2).mean()) < 1.6
+    small = fig4(result)
+    assert abs(small.runs.deviation) < 4.0
+    assert small.rms_px == pytest.approx(small.expected_px, rel=0.5)
+
+
+def test_criteria_are_finite(result):
+    criteria = summary(result)[1]
+    assert len(criteria) == 12
+    assert all(np.isfinite(one.value) for one in criteria)
+    assert len({one.name for one in criteria}) == 12
+
+
+def test_tables(result):
+    made = tables(result)
+    assert {"table2", "fig4", "fig3", "fig5", "methods", "pulls", "gain"} <= set(made)
+    published = [row[2] for row in made["table2"].rows]
+    assert published[:3] == pytest.approx([-0.19, -0.51, 0.0002], rel=1e-6)
+    assert published[8:] == pytest.approx([26.64, -13.68, 3.6, 6.84, -18.0, 0.36], rel=1e-3)  # arcsec, as printed
+
+
+def test_runs_do_not_depend_on_how_they_are_cut_into_tasks():
+    point = Point(name="cut", noise_px=0.2, gyro=((0.03, 0.005),), methods=("acc", "free"), own_sky=True, stars=8)
+    whole = work(Task(config=SMALL, point=point, first=0, last=3))
+    first, rest = (work(Task(config=SMALL, point=point, first=a, last=b)) for a, b in ((0, 1), (1, 3)))
+    assert set(whole) == set(first)
+    for key, values in whole.items():
+        assert np.array_equal(values, np.concatenate([first[key], rest[key]])), key
+
+
+def test_points_have_streams_of_their_own():
+    names = [point.name for point in make_plan(SMALL, inferred_um=6.4, inferred_stars=16).points]
+    assert len(set(names)) == len(names)
+
+
+def test_the_printed_table_tells_the_pixel(inference):
+    """Where the printed errors of y0 [px] and phi1 [arcsec] cancel: 26.64 arcsec x 25.6 mm / 0.51 px = 6.48 um."""
+    found = inference
+    assert np.deg2rad(26.64 / 3600) * 25.6 / 0.51 * 1e3 == pytest.approx(found.best_um, abs=3 * found.sigma_um)
+    assert found.sigma_um < 0.4
+    assert found.chi2 < 30.0 < found.chi2_assumed
+    assert found.low_stars < found.best_stars < found.high_stars
+
+
+def test_defaults_are_the_published_run():
+    config = Config()
+    camera = config.camera
+    assert (config.frames, config.frame_rate_hz, config.runs) == (60, 1.0, 100)
+    assert (camera.focal_length_mm, camera.x0_px, camera.y0_px) == (25.6, 10.0, -10.0)
+    assert config.noise_px == pytest.approx(np.arange(1, 11) * 0.05)
+    gyro = config.gyro
+    assert (gyro.rate_hz, gyro.angular_speed_deg_per_s, gyro.bias_deg_per_h) == (100.0, 0.5, 0.03)
+    assert gyro.angle_random_walk_deg_per_sqrt_h == 0.005
+    assert (TABLE2_START[2], config.start.focal_length_mm) == (20.0, 20.0)
+    # printed error of phi1: 26.64 arcsec
+    assert 3600 * (TABLE2_CALIBRATED - TABLE2_TRUE)[8] == pytest.approx(26.64, abs=0.01)
+
+
+@pytest.mark.slow
+def test_quick_run_writes_a_report(tmp_path):
+    folder = tmp_path / "out"
+    assert main(["--quick", "--out", str(folder)]) in (0, 1)
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert page.count("<figure") >= 14
+    assert "nan" not in re.sub(r"<svg.*?</svg>|data:image[^\"]*", "", page, flags=re.DOTALL).lower().split()
+    written = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert written["experiment"] == "acf"
+    assert {one["name"].split(":")[0] for one in written["criteria"]} >= {"Fig. 4", "Table 2"}
+
+
+@pytest.mark.slow
+def test_workers_change_no_number(tmp_path):
+    written = []
+    for workers in (1, 2):
+        folder = tmp_path / str(workers)
+        settings = ["runs=4", "noise_px=[0.1,0.3]", "frames=16", "sweep.skies=4", f"workers={workers}"]
+        settings += ["sweep.stars=[4,8]", "counts=[8,12]", "sky.stars_per_frame=10"]
+        arguments = [word for one in settings for word in ("--set", one)]
+        assert main([*arguments, "--quick", "--out", str(folder)]) in (0, 1)
+        content = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+        for key in ("runtime_s", "peak_memory_mb"):
+            del content["results"][key]
+        written.append(content["results"])
+    assert written[0] == written[1]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc to see when the program is up")
+def test_interruption_leaves_nothing_behind(tmp_path):
+    """While the workers calibrate; the interrupt goes to all processes, as from a terminal."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "experiments.acf", "--out", str(tmp_path / "deep" / "out")],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    deadline = time.monotonic() + 60
+    while not (children.exists() and children.read_text().split()) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    time.sleep(1.0)
+    os.killpg(process.pid, signal.SIGINT)
+    said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert said[1].strip() == "interrupted; nothing was written"
+    assert list(tmp_path.iterdir()) == []
