@@ -20,10 +20,10 @@ from experiments.cli import command
 from experiments.progress import Progress
 from experiments.summary import Criterion
 from experiments.turntable_settings import Config, TableConfig
+from optics.errors import ConfigError, DomainError
 
 if TYPE_CHECKING:
     from experiments.instrument import Instrument
-    from experiments.laboratory.turntable import Turntable
     from experiments.report import Report
     from experiments.tables import Table
     from experiments.turntable_measure import Measurement, TracedMap
@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     from render.random import Streams
 
 __all__ = ["Config", "main", "report", "run", "summary", "tables"]
+
+
+LEAST_RUNS = 10
+"""Converged runs of a Monte-Carlo below which it says nothing."""
 
 
 def run(config: Config, *, progress: Progress) -> Result:
@@ -67,7 +71,9 @@ def run(config: Config, *, progress: Progress) -> Result:
     named = (("two-axis", config.two_axis), ("three-axis", config.three_axis))
     cases = [_case(mi, config, instrument, traced, name, table, streams, progress) for name, table in named]
     study, setup = config.study, cases[0].coordinates
-    near = replace(setup, start=setup.model)  # the sweeps ask for errors, not for convergence
+    near = replace(
+        setup, start=setup.model, start_star=np.array(setup.bench.star)
+    )  # the sweeps ask for errors, not for convergence
     with progress.stage("reading noise", total=len(study.reading_noise_arcsec)) as stage:
         by_reading = reading_sweep(
             near,
@@ -110,22 +116,16 @@ def run(config: Config, *, progress: Progress) -> Result:
 def _prepare(config: Config) -> Instrument:
     """The camera; whatever can be refused without rendering is refused here."""
     from experiments.chromatic_checks import check_wavelengths
-    from experiments.turntable_measure import build_star, build_table, camera_under_test, grid_px
+    from experiments.laboratory.turntable import axis_directions
+    from experiments.turntable_measure import build_star, build_table, camera_under_test, check_table, grid_px
     from experiments.turntable_reduce import check_count
-    from optics.errors import ConfigError
 
-    counts: list[Turntable] = []
-    for key, table in (("two_axis", config.two_axis), ("three_axis", config.three_axis)):
-        built = build_table(table)
-        if len(built.axis) != len(counts) + 2:
-            raise ConfigError(
-                f"{key}.axes = {table.axes!r}: {len(counts) + 2} axes are needed, {len(built.axis)} are given"
-            )
-        counts.append(built)
-    if config.reduction.axes is not None and len(build_table(config.two_axis, config.reduction.axes).axis) != 2:
+    check_table("two_axis", config.two_axis, 2)
+    check_table("three_axis", config.three_axis, 3)
+    if config.reduction.axes is not None and len(axis_directions(config.reduction.axes)) != 2:
         raise ConfigError(f"reduction.axes = {config.reduction.axes!r}: two axes are needed")
-    for table_record in counts:
-        check_count(config.grid.columns * config.grid.rows, table_record)
+    for table in (config.two_axis, config.three_axis):
+        check_count(config.grid.columns * config.grid.rows, build_table(table))
     instrument = camera_under_test(config)
     grid_px(config, instrument)
     check_wavelengths(instrument, [("star.passband_nm", build_star(config).band)])
@@ -143,6 +143,7 @@ def _case(
     progress: Progress,
 ) -> Case:
     """One table from the rendering to the Monte-Carlo."""
+    from experiments.laboratory.collimator import star_direction
     from experiments.turntable_bound import bound, knowledge, noise_shares, reading_covariance_px2
     from experiments.turntable_measure import averaged, measure
     from experiments.turntable_reduce import start_model
@@ -165,10 +166,16 @@ def _case(
         true_rad=angle,
         covariance_px2=centroid_px2,
         start=start_model(instrument, config.reduction.focal_length_mm),
+        start_star=star_direction(*config.reduction.star_deg),
     )
     noise = centroid_px2 + reading_covariance_px2(model, bench, angle)
     with progress.stage(f"{name} Monte-Carlo", total=config.study.runs) as stage:
         found = monte_carlo(coordinates, traced, own.child("Monte-Carlo"), config.study.runs, advance=stage.advance)
+    if found.runs < LEAST_RUNS:
+        raise DomainError(
+            f"{name} table: {found.lost} of {config.study.runs} calibrations of the Monte-Carlo did not converge; "
+            "start nearer to the truth (reduction.star_deg, reduction.focal_length_mm) or visit more of the field"
+        )
     return Case(
         name=name,
         config=table,
@@ -192,6 +199,7 @@ def _calibrate(
     measurement: Measurement,
 ) -> tuple[dict[str, Reduction], dict[str, Reduction]]:
     """Reductions of the rendered run, and of data with one error at a time."""
+    from experiments.laboratory.collimator import star_direction
     from experiments.turntable_measure import averaged, build_table
     from experiments.turntable_reduce import Data, check_fit, check_parity, judge, reduce_data, start_model
 
@@ -203,20 +211,22 @@ def _calibrate(
     images = {"seen": readings.position_px, "true": measurement.bundle_px}
     angles = {"read": visits.reading_rad, "true": visits.true_rad}
 
+    ahead = star_direction(*config.reduction.star_deg)
+
     def one(image: str, angle: str, taken: Any, *, leans: bool = False) -> Reduction:
         data = Data(
             pixel_px=np.array(images[image]),
             covariance_px2=np.array(readings.covariance_px2),
             reading_rad=np.array(angles[angle]),
         )
-        return judge(reduce_data(data, taken, start, leans=leans), data, taken, traced)
+        return judge(reduce_data(data, taken, start, leans=leans, start_star=ahead), data, taken, traced)
 
     full = Data(
         pixel_px=np.array(images["seen"]),
         covariance_px2=np.array(readings.covariance_px2),
         reading_rad=np.array(angles["read"]),
     )
-    check_parity(full, square, start)
+    check_parity(full, square, start, ahead)
     estimated = one("seen", "read", square, leans=True)
     check_fit(estimated.calibration, f"{name} table")
     reductions = {

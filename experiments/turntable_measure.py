@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from experiments.instrument import Instrument, build_instrument
 from experiments.laboratory.collimator import SingleStar
-from experiments.laboratory.turntable import Turntable, build_turntable
-from experiments.laboratory.windows import StarReadings, WindowPlan, read_windows
+from experiments.laboratory.turntable import Turntable, axis_directions, build_turntable
+from experiments.laboratory.windows import SEARCH_PX, StarReadings, WindowPlan, read_windows
 from experiments.turntable_bench import Bench, Visits, visit
 from experiments.turntable_settings import Config, TableConfig
 from optics.band import TopHat
-from optics.errors import DomainError
+from optics.errors import ConfigError, DomainError
 from optics.frames import field_angles_deg
 from optics.records import freeze
 from optics.spectrum import Blackbody
@@ -35,6 +35,7 @@ __all__ = [
     "build_star",
     "build_table",
     "camera_under_test",
+    "check_table",
     "grid_px",
     "measure",
     "traced_map",
@@ -127,6 +128,25 @@ def build_table(config: TableConfig, axes: str | None = None) -> Turntable:
     )
 
 
+def check_table(key: str, config: TableConfig, count: int) -> None:
+    """Refuse a table of another number of axes, or with a number of errors that does not fit to them.
+
+    Raises
+    ------
+    ConfigError
+        Naming the key.
+    """
+    found = len(axis_directions(config.axes))
+    if found != count:
+        raise ConfigError(f"{key}.axes = {config.axes!r}: {count} axes are needed, {found} given")
+    for name, wanted in (("reading_noise_arcsec", count), ("non_orthogonality_arcsec", count - 1)):
+        values = getattr(config, name)
+        if len(values) not in (1, wanted):
+            raise ConfigError(
+                f"{key}.{name} = {list(values)}: {len(values)} values where {wanted} are needed, or one for all"
+            )
+
+
 def averaged(table: Turntable, readings: int) -> Turntable:
     """The table as the mean of several readings shows it: what is random in them averages out."""
     return replace(table, reading_noise_arcsec=table.reading_noise_arcsec / np.sqrt(readings))
@@ -169,10 +189,11 @@ def grid_px(config: Config, instrument: Instrument) -> FloatArray:
             "lower grid.edge_px, raise grid.columns or grid.rows"
         )
     x, y = (np.linspace(grid.edge_px, n - 1 - grid.edge_px, c) for n, c in zip(size, counts, strict=True))
-    if min(np.diff(x).min(), np.diff(y).min()) < 2 * config.window_px:
+    apart = min(np.diff(x).min(), np.diff(y).min())
+    if apart < SEARCH_PX + config.window_px:  # one image holds the star at all places
         raise DomainError(
-            f"{grid.columns} x {grid.rows} places lie nearer to each other than two windows of {config.window_px} px; "
-            "lower grid.columns or grid.rows"
+            f"{grid.columns} x {grid.rows} places lie {apart:.0f} px apart; at least {SEARCH_PX + config.window_px} px "
+            "is needed: lower grid.columns or grid.rows"
         )
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 

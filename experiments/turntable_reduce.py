@@ -29,7 +29,10 @@ FloatArray = NDArray[np.float64]
 START_ROUNDING = 0.05
 """A start focal length is the paraxial one rounded to this part of it."""
 READING_FLOOR_ARCSEC = 1e-4
+"""Readings better than this count as exact."""
+AHEAD = np.array([0.0, 0.0, 1.0])
 LARGEST_REDUCED_CHI2 = 25.0
+"""Residuals of five times their noise on average: no confident answer."""
 POSE_UNKNOWNS = 5
 
 
@@ -99,6 +102,7 @@ def reduce_data(
     start: CameraModel,
     *,
     leans: bool,
+    start_star: FloatArray | None = None,
 ) -> Calibration:
     """Joint calibration (S100 of FISHER23) from data and belief.
 
@@ -109,15 +113,17 @@ def reduce_data(
     table : Turntable
         As believed: axes, leans if they are known, reading noise.
     start : CameraModel
-        Start of the camera; star and installation start at zero angles and by Wahba's problem.
+        Start of the camera; the installation starts by Wahba's problem.
     leans : bool
         Whether the non-orthogonality is an unknown, counted from what ``table`` holds.
+    start_star : (3,), optional
+        Start of the star's direction; at zero angles if left out.
     """
     count = len(data.pixel_px)
     observations = Observations(
         pixel_px=data.pixel_px,
         covariance_px2=data.covariance_px2,
-        direction=np.tile([0.0, 0.0, 1.0], (count, 1)),
+        direction=np.tile(AHEAD if start_star is None else start_star, (count, 1)),
         frame=np.arange(count),
         frames=count,
     )
@@ -167,29 +173,31 @@ def check_count(places: int, table: Turntable) -> None:
         )
 
 
-def check_parity(data: Data, table: Turntable, start: CameraModel) -> None:
+def check_parity(data: Data, table: Turntable, start: CameraModel, start_star: FloatArray) -> None:
     """Refuse axes that turn the other way than believed.
 
     The affine map from where the believed table puts the star to where it was seen keeps its orientation, whatever the
-    camera, as long as the axes are right. A camera cannot mirror.
+    camera and its roll, as long as the axes are right: a camera cannot mirror.
 
     Raises
     ------
     DomainError
-        If the map mirrors, or has no orientation because two axes are exchanged or one does not matter.
+        If the map mirrors, or the star would stand behind the camera.
     """
-    on_table = table.rotation(data.reading_rad).inv().apply([0.0, 0.0, 1.0])
-    if np.any(on_table[:, 2] <= 0):
+    on_table = table.rotation(data.reading_rad).inv().apply(start_star)
+    middle = on_table.mean(0) / np.linalg.norm(on_table.mean(0))
+    across = np.linalg.svd(middle[None])[2][1:]
+    across[1] *= np.sign(np.linalg.det(np.vstack([across, middle])))
+    forward = on_table @ middle
+    if np.any(forward <= 0):
         raise DomainError(
             "with the axes as believed (reduction.axes) the star would stand behind the camera at some readings; look "
             "at the order and the sense of the axes"
         )
-    ideal = on_table[:, :2] / on_table[:, 2:]
-    design = np.column_stack([ideal, np.ones(len(ideal))])
+    design = np.column_stack([on_table @ across.T / forward[:, None], np.ones(len(on_table))])
     affine = np.linalg.lstsq(design, data.pixel_px, rcond=None)[0][:2]
     scale = start.value("focal_length_mm") / start.geometry.pixel_pitch_mm
-    orientation = float(np.linalg.det(affine)) / scale**2
-    if orientation < 0:
+    if np.linalg.det(affine) / scale**2 < 0:
         raise DomainError(
             "the images are mirrored against the readings: one axis of the table turns the other way than believed; "
             "put a minus before one letter of reduction.axes, or exchange its letters"
@@ -202,13 +210,13 @@ def check_fit(calibration: Calibration, what: str) -> None:
     Raises
     ------
     DomainError
-        With the estimator's own reason.
+        With the state of the fit, and what to look at.
     """
     solution = calibration.solution
-    if not solution.converged:
-        raise DomainError(f"{what}: the calibration ended as {solution.status!r}: {solution.message}")
-    if solution.reduced_chi2 > LARGEST_REDUCED_CHI2:
-        raise DomainError(
-            f"{what}: residuals are {np.sqrt(solution.reduced_chi2):.1f} times their noise; the axes (reduction.axes), "
-            "the stated reading noise or the camera model are wrong"
-        )
+    if solution.converged and solution.reduced_chi2 <= LARGEST_REDUCED_CHI2:
+        return
+    raise DomainError(
+        f"{what}: the calibration ended as {solution.status!r} with residuals of {np.sqrt(solution.reduced_chi2):.3g} "
+        "times their noise; the axes (reduction.axes), the start of the star (reduction.star_deg), the reading noise "
+        "or the camera model are wrong, or too little of the field is visited"
+    )

@@ -9,12 +9,21 @@ from experiments.settings import InstrumentConfig
 
 __all__ = ["Config", "GridConfig", "ReductionConfig", "StarConfig", "StudyConfig", "TableConfig"]
 
+LARGEST_STAR_ANGLE_DEG = 60.0
+
 
 class StarConfig(StrictModel):
     """Single-star simulator; its direction is an unknown of the calibration."""
 
-    azimuth_deg: float = Field(default=0.35, ge=-60, le=60, description="true direction, from +Z towards +X")
-    elevation_deg: float = Field(default=-0.25, ge=-60, le=60, description="true direction, towards +Y")
+    azimuth_deg: float = Field(
+        default=0.35,
+        ge=-LARGEST_STAR_ANGLE_DEG,
+        le=LARGEST_STAR_ANGLE_DEG,
+        description="true direction, from +Z towards +X",
+    )
+    elevation_deg: float = Field(
+        default=-0.25, ge=-LARGEST_STAR_ANGLE_DEG, le=LARGEST_STAR_ANGLE_DEG, description="true direction, towards +Y"
+    )
     temperature_k: float = Field(default=5800.0, ge=1000, le=1e5, description="colour temperature")
     passband_nm: tuple[float, float] = Field(default=(450.0, 900.0), description="pass band of the simulator")
     edge_nm: float = Field(default=20.0, ge=0, le=400, description="length of the pass band's edges")
@@ -80,6 +89,14 @@ class ReductionConfig(StrictModel):
     axes: str | None = Field(
         default=None, description="axes of the two-axis table as believed; left out, the real ones"
     )
+    star_deg: tuple[float, float] = Field(default=(0.0, 0.0), description="start of the star, azimuth and elevation")
+
+    @field_validator("star_deg")
+    @classmethod
+    def _in_front(cls, values: tuple[float, float]) -> tuple[float, float]:
+        if max(abs(value) for value in values) > LARGEST_STAR_ANGLE_DEG:
+            raise ValueError(f"{list(values)} deg; at most {LARGEST_STAR_ANGLE_DEG:g} deg each")
+        return values
 
 
 class StudyConfig(StrictModel):

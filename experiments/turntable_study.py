@@ -41,6 +41,8 @@ class Coordinates:
         Of the centroids.
     start : CameraModel
         Where every calibration starts.
+    start_star : (3,)
+        Start of the star's direction.
     """
 
     model: CameraModel
@@ -48,6 +50,7 @@ class Coordinates:
     true_rad: FloatArray
     covariance_px2: FloatArray
     start: CameraModel
+    start_star: FloatArray
 
     def draw(self, streams: Streams, run: int) -> Data:
         """One noisy data set."""
@@ -171,7 +174,7 @@ def monte_carlo(
     rows = []
     for run in range(runs):
         data = setup.draw(streams, run)
-        calibration = reduce_data(data, believed, setup.start, leans=leans)
+        calibration = reduce_data(data, believed, setup.start, leans=leans, start_star=setup.start_star)
         solution = calibration.solution
         names = solution.names
         if _usable(calibration, leans):

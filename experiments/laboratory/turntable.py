@@ -27,7 +27,7 @@ from optics.records import freeze
 from optics.units import ARCSEC_RAD, DEG_RAD
 from render.random import Streams
 
-__all__ = ["Turntable", "build_turntable"]
+__all__ = ["Turntable", "axis_directions", "build_turntable"]
 
 FloatArray = NDArray[np.float64]
 

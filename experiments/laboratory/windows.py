@@ -27,7 +27,7 @@ from render.random import Streams
 from render.readout import expose_windows
 from render.records import EffectivePsf, ExpectedImage, WindowStack
 
-__all__ = ["StarReadings", "WindowPlan", "linear_response", "read_windows"]
+__all__ = ["SEARCH_PX", "StarReadings", "WindowPlan", "linear_response", "read_windows"]
 
 FloatArray = NDArray[np.float64]
 
