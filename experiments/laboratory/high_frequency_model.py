@@ -7,8 +7,8 @@ for an offset. In the document's number the pattern counts by h_{k+1} - h_k, in 
     document:  s^2 sum (h_{k+1} - h_k)^2 (1 - 1/W),        one position:  s^2 sum h_k^2.
 
 The S-curve and masked pixels are known functions of where the star lies; they enter as they are. Where it lies depends
-on the hexapod: its errors move all stars together and drop out of the differences as motion, but not as S-curve, because
-longer and shorter steps sample that curve otherwise. So a prediction is made either for many drawn paths of the hexapod
+on the hexapod: its errors move all stars together and drop out of the differences as motion, but not as S-curve: longer
+and shorter steps sample that curve otherwise. So a prediction is made either for many drawn paths of the hexapod
 (before the test), or for the common motion that was seen in the images (after it).
 """
 

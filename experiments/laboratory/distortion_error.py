@@ -1,0 +1,279 @@
+"""Distortion error (ACC18 section 1.4.2) measured: a surveyed grid target, frames, residuals, polynomial, map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.chromatic_model import bundle_prediction
+from experiments.instrument import Instrument
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.distortion_statistics import (
+    DistortionStatistics,
+    Reference,
+    camera_terms,
+    distortion_statistics,
+    fit_camera,
+    polynomial_terms,
+    without_pointing,
+)
+from experiments.laboratory.point_frames import read_points
+from experiments.laboratory.point_scene import PointLight, PointScene, one_filter, point_scene
+from experiments.laboratory.points import nominal_px
+from experiments.laboratory.targets import GridTarget, grid_directions, survey
+from optics.records import freeze
+from render.random import Streams
+
+__all__ = ["DenseMap", "DistortionMeasurement", "camera_place", "dense_map", "measure_distortion", "residual_px"]
+
+FloatArray = NDArray[np.float64]
+SESSIONS = ("earlier", "test")
+"""The camera model of "calibrated" comes from the earlier session."""
+
+
+def camera_place(instrument: Instrument, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Nominal pixels (n, 2) of directions (n, 3), and the same from the middle in units of half the diagonal."""
+    camera = instrument.camera
+    nominal = nominal_px(instrument, direction)
+    return nominal, (nominal - camera.centre_px) / (0.5 * np.hypot(camera.width_px, camera.height_px))
+
+
+def residual_px(
+    instrument: Instrument,
+    surveyed: FloatArray,
+    earlier_px: FloatArray,
+    test_px: FloatArray,
+    reference: Reference,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Eq. 19-20: places (n, 2), residuals (n, 2) of a session, and coefficients of the camera behind the coordinates.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Scale of the nominal coordinates.
+    surveyed : (n, 3)
+        Target points as measured beforehand.
+    earlier_px, test_px : (n, 2)
+        Mean centroids of two sessions.
+    reference : {"nominal", "aligned", "calibrated"}
+        How target coordinates become pixels; "aligned" fits the test session itself, "calibrated" the earlier one.
+    """
+    nominal, place = camera_place(instrument, surveyed)
+    offset = (earlier_px if reference == "calibrated" else test_px) - nominal
+    coefficient = fit_camera(place, offset, reference)
+    return place, test_px - nominal - camera_terms(place, reference) @ coefficient, coefficient
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DistortionMeasurement:
+    """Frames of a grid target of n points, reduced.
+
+    Attributes
+    ----------
+    instrument : Instrument
+        The camera.
+    order : int
+        Of the polynomial.
+    frames : int
+        N of each session.
+    direction : (n, 3)
+        True directions of the points.
+    surveyed : (q, n, 3)
+        As measured beforehand, by q surveys; the first is the one that counts.
+    session_px : dict of str to (2, n, 2)
+        Mean centroids of `SESSIONS` by method.
+    sigma_px : dict of str to (n, 2)
+        Standard deviation of a single frame's centroid.
+    light : PointLight
+        The target as rendered, with truth.
+    """
+
+    instrument: Instrument
+    order: int
+    frames: int
+    direction: FloatArray
+    surveyed: FloatArray
+    session_px: Mapping[str, FloatArray]
+    sigma_px: Mapping[str, FloatArray]
+    light: PointLight
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "direction", shape=("n", 3), sizes=sizes)
+        freeze(self, "surveyed", shape=("q", "n", 3), sizes=sizes)
+
+    @property
+    def arcsec_3sigma(self) -> float:
+        """Factor from px, 1 sigma, to arcsec, 3 sigma."""
+        return 3.0 * self.instrument.pixel_arcsec
+
+    def statistics(self, method: str, reference: Reference, copy: int = 0) -> DistortionStatistics:
+        """The document's numbers with one survey of the target."""
+        place, d, _ = residual_px(self.instrument, self.surveyed[copy], *self.session_px[method], reference)
+        return distortion_statistics(place, d, self.order)
+
+    def over_surveys(self, method: str, reference: Reference) -> FloatArray:
+        """sigma_d, sigma_Dd and sigma_C1 (q, 3, 2) [px] of every survey: the same frames, another total station."""
+        every = (self.statistics(method, reference, copy) for copy in range(len(self.surveyed)))
+        return np.stack([np.stack([s.sigma_d_px, s.sigma_left_px, s.sigma_c1_px]) for s in every])
+
+    def correction(self, method: str, reference: Reference, copy: int = 0) -> tuple[FloatArray, FloatArray]:
+        """Coefficients of camera (k,) and polynomial (l, 2) that the calibration hands to the user."""
+        place, d, camera = residual_px(self.instrument, self.surveyed[copy], *self.session_px[method], reference)
+        return camera, distortion_statistics(place, d, self.order).coefficient_px
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DenseMap:
+    """True errors of a correction over the whole detector; m grid points, shift and roll taken out.
+
+    Attributes
+    ----------
+    nominal_px : (m, 2)
+        Grid on the detector.
+    shape : tuple of int
+        Rows and columns of the grid.
+    uncorrected_px : (m, 2)
+        Distortion: traced minus the best shift, roll and scale.
+    corrected_px : (m, 2)
+        Traced minus camera and polynomial.
+    """
+
+    nominal_px: FloatArray
+    shape: tuple[int, int]
+    uncorrected_px: FloatArray
+    corrected_px: FloatArray
+
+    @property
+    def rms_px(self) -> FloatArray:
+        """RMS error (2,) per axis that is left after the correction."""
+        return np.asarray(np.sqrt((self.corrected_px**2).mean(0)))
+
+    @property
+    def uncorrected_rms_px(self) -> FloatArray:
+        """RMS distortion (2,)."""
+        return np.asarray(np.sqrt((self.uncorrected_px**2).mean(0)))
+
+
+def dense_grid(instrument: Instrument, rows: int, columns: int) -> FloatArray:
+    """Unit vectors (rows * columns, 3) in cam that an ideal lens images on a grid over the whole detector."""
+    camera = instrument.camera
+    x, y = np.meshgrid(np.linspace(0, camera.width_px - 1, columns), np.linspace(0, camera.height_px - 1, rows))
+    # ideal corners lie just beyond the field of the lens; the chief ray there is the same smooth function
+    return camera.nominal_direction(x, y, instrument.focal_length_mm).reshape(-1, 3)
+
+
+def dense_map(
+    bench: Bench,
+    instrument: Instrument,
+    camera: FloatArray,
+    polynomial: FloatArray,
+    *,
+    reference: Reference,
+    order: int,
+    rows: int = 17,
+    columns: int = 33,
+    traced_px: FloatArray | None = None,
+) -> DenseMap:
+    """What a correction leaves, judged by traced bundles on a dense grid (ACC18 Fig. 8 shows it at the target points).
+
+    Parameters
+    ----------
+    bench, instrument
+        The laboratory.
+    camera, polynomial
+        `DistortionMeasurement.correction`.
+    reference, order
+        What they belong to.
+    rows, columns : int
+        The grid.
+    traced_px : (rows * columns, 2), optional
+        Traced positions of the grid, if known already.
+    """
+    direction = dense_grid(instrument, rows, columns)
+    nominal, place = camera_place(instrument, direction)
+    traced = traced_bundles(bench, instrument, direction) if traced_px is None else traced_px
+    found = traced - nominal
+    aligned = camera_terms(place, "aligned") @ fit_camera(place, found, "aligned")
+    left = found - camera_terms(place, reference) @ camera - polynomial_terms(place, order) @ polynomial
+    return DenseMap(
+        nominal_px=nominal,
+        shape=(rows, columns),
+        uncorrected_px=found - aligned,
+        corrected_px=without_pointing(place, left),
+    )
+
+
+def traced_bundles(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
+    """Photon-weighted bundle means (n, 2) [px] through the bench's reference filter, by the NumPy trace."""
+    one = one_filter(bench)
+    parts = [
+        bundle_prediction(one, instrument, part[None])[0, :, 0]
+        for part in np.array_split(direction, -(-len(direction) // 64))
+    ]
+    return np.concatenate(parts)
+
+
+def measure_distortion(
+    bench: Bench,
+    instrument: Instrument,
+    target: GridTarget,
+    *,
+    order: int = 3,
+    surveys: int = 1,
+    streams: Streams,
+    backend: str,
+    scene: PointScene | None = None,
+    advance: Callable[[], None] = lambda: None,
+) -> DistortionMeasurement:
+    """Frames of a static grid target in two sessions (`SESSIONS`).
+
+    Parameters
+    ----------
+    bench, instrument
+        The laboratory; ``bench.frames`` is N, ``bench.methods`` are the centroiders.
+    target : GridTarget
+        The grid and its marking error.
+    order : int
+        Of the polynomial.
+    surveys : int
+        Independent surveys of the target to be kept; the frames are the same.
+    streams : Streams
+        Root of target, surveys and noise.
+    backend : str
+        Where the detector runs.
+    scene : PointScene, optional
+        If prepared already.
+    advance : callable
+        Called after each session.
+
+    Raises
+    ------
+    DomainError
+        On a target that does not fit, points that are not detected or saturated, or too few usable frames.
+    """
+    scene = scene or point_scene(bench, instrument, backend)
+    bench = scene.bench
+    direction = grid_directions(target, instrument, streams.generator("target"))
+    light = scene.light(direction, streams, "grid")
+    sessions: dict[str, list[FloatArray]] = {m: [] for m in bench.methods}
+    sigma: dict[str, FloatArray] = {}
+    for session in SESSIONS:
+        frames = read_points(light, bench, instrument, streams=streams.child(session), backend=backend)
+        for method in bench.methods:
+            sessions[method].append(frames.mean_px(method))
+            sigma[method] = frames.sigma_px(method)
+        advance()
+    return DistortionMeasurement(
+        instrument=instrument,
+        order=order,
+        frames=bench.frames,
+        direction=direction,
+        surveyed=survey(target, direction, streams.generator("survey"), copies=surveys),
+        session_px={m: np.stack(v) for m, v in sessions.items()},
+        sigma_px=sigma,
+        light=light,
+    )
