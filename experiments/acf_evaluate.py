@@ -22,10 +22,13 @@ __all__ = [
     "Pulls",
     "Runs",
     "comparison",
+    "counts",
+    "distortion_rms",
     "failures",
     "fig3",
     "fig4",
     "gains",
+    "map_expected",
     "map_rms",
     "pulls",
     "runs_of_lengths",
@@ -364,6 +367,15 @@ def map_rms(result: Result, errors: FloatArray) -> FloatArray:
     """RMS line-of-sight error at each place of the grid (m, m) [arcsec] of camera errors (r, 8)."""
     operator = field_of(result.config, None).operator
     square = ((errors[:, :8] @ operator.T) ** 2).mean(0).reshape(-1, 2).sum(1)
+    side = round(np.sqrt(len(square)))
+    return np.asarray(np.sqrt(square).reshape(side, side))
+
+
+def distortion_rms(result: Result, errors: FloatArray) -> FloatArray:
+    """RMS residual distortion at each place of the grid (m, m) [px] of camera errors (r, 8): the coefficients alone."""
+    grid = field_of(result.config, None)
+    by_coefficient = result.scene.camera.project_jacobian(grid.direction).by_parameter[:, :, 3:]
+    square = (np.einsum("nap,rp->rna", by_coefficient, errors[:, 3:8]) ** 2).mean(0).sum(1)
     side = round(np.sqrt(len(square)))
     return np.asarray(np.sqrt(square).reshape(side, side))
 

@@ -305,7 +305,8 @@ def _parameters(result: Result, every: Mapping[str, Table]) -> tuple[Section, ..
                 ),
                 _figure(
                     sight_maps(result),
-                    "Line-of-sight error over the detector after the best rotation, at the noise of Table 2.",
+                    "RMS over the detector at the noise of Table 2: residual distortion (the five coefficients alone), and the "
+                    "line of sight after the best rotation, found and expected.",
                 ),
             ),
         ),

@@ -103,8 +103,10 @@ class Case:
         Trim from where the eye left the spot, in steps of the table, with the operator's gain, until the stop rule
         holds; otherwise the table goes where it is sent, starts trimmed, and one correction is enough.
     improved : bool
-        Aperture and spot from one picture, what is left of the offset taken into account, axes and beam from the joint
-        fit with the sun sensor.
+        Aperture and spot from one picture, what is left of the offset taken into account, and the axes of the table
+        from the joint fit with the sun sensor.
+    pictures_of : str
+        Name of the case whose pictures and readings are reduced once more; "" for its own.
     """
 
     name: str
@@ -115,6 +117,7 @@ class Case:
     reading: bool = False
     coarse: bool = False
     improved: bool = False
+    pictures_of: str = ""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -265,19 +268,19 @@ def put_cube(laboratory: Laboratory, truth: Truth, lab_from_table: FloatArray) -
     return pose
 
 
-def concentric_angles(
-    table: Turntable, normal: FloatArray, face: str, beam: ArrayLike = (0.0, 0.0, 1.0)
-) -> FloatArray:
+def concentric_angles(table: Turntable, normal: FloatArray, face: str, beam: ArrayLike = (0.0, 0.0, 1.0)) -> FloatArray:
     """Angles (outer, inner) [rad] at which a normal (table frame) looks along the beam; Newton on the true table."""
     angle = np.array(FACE_ANGLES_DEG[face]) * DEG_RAD
     nominal = np.arcsin(normal[1]), np.arctan2(-normal[0], normal[2])
     angle += (np.array(nominal) - angle + np.pi) % (2 * np.pi) - np.pi
-    for _ in range(4):
+    step = np.inf
+    while np.max(np.abs(step)) > 1e-9:
         turn = table.rotation(angle[None])[0]
         looks = turn.apply(normal)
         rates = table.angle_rates(angle[None])[0]
         leverage = np.cross(rates, looks)[:, :2].T
-        angle -= np.linalg.solve(leverage, looks[:2] - np.asarray(beam)[:2])
+        step = np.linalg.solve(leverage, looks[:2] - np.asarray(beam)[:2])
+        angle -= step
     return angle
 
 

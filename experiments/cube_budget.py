@@ -23,7 +23,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.cube_mirror import cube_from_table, normal_in_table, pixel_angle_rad, rotation_error_rad
-from experiments.cube_bench import NOMINAL_CUBE, SQUARE, Case, Laboratory, build_table, concentric_angles, nominal_normal
+from experiments.cube_bench import (
+    NOMINAL_CUBE,
+    SQUARE,
+    Case,
+    Laboratory,
+    build_table,
+    concentric_angles,
+    nominal_normal,
+)
 from experiments.cube_bench import Truth as BenchTruth
 from experiments.cube_montecarlo import CaseResult
 from experiments.cube_reduce import measured_normal
@@ -235,7 +243,9 @@ def build_budget(laboratory: Laboratory, cases: Mapping[str, CaseResult]) -> lis
     """
     sensor = perfect_sensor(laboratory)
     noise_px = _picture_noise_px(cases["trim"])
-    single = terms(laboratory, sensor, play_trim(laboratory.config, laboratory.tilt_per_px, noise_px, laboratory.streams))
+    single = terms(
+        laboratory, sensor, play_trim(laboratory.config, laboratory.tilt_per_px, noise_px, laboratory.streams)
+    )
     rows = []
     for name, result in cases.items():
         case = result.case

@@ -110,15 +110,16 @@ def reduce_bench(
     sensor : SensorCalibration
         Step 1.
     improved : bool
-        Take what is left of the offsets into account.
+        Take what is left of the offsets into account, with the hole in the picture of the spot as the aperture.
     """
     config, geometry = laboratory.config, laboratory.geometry
     known = replace(table.nominal, non_orthogonality_arcsec=np.array([sensor.lean_rad * RAD_ARCSEC]))
     normals, spreads = [], []
     for trim in trims:
-        offset = trim.offset.offset_px * laboratory.pitch_mm if improved else None
+        offset = trim.own.offset_px * laboratory.pitch_mm if improved else None
         normals.append(measured_normal(known, trim.reading_rad, offset, geometry.distance_mm))
-        spreads.append(_normal_covariance(known, trim, laboratory.tilt_per_px))
+        pictures = trim.own if improved else trim.offset
+        spreads.append(_normal_covariance(known, trim, pictures.covariance_px2 * laboratory.tilt_per_px**2))
     cube = solve_cube(config, truth, [trim.face for trim in trims], np.array(normals), np.array(spreads))
     rotation, covariance = sensor_to_cube(cube, sensor.rotation, sensor.covariance_rad2)
     if sensor.lean_sigma_rad > 0:
@@ -164,9 +165,9 @@ def _lean_covariance(
     return np.asarray(np.outer(rate, rate) * sensor.lean_sigma_rad**2 - cross - cross.T)
 
 
-def _normal_covariance(table: Turntable, trim: FaceTrim, tilt_per_px: float) -> FloatArray:
+def _normal_covariance(table: Turntable, trim: FaceTrim, covariance_rad2: FloatArray) -> FloatArray:
     """Covariance (3, 3) of a measured normal from its circle fits, table frame."""
     spread = np.zeros((3, 3))
-    spread[:2, :2] = trim.offset.covariance_px2 * tilt_per_px**2
+    spread[:2, :2] = covariance_rad2
     turn = table.rotation(trim.reading_rad[None])[0].inv().as_matrix()
     return np.asarray(turn @ spread @ turn.T)

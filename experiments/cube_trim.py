@@ -115,6 +115,9 @@ class FaceTrim:
         Outer and inner angle that were read at the end.
     offset : Offset
         The last one.
+    own : Offset
+        The same with the aperture seen as the dark hole in the picture of the spot: no give of the mount between two
+        pictures enters. Taken where the spot is trimmed coarsely; otherwise the same as ``offset``.
     pictures : tuple of Picture
         Aperture, first spot, last spot, where they were kept.
     """
@@ -123,6 +126,7 @@ class FaceTrim:
     rows: tuple[TrimRow, ...]
     reading_rad: FloatArray
     offset: Offset
+    own: Offset
     pictures: tuple[Picture, ...] = ()
 
 
@@ -198,8 +202,8 @@ def _spokes(picture: Picture, centre_mm: FloatArray, low_mm: float, high_mm: flo
 def fit_aperture(picture: Picture, radius_mm: float) -> CircleFit:
     """Circle through the edge of the glowing aperture: half the brightness of its inside."""
     width = EDGE_HALF_WIDTH_PX["aperture"] * picture.camera.pitch_mm
-    centre = np.zeros(2)
-    for _ in range(2):
+    centre, moved = np.zeros(2), np.inf
+    while moved > 2.0 * picture.camera.pitch_mm:
         spokes = _spokes(picture, centre, 0.6 * radius_mm, radius_mm + 12 * picture.camera.pitch_mm)
         inside = spokes.radius < 0.85 * radius_mm
         outside = spokes.radius > radius_mm + 8 * picture.camera.pitch_mm
@@ -207,7 +211,7 @@ def fit_aperture(picture: Picture, radius_mm: float) -> CircleFit:
         edge = edge_crossings(spokes, level, rising=False, half_width=width)
         _enough(edge, "aperture")
         fit = fit_circle(edge.point, sigma=edge.sigma)
-        centre = fit.centre
+        moved, centre = float(np.hypot(*(fit.centre - centre))), fit.centre
     return fit
 
 
@@ -243,24 +247,23 @@ def fit_hole(picture: Picture, aperture: CircleFit) -> CircleFit:
     """Circle through the dark edge of the hole in the picture of the spot, each spoke at half its own brightness."""
     pitch = picture.camera.pitch_mm
     width = EDGE_HALF_WIDTH_PX["hole"] * pitch
-    centre = aperture.centre
-    for _ in range(2):
+    centre, moved = aperture.centre, np.inf
+    while moved > 2.0 * pitch:
         spokes = _spokes(picture, centre, 0.6 * aperture.radius, aperture.radius + 9 * pitch)
         inside = spokes.radius < aperture.radius - 5 * pitch
         beside = (spokes.radius > aperture.radius + 2.5 * pitch) & (spokes.radius < aperture.radius + 7 * pitch)
         dark = np.nanmedian(spokes.value[:, inside])
-        slope, at_edge = _lines(spokes.radius[beside] - aperture.radius, spokes.value[:, beside])
+        at_edge = _lines(spokes.radius[beside] - aperture.radius, spokes.value[:, beside])
         edge = edge_crossings(spokes, 0.5 * (dark + at_edge), rising=True, half_width=width)
         _enough(edge, "edge of the hole")
         fit = fit_circle(edge.point, sigma=edge.sigma)
-        centre = fit.centre
+        moved, centre = float(np.hypot(*(fit.centre - centre))), fit.centre
     return fit
 
 
-def _lines(x: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Slope and value at x = 0 of a line through each row."""
-    coefficients = np.polynomial.polynomial.polyfit(x, value.T, 1)
-    return coefficients[1], coefficients[0]
+def _lines(x: FloatArray, value: FloatArray) -> FloatArray:
+    """Value at x = 0 of a line through each row."""
+    return np.asarray(np.polynomial.polynomial.polyfit(x, value.T, 1)[0])
 
 
 def _brightest(picture: Picture, aperture: CircleFit) -> FloatArray:
@@ -317,7 +320,7 @@ def trim_face(
     truth : Truth
         The bench.
     case : Case
-        Which errors act.
+        Which errors act, and how far the trim goes.
     table : Turntable
         The table as it is built.
     face, repeat : int
@@ -370,20 +373,24 @@ def trim_face(
             inner_mm=max(radius - displaced - INNER_MARGIN_PX * laboratory.pitch_mm, 0.0),
         )
         spot = fit_spot(picture, aperture, reach)
-        near = bool(np.all(np.abs(spot.centre - aperture.centre) < ROUGH_PX * laboratory.pitch_mm))
-        reference = fit_hole(picture, aperture) if case.improved and near else aperture
-        offset = measure_offset(reference, spot, laboratory.pitch_mm)
+        offset = measure_offset(aperture, spot, laboratory.pitch_mm)
         rows.append(_row(actual[0], offset))
         if keep:
             pictures = [*pictures[:2], picture]
         left = offset.offset_px - aim
         correction = tilt * np.array([left[1], -left[0]])
-        if not case.coarse:  # the table goes where it is sent: one last correction, which no picture has to confirm
-            reading = table.read(actual + correction, here)[0]
-            return FaceTrim(face=name, rows=tuple(rows), reading_rad=reading, offset=offset, pictures=tuple(pictures))
-        if np.all(np.abs(left) < config.trim.stop_px):
-            reading = table.read(actual, here)[0]
-            return FaceTrim(face=name, rows=tuple(rows), reading_rad=reading, offset=offset, pictures=tuple(pictures))
+        if not case.coarse or np.all(np.abs(left) < config.trim.stop_px):
+            # alone, a term starts trimmed: the table makes one last correction, which no picture has to confirm
+            final = actual if case.coarse else actual + correction
+            own = measure_offset(fit_hole(picture, aperture), spot, laboratory.pitch_mm) if case.coarse else offset
+            return FaceTrim(
+                face=name,
+                rows=tuple(rows),
+                reading_rad=table.read(final, here)[0],
+                offset=offset,
+                own=own,
+                pictures=tuple(pictures),
+            )
         commanded = actual[0] + config.trim.gain_ratio * correction
         ahead_px = float(np.max(np.abs((1 - config.trim.gain_ratio) * left)))
     raise ConvergenceError(

@@ -111,12 +111,16 @@ main = command(
     show=("cameras", "parts"),
     files=files,
     quick={
-        "frames": 8,
-        "dark_frames": 8,
-        "narrow.faintest_mag": 9.0,
-        "wide.faintest_mag": 6.0,
-        "motion.rate_deg_per_s": 2.0,
+        "frames": 6,
+        "dark_frames": 5,
+        "motion.rate_deg_per_s": 3.0,
         "map_points": 13,
+        "narrow.faintest_mag": 8.7,
+        "narrow.psf_spacing_px": 400.0,
+        "narrow.models": ["pinhole", "brown_conrady", "polynomial_3"],
+        "wide.faintest_mag": 6.2,
+        "wide.psf_spacing_px": 170.0,
+        "wide.models": ["pinhole", "brown_conrady", "polynomial_5"],
     },
 )
 

@@ -66,7 +66,8 @@ class Evaluation:
         Error per axis added to the noise of every centroid so that residuals are what was expected: for all steps, and
         for the corrected centroids.
     judged : dict
-        By (method, model, data). All have the same weights but those of ``corrected``.
+        By (method, model, data), all `STEPS` for the model that counts. All have the same weights but those of
+        ``corrected``.
     clean : Judged
         ``reference`` with the weights of ``corrected``.
     direct : dict of str to Judged
@@ -149,7 +150,7 @@ def evaluate(
     judged: dict[tuple[str, str, str], Judged] = {}
     direct = {}
     for model in scene.config.models:
-        for data in STEPS:
+        for data in STEPS if model == name else ("reference", "measured"):
             judged["free", model, data] = bench.calibrate(data, model=model)
         judged["free", model, "corrected"] = fine.calibrate("corrected", model=model)
         direct[model] = bench.direct(model)

@@ -57,7 +57,7 @@ class CameraConfig(StrictModel):
     faintest_mag: float = Field(default=9.0, ge=0, le=12, description="faintest stars rendered, Gaia G")
     background_e_per_s: float = Field(default=2.0, ge=0, le=1e5, description="sky light per pixel")
     sobol_log2_rays: int = Field(
-        default=14, ge=8, le=20, description="logarithm of the rays per star where the pupil is not clear"
+        default=13, ge=8, le=20, description="logarithm of the rays per star where the pupil is not clear"
     )
     psf_spacing_px: float = Field(default=256.0, gt=8, le=1e5, description="distance between rendered PSFs")
     model: str = Field(default="brown_conrady", description="camera model that counts, one of models")
@@ -93,7 +93,7 @@ class SkyConfig(StrictModel):
     dec_deg: float = Field(default=30.0, ge=-89, le=89, description="its declination")
     passband_nm: tuple[float, float] = Field(default=(450.0, 900.0), description="pass band of the cameras")
     edge_nm: float = Field(default=20.0, ge=0, le=200, description="length of the pass band's edges")
-    nodes: int = Field(default=16, ge=4, le=64, description="wavelengths at which the pass band is sampled")
+    nodes: int = Field(default=12, ge=4, le=64, description="wavelengths at which the pass band is sampled")
     reference_k: float = Field(
         default=4800.0, ge=1000, le=1e5, description="star colour that the map, the PSF and the truth refer to"
     )

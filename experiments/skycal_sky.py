@@ -57,6 +57,8 @@ class Sky:
     ----------
     name, attribution : str
         What the sky is, and what the licence of its source asks to be said.
+    id : (n,) int64
+        Gaia's source_id, -HIP, or a running number.
     direction : (n, 3)
         Unit vectors in icrs.
     magnitude : (n,)
@@ -67,12 +69,14 @@ class Sky:
 
     name: str
     attribution: str
+    id: NDArray[np.int64]
     direction: FloatArray
     magnitude: FloatArray
     temperature_k: FloatArray
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
+        freeze(self, "id", shape=("n",), dtype=np.int64, sizes=sizes)
         freeze(self, "direction", shape=("n", 3), sizes=sizes)
         freeze(self, "magnitude", shape=("n",), sizes=sizes)
         freeze(self, "temperature_k", shape=("n",), sizes=sizes)
@@ -131,6 +135,7 @@ def random_sky(faintest_mag: float, rng: np.random.Generator) -> Sky:
     return Sky(
         name=f"random sky to G = {faintest_mag:g}",
         attribution="",
+        id=np.arange(count),
         direction=np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), z]),
         magnitude=np.interp(brighter, logarithm, limits),
         temperature_k=colour_temperature(bp_rp_mag=colour),
@@ -151,6 +156,7 @@ def _gaia_sky(faintest_mag: float) -> Sky:
     return Sky(
         name=f"Gaia DR3 and Hipparcos to G = {faintest_mag:g}",
         attribution=catalog.attribution,
+        id=catalog.id[rows],
         direction=catalog.direction[rows],
         magnitude=catalog.magnitude[rows],
         temperature_k=np.where(np.isnan(kelvin), TYPICAL_TEMPERATURE_K, kelvin),

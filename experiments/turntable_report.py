@@ -238,7 +238,8 @@ def _limits(result: Result, every: Mapping[str, Table]) -> Section:
             every["knowledge"],
             every["map_error"],
             every["lenses"],
-            Row((every["reading_sweep"], every["lean_sweep"])),
+            every["reading_sweep"],
+            every["lean_sweep"],
         ),
     )
 
@@ -293,17 +294,16 @@ def _honest(result: Result) -> Section:
         "for so many runs; band: 10 %.",
     )
     parts = [
-        f"{case.name}: map error {case.monte_carlo.map_arcsec:.4f}″, Cramér–Rao bound "
-        f"{case.bound.map_sigma_arcsec:.4f}″, "
-        f"ratio {case.monte_carlo.map_arcsec / case.bound.map_sigma_arcsec:.3f}, {case.monte_carlo.lost} of "
-        f"{case.monte_carlo.runs + case.monte_carlo.lost} runs lost"
+        f"On the {case.name} table the map error is {case.monte_carlo.map_arcsec:.4f}″ where the Cramér–Rao bound is "
+        f"{case.bound.map_sigma_arcsec:.4f}″, and {case.monte_carlo.lost} of "
+        f"{case.monte_carlo.runs + case.monte_carlo.lost} runs did not converge."
         for case in result.cases
     ]
     text = Text(
         "The rendered run is one draw. On coordinates, with the model that was fitted to the rays as the camera and "
         "the same places and noise, the calibration is repeated from the poor start every time. "
-        + "; ".join(parts)
-        + ". The bound is computed apart from the estimator, from the readings' noise carried to the images."
+        + " ".join(parts)
+        + " The bound is computed apart from the estimator, from the readings' noise carried to the images."
     )
     return Section(title="Is the covariance honest?", blocks=(text, bars))
 

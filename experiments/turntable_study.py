@@ -199,10 +199,9 @@ def monte_carlo(
 
 
 def _usable(calibration: Calibration, leans: bool) -> bool:
-    """Converged; where the leans are ignored on purpose, a fit that is refused for its residuals counts too."""
+    """Converged; where the leans are ignored on purpose, the wrong model may end as it likes, with numbers."""
     solution = calibration.solution
-    refused = not leans and solution.status == "refused" and bool(np.isfinite(solution.sigma).all())
-    return solution.converged or refused
+    return solution.converged or (not leans and bool(np.isfinite(solution.sigma).all()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

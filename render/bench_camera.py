@@ -8,13 +8,14 @@ looks obliquely; the homography between the screen and the pixels is exact and k
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import freeze, locked
 
 __all__ = ["BenchCamera"]
 
@@ -73,6 +74,10 @@ class BenchCamera:
     @property
     def homography(self) -> FloatArray:
         """Matrix (3, 3): (x, y, 1) on the screen [mm] -> (column, row, 1) times depth."""
+        size = (self.width_px, self.height_px)
+        return _homography(*size, self.pitch_mm, self.distance_mm, self.angle_deg, *self.aim_mm.tolist())
+
+    def _matrix(self) -> FloatArray:
         focal = self.distance_mm / self.pitch_mm
         inner = np.array(
             [[focal, 0, (self.width_px - 1) / 2], [0, focal, (self.height_px - 1) / 2], [0, 0, 1]], dtype=float
@@ -111,6 +116,21 @@ class BenchCamera:
                 },
             }
         )
+
+
+@lru_cache(maxsize=64)
+def _homography(
+    width_px: int, height_px: int, pitch_mm: float, distance_mm: float, angle_deg: float, x_mm: float, y_mm: float
+) -> FloatArray:
+    camera = BenchCamera(
+        width_px=width_px,
+        height_px=height_px,
+        pitch_mm=pitch_mm,
+        distance_mm=distance_mm,
+        angle_deg=angle_deg,
+        aim_mm=np.array([x_mm, y_mm]),
+    )
+    return locked(camera._matrix())
 
 
 def _projected(matrix: NDArray[Any], points: ArrayLike) -> FloatArray:

@@ -110,9 +110,13 @@ class DistortionMeasurement:
         """Factor from px, 1 sigma, to arcsec, 3 sigma."""
         return 3.0 * self.instrument.pixel_arcsec
 
+    def _residual(self, method: str, reference: Reference, copy: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        earlier, test = self.session_px[method]
+        return residual_px(self.instrument, self.surveyed[copy], earlier, test, reference)
+
     def statistics(self, method: str, reference: Reference, copy: int = 0) -> DistortionStatistics:
         """The document's numbers with one survey of the target."""
-        place, d, _ = residual_px(self.instrument, self.surveyed[copy], *self.session_px[method], reference)
+        place, d, _ = self._residual(method, reference, copy)
         return distortion_statistics(place, d, self.order)
 
     def over_surveys(self, method: str, reference: Reference) -> FloatArray:
@@ -122,7 +126,7 @@ class DistortionMeasurement:
 
     def correction(self, method: str, reference: Reference, copy: int = 0) -> tuple[FloatArray, FloatArray]:
         """Coefficients of camera (k,) and polynomial (l, 2) that the calibration hands to the user."""
-        place, d, camera = residual_px(self.instrument, self.surveyed[copy], *self.session_px[method], reference)
+        place, d, camera = self._residual(method, reference, copy)
         return camera, distortion_statistics(place, d, self.order).coefficient_px
 
 

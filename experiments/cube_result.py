@@ -1,0 +1,247 @@
+"""What a run of the cube-mirror experiment gives back, the criteria, and what goes into ``summary.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.cube_mirror import pixel_angle_rad
+from experiments.cube_bench import Laboratory, Truth
+from experiments.cube_budget import PUBLISHED_ARCSEC, BudgetRow, face_angles_deg
+from experiments.cube_montecarlo import CaseResult
+from experiments.cube_reduce import BenchResult
+from experiments.cube_sensor import SensorRun
+from experiments.cube_settings import Config
+from experiments.cube_verify import LightCheck
+from experiments.summary import Criterion, Measured
+from optics.units import RAD_ARCSEC, RAD_DEG
+
+__all__ = ["Result", "criteria", "results"]
+
+FloatArray = NDArray[np.float64]
+
+CHECK_DEG = 90.0121
+"""Angle between the faces that the angles of Table 1 give with the corrected eq. 8."""
+
+RATIO_LIMIT = 0.15
+MANY = 100
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """A run.
+
+    Attributes
+    ----------
+    config : Config
+        Settings.
+    laboratory : Laboratory
+        The rendered bench.
+    truths : sequence of Truth
+        The benches.
+    shown : BenchResult
+        The first bench, as performed, with its pictures, traced with more particles.
+    shown_run : SensorRun
+        Spots of its sun sensor.
+    cases : mapping
+        Case name -> results of all benches.
+    budget : sequence of BudgetRow
+        Prediction beside measurement.
+    lean_rate : (3,)
+        Error of R_sp per unit of the axes' non-orthogonality.
+    beam_rate : (3, 2)
+        Error of R_sp per unit of the beam's direction off the table's Z axis.
+    light : LightCheck
+        Rendered light against closed forms.
+    views : sequence of (bodies, beam)
+        Pictures of the bench, radiances (h, w).
+    runtime_s, peak_memory_mb : float
+        Cost.
+    """
+
+    config: Config
+    laboratory: Laboratory
+    truths: Sequence[Truth]
+    shown: BenchResult
+    shown_run: SensorRun
+    cases: Mapping[str, CaseResult]
+    budget: Sequence[BudgetRow]
+    lean_rate: FloatArray
+    beam_rate: FloatArray
+    light: LightCheck
+    views: Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
+    runtime_s: float
+    peak_memory_mb: float
+
+    def row(self, name: str) -> BudgetRow:
+        """A line of the budget."""
+        return next(row for row in self.budget if row.name == name)
+
+
+def sigma1_arcsec(result: Result) -> float:
+    """Eq. 13 with the right units."""
+    laboratory = result.laboratory
+    return pixel_angle_rad(laboratory.pitch_mm, laboratory.geometry.distance_mm) * RAD_ARCSEC
+
+
+def eq14_arcsec(result: Result) -> float:
+    """Eq. 14 with the terms of this configuration."""
+    config = result.config
+    terms = (sigma1_arcsec(result), config.table.square_arcsec, config.camera.mounting_arcsec)
+    return float(np.linalg.norm([*terms, config.table.inner_reading_arcsec]))
+
+
+def ratio_limit(row: BudgetRow) -> float:
+    """15 %; with fewer than a hundred benches three standard deviations of the sample, if that is more."""
+    return RATIO_LIMIT if row.benches >= MANY else max(RATIO_LIMIT, 3 * row.ratio_sigma)
+
+
+def few(row: BudgetRow) -> float:
+    """Room for the scatter of a standard deviation from few benches; 1 from a hundred on."""
+    return 1.0 if row.benches >= MANY else 1.0 + 3.0 / float(np.sqrt(2 * row.benches))
+
+
+def criteria(result: Result) -> list[Criterion]:
+    """What has to hold."""
+    last = [trim.rows[-1].offset_px for trim in result.shown.trims]
+    found = [
+        Criterion(
+            name="offsets of the shown bench when its faces are left",
+            value=float(np.max(np.abs(last))),
+            limit=result.config.trim.stop_px,
+            unit="px",
+            relation="<",
+        ),
+        Criterion(
+            name="faces of Table 1 by the corrected eq. 8 against 90.0121 deg",
+            value=abs(face_angles_deg()[0] - CHECK_DEG),
+            limit=5.1e-5,
+            unit="deg",
+        ),
+        Criterion(
+            name="rendered displacement against 2 x tilt x distance",
+            value=result.light.worst_displacement_um,
+            limit=0.1,
+            unit="um",
+        ),
+        Criterion(
+            name="rendered edge of the spot against the closed form, part of full brightness",
+            value=result.light.worst_profile,
+            limit=0.02,
+        ),
+    ]
+    for row in result.budget:
+        found.append(
+            Criterion(
+                name=f"predicted / measured, {row.label}: off one by",
+                value=abs(row.ratio - 1.0),
+                limit=ratio_limit(row),
+            )
+        )
+    for name in ("all", "procedure"):
+        row = result.row(name)
+        found.append(
+            Criterion(
+                name=f"R_sp, {row.label}, worst axis (CUBE09: better than 4 arcsec)",
+                value=float(row.measured_arcsec.max()),
+                limit=4.0 * few(row),
+                unit="arcsec",
+                relation="<",
+            )
+        )
+    found.append(
+        Criterion(
+            name="R_sp, the same pictures reduced better, worst axis",
+            value=float(result.row("improved").measured_arcsec.max()),
+            limit=1.0 * few(result.row("improved")),
+            unit="arcsec",
+            relation="<",
+        )
+    )
+    return found
+
+
+def _axes(values: FloatArray, sigma: FloatArray | None = None, n: int | None = None) -> dict[str, Any]:
+    errors = [None] * 3 if sigma is None else [float(one) for one in sigma]
+    return {
+        axis: Measured(value=float(value), unit="arcsec", uncertainty=error, n=n)
+        for axis, value, error in zip("xyz", values, errors, strict=True)
+    }
+
+
+def results(result: Result) -> dict[str, Any]:
+    """Content of ``results`` in ``summary.json``."""
+    performed = result.row("procedure")
+    sensor = result.shown.sensor
+    check, bench = face_angles_deg()
+    return {
+        "trim_tables": {
+            trim.face: [
+                {
+                    "outer_deg": row.outer_deg,
+                    "inner_deg": row.inner_deg,
+                    "x_px": float(row.offset_px[0]),
+                    "y_px": float(row.offset_px[1]),
+                    "sigma_x_px": float(row.sigma_px[0]),
+                    "sigma_y_px": float(row.sigma_px[1]),
+                }
+                for row in trim.rows
+            ]
+            for trim in result.shown.trims
+        },
+        "r_sp_error_arcsec_1sigma": _axes(performed.measured_arcsec, performed.uncertainty_arcsec, performed.benches),
+        "budget": [
+            {
+                "term": row.name,
+                "meaning": row.label,
+                "published_arcsec": PUBLISHED_ARCSEC.get(row.name),
+                "predicted": _axes(row.predicted_arcsec),
+                "predicted_term_alone": _axes(row.term_arcsec),
+                "measured": _axes(row.measured_arcsec, row.uncertainty_arcsec, row.benches),
+                "acts_on": [axis for axis, on in zip("xyz", row.acts, strict=True) if on],
+                "predicted_over_measured": row.ratio,
+            }
+            for row in result.budget
+        ],
+        "eq13_arcsec": sigma1_arcsec(result),
+        "eq14_arcsec": eq14_arcsec(result),
+        "face_angle_check_deg": check,
+        "face_angle_of_table1_in_this_bench_deg": bench,
+        "face_angle_shown_bench": {
+            "measured_deg": result.shown.face_angle_rad * RAD_DEG,
+            "true_deg": result.shown.true_face_angle_rad * RAD_DEG,
+        },
+        "r_sr": {
+            "rotation_vector_arcsec": sensor.rotation.as_rotvec() * RAD_ARCSEC,
+            "covariance_arcsec2": sensor.covariance_rad2 * RAD_ARCSEC**2,
+            "error_arcsec": sensor_error_arcsec(result),
+            "spots_rms_px": sensor.sigma_px,
+            "positions": len(result.shown_run.pixel_px),
+            "mask_gap_mm": sensor.focal_length_mm,
+            "mask_gap_true_mm": result.truths[0].sensor.gap_mm,
+        },
+        "error_per_arcsec": {
+            "axes_out_of_square": result.lean_rate,
+            "beam_x": result.beam_rate[:, 0],
+            "beam_y": result.beam_rate[:, 1],
+        },
+        "light": {
+            "worst_displacement_um": result.light.worst_displacement_um,
+            "worst_profile": result.light.worst_profile,
+        },
+        "benches": len(result.truths),
+        "settings_per_face": float(result.cases["procedure"].trims.mean()),
+        "runtime_s": result.runtime_s,
+        "peak_memory_mb": result.peak_memory_mb,
+    }
+
+
+def sensor_error_arcsec(result: Result) -> FloatArray:
+    """Error of R_sr of the shown bench, in the sensor frame (3,)."""
+    true = Rotation.from_matrix(result.truths[0].sensor_from_table)
+    return np.asarray((result.shown.sensor.rotation * true.inv()).as_rotvec() * RAD_ARCSEC)
