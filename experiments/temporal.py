@@ -1,0 +1,146 @@
+"""Temporal error of a star camera (ACC18 eq. 1-2, Fig. 5): frames of a static target, scatter against signal.
+
+A 5 x 5 point target stands still; frames are rendered, read out with noise and rounding, detected and centroided at
+several signal levels. The scatter of every star's centroid stands beside the Cramer-Rao bound and two predictions that
+use no frames: the noise model carried through each centroider's influence function, and noise drawn on PSF windows.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from experiments.cli import command
+from experiments.progress import Progress
+from experiments.summary import Criterion
+from experiments.temporal_settings import Config
+
+if TYPE_CHECKING:
+    from experiments.report import Report
+    from experiments.tables import Table
+    from experiments.temporal_result import Result
+
+__all__ = ["Config", "main", "report", "run", "summary", "tables"]
+
+
+def run(config: Config, *, progress: Progress) -> Result:
+    """Render, read out, reduce, predict.
+
+    Parameters
+    ----------
+    config : Config
+        Settings.
+    progress : Progress
+        Where to report.
+
+    Raises
+    ------
+    StarbenchError
+        On anything the user can mend: unknown lens or detector, target off the detector, points not detected or
+        saturated, light beyond the range of the data.
+    """
+    import mitsuba as mi
+
+    from experiments.instrument import build_instrument
+    from experiments.laboratory.brightness import BrightnessControl
+    from experiments.laboratory.point_scene import point_scene
+    from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
+    from experiments.point_settings import check_bench, make_bench
+    from experiments.provenance import peak_memory_mb, process_seconds
+    from experiments.temporal_result import Result, level_for
+    from render.random import Streams
+
+    instrument = build_instrument(config.instrument)
+    bench = make_bench(config, config.target)
+    direction = target_place(bench, instrument, config.place_px)
+    check_bench(bench, instrument, direction[None])
+    streams = Streams(config.seed).child("temporal")
+    brightness = config.brightness
+    control = BrightnessControl(
+        lowest_e=brightness.lowest_e,
+        highest_e=brightness.highest_e,
+        setting_error_ratio=brightness.setting_error_ratio,
+    )
+    wanted = control.levels_e(brightness.levels)
+    reached = control.reached_e(wanted, streams.generator("brightness"))
+    with progress.stage("prepare"):
+        scene = point_scene(bench, instrument, str(mi.variant()).split("_", maxsplit=1)[0])
+        psf = scene.psfs(direction)
+    with progress.stage("frames", total=len(reached) + 1) as stage:
+        measured, nominal = (
+            measure_temporal(
+                bench,
+                instrument,
+                levels_e=levels_e,
+                place_px=config.place_px,
+                subtractions=("dark", "raw"),
+                streams=root,
+                backend=scene.backend,
+                scene=scene,
+                advance=stage.advance,
+            )
+            for levels_e, root in ((reached, streams), (None, streams.child("nominal")))
+        )
+    with progress.stage("prediction"):
+        predicted = predict_temporal(
+            bench, instrument, psf=psf, levels_e=reached, place_px=config.place_px, draws=config.draws, seed=config.seed
+        )
+        at_nominal = predict_temporal(
+            bench, instrument, psf=psf, place_px=config.place_px, draws=config.draws, seed=config.seed + 1
+        )
+        levels = {method: level_for(bench, instrument, psf, config.place_px, method) for method in bench.methods}
+    return Result(
+        config=config,
+        instrument=instrument,
+        measured=measured,
+        nominal=nominal,
+        predicted=predicted,
+        predicted_nominal=at_nominal,
+        published_level_e=levels,
+        runtime_s=process_seconds(),
+        peak_memory_mb=peak_memory_mb(),
+    )
+
+
+def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:
+    """What goes into ``summary.json``."""
+    from experiments.temporal_evaluate import criteria, results
+
+    return results(result), criteria(result)
+
+
+def tables(result: Result) -> Mapping[str, Table]:
+    """Tables written beside the report."""
+    from experiments.temporal_tables import all_tables
+
+    return all_tables(result)
+
+
+def report(result: Result) -> Report:
+    """What ``report.html`` shows."""
+    from experiments.temporal_report import build_report
+
+    return build_report(result)
+
+
+main = command(
+    "temporal",
+    config=Config,
+    run=run,
+    report=report,
+    summary=summary,
+    tables=tables,
+    show=("temporal_error",),
+    quick={
+        "frames": 30,
+        "draws": 30,
+        "brightness.levels": 5,
+        "target.rows": 3,
+        "target.columns": 3,
+        "compare": ["tcog", "epsf"],
+    },
+)
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,40 @@
+"""Configuration of the temporal-error test."""
+
+from __future__ import annotations
+
+from pydantic import Field, model_validator
+
+from experiments.config import StrictModel
+from experiments.point_settings import PointConfig
+from experiments.settings import TargetConfig
+
+__all__ = ["BrightnessConfig", "Config"]
+
+
+class BrightnessConfig(StrictModel):
+    """Levels of the brightness control, evenly spaced in the logarithm."""
+
+    lowest_e: float = Field(default=700.0, gt=0, le=1e6, description="electrons per star and frame, lowest level")
+    highest_e: float = Field(default=20000.0, gt=0, le=1e6, description="the same, highest level")
+    levels: int = Field(default=8, ge=2, le=50, description="number of levels")
+    setting_error_ratio: float = Field(default=0.01, ge=0, lt=0.3, description="level reached against level wanted")
+
+    @model_validator(mode="after")
+    def _increasing(self) -> BrightnessConfig:
+        if self.lowest_e >= self.highest_e:
+            raise ValueError(
+                f"lowest_e = {self.lowest_e:g} e-, highest_e = {self.highest_e:g} e-: the first must be the lower one"
+            )
+        return self
+
+
+class Config(PointConfig):
+    """The published run: ACC18 gives 25 stars, at least 30 frames and 5.5 arcsec per pixel."""
+
+    target: TargetConfig = TargetConfig(pitch_px=150.4)
+    place_px: tuple[float, float] | None = Field(
+        default=None, description="middle of the target on the detector; the middle of the first chip if left out"
+    )
+    frames: int = Field(default=100, ge=2, le=10000, description="frames per level (ACC18: at least 30)")
+    brightness: BrightnessConfig = BrightnessConfig()
+    draws: int = Field(default=100, ge=2, le=5000, description="noisy copies behind the sampled prediction")
