@@ -15,9 +15,14 @@ pseudo-inverse,
 
     y^T (G G^T)^+ y = |z|^2,     z = G^+ y = (G^T G)^+ G^T y,
 
-with one 2-vector z_i per star: the smallest position errors that explain all misclosures. G^T G is (2 n, 2 n) and has
-closed form, its three null vectors are the turns of the frame as a whole, N: z = (G^T G + c N N^T)^-1 G^T y. All pairs
-cost no more than one such system per frame.
+with one 2-vector z_i per star: the smallest position errors that explain all misclosures. The null vectors of G^T G are
+the three turns of the frame as a whole, N: z = (G^T G + c N N^T)^-1 G^T y. With M the sum of u u^T over the frame,
+
+    (G^T G)_ii = T_i^T M T_i,     (G^T G)_ij = T_i^T u_j u_i^T T_j = A_i S A_j^T,
+
+A_i the nine products of T_i and u_i, and S the exchange of their two factors: two-by-two blocks D plus F K F^T of rank
+12, F = [A, N], whose inverse is Woodbury's, D^-1 - D^-1 F (K^-1 + F^T D^-1 F)^-1 F^T D^-1. The full weighting of all
+pairs costs one (12, 12) system per frame.
 """
 
 from __future__ import annotations
@@ -41,6 +46,7 @@ Mask = NDArray[np.bool_]
 Pairs = Literal["all", "consecutive"]
 
 LARGEST_TABLE = 30_000_000  # entries of frames x stars x stars
+SWAP = np.arange(9).reshape(3, 3).T.ravel()  # (k, l) -> (l, k)
 FLOOR = 1e-10  # of the mean eigenvalue: what is flatter than this is no angle but a line of stars
 
 
@@ -185,6 +191,15 @@ def _crossed(seen: Directions) -> FloatArray:
     return np.asarray(flat.reshape(frames, q, 3, 3))
 
 
+def _inverse2(matrix: FloatArray) -> FloatArray:
+    """Inverses of (..., 2, 2)."""
+    a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
+    determinant = a * d - b * c
+    out = np.empty_like(matrix)
+    out[..., 0, 0], out[..., 0, 1], out[..., 1, 0], out[..., 1, 1] = d, -b, -c, a
+    return np.asarray(out / determinant[..., None, None])
+
+
 @dataclass(frozen=True, slots=True)
 class PairEvaluation:
     """Residuals with what the normal equations need."""
@@ -293,36 +308,43 @@ class WeightedPairProblem:
         seen = stars.directions(model, free)
         if seen is None:
             raise DomainError("weights of interstar angles: a pixel has no direction by this camera")
-        frames, n, _ = seen.unit.shape
+        frames = len(seen.unit)
         size = np.bincount(stars.table, minlength=frames)
         # turns of the frames are unknowns in disguise: a frame of n stars gives 2 n - 3 measurements
         self.unknowns, self.prior_terms = len(self.names) + 3 * frames, 0
-        partner = seen.by_error.reshape(frames, 2 * n, 3) @ seen.unit.swapaxes(1, 2)  # P (f, 2n, n)
-        self._partner = partner.reshape(frames, n, 2, n)
-        self._inverse = self._weights(seen, size)
+        self._frozen = seen
+        self._blocks, self._low, self._core = self._weights(seen, size)
 
-    def _weights(self, seen: Directions, size: IndexArray) -> FloatArray:
-        """(G^T G + c N N^T)^-1 (f, 2n, 2n)."""
+    def _weights(self, seen: Directions, size: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """D^-1 (f, n, 2, 2), D^-1 F (f, 2n, 12) and (K^-1 + F^T D^-1 F)^-1 (f, 12, 12)."""
         frames, n, _ = seen.unit.shape
-        p = self._partner
-        square = p[:, :, :, :, None] * p.transpose(0, 3, 1, 2)[:, :, None, :, :]  # P_ia,j P_jb,i
-        index = np.arange(n)
-        square[:, index, :, index, :] += np.einsum("fiaj,fibj->ifab", p, p)
-        normal = square.reshape(frames, 2 * n, 2 * n)
-        # null vectors: the position errors that look like a turn, e = T^+ (w x u)
-        turn = np.cross(np.eye(3)[None, None], seen.unit[:, :, None, :])  # w x u for w = x, y, z: (f, n, 3, 3)
         tangent = seen.by_error
-        metric = tangent @ tangent.swapaxes(2, 3)
+        square = seen.unit.swapaxes(1, 2) @ seen.unit
+        blocks = tangent @ square[:, None] @ tangent.swapaxes(2, 3)
+        mean = np.einsum("fiaa->f", blocks) / np.maximum(2 * size, 1)
         lonely = np.arange(n)[None, :] >= size[:, None]
+        blocks = blocks + np.where(lonely, 1.0, FLOOR * mean[:, None])[:, :, None, None] * np.eye(2)
+        metric = tangent @ tangent.swapaxes(2, 3)
         metric[lonely] = np.eye(2)
-        null = np.linalg.solve(metric, tangent @ turn.swapaxes(2, 3)).reshape(frames, 2 * n, 3)
-        null = np.linalg.qr(null)[0]
-        mean = np.einsum("fii->f", normal)[:, None, None] / np.maximum(2 * size, 1)[:, None, None]
-        normal = normal + mean * (null @ null.swapaxes(1, 2))
-        diagonal = np.einsum("fii->fi", normal)
-        diagonal += FLOOR * mean[:, :, 0]
-        diagonal += np.where(np.repeat(lonely, 2, axis=1), 1.0, 0.0)
-        return np.asarray(np.linalg.inv(normal))
+        # null vectors: the position errors that look like a turn w, e = T^+ (w x u)
+        turn = np.cross(np.eye(3)[None, None], seen.unit[:, :, None, :])
+        null = _inverse2(metric) @ (tangent @ turn.swapaxes(2, 3))
+        product = (tangent[:, :, :, :, None] * seen.unit[:, :, None, None, :]).reshape(frames, n, 2, 9)  # A
+        factor = np.concatenate([product, null], axis=3)
+        inverse = _inverse2(blocks)
+        low = (inverse @ factor).reshape(frames, 2 * n, 12)
+        core = factor.reshape(frames, 2 * n, 12).swapaxes(1, 2) @ low
+        core[:, np.arange(9), SWAP] += 1.0
+        flat = null.reshape(frames, 2 * n, 3)
+        core[:, 9:, 9:] += flat.swapaxes(1, 2) @ flat / mean[:, None, None]
+        return inverse, low, np.asarray(np.linalg.inv(core), np.float64)
+
+    def _weighted(self, right: FloatArray) -> FloatArray:
+        """(G^T G + c N N^T)^-1 times ``right`` (f, n, 2, m), as (f, 2n, m)."""
+        frames, n, _, columns = right.shape
+        pulled = self._low.swapaxes(1, 2) @ right.reshape(frames, 2 * n, columns)
+        own = (self._blocks @ right).reshape(frames, 2 * n, columns)
+        return np.asarray(own - self._low @ (self._core @ pulled))
 
     def evaluate(self, state: FloatArray) -> PairEvaluation:
         """z (m, 2), one row per star."""
@@ -330,19 +352,20 @@ class WeightedPairProblem:
         seen = stars.directions(self.model.with_parameters(state), self.free) if np.isfinite(state).all() else None
         if seen is None:
             return PairEvaluation(np.full((len(stars.table), 2), np.nan), None)
-        y = stars.misclosure(seen.unit)
-        pulled = np.einsum("fiaj,fij->fia", self._partner, y).reshape(stars.frames, -1, 1)
-        z = (self._inverse @ pulled).reshape(stars.frames, stars.longest, 2)
+        across = stars.misclosure(seen.unit) @ self._frozen.unit  # misclosures themselves: no digits are lost
+        pulled = self._frozen.by_error @ across[:, :, :, None]
+        z = self._weighted(pulled).reshape(stars.frames, stars.longest, 2)
         return PairEvaluation(z[stars.table, stars.rank], seen)
 
     def rows(self, seen: Directions) -> FloatArray:
         """Derivatives of z by the parameters (f, 2n, q)."""
         frames, n, q, _ = seen.by_parameter.shape
-        flat = self._partner.reshape(frames, 2 * n, n)
-        moved = np.einsum("fiak,fiqk->fiaq", (flat @ seen.unit).reshape(frames, n, 2, 3), seen.by_parameter)
-        others = (flat @ seen.by_parameter.reshape(frames, n, 3 * q)).reshape(frames, n, 2 * q, 3)
-        moved += np.einsum("fixk,fik->fix", others, seen.unit).reshape(frames, n, 2, q)
-        return np.asarray(self._inverse @ moved.reshape(frames, 2 * n, q))
+        unit = self._frozen.unit
+        own = seen.by_parameter.reshape(frames, n * q, 3) @ (seen.unit.swapaxes(1, 2) @ unit)
+        others = seen.by_parameter.reshape(frames, n, 3 * q).swapaxes(1, 2) @ unit  # sum over j of (d u_j) u_j^T
+        others = seen.unit @ others.reshape(frames, q, 3, 3).transpose(0, 2, 1, 3).reshape(frames, 3, 3 * q)
+        across = own.reshape(frames, n, q, 3) + others.reshape(frames, n, q, 3)
+        return self._weighted(self._frozen.by_error @ across.swapaxes(2, 3))
 
     def system(self, evaluation: PairEvaluation, weight: FloatArray) -> ArrowSystem:
         """Normal equations."""
