@@ -178,7 +178,7 @@ def edge_crossings(spokes: Spokes, level: ArrayLike, *, rising: bool, half_width
 def smoothed(spokes: Spokes, half_width: float) -> FloatArray:
     """Running means (k, m) of the profiles over ``half_width``; NaN stays NaN."""
     step = float(np.median(np.diff(spokes.radius)))
-    size = max(int(round(half_width / step)), 1)
+    size = max(round(half_width / step), 1)
     known = np.isfinite(spokes.value)
     weight = uniform_filter1d(known.astype(float), size, axis=1, mode="nearest")
     mean = uniform_filter1d(np.where(known, spokes.value, 0.0), size, axis=1, mode="nearest")

@@ -2,8 +2,8 @@
 
 The sum of squared orthogonal distances is what is made smallest (Gander, Golub & Strebel 1994, BIT 34, 558), by
 Gauss-Newton from an algebraic start: Taubin's circle fit (1991, IEEE PAMI 13, 1115) in the form of Chernov (2010,
-*Circular and Linear Regression*, sec. 5.9), and scikit-image's direct ellipse fit (Halir & Flusser 1998). Distances to an
-ellipse come from its foot points, found by Newton's method on the angle.
+*Circular and Linear Regression*, sec. 5.9), and scikit-image's direct ellipse fit (Halir & Flusser 1998). Distances to
+an ellipse come from its foot points, found by Newton's method on the angle.
 
 The covariance of the parameters is ``(J^T W J)^-1`` with the stated errors of the points, scaled up by the reduced
 chi-square where the points scatter more than they say.
@@ -298,7 +298,8 @@ def _gauss_newton(point: FloatArray, error: FloatArray, start: FloatArray, model
             if damping > 1e8:
                 return value
     raise ConvergenceError(
-        f"the fit of a curve to {len(point)} edge points did not settle in {STEPS} steps; do the points lie on one curve?"
+        f"the fit of a curve to {len(point)} edge points did not settle in {STEPS} steps; do the points lie on one "
+        "curve?"
     )
 
 

@@ -2,24 +2,24 @@
 
 Frames. The table carries sensor and cube. At angles (outer, inner) = (a, b) its top stands at
 ``v_lab = Rot(X', a) Rot(Y', b) v_table`` (outer axis X' fixed in the laboratory, inner axis Y' carried by it; CUBE09,
-section 2 and eq. 9-10). The simulated sun is at ``s = (0, 0, 1)`` in the laboratory. A face whose normal returns the light
-into its own aperture has that normal along s, whichever face it is (eq. 7, and eq. 8 with its n2 replaced by s):
+section 2 and eq. 9-10). The simulated sun is at ``s = (0, 0, 1)`` in the laboratory. A face whose normal returns the
+light into its own aperture has that normal along s, whichever face it is (eq. 7, and eq. 8 with its n2 replaced by s):
 
     r = Rot(Y', b)^-1 Rot(X', a)^-1 s = (-sin b cos a, sin a, cos b cos a).
 
-Which angle is which. The text of CUBE09 (section 2, steps 2 and 3, the sentence after Table 1) gives X' to the outer axis
-and the large angles, 180 and 90 deg, to the inner one; eq. 7 and the heads of Table 1 give the large angles to X'. Both
-cannot be: with X' outer at 90 deg the inner axis points along the light, so that turning it moves no spot, and the
-published trims of theta4 (20.2 to 0.4 px) could not have happened (`trim_leverage`). Here the large angle is the inner
-one, Y', and the second face is the one with normal X, which the paper calls YZ: n2 = (1, 0, 0).
+Which angle is which. The text of CUBE09 (section 2, steps 2 and 3, the sentence after Table 1) gives X' to the outer
+axis and the large angles, 180 and 90 deg, to the inner one; eq. 7 and the heads of Table 1 give the large angles to
+X'. Both cannot be: with X' outer at 90 deg the inner axis points along the light, so that turning it moves no spot,
+and the published trims of theta4 (20.2 to 0.4 px) could not have happened (`trim_leverage`). Here the large angle is
+the inner one, Y', and the second face is the one with normal X, which the paper calls YZ: n2 = (1, 0, 0).
 
 Cube frame (ECSS): Z is the normal of the first face, X the part of the second normal that is square to Z, Y completes.
 TRIAD gives exactly this frame, so faces that are not square to each other do no harm: only their angle is noted.
 
 Order of matrices. With the rows a^T, b^T, c^T of eq. 2 and 4, eq. 5 does not chain; they have to stand as columns. With
-``M_n = [a b c]`` of the cube's normals and ``M_r`` of the same directions in the table frame, ``R_pr = M_n M_r^T`` takes
-table to cube, R_sr table to sensor, and ``R_sp = R_pr R_sr^-1`` takes a sun vector of the sensor into the cube frame, as
-eq. 12 wants it. The printed order of eq. 11, ``R_rs^-1 R_pr``, holds for row vectors.
+``M_n = [a b c]`` of the cube's normals and ``M_r`` of the same directions in the table frame, ``R_pr = M_n M_r^T``
+takes table to cube, R_sr table to sensor, and ``R_sp = R_pr R_sr^-1`` takes a sun vector of the sensor into the cube
+frame, as eq. 12 wants it. The printed order of eq. 11, ``R_rs^-1 R_pr``, holds for row vectors.
 
 Errors. Every error here is a rotation vector e in the cube frame, ``R_estimated = exp([e]x) R_true``.
 """
@@ -119,8 +119,8 @@ def trim_leverage(outer_rad: float, inner_rad: float) -> FloatArray:
 def normal_of_offset(offset_mm: ArrayLike, distance_mm: float) -> FloatArray:
     """Normal in the laboratory (3,) of a face that puts its spot ``offset_mm`` (x, y) from the aperture.
 
-    A face tilted by t turns the light by 2 t: the spot moves by ``distance tan(2 t)``; the normal halves the way between
-    aperture and spot as seen from the face.
+    A face tilted by t turns the light by 2 t: the spot moves by ``distance tan(2 t)``; the normal halves the way
+    between aperture and spot as seen from the face.
     """
     spot = np.array([*np.asarray(offset_mm, float), distance_mm])
     half = spot / np.linalg.norm(spot) + np.array(SUN_LAB)
@@ -162,8 +162,8 @@ def _columns(first: ArrayLike, second: ArrayLike) -> FloatArray:
     angle = angle_between_rad(u, v)
     if min(angle, np.pi - angle) < PARALLEL_RAD:
         raise DomainError(
-            f"the normals of the two faces enclose {angle * RAD_DEG:.4f} deg; two faces that are not parallel are needed "
-            f"(at least {PARALLEL_RAD * RAD_DEG:.2f} deg apart)"
+            f"the normals of the two faces enclose {angle * RAD_DEG:.4f} deg; two faces that are not parallel are "
+            f"needed (at least {PARALLEL_RAD * RAD_DEG:.2f} deg apart)"
         )
     a = u / np.linalg.norm(u)
     b = np.cross(u, v)
@@ -184,14 +184,15 @@ def cube_from_table(
     ----------
     normal_cube : (n, 3)
         Normals in the cube frame. The two of TRIAD may be nominal: with (0, 0, 1) and (1, 0, 0) the ECSS frame results
-        whatever angle the faces enclose. Wahba's problem takes them at their word; give the known (or measured) normals.
+        whatever angle the faces enclose. Wahba's problem takes them at their word; give the known (or measured)
+        normals.
     normal_table : (n, 3)
         The same normals as measured, table frame.
     covariance_rad2 : (n, 3, 3)
         Covariance of each measured normal, table frame; nothing along the normal itself.
     method : {"triad", "wahba"}
-        ``triad`` uses the first two directions; measurements of a direction already used are averaged into it. ``wahba``
-        weights all by the inverse of their mean variance.
+        ``triad`` uses the first two directions; measurements of a direction already used are averaged into it.
+        ``wahba`` weights all by the inverse of their mean variance.
 
     Returns
     -------
@@ -219,7 +220,7 @@ def cube_from_table(
             raise DomainError(f"the faces do not fix the cube: {solution.message}")
         rotation, covariance = solution.rotation, solution.covariance_rad2
     else:
-        matrix = triad(cube[:2], table[:2])
+        matrix = triad((cube[0], cube[1]), (table[0], table[1]))
         rotation = Rotation.from_matrix(matrix)
         covariance = _triad_covariance(matrix, table[:2], spread[:2])
     return MirrorSolution(

@@ -273,7 +273,7 @@ def concentric_angles(table: Turntable, normal: FloatArray, face: str, beam: Arr
     angle = np.array(FACE_ANGLES_DEG[face]) * DEG_RAD
     nominal = np.arcsin(normal[1]), np.arctan2(-normal[0], normal[2])
     angle += (np.array(nominal) - angle + np.pi) % (2 * np.pi) - np.pi
-    step = np.inf
+    step = np.full(2, np.inf)
     while np.max(np.abs(step)) > 1e-9:
         turn = table.rotation(angle[None])[0]
         looks = turn.apply(normal)

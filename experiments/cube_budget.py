@@ -1,7 +1,8 @@
-"""The error budget: what geometry predicts for each term on each axis, without a picture, beside CUBE09's eq. 13 and 14.
+"""The error budget: what geometry predicts for each term on each axis, without a picture, beside CUBE09's eq. 13 and
+14.
 
-Eq. 14 adds four numbers as if each hit every axis. They do not: R_pr gets its x and y from the first face and its z from
-the second, one component each, so an error of a normal across one direction is an error of one axis. Per axis:
+Eq. 14 adds four numbers as if each hit every axis. They do not: R_pr gets its x and y from the first face and its z
+from the second, one component each, so an error of a normal across one direction is an error of one axis. Per axis:
 
 * one pixel: arctan(pixel / distance) / 2 on every axis (eq. 13);
 * trim: what the stop rule leaves, from playing it with the operator's gain and the table's steps on numbers;
@@ -16,7 +17,7 @@ What eq. 14 leaves out, pictures and sun sensor, is predicted by the covariances
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -186,8 +187,6 @@ def _first_faces(config: Config) -> list[str]:
 
 
 def _with_lean(truth: BenchTruth, lean_arcsec: float) -> BenchTruth:
-    from dataclasses import replace
-
     return replace(truth, lean=lean_arcsec)
 
 
@@ -295,7 +294,7 @@ def _picture_noise_px(result: CaseResult) -> float:
 
 
 def _noise(result: CaseResult) -> FloatArray:
-    """Pictures and sun sensor (3,) [arcsec]; in coarse trims the pictures act through the stop rule, which counts them."""
+    """Pictures and sun sensor (3,) [arcsec]; in coarse trims the stop rule already counts the pictures."""
     if not result.case.coarse or result.case.improved:
         return result.stated_arcsec
     sensor = [np.diag(one.sensor.covariance_rad2) for one in result.bench]  # cube axes are the sensor's but for signs

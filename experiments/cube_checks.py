@@ -1,4 +1,4 @@
-"""What a user can get wrong with the bench, found from its geometry before light is traced, and the spot's closed form."""
+"""What a user can get wrong with the bench, found from its geometry, and the closed form of the spot."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ def check_bench(config: Config, geometry: BenchGeometry, camera: BenchCamera) ->
     blur = geometry.blur_mm(geometry.path_mm)
     if face < hole:
         raise DomainError(
-            f"the aperture of {hole:g} mm is larger than the spot, which a face of {face:g} mm cuts down; the spot must show "
-            "around the aperture (screen.aperture_mm, cube.side_mm)"
+            f"the aperture of {hole:g} mm is larger than the spot, which a face of {face:g} mm cuts down; the spot "
+            "must show around the aperture (screen.aperture_mm, cube.side_mm)"
         )
     rim_px = blur / camera.pitch_mm
     if rim_px < RIM_PX:
         raise DomainError(
-            f"the aperture of {hole:g} mm is as large as the spot of {hole + 2 * blur:.4g} mm: a rim of {rim_px:.2g} px shows "
-            f"around it, at least {RIM_PX:g} px are needed; make simulator.source_arcmin = {config.simulator.source_arcmin:g} "
-            "or screen.distance_mm larger"
+            f"the aperture of {hole:g} mm is as large as the spot of {hole + 2 * blur:.4g} mm: a rim of {rim_px:.2g} "
+            f"px shows around it, at least {RIM_PX:g} px are needed; make simulator.source_arcmin = "
+            f"{config.simulator.source_arcmin:g} or screen.distance_mm larger"
         )
     beam = hole + 2 * geometry.blur_mm(geometry.distance_mm)
     if beam > face:
@@ -56,8 +56,8 @@ def _check_spot(config: Config, geometry: BenchGeometry, camera: BenchCamera, sp
     edge = float(np.max(np.abs(spot_mm)) + reach)
     if edge > geometry.screen_mm / 2:
         raise DomainError(
-            f"the spot is off the screen: it reaches {edge:.4g} mm from the aperture, the screen {geometry.screen_mm / 2:g} mm; "
-            f"align the cube better by eye ({hint}) or make screen.side_mm larger"
+            f"the spot is off the screen: it reaches {edge:.4g} mm from the aperture, the screen "
+            f"{geometry.screen_mm / 2:g} mm; align the cube better by eye ({hint}) or make screen.side_mm larger"
         )
     angle = 2 * np.pi * np.arange(16) / 16
     rim = spot_mm + reach * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -65,9 +65,9 @@ def _check_spot(config: Config, geometry: BenchGeometry, camera: BenchCamera, sp
     limit = np.array([camera.width_px, camera.height_px]) - 0.5
     if np.any(pixel < -0.5) or np.any(pixel > limit):
         raise DomainError(
-            f"the spot of {2 * reach:.4g} mm, {spot_mm[0]:.4g}, {spot_mm[1]:.4g} mm from the aperture, is not wholly in the "
-            f"picture of {camera.width_px} x {camera.height_px} px of {camera.pitch_mm * 1e3:g} um; start nearer ({hint}) or "
-            "take a detector with more pixels (camera.detector)"
+            f"the spot of {2 * reach:.4g} mm, {spot_mm[0]:.4g}, {spot_mm[1]:.4g} mm from the aperture, is not wholly "
+            f"in the picture of {camera.width_px} x {camera.height_px} px of {camera.pitch_mm * 1e3:g} um; start "
+            f"nearer ({hint}) or take a detector with more pixels (camera.detector)"
         )
 
 
@@ -90,8 +90,8 @@ def check_landing(config: Config, geometry: BenchGeometry, camera: BenchCamera, 
     if worst + beam > half:
         how = "misses" if worst - beam > half else "is cut by the edge of"
         raise DomainError(
-            f"the beam {how} face {face}: it falls {worst:.4g} mm from the middle of a polished face of {geometry.face_mm:g} mm; "
-            "bring cube.offset_mm nearer to the axes of the table or take a larger cube"
+            f"the beam {how} face {face}: it falls {worst:.4g} mm from the middle of a polished face of "
+            f"{geometry.face_mm:g} mm; bring cube.offset_mm nearer to the axes of the table or take a larger cube"
         )
     _check_spot(config, geometry, camera, reflected_spot_mm(geometry, pose, face), "trim.start_px, cube.mount_arcmin")
 
@@ -109,8 +109,8 @@ def spot_profile(geometry: BenchGeometry, radius_mm: ArrayLike) -> FloatArray:
     """Irradiance of the spot over that of the beam at distances from its centre: aperture convolved with the Sun.
 
     A point sees the Sun, in the mirror, through the aperture: the visible part of the Sun's disk is the overlap of two
-    circles, the aperture (radius a) and the Sun's image over the whole path (radius b), r apart. The path counts from the
-    aperture to the face and back; that the aperture is crossed 20 mm behind the simulator changes nothing.
+    circles, the aperture (radius a) and the Sun's image over the whole path (radius b), r apart. The path counts from
+    the aperture to the face and back; that the aperture is crossed 20 mm behind the simulator changes nothing.
 
     Parameters
     ----------

@@ -120,8 +120,8 @@ class Config(ExperimentConfig):
         for face in cube.faces:
             if face in ("+Y", "-Y"):
                 raise ValueError(
-                    f"cube.faces: {face} turns to the light at an outer angle of 90 deg only, where the inner axis points "
-                    "along the light and trims nothing; choose from +Z, +X, -X"
+                    f"cube.faces: {face} turns to the light at an outer angle of 90 deg only, where the inner axis "
+                    "points along the light and trims nothing; choose from +Z, +X, -X"
                 )
             if face == "-Z":
                 raise ValueError("cube.faces: -Z is the face that is glued to the sensor; choose from +Z, +X, -X")
@@ -131,7 +131,8 @@ class Config(ExperimentConfig):
             )
         if cube.method == "triad" and len(set(cube.faces)) > 2:
             raise ValueError(
-                f"cube.faces = {list(cube.faces)} with cube.method = triad: TRIAD takes two faces; set cube.method=wahba"
+                f"cube.faces = {list(cube.faces)} with cube.method = triad: TRIAD takes two faces; set "
+                "cube.method=wahba"
             )
         if cube.faces[0] != "+Z":
             raise ValueError(f"cube.faces starts with {cube.faces[0]}; the first one is +Z, which defines the cube's Z")

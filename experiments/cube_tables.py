@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from experiments.cube_budget import PUBLISHED_ARCSEC
-from experiments.cube_result import eq14_arcsec, sigma1_arcsec
+from experiments.cube_result import eq14_arcsec, sensor_error_arcsec, sigma1_arcsec
 from experiments.summary import Measured
 from experiments.tables import Cell, Column, Table
 from optics.units import RAD_ARCSEC
 
 if TYPE_CHECKING:
     from experiments.cube_result import Result
+    from experiments.cube_trim import FaceTrim
 
 __all__ = ["PUBLISHED_TRIMS", "all_tables"]
 
@@ -91,17 +92,17 @@ def _budget(result: Result) -> Table:
         cells.append(row.ratio)
         rows.append(tuple(cells))
     columns: list[Column | str] = ["Term", Column(name="CUBE09", unit="″", key="published_arcsec", format=".2f")]
-    for axis in "xyz":
-        columns.append(Column(name=f"{axis} pred.", unit="″", key=f"predicted_{axis}_arcsec", format=".2f"))
-        columns.append(Column(name=f"{axis} meas.", unit="″", key=f"measured_{axis}_arcsec"))
+    for letter in "xyz":
+        columns.append(Column(name=f"{letter} pred.", unit="″", key=f"predicted_{letter}_arcsec", format=".2f"))
+        columns.append(Column(name=f"{letter} meas.", unit="″", key=f"measured_{letter}_arcsec"))
     columns.append(Column(name="Ratio", key="predicted_over_measured", format=".3f"))
     return Table(
         columns=columns,
         rows=rows,
-        caption="Error of R_sp, 1 sigma per axis of the cube frame: predicted by geometry, measured on rendered benches.",
-        note=f"{len(result.truths)} benches; RMS about the truth. Predictions contain the noise of pictures and sun sensor. "
-        "Ratio: predicted over measured, over the axes on which the term acts. Eq. 14 with the right eq. 13 is "
-        f"{eq14_arcsec(result):.2f} arcsec for every axis.",
+        caption="Error of R_sp, 1 sigma per axis of the cube frame: predicted by geometry, measured on benches.",
+        note=f"{len(result.truths)} rendered benches; RMS about the truth. Predictions contain the noise of pictures "
+        "and sun sensor. Ratio: predicted over measured, over the axes on which the term acts. Eq. 14 with the right "
+        f"eq. 13 is {eq14_arcsec(result):.2f} arcsec for every axis.",
     )
 
 
@@ -123,16 +124,14 @@ def _benches(result: Result) -> Table:
     )
 
 
-def _counts(trims: tuple[object, ...]) -> tuple[int, int]:
-    counts = [len(trim.rows) for trim in trims]  # type: ignore[attr-defined]
-    return counts[0], counts[-1]
+def _counts(trims: Sequence[FaceTrim]) -> tuple[int, int]:
+    """Settings of the table for the first and the last face."""
+    return len(trims[0].rows), len(trims[-1].rows)
 
 
 def _sensor(result: Result) -> Table:
     sensor = result.shown.sensor
     truth = result.truths[0]
-    from experiments.cube_result import sensor_error_arcsec
-
     sigma = np.sqrt(np.diag(sensor.covariance_rad2)) * RAD_ARCSEC
     error = sensor_error_arcsec(result)
     rows: list[tuple[Cell, ...]] = [

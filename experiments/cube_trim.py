@@ -1,13 +1,13 @@
 """Trimming a face until spot and aperture are concentric: pictures, circle fits, and the operator (CUBE09, step 2).
 
 Two pictures, one after the other, as published: the reflected light is kept away and the aperture is imaged (here a
-sheet of tracing paper covers it and glows); then the light comes back and the spot is imaged around the hole. The spot is
-as wide as the aperture plus the sun's image over twice the distance, so only its rim shows around the hole; the contour
-fitted to it is taken low on the rim. The edge of the hole in the same picture also gives the aperture (the improved
-procedure uses that).
+sheet of tracing paper covers it and glows); then the light comes back and the spot is imaged around the hole. The spot
+is as wide as the aperture plus the sun's image over twice the distance, so only its rim shows around the hole; the
+contour fitted to it is taken low on the rim. The edge of the hole in the same picture also gives the aperture (the
+improved procedure uses that).
 
-Edges are taken from the picture to the plane of the screen before the circles are fitted, so that the oblique view plays
-no part. Offsets are (x, y) in the laboratory, spot minus aperture, in pixels of the screen.
+Edges are taken from the picture to the plane of the screen before the circles are fitted, so that the oblique view
+plays no part. Offsets are (x, y) in the laboratory, spot minus aperture, in pixels of the screen.
 """
 
 from __future__ import annotations
@@ -284,8 +284,8 @@ def _brightest(picture: Picture, aperture: CircleFit) -> FloatArray:
 def _enough(edge: EdgePoints, what: str) -> None:
     if len(edge) < SPOKES // 6:
         raise ConvergenceError(
-            f"the {what} shows only {len(edge)} edge points on {SPOKES} spokes; is it in the picture and bright enough? "
-            "(camera.plateau_e, simulator.source_arcmin, trim.start_px)"
+            f"the {what} shows only {len(edge)} edge points on {SPOKES} spokes; is it in the picture and bright "
+            "enough? (camera.plateau_e, simulator.source_arcmin, trim.start_px)"
         )
 
 
@@ -395,8 +395,8 @@ def trim_face(
         ahead_px = float(np.max(np.abs((1 - config.trim.gain_ratio) * left)))
     raise ConvergenceError(
         f"face {name} is not concentric after trim.allowed = {config.trim.allowed} settings: offsets "
-        f"{left[0]:.3f}, {left[1]:.3f} px where trim.stop_px = {config.trim.stop_px:g} px is asked; allow more trims, a "
-        "finer trim.step_deg or another trim.gain_ratio"
+        f"{left[0]:.3f}, {left[1]:.3f} px where trim.stop_px = {config.trim.stop_px:g} px is asked; allow more trims, "
+        "a finer trim.step_deg or another trim.gain_ratio"
     )
 
 

@@ -1,9 +1,8 @@
-"""Rendered light against the closed form: how far the spot moves, what its edge looks like, what the camera makes of it."""
+"""Rendered light against the closed form: how far the spot moves, and what its edge looks like."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,22 +124,3 @@ def ring_edges(laboratory: Laboratory) -> FloatArray:
     geometry = laboratory.geometry
     reach = geometry.aperture_mm / 2 + geometry.blur_mm(geometry.path_mm)
     return np.asarray(1.05 * reach * np.sqrt(np.linspace(0.0, 1.0, RINGS + 1)))
-
-
-def spot_picture(laboratory: Laboratory, tilt: float, log2_particles: int) -> Any:
-    """Expected electrons of the spot beside the hole, without noise, for the report."""
-    from experiments.cube_bench import electrons_per_radiance
-    from render.bench_trace import trace_screen
-
-    place_cube(laboratory.mi, laboratory.scene, laboratory.geometry, tilted_pose(laboratory, tilt))
-    light = trace_screen(
-        laboratory.mi,
-        laboratory.scene,
-        laboratory.sensor,
-        laboratory.camera,
-        laboratory.geometry,
-        covered=False,
-        log2_particles=log2_particles,
-        seed=1,
-    )
-    return light * electrons_per_radiance(laboratory.config)

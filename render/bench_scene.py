@@ -1,7 +1,7 @@
 """The cube-mirror bench as Mitsuba shapes: sun simulator, screen with its aperture, cube mirror, camera (CUBE09).
 
-Laboratory frame, mm: origin in the centre of the aperture, +Z towards the sun simulator, so that its light travels along
--Z; +Y up. The two axes of the turntable cross on the Z axis at ``(0, 0, -(distance + cube/2))``: a face of a cube
+Laboratory frame, mm: origin in the centre of the aperture, +Z towards the sun simulator, so that its light travels
+along -Z; +Y up. The two axes of the turntable cross on the Z axis at ``(0, 0, -(distance + cube/2))``: a face of a cube
 centred there stands ``distance`` from the aperture whichever face is turned to the light.
 
 The aperture is a hole in a mesh, a polygon of `HOLE_SIDES` sides; everything that reflects is an analytic rectangle,
@@ -70,7 +70,8 @@ class BenchGeometry:
     Raises
     ------
     DomainError
-        On a length that is not positive, an aperture wider than the beam or the screen, or a chamfer that leaves no face.
+        On a length that is not positive, an aperture wider than the beam or the screen, or a chamfer that leaves no
+        face.
     """
 
     distance_mm: float = 650.0

@@ -200,7 +200,7 @@ def land(mi: Any, scene: Any, geometry: BenchGeometry, *, log2_particles: int, s
     second = scene.ray_intersect(continued(mi, first, sample), alive)
     arrived = alive & second.is_valid() & (dr.abs(second.p.z) < 1.0)
     points, keep = np.array(second.p).reshape(3, -1).T, np.array(arrived)
-    counts = [int(dr.count(one)[0]) for one in (passed, alive)]
+    counts = [int(np.array(dr.count(one)).item()) for one in (passed, alive)]
     return Landing(
         screen_mm=points[keep, :2].astype(np.float64),
         passed=counts[0] / keep.size,

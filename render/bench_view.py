@@ -1,7 +1,8 @@
 """A picture of the whole bench: marble plate, turntable with sensor and cube, screen, simulator, camera, and the beam.
 
-The bodies are rendered by Mitsuba's path integrator under room light. The beam shows as it would in faintly dusty air: the
-traced particles scatter once on their way, and the camera gets that light (single scattering of thin air, isotropic).
+The bodies are rendered by Mitsuba's path integrator under room light. The beam shows as it would in faintly dusty air:
+the traced particles scatter once on their way, and the camera gets that light (single scattering of thin air,
+isotropic).
 """
 
 from __future__ import annotations
@@ -104,7 +105,7 @@ def _unit(v: Any) -> FloatArray:
 def _stands(mi: Any, geometry: BenchGeometry, camera: BenchCamera) -> dict[str, Any]:
     """Simulator, posts of screen and camera, the fork of the outer axis."""
     half, gap = geometry.simulator_mm / 2, geometry.simulator_gap_mm
-    x, y, z = geometry.crossing_mm
+    _, y, z = geometry.crossing_mm
     shapes = {
         "simulator": _tube(mi, [0, 0, gap], [0, 0, gap + 220], half + 14, 0.75),
         "simulator_post": _tube(mi, [0, -half - 10, gap + 120], [0, -180, gap + 120], 14, 0.2),
