@@ -256,6 +256,10 @@ class PairProblem:
 def typical_sigma(stars: StarFrames, seen: Directions) -> float:
     """Root mean variance of the misclosures of the chosen pairs, from the position errors."""
     f, i, j = stars.pair
+    if stars.every:  # the sum over partners is a (3, 3) matrix
+        square = seen.unit.swapaxes(1, 2) @ seen.unit
+        total = np.sum((seen.by_error @ square[:, None]) * seen.by_error)
+        return float(np.sqrt(total / len(f)))
     one = np.einsum("mak,mk->ma", seen.by_error[f, i], seen.unit[f, j])
     other = np.einsum("mak,mk->ma", seen.by_error[f, j], seen.unit[f, i])
     return float(np.sqrt(np.mean(np.sum(one**2 + other**2, axis=1))))

@@ -115,14 +115,13 @@ class StarState:
 
 @dataclass(frozen=True, slots=True)
 class StarEvaluation:
-    """Residuals with what the normal equations need."""
+    """Residuals (n, 2) with what the normal equations need: rows (n, 2, q + 4) of [camera, rotation, residual]."""
 
     residual: FloatArray
     penalty: float
     state: StarState
     rotation: FloatArray
-    by_camera: FloatArray | None
-    by_rotation: FloatArray | None
+    rows: FloatArray | None
 
 
 def whitening(covariance: FloatArray) -> FloatArray:
@@ -174,6 +173,8 @@ class StarProblem:
         self.unknowns = len(self.names) + family.block_unknowns
         self.prior_terms = family.prior_terms
         self._white = whitening(observations.covariance_px2)
+        alone = bool(np.all(self._white[:, 1, 0] == 0))
+        self._inverse_sigma = np.einsum("nii->ni", self._white)[:, :, None] if alone else None
         self._all_free = bool(free.all())
         self._band = observations.band if np.any(observations.band) else None
         count = np.bincount(observations.frame, minlength=observations.frames)
@@ -186,24 +187,31 @@ class StarProblem:
         direction = np.einsum("nij,nj->ni", rotation[observed.frame], observed.direction)
         penalty = self.family.penalty(state.pose)
         if not (np.all(direction[:, 2] > 0) and np.all(np.isfinite(state.camera))):
-            return StarEvaluation(np.full((len(direction), 2), np.nan), penalty, state, rotation, None, None)
+            return StarEvaluation(np.full((len(direction), 2), np.nan), penalty, state, rotation, None)
         camera = self.model.with_parameters(state.camera)
         projection = camera.project_jacobian(direction, self._band)
-        white = self._white
-        residual = np.einsum("nij,nj->ni", white, projection.pixel_px - observed.pixel_px)
         by_parameter = projection.by_parameter if self._all_free else projection.by_parameter[:, :, self.free]
-        by_direction = white @ projection.by_direction
+        q = by_parameter.shape[2]
+        rows = np.empty((len(direction), 2, q + 4))
+        rows[:, :, :q] = by_parameter
         x, y, z = (direction[:, None, i] for i in range(3))
-        gx, gy, gz = (by_direction[:, :, i] for i in range(3))
-        by_rotation = np.stack([y * gz - z * gy, z * gx - x * gz, x * gy - y * gx], axis=2)
-        return StarEvaluation(residual, penalty, state, rotation, white @ by_parameter, by_rotation)
+        gx, gy, gz = (projection.by_direction[:, :, i] for i in range(3))
+        rows[:, :, q] = y * gz - z * gy
+        rows[:, :, q + 1] = z * gx - x * gz
+        rows[:, :, q + 2] = x * gy - y * gx
+        rows[:, :, q + 3] = projection.pixel_px - observed.pixel_px
+        if self._inverse_sigma is not None:
+            rows *= self._inverse_sigma
+        else:
+            rows = self._white @ rows
+        return StarEvaluation(np.ascontiguousarray(rows[:, :, -1]), penalty, state, rotation, rows)
 
     def grams(self, evaluation: StarEvaluation, weight: FloatArray) -> FloatArray:
-        """Gram matrices (f, q + 4, q + 4) of the rows [camera q, rotation 3, residual 1] of each frame."""
-        assert evaluation.by_camera is not None
-        assert evaluation.by_rotation is not None
-        rows = np.concatenate([evaluation.by_camera, evaluation.by_rotation, evaluation.residual[:, :, None]], axis=2)
-        rows *= np.sqrt(weight)[:, None, None]
+        """Gram matrices (f, q + 4, q + 4) of the rows of each frame."""
+        rows = evaluation.rows
+        assert rows is not None
+        if not np.all(weight == 1.0):
+            rows = rows * np.sqrt(weight)[:, None, None]
         size = rows.shape[2]
         frames = self.observations.frames
         slot, longest = self._layout
