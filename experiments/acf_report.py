@@ -99,26 +99,36 @@ def _fig4_text(result: Result) -> str:
 
 
 def _inference_text(result: Result) -> str:
-    guess, config = result.inference, result.config
+    guess, camera = result.inference, result.config.camera
     at_least = guess.reprojected_px[np.argmin((guess.reprojected_px**2).sum(1))]
-    at_assumed = guess.reprojected_px[np.argmin(np.abs(guess.pixel_um - 10.0))]
-    return (
+    at_ten = guess.reprojected_px[np.argmin(np.abs(guess.pixel_um - 10.0))]
+    field = _field_deg(guess.best_um, 1024, 25.6)
+    text = (
         "Table 2 prints a calibrated camera and attitude beside the true ones, and that tells what the document leaves "
         "out. A shift of the principal point and a turn of the camera all but cancel in the image; the printed errors "
         "of x0, y0 (in pixels) and of φ (in arcseconds) are such a pair, and they cancel for one size of the pixel "
-        f"only. Reprojected on the first frame, printed against true, they leave {at_assumed[0]:.2f} and "
-        f"{at_assumed[1]:.2f} px with a 10 µm pixel, and {at_least[0]:.3f} and {at_least[1]:.3f} px with "
-        f"{guess.least_um:.2f} µm: the size of Fig. 4. Their likelihood under the covariance of eq. 11 (the eleven "
-        "errors of camera and first attitude, rounding of the printed digits included) gives "
-        f"**{guess.best_um:.2f} ± {guess.sigma_um:.2f} µm** and {guess.best_stars:.0f} stars in a frame "
-        f"({guess.low_stars:.0f} to {guess.high_stars:.0f}), with χ² = {guess.chi2:.1f} for 11 numbers; at 10 µm χ² is "
-        f"{guess.chi2_assumed:.0f}. The printed values thus fit a field of "
-        f"{2 * np.degrees(np.arctan(0.512 * guess.best_um / 25.6)):.1f}°, not the 22.6° assumed here.\n\n"
+        f"only. Reprojected on the first frame, printed against true, they leave {at_ten[0]:.2f} and {at_ten[1]:.2f} "
+        f"px with a 10 µm pixel, and {at_least[0]:.3f} and {at_least[1]:.3f} px with {guess.least_um:.2f} µm: the "
+        "size of Fig. 4. Their likelihood under the covariance of eq. 11 (the eleven errors of camera and first "
+        f"attitude, rounding of the printed digits included) gives **{guess.best_um:.2f} ± {guess.sigma_um:.2f} µm** "
+        f"and {guess.best_stars:.0f} stars in a frame ({guess.low_stars:.0f} to {guess.high_stars:.0f}), with χ² = "
+        f"{guess.chi2:.1f} for 11 numbers; at 10 µm χ² is {guess.chi2_assumed:.0f}. The printed values thus fit a "
+        f"field of {field:.1f}°.\n\n"
         "They also have the size of *one* run. As the mean of a hundred runs, which the text calls them, they are ten "
-        "times too large: it would take a hundredth of the stars. The defaults here keep the round value of "
-        f"{config.camera.pixel_um:g} µm; with the settings camera.pixel_um={result.plan.inferred.pixel_um:g} and "
-        f"sky.stars_per_frame={result.plan.inferred.stars} all of it runs with the other camera."
+        "times too large: it would take a hundredth of the stars."
     )
+    if abs(camera.pixel_um - guess.best_um) < 3 * guess.sigma_um:
+        return text
+    return (
+        f"{text} The runs here keep a pixel of {camera.pixel_um:g} µm and a field of "
+        f"{_field_deg(camera.pixel_um, camera.width_px, camera.focal_length_mm):.1f}°; with the settings "
+        f"camera.pixel_um={result.plan.inferred.pixel_um:g} and sky.stars_per_frame={result.plan.inferred.stars} all "
+        "of it runs with the other camera."
+    )
+
+
+def _field_deg(pixel_um: float, width_px: int, focal_length_mm: float) -> float:
+    return float(2 * np.degrees(np.arctan(0.5e-3 * width_px * pixel_um / focal_length_mm)))
 
 
 def _table2_text(result: Result) -> str:
@@ -305,8 +315,8 @@ def _parameters(result: Result, every: Mapping[str, Table]) -> tuple[Section, ..
                 ),
                 _figure(
                     sight_maps(result),
-                    "RMS over the detector at the noise of Table 2: residual distortion (the five coefficients alone), and the "
-                    "line of sight after the best rotation, found and expected.",
+                    "RMS over the detector at the noise of Table 2: residual distortion (the five coefficients alone), "
+                    "and the line of sight after the best rotation, found and expected.",
                 ),
             ),
         ),
