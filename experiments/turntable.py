@@ -71,9 +71,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     named = (("two-axis", config.two_axis), ("three-axis", config.three_axis))
     cases = [_case(mi, config, instrument, traced, name, table, streams, progress) for name, table in named]
     study, setup = config.study, cases[0].coordinates
-    near = replace(
-        setup, start=setup.model, start_star=np.array(setup.bench.star)
-    )  # the sweeps ask for errors, not for convergence
+    near = replace(setup, start=setup.model)  # the sweeps ask for errors, not for convergence
     with progress.stage("reading noise", total=len(study.reading_noise_arcsec)) as stage:
         by_reading = reading_sweep(
             near,

@@ -208,7 +208,6 @@ def _field_text(result: Result) -> str:
 
 def _limits(result: Result, every: Mapping[str, Table]) -> Section:
     half = crossover_arcsec(result)
-    first = result.lean_sweep[0]
     two, three = _cases(result)
     text = (
         "**Readings.** Centroids and readings contribute alike when the mean reading of a place is good to "
@@ -221,11 +220,12 @@ def _limits(result: Result, every: Mapping[str, Table]) -> Section:
             Figure(
                 drawing=reading_curves(result),
                 caption=f"Map error against the error of the mean reading, two-axis table, "
-                f"{result.reading_sweep[0].runs} runs each.",
+                f"{result.config.study.sweep_runs} runs each.",
             ),
             Figure(
                 drawing=lean_curves(result),
-                caption=f"Map error against the lean of the axes, two-axis table, {first.runs} runs each, 3 σ.",
+                caption=f"Map error against the lean of the axes, two-axis table, "
+                f"{result.config.study.sweep_runs} runs each, 3 σ.",
             ),
         )
     )
@@ -276,7 +276,8 @@ def _pull_text(result: Result) -> str:
     return (
         f"It is honest (RMS pull below 1.1) up to {max(honest):g}″ of reading noise on the two-axis table. Beyond, the "
         "principal point and the star wander so far that second derivatives count, which neither covariance nor bound "
-        f"know of: at {worst.reading_arcsec:g}″ the RMS pull is {worst.pull_rms:.2f} and the map error "
+        f"know of: at {worst.reading_arcsec:g}″ {worst.runs} of {result.config.study.sweep_runs} calibrations "
+        f"converge, with an RMS pull of {worst.pull_rms:.2f} and a map error "
         f"{worst.measured_arcsec / worst.bound_arcsec:.2f} times what the bound says."
     )
 

@@ -154,6 +154,7 @@ def _readings(result: Result) -> Table:
             p.bound_arcsec,
             p.measured_arcsec / p.bound_arcsec,
             p.pull_rms,
+            p.runs,
         )
         for p in result.reading_sweep
     ]
@@ -164,6 +165,7 @@ def _readings(result: Result) -> Table:
             Column(name="Cramér–Rao bound", unit="″", key="bound", format=".4f"),
             Column(name="Ratio", key="ratio", format=".3f"),
             Column(name="RMS pull", key="rms_pull", format=".3f"),
+            Column(name=f"converged of {result.config.study.sweep_runs}", key="runs"),
         ),
         rows=rows,
         caption="Map error against the reading noise, two-axis table.",
