@@ -48,6 +48,7 @@ __all__ = [
     "fit_fisher",
     "mean_and_chords",
     "sample_fisher",
+    "tangent_basis",
     "tangent_plane",
 ]
 
@@ -130,13 +131,16 @@ class FisherFit:
         """Standard deviation of `sigma_rad` [rad], sigma / sqrt(2 nu)."""
         return self.sigma_rad / float(np.sqrt(2.0 * self.degrees_of_freedom))
 
-    def concentration_interval(self, level: float = 0.95) -> tuple[float, float]:
+    def concentration_interval(self, level: float = 0.95, *, effective: float | None = None) -> tuple[float, float]:
         """Central confidence interval of k.
 
         Parameters
         ----------
         level : float
             Confidence, between 0 and 1.
+        effective : float, optional
+            Degrees of freedom of the chi-square that the interval is taken from, where the vectors do not follow the
+            distribution (`calib.fisher_checks.effective_degrees`); by default ``degrees_of_freedom``.
 
         Raises
         ------
@@ -149,12 +153,15 @@ class FisherFit:
                 f"concentration {self.concentration:.3g}: the interval rests on the limit of high concentration and is "
                 f"given from {LOW_CONCENTRATION:g} on; directions that scatter that widely need another method"
             )
-        low, high = chi2.ppf([tail, 1.0 - tail], self.degrees_of_freedom) / self.chord_sum_rad2
+        nu = self.degrees_of_freedom if effective is None else effective
+        if not nu > 0:
+            raise DomainError(f"effective = {nu:g} degrees of freedom; a positive number is needed")
+        low, high = chi2.ppf([tail, 1.0 - tail], nu) / nu * self.concentration
         return float(low), float(high)
 
-    def sigma_interval_rad(self, level: float = 0.95) -> tuple[float, float]:
-        """Central confidence interval of sigma per axis [rad]; raises as `concentration_interval`."""
-        low, high = self.concentration_interval(level)
+    def sigma_interval_rad(self, level: float = 0.95, *, effective: float | None = None) -> tuple[float, float]:
+        """Central confidence interval of sigma per axis [rad]; takes and raises what `concentration_interval` does."""
+        low, high = self.concentration_interval(level, effective=effective)
         return float(high**-0.5), float(low**-0.5)
 
     @property
@@ -321,20 +328,25 @@ def tangent_plane(vectors: ArrayLike, mean: ArrayLike) -> FloatArray:
     Returns
     -------
     (n, 2)
-        To the azimuth side (growing along Z x m, or X where m lies near Z) and square to it [rad]; their squares add
-        up to the squared chord.
+        Along the two vectors of `tangent_basis` [rad]; their squares add up to the squared chord.
     """
     w, m = np.asarray(vectors, np.float64), np.asarray(mean, np.float64)
-    east = np.cross([0.0, 1.0, 0.0], m)
-    if np.linalg.norm(east) < 1e-3:
-        east = np.cross(m, [0.0, 0.0, 1.0])
-    east /= np.linalg.norm(east)
-    basis = np.stack([east, np.cross(m, east)])
+    basis = tangent_basis(m)
     apart = (w - m) @ basis.T
     chord2 = np.einsum("ni,ni->n", w - m, w - m)
     across2 = np.einsum("ni,ni->n", apart, apart)
     scale = np.sqrt(np.divide(chord2, across2, out=np.ones_like(chord2), where=across2 > 0))
     return np.asarray(apart * scale[:, None])
+
+
+def tangent_basis(mean: ArrayLike) -> FloatArray:
+    """Unit vectors (2, 3) across a mean: Y x m, which is +X for a mean at +Z, and m times that, +Y then."""
+    m = np.asarray(mean, np.float64)
+    across = np.cross([0.0, 1.0, 0.0], m)
+    if np.linalg.norm(across) < 1e-3:
+        across = np.cross(m, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    return np.stack([across, np.cross(m, across)])
 
 
 def sample_fisher(mean: ArrayLike, concentration: float, count: int, rng: np.random.Generator) -> FloatArray:

@@ -20,7 +20,15 @@ from calib.fisher import fit_fisher, mean_and_chords, tangent_plane
 from optics.errors import DomainError
 from optics.records import freeze
 
-__all__ = ["CRITICAL_EXPONENTIAL", "Exponential", "Isotropy", "exponential_check", "fisher_outliers", "isotropy_check"]
+__all__ = [
+    "CRITICAL_EXPONENTIAL",
+    "Exponential",
+    "Isotropy",
+    "effective_degrees",
+    "exponential_check",
+    "fisher_outliers",
+    "isotropy_check",
+]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -151,6 +159,32 @@ def exponential_check(vectors: ArrayLike) -> Exponential:
         found=found,
         statistic=(largest - 0.2 / count) * (np.sqrt(count) + 0.26 + 0.5 / np.sqrt(count)),
     )
+
+
+def effective_degrees(vectors: ArrayLike) -> float:
+    r"""Degrees of freedom of the sum of squared chords, from how much these differ among themselves.
+
+    The variance of a sum of independent squared chords c is n var(c), whatever their distribution; the chi-square of
+    the same relative variance has
+
+    .. math:: \nu = 2 (n - 1)\, \langle c \rangle^2 / \mathrm{var}(c)
+
+    degrees of freedom. In a Fisher distribution var(c) = <c>^2 and it is 2 (n - 1); an ellipse or heavy tails make it
+    smaller and the interval of sigma wider, as they must. It needs some 50 vectors, rather more for rare outliers.
+
+    Parameters
+    ----------
+    vectors : (n, 3)
+        Unit vectors, at least four.
+
+    Raises
+    ------
+    DomainError
+        As `isotropy_check`.
+    """
+    w, mean = _fitted(vectors)
+    chord2 = np.einsum("ni,ni->n", w - mean, w - mean)
+    return float(2.0 * (len(w) - 1) * chord2.mean() ** 2 / max(chord2.var(ddof=1), 1e-300))
 
 
 def fisher_outliers(vectors: ArrayLike, *, level: float = LEVEL) -> BoolArray:
