@@ -24,6 +24,14 @@ from optics.records import freeze
 __all__ = ["EdgePoints", "Spokes", "edge_crossings", "sample_spokes", "smoothed"]
 
 FloatArray = NDArray[np.float64]
+
+INTERPOLATED = 2.25
+"""Variance of pixel noise over the mean variance (2/3)^2 that bilinear interpolation leaves of it: samples scatter less
+than pixels, and those closer than a pixel are not independent. Sums over samples scatter as the pixels do."""
+
+POOL = 15
+"""Spokes that share an estimate of the noise."""
+
 Mapping = Callable[[FloatArray], FloatArray]
 
 
@@ -41,12 +49,15 @@ class Spokes:
         Sampled distances.
     value : (k, m)
         Mean brightness of a spoke's rays; NaN outside the image.
+    step_px : float
+        Spacing of the samples along a ray in pixels.
     """
 
     centre: FloatArray
     angle_rad: FloatArray
     radius: FloatArray
     value: FloatArray
+    step_px: float
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -139,7 +150,13 @@ def sample_spokes(
         angle_rad=angle.reshape(spokes, rays).mean(1),
         radius=distance,
         value=value.reshape(spokes, rays, -1).mean(1),
+        step_px=_step_px(pixel.reshape(len(angle), len(distance), 2)),
     )
+
+
+def _step_px(pixel: FloatArray) -> float:
+    """Mean distance in pixels of neighbouring samples of a ray, for pixels (rays, samples, 2)."""
+    return float(np.mean(np.hypot(*np.moveaxis(np.diff(pixel, axis=1), -1, 0))))
 
 
 def edge_crossings(spokes: Spokes, level: ArrayLike, *, rising: bool, half_width: float) -> EdgePoints:
@@ -168,6 +185,7 @@ def edge_crossings(spokes: Spokes, level: ArrayLike, *, rising: bool, half_width
     for _ in range(2):
         found, error = _line_crossing(value, radius, wanted, guess, half_width)
         guess = found
+    error = error * np.sqrt(INTERPOLATED / min(spokes.step_px, 1.0))
     good = np.isfinite(found) & np.isfinite(error) & (error > 0)
     along = np.stack([np.cos(spokes.angle_rad), np.sin(spokes.angle_rad)], axis=1)
     return EdgePoints(
@@ -198,28 +216,42 @@ def _first_crossing(value: FloatArray, radius: FloatArray, level: FloatArray, *,
     return np.where(change.any(axis=1), place, np.nan)
 
 
+def _pooled(squares: FloatArray, freedom: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:
+    """Variance about the lines from each spoke and its neighbours: a single one has too few samples to be weighted
+    by.""" size = min(POOL, len(squares))
+    total = uniform_filter1d(np.where(usable, squares, 0.0), size, mode="wrap")
+    known = uniform_filter1d(np.where(usable, freedom, 0.0), size, mode="wrap")
+    return np.asarray(np.maximum(total, 0.0) / np.maximum(known, 1e-9))
+
+
 def _line_crossing(
     value: FloatArray, radius: FloatArray, level: FloatArray, guess: FloatArray, half_width: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Crossing of a line fitted around ``guess``, and its standard error from the scatter about the line."""
+    """Crossing of a line fitted around ``guess``, and its standard error from the scatter about the lines.
+
+    Samples are weighted by ``1 - (offset / half_width)^2``: with a window that ends abruptly, which samples fall into
+    it would move the crossing from spoke to spoke.
+    """
     offset = radius[None, :] - guess[:, None]
-    inside = (np.abs(offset) <= half_width) & np.isfinite(value)
+    inside = (np.abs(offset) < half_width) & np.isfinite(value)
     complete = (guess - half_width >= radius[0]) & (guess + half_width <= radius[-1])
-    weight = inside.astype(float)
-    count = weight.sum(1)
-    safe = np.where(np.isfinite(offset), offset, 0.0)
+    safe = np.where(inside, offset, 0.0)
     filled = np.where(inside, value, 0.0)
-    mean_x = (weight * safe).sum(1) / np.maximum(count, 1)
-    mean_y = filled.sum(1) / np.maximum(count, 1)
-    dx = np.where(inside, safe - mean_x[:, None], 0.0)
-    spread = (dx**2).sum(1)
-    slope = (dx * (filled - mean_y[:, None] * weight)).sum(1) / np.where(spread > 0, spread, 1.0)
+    weight = np.where(inside, 1.0 - (safe / half_width) ** 2, 0.0)
+    count, total = inside.sum(1), np.maximum(weight.sum(1), 1e-12)
+    mean_x, mean_y = (weight * safe).sum(1) / total, (weight * filled).sum(1) / total
+    dx, dy = np.where(inside, safe - mean_x[:, None], 0.0), np.where(inside, filled - mean_y[:, None], 0.0)
+    spread = (weight * dx**2).sum(1)
+    known = np.where(spread > 0, spread, 1.0)
+    slope = (weight * dx * dy).sum(1) / known
     usable = complete & (count >= 4) & (spread > 0) & (np.abs(slope) > 0)
     divisor = np.where(usable, slope, 1.0)
-    shift = mean_x + (level - mean_y) / divisor
-    scatter = np.where(inside, filled - mean_y[:, None] - slope[:, None] * dx, 0.0)
-    variance = (scatter**2).sum(1) / np.maximum(count - 2, 1)
-    arm = (shift - mean_x) ** 2 / np.where(spread > 0, spread, 1.0)
-    error = np.sqrt(variance * (1.0 / np.maximum(count, 1) + arm)) / np.abs(divisor)
+    arm = (level - mean_y) / divisor
+    scatter = np.where(inside, dy - slope[:, None] * dx, 0.0)
+    variance = _pooled((scatter**2).sum(1), np.maximum(count - 2, 0), usable)
+    of_mean = (weight**2).sum(1) / total**2
+    of_slope = (weight**2 * dx**2).sum(1) / known**2
+    error = np.sqrt(variance * (of_mean + arm**2 * of_slope)) / np.abs(divisor)
+    shift = mean_x + arm
     usable &= np.abs(shift) <= half_width
     return np.where(usable, guess + shift, np.nan), np.where(usable, error, np.nan)

@@ -50,7 +50,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.cube_budget import beam_rates, build_budget, lean_rates, perfect_sensor
     from experiments.cube_montecarlo import CASES, SensorCache, run_bench, run_cases
     from experiments.cube_result import Result
-    from experiments.cube_verify import check_light
+    from experiments.cube_verify import check_light, repeatability
     from experiments.provenance import peak_memory_mb, process_seconds
 
     with progress.stage("bench"):
@@ -70,7 +70,8 @@ def run(config: Config, *, progress: Progress) -> Result:
     cases = run_cases(laboratory, truths, CASES, progress)
     with progress.stage("checks"):
         light = check_light(laboratory)
-        budget = build_budget(laboratory, cases)
+        again = repeatability(laboratory)
+        budget = build_budget(laboratory, cases, again)
         sensor = perfect_sensor(laboratory)
         rates = lean_rates(config, sensor), beam_rates(config, sensor)
     with progress.stage("views"):
@@ -86,6 +87,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         lean_rate=rates[0],
         beam_rate=rates[1],
         light=light,
+        repeatability=again,
         views=views,
         runtime_s=process_seconds(),
         peak_memory_mb=peak_memory_mb(),

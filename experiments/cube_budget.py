@@ -11,7 +11,8 @@ from the second, one component each, so an error of a normal across one directio
 * camera mount: on every axis;
 * reading: the outer axis on x and z, the inner one on y.
 
-What eq. 14 leaves out, pictures and sun sensor, is predicted by the covariances of the fits.
+What eq. 14 leaves out: the sun sensor by the covariance of its fit, pictures by repeating them on a bench that stands
+still.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from experiments.cube_montecarlo import CaseResult
 from experiments.cube_reduce import measured_normal
 from experiments.cube_sensor import field_angles, fit_sensor
 from experiments.cube_settings import Config
+from experiments.cube_verify import Repeatability
 from optics.units import ARCSEC_RAD, DEG_RAD, RAD_ARCSEC, RAD_DEG
 from render.bench_sensor import MaskSensor
 from render.random import Streams
@@ -230,7 +232,7 @@ def terms(laboratory: Laboratory, sensor: MaskSensor, trim_px: FloatArray) -> di
     }
 
 
-def build_budget(laboratory: Laboratory, cases: Mapping[str, CaseResult]) -> list[BudgetRow]:
+def build_budget(laboratory: Laboratory, cases: Mapping[str, CaseResult], pictures: Repeatability) -> list[BudgetRow]:
     """All lines of the budget.
 
     Parameters
@@ -239,9 +241,11 @@ def build_budget(laboratory: Laboratory, cases: Mapping[str, CaseResult]) -> lis
         The bench.
     cases : mapping
         From `experiments.cube_montecarlo.run_cases`.
+    pictures : Repeatability
+        Noise of the pictures.
     """
     sensor = perfect_sensor(laboratory)
-    noise_px = _picture_noise_px(cases["trim"])
+    noise_px = pictures.two_px
     single = terms(
         laboratory, sensor, play_trim(laboratory.config, laboratory.tilt_per_px, noise_px, laboratory.streams)
     )
@@ -256,7 +260,7 @@ def build_budget(laboratory: Laboratory, cases: Mapping[str, CaseResult]) -> lis
             "reading": case.reading,
         }
         term = np.sqrt(sum((single[key] ** 2 for key, on in active.items() if on), np.zeros(3)))
-        noise = _noise(result)
+        noise = _noise(laboratory, result, pictures)
         predicted = np.hypot(term, noise)
         acts = term > predicted / 3 if name != "improved" else np.ones(3, bool)
         rows.append(
@@ -288,14 +292,11 @@ def perfect_sensor(laboratory: Laboratory) -> MaskSensor:
     )
 
 
-def _picture_noise_px(result: CaseResult) -> float:
-    variances = [np.trace(trim.offset.covariance_px2) / 2 for one in result.bench for trim in one.trims]
-    return float(np.sqrt(np.mean(variances)))
-
-
-def _noise(result: CaseResult) -> FloatArray:
+def _noise(laboratory: Laboratory, result: CaseResult, pictures: Repeatability) -> FloatArray:
     """Pictures and sun sensor (3,) [arcsec]; in coarse trims the stop rule already counts the pictures."""
-    if not result.case.coarse or result.case.improved:
-        return result.stated_arcsec
-    sensor = [np.diag(one.sensor.covariance_rad2) for one in result.bench]  # cube axes are the sensor's but for signs
-    return np.asarray(np.sqrt(np.mean(sensor, axis=0)) * RAD_ARCSEC)
+    sensor = np.mean([one.sensor_sigma_arcsec**2 for one in result.bench], axis=0)
+    if result.case.coarse and not result.case.improved:
+        return np.asarray(np.sqrt(sensor))
+    seen_px = pictures.own_px if result.case.improved else pictures.two_px
+    seen = seen_px * laboratory.tilt_per_px * RAD_ARCSEC / np.sqrt(laboratory.config.cube.repeats)
+    return np.asarray(np.sqrt(sensor + seen**2))

@@ -40,6 +40,8 @@ class BenchResult:
         What R_pr and R_sr contribute, both turned into the cube frame.
     sigma_arcsec : (3,)
         Standard deviations that the fits state: pictures and spots, nothing else.
+    sensor_sigma_arcsec : (3,)
+        Part of the sun sensor in that, and of the table's axes where they are fitted with it.
     face_angle_rad, true_face_angle_rad : float
         Between the first two faces.
     trims : tuple of FaceTrim
@@ -52,6 +54,7 @@ class BenchResult:
     cube_error_arcsec: FloatArray
     sensor_error_arcsec: FloatArray
     sigma_arcsec: FloatArray
+    sensor_sigma_arcsec: FloatArray
     face_angle_rad: float
     true_face_angle_rad: float
     trims: tuple[FaceTrim, ...]
@@ -133,6 +136,7 @@ def reduce_bench(
         cube_error_arcsec=rotation_error_rad(cube.rotation, true_cube) * RAD_ARCSEC,
         sensor_error_arcsec=-(true_cube * true_sensor.inv()).apply(sensor_part) * RAD_ARCSEC,
         sigma_arcsec=np.sqrt(np.diag(covariance)) * RAD_ARCSEC,
+        sensor_sigma_arcsec=np.sqrt(np.diag(covariance - cube.covariance_rad2)) * RAD_ARCSEC,
         face_angle_rad=cube.face_angle_rad,
         true_face_angle_rad=float(np.arccos(first @ second)),
         trims=tuple(trims),

@@ -17,7 +17,7 @@ from experiments.cube_montecarlo import CaseResult
 from experiments.cube_reduce import BenchResult
 from experiments.cube_sensor import SensorRun
 from experiments.cube_settings import Config
-from experiments.cube_verify import LightCheck
+from experiments.cube_verify import LightCheck, Repeatability
 from experiments.summary import Criterion, Measured
 from optics.units import RAD_ARCSEC, RAD_DEG
 
@@ -58,6 +58,8 @@ class Result:
         Error of R_sp per unit of the beam's direction off the table's Z axis.
     light : LightCheck
         Rendered light against closed forms.
+    repeatability : Repeatability
+        Noise of the pictures.
     views : sequence of (bodies, beam)
         Pictures of the bench, radiances (h, w).
     runtime_s, peak_memory_mb : float
@@ -74,6 +76,7 @@ class Result:
     lean_rate: FloatArray
     beam_rate: FloatArray
     light: LightCheck
+    repeatability: Repeatability
     views: Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
     runtime_s: float
     peak_memory_mb: float
@@ -233,6 +236,12 @@ def results(result: Result) -> dict[str, Any]:
         "light": {
             "worst_displacement_um": result.light.worst_displacement_um,
             "worst_profile": result.light.worst_profile,
+        },
+        "repeatability_px": {
+            "two_pictures": result.repeatability.two_px,
+            "one_picture": result.repeatability.own_px,
+            "stated_by_the_fits": result.repeatability.stated_px,
+            "pictures": result.repeatability.pictures,
         },
         "benches": len(result.truths),
         "settings_per_face": float(result.cases["procedure"].trims.mean()),

@@ -356,7 +356,7 @@ def trim_face(
     aperture = fit_aperture(glowing, radius)
     commanded = start_angles(laboratory, truth, table, face, repeat, within_px=_start_px(config, case))
     rows: list[TrimRow] = []
-    pictures: list[Picture] = [glowing]
+    pictures: tuple[Picture, ...] = (glowing,) if keep else ()
     ahead_px = _start_px(config, case)
     for setting in range(config.trim.allowed):
         here = streams.child("setting", setting)
@@ -376,7 +376,7 @@ def trim_face(
         offset = measure_offset(aperture, spot, laboratory.pitch_mm)
         rows.append(_row(actual[0], offset))
         if keep:
-            pictures = [*pictures[:2], picture]
+            pictures = (*pictures[:2], picture)
         left = offset.offset_px - aim
         correction = tilt * np.array([left[1], -left[0]])
         if not case.coarse or np.all(np.abs(left) < config.trim.stop_px):
@@ -389,7 +389,7 @@ def trim_face(
                 reading_rad=table.read(final, here)[0],
                 offset=offset,
                 own=own,
-                pictures=tuple(pictures),
+                pictures=pictures,
             )
         commanded = actual[0] + config.trim.gain_ratio * correction
         ahead_px = float(np.max(np.abs((1 - config.trim.gain_ratio) * left)))

@@ -10,16 +10,26 @@ from scipy.spatial.transform import Rotation
 
 from experiments.cube_bench import NOMINAL_CUBE, SQUARE, Laboratory
 from experiments.cube_checks import spot_profile
+from experiments.cube_trim import (
+    fit_aperture,
+    fit_hole,
+    fit_spot,
+    measure_offset,
+    spot_reach_mm,
+    take_aperture,
+    take_spot,
+)
 from render.bench_scene import CubePose, place_cube
 from render.bench_trace import land
 
-__all__ = ["LightCheck", "check_light"]
+__all__ = ["LightCheck", "Repeatability", "check_light", "repeatability"]
 
 FloatArray = NDArray[np.float64]
 
 TILTS_ARCSEC = (700.0, 800.0, 1000.0, 1300.0)
 LOG2_PARTICLES = 20
 RINGS = 60
+REPEATS = 24
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,6 +66,54 @@ class LightCheck:
     def worst_profile(self) -> float:
         """Largest difference between the two profiles."""
         return float(np.max(np.abs(self.profile - self.closed_profile)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Repeatability:
+    """One concentric bench, pictured again and again.
+
+    Attributes
+    ----------
+    two_px, own_px : float
+        Scatter of the offset per axis: aperture and spot from two pictures, and both from the picture of the spot.
+    stated_px : float
+        What the covariances of the fits say of the first.
+    pictures : int
+        How many.
+    """
+
+    two_px: float
+    own_px: float
+    stated_px: float
+    pictures: int
+
+
+def repeatability(laboratory: Laboratory) -> Repeatability:
+    """Scatter of the measured offset on a bench where nothing moves."""
+    place_cube(laboratory.mi, laboratory.scene, laboratory.geometry, tilted_pose(laboratory, 0.0))
+    radius, reach = laboratory.geometry.aperture_mm / 2, spot_reach_mm(laboratory)
+    two, own, stated = [], [], []
+    for number in range(REPEATS):
+        streams = laboratory.streams.child("repeatability", number)
+        aperture = fit_aperture(take_aperture(laboratory, streams), radius)
+        picture = take_spot(
+            laboratory,
+            streams,
+            sensor=laboratory.sensor,
+            log2_particles=laboratory.config.benches.log2_particles,
+            inner_mm=max(radius - 3 * laboratory.pitch_mm, 0.0),
+        )
+        spot = fit_spot(picture, aperture, reach)
+        offset = measure_offset(aperture, spot, laboratory.pitch_mm)
+        two.append(offset.offset_px)
+        own.append(measure_offset(fit_hole(picture, aperture), spot, laboratory.pitch_mm).offset_px)
+        stated.append(np.trace(offset.covariance_px2) / 2)
+    return Repeatability(
+        two_px=float(np.sqrt(np.var(two, axis=0, ddof=1).mean())),
+        own_px=float(np.sqrt(np.var(own, axis=0, ddof=1).mean())),
+        stated_px=float(np.sqrt(np.mean(stated))),
+        pictures=REPEATS,
+    )
 
 
 def tilted_pose(laboratory: Laboratory, tilt_rad: float) -> CubePose:
