@@ -9,14 +9,16 @@ from pydantic import Field, model_validator
 from experiments.budget_range import SweepRange, check_range, leaf_keys, parse_sweep
 from experiments.chromatic_settings import FilterConfig
 from experiments.config import ExperimentConfig, StrictModel
+from experiments.point_settings import SourceConfig
 from experiments.settings import InstrumentConfig, TargetConfig
 
 __all__ = [
     "AttitudeConfig",
     "Config",
     "DetectorConfig",
-    "LightConfig",
+    "GridConfig",
     "MovedConfig",
+    "StepConfig",
     "ToleranceConfig",
     "TornadoConfig",
 ]
@@ -63,19 +65,28 @@ class MovedConfig(StrictModel):
     despace_um: float = Field(default=0.0, ge=-3000, le=3000, description="along the light")
 
 
-class LightConfig(StrictModel):
-    """The light of the target for all tests but the chromatic one: the whole pass band of the camera."""
+class StepConfig(StrictModel):
+    """The step test (ACC18 section 1.3) and the platform that makes the steps."""
 
-    passband_nm: tuple[float, float] = Field(default=(450.0, 900.0), description="pass band")
-    edge_nm: float = Field(default=20.0, ge=0, le=100, description="length of its edges")
-    lamp_k: float = Field(default=3000.0, ge=1000, le=20000, description="colour temperature of the lamp")
+    positions: int = Field(default=12, ge=2, le=500, description="positions of the path (ACC18: 12)")
+    step_px: float = Field(default=0.2, gt=0, le=5, description="length of a step of the image (ACC18: 0.2)")
+    direction_deg: float = Field(default=45.0, ge=-180, le=180, description="of the motion (ACC18: 45)")
+    places: int = Field(default=3, ge=1, le=20, description="places of the field where the test is made; RMS of them")
+    platform_step_arcsec: float = Field(default=0.4, ge=0, le=100, description="error of a position, per axis, 1 sigma")
+    platform_roll_arcsec: float = Field(default=1.0, ge=0, le=100, description="the same for roll")
 
-    @model_validator(mode="after")
-    def _increasing(self) -> LightConfig:
-        low, high = self.passband_nm
-        if not 0.0 < low < high:
-            raise ValueError(f"light.passband_nm = {[low, high]}: two increasing wavelengths are needed")
-        return self
+
+class GridConfig(StrictModel):
+    """The grid target (ACC18 section 1.4.2)."""
+
+    rows: int = Field(default=4, ge=2, le=50, description="points along a column")
+    columns: int = Field(default=8, ge=2, le=50, description="points along a row (ACC18: 32 points)")
+    edge_px: float = Field(default=60.0, ge=0, description="distance of the outermost points from the edge")
+    order: int = Field(default=3, ge=1, le=7, description="of the polynomial (ACC18: 3)")
+    reference: Literal["nominal", "aligned", "calibrated"] = Field(
+        default="calibrated", description="how target coordinates become pixels"
+    )
+    surveys: int = Field(default=100, ge=1, le=5000, description="surveys of the target, same frames; RMS of them")
 
 
 class AttitudeConfig(StrictModel):
@@ -120,10 +131,11 @@ class Config(ExperimentConfig):
     instrument: InstrumentConfig = InstrumentConfig()
     detector: DetectorConfig = DetectorConfig()
     moved: MovedConfig = MovedConfig()
-    target: TargetConfig = TargetConfig()
-    light: LightConfig = LightConfig()
+    target: TargetConfig = TargetConfig(pitch_px=150.4)  # not whole pixels: points at all fractions of a pixel
+    source: SourceConfig = SourceConfig()
     filters: FilterConfig = FilterConfig()
-    signal_e: float = Field(default=6000.0, gt=0, le=1e6, description="electrons per point and frame")
+    steps: StepConfig = StepConfig()
+    grid: GridConfig = GridConfig()
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position (ACC18: at least 30)")
     dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off, per position")
     window_px: int = Field(default=13, ge=7, le=63, description="window around a point, odd")
