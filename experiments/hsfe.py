@@ -99,6 +99,7 @@ def run(config: Config, *, progress: Progress) -> Result:
             instrument,
             plan,
             psf=psf,
+            hexapod=hexapod,
             shift_px=measured.common_shift_px(bench.methods[0], before.place_px),
             place_px=config.place_px,
             subtraction=config.subtraction,

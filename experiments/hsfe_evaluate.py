@@ -105,6 +105,7 @@ def results(result: Result) -> dict[str, Any]:
             "one_position_predicted": arcsec(after.single_px),
             "temporal_in_document": arcsec(measured.temporal_px(method)),
             "dark_frames_in_document": arcsec(after.dark_px),
+            "roll_in_document": arcsec(after.roll_px),
             "quadrature": arcsec(measured.quadrature_px(method)),
             "causes": {
                 cause: {

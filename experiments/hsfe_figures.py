@@ -36,14 +36,14 @@ def step_path_plot(result: Result) -> Figure:
     axis.set(
         xlim=(reach[:, 0].min() - 0.3, reach[:, 0].max() + 0.3), ylim=(reach[:, 1].max() + 0.3, reach[:, 1].min() - 0.3)
     )
-    axis.set_xticks(np.arange(np.floor(reach[:, 0].min()) - 0.5, reach[:, 0].max() + 1.0), minor=True)
-    axis.set_yticks(np.arange(np.floor(reach[:, 1].min()) - 0.5, reach[:, 1].max() + 1.0), minor=True)
-    axis.grid(visible=False, which="major")
-    axis.grid(visible=True, which="minor", color="#9aa0a7", linewidth=0.8)
+    axis.grid(visible=False)
+    for edge in np.arange(-3.5, 20.0):
+        axis.axvline(edge, color="#c3c8ce", linewidth=0.8, zorder=0)
+        axis.axhline(edge, color="#c3c8ce", linewidth=0.8, zorder=0)
     axis.set(aspect="equal", xlabel="column [px]", ylabel="row [px]")
     axis.legend(
         handles=[
-            Line2D([], [], color="#c3c8ce", marker="o", markerfacecolor="white", label="commanded"),
+            Line2D([], [], color=PALETTE[1], marker="o", markerfacecolor="white", label="commanded"),
             Line2D([], [], color=PALETTE[0], marker="o", label="gone"),
         ],
         loc="lower left",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,7 @@ from experiments.hsfe_tables import CAUSE_NAMES, all_tables
 from experiments.laboratory.high_frequency import CAUSES
 from experiments.point_settings import METHOD_NAMES
 from experiments.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
+from experiments.tables import Table
 
 if TYPE_CHECKING:
     from experiments.hsfe_result import Result
@@ -22,7 +24,8 @@ __all__ = ["build_report"]
 EQ9 = (
     r"\sigma_x = \sqrt{ \frac{1}{W (M-1)} \sum_{k=1}^{M-1} \sum_{j=1}^{W} "
     r"\left( \Delta \bar X_j^{(k)} - "
-    r"\frac{1}{W} \sum_{j=1}^{W} \Delta \bar X_j^{(k)} \right)^2 } \, , \qquad \mathrm{HSFE}_x = 3\,\sigma_x \times 5.5''"
+    r"\frac{1}{W} \sum_{j=1}^{W} \Delta \bar X_j^{(k)} \right)^2 } \, , "
+    r"\qquad \mathrm{HSFE}_x = 3\,\sigma_x \times 5.5''"
 )
 
 
@@ -70,8 +73,8 @@ def _cause_text(result: Result) -> str:
 
 
 def _hit(result: Result) -> str:
-    count = sum(bool(np.any(result.measured.effect_px(m, "defects", alone=True) != 0)) for m in result.config.methods)
-    return "some" if count else "none of the"
+    model = result.after.method[result.config.methods[0]]
+    return "some of the" if model.cause_single_px["defects"].any() else "none of the"
 
 
 def _prediction_text(result: Result) -> str:
@@ -101,6 +104,12 @@ def _hexapod_text(result: Result) -> str:
         "itself scatters from run to run with the quality of the steps. A finer or a longer path helps, not more "
         "frames."
     )
+
+
+def _short_causes(result: Result, table: Table) -> Table:
+    """The causes of two methods; the file has them all."""
+    names = {METHOD_NAMES[m] for m in (result.config.methods[0], "epsf")}
+    return replace(table, rows=[row for row in table.rows if row[0] in names])
 
 
 def build_report(result: Result) -> Report:
@@ -165,7 +174,7 @@ def build_report(result: Result) -> Report:
                     )
                 ),
                 Text(_cause_text(result)),
-                every["causes"],
+                _short_causes(result, every["causes"]),
             ),
         ),
         Section(

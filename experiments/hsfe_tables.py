@@ -93,6 +93,7 @@ def _causes(result: Result) -> Table:
         for label, value, expected in (
             ("temporal noise / √N", measured.temporal_px(method), model.temporal_px),
             ("noise of the dark frames", None, model.dark_px),
+            ("roll of the hexapod", measured.motion_px, model.roll_px),
             ("in quadrature", measured.quadrature_px(method), model.document_px),
             ("everything together", measured.document_px(method), model.document_px),
         ):

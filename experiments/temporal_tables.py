@@ -50,7 +50,8 @@ def _main(result: Result) -> Table:
         caption=f"Temporal error (3 σ) of one star at {result.config.source.signal_e:g} e⁻ per frame, dark-subtracted "
         f"and raw; published {PUBLISHED_ARCSEC[0]}″ in x and {PUBLISHED_ARCSEC[1]}″ in y.",
         note=f"{result.nominal.frames} frames of {len(result.nominal.light)} stars. Measured values carry the "
-        "small-sample factor of a standard deviation, as the document's do; it is taken out of *Ratio*, measured over drawn noise.",
+        "small-sample factor of a standard deviation, as the document's do; it is taken out of *Ratio*, measured over "
+        "drawn noise.",
     )
 
 

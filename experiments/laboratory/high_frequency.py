@@ -201,8 +201,8 @@ class HighFrequencyMeasurement:
         return single_rms_px(self.effect_px(method, cause, alone=alone), noise, self.frames)
 
     def quadrature_px(self, method: str) -> FloatArray:
-        """Causes (alone) and temporal noise, added in quadrature (2,): to be compared with `document_px`."""
-        parts = [self.cause_px(method, cause) for cause in CAUSES]
+        """Causes (alone), roll and temporal noise, added in quadrature (2,): to be compared with `document_px`."""
+        parts = [*(self.cause_px(method, cause) for cause in CAUSES), self.motion_px]
         return np.asarray(np.sqrt(sum((part**2 for part in parts), self.temporal_px(method) ** 2)))
 
     def common_shift_px(self, method: str, place_px: FloatArray) -> FloatArray:

@@ -30,6 +30,7 @@ from experiments.laboratory.point_noise import ExpectedWindows, PixelNoise, expe
 from experiments.laboratory.point_scene import one_filter
 from experiments.laboratory.step_statistics import document_rms_px, single_rms_px
 from experiments.laboratory.temporal_error import target_place
+from optics.units import ARCSEC_RAD
 from render.random import Streams
 from render.records import EffectivePsf
 
@@ -38,7 +39,7 @@ __all__ = ["HighFrequencyPrediction", "MethodPrediction", "predict_high_frequenc
 FloatArray = NDArray[np.float64]
 
 PATHS = 24
-"""Drawn paths of a hexapod with errors; its roll moves the stars differently by less than 0.01 px and is left out."""
+"""Drawn paths of a hexapod with errors, for the S-curve; roll is small enough to leave that as it is."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,8 +54,9 @@ class MethodPrediction:
         Each cause in the document's number.
     cause_single_px : dict of str to (2,)
         Each cause in the error of one position.
-    temporal_px, dark_px : (2,)
-        Averaged temporal noise, and noise of the averaged dark frames, in the document's number.
+    temporal_px, dark_px, roll_px : (2,)
+        Averaged temporal noise, noise of the averaged dark frames, and roll of the hexapod, which the mean over the
+        stars does not take out, in the document's number.
     document_px : (2,)
         The document's number, RMS over drawn chips, paths and noise.
     scatter_px : (2,)
@@ -70,6 +72,7 @@ class MethodPrediction:
     cause_single_px: Mapping[str, FloatArray]
     temporal_px: FloatArray
     dark_px: FloatArray
+    roll_px: FloatArray
     document_px: FloatArray
     scatter_px: FloatArray
     single_px: FloatArray
@@ -128,7 +131,7 @@ def predict_high_frequency(
     hexapod : Hexapod, optional
         Its errors are drawn; an ideal one without it.
     shift_px : (m, 2), optional
-        Instead: where the whole image stood off the ideal path at each position, as seen.
+        In place of drawn step errors: where the whole image stood off the ideal path at each position, as seen.
     defect : (h, w) bool, optional
         The camera's list of hot and dead pixels, which the reduction leaves out; none without it.
     draws : int
@@ -155,6 +158,7 @@ def predict_high_frequency(
         subtraction=subtraction,
         defect=defect,
         draws=draws,
+        roll_rad=0.0 if hexapod is None else hexapod.roll_error_arcsec * ARCSEC_RAD,
     )
     return HighFrequencyPrediction(
         pixel_arcsec=instrument.pixel_arcsec,
@@ -174,6 +178,7 @@ class _Model:
     subtraction: Subtraction
     defect: NDArray[np.bool_] | None
     draws: int
+    roll_rad: float
 
     def method(self, centroider: Centroider, rng: np.random.Generator) -> MethodPrediction:
         """Everything about one centroider."""
@@ -202,12 +207,13 @@ class _Model:
             "defects": _rms([single_rms_px(one) for one in masked]),
         }
         sigma = gain.sigma_px(windows.light_e, self.noise.floor_e2).reshape(m, stars, 2) / np.sqrt(self.bench.frames)
-        document, error = [], []
+        document, error, lever = [], [], self._lever()
         for draw in range(self.draws):
             fixed = curves[draw % len(curves)] + masked[draw % len(curves)]
             for part in (prnu, *offsets, *dark):
                 fixed = fixed + np.einsum("jmayx,jyx->mja", part, rng.standard_normal((stars, *part.shape[3:])))
-            document.append(document_rms_px(fixed + sigma * rng.standard_normal(sigma.shape)))
+            rolled = self.roll_rad * rng.standard_normal((m, 1, 1)) * lever
+            document.append(document_rms_px(fixed + rolled + sigma * rng.standard_normal(sigma.shape)))
             error.append(single_rms_px(fixed))
         return MethodPrediction(
             s_curve_px=curves[0],
@@ -215,11 +221,18 @@ class _Model:
             cause_single_px={name: np.asarray(single[name]) for name in CAUSES},
             temporal_px=np.sqrt(share * (sigma[1:] ** 2 + sigma[:-1] ** 2).mean((0, 1))),
             dark_px=np.sqrt(share * sum((_steps2(part) for part in dark), np.zeros(2))),
+            roll_px=self.roll_rad * np.sqrt(2.0 * (lever**2).mean(0)),
             document_px=_rms(document),
             scatter_px=np.std(document, axis=0, ddof=1),
             single_px=_rms(error),
             single_scatter_px=np.std(error, axis=0, ddof=1),
         )
+
+    def _lever(self) -> FloatArray:
+        """Motion of the stars (j, 2) per radian of roll, without their mean."""
+        place = self.windows.place_px.reshape(self.positions, -1, 2).mean(0)
+        from_mean = place - place.mean(0)
+        return np.column_stack([-from_mean[:, 1], from_mean[:, 0]])
 
     def _offsets(self, gain: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
         """Responses to offset patterns that are left in the data, and to the noise of the dark frames."""
