@@ -217,8 +217,8 @@ def _first_crossing(value: FloatArray, radius: FloatArray, level: FloatArray, *,
 
 
 def _pooled(squares: FloatArray, freedom: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:
-    """Variance about the lines from each spoke and its neighbours: a single one has too few samples to be weighted
-    by.""" size = min(POOL, len(squares))
+    """Variance about the lines, from each spoke and its neighbours: one alone has too few samples to be weighted by."""
+    size = min(POOL, len(squares))
     total = uniform_filter1d(np.where(usable, squares, 0.0), size, mode="wrap")
     known = uniform_filter1d(np.where(usable, freedom, 0.0), size, mode="wrap")
     return np.asarray(np.maximum(total, 0.0) / np.maximum(known, 1e-9))

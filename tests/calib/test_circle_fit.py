@@ -1,4 +1,4 @@
-"""Circle and ellipse fits: exact points, a slow independent minimisation, scatter against covariance, what is refused."""
+"""Circle and ellipse fits: exact points, a slow independent minimisation, scatter against covariance, refusals."""
 
 import numpy as np
 import pytest

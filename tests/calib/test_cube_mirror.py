@@ -1,4 +1,4 @@
-"""Conventions and the reduction of the cube mirror: the published angles, light that is really reflected, covariance."""
+"""Conventions and reduction of the cube mirror: published angles, light really reflected, covariance."""
 
 import numpy as np
 import pytest
@@ -59,7 +59,7 @@ def test_leverage_is_what_the_table_does(outer, inner):
     step = 1e-6
     table = build_turntable("xy")
     moved = table.rotation([[outer + step, inner], [outer, inner + step]]).apply(normal)
-    assert trim_leverage(outer, inner).T == pytest.approx(moved[:, :2] / step, abs=1e-5)
+    assert pytest.approx(moved[:, :2] / step, abs=1e-5) == trim_leverage(outer, inner).T
 
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0), (0.3, -0.2), (-5.0, 8.0)])
