@@ -1,0 +1,59 @@
+"""Configuration of the distortion test."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from experiments.config import StrictModel
+from experiments.point_settings import Method, PointConfig
+
+__all__ = ["Config", "GridConfig", "StudyConfig"]
+
+
+class GridConfig(StrictModel):
+    """The surveyed target: 32 points, measured to 0.5 arcsec (3 sigma)."""
+
+    rows: int = Field(default=4, ge=2, le=60, description="points along a column of the detector")
+    columns: int = Field(default=8, ge=2, le=60, description="points along a row of the detector")
+    edge_px: float = Field(default=60.0, ge=0, description="distance of the outermost points from the detector's edge")
+    jitter_px: float = Field(default=5.0, ge=0, le=100, description="spread of the points about the regular grid")
+    marking_error_arcsec: float = Field(
+        default=0.5 / 3.0, ge=0, le=60, description="error of a measured place, 1 sigma"
+    )
+    roll_arcmin: float = Field(default=3.0, ge=-600, le=600, description="target against detector")
+
+
+class StudyConfig(StrictModel):
+    """Which targets and polynomials the map error is forecast for."""
+
+    rows: tuple[int, ...] = Field(default=(4, 6, 8, 12, 16), min_length=1, description="rows; twice as many columns")
+    orders: tuple[int, ...] = Field(default=(1, 2, 3, 5, 7), min_length=1, description="orders of the polynomial")
+
+
+class Config(PointConfig):
+    """The published run: ACC18 gives the 32 points, their marking error, the cubic polynomial and N >= 30."""
+
+    target: GridConfig = GridConfig()
+    order: int = Field(default=3, ge=1, le=9, description="of the polynomial")
+    reference: Literal["nominal", "aligned", "calibrated"] = Field(
+        default="calibrated", description="how target coordinates become pixels, for the figures that count"
+    )
+    window_px: int = Field(default=15, ge=7, le=63, description="window around a point, odd")
+    centroid: Method = Field(default="epsf", description="centroider that counts")
+    compare: tuple[Method, ...] = Field(default=("cog", "gaussian"), description="others on the same frames")
+    surveys: int = Field(default=200, ge=2, le=5000, description="independent surveys of the target, same frames")
+    draws: int = Field(default=200, ge=10, le=5000, description="draws behind the prediction")
+    map_rows: int = Field(default=17, ge=5, le=101, description="rows of the dense map; twice as many columns")
+    study: StudyConfig = StudyConfig()
+
+    @model_validator(mode="after")
+    def _enough(self) -> Config:
+        points, terms = self.target.rows * self.target.columns, (self.order + 1) * (self.order + 2) // 2
+        if self.order >= min(self.target.rows, self.target.columns) or points <= terms:
+            raise ValueError(
+                f"order = {self.order}: a grid of {self.target.rows} x {self.target.columns} points does not determine "
+                "such a polynomial; it needs more rows and columns than the order"
+            )
+        return self
