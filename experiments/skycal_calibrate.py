@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from calib.attitude_correlated import calibrate_attitude_correlated
-from calib.cameras import get_camera_model
+from calib.cameras import BrownConrady, Polynomial
 from calib.cameras.base import CameraModel, unproject_jacobian
 from calib.free_attitude import calibrate_free_attitude
 from calib.gyro_linked import GyroNoise, calibrate_gyro_linked
@@ -38,7 +38,7 @@ METHODS = {
     "acc_true": "ACC with a truly perfect gyro",
 }
 LOSS = "tukey"
-"""Of measured positions: a real sky has blends that no flag tells."""
+"""Of the robust fits: a real sky has blends that no flag tells."""
 FLOOR_CLIP_SIGMA = 5.0
 DRAWS = 40000
 """Of the distribution of the mean square that a covariance predicts."""
@@ -117,10 +117,9 @@ def start_camera(scene: Scene, config: Config, name: str) -> tuple[CameraModel, 
     focal_length_mm = scene.instrument.focal_length_mm * config.start.focal_ratio
     geometry = geometry_of(scene)
     if family == "polynomial":
-        made = get_camera_model("polynomial").create(geometry, degree=degree, focal_length_mm=focal_length_mm)  # type: ignore[attr-defined]
-        return made, None
-    made = get_camera_model("brown_conrady").create(geometry, focal_length_mm=focal_length_mm)  # type: ignore[attr-defined]
-    return made, ("x0_px", "y0_px", "focal_length_mm") if family == "pinhole" else None
+        return Polynomial.create(geometry, degree=degree, focal_length_mm=focal_length_mm), None
+    model = BrownConrady.create(geometry, focal_length_mm=focal_length_mm)
+    return model, ("x0_px", "y0_px", "focal_length_mm") if family == "pinhole" else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,8 +134,8 @@ class Bench:
         Matched stars that take part.
     position_px : mapping of str to (n, 2)
         Positions of the matched stars, by kind.
-    noisy : frozenset of str
-        Kinds that hold measurements; they get the robust loss.
+    robust : frozenset of str
+        Kinds that get the robust loss; the others get least squares.
     floor_px : float
         Error per axis that is added to the noise of every star.
     """
@@ -147,7 +146,7 @@ class Bench:
     chart: Chart
     used: NDArray[np.bool_]
     position_px: Mapping[str, FloatArray]
-    noisy: frozenset[str]
+    robust: frozenset[str]
     floor_px: float = 0.0
 
     def observations(self, data: str) -> Observations:
@@ -165,7 +164,7 @@ class Bench:
     def calibrate(self, data: str, *, model: str, method: str = "free") -> Judged:
         """One calibration, from poor start values."""
         start, free = start_camera(self.scene, self.config, model)
-        stars, loss = self.observations(data), LOSS if data in self.noisy else "linear"
+        stars, loss = self.observations(data), LOSS if data in self.robust else "linear"
         scene, gyro = self.scene, self.config.gyro
         if method == "free":
             made = calibrate_free_attitude(stars, start, loss=loss, free=free)

@@ -46,7 +46,8 @@ PARTS = {
     "psf": "PSF of one colour",
 }
 """What each step adds."""
-NOISY = frozenset({"own", "measured", "corrected"})
+ROBUST = frozenset({"light", "own", "measured", "corrected"})
+"""Kinds that get the robust loss: the colour of a very red star is an outlier, with and without noise."""
 LEAST_SURPLUS = 40
 
 
@@ -136,13 +137,14 @@ def evaluate(
     DomainError
         Too few stars.
     """
+    _check_count(scene, config, matched, np.isfinite(matched.in_cam).all(axis=1))
     chart = trace_chart(mi, scene, config)
     position = _positions(mi, scene, recording, matched, config)
     used = np.all([np.isfinite(place).all(axis=1) for place in position.values()], axis=0)
     _check_count(scene, config, matched, used)
     advance()
     plain = Bench(
-        scene=scene, matched=matched, config=config, chart=chart, used=used, position_px=position, noisy=NOISY
+        scene=scene, matched=matched, config=config, chart=chart, used=used, position_px=position, robust=ROBUST
     )
     name = scene.config.model
     bench = replace(plain, floor_px=plain.find_floor_px("measured", name))

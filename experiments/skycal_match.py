@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.association import associate, match_stars
-from calib.cameras import get_camera_model
+from calib.cameras import BrownConrady
 from calib.cameras.base import CameraModel, SensorGeometry
 from calib.flags import StarFlag, has_flag
 from calib.free_attitude import calibrate_free_attitude
@@ -110,9 +110,8 @@ def geometry_of(scene: Scene) -> SensorGeometry:
 
 def sheet_camera(scene: Scene, config: Config) -> CameraModel:
     """Pinhole with the focal length of a data sheet, not quite right."""
-    family = get_camera_model("brown_conrady")
     focal_length_mm = scene.instrument.focal_length_mm * (1.0 + config.start.sheet_error_fraction)
-    return family.create(geometry_of(scene), focal_length_mm=focal_length_mm)
+    return BrownConrady.create(geometry_of(scene), focal_length_mm=focal_length_mm)
 
 
 def match_frames(scene: Scene, recording: Recording, config: Config) -> Matched:

@@ -282,7 +282,7 @@ class _Reduction:
     def _without_dark(self, frame: Frame) -> SensorImage:
         """The frame minus the mean dark frame."""
         return SensorImage(
-            dn=frame.dn - self.dark_dn + np.float32(frame.offset_dn),
+            dn=np.asarray(frame.dn - self.dark_dn + np.float32(frame.offset_dn), np.float64),
             valid=~frame.defect,
             saturated=frame.saturated,
             noise=self.noise(frame),

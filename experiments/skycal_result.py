@@ -40,10 +40,15 @@ class CameraResult:
         return self.scene.name
 
     @property
+    def short(self) -> str:
+        """Focal length, as a name for tables."""
+        focal = self.scene.instrument.focal_length_mm
+        return f"{focal:.0f} mm" if focal >= 100 else f"{focal:.1f} mm"
+
+    @property
     def title(self) -> str:
         """Name for readers."""
-        focal = self.scene.instrument.focal_length_mm
-        return f"{focal:.0f} mm lens" if focal >= 100 else f"{focal:.1f} mm lens"
+        return f"{self.short} lens"
 
     @property
     def total(self) -> Judged:
