@@ -7,12 +7,10 @@ The angle between two stars of a frame does not depend on the attitude, so that 
 is an equation in the camera alone (ACF17, sec. 3.2, after its refs. 14-16). Mathematics: `calib.interstar_pairs`.
 
 * ``weighting="none"`` is the document's: all equations count the same, least squares. The stated covariance allows for
-the
-  unequal and correlated errors that the method ignores. ``chi2`` is the sum of squares over the typical variance; its
-  terms are correlated, so it is no chi-square.
+  the unequal and correlated errors that the method ignores. ``chi2`` is the sum of squares over the typical variance;
+  its terms are correlated, so it is no chi-square.
 * ``weighting="full"`` weights with the full covariance of all pairs. Nothing of the 2 n - 3 measurements that a frame
-of n
-  stars holds is then lost: it is as good as a free attitude in every frame, and no better.
+  of n stars holds is then lost: it is as good as a free attitude in every frame, and no better.
 
 Choice of pairs. The document does not say which pairs it takes. ``"all"`` takes every pair of a frame;
 ``"consecutive"`` takes each star with the next one in the list, n pairs per frame. Full weighting always takes all.

@@ -258,11 +258,11 @@ def typical_sigma(stars: StarFrames, seen: Directions) -> float:
     f, i, j = stars.pair
     if stars.every:  # the sum over partners is a (3, 3) matrix
         square = seen.unit.swapaxes(1, 2) @ seen.unit
-        total = np.sum((seen.by_error @ square[:, None]) * seen.by_error)
-        return float(np.sqrt(total / len(f)))
+        variance = float(np.sum((seen.by_error @ square[:, None]) * seen.by_error)) / len(f)
+        return float(np.sqrt(variance)) if variance > 0 else 1.0
     one = np.einsum("mak,mk->ma", seen.by_error[f, i], seen.unit[f, j])
     other = np.einsum("mak,mk->ma", seen.by_error[f, j], seen.unit[f, i])
-    return float(np.sqrt(np.mean(np.sum(one**2 + other**2, axis=1))))
+    return float(np.sqrt(np.mean(np.sum(one**2 + other**2, axis=1)))) or 1.0
 
 
 def pair_covariance(problem: PairProblem, evaluation: PairEvaluation, weight: FloatArray) -> FloatArray:

@@ -8,8 +8,8 @@ curved space (rotations), so the core only ever asks for "this state moved by th
 a group being what is kept or thrown away together (the two coordinates of a star), the penalty a sum of squares of
 prior knowledge. Steps solve (H + lambda D) step = -g with H = J^T W J, W the weights of the loss, and D the diagonal of
 H (Marquardt 1963, J. SIAM 11, 431), so that the units of the unknowns do not matter; lambda follows the ratio of the
-true to the predicted decrease (Nielsen 1999, IMM-REP-1999-05). A step that
-leaves the domain (a star behind the camera) has infinite cost and is not taken.
+true to the predicted decrease (Nielsen 1999, IMM-REP-1999-05). A step that leaves the domain (a star behind the
+camera) has infinite cost and is not taken.
 
 It has converged when the next step is shorter than ``tolerance`` in the metric of the information, that is, when no
 unknown would move by more than that part of its own sigma, whatever the units; or when a full step of less than

@@ -60,19 +60,19 @@ def test_same_minimum_and_covariance_as_scipy(scenes):
 
 
 def test_pulls_are_unit(scenes):
-    """60 noise realisations: mean square pull 1 within 5 of its sigmas, parameters being correlated (1/sqrt(60))."""
+    """40 noise realisations: mean square pull 1 within 5 of its sigmas, sqrt(2 / 40), for every parameter."""
     scene = scenes.make_scene(frames=8, stars=12)
     rng = np.random.default_rng(5)
     pulls, chi2 = [], []
-    for _ in range(60):
+    for _ in range(40):
         found = calibrate_free_attitude(scene.noisy(rng), scenes.CAMERA, two_step=False)
         assert found.converged
         pulls.append(found.solution.pulls(scenes.CAMERA.parameters))
         chi2.append(found.solution.reduced_chi2)
     mean_square = np.mean(np.square(pulls), axis=0)
-    assert np.all(np.abs(mean_square - 1.0) < 5 * np.sqrt(2.0 / 60))
+    assert np.all(np.abs(mean_square - 1.0) < 5 * np.sqrt(2.0 / 40))
     degrees = 2 * 96 - 24 - 8
-    assert np.mean(chi2) == pytest.approx(1.0, abs=5 * np.sqrt(2.0 / degrees / 60))
+    assert np.mean(chi2) == pytest.approx(1.0, abs=5 * np.sqrt(2.0 / degrees / 40))
 
 
 def test_order_and_start_attitude_make_no_difference(scenes):
@@ -84,6 +84,7 @@ def test_order_and_start_attitude_make_no_difference(scenes):
     assert other.solution.chi2 == pytest.approx(one.solution.chi2, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_correlated_position_errors_are_weighted(scenes):
     """Positions known ten times better along one diagonal: the fit must use it."""
     scene = scenes.make_scene(frames=8, stars=12)

@@ -86,6 +86,7 @@ def test_exact_data_give_the_truth(scenes, axes):
     np.testing.assert_allclose(found.model.project(seen), bench.exact, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_pulls_are_unit(scenes):
     """50 realisations, 13 unknowns: mean square pull 1 within 5 sigma each."""
     bench = Bench(scenes, count=150)
