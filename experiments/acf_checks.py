@@ -44,6 +44,12 @@ def check_design(config: Config) -> None:
 
 def _check_point(config: Config, point: Point, key: str) -> None:
     sky = sky_of(config, point, 0)
+    behind = int((sky.stars.direction[sky.used, 2] <= 0.0).sum())
+    if behind and not config.start.phi_from_stars:
+        raise DomainError(
+            f"sky.phi_deg = {list(config.sky.phi_deg)} deg: from the document's start, phi = 0, {behind} of "
+            f"{int(sky.used.sum())} stars are behind the camera; set start.phi_from_stars=true"
+        )
     design = sky.design.select(sky.used)
     swept_deg = float(np.degrees(Rotation.from_matrix(design.link[:, :, :3]).magnitude().max()))
     columns = design.by_unknown()

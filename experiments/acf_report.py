@@ -56,9 +56,23 @@ def _night_text(result: Result) -> str:
         "start. It has to: while a body turns about one fixed axis, the installation's turn about that axis does not "
         "show in any star, and only 13 of the 14 unknowns can be found. The gyro gives angle increments at "
         f"{config.gyro.rate_hz:g} Hz; its bias has the stated size about each axis, with a sign drawn for each run."
-        "\n\nEvery adjustment starts from the document's values (0 px, 20 mm, no distortion, θ = 0), in two steps, "
-        "first without distortion. φ = 0 is 62° from its truth and puts all stars behind the camera; φ starts from "
-        "the stars as the start camera sees them."
+        f"\n\n{_start_text(result)}"
+    )
+
+
+def _start_text(result: Result) -> str:
+    start, table2 = result.config.start, result.outcome[result.plan.table2.name]
+    steps = float(table2.of("acc", "iterations").mean())
+    away = float(np.degrees(result.scene.attitude[0].magnitude()))
+    phi = (
+        "φ from the stars as that camera sees them"
+        if start.phi_from_stars
+        else f"φ = 0, {away:.0f}° from the attitude's truth"
+    )
+    return (
+        f"ACC starts where Table 2 does ({start.x0_px:g} px, {start.focal_length_mm:g} mm, no distortion, θ = 0, "
+        f"{phi}) and goes in two steps, first without distortion; it needs {steps:.0f} iterations on average. The "
+        "other methods start from the same camera, with the attitudes it gives."
     )
 
 

@@ -64,11 +64,14 @@ class CameraConfig(StrictModel):
 
 
 class StartConfig(StrictModel):
-    """Where the adjustment starts: the initial values of Table 2; the angles start at 0 deg, distortion at zero."""
+    """Where ACC starts: the initial values of Table 2, with no distortion and theta = 0; the others take its camera."""
 
     focal_length_mm: float = Field(default=20.0, gt=0, le=1e5, description="initial focal length")
     x0_px: float = Field(default=0.0, description="initial principal point, columns")
     y0_px: float = Field(default=0.0, description="initial principal point, rows")
+    phi_from_stars: bool = Field(
+        default=False, description="phi from the stars as the start camera sees them, in place of the document's 0 deg"
+    )
 
 
 class GyroConfig(StrictModel):

@@ -172,9 +172,9 @@ def sky_of(config: Config, point: Point, run: int) -> _Sky:
 
 
 def _calibrate(task: Task, sky: _Sky, observed: Observations, method: Method, link: _Link | None) -> Calibration:
-    """One calibration, from the document's start: camera as in Table 2, theta zero.
+    """One calibration. ACC starts as in Table 2: camera, phi and theta zero.
 
-    phi cannot start at zero: 62 deg from the truth all stars are behind the camera. It comes from the start camera.
+    The others, and ACC in the sweep, take the attitudes from the stars as the start camera sees them.
     """
     start = start_camera(task.config, build_camera(task.config, task.point.pixel_um).geometry)
     if link is None:
@@ -183,7 +183,14 @@ def _calibrate(task: Task, sky: _Sky, observed: Observations, method: Method, li
         return calibrate_interstar(observed, start, weighting="none" if method == "iac" else "full")
     turned = link.rotation[sky.kept]
     if method == "acc":
-        return calibrate_attitude_correlated(observed, turned, start, start_installation=Rotation.identity())
+        known = task.config.start.phi_from_stars or task.point.own_sky
+        return calibrate_attitude_correlated(
+            observed,
+            turned,
+            start,
+            start_attitude=None if known else Rotation.identity(),
+            start_installation=Rotation.identity(),
+        )
     bias, walk = link.noise
     scene = build_scene(task.config, task.point.pixel_um)
     return calibrate_gyro_linked(

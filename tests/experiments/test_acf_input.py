@@ -70,6 +70,7 @@ def test_wrong_setting(refused, settings, expected):
 DESIGNS = [
     (["gyro.motion=fixed_axis"], "installation's turn about that axis does not show .* 13 of the 14 unknowns"),
     (["gyro.angular_speed_deg_per_s=0.001"], "the installation would be known to .* deg only"),
+    (["sky.phi_deg=[150,0,0]"], r"phi = 0, \d+ of \d+ stars are behind the camera; set start.phi_from_stars=true"),
     (["camera.q1_per_mm2=-0.02"], "this distortion folds the image over 2.* mm from the principal point"),
 ]
 
