@@ -2,8 +2,8 @@ r"""What the pixel-residual method makes of star vectors, over the field of view
 
 A camera maps a direction to its image by a map that stretches: at the field angle whose tangent is t a small angle
 e across the line of sight becomes, in units of the focal length, (1 + t^2) e along the radius and sqrt(1 + t^2) e
-across it. Noise that is equal in all directions on the sphere therefore grows in pixels towards the edge, and its standard
-deviation per axis over a field, times the angle of a pixel on the axis, is too large by
+across it. Noise that is equal in all directions on the sphere therefore grows in pixels towards the edge, and its
+standard deviation per axis over a field, times the angle of a pixel on the axis, is too large by
 
 .. math:: \frac{\sigma_b}{\sigma} = \sqrt{\tfrac12 \langle (1 + t^2)^2 + (1 + t^2) \rangle}
     = \sqrt{1 + \tfrac32 \langle t^2 \rangle + \tfrac12 \langle t^4 \rangle}

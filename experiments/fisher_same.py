@@ -1,9 +1,9 @@
 """Calibrating and evaluating with the same data, many times on coordinates: what 2 (n - 1) degrees of freedom miss.
 
-The camera *is* the calibrated model here, so that nothing but noise and the number of unknowns makes a difference. Every
-run draws images and readings, calibrates them jointly (S100) and evaluates star vectors three ways: the same data with
-2 (n - 1) degrees of freedom, the same data with 2 n minus the unknowns, and as many vectors of a second acquisition that
-the calibration has not seen.
+The camera *is* the calibrated model here, so that nothing but noise and the number of unknowns makes a difference.
+Every run draws images and readings, calibrates them jointly (S100) and evaluates star vectors three ways: the same data
+with 2 (n - 1) degrees of freedom, the same data with 2 n minus the unknowns, and as many vectors of a second
+acquisition that the calibration has not seen.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ INSET = 0.03
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mean:
-    """Estimated over true variance, mean over runs, with its standard error; as ratio of standard deviations: `root`."""
+    """Estimated over true variance, mean over runs, with its standard error; `root`: as standard deviations."""
 
     value: float
     error: float
