@@ -70,7 +70,7 @@ def map_panels(result: Result) -> Figure:
     one = result.maps[result.config.reference].first
     figure, axes = new_figure(1, 2, aspect_ratio=0.36, sharey=True)
     rows, columns = one.shape
-    step = max(1, rows // 12)
+    step = max(1, rows // 8)
     for axis, values, title in (
         (axes[0], one.uncorrected_px, "distortion"),
         (axes[1], one.corrected_px, "left by the correction"),
@@ -131,7 +131,7 @@ def survey_histogram(result: Result) -> Figure:
             va="top",
         )
     axis.axvline(noise_removed_arcsec(result), color=INK, linewidth=1.2, label="marking error alone, RMS")
-    axis.set(xlabel="σ_C1, 3 σ [″]", ylabel="surveys", xlim=(0, bins[-1]))
+    axis.set(xlabel="σC1, 3 σ [″]", ylabel="surveys", xlim=(0, bins[-1]))
     axis.legend(loc="center right")
     return figure
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LABELS", "all_tables"]
 
-LABELS = ("σ_d, found", "σ_Δd, left", "σ_C1, removed")
+LABELS = ("σδ, found", "σΔδ, left", "σC1, removed")
 
 
 def _main(result: Result, methods: tuple[str, ...]) -> Table:
@@ -52,7 +52,7 @@ def _main(result: Result, methods: tuple[str, ...]) -> Table:
             Column(name="Predicted", unit="″", key="predicted_arcsec", format=".3f"),
         ),
         rows=rows,
-        caption=f"The document's three numbers (3 σ); published for σ_C1: {PUBLISHED_ARCSEC[0]}″ in x, "
+        caption=f"The document's three numbers (3 σ); published for σC1: {PUBLISHED_ARCSEC[0]}″ in x, "
         f"{PUBLISHED_ARCSEC[1]}″ in y.",
         note="*Coordinates*: how surveyed places become pixels; nominal: "
         + "; ".join(f"{name}: {text}" if name != "nominal" else text for name, text in REFERENCES.items())

@@ -21,7 +21,7 @@ from experiments.laboratory.distortion_statistics import (
     without_pointing,
 )
 from experiments.laboratory.point_frames import read_points
-from experiments.laboratory.point_scene import PointLight, PointScene, one_filter, point_scene
+from experiments.laboratory.point_scene import PointLight, PointScene, one_filter, scene_of
 from experiments.laboratory.points import nominal_px
 from experiments.laboratory.targets import GridTarget, grid_directions, survey
 from optics.records import freeze
@@ -250,7 +250,7 @@ def measure_distortion(
     backend : str
         Where the detector runs.
     scene : PointScene, optional
-        If prepared already.
+        If prepared already; of the same instrument.
     advance : callable
         Called after each session.
 
@@ -259,7 +259,7 @@ def measure_distortion(
     DomainError
         On a target that does not fit, points that are not detected or saturated, or too few usable frames.
     """
-    scene = scene or point_scene(bench, instrument, backend)
+    scene = scene_of(scene, bench, instrument, backend)
     bench = scene.bench
     direction = grid_directions(target, instrument, streams.generator("target"))
     light = scene.light(direction, streams, "grid")

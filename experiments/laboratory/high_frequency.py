@@ -19,7 +19,7 @@ from experiments.laboratory.bench import Bench
 from experiments.laboratory.hexapod import Hexapod, HexapodPath, step_path, turned
 from experiments.laboratory.point_frames import Subtraction, centroiders, noiseless_positions, read_points
 from experiments.laboratory.point_noise import nominal_noise
-from experiments.laboratory.point_scene import PointLight, PointScene, point_scene
+from experiments.laboratory.point_scene import PointLight, PointScene, scene_of
 from experiments.laboratory.step_statistics import (
     common_removed,
     document_rms_px,
@@ -278,7 +278,7 @@ def measure_high_frequency(
     backend : str
         Where the detector runs.
     scene : PointScene, optional
-        If prepared already.
+        If prepared already; of the same instrument.
     advance : callable
         Called after each position.
 
@@ -288,7 +288,7 @@ def measure_high_frequency(
         On a step larger than the window, points that are not detected or saturated, or too few usable frames.
     """
     plan.check(bench)
-    scene = scene or point_scene(bench, instrument, backend)
+    scene = scene_of(scene, bench, instrument, backend)
     bench = scene.bench
     rest = target_place(bench, instrument, place_px)
     path = plan.path(instrument, hexapod, streams.generator("hexapod"))

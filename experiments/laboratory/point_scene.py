@@ -19,7 +19,7 @@ from render.random import Streams
 from render.records import EffectivePsf
 from render.tracer import Tracer
 
-__all__ = ["PointLight", "PointScene", "one_filter", "point_scene"]
+__all__ = ["PointLight", "PointScene", "one_filter", "point_scene", "scene_of"]
 
 FloatArray = NDArray[np.float64]
 
@@ -139,6 +139,11 @@ class PointScene:
 def one_filter(bench: Bench) -> Bench:
     """The bench with its reference filter alone."""
     return replace(bench, filters=[bench.filters[bench.reference]], reference=0)
+
+
+def scene_of(scene: PointScene | None, bench: Bench, instrument: Instrument, backend: str) -> PointScene:
+    """A new scene, or the given one with this bench: frames, methods and signal may be others than it was made for."""
+    return point_scene(bench, instrument, backend) if scene is None else replace(scene, bench=one_filter(bench))
 
 
 def point_scene(bench: Bench, instrument: Instrument, backend: str) -> PointScene:

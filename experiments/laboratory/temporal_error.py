@@ -13,7 +13,7 @@ from experiments.instrument import Instrument
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.point_frames import SUBTRACTIONS, Subtraction, centroiders, read_points
 from experiments.laboratory.point_noise import PixelNoise, bound_px, expected_windows, influence, sampled_px
-from experiments.laboratory.point_scene import PointLight, PointScene, one_filter, point_scene
+from experiments.laboratory.point_scene import PointLight, PointScene, one_filter, scene_of
 from experiments.summary import Measured
 from experiments.target import target_directions
 from render.random import Streams
@@ -187,7 +187,7 @@ def measure_temporal(
     backend : str
         Where the detector runs.
     scene : PointScene, optional
-        If prepared already.
+        If prepared already; of the same instrument.
     advance : callable
         Called after each level.
 
@@ -196,7 +196,7 @@ def measure_temporal(
     DomainError
         On points that are not detected or saturated, or too few usable frames.
     """
-    scene = scene or point_scene(bench, instrument, backend)
+    scene = scene_of(scene, bench, instrument, backend)
     bench = scene.bench
     light = scene.light(target_place(bench, instrument, place_px), streams, "target")
     levels = np.array([bench.signal_e] if levels_e is None else levels_e, float)

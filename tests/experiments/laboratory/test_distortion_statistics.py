@@ -1,0 +1,68 @@
+"""ACC18 eq. 17-30 on residuals whose statistics are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.cameras import get_camera_model
+from calib.cameras.base import SensorGeometry
+from experiments.laboratory.distortion_statistics import (
+    camera_terms,
+    distortion_statistics,
+    fit_camera,
+    polynomial_terms,
+    without_pointing,
+)
+from optics.errors import DomainError
+
+X, Y = np.meshgrid(np.linspace(-0.89, 0.89, 8), np.linspace(-0.44, 0.44, 4))
+PLACE = np.column_stack([X.ravel(), Y.ravel()])
+
+
+def test_a_cubic_leaves_nothing_of_a_cubic():
+    d = polynomial_terms(PLACE, 3) @ np.random.default_rng(0).normal(size=(10, 2))
+    found = distortion_statistics(PLACE, d, 3)
+    assert found.sigma_left_px.max() < 1e-12
+    np.testing.assert_allclose(found.sigma_c1_px, found.sigma_d_px)
+
+
+def test_of_pure_noise_a_cubic_removes_nine_of_31_parts():
+    rng, runs = np.random.default_rng(1), 2000
+    removed = np.mean([distortion_statistics(PLACE, rng.normal(size=(32, 2)), 3).sigma_c1_px ** 2 for _ in range(runs)])
+    assert removed == pytest.approx(9.0 / 31.0, rel=4.0 * np.sqrt(2.0 / 9.0 / (2 * runs)))
+
+
+def test_shift_roll_and_scale_change_what_is_found_but_not_what_is_left():
+    d = 0.02 * np.random.default_rng(2).normal(size=(32, 2))
+    more = d + camera_terms(PLACE, "aligned") @ np.array([1.0, -2.0, 0.5, 0.3])
+    one, other = distortion_statistics(PLACE, d, 3), distortion_statistics(PLACE, more, 3)
+    np.testing.assert_allclose(one.left_px, other.left_px, atol=1e-12)
+    assert np.all(other.sigma_c1_px > 5 * one.sigma_c1_px)
+
+
+def test_the_camera_follows_a_brown_conrady_lens():
+    geometry = SensorGeometry(width_px=4096, height_px=2048, pixel_pitch_mm=0.0055)
+    model = get_camera_model("brown_conrady").create(
+        geometry, focal_length_mm=206.0, q1_per_mm2=2e-6, q2_per_mm4=1e-9, p1_per_mm=1e-6, p2_per_mm=-2e-6
+    )
+    half = 0.5 * np.hypot(4096, 2048)
+    ideal = np.column_stack([PLACE * half * 0.0055 / 206.0, np.ones(32)])
+    nominal = geometry.centre_px + PLACE * half
+    offset = model.project(ideal / np.linalg.norm(ideal, axis=1, keepdims=True)) - nominal
+    left = offset - camera_terms(PLACE, "calibrated") @ fit_camera(PLACE, offset, "calibrated")
+    assert np.abs(offset).max() > 0.5
+    assert np.abs(left).max() < 1e-9
+
+
+def test_pointing_is_shift_and_roll_but_not_scale():
+    shift_roll, scale = (camera_terms(PLACE, "aligned") @ np.array(c) for c in ([0.3, 0.1, 0.0, 0.2], [0, 0, 1.0, 0]))
+    assert np.abs(without_pointing(PLACE, shift_roll)).max() < 1e-12
+    np.testing.assert_allclose(without_pointing(PLACE, scale), scale, atol=1e-12)
+
+
+def test_too_few_points_are_refused():
+    with pytest.raises(DomainError, match="order 3"):
+        distortion_statistics(PLACE[:10], np.zeros((10, 2)), 3)
+    with pytest.raises(DomainError, match="8 terms"):
+        fit_camera(PLACE[:4], np.zeros((4, 2)), "calibrated")

@@ -1,0 +1,106 @@
+"""Noise carried through centroiders, against closed forms and numerical bounds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.centroid import get_centroider
+from calib.crlb import cramer_rao
+from calib.epsf import draw_epsf
+from calib.gaussian_ml import draw_gaussian
+from calib.records import NoiseModel
+from experiments.laboratory.point_noise import ExpectedWindows, PixelNoise, bound_px, influence, sampled_px
+from render.records import EffectivePsf
+
+SIZE, FLUX = 11, 5000.0
+
+
+@pytest.fixture(scope="module")
+def psf():
+    """A Gaussian of 0.6 px as the pixels see it, on eight samples per pixel."""
+    half = 7 * 8
+    offset = np.arange(-half, half + 1) / 8.0
+    grid = np.stack(np.meshgrid(-offset, -offset), axis=-1).reshape(-1, 2)
+    values = draw_gaussian(grid[:, 0], grid[:, 1], 0.6, (1, 1)).reshape(len(offset), len(offset))
+    return EffectivePsf(values=values, oversampling=8)
+
+
+@pytest.fixture(scope="module")
+def windows(psf):
+    """Three stars at different phases."""
+    place = np.array([[5.0, 5.0], [5.3, 4.8], [4.6, 5.45]])
+    light = FLUX * np.maximum(draw_epsf(psf, place[:, 0], place[:, 1], (SIZE, SIZE)), 0.0)
+    return ExpectedWindows(
+        place_px=place + 100.0,
+        corner_px=np.full((3, 2), 100),
+        light_e=light,
+        psf=(psf,),
+        psf_index=np.zeros(3, np.int64),
+    )
+
+
+@pytest.fixture(scope="module")
+def noise(star_camera):
+    return PixelNoise.of(star_camera)
+
+
+def test_the_data_sheet_in_numbers(noise):
+    assert noise.read_e2 == pytest.approx(13.0**2, rel=0.03)
+    assert noise.thermal_e == pytest.approx(125.0 * 2 ** (-25.0 / 6.5) * 0.1)
+    assert noise.rounding_e2 == pytest.approx((1.0 / 0.3) ** 2 / 12.0)
+    assert noise.offset_e == pytest.approx(12.0, rel=1e-3)
+
+
+def test_the_influence_of_a_centre_of_gravity_is_its_lever(star_camera, windows):
+    gain = influence(get_centroider("cog", half_width_px=None), star_camera, windows)
+    for star in range(3):
+        total = windows.light_e[star].sum()
+        lever = (np.arange(SIZE) + 100.0 - gain.position_px[star, 0]) / total
+        found = gain.gain_px_per_e[star, 0]
+        np.testing.assert_allclose(found, np.tile(lever, (SIZE, 1)), rtol=3e-3, atol=1e-9)
+
+
+def test_an_epsf_fit_told_the_true_noise_reaches_the_bound(star_camera, windows, psf):
+    told = PixelNoise(
+        read_e2=13.0**2,
+        read_e4=0.0,
+        thermal_e=0.0,
+        rounding_e2=(1 / 0.3) ** 2 / 12,
+        prnu=0.0,
+        offset_e=0.0,
+        column_e=0.0,
+    )
+    gain = influence(get_centroider("epsf", epsf=psf), star_camera, windows)
+    np.testing.assert_allclose(gain.sigma_px(windows.light_e, told.floor_e2), bound_px(windows, told), rtol=5e-3)
+
+
+def test_the_bound_agrees_with_one_from_numerical_derivatives(windows, noise):
+    def model(theta):
+        return draw_gaussian(theta[:1], theta[1:2], 0.6, (SIZE, SIZE))[0] * theta[2]
+
+    expected = []
+    for place in windows.place_px - 100.0:
+        pixel = NoiseModel(read_noise_e=float(np.sqrt(noise.floor_e2)))
+        expected.append(np.sqrt(np.diagonal(cramer_rao(model, [*place, FLUX], pixel))[:2]))
+    np.testing.assert_allclose(bound_px(windows, noise), expected, rtol=5e-3)
+
+
+@pytest.mark.parametrize("method", ["cog", "gaussian"])
+def test_drawn_noise_scatters_as_the_influence_says(star_camera, windows, noise, method):
+    draws = 3000
+    centroider = get_centroider(method)
+    drawn = sampled_px(centroider, star_camera, windows, noise, draws=draws, rng=np.random.default_rng(4))
+    linear = influence(centroider, star_camera, windows).sigma_px(windows.light_e, noise.floor_e2)
+    np.testing.assert_allclose(drawn, linear, rtol=4.0 / np.sqrt(2.0 * draws) + 0.01)
+
+
+def test_chips_differ_less_when_their_pixels_do(star_camera, windows, noise):
+    gain = influence(get_centroider("cog"), star_camera, windows)
+    even = replace(noise, read_e4=0.0)
+    assert gain.device_sigma_px(windows.light_e, even).max() == 0.0
+    # 49 pixels with levers of equal weight: a fifth of the variance each, over some 20 pixels that count
+    ratio = gain.device_sigma_px(windows.light_e, noise) / gain.sigma_px(windows.light_e, noise.floor_e2)
+    assert np.all((ratio > 0.005) & (ratio < 0.05))
