@@ -86,35 +86,37 @@ class Inference:
         return float(self.pixel_um[np.argmin((self.reprojected_px**2).sum(1))])
 
 
-def printed_reprojection(config: Config, pixel_um: float) -> FloatArray:
+def printed_reprojection(config: Config, pixel_um: float, printed: FloatArray = TABLE2_CALIBRATED) -> FloatArray:
     """RMS difference (2,) [px] between printed and true camera and attitude, on the first frame."""
     true = build_scene(config, pixel_um).camera
     direction = true.unproject(true.geometry.grid_px(25))
-    turn = rotation_of_angles(DEG_RAD * TABLE2_CALIBRATED[8:11]) * rotation_of_angles(DEG_RAD * TABLE2_TRUE[8:11]).inv()
-    moved = true.with_parameters(TABLE2_CALIBRATED[:CAMERA]).project(turn.apply(direction))
+    turn = rotation_of_angles(DEG_RAD * printed[8:11]) * rotation_of_angles(DEG_RAD * TABLE2_TRUE[8:11]).inv()
+    moved = true.with_parameters(printed[:CAMERA]).project(turn.apply(direction))
     return np.asarray(np.sqrt(((moved - true.project(direction)) ** 2).mean(0)))
 
 
-def infer(points: int = 29) -> Inference:
+def infer(points: int = 29, printed: FloatArray = TABLE2_CALIBRATED) -> Inference:
     """Pixel and stars per frame from Table 2; a function of the document alone, not of the configuration.
 
     Parameters
     ----------
     points : int
         Pixels tried for the likelihood.
+    printed : (14,)
+        Calibrated values as Table 2 prints them.
     """
     config = Config()
     pixel = np.linspace(4.0, 12.0, 161)
-    reprojected = np.stack([printed_reprojection(config, um) for um in pixel])
+    reprojected = np.stack([printed_reprojection(config, um, printed) for um in pixel])
     least = float(pixel[np.argmin((reprojected**2).sum(1))])
     tried, stars = np.linspace(0.86, 1.14, points) * least, np.geomspace(2.0, 200.0, 93)
-    chi2, log_likelihood = np.moveaxis(np.stack([_fit(config, um, stars) for um in tried]), 1, 0)
+    chi2, log_likelihood = np.moveaxis(np.stack([_fit(config, um, stars, printed) for um in tried]), 1, 0)
     place = np.unravel_index(np.argmax(log_likelihood), log_likelihood.shape)
     over_pixel, over_stars = log_likelihood.max(1), log_likelihood.max(0)
     weight = np.exp(over_pixel - over_pixel.max())
     mean = float(weight @ tried / weight.sum())
     near = stars[over_stars > over_stars.max() - 0.5]
-    assumed_chi2, assumed = _fit(config, config.camera.pixel_um, stars)
+    assumed_chi2, assumed = _fit(config, config.camera.pixel_um, stars, printed)
     return Inference(
         pixel_um=pixel,
         reprojected_px=reprojected,
@@ -131,7 +133,7 @@ def infer(points: int = 29) -> Inference:
     )
 
 
-def _fit(config: Config, pixel_um: float, stars: FloatArray) -> FloatArray:
+def _fit(config: Config, pixel_um: float, stars: FloatArray, printed: FloatArray) -> FloatArray:
     """chi^2 of the printed errors and logarithm of their likelihood (2, s), for numbers of stars per frame (s,)."""
     scene, design = build_scene(config, pixel_um), _even_design(config, pixel_um)
     noise = (config.gyro.bias_deg_per_h, config.gyro.angle_random_walk_deg_per_sqrt_h)
@@ -140,7 +142,7 @@ def _fit(config: Config, pixel_um: float, stars: FloatArray) -> FloatArray:
     unit = np.eye(FIRST)
     unit[CAMERA:, CAMERA:] = np.linalg.inv(increment_per_angle(DEG_RAD * TABLE2_TRUE[8:11])) / DEG_RAD
     perfect, gyro = (unit @ part[:FIRST, :FIRST] @ unit.T for part in (perfect, gyro))
-    error = (TABLE2_CALIBRATED - TABLE2_TRUE)[:FIRST]
+    error = (printed - TABLE2_TRUE)[:FIRST]
     rounding = np.diag(TABLE2_ROUNDING[:FIRST] ** 2 / 12.0)
     found = np.empty((2, len(stars)))
     for k, count in enumerate(stars):
