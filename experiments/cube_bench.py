@@ -33,7 +33,7 @@ FACE_ANGLES_DEG = {"+Z": (0.0, 180.0), "+X": (0.0, 90.0), "-X": (0.0, 270.0)}
 NOMINAL_CUBE = np.diag([-1.0, 1.0, -1.0])
 """Table from cube as designed: the cube's Z looks backwards, its X against the table's."""
 
-COVER_LOG2 = 22
+COVER_LOG2 = 21
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,7 +211,7 @@ def build_laboratory(mi: Any, config: Config) -> Laboratory:
     StarbenchError
         What `experiments.cube_checks` finds, or a detector file that is wrong.
     """
-    from experiments.cube_checks import check_bench
+    from experiments.cube_checks import check_bench, check_light_levels
     from render.bench_trace import trace_screen
     from render.diffusion import diffuse
 
@@ -220,6 +220,7 @@ def build_laboratory(mi: Any, config: Config) -> Laboratory:
     sensor_detector = load_detector(config.sensor.detector or DATA / "cube_sun_sensor.toml")
     camera = camera_of(config, detector)
     check_bench(config, geometry, camera)
+    check_light_levels(config, detector, sensor_detector)
     pose = CubePose.of_table(geometry, Rotation.from_euler("y", 180, degrees=True).as_matrix(), NOMINAL_CUBE, SQUARE)
     sensor = camera.sensor(mi)
     covered = bench_scene(mi, geometry, pose, covered=True)

@@ -262,7 +262,9 @@ def build_budget(laboratory: Laboratory, cases: Mapping[str, CaseResult], pictur
         term = np.sqrt(sum((single[key] ** 2 for key, on in active.items() if on), np.zeros(3)))
         noise = _noise(laboratory, result, pictures)
         predicted = np.hypot(term, noise)
-        acts = term > predicted / 3 if name != "improved" else np.ones(3, bool)
+        acts = term > predicted / 3
+        if case.improved or not acts.any():  # noise is all there is
+            acts = np.ones(3, bool)
         rows.append(
             BudgetRow(
                 name=name,

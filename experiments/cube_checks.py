@@ -9,8 +9,9 @@ from experiments.cube_settings import Config
 from optics.errors import DomainError
 from render.bench_camera import BenchCamera
 from render.bench_scene import BenchGeometry, CubePose
+from render.detector import Detector
 
-__all__ = ["check_bench", "check_landing", "reflected_spot_mm", "spot_profile"]
+__all__ = ["check_bench", "check_landing", "check_light_levels", "reflected_spot_mm", "spot_profile"]
 
 FloatArray = NDArray[np.float64]
 
@@ -48,6 +49,26 @@ def check_bench(config: Config, geometry: BenchGeometry, camera: BenchCamera) ->
         )
     start = config.trim.start_px * camera.pitch_mm
     _check_spot(config, geometry, camera, np.array([start, start]), "trim.start_px")
+
+
+def check_light_levels(config: Config, detector: Detector, sensor_detector: Detector) -> None:
+    """Refuse exposures that saturate.
+
+    Raises
+    ------
+    DomainError
+        Full spot brighter than the full well or the end of the converter.
+    """
+    for key, plateau_e, chip in (
+        ("camera.plateau_e", config.camera.plateau_e, detector),
+        ("sensor.plateau_e", config.sensor.plateau_e, sensor_detector),
+    ):
+        limit = 0.9 * min(chip.full_well_e, (chip.largest_dn - chip.offset_dn) / chip.gain_dn_per_e)
+        if plateau_e > limit:
+            raise DomainError(
+                f"{key} = {plateau_e:g} e- saturates {chip.name!r}; at most {limit:.4g} e- (0.9 of full well and "
+                "converter) are allowed"
+            )
 
 
 def _check_spot(config: Config, geometry: BenchGeometry, camera: BenchCamera, spot_mm: FloatArray, hint: str) -> None:

@@ -17,6 +17,7 @@ from experiments.cube_montecarlo import CaseResult
 from experiments.cube_reduce import BenchResult
 from experiments.cube_sensor import SensorRun
 from experiments.cube_settings import Config
+from experiments.cube_trim import TrimRow
 from experiments.cube_verify import LightCheck, Repeatability
 from experiments.summary import Criterion, Measured
 from optics.units import RAD_ARCSEC, RAD_DEG
@@ -180,37 +181,11 @@ def _axes(values: FloatArray, sigma: FloatArray | None = None, n: int | None = N
 def results(result: Result) -> dict[str, Any]:
     """Content of ``results`` in ``summary.json``."""
     performed = result.row("procedure")
-    sensor = result.shown.sensor
     check, bench = face_angles_deg()
     return {
-        "trim_tables": {
-            trim.face: [
-                {
-                    "outer_deg": row.outer_deg,
-                    "inner_deg": row.inner_deg,
-                    "x_px": float(row.offset_px[0]),
-                    "y_px": float(row.offset_px[1]),
-                    "sigma_x_px": float(row.sigma_px[0]),
-                    "sigma_y_px": float(row.sigma_px[1]),
-                }
-                for row in trim.rows
-            ]
-            for trim in result.shown.trims
-        },
+        "trim_tables": {trim.face: [_trim_row(row) for row in trim.rows] for trim in result.shown.trims},
         "r_sp_error_arcsec_1sigma": _axes(performed.measured_arcsec, performed.uncertainty_arcsec, performed.benches),
-        "budget": [
-            {
-                "term": row.name,
-                "meaning": row.label,
-                "published_arcsec": PUBLISHED_ARCSEC.get(row.name),
-                "predicted": _axes(row.predicted_arcsec),
-                "predicted_term_alone": _axes(row.term_arcsec),
-                "measured": _axes(row.measured_arcsec, row.uncertainty_arcsec, row.benches),
-                "acts_on": [axis for axis, on in zip("xyz", row.acts, strict=True) if on],
-                "predicted_over_measured": row.ratio,
-            }
-            for row in result.budget
-        ],
+        "budget": [_budget_row(row) for row in result.budget],
         "eq13_arcsec": sigma1_arcsec(result),
         "eq14_arcsec": eq14_arcsec(result),
         "face_angle_check_deg": check,
@@ -219,15 +194,7 @@ def results(result: Result) -> dict[str, Any]:
             "measured_deg": result.shown.face_angle_rad * RAD_DEG,
             "true_deg": result.shown.true_face_angle_rad * RAD_DEG,
         },
-        "r_sr": {
-            "rotation_vector_arcsec": sensor.rotation.as_rotvec() * RAD_ARCSEC,
-            "covariance_arcsec2": sensor.covariance_rad2 * RAD_ARCSEC**2,
-            "error_arcsec": sensor_error_arcsec(result),
-            "spots_rms_px": sensor.sigma_px,
-            "positions": len(result.shown_run.pixel_px),
-            "mask_gap_mm": sensor.focal_length_mm,
-            "mask_gap_true_mm": result.truths[0].sensor.gap_mm,
-        },
+        "r_sr": _sensor(result),
         "error_per_arcsec": {
             "axes_out_of_square": result.lean_rate,
             "beam_x": result.beam_rate[:, 0],
@@ -247,6 +214,43 @@ def results(result: Result) -> dict[str, Any]:
         "settings_per_face": float(result.cases["procedure"].trims.mean()),
         "runtime_s": result.runtime_s,
         "peak_memory_mb": result.peak_memory_mb,
+    }
+
+
+def _trim_row(row: TrimRow) -> dict[str, float]:
+    return {
+        "outer_deg": row.outer_deg,
+        "inner_deg": row.inner_deg,
+        "x_px": float(row.offset_px[0]),
+        "y_px": float(row.offset_px[1]),
+        "sigma_x_px": float(row.sigma_px[0]),
+        "sigma_y_px": float(row.sigma_px[1]),
+    }
+
+
+def _budget_row(row: BudgetRow) -> dict[str, Any]:
+    return {
+        "term": row.name,
+        "meaning": row.label,
+        "published_arcsec": PUBLISHED_ARCSEC.get(row.name),
+        "predicted": _axes(row.predicted_arcsec),
+        "predicted_term_alone": _axes(row.term_arcsec),
+        "measured": _axes(row.measured_arcsec, row.uncertainty_arcsec, row.benches),
+        "acts_on": [axis for axis, on in zip("xyz", row.acts, strict=True) if on],
+        "predicted_over_measured": row.ratio,
+    }
+
+
+def _sensor(result: Result) -> dict[str, Any]:
+    sensor = result.shown.sensor
+    return {
+        "rotation_vector_arcsec": sensor.rotation.as_rotvec() * RAD_ARCSEC,
+        "covariance_arcsec2": sensor.covariance_rad2 * RAD_ARCSEC**2,
+        "error_arcsec": sensor_error_arcsec(result),
+        "spots_rms_px": sensor.sigma_px,
+        "positions": len(result.shown_run.pixel_px),
+        "mask_gap_mm": sensor.focal_length_mm,
+        "mask_gap_true_mm": result.truths[0].sensor.gap_mm,
     }
 
 

@@ -27,6 +27,7 @@ from experiments.laboratory.turntable import Turntable
 from optics.errors import ConvergenceError
 from optics.units import ARCSEC_RAD, RAD_DEG
 from render.bench_camera import BenchCamera
+from render.bench_scene import CubePose
 from render.random import Streams
 
 __all__ = ["FaceTrim", "Offset", "Picture", "TrimRow", "measure_offset", "take_aperture", "take_spot", "trim_face"]
@@ -345,35 +346,24 @@ def trim_face(
     """
     config, name = laboratory.config, laboratory.config.cube.faces[face]
     tilt = laboratory.tilt_per_px
-    radius, reach = laboratory.geometry.aperture_mm / 2, spot_reach_mm(laboratory)
     aim = case.aim_px * truth.aim[face, repeat]
-    shift_mm = np.zeros(2)
-    if case.mounting:
-        sigma_mm = config.camera.mounting_arcsec * ARCSEC_RAD * laboratory.geometry.path_mm
-        shift_mm = truth.mounting[face, repeat] * sigma_mm
-    sensor = moved_sensor(laboratory, shift_mm)
+    give = case.mounting * config.camera.mounting_arcsec * ARCSEC_RAD * laboratory.geometry.path_mm
+    sensor = moved_sensor(laboratory, give * truth.mounting[face, repeat])
     glowing = take_aperture(laboratory, streams)
-    aperture = fit_aperture(glowing, radius)
-    commanded = start_angles(laboratory, truth, table, face, repeat, within_px=_start_px(config, case))
+    aperture = fit_aperture(glowing, laboratory.geometry.aperture_mm / 2)
+    ahead_px = _start_px(config, case)
+    commanded = start_angles(laboratory, truth, table, face, repeat, within_px=ahead_px)
     rows: list[TrimRow] = []
     pictures: tuple[Picture, ...] = (glowing,) if keep else ()
-    ahead_px = _start_px(config, case)
     for setting in range(config.trim.allowed):
         here = streams.child("setting", setting)
         actual = table.set(commanded[None], here)
         pose = put_cube(laboratory, truth, table.rotation(actual)[0].as_matrix())
-        check_landing(config, laboratory.geometry, laboratory.camera, pose, name)
         particles = log2_particles - (ROUGH_LOG2 if ahead_px > ROUGH_PX else 0)
-        displaced = float(np.hypot(*reflected_spot_mm(laboratory.geometry, pose, name)))
-        picture = take_spot(
-            laboratory,
-            here,
-            sensor=sensor,
-            log2_particles=particles,
-            inner_mm=max(radius - displaced - INNER_MARGIN_PX * laboratory.pitch_mm, 0.0),
-        )
-        spot = fit_spot(picture, aperture, reach)
+        picture = _look(laboratory, pose, name, here, sensor=sensor, log2_particles=particles)
+        spot = fit_spot(picture, aperture, spot_reach_mm(laboratory))
         offset = measure_offset(aperture, spot, laboratory.pitch_mm)
+        _bright_enough(config, offset)
         rows.append(_row(actual[0], offset))
         if keep:
             pictures = (*pictures[:2], picture)
@@ -398,6 +388,28 @@ def trim_face(
         f"{left[0]:.3f}, {left[1]:.3f} px where trim.stop_px = {config.trim.stop_px:g} px is asked; allow more trims, "
         "a finer trim.step_deg or another trim.gain_ratio"
     )
+
+
+def _look(
+    laboratory: Laboratory, pose: CubePose, face: str, streams: Streams, *, sensor: Any, log2_particles: int
+) -> Picture:
+    """Picture of the spot with the cube at a pose, after a look at whether there can be one."""
+    geometry = laboratory.geometry
+    check_landing(laboratory.config, geometry, laboratory.camera, pose, face)
+    displaced = float(np.hypot(*reflected_spot_mm(geometry, pose, face)))
+    inner = geometry.aperture_mm / 2 - displaced - INNER_MARGIN_PX * laboratory.pitch_mm
+    return take_spot(laboratory, streams, sensor=sensor, log2_particles=log2_particles, inner_mm=max(inner, 0.0))
+
+
+def _bright_enough(config: Config, offset: Offset) -> None:
+    """A spot that is not located better than the stop rule asks cannot be trimmed by it."""
+    sigma = float(np.sqrt(np.trace(offset.covariance_px2) / 2))
+    if not sigma < max(config.trim.stop_px, 1.0):
+        raise ConvergenceError(
+            f"the pictures locate the spot to {sigma:.2g} px only, trim.stop_px = {config.trim.stop_px:g} px is asked; "
+            f"more light is needed (camera.plateau_e = {config.camera.plateau_e:g} e-) or more particles "
+            "(benches.log2_particles)"
+        )
 
 
 def _start_px(config: Config, case: Case) -> float:
