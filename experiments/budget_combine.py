@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from optics.records import freeze
 
-__all__ = ["ECSS", "PRINTED", "PUBLISHED", "TERMS", "Budget", "Value", "combine"]
+__all__ = ["ECSS", "PRINTED", "PUBLISHED", "TERMS", "Budget", "Value", "combine", "published"]
 
 FloatArray = NDArray[np.float64]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import typing
 from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
@@ -115,8 +116,27 @@ class ToleranceConfig(StrictModel):
     limit_px: float = Field(default=80.0, gt=0, description="boresight motion beyond which a lens counts as not built")
 
 
+Parameter = Literal[
+    "source.signal_e",
+    "detector.read_noise_e",
+    "detector.prnu",
+    "detector.diffusion_sigma_um",
+    "detector.dark_current_e_per_s",
+    "marking_arcsec",
+    "steps.platform_roll_arcsec",
+    "instrument.defocus_mm",
+    "instrument.chip_temperature_c",
+    "moved.decentre_x_um",
+    "moved.decentre_y_um",
+    "moved.tilt_x_arcmin",
+    "moved.tilt_y_arcmin",
+]
+
+
 class TornadoConfig(StrictModel):
-    """How far every parameter is moved for the sensitivities."""
+    """Which parameters are moved for the sensitivities, and how far."""
+
+    parameters: tuple[Parameter, ...] = Field(default=typing.get_args(Parameter), description="which; none: no chart")
 
     change_fraction: float = Field(default=0.1, gt=0, lt=1, description="of the parameters that have a natural zero")
     focus_mm: float = Field(default=0.01, gt=0, le=0.2, description="defocus")
@@ -144,7 +164,10 @@ class Config(ExperimentConfig):
     attitude: AttitudeConfig = AttitudeConfig()
     tolerances: ToleranceConfig = ToleranceConfig()
     tornado: TornadoConfig = TornadoConfig()
-    sweep: str = Field(default="instrument.defocus_mm=-0.04:0.06:11", description="KEY=LOW:HIGH:POINTS; empty: none")
+    published_within_fraction: float | None = Field(
+        default=None, gt=0, le=1, description="if given, the measured terms have to land this near to the published"
+    )
+    sweep: str = Field(default="instrument.defocus_mm=-0.04:0.06:9", description="KEY=LOW:HIGH:POINTS; empty: none")
     sweep_measured: bool = Field(default=False, description="measure every point of the sweep too, not only predict")
 
     @model_validator(mode="after")

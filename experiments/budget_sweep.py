@@ -1,8 +1,8 @@
 """The budget against a parameter, and the sensitivities of all of them, by prediction.
 
 Many settings are predicted, so each is made cheaper than the one of the main table: a target of 3 x 3 points over the
-same area, the linear noise prediction, fewer drawn chips. The star mean that eq. 8 removes takes 1/W of an independent
-error; the pixel term is scaled from W = 9 to the target's own.
+same area, half the positions of the step test on an ideal platform, fewer draws, the same ones everywhere. The star mean that eq. 8
+removes takes 1/W of an independent error; the pixel term is scaled from W = 9 to the target's own.
 
 Where a spot outgrows the window, the window is widened until it holds the light; the table says to what.
 """
@@ -32,7 +32,8 @@ __all__ = ["Setting", "Sweep", "Swing", "Tornado", "coarse_budget", "predict_swe
 FloatArray = NDArray[np.float64]
 
 POINTS = 3
-STEP_DRAWS = 40
+POSITIONS = 6
+DRAWS = 100
 WIDEST_PX = 63
 
 
@@ -145,10 +146,12 @@ def _coarse(config: Config) -> tuple[Config, float]:
     target = config.target
     if target.rows != target.columns or target.rows <= POINTS:
         return config, 1.0
-    pitch = target.pitch_px * (target.rows - 1) / (POINTS - 1)
-    few = target.model_copy(update={"rows": POINTS, "columns": POINTS, "pitch_px": pitch})
+    # a third of a pixel, so that three points are at three different places of their pixels
+    pitch = np.floor(target.pitch_px * (target.rows - 1) / (POINTS - 1)) - 2.0 / 3.0
+    few = target.model_copy(update={"rows": POINTS, "columns": POINTS, "pitch_px": float(pitch)})
     factor = np.sqrt((1.0 - 1.0 / target.rows**2) / (1.0 - 1.0 / POINTS**2))
-    return config.model_copy(update={"target": few}), float(factor)
+    steps = config.steps.model_copy(update={"positions": min(POSITIONS, config.steps.positions)})
+    return config.model_copy(update={"target": few, "steps": steps}), float(factor)
 
 
 def coarse_budget(mi: Any, config: Config, psfs: Psfs) -> Budget:
@@ -165,7 +168,7 @@ def coarse_budget(mi: Any, config: Config, psfs: Psfs) -> Budget:
     lab = build_laboratory(few)
     check_light(lab.filtered, lab.instrument, corner_directions(few.target, lab.instrument))
     check_full_well(lab)
-    budget = predict_terms(mi, lab, psfs=psfs, draws=0, step_draws=STEP_DRAWS).budget
+    budget = predict_terms(mi, lab, psfs=psfs, draws=DRAWS, step_draws=DRAWS, ideal_platform=True).budget
     hsfe = budget["HSFE"]
     scaled = Value(arcsec=hsfe.arcsec * factor, uncertainty_arcsec=hsfe.uncertainty_arcsec * factor)
     return combine({**budget.term, "HSFE": scaled}, stars=budget.stars)
@@ -244,7 +247,7 @@ def _setting(mi: Any, config: Config, key: str, value: float, psfs: Psfs, backen
 
 
 def _parameters(config: Config) -> Sequence[tuple[str, str, str, float, float]]:
-    """Key, label, unit, low and high of every parameter of the tornado chart."""
+    """Key, label, unit, low and high of the parameters of the tornado chart."""
     detector, change = load_detector(config.instrument.detector), config.tornado
     relative = (
         ("source.signal_e", "signal", "e⁻", config.source.signal_e),
@@ -273,7 +276,7 @@ def _parameters(config: Config) -> Sequence[tuple[str, str, str, float, float]]:
     for key, label, unit, step in absolute:
         centre = float(value_at(config, key))
         out.append((key, label, unit, centre - step, centre + step))
-    return [row for row in out if row[3] < row[4]]
+    return [row for row in out if row[3] < row[4] and row[0] in change.parameters]
 
 
 def tornado_size(config: Config) -> int:

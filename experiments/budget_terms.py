@@ -161,7 +161,13 @@ def places_px(lab: Laboratory) -> FloatArray:
 
 
 def predict_terms(
-    mi: Any, lab: Laboratory, *, psfs: Psfs | None = None, draws: int = 100, step_draws: int = 200
+    mi: Any,
+    lab: Laboratory,
+    *,
+    psfs: Psfs | None = None,
+    draws: int = 100,
+    step_draws: int = 200,
+    ideal_platform: bool = False,
 ) -> PredictedTerms:
     """Predict every term.
 
@@ -177,6 +183,8 @@ def predict_terms(
         Noisy copies behind the temporal term and drawn surveys behind the distortion term.
     step_draws : int
         Drawn chips behind the pixel term.
+    ideal_platform : bool
+        Whether the step test is predicted for equal steps instead of drawn ones.
     """
     psfs = psfs or Psfs(mi)
     bench, instrument, seed = lab.bench, lab.instrument, lab.config.seed
@@ -186,7 +194,13 @@ def predict_terms(
     temporal = predict_temporal(bench, instrument, psf=psf, draws=draws, seed=seed)
     te = Value(arcsec=temporal.sampled_te_arcsec(method), uncertainty_arcsec=temporal.te_uncertainty_arcsec(method))
     steps = predict_high_frequency(
-        bench, instrument, step_plan(lab), psf=psf, hexapod=platform(lab), draws=step_draws, seed=seed
+        bench,
+        instrument,
+        step_plan(lab),
+        psf=psf,
+        hexapod=None if ideal_platform else platform(lab),
+        draws=step_draws,
+        seed=seed,
     ).method[method]
     roll, roll_scatter = _roll_px(lab, place)
     hsfe = np.hypot(steps.document_px, roll)
@@ -252,7 +266,7 @@ def _predicted_distortion(lab: Laboratory, psfs: Psfs, draws: int, seed: int) ->
         psf=psfs.of(lab, bench, "grid", direction),
         order=grid.order,
         references=(grid.reference,),
-        draws=max(draws, 2),
+        draws=draws,
         seed=seed,
     )
     method = bench.methods[0]

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from experiments.report import Report
     from experiments.tables import Table
 
-__all__ = ["Experiment", "Main", "command"]
+__all__ = ["Experiment", "Main", "command", "configuration_file"]
 
 C = TypeVar("C", bound=ExperimentConfig)
 R = TypeVar("R")
@@ -198,7 +198,7 @@ def _perform(experiment: Experiment[Any, Any], options: _Options) -> int:
     config = load_config(
         experiment.config,
         quick=experiment.quick if options.quick else None,
-        file=_configuration(options.file),
+        file=configuration_file(options.file),
         settings=[*options.settings, *short],
         seed=options.seed,
     )
@@ -220,7 +220,7 @@ def _perform(experiment: Experiment[Any, Any], options: _Options) -> int:
     return EXIT_GOOD if all(criterion.passed for criterion in criteria) else EXIT_FAILED
 
 
-def _configuration(name: str | None) -> str | Path | None:
+def configuration_file(name: str | None) -> str | Path | None:
     """The file that is meant: a path, or the bare name of one that comes with the program (``experiments/data``)."""
     shipped = Path(__file__).with_name("data") / f"{name}.toml"
     if name is None or Path(name).suffix or len(Path(name).parts) > 1 or not shipped.is_file():
