@@ -34,6 +34,7 @@ __all__ = [
     "SAME_SPREAD",
     "WRONG_PULL",
     "Selection",
+    "few_left",
     "fit_stages",
     "frames_with",
     "free_stages",
@@ -41,7 +42,10 @@ __all__ = [
     "packed",
     "refused",
     "start_attitudes",
+    "too_few_left",
+    "typical_pull",
     "verdict",
+    "wahba",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -238,33 +242,63 @@ def verdict(fit: Fit, spread: float, loss: Loss, hint: Callable[[], str]) -> tup
     solution = fit.solution
     if solution.status == "refused":
         return solution.status, f"{solution.message}{_also(hint())}"
-    residual = solution.residual_pulls.reshape(-1, 2)
     free = max(solution.degrees_of_freedom, 1)
     if loss.name == "linear":
         spread = float(np.sqrt(solution.chi2 / free))
-        if spread > LARGEST_RMS:
-            return "refused", (
-                f"residuals are {spread:.3g} times the stated sigma, more than {LARGEST_RMS:g}: wrong matches (take "
-                f'the loss "tukey"), a wrong camera model or too small a sigma{_also(hint())}'
-            )
-        note = ""
-    else:
-        length = np.sqrt(np.einsum("ni,ni->n", residual, residual))
-        wrong = length > WRONG_PULL * spread
-        if spread > LARGEST_RMS:
-            return "refused", (
-                f"the typical residual is {spread:.3g} times the stated sigma, more than {LARGEST_RMS:g}: about half "
-                f"of the matches are wrong, or the camera model or the sigma is{_also(hint())}"
-            )
-        if np.mean(wrong) > LARGEST_WRONG_PART:
-            percent, limit = 100 * np.mean(wrong), 100 * LARGEST_WRONG_PART
-            return "refused", f"{percent:.0f} % of the stars do not fit, more than {limit:g} %{_also(hint())}"
-        note = f"; {np.count_nonzero(wrong)} stars do not fit" if wrong.any() else ""
+    reason, note = _too_far_off(spread) if loss.name == "linear" else _too_many_wrong(solution, spread)
+    if reason:
+        return "refused", f"{reason}{_also(hint())}"
     if solution.status in ("stalled", "iteration_limit"):
         return solution.status, f"{solution.message}{_also(hint())}"
     if spread > 1.0 + 5.0 / np.sqrt(2.0 * free) and spread > SAME_SPREAD:
         note += f"; residuals are {spread:.2f} times the stated sigma, which the covariance does not include"
     return solution.status, solution.message + note
+
+
+def _too_far_off(spread: float) -> tuple[str, str]:
+    """Reason to refuse a least-squares fit, or nothing; and nothing to note."""
+    if not spread > LARGEST_RMS:
+        return "", ""
+    return (
+        f"residuals are {spread:.3g} times the stated sigma, more than {LARGEST_RMS:g}: wrong matches (take the loss "
+        '"tukey"), a wrong camera model or too small a sigma'
+    ), ""
+
+
+def _too_many_wrong(solution: Solution, spread: float) -> tuple[str, str]:
+    """Reason to refuse a robust fit, or nothing; and what to note if it is not refused."""
+    residual = solution.residual_pulls.reshape(-1, 2)
+    wrong = np.einsum("ni,ni->n", residual, residual) > (WRONG_PULL * spread) ** 2
+    thrown = int(np.count_nonzero(solution.robust_weight == 0))
+    reason = ""
+    if spread > LARGEST_RMS:
+        reason = (
+            f"the typical residual is {spread:.3g} times the stated sigma, more than {LARGEST_RMS:g}: about half of "
+            "the matches are wrong, or the camera model or the sigma is"
+        )
+    elif np.mean(wrong) > LARGEST_WRONG_PART:
+        percent, limit = 100 * np.mean(wrong), 100 * LARGEST_WRONG_PART
+        reason = f"{percent:.0f} % of the stars do not fit, more than {limit:g} %"
+    elif too_few_left(solution.degrees_of_freedom, thrown):
+        reason = few_left(solution.degrees_of_freedom, thrown)
+    return reason, f"; {np.count_nonzero(wrong)} stars do not fit" if wrong.any() else ""
+
+
+def too_few_left(degrees_of_freedom: int, thrown: int) -> bool:
+    """Whether the stars left hardly test themselves: fewer degrees of freedom than measurements thrown away.
+
+    Every wrong star that is found costs two degrees of freedom; without a surplus as large as what was thrown away,
+    almost any stars can be made to fit by throwing away the right ones.
+    """
+    return degrees_of_freedom < 1 or (thrown > 0 and degrees_of_freedom < 2 * thrown)
+
+
+def few_left(degrees_of_freedom: int, thrown: int) -> str:
+    """Message for `too_few_left`."""
+    return (
+        f"{thrown} stars do not fit, and the rest has only {max(degrees_of_freedom, 0)} degrees of freedom, too few to "
+        "tell wrong stars from right ones"
+    )
 
 
 def _also(text: str) -> str:

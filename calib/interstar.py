@@ -38,6 +38,7 @@ from calib.calibration_fit import (
     SAME_SPREAD,
     WRONG_PULL,
     Selection,
+    few_left,
     fit_stages,
     frames_with,
     free_stages,
@@ -45,6 +46,7 @@ from calib.calibration_fit import (
     packed,
     refused,
     start_attitudes,
+    too_few_left,
 )
 from calib.cameras.base import CameraModel
 from calib.interstar_pairs import PairProblem, Pairs, StarFrames, WeightedPairProblem, pair_covariance, typical_sigma
@@ -237,6 +239,7 @@ def _judged(
     status, message = solution.status, solution.message
     rms = float(np.sqrt(solution.chi2 / max(solution.degrees_of_freedom, 1)))
     wrong = 1.0 - float(np.mean(found.kept))
+    surplus = _independent(fitted) - int(mask.sum())
     parity = ""
     if len(fitted):
         seen = camera.unproject(fitted.pixel_px, fitted.band)
@@ -250,6 +253,9 @@ def _judged(
     elif wrong > LARGEST_WRONG_PART:
         status = "refused"
         message = f"{100 * wrong:.0f} % of the stars do not fit, more than {100 * LARGEST_WRONG_PART:g} %"
+    elif wrong and too_few_left(surplus, int(np.count_nonzero(~found.kept))):
+        status = "refused"
+        message = few_left(surplus, int(np.count_nonzero(~found.kept)))
     elif rms > LARGEST_RMS:
         status = "refused"
         message = (

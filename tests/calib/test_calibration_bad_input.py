@@ -188,6 +188,20 @@ def test_mostly_wrong_matches_are_refused(scenes, scene, method, part):
         assert "wrong" in found.message or "do not fit" in found.message
 
 
+@pytest.mark.slow
+def test_sparse_frames_cannot_tell_wrong_stars(scenes):
+    """15 pairs of stars have 7 degrees of freedom: three wrong stars are too many, even if a fit without them exists."""
+    for seed in range(8):
+        scene = scenes.make_scene(seed=seed, frames=15, stars=2)
+        observed, _ = scene.with_wrong_matches(0.1, np.random.default_rng(seed))
+        for method in ("free", "interstar"):
+            found = calibrate(method, scenes, scene, observed, loss="tukey")
+            if found.converged:
+                pull = (found.model.parameters - scenes.CAMERA.parameters) / np.sqrt(np.diagonal(found.covariance))
+                assert np.all(np.abs(pull) < 5)
+                assert found.solution.degrees_of_freedom >= 2 * np.count_nonzero(~found.used)
+
+
 @pytest.mark.parametrize("method", LONG)
 def test_stars_of_another_frame(scenes, scene, method):
     """Frame numbers shifted by one: every star list meets the wrong directions."""
