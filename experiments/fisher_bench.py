@@ -54,7 +54,7 @@ from experiments.turntable_measure import (
 from experiments.turntable_reduce import Data, check_count, check_fit, check_parity, reduce_data, start_model
 from experiments.turntable_settings import Config as TurntableConfig
 from experiments.turntable_settings import GridConfig
-from optics.errors import ConfigError
+from optics.errors import ConfigError, DomainError
 from optics.units import RAD_ARCSEC
 from render.forward import StarRenderer
 from render.psf import epsf_tracer
@@ -188,7 +188,6 @@ def prepare(config: Config) -> Instrument:
     check_table("table", config.table, axes)
     bench_config = turntable_config(config)
     check_count(config.grid.columns * config.grid.rows, build_table(config.table))
-    check_count(config.evaluation.columns * config.evaluation.rows, build_table(config.table))
     instrument = camera_under_test(bench_config)
     grid_px(bench_config, instrument)
     _evaluation_px(config, instrument)
@@ -211,7 +210,11 @@ def _evaluation_px(config: Config, instrument: Instrument) -> FloatArray:
     """Places (n, 2) of the evaluation; checked like those of the calibration."""
     chosen = config.evaluation
     grid = GridConfig(columns=chosen.columns, rows=chosen.rows, edge_px=chosen.edge_px)
-    return grid_px(turntable_config(config).model_copy(update={"grid": grid}), instrument)
+    try:
+        check_count(chosen.columns * chosen.rows, build_table(config.table))
+        return grid_px(turntable_config(config).model_copy(update={"grid": grid}), instrument)
+    except DomainError as error:
+        raise DomainError(str(error).replace("grid.", "evaluation.")) from None
 
 
 def run_bench(mi: Any, config: Config, instrument: Instrument, progress: Progress) -> BenchRun:

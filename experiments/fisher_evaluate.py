@@ -180,6 +180,8 @@ def _case_results(result: Result, case: Case) -> dict[str, Any]:
         "baseline_arcsec": {k: judged.baseline_arcsec(v) for k, v in run.resolutions_arcsec.items()},
         "baseline_over_fisher": judged.baseline_arcsec(run.resolutions_arcsec["calibrated"]) / judged.sigma_arcsec,
         "baseline_over_fisher_predicted": baseline_expected(result, case),
+        "sigma_interval_95_own_degrees_arcsec": judged.own_interval_arcsec(LEVEL),
+        "effective_degrees": judged.effective_degrees,
         "isotropy_p_value": judged.isotropy.p_value,
         "isotropy_ratio": judged.isotropy.ratio,
         "exponential_statistic": judged.tails.statistic,

@@ -46,7 +46,12 @@ def vector_scatter(result: Result) -> Figure:
             axis.add_patch(_ellipse(case))
         axis.plot([], [], color=PALETTE[1], linewidth=1.6, label=f"σ = {sigma:.3f}″ ({low:.3f} … {high:.3f})")
         axis.plot(
-            [], [], color=PALETTE[1], linewidth=0.9, ls=(0, (4, 3)), label=f"holds {LEVEL:.0%}: {_inside(case):.1%}"
+            [],
+            [],
+            color=PALETTE[1],
+            linewidth=0.9,
+            ls=(0, (4, 3)),
+            label=f"holds {100 * LEVEL:g} %: here {100 * _inside(case):.1f} %",
         )
         if judged.isotropy.p_value < 1.0 - LEVEL:
             axis.plot([], [], color=INK, linewidth=1.0, label="its ellipse, 1 σ")
@@ -94,7 +99,7 @@ def quantile_plots(result: Result) -> Figure:
         )
         axis.plot(tails.expected, tails.expected, color=INK, linewidth=0.8)
         axis.plot(tails.expected, tails.found, ".", color=PALETTE[0], markersize=3.5)
-        verdict = "not refused at 15 %" if tails.level == 1.0 else f"refused at {tails.level:.1%}"
+        verdict = "not refused at 15 %" if tails.level == 1.0 else f"refused at {100 * tails.level:g} %"
         axis.set_title(f"{case.acquisition.name}: Kolmogorov {tails.statistic:.2f}, {verdict}")
         axis.set_xlabel("exponential quantile")
     axes[0, 0].set_ylabel("k (1 − cos θ)")
@@ -142,7 +147,7 @@ def error_arrows(result: Result) -> Figure:
     figure, axes = new_figure(1, len(result.bench.cases), aspect_ratio=0.32, squeeze=False, sharey=True)
     camera = result.instrument.camera
     longest = max(float(np.linalg.norm(_offsets(case), axis=1).max()) for case in result.bench.cases)
-    scale = longest / (1.1 * camera.width_px / result.config.evaluation.columns)
+    scale = longest / (2.2 * camera.width_px / result.config.evaluation.columns)
     for axis, case in zip(axes[0], result.bench.cases, strict=True):
         place, offset = case.acquisition.position_px, _offsets(case)
         width, height = camera.width_px - 0.5, camera.height_px - 0.5

@@ -15,7 +15,14 @@ from scipy.spatial.transform import Rotation
 
 from calib.cameras.base import CameraModel
 from calib.fisher import FisherFit, fit_fisher
-from calib.fisher_checks import Exponential, Isotropy, exponential_check, fisher_outliers, isotropy_check
+from calib.fisher_checks import (
+    Exponential,
+    Isotropy,
+    effective_degrees,
+    exponential_check,
+    fisher_outliers,
+    isotropy_check,
+)
 from calib.solution import Calibration
 from calib.star_vectors import initial_frame_vectors
 from calib.turntable import star_direction
@@ -43,6 +50,8 @@ class Evaluation:
         Of the others.
     isotropy, tails
         Whether they follow the distribution.
+    effective_degrees : float
+        Degrees of freedom that the vectors themselves show.
     residual_px : (n, 2)
         Images minus the reprojected star; outliers included.
     """
@@ -52,6 +61,7 @@ class Evaluation:
     fit: FisherFit
     isotropy: Isotropy
     tails: Exponential
+    effective_degrees: float
     residual_px: FloatArray
 
     def __post_init__(self) -> None:
@@ -66,8 +76,13 @@ class Evaluation:
         return self.fit.sigma_rad * RAD_ARCSEC
 
     def interval_arcsec(self, level: float = 0.95) -> tuple[float, float]:
-        """Its confidence interval."""
+        """Its confidence interval, by the distribution."""
         low, high = self.fit.sigma_interval_rad(level)
+        return low * RAD_ARCSEC, high * RAD_ARCSEC
+
+    def own_interval_arcsec(self, level: float = 0.95) -> tuple[float, float]:
+        """The interval by the degrees of freedom that the vectors themselves show."""
+        low, high = self.fit.sigma_interval_rad(level, effective=self.effective_degrees)
         return low * RAD_ARCSEC, high * RAD_ARCSEC
 
     def baseline_arcsec(self, resolution_arcsec: float) -> float:
@@ -150,5 +165,6 @@ def evaluate(
         fit=fit_fisher(kept, degrees_of_freedom=freedom),
         isotropy=isotropy_check(kept),
         tails=exponential_check(kept),
+        effective_degrees=effective_degrees(kept),
         residual_px=pixel - expected_px(model, bench, angle),
     )

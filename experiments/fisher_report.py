@@ -36,15 +36,15 @@ def _bench(result: Result) -> Section:
     chosen = config.evaluation
     text = (
         f"The calibration (S100) has frames of its own: {config.grid.columns} × {config.grid.rows} places, "
-        f"{config.frames} frames each of a star of {config.star.signal_e:g} e⁻. The vectors come from a second visit to "
-        f"{chosen.columns} × {chosen.rows} other places (S200), one frame and one reading each, with the star dimmed to "
-        f"{chosen.signal_e:g} e⁻: the accuracy asked for is that of one star in one frame. Lens {camera.lens.name}, "
-        f"{result.instrument.pixel_arcsec:.2f}″ per pixel; table read to "
-        f"{' and '.join(f'{v:g}″' for v in config.table.reading_noise_arcsec)} per axis.\n\nOn the move the second axis "
-        f"turns at {config.dynamic.rate_deg_per_s:g}°/s, rows forwards and backwards in turn, and the image runs over "
-        f"{dynamic.smear_px:.1f} px while the shutter is open. The streak is rendered from {config.dynamic.samples} "
-        f"instants; clocks of table and camera jitter by {config.dynamic.jitter_ms:g} ms. The centroid uses the lens's "
-        "PSF smeared along the path that readings and rate predict."
+        f"{config.frames} frames each of a star of {config.star.signal_e:g} e⁻. The vectors come from a second visit "
+        f"to {chosen.columns} × {chosen.rows} other places (S200), one frame and one reading each, with the star "
+        f"dimmed to {chosen.signal_e:g} e⁻: the accuracy asked for is that of one star in one frame. Lens "
+        f"{camera.lens.name}, {result.instrument.pixel_arcsec:.2f}″ per pixel; table read to "
+        f"{' and '.join(f'{v:g}″' for v in config.table.reading_noise_arcsec)} per axis.\n\nOn the move the second "
+        f"axis turns at {config.dynamic.rate_deg_per_s:g}°/s, rows forwards and backwards in turn, and the image runs "
+        f"over {dynamic.smear_px:.1f} px while the shutter is open. The streak is rendered from "
+        f"{config.dynamic.samples} instants; clocks of table and camera jitter by {config.dynamic.jitter_ms:g} ms. The "
+        "centroid uses the lens's PSF smeared along the path that readings and rate predict."
     )
     return Section(
         title="Bench and frames",
@@ -67,7 +67,8 @@ def _accuracy(result: Result, every: Mapping[str, Table]) -> Section:
         blocks=(
             Equation(latex=VECTORS, note="FISHER23 eq. 7: pixel, undistorted direction, installation, table"),
             Equation(latex=CONCENTRATION, note="eq. 8–12; Mardia & Jupp 2000, sec. 10.3"),
-            Text(_estimator_text()),
+            Text(_estimator_text(result)),
+            every["concentration"],
             every["accuracy"],
             Figure(
                 drawing=vector_scatter(result),
@@ -84,11 +85,12 @@ def _accuracy(result: Result, every: Mapping[str, Table]) -> Section:
     )
 
 
-def _estimator_text() -> str:
+def _estimator_text(result: Result) -> str:
+    count = result.bench.cases[0].evaluation.fit.count
     return (
-        "Unbiased by the factor n − 1 is 1/k, that is σ², not k: k itself comes out too large by (n − 1)/(n − 2). The "
-        "interval follows from the χ² and is a tenth wide even with 200 vectors: the standard deviation of σ is "
-        "σ/(2√n)."
+        "1 − R is some 10⁻¹³ here; it is not subtracted but summed from squared chords. Unbiased by the factor n − 1 "
+        "is 1/k, that is σ², not k: k itself comes out too large by (n − 1)/(n − 2). The interval "
+        f"follows from χ²; the deviation of σ is σ/(2√n), so that {count} vectors give it to ±{98 / np.sqrt(count):.1f} % (95 %)."
     )
 
 
@@ -98,8 +100,9 @@ def _shape_text(result: Result) -> str:
         found = case.evaluation.isotropy
         if found.p_value < 0.05:
             parts.append(
-                f"The {case.acquisition.name} vectors are not isotropic (p = {found.p_value:.1g}): their ellipse is "
-                f"{found.ratio:.2f} : 1. One k describes its mean square only, and the interval is too narrow"
+                f"The {case.acquisition.name} vectors are not isotropic ({_chance(found.p_value)}): their ellipse is "
+                f"{found.ratio:.2f} : 1. One k describes its mean square only, and the interval of χ² is too narrow; "
+                "with the degrees of freedom that the vectors themselves show it is honest again"
             )
         else:
             parts.append(f"The {case.acquisition.name} vectors pass the test of isotropy (p = {found.p_value:.2f})")
@@ -111,15 +114,19 @@ def _shape_text(result: Result) -> str:
     )
 
 
+def _chance(p_value: float) -> str:
+    return "p < 0.0001" if p_value < 1e-4 else f"p = {p_value:.2g}"
+
+
 def _causes(result: Result, every: Mapping[str, Table]) -> Section:
     static = result.bench.cases[0]
     text = (
-        "The simulation knows what the laboratory does not: which part of a vector's error the centroid made, which the "
-        "table, which the calibration. A laboratory sees their sum. The method cannot tell camera and table apart: at "
-        f"rest {static.evaluation.sigma_arcsec:.3f}″ are measured, of which {static.expected_arcsec['readings']:.3f}″ "
-        f"are the table's; taken off in quadrature {static.camera_arcsec:.3f}″ are left "
-        f"({static.expected_arcsec['centroids']:.3f}″ expected). On a table read to 0.3″ and 0.4″ (CUBE09) it would "
-        "measure the table."
+        "The simulation knows what the laboratory does not: which part of a vector's error the centroid made, which "
+        "the table, which the calibration. A laboratory sees their sum. The method cannot tell camera and table apart: "
+        f"at rest {static.evaluation.sigma_arcsec:.3f}″ are measured, of which "
+        f"{static.expected_arcsec['readings']:.3f}″ are the table's; taken off in quadrature "
+        f"{static.camera_arcsec:.3f}″ are left ({static.expected_arcsec['centroids']:.3f}″ expected). On a table read "
+        "to 0.3″ and 0.4″ (CUBE09) it would measure the table."
     )
     return Section(
         title="What the number is made of",
@@ -151,17 +158,17 @@ def _field(result: Result, every: Mapping[str, Table]) -> Section:
     text = (
         "The usual method takes the standard deviation of the pixel residuals times one angle per pixel. It sees "
         "angles stretched towards the edge, by (1 + t²) along the radius and √(1 + t²) across it. The bias is real and "
-        "as computed, and small beside the interval of either method: for the 95 % interval to be as narrow as the bias "
-        f"it takes {needed_text(result)}. What does show is a wrong angle per pixel: it goes into the result in full. "
-        f"On the rendered bench the pixel method is {excess:+.2f} % off with the calibrated focal length and "
-        f"{100 * (sheet - 1):+.1f} % more with the data sheet's. Taking the field over the pixels as the angle per pixel "
-        "makes it smaller by tan(a)/a and undoes two thirds of the bias."
+        "as computed, and small beside the interval of either method: for the 95 % interval to be as narrow as the "
+        f"bias it takes {needed_text(result)} vectors. What does show is a wrong angle per pixel: it goes into the "
+        f"result in full. On the rendered bench the pixel method is {excess:+.2f} % off with the calibrated focal "
+        f"length and {100 * (sheet - 1):+.1f} % more with the data sheet's. Taking the field over the pixels as the "
+        "angle per pixel makes it smaller by tan(a)/a and undoes two thirds of the bias."
     )
     opposite = (
         "Which of the two is *right* depends on the noise. That of a centroid is the same in pixels everywhere, to "
         "first order; as an angle it then shrinks towards the edge. Fisher gives the root mean square of the angles "
-        "over the field, the pixel method the value on the axis, and neither is wrong: they answer different questions. "
-        "A mixture of angles is no Fisher distribution any more, but at these fields the tests do not see it."
+        "over the field, the pixel method the value on the axis, and neither is wrong: they answer different "
+        "questions. Strictly it is a mixture then and no Fisher distribution, but at these fields no test sees it."
     )
     return Section(
         title="The pixel method, and its bias over the field",
@@ -185,9 +192,9 @@ def _coverage(result: Result, every: Mapping[str, Table]) -> Section:
     text = (
         "The interval is exact in the limit of high concentration, and good to the noise of this simulation down to "
         "k = 20. It rests on the distribution, not on the number of vectors: for an ellipse of 3 : 1, and for vectors "
-        "of which one in fifty has four times the noise, it stays too narrow however many there are. Degrees of freedom "
-        "from the scatter of the squared chords themselves (hollow) mend it, from some 50 vectors on; against rare "
-        "outliers it takes more."
+        "of which one in fifty has four times the noise, it stays too narrow however many there are. Degrees of "
+        "freedom from the scatter of the squared chords themselves (hollow) mend it, from some 50 vectors on; against "
+        "rare outliers it takes more."
     )
     return Section(
         title="Does the interval hold the truth?",
@@ -202,15 +209,15 @@ def _coverage(result: Result, every: Mapping[str, Table]) -> Section:
 def _same(result: Result, every: Mapping[str, Table]) -> Section:
     same, point = result.bench.same_data, result.same_data[0]
     text = (
-        f"A joint calibration has {same.unknowns} unknowns, and bends them to the noise of its data. Evaluated with the "
-        f"same data, the vectors scatter less than they should: with {point.count} places σ comes out as "
+        f"A joint calibration has {same.unknowns} unknowns, and bends them to the noise of its data. Evaluated with "
+        f"the same data, the vectors scatter less than they should: with {point.count} places σ comes out as "
         f"{point.naive.root:.2f} of the truth if 2(n − 1) degrees of freedom are counted. 2n minus the unknowns is the "
         f"right number: the covariances make it {point.effective_degrees:.2f} for {point.count} places. Data of "
-        "their own (what this experiment does) err to the other side, and rightly: the error of the calibration is part "
-        "of the vectors' error. Lines: √((2n − q)/(2n − 2)) and √((2n + q − 4)/(2n − 2)); two of the unknowns are the "
-        "star itself, which vectors of their own do not use.\n\n"
-        f"Rendered, at rest, calibrated with its own {same.naive.fit.count} frames: {same.naive.sigma_arcsec:.4f}″ with "
-        f"2(n − 1), {same.corrected.sigma_arcsec:.4f}″ with 2n − {same.unknowns}; "
+        "their own (what this experiment does) err to the other side, and rightly: the error of the calibration is "
+        "part of the vectors' error. Lines: √((2n − q)/(2n − 2)) and √((2n + q − 4)/(2n − 2)); two of the unknowns are "
+        "the star itself, which vectors of their own do not use.\n\n"
+        f"Rendered, at rest, calibrated with its own {same.naive.fit.count} frames: {same.naive.sigma_arcsec:.4f}″ "
+        f"with 2(n − 1), {same.corrected.sigma_arcsec:.4f}″ with 2n − {same.unknowns}; "
         f"{result.bench.cases[0].evaluation.sigma_arcsec:.4f}″ with the calibration of S100."
     )
     limits = (
@@ -275,8 +282,8 @@ def build_report(result: Result) -> Report:
         "the pixel-residual method that it is to replace.",
         verdict=f"One frame gives a star vector to {static.evaluation.sigma_arcsec:.3f}″ per axis at rest and "
         f"{dynamic.evaluation.sigma_arcsec:.3f}″ over a streak of {dynamic.smear_px:.1f} px (predicted "
-        f"{static.predicted.sigma_arcsec:.3f}″ and {dynamic.predicted.sigma_arcsec:.3f}″). The bias of the pixel method "
-        "is as its closed form says, and below the interval of both methods at any usual number of frames.",
+        f"{static.predicted.sigma_arcsec:.3f}″ and {dynamic.predicted.sigma_arcsec:.3f}″). The bias of the pixel "
+        f"method is as its closed form says; to see it takes {needed_text(result)} star vectors.",
         key_numbers=_key_numbers(result),
         sections=(
             _bench(result),

@@ -134,40 +134,74 @@ def _baseline(result: Result) -> Table:
     )
 
 
-def _checks(result: Result) -> Table:
+def _concentration(result: Result) -> Table:
     rows = []
     for case in result.bench.cases:
-        judged = case.evaluation
+        fit = case.evaluation.fit
+        low, high = fit.concentration_interval(LEVEL)
         rows.append(
             (
                 case.acquisition.name,
-                judged.fit.deficit,
-                judged.fit.concentration,
-                judged.isotropy.major_rad * RAD_ARCSEC,
-                judged.isotropy.minor_rad * RAD_ARCSEC,
-                f"{judged.isotropy.p_value:.2g}",
-                judged.tails.statistic,
-                int(judged.outlier.sum()),
-                judged.fit.mean_sigma_rad * RAD_ARCSEC,
+                fit.deficit,
+                fit.concentration_document,
+                fit.concentration,
+                fit.concentration_unbiased,
+                low,
+                high,
             )
         )
     return Table(
         columns=(
             "Acquisition",
             Column(name="1 − R", key="one_minus_r", format=".4e"),
-            Column(name="k", key="concentration", format=".4e"),
-            Column(name="Major axis", unit="″", key="major", format=".4f"),
-            Column(name="Minor axis", unit="″", key="minor", format=".4f"),
-            Column(name="p, isotropic", key="p_value"),
-            Column(name="Kolmogorov", key="statistic", format=".3f"),
+            Column(name="1/(1 − R)", key="k_document", format=".4e"),
+            Column(name="(n−1)/(n(1−R))", key="k", format=".4e"),
+            Column(name="(n−2)/(n(1−R))", key="k_unbiased", format=".4e"),
+            Column(name="95 % from", key="low", format=".3e"),
+            Column(name="to", key="high", format=".3e"),
+        ),
+        rows=rows,
+        caption="Concentration k (S400).",
+        note="FISHER23 eq. 11; the estimate whose inverse is unbiased, from which σ is taken; the one that is unbiased "
+        "for k itself.",
+    )
+
+
+def _checks(result: Result) -> Table:
+    rows = []
+    for case in result.bench.cases:
+        judged = case.evaluation
+        low, high = judged.own_interval_arcsec(LEVEL)
+        rows.append(
+            (
+                case.acquisition.name,
+                judged.isotropy.major_rad * RAD_ARCSEC,
+                judged.isotropy.minor_rad * RAD_ARCSEC,
+                f"{judged.isotropy.p_value:.2g}",
+                judged.tails.statistic,
+                int(judged.outlier.sum()),
+                judged.effective_degrees,
+                low,
+                high,
+            )
+        )
+    return Table(
+        columns=(
+            "Acquisition",
+            Column(name="Major", unit="″", key="major", format=".4f"),
+            Column(name="Minor", unit="″", key="minor", format=".4f"),
+            Column(name="p", key="p_value"),
+            Column(name="KS", key="statistic", format=".3f"),
             Column(name="Outliers", key="outliers"),
-            Column(name="Mean known to", unit="″", key="mean_sigma", format=".4f"),
+            Column(name="Own ν", key="effective_degrees", format=".0f"),
+            Column(name="95 % from", unit="″", key="low", format=".4f"),
+            Column(name="to", unit="″", key="high", format=".4f"),
         ),
         rows=rows,
         caption="Whether the vectors follow the distribution.",
-        note="k = (n − 1)/(n(1 − R)). Standard deviations along the axes of the ellipse, "
-        "chance of such an ellipse by Mauchly's test; modified "
-        "Kolmogorov statistic of k(1 − cos) against the exponential distribution, refused at 5 % above 1.094.",
+        note="Standard deviations along the axes of the ellipse and the chance p of such an ellipse by Mauchly's test; "
+        "modified Kolmogorov statistic of k(1 − cos) against the exponential distribution, refused at 5 % above 1.094; "
+        "degrees of freedom from the scatter of the squared chords themselves, and the interval of σ with them.",
     )
 
 
@@ -197,8 +231,8 @@ def _field(result: Result) -> Table:
         rows=rows,
         caption="Noise isotropic on the sphere: by how much σ comes out too large.",
         note=f"Full widths of square fields; {result.config.field.runs} runs of {result.config.field.directions} "
-        "vectors, ± 1 standard error. Pixel method over Fisher on the same vectors, Fisher over the truth. Last: vectors "
-        "for which the 95 % interval of σ is as narrow as the bias.",
+        "vectors, ± 1 standard error. Pixel method over Fisher on the same vectors, Fisher over the truth. Last: "
+        "vectors for which the 95 % interval of σ is as narrow as the bias.",
     )
 
 
@@ -224,13 +258,13 @@ def _variants(result: Result) -> Table:
         ),
         rows=rows,
         caption="Other angles per pixel, and the opposite case.",
-        note="Columns 2 and 3: noise isotropic on the sphere, pixel method over Fisher. Columns 4 and 5: noise isotropic "
-        "in pixels, Fisher over the noise on the axis.",
+        note="Columns 2 and 3: noise isotropic on the sphere, pixel method over Fisher. Columns 4 and 5: noise "
+        "isotropic in pixels, Fisher over the noise on the axis.",
     )
 
 
 def _coverage(result: Result) -> Table:
-    rows = [
+    rows: list[tuple[str | float | Measured, ...]] = [
         (
             KINDS[p.kind],
             p.count,
@@ -270,7 +304,6 @@ def _same(result: Result) -> Table:
     rows = [
         (
             p.count,
-            p.unknowns,
             _root(p.naive),
             float(np.sqrt(p.predicted_naive)),
             _root(p.corrected),
@@ -283,17 +316,18 @@ def _same(result: Result) -> Table:
     return Table(
         columns=(
             Column(name="Places", key="n"),
-            Column(name="Unknowns", key="unknowns"),
-            Column(name="Same data, 2(n − 1)", key="naive"),
+            Column(name="Same, 2(n − 1)", key="naive"),
             Column(name="predicted", key="naive_predicted", format=".4f"),
-            Column(name="Same data, 2n − q", key="corrected"),
-            Column(name="Data of their own", key="independent"),
+            Column(name="Same, 2n − q", key="corrected"),
+            Column(name="Own data", key="independent"),
             Column(name="predicted", key="independent_predicted", format=".4f"),
             Column(name="ν, unbiased", key="degrees", format=".2f"),
         ),
         rows=rows,
         caption="σ over that of the noise, by which data the camera was calibrated with.",
-        note=f"On coordinates, {result.config.same_data.runs} joint calibrations per row; root of the mean variance.",
+        note=f"On coordinates, {result.config.same_data.runs} joint calibrations per row with q = "
+        f"{result.same_data[0].unknowns} unknowns; root of the mean variance. Same: calibrated and evaluated with the "
+        "same data; own: vectors of a second acquisition. Last: degrees of freedom of the same data, by covariances.",
     )
 
 
@@ -337,6 +371,7 @@ def all_tables(result: Result) -> dict[str, Table]:
     """Every table by file name."""
     builders: Mapping[str, Table] = {
         "accuracy": _accuracy(result),
+        "concentration": _concentration(result),
         "causes": _causes(result),
         "pixel_method": _baseline(result),
         "distribution": _checks(result),

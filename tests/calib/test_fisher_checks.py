@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, kstest
 
 from calib.fisher import fit_fisher, sample_fisher
-from calib.fisher_checks import CRITICAL_EXPONENTIAL, exponential_check, fisher_outliers, isotropy_check
+from calib.fisher_checks import (
+    CRITICAL_EXPONENTIAL,
+    effective_degrees,
+    exponential_check,
+    fisher_outliers,
+    isotropy_check,
+)
 from optics.errors import DomainError
 
 MEAN = np.array([0.0, 0.6, 0.8])
@@ -89,3 +95,16 @@ def test_bad_input() -> None:
             check(w)
     with pytest.raises(DomainError, match="level = 0"):
         fisher_outliers(w, level=0.0)
+
+
+def test_effective_degrees() -> None:
+    """N = 20000 vectors: known to some 2 % in a Fisher distribution; an ellipse has (l1 + l2)^2 / (l1^2 + l2^2) / 2."""
+    rng, n = np.random.default_rng(15), 20000
+    assert effective_degrees(sample_fisher(MEAN, 1e12, n, rng)) == pytest.approx(2 * (n - 1), rel=0.08)
+    long = _plane(3e-6 * rng.standard_normal(n), 1e-6 * rng.standard_normal(n))
+    assert effective_degrees(long) == pytest.approx(2 * (n - 1) * (9 + 1) ** 2 / (81 + 1) / 2, rel=0.08)
+    low, high = fit_fisher(long).sigma_interval_rad(effective=effective_degrees(long))
+    narrow = fit_fisher(long).sigma_interval_rad()
+    assert low < narrow[0] < narrow[1] < high
+    with pytest.raises(DomainError, match="effective = -1"):
+        fit_fisher(long).sigma_interval_rad(effective=-1.0)
