@@ -15,6 +15,8 @@ __all__ = ["criteria", "ratio", "results", "three_sigma"]
 
 FloatArray = NDArray[np.float64]
 
+SIGMA_LIMIT = 4.0
+"""Of two axes, two predictions and several methods the largest deviation counts."""
 MODEL_RATIO = 0.03
 """What the linear model may be off: a threshold smooths the S-curve under noise by about this much."""
 
@@ -41,11 +43,11 @@ def criteria(result: Result) -> list[Criterion]:
         after, before = result.after.method[method], result.before.method[method]
         number = measured.document_px(method)
         for label, model in (("the motion seen", after), ("drawn paths", before)):
-            spread = np.hypot(3.0 * model.scatter_px, MODEL_RATIO * model.document_px)
+            spread = np.hypot(SIGMA_LIMIT * model.scatter_px, MODEL_RATIO * model.document_px)
             found.append(
                 Criterion(
                     name=f"{method}: document's figure against prediction for {label}, in units of what is allowed "
-                    "(3 σ and 3 %)",
+                    "(4 σ and 3 %)",
                     value=float(np.abs((number - model.document_px) / spread).max()),
                     limit=1.0,
                 )
@@ -55,7 +57,7 @@ def criteria(result: Result) -> list[Criterion]:
                 name=f"{method}: causes and noise in quadrature over everything together, off 1 by",
                 value=float(np.abs(measured.quadrature_px(method) / number - 1.0).max()),
                 # cross terms of causes and noise have no mean but scatter as the figure itself does
-                limit=MODEL_RATIO + 3.0 * float((after.scatter_px / after.document_px).max()),
+                limit=MODEL_RATIO + SIGMA_LIMIT * float((after.scatter_px / after.document_px).max()),
             )
         )
         if method != "epsf":
