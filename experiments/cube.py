@@ -95,19 +95,17 @@ def run(config: Config, *, progress: Progress) -> Result:
 
 
 def _views(mi: Any, config: Config, laboratory: Any, truth: Any) -> list[Any]:
-    """The bench from afar and the cube from near, with the second face in the light."""
-    import numpy as np
-
-    from experiments.cube_bench import FACE_ANGLES_DEG
-    from experiments.laboratory.turntable import build_turntable
+    """The bench from afar and the cube from near, the first face trimmed."""
+    from experiments.cube_bench import Case, build_table, concentric_angles
     from render.bench_scene import CubePose
     from render.bench_view import overview_scene, overview_sensor, render_overview
 
-    geometry = laboratory.geometry
-    angle = np.radians([FACE_ANGLES_DEG[config.cube.faces[0]]])
-    table = build_turntable("xy").rotation(angle)[0].as_matrix()
-    pose = CubePose.of_table(geometry, table, truth.table_from_cube, truth.normal)
-    scene = overview_scene(mi, geometry, pose, table, laboratory.camera)
+    geometry, face = laboratory.geometry, config.cube.faces[0]
+    table = build_table(config, truth, Case(name="", label=""))
+    angle = concentric_angles(table, truth.normal_in_table(face), face)
+    top = table.rotation(angle[None])[0].as_matrix()
+    pose = CubePose.of_table(geometry, top, truth.table_from_cube, truth.normal)
+    scene = overview_scene(mi, geometry, pose, top, laboratory.camera)
     width, height = VIEW_PX
     return [
         render_overview(

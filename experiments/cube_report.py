@@ -30,6 +30,10 @@ def _triple(values: object, digits: int = 2) -> str:
     return f"{x:.{digits}f}″, {y:.{digits}f}″, {z:.{digits}f}″".replace("-", "−")
 
 
+def _signed(value: float, digits: int = 2) -> str:
+    return f"{value:+.{digits}f}".replace("-", "−")
+
+
 def _bench(result: Result) -> Section:
     geometry, config = result.laboratory.geometry, result.config
     spot = geometry.aperture_mm + 2 * geometry.blur_mm(geometry.path_mm)
@@ -78,8 +82,8 @@ def _pictures(result: Result) -> Section:
             Figure(
                 drawing=pictures(result, face),
                 caption=f"Face {trim.face}: electrons of the read-out pictures. White: aperture; orange: spot. "
-                f"Offset at the end ({trim.offset.offset_px[0]:+.2f}, {trim.offset.offset_px[1]:+.2f}) px, each to "
-                f"{float(sigma.mean()):.2f} px.",
+                f"Offset at the end ({_signed(trim.offset.offset_px[0])}, {_signed(trim.offset.offset_px[1])}) px, "
+                f"each to {float(sigma.mean()):.2f} px by the fits.",
                 raster=True,
             )
         )
@@ -142,7 +146,7 @@ def _reduction(result: Result) -> Section:
         "The cube's frame follows the ECSS rule: Z is the first normal, X the part of the second that is square to it. "
         f"TRIAD yields exactly that, so faces out of square do no harm. The shown cube: faces measured "
         f"{shown.face_angle_rad * RAD_DEG:.5f}° apart, true {shown.true_face_angle_rad * RAD_DEG:.5f}° "
-        f"(difference {(shown.face_angle_rad - shown.true_face_angle_rad) * RAD_ARCSEC:+.1f}″). "
+        f"(difference {_signed((shown.face_angle_rad - shown.true_face_angle_rad) * RAD_ARCSEC, 1)}″). "
         f"Error of its R_sp: {_triple(shown.error_arcsec)} about x, y, z."
     )
     return Section(
@@ -189,7 +193,7 @@ def _budget(result: Result, every: Mapping[str, Table]) -> Section:
         f"published steps is {_triple(row['trim'].measured_arcsec)}.\n\n"
         f"**Axes out of square.** Nothing about x and y. About z the second face takes all of it, but the sun sensor "
         f"was calibrated on the same crooked table and takes {1 - abs(result.lean_rate[2]):.2f} of it too: "
-        f"{abs(result.lean_rate[2]):.2f} of 2″ is left.\n\n"
+        f"{abs(result.lean_rate[2]) * result.config.table.square_arcsec:.2f}″ is left.\n\n"
         "**Camera mount.** Its full size on every axis.\n\n"
         f"**Reading.** The outer axis acts on x and z, the inner one on y.\n\n"
         f"All of eq. 14 together: {_triple(row['all'].measured_arcsec)} where it says {eq14_arcsec(result):.2f}″ "
@@ -197,8 +201,8 @@ def _budget(result: Result, every: Mapping[str, Table]) -> Section:
     )
     figure = Figure(
         drawing=budget_bars(result),
-        caption="Bars: predicted by geometry and by the covariances of the fits. Marks: measured, with one standard "
-        "deviation. Dashed: the document.",
+        caption="Bars: predicted by geometry, with the noise of sun sensor and pictures. Marks: measured, with one "
+        "standard deviation. Dashed: the document.",
     )
     return Section(
         title="The error budget, term by term",

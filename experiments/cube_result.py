@@ -142,7 +142,7 @@ def criteria(result: Result) -> list[Criterion]:
     for row in result.budget:
         found.append(
             Criterion(
-                name=f"predicted / measured, {row.label}: off one by",
+                name=f"predicted / measured − 1, {row.label}",
                 value=abs(row.ratio - 1.0),
                 limit=ratio_limit(row),
             )

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from optics.errors import DomainError
 from optics.records import freeze
 from render.bench_scene import plate_mesh, rectangle_at
-from render.bench_trace import OVERSCAN, phase_points
+from render.bench_trace import OVERSCAN, from_fixed, phase_points, to_fixed
 
 __all__ = ["MaskSensor", "mask_scene", "trace_mask"]
 
@@ -156,10 +156,10 @@ def trace_mask(
     inside = arrived & (column >= 0) & (column < size) & (row >= 0) & (row < size)
     area = np.pi * (OVERSCAN * sensor.hole_mm / 2) ** 2
     weight = dr.abs(ray.d.z) * dr.opaque(mi.Float, area / per_sun / sensor.pitch_mm**2)
-    windows = dr.zeros(mi.Float, count * size_px * size_px)
+    windows = dr.zeros(mi.UInt64, count * size_px * size_px)
     target = (mi.Int32(which) * size + row) * size + column
-    dr.scatter_reduce(dr.ReduceOp.Add, windows, weight, mi.UInt32(target), inside)
-    return np.array(windows, dtype=np.float32).reshape(count, size_px, size_px)
+    dr.scatter_reduce(dr.ReduceOp.Add, windows, to_fixed(mi, weight), mi.UInt32(target), inside)
+    return from_fixed(windows).reshape(count, size_px, size_px)
 
 
 def _rays(

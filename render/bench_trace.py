@@ -31,6 +31,7 @@ FloatArray = NDArray[np.float64]
 
 OVERSCAN = 1.03
 SEGMENTS = 2  # simulator to face (or sheet), face to screen
+FIXED = 2.0**40
 STEP_MM = 0.05
 LOG2_LIMITS = (8, 24)
 
@@ -162,6 +163,16 @@ def _beam(mi: Any, geometry: BenchGeometry, log2_particles: int, seed: int, *, i
     return mi.Ray3f(origin, direction)
 
 
+def to_fixed(types: Any, light: Any) -> Any:
+    """Light as whole multiples of 2^-40: sums of integers do not depend on the order in which threads add."""
+    return types.UInt64(types.Float64(light) * FIXED)
+
+
+def from_fixed(total: Any) -> NDArray[np.float32]:
+    """The light in a sum of `to_fixed`."""
+    return (np.array(total).astype(np.float64) / FIXED).astype(np.float32)
+
+
 def continued(mi: Any, hit: Any, sample: Any) -> Any:
     """Ray on from a hit, started a little way *along* itself.
 
@@ -253,7 +264,7 @@ def trace_screen(
     ray = _beam(mi, geometry, log2_particles, seed, inner_mm=inner_mm)
     area = np.pi * (OVERSCAN * geometry.aperture_mm / 2) ** 2
     pixels = camera.width_px * camera.height_px
-    image = dr.zeros(mi.Float, pixels)
+    image = dr.zeros(mi.UInt64, pixels)
     throughput = dr.opaque(mi.Float, area * pixels / (1 << log2_particles)) * dr.abs(ray.d.z)
     context, middle, active = mi.BSDFContext(), mi.Point2f(0.5), mi.Bool(True)
     for segment in range(1 if covered else SEGMENTS):
@@ -267,7 +278,7 @@ def trace_screen(
             active &= mi.has_flag(sample.sampled_type, mi.BSDFFlags.DeltaReflection)
             throughput = throughput * weight[0]
             ray = continued(mi, hit, sample)
-    return np.array(image, dtype=np.float32).reshape(camera.height_px, camera.width_px)
+    return from_fixed(image).reshape(camera.height_px, camera.width_px)
 
 
 def _connect(
@@ -289,4 +300,4 @@ def _connect(
     column, row = mi.UInt32(toward.uv.x), mi.UInt32(toward.uv.y)
     seen &= (column < camera.width_px) & (row < camera.height_px)
     light = dr.select(seen, throughput * scattered * importance[0], 0.0)
-    dr.scatter_reduce(dr.ReduceOp.Add, image, light, row * camera.width_px + column, seen)
+    dr.scatter_reduce(dr.ReduceOp.Add, image, to_fixed(mi, light), row * camera.width_px + column, seen)
