@@ -190,7 +190,7 @@ def test_mostly_wrong_matches_are_refused(scenes, scene, method, part):
 
 @pytest.mark.slow
 def test_sparse_frames_cannot_tell_wrong_stars(scenes):
-    """15 pairs of stars have 7 degrees of freedom: three wrong stars are too many, even if a fit without them exists."""
+    """15 pairs of stars have 7 degrees of freedom: three wrong stars are too many, although a fit exists."""
     for seed in range(8):
         scene = scenes.make_scene(seed=seed, frames=15, stars=2)
         observed, _ = scene.with_wrong_matches(0.1, np.random.default_rng(seed))
