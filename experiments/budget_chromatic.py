@@ -26,6 +26,9 @@ __all__ = ["ChromaticTerm", "measure_chromatic", "predict_chromatic"]
 
 FloatArray = NDArray[np.float64]
 
+ROUNDING_PX = 1e-6
+"""Below this a traced mean is rounding, and the statistic is zero."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChromaticTerm:
@@ -63,6 +66,7 @@ class ChromaticTerm:
         """
         names = self.largest() if pairs is None else pairs
         size = [abs(float(self.table1_px[name][axis])) for axis, name in enumerate(names)]
+        size = [value if value > ROUNDING_PX else 0.0 for value in size]
         spread = [float(self.sigma_px[name][axis]) for axis, name in enumerate(names)]
         return Value(
             arcsec=np.array(size) * self.pixel_arcsec,

@@ -35,7 +35,7 @@ def criteria(result: Result) -> list[Criterion]:
         for axis, letter in enumerate("xy"):
             if not np.isfinite(ratio[axis]):
                 continue
-            own = max(limit, 3.0 * float(spread[axis]))
+            own = max(limit, float(f"{3.0 * float(spread[axis]):.2g}"))
             found.append(
                 Criterion(
                     name=f"{name} {letter}: predicted / measured, off 1 by", value=abs(ratio[axis] - 1.0), limit=own
@@ -48,7 +48,7 @@ def criteria(result: Result) -> list[Criterion]:
             Criterion(
                 name=f"{name}: predicted minus measured, x and y, largest",
                 value=float(np.abs(pulls).max()),
-                limit=_limit(count),
+                limit=round(_limit(count), 2),
                 unit="sigma",
             )
         )
@@ -62,7 +62,7 @@ def _others(result: Result) -> list[Criterion]:
         Criterion(
             name="built lenses: scatter of the chromatic entries against the sum of sensitivities, relative",
             value=float(apart.max()),
-            limit=max(_limit(apart.size) * tolerance.spread_uncertainty, 0.05),
+            limit=round(max(_limit(apart.size) * tolerance.spread_uncertainty, 0.05), 3),
         ),
         Criterion(
             name="document: total by eq. 31-32 from the printed terms against the printed total",

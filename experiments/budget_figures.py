@@ -47,7 +47,7 @@ def budget_bars(result: Result) -> Figure:
         panel.set_xticks(place, [name.replace("LSFE-", "LSFE\n") for name in SHOWN])
         panel.set_title(letter)
         panel.grid(visible=False, axis="x")
-    axes[0].set_ylabel("3σ [″]")
+    axes[0].set(ylabel="3σ [″]", ylim=(0, None))
     axes[0].legend(loc="upper left")
     return figure
 
@@ -98,7 +98,7 @@ def cause_bars(result: Result) -> Figure:
     panel.invert_yaxis()
     panel.grid(visible=False, axis="y")
     panel.set(xlabel="3σ [″]; dashed: all of them", xlim=(0, None))
-    panel.legend(loc="lower right")
+    panel.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return figure
 
 
@@ -119,10 +119,11 @@ def attitude_curves(result: Result) -> Figure:
             panel.plot(study.counts, curve[:, column], marker=MARKERS[k], color=PALETTE[k], label=READING_LABELS[name])
         panel.axvline(study.stars, color="#c9cdd3", linewidth=0.8)
         panel.set(xscale="log", yscale="log", title=title, xlabel="stars N")
-        panel.set_xticks(study.counts[::2], [str(int(n)) for n in study.counts[::2]])
-        ticks = panel.get_yticks()
-        panel.minorticks_off()
-        del ticks
+        shown = [int(n) for n in study.counts if int(str(n)[0]) in (2, 5, 1) and n not in (15,)]
+        panel.set_xticks(shown, [str(n) for n in shown])
+        panel.xaxis.set_minor_formatter("")
+        panel.yaxis.set_major_formatter("{x:g}")
+        panel.yaxis.set_minor_formatter("")
     axes[0].set_ylabel("attitude error, 3σ [″]")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4)
@@ -142,5 +143,5 @@ def layout_bars(result: Result) -> Figure:
     panel.invert_yaxis()
     panel.grid(visible=False, axis="y")
     panel.set(xlabel=f"error / (total / √{study.stars})")
-    panel.legend(loc="lower right")
+    panel.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return figure

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 from scipy.stats import norm
 
 from experiments.budget_combine import TERMS
@@ -46,6 +48,7 @@ def sweep_curves(result: Result) -> Figure:
         if here is not None and x.min() <= here <= x.max():
             panel.axvline(here, color="#8a9099", linewidth=0.8, linestyle=":")
         panel.set(title=letter, xlabel=sweep.key)
+        panel.xaxis.set_major_locator(MaxNLocator(5))
     axes[0].set(ylabel="3σ [″]", ylim=(0, None))
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5)
@@ -57,7 +60,7 @@ def tornado_chart(result: Result) -> Figure:
     tornado = result.tornado
     assert tornado is not None
     names = [f"{swing.label}" for swing in tornado.swings]
-    figure, axes = new_figure(1, 2, aspect_ratio=0.12 + 0.034 * len(names), sharey=True, sharex=True)
+    figure, axes = new_figure(1, 2, aspect_ratio=0.16 + 0.034 * len(names), sharey=True, sharex=True)
     place = np.arange(len(names))
     for axis, (panel, letter) in enumerate(zip(axes, "xy", strict=True)):
         change = np.stack([swing.change("total", tornado.base)[:, axis] for swing in tornado.swings])
@@ -70,9 +73,8 @@ def tornado_chart(result: Result) -> Figure:
         panel.grid(visible=False, axis="y")
         panel.set(title=f"{letter}: total {tornado.base.total.arcsec[axis]:.3f}″", xlabel="change of the total, 3σ [″]")
     axes[0].invert_yaxis()
-    axes[1].barh([0], [0], color=PALETTE[5], label="parameter lower")
-    axes[1].barh([0], [0], color=PALETTE[1], label="parameter higher")
-    axes[1].legend(loc="lower right")
+    ends = [Patch(color=PALETTE[5], label="parameter lower"), Patch(color=PALETTE[1], label="parameter higher")]
+    figure.legend(handles=ends, loc="outside lower center", ncols=2)
     return figure
 
 

@@ -11,7 +11,7 @@ from experiments.budget_evaluate import as_measured
 from experiments.budget_figures import attitude_curves, budget_bars, cause_bars, layout_bars, share_bars
 from experiments.budget_figures_more import element_map, sweep_curves, tolerance_histograms, tornado_chart
 from experiments.budget_result import Result
-from experiments.budget_tables import all_tables
+from experiments.budget_tables import all_tables, sweep_in_short
 from experiments.report import Equation, Figure, KeyNumber, Report, Row, Section, Table, Text
 
 __all__ = ["build_report"]
@@ -29,6 +29,7 @@ def _pair(values: object, digits: int = 2) -> str:
 
 def _how(result: Result) -> str:
     config, lab = result.config, result.lab
+    places = f"{config.steps.places} places" if config.steps.places > 1 else "one place"
     return (
         "**Predicted** uses no frames: noise carried through the centroider's influence function on traced PSFs "
         "(TE), S-curve by PSF sampling and patterns by influence functions (HSFE), ray trace (chromatic), the "
@@ -39,7 +40,7 @@ def _how(result: Result) -> str:
         "HSFE is the document's number, eq. 11-12: an RMS of *differences* of positions that holds the averaged noise "
         "of both. The table of parts has the error of one position. C1 is what the cubic polynomial *removes* from "
         f"residuals against *{config.grid.reference}* coordinates (eq. 29-30); what it leaves stands beside it. "
-        f"HSFE is the RMS over {config.steps.places} places of the field and C1 that over {config.grid.surveys} "
+        f"HSFE is the RMS over {places} of the field and C1 that over {config.grid.surveys} "
         "surveys of the target, because one path of the platform and one survey are each a single draw."
     )
 
@@ -74,7 +75,7 @@ def _tuned_text(result: Result) -> str:
     if result.config.published_within_fraction is None:
         return (
             "Settings that differ from the defaults are listed so that a budget can be repeated. "
-            "`--config acc18_tuned` runs an instrument tuned to the published values."
+            "*--config acc18_tuned* runs an instrument tuned to the published values."
         )
     moved, source = result.config.moved, result.config.source
     budget = result.measured.budget
@@ -89,7 +90,7 @@ def _tuned_text(result: Result) -> str:
         f"centroider that thresholds (*{result.config.centroid}*) on a spot "
         f"{result.config.instrument.defocus_mm * 1e3:+.0f} µm from the nominal focal plane, whose S-curve makes HSFE; "
         f"{moved.element} decentred by {decentre:.0f} µm, which makes the chromatic term. Measured in x and y "
-        f"(published): {parts}. Found by `python -m experiments.budget_tune` from predictions alone.\n\n"
+        f"(published): {parts}. Found by *python -m experiments.budget_tune* from predictions alone.\n\n"
         "This is *an* instrument with the published budget, not *the* instrument: the document states no signal, no "
         "focus and no lens, and other combinations do as well. PRNU was no lever: at these signals a percent of it "
         "is lost in the noise."
@@ -181,7 +182,10 @@ def _beyond(result: Result, every: Mapping[str, Table]) -> list[Section]:
             caption=f"The budget against {result.sweep.key}; dotted: the value of this run.",
         )
         sections.append(
-            Section(title=f"What if: {result.sweep.key}", blocks=(drawing, Text(_sweep_text(result)), every["sweep"]))
+            Section(
+                title=f"What if: {result.sweep.key}",
+                blocks=(drawing, Text(_sweep_text(result)), sweep_in_short(result)),
+            )
         )
     if result.tornado is not None and result.tornado.swings:
         chart = Figure(

@@ -1,8 +1,8 @@
 """The budget against a parameter, and the sensitivities of all of them, by prediction.
 
 Many settings are predicted, so each is made cheaper than the one of the main table: a target of 3 x 3 points over the
-same area, half the positions of the step test on an ideal platform, fewer draws, the same ones everywhere. The star mean that eq. 8
-removes takes 1/W of an independent error; the pixel term is scaled from W = 9 to the target's own.
+same area, half the positions of the step test on an ideal platform, fewer draws, and the same ones everywhere. The star
+mean that eq. 8 removes takes 1/W of an independent error; the pixel term is scaled from W = 9 to the target's own.
 
 Where a spot outgrows the window, the window is widened until it holds the light; the table says to what.
 """

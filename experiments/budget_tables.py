@@ -13,7 +13,7 @@ from experiments.budget_result import Result
 from experiments.summary import Measured
 from experiments.tables import Cell, Column, Table
 
-__all__ = ["all_tables"]
+__all__ = ["all_tables", "sweep_in_short"]
 
 LABELS = {
     "TE": "TE",
@@ -173,6 +173,34 @@ def _sweep(result: Result) -> Table:
     return Table(columns=columns, rows=rows, caption=f"The budget against {result.sweep.key}, predicted, 3 sigma.")
 
 
+def sweep_in_short(result: Result) -> Table:
+    """The sweep with x and y in one cell, for the report."""
+    assert result.sweep is not None
+    names = (*TERMS[:-1], "total")
+    rows: list[tuple[Cell, ...]] = []
+    for one in result.sweep.settings:
+        row: list[Cell] = [float(one.value), one.window_px]
+        for name in names:
+            row.append("–" if one.predicted is None else _both(one.predicted[name].arcsec))
+        if result.config.sweep_measured:
+            row.append("–" if one.measured is None else _both(one.measured.budget.total.arcsec))
+        rows.append(tuple(row))
+    columns = [Column(name=result.sweep.key, format=".5g"), Column(name="Window", unit="px")]
+    columns += [Column(name=name, unit="″") for name in names]
+    if result.config.sweep_measured:
+        columns.append(Column(name="total, measured", unit="″"))
+    return Table(
+        columns=columns,
+        rows=rows,
+        caption=f"The budget against {result.sweep.key}, predicted, 3 sigma, x and y.",
+        note="A dash: refused, see the text. Full precision in sweep.ecsv.",
+    )
+
+
+def _both(values: Any) -> str:
+    return f"{float(values[0]):.3f}, {float(values[1]):.3f}"
+
+
 def _tornado(result: Result) -> Table:
     assert result.tornado is not None
     rows: list[tuple[Cell, ...]] = []
@@ -187,10 +215,10 @@ def _tornado(result: Result) -> Table:
             "Unit",
             Column(name="Low", format=".5g"),
             Column(name="High", format=".5g"),
-            _arcsec("Total x at low", "x_low_arcsec", "+.4f"),
-            _arcsec("Total x at high", "x_high_arcsec", "+.4f"),
-            _arcsec("Total y at low", "y_low_arcsec", "+.4f"),
-            _arcsec("Total y at high", "y_high_arcsec", "+.4f"),
+            _arcsec("x, low", "x_low_arcsec", "+.4f"),
+            _arcsec("x, high", "x_high_arcsec", "+.4f"),
+            _arcsec("y, low", "y_low_arcsec", "+.4f"),
+            _arcsec("y, high", "y_high_arcsec", "+.4f"),
         ),
         rows=rows,
         caption="Change of the predicted total, 3 sigma, when one parameter moves by its tolerance.",
@@ -202,9 +230,9 @@ def _tolerances(result: Result) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for label, values, design in (
         ("LSFE-S, chromatic", built.chromatic_arcsec, built.design_arcsec["chromatic"]),
-        ("distortion residual after calibration", built.distortion_arcsec, built.design_arcsec["distortion"]),
+        ("distortion, calibrated", built.distortion_arcsec, built.design_arcsec["distortion"]),
         ("both", built.lsfe_arcsec, np.hypot(built.design_arcsec["chromatic"], built.design_arcsec["distortion"])),
-        ("distortion if not calibrated again", built.uncalibrated_arcsec, np.zeros(2)),
+        ("distortion, moved after calibration", built.uncalibrated_arcsec, np.zeros(2)),
     ):
         for axis, letter in enumerate("xy"):
             quantiles = [float(v) for v in np.percentile(values[:, axis], [50, 90, 95, 99])]
@@ -214,10 +242,10 @@ def _tolerances(result: Result) -> Table:
             "Error",
             "Axis",
             _arcsec("Design", "design_arcsec", ".3f"),
-            *(_arcsec(f"{p} % of lenses below", f"p{p}_arcsec", ".3f") for p in (50, 90, 95, 99)),
+            *(_arcsec(f"{p} %", f"p{p}_arcsec", ".3f") for p in (50, 90, 95, 99)),
         ),
         rows=rows,
-        caption=f"{len(built.chromatic_arcsec)} lenses as built, 3 sigma.",
+        caption=f"{len(built.chromatic_arcsec)} lenses as built: the error that so many of them stay below, 3 sigma.",
         note=f"{built.lost} lenses were left out. One sigma of every element: decentre "
         f"{result.config.tolerances.decentre_um:g} µm and tilt {result.config.tolerances.tilt_arcmin:g} arcmin per "
         f"axis, despace {result.config.tolerances.despace_um:g} µm.",
@@ -288,6 +316,8 @@ def _changed(result: Result) -> Table:
 
 
 def _text(value: object) -> str:
+    if isinstance(value, tuple | list) and len(value) > 4:
+        return f"{len(value)} values"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
