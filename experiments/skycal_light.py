@@ -31,6 +31,8 @@ EDGE_FRACTION = 0.012
 """The chart ends this part of the longer side inside the detector, so that its traced points stay on it."""
 COLOURS = 5
 """Classes of temperature for which PSFs are rendered when every star gets one of its own colour."""
+NODES = 3
+"""PSFs along each axis between which a star's own is interpolated."""
 OVERSAMPLING = 4
 """Of the PSFs; against twice as many samples it moves a fit by some 1e-3 px where spots are sharpest."""
 
@@ -141,38 +143,54 @@ class PsfBank:
     rows: int
     size_px: tuple[int, int]
 
-    def corners(self, x_px: FloatArray, y_px: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
-        """The PSFs around each place (n, 4), the nearest one first, and their bilinear weights (n, 4)."""
+    def neighbours(self, x_px: FloatArray, y_px: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+        """The PSFs around each place (n, k), the one of largest weight first, and their weights (n, k).
+
+        Three nodes along each axis, or as many as there are, with the weights of Lagrange's interpolation.
+        """
         cell, part = [], []
         for place, count, size in zip((x_px, y_px), (self.columns, self.rows), self.size_px, strict=True):
+            order = min(NODES, count)
             at = np.clip((place + 0.5) / size * (count - 1), 0.0, count - 1)
-            low = np.minimum(at.astype(np.int64), max(count - 2, 0))
-            cell.append(np.stack([low, np.minimum(low + 1, count - 1)]))
-            part.append(np.stack([1.0 - (at - low), at - low]))
-        index = np.stack([cell[1][i] * self.columns + cell[0][j] for i in (0, 1) for j in (0, 1)], axis=1)
-        weight = np.stack([part[1][i] * part[0][j] for i in (0, 1) for j in (0, 1)], axis=1)
-        order = np.argsort(-weight, axis=1, kind="stable")
-        return np.take_along_axis(index, order, 1), np.take_along_axis(weight, order, 1)
+            first = np.clip(np.rint(at).astype(np.int64) - order // 2, 0, count - order)
+            nodes = first[:, None] + np.arange(order)
+            cell.append(nodes)
+            part.append(_lagrange(at, nodes))
+        index = (cell[1][:, :, None] * self.columns + cell[0][:, None, :]).reshape(len(x_px), -1)
+        weight = (part[1][:, :, None] * part[0][:, None, :]).reshape(len(x_px), -1)
+        ranks = np.argsort(-weight, axis=1, kind="stable")
+        return np.take_along_axis(index, ranks, 1), np.take_along_axis(weight, ranks, 1)
 
     def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
         """Centroids with the PSF of each star's place.
 
-        A small change of the PSF moves the fit in proportion to it, so that the mean of the positions found with the
-        PSFs of the four corners, weighted bilinearly, is the position that the interpolated PSF would give.
+        A small change of the PSF moves the fit in proportion to it, so that the positions found with the PSFs around a
+        star, weighted as one would weight the PSFs themselves, give the position that the interpolated PSF would give.
+        The fits share their noise: the weights, some of them negative, do not raise it.
         """
         centroider = get_centroider("epsf", epsf=self.psfs)
-        index, weight = self.corners(stamps.start_px[:, 0], stamps.start_px[:, 1])
+        index, weight = self.neighbours(stamps.start_px[:, 0], stamps.start_px[:, 1])
         first = centroider.measure(replace(stamps, psf_index=index[:, 0]), noise)
         start = np.column_stack([first.x_px, first.y_px])
         start = np.where(np.isfinite(start), start, stamps.start_px)
         x, y, flux = (weight[:, 0] * value for value in (first.x_px, first.y_px, first.flux_e))
         flags = first.flags
-        for corner in (1, 2, 3):
-            table = centroider.measure(replace(stamps, psf_index=index[:, corner], start_px=start), noise)
-            share = weight[:, corner]
+        for rank in range(1, index.shape[1]):
+            table = centroider.measure(replace(stamps, psf_index=index[:, rank], start_px=start), noise)
+            share = weight[:, rank]
             x, y, flux = x + share * table.x_px, y + share * table.y_px, flux + share * table.flux_e
-            flags = flags | np.where(share > 0, table.flags, 0).astype(np.uint32)
+            flags = flags | table.flags
         return replace(first, x_px=x, y_px=y, flux_e=flux, flags=flags)
+
+
+def _lagrange(at: FloatArray, nodes: NDArray[np.int64]) -> FloatArray:
+    """Weights (n, k) of values at whole-numbered nodes (n, k) for the places ``at`` (n,)."""
+    weight = np.ones(nodes.shape)
+    for i in range(nodes.shape[1]):
+        for j in range(nodes.shape[1]):
+            if i != j:
+                weight[:, i] *= (at - nodes[:, j]) / (nodes[:, i] - nodes[:, j])
+    return weight
 
 
 class BankRenderer:

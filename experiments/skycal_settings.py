@@ -151,7 +151,7 @@ class Config(ExperimentConfig):
         window_px=1862,
         faintest_mag=6.5,
         background_e_per_s=6.0,
-        psf_spacing_px=120.0,
+        psf_spacing_px=140.0,
     )
     sky: SkyConfig = SkyConfig()
     motion: MotionConfig = MotionConfig()
