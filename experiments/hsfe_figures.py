@@ -29,7 +29,7 @@ def step_path_plot(result: Result) -> Figure:
     origin = np.floor(asked.min(0) + 0.5)
     figure, axis = new_figure(width="half", aspect_ratio=1.0)
     axis.plot(
-        *(asked - origin).T, "-", color="#c3c8ce", linewidth=1.0, marker="o", markersize=6, markerfacecolor="white"
+        *(asked - origin).T, "-", color=PALETTE[1], linewidth=1.0, marker="o", markersize=6, markerfacecolor="white"
     )
     axis.plot(*(gone - origin).T, "-", color=PALETTE[0], linewidth=1.0, marker="o")
     reach = np.concatenate([gone, asked]) - origin
