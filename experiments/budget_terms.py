@@ -22,7 +22,7 @@ from experiments.laboratory.distortion_error import measure_distortion
 from experiments.laboratory.distortion_model import predict_distortion
 from experiments.laboratory.hexapod import Hexapod
 from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
-from experiments.laboratory.high_frequency_model import MethodPrediction, predict_high_frequency
+from experiments.laboratory.high_frequency_model import predict_high_frequency
 from experiments.laboratory.point_scene import PointScene, point_scene
 from experiments.laboratory.points import nominal_px
 from experiments.laboratory.step_statistics import document_rms_px
@@ -190,27 +190,16 @@ def predict_terms(
     bench, instrument, seed = lab.bench, lab.instrument, lab.config.seed
     method, scale = bench.methods[0], 3.0 * instrument.pixel_arcsec
     place = target_place(bench, instrument)
-    psf = psfs.of(lab, bench, "middle", place)
+    psf = psfs.of(lab, bench, "place 0", place)
     temporal = predict_temporal(bench, instrument, psf=psf, draws=draws, seed=seed)
     te = Value(arcsec=temporal.sampled_te_arcsec(method), uncertainty_arcsec=temporal.te_uncertainty_arcsec(method))
-    steps = predict_high_frequency(
-        bench,
-        instrument,
-        step_plan(lab),
-        psf=psf,
-        hexapod=None if ideal_platform else platform(lab),
-        draws=step_draws,
-        seed=seed,
-    ).method[method]
-    roll, roll_scatter = _roll_px(lab, place)
-    hsfe = np.hypot(steps.document_px, roll)
-    of_hsfe = np.hypot(steps.document_px * steps.scatter_px, roll * roll_scatter) / np.maximum(hsfe, 1e-300)
+    hsfe, causes, single = _predicted_steps(lab, psfs, step_draws, ideal_platform=ideal_platform)
     chromatic = psfs.once(lab, lab.filtered, "chromatic", lambda: predict_chromatic(mi, lab))
     found, scatter = _predicted_distortion(lab, psfs, draws, seed)
     budget = combine(
         {
             "TE": te,
-            "HSFE": Value(arcsec=hsfe * scale, uncertainty_arcsec=of_hsfe * scale / np.sqrt(lab.config.steps.places)),
+            "HSFE": hsfe,
             "LSFE-S": chromatic.value(),
             "LSFE-C1": Value(arcsec=found[2] * scale, uncertainty_arcsec=scatter[2] * scale / np.sqrt(draws)),
             "LSFE-C2": marking(lab),
@@ -220,8 +209,8 @@ def predict_terms(
     return PredictedTerms(
         budget=budget,
         bound_te_arcsec=temporal.bound_te_arcsec(),
-        causes_arcsec=_causes(steps, roll, scale),
-        single_arcsec=steps.single_px * scale,
+        causes_arcsec=causes,
+        single_arcsec=single,
         left_arcsec=found[1] * scale,
         found_arcsec=found[0] * scale,
         chromatic=chromatic,
@@ -234,11 +223,43 @@ def marking(lab: Laboratory) -> Value:
     return Value(arcsec=np.full(2, lab.config.marking_arcsec))
 
 
-def _causes(steps: MethodPrediction, roll_px: FloatArray, scale: float) -> dict[str, FloatArray]:
-    named = {"S-curve": "s_curve", "PRNU": "prnu", "offset pattern": "pattern", "defects": "defects"}
-    causes = {label: np.asarray(steps.cause_px[key]) * scale for label, key in named.items()}
-    noise = np.hypot(steps.temporal_px, steps.dark_px)
-    return {**causes, "averaged noise": noise * scale, "roll of the platform": roll_px * scale}
+def _predicted_steps(
+    lab: Laboratory, psfs: Psfs, draws: int, *, ideal_platform: bool
+) -> tuple[Value, dict[str, FloatArray], FloatArray]:
+    """HSFE, its causes and the error of one position: RMS over the places of the test (the first for equal steps)."""
+    bench, instrument = lab.bench, lab.instrument
+    method, scale = bench.methods[0], 3.0 * instrument.pixel_arcsec
+    places = places_px(lab)[: 1 if ideal_platform else None]
+    found, rolls, scatters = [], [], []
+    for number, middle in enumerate(places):
+        direction = target_place(bench, instrument, middle.tolist())
+        one = predict_high_frequency(
+            bench,
+            instrument,
+            step_plan(lab),
+            psf=psfs.of(lab, bench, f"place {number}", direction),
+            hexapod=None if ideal_platform else platform(lab),
+            place_px=middle.tolist(),
+            draws=draws,
+            seed=lab.config.seed + number,
+        ).method[method]
+        roll, roll_scatter = _roll_px(lab, direction)
+        found.append(one)
+        rolls.append(roll)
+        scatters.append(np.hypot(one.document_px * one.scatter_px, roll * roll_scatter))
+    parts = {label: [getattr(one, name) for one in found] for label, name in _STEP_PARTS.items()}
+    parts |= {label: [one.cause_px[key] for one in found] for label, key in _CAUSES.items()}
+    parts |= {"noise": [np.hypot(one.temporal_px, one.dark_px) for one in found], "roll": rolls}
+    mean = {label: np.sqrt(np.mean(np.square(values), axis=0)) for label, values in parts.items()}
+    whole = np.hypot(mean["document"], mean["roll"])
+    spread = np.sqrt(np.square(scatters).sum(0)) / len(places) / np.maximum(whole, 1e-300)
+    causes = {label: mean[label] * scale for label in _CAUSES}
+    causes |= {"averaged noise": mean["noise"] * scale, "roll of the platform": mean["roll"] * scale}
+    return Value(arcsec=whole * scale, uncertainty_arcsec=spread * scale), causes, mean["single"] * scale
+
+
+_STEP_PARTS = {"document": "document_px", "single": "single_px"}
+_CAUSES = {"S-curve": "s_curve", "PRNU": "prnu", "offset pattern": "pattern", "defects": "defects"}
 
 
 def _roll_px(lab: Laboratory, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -337,7 +358,9 @@ def measure_terms(
             "LSFE-S": chromatic.value(),
             "LSFE-C1": Value(
                 arcsec=found[2],
-                uncertainty_arcsec=spread[2] / np.sqrt(len(every)),
+                uncertainty_arcsec=np.hypot(
+                    spread[2] / np.sqrt(len(every)), found[2] * _frozen(lab, distortion.sigma_px[method])
+                ),
                 n=len(every) * grid.rows * grid.columns,
             ),
             "LSFE-C2": marking(lab),
@@ -354,6 +377,18 @@ def measure_terms(
         places_arcsec=places,
         chromatic=chromatic,
     )
+
+
+def _frozen(lab: Laboratory, sigma_px: FloatArray) -> FloatArray:
+    """Relative uncertainty (2,) of C1 by the frames, which all surveys share.
+
+    The polynomial takes the same share of centroid noise as of marking errors; noise of k coefficients has a relative
+    scatter of sqrt(2 / k) in its square, and half of that in its root.
+    """
+    terms = (lab.config.grid.order + 1) * (lab.config.grid.order + 2) / 2
+    noise = (sigma_px**2).mean(0) * (1.0 / lab.config.frames + 1.0 / lab.config.dark_frames)
+    marked = (lab.config.marking_arcsec / 3.0 / lab.instrument.pixel_arcsec) ** 2
+    return np.asarray(0.5 * np.sqrt(2.0 / terms) * noise / (noise + marked))
 
 
 def steps_of(lab: Laboratory) -> int:
