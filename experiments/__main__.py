@@ -43,8 +43,12 @@ def _is_main(statement: ast.stmt) -> bool:
 
 
 def main(argv: list[str]) -> int:
-    """List the experiments; with ``--names`` the bare names, one per line."""
+    """List the experiments; with ``--names`` the bare names, one per line; with ``--all`` run them all."""
     found = experiments()
+    if "--all" in argv:
+        from experiments.together import run_all
+
+        return run_all([word for word in argv if word != "--all"], found)
     if argv == ["--names"]:
         sys.stdout.writelines(f"{name}\n" for name in found)
         return 0
@@ -52,7 +56,8 @@ def main(argv: list[str]) -> int:
         hint = f"run python -m experiments.{argv[0]}" if argv[0] in found else "run python -m experiments.NAME"
         print(f"error: {argv[0]!r} is not understood here; {hint}", file=sys.stderr)
         return 2
-    print("Run one with: python -m experiments.NAME [--quick] [--out DIR] (--help tells the rest)\n")
+    print("Run one with:  python -m experiments.NAME [--quick] [--out DIR]   (--help tells the rest)")
+    print("or all with:   python -m experiments --all [--quick] [--out DIR]\n")
     width = max(map(len, found), default=0)
     for name, line in found.items():
         print(f"  {name:<{width}}  {line}")
