@@ -74,6 +74,7 @@ def run(config: Config, *, progress: Progress) -> Result:
             config.same_data.sides,
             config.same_data.runs,
             streams,
+            rolls_rad=[float(v) for v in np.radians(config.table.rolls_deg)],
             advance=stage.advance,
         )
     with progress.stage("limits"):

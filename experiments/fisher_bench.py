@@ -36,7 +36,8 @@ from experiments.fisher_predict import (
 from experiments.fisher_reduce import Evaluation, calibrated_bench, evaluate, expected_px
 from experiments.fisher_settings import Config
 from experiments.instrument import Instrument
-from experiments.laboratory.collimator import SingleStar
+from experiments.laboratory.collimator import SingleStar, star_direction
+from experiments.laboratory.turntable import Turntable
 from experiments.progress import Progress
 from experiments.turntable_bench import Bench
 from experiments.turntable_bound import reading_covariance_px2
@@ -51,7 +52,14 @@ from experiments.turntable_measure import (
     grid_px,
     measure,
 )
-from experiments.turntable_reduce import Data, check_count, check_fit, check_parity, reduce_data, start_model
+from experiments.turntable_reduce import (
+    LARGEST_REDUCED_CHI2,
+    Data,
+    check_count,
+    check_parity,
+    reduce_data,
+    start_model,
+)
 from experiments.turntable_settings import Config as TurntableConfig
 from experiments.turntable_settings import GridConfig
 from optics.errors import ConfigError, DomainError
@@ -186,6 +194,11 @@ def prepare(config: Config) -> Instrument:
 
     axes = len(build_table(config.table).axis)
     check_table("table", config.table, axes)
+    if axes == 3 and len({round(roll % 360.0, 6) for roll in config.table.rolls_deg}) < 2:
+        raise ConfigError(
+            f"table.rolls_deg = {list(config.table.rolls_deg)}: a third axis that does not move says nothing about its "
+            "angle to the second; give at least two angles, or take two axes"
+        )
     bench_config = turntable_config(config)
     check_count(config.grid.columns * config.grid.rows, build_table(config.table))
     instrument = camera_under_test(bench_config)
@@ -247,7 +260,7 @@ def run_bench(mi: Any, config: Config, instrument: Instrument, progress: Progres
             advance=stage.advance,
         )
         believed = build_table(config.table).nominal
-        calibration = _calibrate(measurement, believed, instrument, config.frames)
+        calibration = _calibrate(measurement, believed, instrument, config)
         stage.advance()
     model, bench = calibrated_bench(calibration, believed)
     work = _Work(
@@ -272,7 +285,7 @@ def run_bench(mi: Any, config: Config, instrument: Instrument, progress: Progres
         dynamic = work.case("dynamic", motion, psfs)
         stage.advance()
     with progress.stage("same data"):
-        same = _same_data(static.acquisition, believed, instrument, static.predicted.count)
+        same = _same_data(static.acquisition, believed, instrument, _nominal_star(config))
     return BenchRun(
         measurement=measurement,
         calibration=calibration,
@@ -298,29 +311,45 @@ def _resolutions(model: CameraModel, instrument: Instrument) -> dict[str, float]
     }
 
 
-def _calibrate(measurement: Measurement, believed: Any, instrument: Instrument, frames: int) -> Calibration:
+def _calibrate(measurement: Measurement, believed: Turntable, instrument: Instrument, config: Config) -> Calibration:
     data = Data(
         pixel_px=np.array(measurement.readings.position_px),
         covariance_px2=np.array(measurement.readings.covariance_px2),
         reading_rad=np.array(measurement.visits.reading_rad),
     )
-    start, table = start_model(instrument, None), averaged(believed, frames)
-    ahead = np.array([0.0, 0.0, 1.0])
+    start, table = start_model(instrument, None), averaged(believed, config.frames)
+    ahead = _nominal_star(config)
     check_parity(data, table, start, ahead)
     calibration = reduce_data(data, table, start, leans=True, start_star=ahead)
-    check_fit(calibration, "joint calibration (S100)")
+    _check_fit(calibration, "joint calibration (S100)")
     return calibration
 
 
-def _same_data(acquisition: Acquisition, believed: Any, instrument: Instrument, count: int) -> SameData:
-    places = acquisition.places
+def _nominal_star(config: Config) -> FloatArray:
+    """Where the simulator was set up to stand, to whole degrees."""
+    return star_direction(round(config.star.azimuth_deg), round(config.star.elevation_deg))
+
+
+def _check_fit(calibration: Calibration, what: str) -> None:
+    solution = calibration.solution
+    if not (solution.converged and solution.reduced_chi2 <= LARGEST_REDUCED_CHI2):
+        raise DomainError(
+            f"{what}: it ended as {solution.status!r} with residuals of {np.sqrt(solution.reduced_chi2):.3g} times "
+            "their noise; too few places (grid.columns, grid.rows) or too little motion for the unknowns, errors of "
+            "the table that are not in its reading noise (table.encoder_amplitude_arcsec), or a lens that the camera model "
+            "does not describe"
+        )
+
+
+def _same_data(acquisition: Acquisition, believed: Turntable, instrument: Instrument, ahead: FloatArray) -> SameData:
+    places, count = acquisition.places, len(acquisition.places)
     data = Data(
         pixel_px=np.array(acquisition.position_px),
         covariance_px2=np.array(acquisition.covariance_px2),
         reading_rad=np.array(places.reading_rad),
     )
-    calibration = reduce_data(data, believed, start_model(instrument, None), leans=True)
-    check_fit(calibration, "joint calibration with the vectors' own data")
+    calibration = reduce_data(data, believed, start_model(instrument, None), leans=True, start_star=ahead)
+    _check_fit(calibration, "joint calibration with the vectors' own data")
     model, bench = calibrated_bench(calibration, believed)
     angle = np.array(places.reading_rad)
     maps = tangent_maps(model, bench, angle)

@@ -184,6 +184,9 @@ def table_plot(result: Result) -> Figure:
         label="Fisher",
     )
     axis.set(xscale="log", yscale="log", xlabel="noise of a reading [arcsec]", ylabel="σ per axis [arcsec]")
+    ticks = [t for t in (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0) if 0.8 * camera <= t <= 1.3 * expected.max()]
+    axis.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    axis.set_xticks(reading, [f"{noise:g}" for noise in reading])
     axis.minorticks_off()
     axis.legend(loc="upper left", fontsize=7.5)
     return figure
@@ -193,7 +196,8 @@ def needed_text(result: Result) -> str:
     """How many vectors it takes to see the bias, at the fields of the sweep that lie nearest 3, 12 and 20 degrees."""
     fields = [p.field_deg for p in result.field_sweep]
     chosen = sorted({min(fields, key=lambda f: abs(f - wanted)) for wanted in (3.0, 12.0, 20.0)})
-    return ", ".join(f"{_round(vectors_needed(closed_form(f) - 1))} at {f:g}°" for f in chosen)
+    words = [f"{_round(vectors_needed(closed_form(f) - 1))} at {f:g}°" for f in chosen]
+    return words[0].replace(" at", " star vectors at") + "".join(f", {word}" for word in words[1:])
 
 
 def _round(value: float) -> str:

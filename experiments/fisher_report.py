@@ -89,8 +89,8 @@ def _estimator_text(result: Result) -> str:
     count = result.bench.cases[0].evaluation.fit.count
     return (
         "1 − R is some 10⁻¹³ here; it is not subtracted but summed from squared chords. Unbiased by the factor n − 1 "
-        "is 1/k, that is σ², not k: k itself comes out too large by (n − 1)/(n − 2). The interval "
-        f"follows from χ²; the deviation of σ is σ/(2√n), so that {count} vectors give it to ±{98 / np.sqrt(count):.1f} % (95 %)."
+        "is 1/k, that is σ², not k: k itself comes out too large by (n − 1)/(n − 2). The interval follows "
+        f"from χ²: σ is known to σ/(2√n), so that {count} vectors give it to ±{98 / np.sqrt(count):.1f} % (95 %)."
     )
 
 
@@ -102,7 +102,7 @@ def _shape_text(result: Result) -> str:
             parts.append(
                 f"The {case.acquisition.name} vectors are not isotropic ({_chance(found.p_value)}): their ellipse is "
                 f"{found.ratio:.2f} : 1. One k describes its mean square only, and the interval of χ² is too narrow; "
-                "with the degrees of freedom that the vectors themselves show it is honest again"
+                "with the degrees of freedom that the vectors themselves show it is wider"
             )
         else:
             parts.append(f"The {case.acquisition.name} vectors pass the test of isotropy (p = {found.p_value:.2f})")
@@ -159,7 +159,7 @@ def _field(result: Result, every: Mapping[str, Table]) -> Section:
         "The usual method takes the standard deviation of the pixel residuals times one angle per pixel. It sees "
         "angles stretched towards the edge, by (1 + t²) along the radius and √(1 + t²) across it. The bias is real and "
         "as computed, and small beside the interval of either method: for the 95 % interval to be as narrow as the "
-        f"bias it takes {needed_text(result)} vectors. What does show is a wrong angle per pixel: it goes into the "
+        f"bias it takes {needed_text(result)}. What does show is a wrong angle per pixel: it goes into the "
         f"result in full. On the rendered bench the pixel method is {excess:+.2f} % off with the calibrated focal "
         f"length and {100 * (sheet - 1):+.1f} % more with the data sheet's. Taking the field over the pixels as the "
         "angle per pixel makes it smaller by tan(a)/a and undoes two thirds of the bias."
@@ -283,7 +283,7 @@ def build_report(result: Result) -> Report:
         verdict=f"One frame gives a star vector to {static.evaluation.sigma_arcsec:.3f}″ per axis at rest and "
         f"{dynamic.evaluation.sigma_arcsec:.3f}″ over a streak of {dynamic.smear_px:.1f} px (predicted "
         f"{static.predicted.sigma_arcsec:.3f}″ and {dynamic.predicted.sigma_arcsec:.3f}″). The bias of the pixel "
-        f"method is as its closed form says; to see it takes {needed_text(result)} star vectors.",
+        f"method is as its closed form says; to see it takes {needed_text(result)}.",
         key_numbers=_key_numbers(result),
         sections=(
             _bench(result),

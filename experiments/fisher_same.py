@@ -93,6 +93,7 @@ def same_data_sweep(
     runs: int,
     streams: Streams,
     *,
+    rolls_rad: Sequence[float] = (0.0,),
     advance: Callable[[], None],
 ) -> list[SamePoint]:
     """Vary the number of places.
@@ -109,12 +110,14 @@ def same_data_sweep(
         Calibrations per point.
     streams : Streams
         Root of the randomness.
+    rolls_rad : sequence of float
+        Angles of a third axis, in turn from place to place.
     advance : callable
         Called after every point.
     """
     points = []
     for side in sides:
-        points.append(_same_point(model, bench, sigma_px, side, runs, streams.child("same data", side)))
+        points.append(_same_point(model, bench, sigma_px, side, runs, rolls_rad, streams.child("same data", side)))
         advance()
     return points
 
@@ -125,8 +128,16 @@ def _places_px(model: CameraModel, side: int) -> FloatArray:
     return np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2) * size - 0.5
 
 
-def _same_point(model: CameraModel, bench: Bench, sigma_px: float, side: int, runs: int, streams: Streams) -> SamePoint:
-    angle = aim(bench, model.unproject(_places_px(model, side)), np.zeros(side * side))
+def _same_point(
+    model: CameraModel,
+    bench: Bench,
+    sigma_px: float,
+    side: int,
+    runs: int,
+    rolls_rad: Sequence[float],
+    streams: Streams,
+) -> SamePoint:
+    angle = aim(bench, model.unproject(_places_px(model, side)), np.resize(rolls_rad, side * side))
     centroid = np.broadcast_to(np.eye(2) * sigma_px**2, (len(angle), 2, 2))
     maps, rows = tangent_maps(model, bench, angle), calibration_of_rows(model, bench, angle)
     noise = centroid + table_covariance_px2(model, bench, angle, Motion())

@@ -181,6 +181,7 @@ def _checks(result: Result) -> Table:
                 judged.tails.statistic,
                 int(judged.outlier.sum()),
                 judged.effective_degrees,
+                case.predicted.satterthwaite,
                 low,
                 high,
             )
@@ -194,6 +195,7 @@ def _checks(result: Result) -> Table:
             Column(name="KS", key="statistic", format=".3f"),
             Column(name="Outliers", key="outliers"),
             Column(name="Own ν", key="effective_degrees", format=".0f"),
+            Column(name="expected", key="expected_degrees", format=".0f"),
             Column(name="95 % from", unit="″", key="low", format=".4f"),
             Column(name="to", unit="″", key="high", format=".4f"),
         ),
@@ -201,7 +203,8 @@ def _checks(result: Result) -> Table:
         caption="Whether the vectors follow the distribution.",
         note="Standard deviations along the axes of the ellipse and the chance p of such an ellipse by Mauchly's test; "
         "modified Kolmogorov statistic of k(1 − cos) against the exponential distribution, refused at 5 % above 1.094; "
-        "degrees of freedom from the scatter of the squared chords themselves, and the interval of σ with them.",
+        "degrees of freedom from the scatter of the squared chords themselves, as expected from covariances, and the "
+        "interval of σ with them.",
     )
 
 
