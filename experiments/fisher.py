@@ -46,10 +46,11 @@ def run(config: Config, *, progress: Progress) -> Result:
     import mitsuba as mi
     import numpy as np
 
-    from experiments.fisher_bench import prepare, run_bench
+    from experiments.fisher_bench import run_bench
     from experiments.fisher_coverage import KINDS, coverage
     from experiments.fisher_field import field_sweep
     from experiments.fisher_limits import digits_sweep, table_sweep
+    from experiments.fisher_prepare import prepare
     from experiments.fisher_result import Result
     from experiments.fisher_same import same_data_sweep
     from experiments.provenance import peak_memory_mb, process_seconds

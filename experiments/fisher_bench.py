@@ -33,6 +33,7 @@ from experiments.fisher_predict import (
     table_covariance_px2,
     tangent_maps,
 )
+from experiments.fisher_prepare import evaluation_px, turntable_config
 from experiments.fisher_reduce import Evaluation, calibrated_bench, evaluate, expected_px
 from experiments.fisher_settings import Config
 from experiments.instrument import Instrument
@@ -47,32 +48,25 @@ from experiments.turntable_measure import (
     build_bench,
     build_star,
     build_table,
-    camera_under_test,
-    check_table,
-    grid_px,
     measure,
 )
 from experiments.turntable_reduce import (
     LARGEST_REDUCED_CHI2,
     Data,
-    check_count,
     check_parity,
     reduce_data,
     start_model,
 )
-from experiments.turntable_settings import Config as TurntableConfig
-from experiments.turntable_settings import GridConfig
-from optics.errors import ConfigError, DomainError
+from optics.errors import DomainError
 from optics.units import RAD_ARCSEC
 from render.forward import StarRenderer
 from render.psf import epsf_tracer
 from render.random import Streams
 
-__all__ = ["BenchRun", "Case", "SameData", "prepare", "run_bench", "turntable_config"]
+__all__ = ["BenchRun", "Case", "SameData", "run_bench"]
 
 FloatArray = NDArray[np.float64]
 
-LONGEST_SMEAR_PX = 40.0
 PATH_PER_PX = 4
 """Instants per pixel of the streak by which a PSF is smeared."""
 EXTRA_PSF_PX = 2
@@ -166,70 +160,6 @@ class BenchRun:
     resolutions_arcsec: Mapping[str, float]
 
 
-def turntable_config(config: Config) -> TurntableConfig:
-    """The same bench for the calibration's own code; the evaluation's star is dimmer."""
-    return TurntableConfig(
-        seed=config.seed,
-        instrument=config.instrument,
-        principal_point_px=config.principal_point_px,
-        installation_deg=config.installation_deg,
-        star=config.star,
-        two_axis=config.table,
-        grid=config.grid,
-        frames=config.frames,
-        dark_frames=config.dark_frames,
-        window_px=config.window_px,
-    )
-
-
-def prepare(config: Config) -> Instrument:
-    """The camera; whatever can be refused without rendering is refused here.
-
-    Raises
-    ------
-    StarbenchError
-        On anything that the user can mend.
-    """
-    from experiments.chromatic_checks import check_wavelengths
-
-    axes = len(build_table(config.table).axis)
-    check_table("table", config.table, axes)
-    if axes == 3 and len({round(roll % 360.0, 6) for roll in config.table.rolls_deg}) < 2:
-        raise ConfigError(
-            f"table.rolls_deg = {list(config.table.rolls_deg)}: a third axis that does not move says nothing about its "
-            "angle to the second; give at least two angles, or take two axes"
-        )
-    bench_config = turntable_config(config)
-    check_count(config.grid.columns * config.grid.rows, build_table(config.table))
-    instrument = camera_under_test(bench_config)
-    grid_px(bench_config, instrument)
-    _evaluation_px(config, instrument)
-    check_wavelengths(instrument, [("star.passband_nm", build_star(bench_config).band)])
-    motion = motion_of(config.dynamic.rate_deg_per_s, config.dynamic.jitter_ms, config.dynamic.samples)
-    if (smear := smear_px(motion, instrument)) > LONGEST_SMEAR_PX:
-        raise ConfigError(
-            f"dynamic.rate_deg_per_s = {config.dynamic.rate_deg_per_s:g} deg/s smears the image over {smear:.0f} px in "
-            f"{config.instrument.exposure_s:g} s; at most {LONGEST_SMEAR_PX:g} px: lower it or instrument.exposure_s"
-        )
-    if config.dynamic.samples < smear:
-        raise ConfigError(
-            f"dynamic.samples = {config.dynamic.samples} for a streak of {smear:.1f} px; at least one per "
-            "pixel is needed"
-        )
-    return instrument
-
-
-def _evaluation_px(config: Config, instrument: Instrument) -> FloatArray:
-    """Places (n, 2) of the evaluation; checked like those of the calibration."""
-    chosen = config.evaluation
-    grid = GridConfig(columns=chosen.columns, rows=chosen.rows, edge_px=chosen.edge_px)
-    try:
-        check_count(chosen.columns * chosen.rows, build_table(config.table))
-        return grid_px(turntable_config(config).model_copy(update={"grid": grid}), instrument)
-    except DomainError as error:
-        raise DomainError(str(error).replace("grid.", "evaluation.")) from None
-
-
 def run_bench(mi: Any, config: Config, instrument: Instrument, progress: Progress) -> BenchRun:
     """Calibrate, acquire at rest and on the move, evaluate.
 
@@ -272,7 +202,7 @@ def run_bench(mi: Any, config: Config, instrument: Instrument, progress: Progres
         calibration=calibration,
         star=replace(build_star(bench_config), signal_e=config.evaluation.signal_e),
         renderer=StarRenderer(instrument.camera, exposure_s=instrument.config.exposure_s),
-        wanted_px=_evaluation_px(config, instrument),
+        wanted_px=evaluation_px(config, instrument),
         streams=streams,
         backend=backend,
     )
@@ -336,8 +266,8 @@ def _check_fit(calibration: Calibration, what: str) -> None:
         raise DomainError(
             f"{what}: it ended as {solution.status!r} with residuals of {np.sqrt(solution.reduced_chi2):.3g} times "
             "their noise; too few places (grid.columns, grid.rows) or too little motion for the unknowns, errors of "
-            "the table that are not in its reading noise (table.encoder_amplitude_arcsec), or a lens that the camera model "
-            "does not describe"
+            "the table that are not in its reading noise (table.encoder_amplitude_arcsec), or a lens that the camera "
+            "model does not describe"
         )
 
 

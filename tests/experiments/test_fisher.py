@@ -12,7 +12,7 @@ import pytest
 
 from experiments.fisher import main
 from experiments.fisher_acquire import merged_nodes, smeared_psfs
-from experiments.fisher_bench import prepare
+from experiments.fisher_prepare import prepare
 from experiments.fisher_settings import Config
 from optics.errors import StarbenchError
 from render.records import EffectivePsf, StarField
