@@ -162,7 +162,7 @@ def _field(result: Result, every: Mapping[str, Table]) -> Section:
         f"bias it takes {needed_text(result)}. What does show is a wrong angle per pixel: it goes into the "
         f"result in full. On the rendered bench the pixel method is {excess:+.2f} % off with the calibrated focal "
         f"length and {100 * (sheet - 1):+.1f} % more with the data sheet's. Taking the field over the pixels as the "
-        "angle per pixel makes it smaller by tan(a)/a and undoes two thirds of the bias."
+        "angle per pixel makes it smaller by tan h / h, h half the field, and undoes two thirds of the bias."
     )
     opposite = (
         "Which of the two is *right* depends on the noise. That of a centroid is the same in pixels everywhere, to "
