@@ -26,7 +26,7 @@ EQ11 = (
 
 
 def _triple(values: object, digits: int = 2) -> str:
-    x, y, z = np.asarray(values, float)
+    x, y, z = np.round(np.asarray(values, float), digits) + 0.0  # no minus before a zero
     return f"{x:.{digits}f}″, {y:.{digits}f}″, {z:.{digits}f}″".replace("-", "−")
 
 
