@@ -74,14 +74,14 @@ def _others(result: Result) -> list[Criterion]:
     within = result.config.published_within_fraction
     if within is not None:
         for name in ("TE", "HSFE", "LSFE-S", "total"):
-            wanted = result.published[name].arcsec
+            wanted, seen = result.published[name].arcsec, result.measured.budget[name]
             for axis, letter in enumerate("xy"):
-                value = float(result.measured.budget[name].arcsec[axis])
+                own = 3.0 * float(seen.uncertainty_arcsec[axis] / wanted[axis])
                 found.append(
                     Criterion(
                         name=f"{name} {letter}: measured / published, off 1 by",
-                        value=abs(value / float(wanted[axis]) - 1.0),
-                        limit=within,
+                        value=abs(float(seen.arcsec[axis] / wanted[axis]) - 1.0),
+                        limit=max(within, float(f"{own:.2g}")),
                     )
                 )
     return found

@@ -75,7 +75,7 @@ def _tuned_text(result: Result) -> str:
     if result.config.published_within_fraction is None:
         return (
             "Settings that differ from the defaults are listed so that a budget can be repeated. "
-            "*--config acc18_tuned* runs an instrument tuned to the published values."
+            "An instrument tuned to the published values comes with the program: --config acc18_tuned."
         )
     moved, source = result.config.moved, result.config.source
     budget = result.measured.budget

@@ -67,7 +67,7 @@ class Result:
         a, b = self.predicted.budget[name], self.measured.budget[name]
         with np.errstate(divide="ignore", invalid="ignore"):
             value = a.arcsec / b.arcsec
-            relative = np.hypot(a.uncertainty_arcsec / a.arcsec, b.uncertainty_arcsec / b.arcsec)
+            relative = self._together(name, a.uncertainty_arcsec / a.arcsec, b.uncertainty_arcsec / b.arcsec)
         known = self.found(name)
         return np.where(known, value, np.nan), np.where(known, value * relative, np.nan)
 
@@ -81,7 +81,16 @@ class Result:
         if name == "LSFE-S":
             return self.chromatic_pull
         a, b = self.predicted.budget[name], self.measured.budget[name]
-        return np.asarray((a.arcsec - b.arcsec) / np.hypot(a.uncertainty_arcsec, b.uncertainty_arcsec))
+        spread = self._together(name, a.uncertainty_arcsec, b.uncertainty_arcsec)
+        return np.asarray((a.arcsec - b.arcsec) / spread)
+
+    @staticmethod
+    def _together(name: str, predicted: NDArray[np.float64], measured: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Standard deviation of a difference.
+
+        Of the HSFE both are estimates of one scatter, by model and by jackknife over the stars; the larger counts.
+        """
+        return np.asarray(np.maximum(predicted, measured) if name == "HSFE" else np.hypot(predicted, measured))
 
     @property
     def chromatic_pull(self) -> NDArray[np.float64]:

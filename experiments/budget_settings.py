@@ -72,7 +72,7 @@ class StepConfig(StrictModel):
     positions: int = Field(default=12, ge=2, le=500, description="positions of the path (ACC18: 12)")
     step_px: float = Field(default=0.2, gt=0, le=5, description="length of a step of the image (ACC18: 0.2)")
     direction_deg: float = Field(default=45.0, ge=-180, le=180, description="of the motion (ACC18: 45)")
-    places: int = Field(default=3, ge=1, le=20, description="places of the field where the test is made; RMS of them")
+    places: int = Field(default=6, ge=1, le=20, description="places of the field where the test is made; RMS of them")
     platform_step_arcsec: float = Field(default=0.4, ge=0, le=100, description="error of a position, per axis, 1 sigma")
     platform_roll_arcsec: float = Field(default=1.0, ge=0, le=100, description="the same for roll")
 
@@ -87,7 +87,7 @@ class GridConfig(StrictModel):
     reference: Literal["nominal", "aligned", "calibrated"] = Field(
         default="calibrated", description="how target coordinates become pixels"
     )
-    surveys: int = Field(default=100, ge=1, le=5000, description="surveys of the target, same frames; RMS of them")
+    surveys: int = Field(default=200, ge=1, le=5000, description="surveys of the target, same frames; RMS of them")
 
 
 class AttitudeConfig(StrictModel):

@@ -207,12 +207,12 @@ def _tornado(result: Result) -> Table:
     for swing in result.tornado.swings:
         change = swing.change("total", result.tornado.base)
         numbers = [float(v) for v in change.T.ravel()]
-        rows.append((swing.label, swing.key, swing.unit, swing.low, swing.high, *numbers))
+        label = f"{swing.label} [{swing.unit}]" if swing.unit else swing.label
+        rows.append((label, swing.key, swing.low, swing.high, *numbers))
     return Table(
         columns=(
             "Parameter",
             "Key",
-            "Unit",
             Column(name="Low", format=".5g"),
             Column(name="High", format=".5g"),
             _arcsec("x, low", "x_low_arcsec", "+.4f"),

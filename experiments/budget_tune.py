@@ -5,8 +5,8 @@ the signal, the defocus and the decentre of one element: TE follows the signal, 
 against the pixel), the chromatic term the decentre. Nothing is rendered but PSFs. With ``--prnu`` the response
 non-uniformity is free too. No number of the published budget enters anywhere else.
 
-The steps are made with few draws and an ideal platform; where they end, the full prediction tells by how much the
-pixel term was off, and a second round aims at the published value divided by that.
+The steps are made with few draws and an ideal platform; where they end, the full prediction tells by how much each
+number was off, and the next round takes that into account.
 """
 
 from __future__ import annotations
@@ -70,12 +70,13 @@ def _apply(config: Config, values: Mapping[str, float]) -> Config:
 
 
 def _residuals(budget: Budget, short: FloatArray) -> FloatArray:
-    """Logarithms of predicted over published: TE, HSFE (times ``short``), chromatic, total, x and y."""
-    rows = []
-    for name in _AIM:
-        found = np.maximum(budget[name].arcsec, 1e-3)  # a statistic that is zero has no logarithm
-        rows.append(np.log(found * (short if name == "HSFE" else 1.0) / np.array(_WANTED[name])))
-    return np.concatenate(rows)
+    """Logarithms of predicted times ``short`` over published (8,): TE, HSFE, chromatic, total, x and y."""
+    return np.log(_aimed(budget) * short / np.concatenate([_WANTED[name] for name in _AIM]))
+
+
+def _aimed(budget: Budget) -> FloatArray:
+    """What is aimed at (8,); a statistic that is zero has no logarithm."""
+    return np.maximum(np.concatenate([budget[name].arcsec for name in _AIM]), 1e-3)
 
 
 def _jacobian(residuals: Callable[[FloatArray], FloatArray], state: FloatArray) -> FloatArray:
@@ -136,7 +137,7 @@ def tune(mi: Any, start: Config, *, prnu: bool = False, report: Callable[[str], 
         known[tuple(state)] = budget
         return budget
 
-    state, short = np.zeros(5 if prnu else 4), np.ones(2)
+    state, short = np.zeros(5 if prnu else 4), np.ones(2 * len(_AIM))
     for _ in range(ROUNDS):
         factor = short.copy()
         solved = least_squares(
@@ -149,10 +150,10 @@ def tune(mi: Any, start: Config, *, prnu: bool = False, report: Callable[[str], 
             max_nfev=STEPS,
         )
         state = solved.x
-        cheap = predicted(state)["HSFE"].arcsec
+        cheap = _aimed(predicted(state))
         config = _apply(start, {key: float(f"{value:.4g}") for key, value in values(state).items()})
         budget = predict_terms(mi, build_laboratory(config)).budget
-        short = budget["HSFE"].arcsec / cheap
+        short = _aimed(budget) / cheap
     return Tuned(config=config, budget=budget, evaluations=count, cost=float(solved.cost))
 
 
