@@ -126,8 +126,8 @@ def _inference_text(result: Result) -> str:
         "size of Fig. 4. Their likelihood under the covariance of eq. 11 (the eleven errors of camera and first "
         f"attitude, rounding of the printed digits included) gives **{guess.best_um:.2f} ± {guess.sigma_um:.2f} µm** "
         f"and {guess.best_stars:.0f} stars in a frame ({guess.low_stars:.0f} to {guess.high_stars:.0f}), with χ² = "
-        f"{guess.chi2:.1f} for 11 numbers; at 10 µm χ² is {guess.chi2_assumed:.0f}. The printed values thus fit a "
-        f"field of {field:.1f}°.\n\n"
+        f"{guess.chi2:.1f} for 11 numbers and two that were fitted; at 10 µm χ² is {guess.chi2_assumed:.0f}. The "
+        f"printed values thus fit a field of {field:.1f}°.\n\n"
         "They also have the size of *one* run. As the mean of a hundred runs, which the text calls them, they are ten "
         "times too large: it would take a hundredth of the stars."
     )
