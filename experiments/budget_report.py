@@ -49,7 +49,7 @@ def _dominant(result: Result) -> str:
     budget = result.measured.budget
     linear = budget["LSFE-C1"].arcsec + budget["LSFE-C2"].arcsec
     share = (linear / budget.total.arcsec) ** 2
-    marking = float(result.config.marking_arcsec)
+    marking = 3.0 * result.config.grid.marking_error_arcsec
     if share.min() > 0.5:
         return (
             f"Marking and distortion make {100 * share[0]:.0f} % (x) and {100 * share[1]:.0f} % (y) of the squared "

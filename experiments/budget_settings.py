@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
 
+from experiments import distortion_settings, hsfe_settings
 from experiments.budget_range import SweepRange, check_range, leaf_keys, parse_sweep
 from experiments.chromatic_settings import FilterConfig
 from experiments.config import ExperimentConfig, StrictModel
@@ -66,28 +67,30 @@ class MovedConfig(StrictModel):
     despace_um: float = Field(default=0.0, ge=-3000, le=3000, description="along the light")
 
 
-class StepConfig(StrictModel):
-    """The step test (ACC18 section 1.3) and the platform that makes the steps."""
+class StepConfig(hsfe_settings.StepConfig):
+    """The step test (ACC18 section 1.3)."""
 
-    positions: int = Field(default=12, ge=2, le=500, description="positions of the path (ACC18: 12)")
-    step_px: float = Field(default=0.2, gt=0, le=5, description="length of a step of the image (ACC18: 0.2)")
-    direction_deg: float = Field(default=45.0, ge=-180, le=180, description="of the motion (ACC18: 45)")
     places: int = Field(default=6, ge=1, le=20, description="places of the field where the test is made; RMS of them")
-    platform_step_arcsec: float = Field(default=0.4, ge=0, le=100, description="error of a position, per axis, 1 sigma")
-    platform_roll_arcsec: float = Field(default=1.0, ge=0, le=100, description="the same for roll")
 
 
-class GridConfig(StrictModel):
-    """The grid target (ACC18 section 1.4.2)."""
+class GridConfig(distortion_settings.GridConfig):
+    """The grid target (ACC18 section 1.4.2) and its reduction; three times its marking error is the term C2."""
 
-    rows: int = Field(default=4, ge=2, le=50, description="points along a column")
-    columns: int = Field(default=8, ge=2, le=50, description="points along a row (ACC18: 32 points)")
-    edge_px: float = Field(default=60.0, ge=0, description="distance of the outermost points from the edge")
     order: int = Field(default=3, ge=1, le=7, description="of the polynomial (ACC18: 3)")
     reference: Literal["nominal", "aligned", "calibrated"] = Field(
         default="calibrated", description="how target coordinates become pixels"
     )
     surveys: int = Field(default=200, ge=1, le=5000, description="surveys of the target, same frames; RMS of them")
+
+    @model_validator(mode="after")
+    def _enough(self) -> GridConfig:
+        points, terms = self.rows * self.columns, (self.order + 1) * (self.order + 2) // 2
+        if self.order >= min(self.rows, self.columns) or points <= terms:
+            raise ValueError(
+                f"grid.order = {self.order}: {self.rows} x {self.columns} points do not determine it; it "
+                "needs more rows and columns than the order"
+            )
+        return self
 
 
 class AttitudeConfig(StrictModel):
@@ -122,8 +125,8 @@ Parameter = Literal[
     "detector.prnu",
     "detector.diffusion_sigma_um",
     "detector.dark_current_e_per_s",
-    "marking_arcsec",
-    "steps.platform_roll_arcsec",
+    "grid.marking_error_arcsec",
+    "hexapod.roll_error_arcsec",
     "instrument.defocus_mm",
     "instrument.chip_temperature_c",
     "moved.decentre_x_um",
@@ -154,13 +157,13 @@ class Config(ExperimentConfig):
     target: TargetConfig = TargetConfig(pitch_px=150.4)  # not whole pixels: points at all fractions of a pixel
     source: SourceConfig = SourceConfig()
     filters: FilterConfig = FilterConfig()
+    hexapod: hsfe_settings.HexapodConfig = hsfe_settings.HexapodConfig()
     steps: StepConfig = StepConfig()
     grid: GridConfig = GridConfig()
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position (ACC18: at least 30)")
     dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off, per position")
     window_px: int = Field(default=13, ge=7, le=63, description="window around a point, odd")
     centroid: Method = Field(default="epsf", description="centroider")
-    marking_arcsec: float = Field(default=0.5, ge=0, le=100, description="target marking error, 3 sigma (ACC18: 0.5)")
     attitude: AttitudeConfig = AttitudeConfig()
     tolerances: ToleranceConfig = ToleranceConfig()
     tornado: TornadoConfig = TornadoConfig()

@@ -255,8 +255,8 @@ def _parameters(config: Config) -> Sequence[tuple[str, str, str, float, float]]:
         ("detector.prnu", "PRNU", "", detector.prnu),
         ("detector.diffusion_sigma_um", "charge diffusion", "µm", detector.diffusion_sigma_mm * 1e3),
         ("detector.dark_current_e_per_s", "dark current", "e⁻/s", detector.dark_current_e_per_s),
-        ("marking_arcsec", "target marking error", "″", config.marking_arcsec),
-        ("steps.platform_roll_arcsec", "roll of the platform", "″", config.steps.platform_roll_arcsec),
+        ("grid.marking_error_arcsec", "target marking error", "″", config.grid.marking_error_arcsec),
+        ("hexapod.roll_error_arcsec", "roll of the platform", "″", config.hexapod.roll_error_arcsec),
     )
     moved = f" of {config.moved.element}"
     absolute = (

@@ -133,8 +133,7 @@ def step_plan(lab: Laboratory) -> StepPlan:
 
 def platform(lab: Laboratory) -> Hexapod:
     """The hexapod of a configuration."""
-    steps = lab.config.steps
-    return Hexapod(step_error_arcsec=steps.platform_step_arcsec, roll_error_arcsec=steps.platform_roll_arcsec)
+    return Hexapod(**lab.config.hexapod.model_dump())
 
 
 def grid_target(lab: Laboratory) -> GridTarget:
@@ -144,7 +143,9 @@ def grid_target(lab: Laboratory) -> GridTarget:
         rows=grid.rows,
         columns=grid.columns,
         edge_px=grid.edge_px,
-        marking_error_arcsec=lab.config.marking_arcsec / 3.0,
+        jitter_px=grid.jitter_px,
+        marking_error_arcsec=grid.marking_error_arcsec,
+        roll_arcmin=grid.roll_arcmin,
     )
 
 
@@ -220,7 +221,7 @@ def predict_terms(
 
 def marking(lab: Laboratory) -> Value:
     """The marking error of the target, an input."""
-    return Value(arcsec=np.full(2, lab.config.marking_arcsec))
+    return Value(arcsec=np.full(2, 3.0 * lab.config.grid.marking_error_arcsec))
 
 
 def _predicted_steps(
@@ -391,7 +392,7 @@ def _frozen(lab: Laboratory, sigma_px: FloatArray) -> FloatArray:
     """
     terms = (lab.config.grid.order + 1) * (lab.config.grid.order + 2) / 2
     noise = (sigma_px**2).mean(0) * (1.0 / lab.config.frames + 1.0 / lab.config.dark_frames)
-    marked = (lab.config.marking_arcsec / 3.0 / lab.instrument.pixel_arcsec) ** 2
+    marked = (lab.config.grid.marking_error_arcsec / lab.instrument.pixel_arcsec) ** 2
     return np.asarray(0.5 * np.sqrt(2.0 / terms) * noise / (noise + marked))
 
 
