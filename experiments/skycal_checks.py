@@ -80,6 +80,11 @@ def results(result: Result) -> dict[str, Any]:
     }
 
 
+def _unit(name: str) -> str:
+    """Unit that the name of a parameter ends in."""
+    return f"1/{name.rpartition('_per_')[2]}" if "_per_" in name else name.rpartition("_")[2]
+
+
 def _map(judged: Judged) -> dict[str, Any]:
     return {
         "rms": judged.rms_arcsec,
@@ -145,7 +150,7 @@ def _summary(camera: CameraResult) -> dict[str, Any]:
         ],
         "centroid_floor_px": {"measured": evaluation.floor_px, "corrected": evaluation.corrected_floor_px},
         "parameters": {
-            name: Measured(value=float(value), unit=name.rsplit("_", 1)[-1], uncertainty=float(sigma[name]), n=used)
+            name: Measured(value=float(value), unit=_unit(name), uncertainty=float(sigma[name]), n=used)
             for name, value in zip(solution.names, solution.value, strict=True)
         },
         "reduced_chi2": solution.reduced_chi2,

@@ -137,7 +137,7 @@ def evaluate(
     DomainError
         Too few stars.
     """
-    _check_count(scene, config, matched, np.isfinite(matched.in_cam).all(axis=1))
+    _check_count(scene, config, matched, np.asarray(np.isfinite(matched.in_cam).all(axis=1)))
     chart = trace_chart(mi, scene, config)
     position = _positions(mi, scene, recording, matched, config)
     used = np.all([np.isfinite(place).all(axis=1) for place in position.values()], axis=0)

@@ -77,7 +77,7 @@ def sky_frame(camera: CameraResult, *, half: bool = False) -> Figure:
     rows, columns = height // block * block, width // block * block
     coarse = light[:rows, :columns].reshape(rows // block, block, columns // block, block).max((1, 3))
     low, high = np.percentile(coarse, (99.0 if half else 98.0, 99.98))
-    shown = np.arcsinh(np.clip(grey_dilation(coarse, 3) - low, 0, None) / (0.05 * (high - low)))
+    shown = np.arcsinh(np.clip(grey_dilation(coarse, 3 if half else 5) - low, 0, None) / (0.05 * (high - low)))
     axis.imshow(shown, cmap="gray", extent=(-0.5, columns - 0.5, rows - 0.5, -0.5), interpolation="bilinear")
     frame = camera.recording.frames[camera.recording.example_index]
     mine = (camera.matched.frame == camera.recording.example_index) & camera.evaluation.used

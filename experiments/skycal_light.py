@@ -29,6 +29,8 @@ FloatArray = NDArray[np.float64]
 TRACE_AT_ONCE = 2000
 EDGE_FRACTION = 0.012
 """The chart ends this part of the longer side inside the detector, so that its traced points stay on it."""
+CHART_LOG2_RAYS = 3
+"""The truth gets eight times the rays of a star: errors of some 1e-3 px average out over stars, but not in it."""
 COLOURS = 5
 """Classes of temperature for which PSFs are rendered when every star gets one of its own colour."""
 NODES = 3
@@ -62,7 +64,9 @@ class Chart:
         freeze(self, "pixel_px", shape=("n", 2), sizes=sizes)
 
 
-def trace_colour(mi: Any, scene: Scene, direction: FloatArray, temperature_k: float) -> FloatArray:
+def trace_colour(
+    mi: Any, scene: Scene, direction: FloatArray, temperature_k: float, *, more_log2_rays: int = 0
+) -> FloatArray:
     """Where the mean of the rays of a star of one colour falls: (n, 2) [px], no image, no noise.
 
     Parameters
@@ -75,6 +79,8 @@ def trace_colour(mi: Any, scene: Scene, direction: FloatArray, temperature_k: fl
         Unit vectors in cam.
     temperature_k : float
         Colour.
+    more_log2_rays : int
+        Logarithm of how many times more rays than stars of a frame get, where the pupil is not clear.
 
     Returns
     -------
@@ -84,7 +90,7 @@ def trace_colour(mi: Any, scene: Scene, direction: FloatArray, temperature_k: fl
     camera = scene.instrument.camera
     # one pixel of an image is enough where only rays count
     tiny = replace(camera, width_px=1, height_px=1, centre_px=camera.centre_px)
-    tracer = Tracer(mi, tiny, sobol_log2_rays=scene.config.sobol_log2_rays)
+    tracer = Tracer(mi, tiny, sobol_log2_rays=scene.config.sobol_log2_rays + more_log2_rays)
     parts = []
     for start in range(0, len(direction), TRACE_AT_ONCE):
         stars = scene.of_one_colour(direction[start : start + TRACE_AT_ONCE], temperature_k)
@@ -114,7 +120,7 @@ def trace_chart(mi: Any, scene: Scene, config: Config) -> Chart:
         np.linspace(edge, camera.width_px - 1 - edge, columns), np.linspace(edge, camera.height_px - 1 - edge, rows)
     )
     direction = camera.nominal_direction(x.ravel(), y.ravel(), scene.instrument.focal_length_mm)
-    pixel = trace_colour(mi, scene, direction, config.sky.reference_k)
+    pixel = trace_colour(mi, scene, direction, config.sky.reference_k, more_log2_rays=CHART_LOG2_RAYS)
     if not np.isfinite(pixel).all():
         dark = int((~np.isfinite(pixel).all(axis=1)).sum())
         raise DomainError(

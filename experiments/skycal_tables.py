@@ -16,6 +16,7 @@ from experiments.tables import Cell, Column, Table
 __all__ = ["all_tables"]
 
 LEFT_OUT = ("not converged", "saturated", "blended", "at the edge", "defective pixel", "too faint", "not matched")
+SHORT = {"mismatch": "Camera model", "chromatic": "Star colours", "noise": "Noise", "psf": "PSF"}
 
 
 def all_tables(result: Result) -> Mapping[str, Table]:
@@ -49,7 +50,6 @@ def _cameras(cameras: list[CameraResult]) -> Table:
         rows.append(
             (
                 camera.short,
-                round(camera.stars_per_frame, 1),
                 total.rms_arcsec,
                 total.max_arcsec,
                 _predicted(total),
@@ -61,7 +61,6 @@ def _cameras(cameras: list[CameraResult]) -> Table:
     return Table(
         columns=(
             "Lens",
-            Column(name="Stars per frame", key="stars_per_frame", format=".1f"),
             _arcsec("Measured", "measured_arcsec"),
             _arcsec("largest", "largest_arcsec"),
             Column(name="predicted", unit="arcsec", key="measured_predicted_arcsec"),
@@ -93,14 +92,14 @@ def _parts(cameras: list[CameraResult]) -> Table:
     return Table(
         columns=(
             "Lens",
-            *(Column(name=label, unit="arcsec", key=f"{part}_arcsec", format=".2g") for part, label in PARTS.items()),
-            _arcsec("Root sum square", "quadrature_arcsec"),
+            *(Column(name=SHORT[part], unit="arcsec", key=f"{part}_arcsec", format=".2g") for part in PARTS),
+            _arcsec("RSS", "quadrature_arcsec"),
             _arcsec("Total", "total_arcsec"),
             Column(name="ρ", key="chromatic_psf_correlation", format="+.2f"),
         ),
         rows=rows,
         caption="What the map error is made of: RMS of each part, switched on one after the other in the same data.",
-        note="ρ: correlation of the parts of star colours and of the PSF of one colour over the detector. Independent "
+        note="RSS: root sum square. ρ: correlation of star colours and PSF over the detector. Independent "
         "parts would add in quadrature; parts that cancel make the total smaller.",
     )
 
