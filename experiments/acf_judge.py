@@ -22,6 +22,7 @@ from experiments.acf_evaluate import (
     pulls,
     table2_runs,
 )
+from experiments.acf_pixels import pixel_criteria, pixel_results
 from experiments.acf_published import FIG4_RMS_PX, TABLE2_CALIBRATED, TABLE2_NAMES, TABLE2_TRUE, TABLE2_UNITS
 from experiments.acf_result import Result
 from experiments.summary import Criterion, Measured
@@ -43,6 +44,7 @@ def criteria(result: Result) -> list[Criterion]:
         *_pull_criteria(pulled),
         *_method_criteria(compared),
         *_gain_criteria(gains(result)),
+        *pixel_criteria(result),
         Criterion(
             name="Fig. 3 to 5 and Table 2: calibrations that did not converge, all methods",
             value=float(sum(failed for failed, _ in failures(result, sweep=False).values())),
@@ -314,7 +316,7 @@ def results(result: Result) -> dict[str, Any]:
             ],
         },
         "stars_per_frame": result.stars_per_frame,
-        "rendered": {"experiment": "skycal"},
+        "rendered": pixel_results(result),
         "not_converged": {
             part: {method: {"failed": failed, "n": n} for method, (failed, n) in failures(result, sweep=sweep).items()}
             for part, sweep in (("figures", False), ("gain_sweep", True))

@@ -20,6 +20,7 @@ from experiments.acf_figures_more import (
     table2_sizes,
 )
 from experiments.acf_judge import degrees_of, worse_by
+from experiments.acf_pixels import pixel_sections
 from experiments.acf_published import TABLE2_CALIBRATED, TABLE2_TRUE
 from experiments.acf_tables import all_tables, fig3_at_a_glance
 from experiments.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
@@ -234,9 +235,9 @@ def _gain_text(result: Result) -> str:
 def _limits_text(result: Result) -> str:
     del result
     return (
-        "Coordinates only: star positions have Gaussian noise of one size, no bias that follows the pixels, no smear "
-        "of the motion, no wrong matches, no colour. The same calibration on rendered frames is the experiment "
-        "*skycal*. The gyro has no scale error, no misalignment of its axes and no drift of its bias. The published "
+        "Coordinates: star positions have Gaussian noise of one size, no bias that follows the pixels, no smear "
+        "of the motion, no wrong matches, no colour; rendered frames are at the end and in the experiment *skycal*. "
+        "The gyro has no scale error, no misalignment of its axes and no drift of its bias. The published "
         "curves are pictures without numbers; only Table 2 and the numbers of Fig. 4 can be compared."
     )
 
@@ -431,5 +432,6 @@ def build_report(result: Result) -> Report:
             *_reprojection(result, every),
             *_parameters(result, every),
             *_comparisons(result, every),
+            *pixel_sections(result),
         ),
     )

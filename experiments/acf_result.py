@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from experiments.acf_forecast import Forecast
 from experiments.acf_inference import Inference
 from experiments.acf_plan import Outcome, Plan
 from experiments.acf_settings import Config
 from experiments.acf_simulate import Scene, Stars
+
+if TYPE_CHECKING:
+    from experiments.skycal_result import Result as Rendered
 
 __all__ = ["Result"]
 
@@ -34,6 +38,8 @@ class Result:
         What was expected.
     inference : Inference
         Pixel and stars from the document's own numbers.
+    rendered : experiments.skycal_result.Result or None
+        The calibration on rendered frames.
     runtime_s, peak_memory_mb : float
         Of the process up to the end of the run.
     """
@@ -45,6 +51,7 @@ class Result:
     outcome: Mapping[str, Outcome]
     forecast: Forecast
     inference: Inference
+    rendered: Rendered | None
     runtime_s: float
     peak_memory_mb: float
 

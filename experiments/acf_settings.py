@@ -134,6 +134,15 @@ class SweepConfig(StrictModel):
         return _ascending(values)
 
 
+class RenderedConfig(StrictModel):
+    """The same calibration on rendered frames (experiment ``skycal``, which has all its settings)."""
+
+    which: Literal["none", "wide", "narrow", "both"] = Field(
+        default="wide", description="cameras under the rendered sky: the wide one is the size of ACF17's"
+    )
+    frames: int = Field(default=60, ge=4, le=1000, description="frames per camera")
+
+
 class Config(ExperimentConfig):
     """The published runs: ACF17 gives all of it but the pixel, the number of stars and the axes of the motion."""
 
@@ -160,6 +169,7 @@ class Config(ExperimentConfig):
         default=(6, 10, 14, 20, 34, 60), min_length=2, description="stars in every frame, for Fig. 4's RMS against them"
     )
     sweep: SweepConfig = SweepConfig()
+    rendered: RenderedConfig = RenderedConfig()
     workers: int = Field(default=0, ge=0, le=256, description="processes; 0: one per processor; changes no result")
 
     @field_validator("noise_px")

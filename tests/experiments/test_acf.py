@@ -18,7 +18,7 @@ from experiments.acf_evaluate import comparison, fig3, fig4, gains, pulls
 from experiments.acf_inference import infer
 from experiments.acf_plan import make_plan
 from experiments.acf_published import TABLE2_CALIBRATED, TABLE2_ROUNDING, TABLE2_START, TABLE2_TRUE
-from experiments.acf_settings import SkyConfig, SweepConfig
+from experiments.acf_settings import RenderedConfig, SkyConfig, SweepConfig
 from experiments.acf_tasks import Point, Task, work
 from experiments.progress import Progress
 
@@ -32,6 +32,7 @@ SMALL = Config(
     counts=(8, 16),
     sky=SkyConfig(stars_per_frame=12.0),
     sweep=SweepConfig(stars=(4, 12), gyro_factor=(0.0, 20.0), skies=4),
+    rendered=RenderedConfig(which="none"),
 )
 
 
@@ -200,6 +201,20 @@ def test_quick_run_writes_a_report(tmp_path):
     written = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     assert written["experiment"] == "acf"
     assert {one["name"].split(":")[0] for one in written["criteria"]} >= {"Fig. 4", "Table 2"}
+
+
+@pytest.mark.slow
+def test_rendered_frames_are_part_of_the_result(tmp_path):
+    """Few frames of the wide camera: the map error stands beside its prediction, in the summary and the report."""
+    few = ["--set", "rendered.which=wide", "--set", "rendered.frames=5", "--set", "runs=4", "--set", "sweep.skies=4"]
+    assert main(["--quick", *few, "--out", str(tmp_path / "out")]) in (0, 1)
+    written = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    wide = written["results"]["rendered"]["wide"]
+    assert wide["frames"] == 5
+    assert 0.0 < wide["map_error_arcsec"]["rms"] <= wide["map_error_arcsec"]["max"] < 60.0
+    assert 0.0 < wide["predicted_arcsec"] < 60.0
+    assert any(one["name"].startswith("25.6 mm lens") for one in written["criteria"])
+    assert "On pixels" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
