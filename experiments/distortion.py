@@ -13,18 +13,20 @@ from typing import TYPE_CHECKING, Any
 
 from experiments.cli import command
 from experiments.distortion_settings import Config
+from experiments.point_settings import FRAMES_OPTION
 from experiments.progress import Progress
 from experiments.summary import Criterion
 
 if TYPE_CHECKING:
     from experiments.distortion_result import Result
+    from experiments.point_folder import FolderResult
     from experiments.report import Report
     from experiments.tables import Table
 
 __all__ = ["Config", "main", "report", "run", "summary", "tables"]
 
 
-def run(config: Config, *, progress: Progress) -> Result:
+def run(config: Config, *, progress: Progress) -> Result | FolderResult:
     """Render, read out, reduce, predict, compare with the true map.
 
     Parameters
@@ -40,6 +42,10 @@ def run(config: Config, *, progress: Progress) -> Result:
         On anything the user can mend: unknown lens or detector, target off the detector, points not detected or
         saturated, too few points for the polynomial, light beyond the range of the data.
     """
+    if config.frames_folder is not None:
+        from experiments.point_folder import run_folder
+
+        return run_folder("distortion", config, progress=progress)
     import mitsuba as mi
 
     from experiments.distortion_result import Result, correction_maps, forecasts
@@ -102,22 +108,38 @@ def run(config: Config, *, progress: Progress) -> Result:
     )
 
 
-def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:
+def summary(result: Result | FolderResult) -> tuple[dict[str, Any], list[Criterion]]:
     """What goes into ``summary.json``."""
+    from experiments.point_folder import FolderResult, outcome
+
+    if isinstance(result, FolderResult):
+        return outcome(result)
     from experiments.distortion_evaluate import criteria, results
 
     return results(result), criteria(result)
 
 
-def tables(result: Result) -> Mapping[str, Table]:
+def tables(result: Result | FolderResult) -> Mapping[str, Table]:
     """Tables written beside the report."""
+    from experiments.point_folder import FolderResult
+
+    if isinstance(result, FolderResult):
+        from experiments.point_folder_report import folder_tables
+
+        return folder_tables(result)
     from experiments.distortion_tables import all_tables
 
     return all_tables(result)
 
 
-def report(result: Result) -> Report:
+def report(result: Result | FolderResult) -> Report:
     """What ``report.html`` shows."""
+    from experiments.point_folder import FolderResult
+
+    if isinstance(result, FolderResult):
+        from experiments.point_folder_report import build_report as folder_report
+
+        return folder_report(result)
     from experiments.distortion_report import build_report
 
     return build_report(result)
@@ -131,6 +153,7 @@ main = command(
     summary=summary,
     tables=tables,
     show=("distortion",),
+    options=FRAMES_OPTION,
     quick={
         "compare": ["cog"],
         "surveys": 50,

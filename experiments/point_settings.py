@@ -13,9 +13,12 @@ if TYPE_CHECKING:
     from experiments.instrument import Instrument
     from experiments.laboratory.bench import Bench
 
-__all__ = ["METHOD_NAMES", "Method", "PointConfig", "SourceConfig", "check_bench", "make_bench"]
+__all__ = ["FRAMES_OPTION", "METHOD_NAMES", "Method", "PointConfig", "SourceConfig", "check_bench", "make_bench"]
 
 Method = Literal["epsf", "epsf_reference", "gaussian", "windowed", "tcog", "cog"]
+
+FRAMES_OPTION = {"frames": ("frames_folder", "Reduce the FITS frames of a folder that holds frames.toml.")}
+"""Command-line option of the three tests (`experiments.cli.command`)."""
 
 METHOD_NAMES = {
     "epsf": "ePSF fit",
@@ -50,6 +53,9 @@ class PointConfig(ExperimentConfig):
 
     instrument: InstrumentConfig = InstrumentConfig()
     source: SourceConfig = SourceConfig()
+    frames_folder: str | None = Field(
+        default=None, description="reduce the FITS frames of this folder (frames.toml says which is which), render none"
+    )
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position and level (ACC18: at least 30)")
     dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off")
     window_px: int = Field(default=13, ge=7, le=63, description="window around a point, odd")

@@ -12,11 +12,13 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from experiments.cli import command
+from experiments.point_settings import FRAMES_OPTION
 from experiments.progress import Progress
 from experiments.summary import Criterion
 from experiments.temporal_settings import Config
 
 if TYPE_CHECKING:
+    from experiments.point_folder import FolderResult
     from experiments.report import Report
     from experiments.tables import Table
     from experiments.temporal_result import Result
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["Config", "main", "report", "run", "summary", "tables"]
 
 
-def run(config: Config, *, progress: Progress) -> Result:
+def run(config: Config, *, progress: Progress) -> Result | FolderResult:
     """Render, read out, reduce, predict.
 
     Parameters
@@ -40,6 +42,10 @@ def run(config: Config, *, progress: Progress) -> Result:
         On anything the user can mend: unknown lens or detector, target off the detector, points not detected or
         saturated, light beyond the range of the data.
     """
+    if config.frames_folder is not None:
+        from experiments.point_folder import run_folder
+
+        return run_folder("temporal", config, progress=progress)
     import mitsuba as mi
 
     from experiments.instrument import build_instrument
@@ -103,22 +109,38 @@ def run(config: Config, *, progress: Progress) -> Result:
     )
 
 
-def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:
+def summary(result: Result | FolderResult) -> tuple[dict[str, Any], list[Criterion]]:
     """What goes into ``summary.json``."""
+    from experiments.point_folder import FolderResult, outcome
+
+    if isinstance(result, FolderResult):
+        return outcome(result)
     from experiments.temporal_evaluate import criteria, results
 
     return results(result), criteria(result)
 
 
-def tables(result: Result) -> Mapping[str, Table]:
+def tables(result: Result | FolderResult) -> Mapping[str, Table]:
     """Tables written beside the report."""
+    from experiments.point_folder import FolderResult
+
+    if isinstance(result, FolderResult):
+        from experiments.point_folder_report import folder_tables
+
+        return folder_tables(result)
     from experiments.temporal_tables import all_tables
 
     return all_tables(result)
 
 
-def report(result: Result) -> Report:
+def report(result: Result | FolderResult) -> Report:
     """What ``report.html`` shows."""
+    from experiments.point_folder import FolderResult
+
+    if isinstance(result, FolderResult):
+        from experiments.point_folder_report import build_report as folder_report
+
+        return folder_report(result)
     from experiments.temporal_report import build_report
 
     return build_report(result)
@@ -132,6 +154,7 @@ main = command(
     summary=summary,
     tables=tables,
     show=("temporal_error",),
+    options=FRAMES_OPTION,
     quick={
         "frames": 30,
         "draws": 30,

@@ -27,7 +27,15 @@ from experiments.laboratory.targets import GridTarget, grid_directions, survey
 from optics.records import freeze
 from render.random import Streams
 
-__all__ = ["DenseMap", "DistortionMeasurement", "camera_place", "dense_map", "measure_distortion", "residual_px"]
+__all__ = [
+    "DenseMap",
+    "DistortionMeasurement",
+    "camera_place",
+    "dense_map",
+    "grid_residual_px",
+    "measure_distortion",
+    "residual_px",
+]
 
 FloatArray = NDArray[np.float64]
 SESSIONS = ("earlier", "test")
@@ -62,9 +70,23 @@ def residual_px(
         How target coordinates become pixels; "aligned" fits the test session itself, "calibrated" the earlier one.
     """
     nominal, place = camera_place(instrument, surveyed)
-    offset = (earlier_px if reference == "calibrated" else test_px) - nominal
+    return place, *grid_residual_px(nominal, place, earlier_px, test_px, reference)
+
+
+def grid_residual_px(
+    nominal_px: FloatArray,
+    place: FloatArray,
+    earlier_px: FloatArray,
+    test_px: FloatArray,
+    reference: Reference,
+) -> tuple[FloatArray, FloatArray]:
+    """Eq. 19-20 from nominal coordinates (n, 2) alone: residuals (n, 2), and coefficients of the camera behind them.
+
+    Parameters as of `residual_px`; ``place`` (n, 2) are the coordinates in units of order 1.
+    """
+    offset = (earlier_px if reference == "calibrated" else test_px) - nominal_px
     coefficient = fit_camera(place, offset, reference)
-    return place, test_px - nominal - camera_terms(place, reference) @ coefficient, coefficient
+    return test_px - nominal_px - camera_terms(place, reference) @ coefficient, coefficient
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,0 +1,270 @@
+"""Frames on disk give the numbers of the same frames in memory; folders that are wrong are refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.instrument import build_instrument
+from experiments.laboratory.bench import point_field
+from experiments.laboratory.distortion_error import measure_distortion
+from experiments.laboratory.frame_folder import read_folder
+from experiments.laboratory.frame_reduction import (
+    distortion_from_frames,
+    hsfe_from_frames,
+    temporal_from_frames,
+)
+from experiments.laboratory.hexapod import Hexapod, turned
+from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
+from experiments.laboratory.point_scene import point_scene
+from experiments.laboratory.points import nominal_px
+from experiments.laboratory.targets import GridTarget
+from experiments.laboratory.temporal_error import measure_temporal, target_place
+from experiments.settings import InstrumentConfig
+from optics.errors import ConfigError, DomainError
+from render.fits import write_frame
+from render.random import Streams
+from render.readout import expose
+from render.records import Frame
+
+METHODS = ("cog", "gaussian")
+FRAMES, DARK_FRAMES, WINDOW_PX = 6, 5, 13
+STEPS = StepPlan(positions=3, step_px=0.25)
+HEXAPOD = Hexapod()
+PLACE = (142.9, 127.4)  # no point near the middle between two pixels, where windows would hang on the noise
+
+
+@pytest.fixture(scope="module")
+def camera(tmp_path_factory):
+    path = tmp_path_factory.mktemp("chip") / "tiny.toml"
+    path.write_text('base = "cmv4000"\nname = "tiny"\nchip_width_px = 288\nchip_height_px = 256\n')
+    return build_instrument(InstrumentConfig(detector=str(path)))
+
+
+@pytest.fixture(scope="module")
+def scene(mi, bench_of, camera):
+    bench = bench_of(
+        rows=2, columns=3, methods=METHODS, frames=FRAMES, dark_frames=DARK_FRAMES, window_px=WINDOW_PX, edge_px=40.0
+    )
+    bench = replace(bench, target=bench.target.model_copy(update={"pitch_px": 45.1}))
+    return point_scene(bench, camera, "llvm")
+
+
+class Writer:
+    """Writes full frames of a target, and the file that describes them."""
+
+    def __init__(self, folder, scene):
+        self.folder, self.scene = folder, scene
+        folder.mkdir(exist_ok=True)
+        chip = scene.instrument.detector
+        self.lines = [
+            f"gain_dn_per_e = {chip.gain_dn_per_e!r}",
+            f"offset_dn = {chip.offset_dn!r}",
+            f"read_noise_e = {chip.read_noise_e!r}",
+            f"pixel_arcsec = {scene.instrument.pixel_arcsec!r}",
+        ]
+
+    def image(self, direction):
+        expected = self.scene.renderer.render(point_field(self.scene.bench, self.scene.instrument, direction))
+        return expected.electrons[:, :, 0]
+
+    def frames(self, image, streams, band, count, name):
+        config = self.scene.instrument.config
+        for number in range(count):
+            frame = expose(
+                image,
+                self.scene.instrument.detector,
+                streams=streams,
+                frame=number,
+                exposure_s=config.exposure_s,
+                temperature_c=config.chip_temperature_c,
+                band=band,
+            )
+            write_frame(frame, self.folder / f"{name}_{number:03d}.fits")
+
+    def series(self, image, streams, name, **keys):
+        self.frames(image, streams, "lamp", self.scene.bench.frames, name)
+        self.lines += ["[[series]]", f'name = "{name}"', f'files = ["{name}_*.fits"]']
+        self.lines += [f"{key} = {value}" for key, value in keys.items()]
+
+    def dark(self, shape, streams, name="dark"):
+        self.frames(np.zeros(shape, np.float32), streams, "dark", self.scene.bench.dark_frames, name)
+
+    def done(self):
+        (self.folder / "frames.toml").write_text("\n".join(self.lines) + "\n")
+        return self.folder
+
+
+@pytest.fixture(scope="module")
+def still(tmp_path_factory, scene, camera):
+    """A folder of one series of six points."""
+    writer, streams = Writer(tmp_path_factory.mktemp("still"), scene), Streams(4).child("level", 0)
+    image = writer.image(target_place(scene.bench, camera, PLACE))
+    places = nominal_px(camera, target_place(scene.bench, camera, PLACE)).tolist()
+    writer.lines += ['dark = ["dark_*.fits"]', f"points_px = {places}"]
+    writer.dark(image.shape, streams)
+    writer.series(image, streams, "still", count=FRAMES)
+    return writer.done()
+
+
+@pytest.fixture(scope="module")
+def steps(tmp_path_factory, scene, camera):
+    """A folder of the step test."""
+    writer, streams = Writer(tmp_path_factory.mktemp("steps"), scene), Streams(7)
+    rest = target_place(scene.bench, camera, PLACE)
+    writer.lines += ['dark = ["dark_*.fits"]', f"points_px = {nominal_px(camera, rest).tolist()}"]
+    path = STEPS.path(camera, HEXAPOD, streams.generator("hexapod"))
+    for number, direction in enumerate(turned(rest, path.true_rad)):
+        image = writer.image(direction)
+        if number == 0:
+            writer.dark(image.shape, streams.child("before"))
+        writer.series(image, streams.child("position", number), f"step{number}", position=number)
+    return writer.done()
+
+
+def test_temporal_error_from_disk_is_that_in_memory(still, scene, camera):
+    measured = measure_temporal(scene.bench, camera, place_px=PLACE, streams=Streams(4), backend="llvm", scene=scene)
+    reduced = temporal_from_frames(read_folder(still, window_px=WINDOW_PX), METHODS)
+    for method in METHODS:
+        for found, known in zip(reduced.te_arcsec(method), measured.te_arcsec(method), strict=True):
+            assert found.value == pytest.approx(known.value, rel=1e-12)
+            assert found.uncertainty == pytest.approx(known.uncertainty, rel=1e-12)
+    known = measured.sigma_px["dark"]["cog"][0]
+    np.testing.assert_allclose(reduced.series[0].points.sigma_px("cog"), known, rtol=1e-12)
+
+
+def test_the_noise_model_gives_the_scatter(still):
+    reduced = temporal_from_frames(read_folder(still, window_px=WINDOW_PX), METHODS)
+    for method in METHODS:  # six frames of six points, two axes: 60 degrees of freedom, 9 % each
+        found = np.sqrt((reduced.series[0].points.sigma_px(method) ** 2).mean())
+        assert found == pytest.approx(np.sqrt((reduced.predicted_px[method] ** 2).mean()), rel=4.0 / np.sqrt(2 * 60))
+
+
+def test_step_test_from_disk_is_that_in_memory(steps, scene, camera):
+    measured = measure_high_frequency(
+        scene.bench,
+        camera,
+        HEXAPOD,
+        STEPS,
+        place_px=PLACE,
+        split=False,
+        streams=Streams(7),
+        backend="llvm",
+        scene=scene,
+    )
+    reduced = hsfe_from_frames(read_folder(steps, window_px=WINDOW_PX), METHODS)
+    for method in METHODS:
+        for found, known in zip(reduced.document_arcsec(method), measured.document_arcsec(method), strict=True):
+            assert found.value == pytest.approx(known.value, rel=1e-9)
+            assert found.uncertainty == pytest.approx(known.uncertainty, rel=1e-9)
+        single = 3.0 * camera.pixel_arcsec * measured.halved_px(method)
+        np.testing.assert_allclose(reduced.halved_arcsec(method), single, rtol=1e-9, atol=1e-9)
+
+
+def test_distortion_error_from_disk_is_that_in_memory(tmp_path, scene, camera):
+    grid = GridTarget(rows=4, columns=4, edge_px=40.0, jitter_px=0.03)  # see PLACE
+    measured = measure_distortion(scene.bench, camera, grid, streams=Streams(2), backend="llvm", scene=scene)
+    writer = Writer(tmp_path / "grid", scene)
+    nominal = nominal_px(camera, measured.surveyed[0])
+    (writer.folder / "grid.csv").write_text("x_px,y_px\n" + "".join(f"{x!r},{y!r}\n" for x, y in nominal.tolist()))
+    writer.lines.append('target = "grid.csv"')
+    image = writer.image(measured.direction)
+    for session in ("earlier", "test"):
+        root = Streams(2).child(session)
+        writer.dark(image.shape, root, f"dark_{session}")
+        writer.series(image, root, session, session=f'"{session}"', dark=f'["dark_{session}_*.fits"]')
+    reduced = distortion_from_frames(read_folder(writer.done(), window_px=WINDOW_PX), METHODS, order=2)
+    known = replace(measured, order=2)
+    for reference in ("nominal", "aligned", "calibrated"):
+        one, other = reduced.statistics("cog", reference), known.statistics("cog", reference)
+        for name in ("sigma_d_px", "sigma_left_px", "sigma_c1_px"):
+            np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-8)
+
+
+def blank(folder, name, shape=(64, 96)):
+    """A frame with one star."""
+    row, column = np.indices(shape)
+    light = 60.0 + 600.0 * np.exp(-((row - 30) ** 2 + (column - 40) ** 2) / 2.0)
+    noise = np.random.default_rng(len(name)).normal(0.0, 3.0, shape)
+    frame = Frame(
+        dn=np.clip(light + noise, 0, 4095).astype(np.uint16),
+        saturated=np.zeros(shape, bool),
+        defect=np.zeros(shape, bool),
+        gain_dn_per_e=0.25,
+        offset_dn=60.0,
+        read_noise_e=12.0,
+        exposure_s=0.1,
+        band="",
+        index=0,
+    )
+    write_frame(frame, folder / name)
+
+
+HEAD = "gain_dn_per_e = 0.25\noffset_dn = 60\nread_noise_e = 12\npixel_arcsec = 5.5\n"
+ONE = '[[series]]\nfiles = ["a_*.fits"]\n'
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name in ("a_1.fits", "a_22.fits", "b_1.fits"):
+        blank(tmp_path, name)
+    blank(tmp_path, "small.fits", (64, 80))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "said"),
+    [
+        (HEAD + "points = 1\n[[series]]\nfiles = ['b_*.fits']", DomainError, "1 frame; at least 2"),
+        (HEAD + "points = 1\n[[series]]\nfiles = ['a_1.fits', 'c_1.fits']", ConfigError, "no frame 'c_1.fits'"),
+        (HEAD + "points = 1\n[[series]]\nfiles = ['c_*.fits']", ConfigError, "no frame 'c_\\*.fits'"),
+        (HEAD + "points = 1\n" + ONE + "count = 5", ConfigError, "2 frames in the folder, count says 5"),
+        (HEAD + "points = 1\n[[series]]\nfiles = ['a_1.fits', 'small.fits']", DomainError, "must have one size"),
+        (HEAD + "points = 1\ndark = ['small.fits']\n" + ONE, DomainError, "small.fits has 80 x 64 px"),
+        (HEAD + "points = 1\ndark = ['a_1.fits']\n" + ONE, ConfigError, "belongs to dark and to series 1"),
+        (HEAD + "points_px = [[40, 30], [400, 30]]\n" + ONE, DomainError, "1 of 2 target points lie off the detector"),
+        (HEAD + "points_px = [[40, 30], [70, 30]]\n" + ONE, DomainError, "detected"),
+        (HEAD + "points = 3\n" + ONE, DomainError, "1 points detected of 3"),
+        (HEAD + ONE, ConfigError, "exactly one of points, points_px and target"),
+        (HEAD + "point = 1\n" + ONE, ConfigError, "point"),
+        (HEAD + "points = 1\n" + ONE + "shift = 1", ConfigError, "shift"),
+        (HEAD + "points = 1\n[[series]]\nfiles = ['../a.fits']", ConfigError, "not within the folder"),
+        (HEAD + "target = 'a.csv'\n" + ONE, ConfigError, "no frame 'a.csv'"),
+        ("gain_dn_per_e = 1", ConfigError, "offset_dn"),
+    ],
+)
+def test_a_folder_that_is_wrong_is_refused(folder, text, error, said):
+    (folder / "frames.toml").write_text(text)
+    with pytest.raises(error, match=said):
+        read_folder(folder, window_px=9)
+
+
+def test_a_star_at_the_edge_is_refused(folder):
+    (folder / "frames.toml").write_text(HEAD + "points = 1\n" + ONE)
+    assert len(read_folder(folder, window_px=9).series[0].found_px) == 1
+    with pytest.raises(DomainError, match="within 35 px of the edge"):
+        read_folder(folder, window_px=71)
+
+
+def test_saturated_points_are_refused(folder):
+    (folder / "frames.toml").write_text(HEAD + "points = 1\nsaturation_dn = 500\n" + ONE)
+    with pytest.raises(DomainError, match="1 target points are saturated"):
+        temporal_from_frames(read_folder(folder, window_px=9), ("cog",))
+
+
+def test_steps_need_two_positions_and_distortion_needs_coordinates(folder):
+    (folder / "frames.toml").write_text(HEAD + "points = 1\n" + ONE)
+    read = read_folder(folder, window_px=9)
+    with pytest.raises(DomainError, match=r"at least 2 \[\[series\]\]"):
+        hsfe_from_frames(read, ("cog",))
+    with pytest.raises(DomainError, match="coordinates of the target"):
+        distortion_from_frames(read, ("cog",))
+
+
+def test_frames_without_dark_ones_lose_a_background(folder):
+    (folder / "frames.toml").write_text(HEAD + "points = 1\n" + ONE)
+    series = temporal_from_frames(read_folder(folder, window_px=9), ("cog", "gaussian")).series[0]
+    assert series.signal_e == pytest.approx(600 * 2 * np.pi / 0.25, rel=0.02)
+    np.testing.assert_allclose(series.points.mean_px("gaussian"), [[40, 30]], atol=0.02)

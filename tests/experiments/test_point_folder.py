@@ -1,0 +1,99 @@
+"""``--frames FOLDER`` of temporal, hsfe and distortion: a report of frames from elsewhere, bad folders in one line."""
+
+from __future__ import annotations
+
+import importlib
+import json
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+HEAD = "gain_dn_per_e = 0.25\noffset_dn = 60\nread_noise_e = 12\npixel_arcsec = 5.5\n"
+PLACES = [(30.0 + 25.3 * i, 30.0 + 25.2 * j) for j in range(4) for i in range(4)]
+
+
+def frame(path, rng, shift_px=0.0):
+    """A plain FITS file as any camera program writes it."""
+    row, column = np.indices((140, 140))
+    light = np.zeros(row.shape)
+    for x, y in PLACES:
+        light += 6000.0 / (2 * np.pi) * np.exp(-((column - x - shift_px) ** 2 + (row - y) ** 2) / 2.0)
+    dn = np.rint(60 + 0.25 * (rng.poisson(light) + rng.normal(0.0, 12.0, light.shape)))
+    fits.PrimaryHDU(dn.clip(0, 65535).astype(np.uint16)).writeto(path)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path, rng = tmp_path_factory.mktemp("frames"), np.random.default_rng(5)
+    for series in "abc":
+        for number in range(4):
+            frame(path / f"{series}{number}.fits", rng, shift_px=0.2 * "abc".index(series))
+    fits.PrimaryHDU(np.full((100, 140), 60, np.uint16)).writeto(path / "other.fits")
+    return path
+
+
+def run(name, folder, text, capsys, *arguments, out):
+    (folder / "frames.toml").write_text(HEAD + text)
+    main = importlib.import_module(f"experiments.{name}").main
+    status = main(["--frames", str(folder), "--out", str(out), *arguments])
+    return status, capsys.readouterr().err.strip()
+
+
+def series(letter, extra=""):
+    return f"[[series]]\nfiles = ['{letter}*.fits']\n{extra}\n"
+
+
+TEXTS = {
+    "temporal": "points = 16\n" + series("a"),
+    "hsfe": "points = 16\n" + "".join(series(s, f"shift_px = [{0.2 * n}, 0.0]") for n, s in enumerate("abc")),
+    "distortion": f"points_px = {[list(p) for p in PLACES]}\n" + series("a", "session = 'earlier'") + series("b"),
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_a_folder_becomes_a_report(name, folder, capsys, tmp_path, mi):
+    status, text = run(name, folder, TEXTS[name], capsys, out=tmp_path / "out")
+    assert status == 0, text
+    content = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert content["results"]["source"] == "frames"
+    assert content["results"]["points"] == 16
+    assert (tmp_path / "out" / "report.html").stat().st_size > 20_000
+    assert list((tmp_path / "out").glob("*.ecsv"))
+    if name == "hsfe":  # 48 differences of means of 4 x 16 centroids of some 0.05 px
+        shifts = [one["x"] for one in content["results"]["common_shift_px"]]
+        np.testing.assert_allclose(shifts, [0.0, 0.2, 0.4], atol=0.05)
+    if name == "distortion":
+        assert set(content["results"]["distortion_arcsec_3sigma"]["cog"]) == {"nominal", "aligned", "calibrated"}
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("temporal", "points = 16\n[[series]]\nfiles = ['a1.fits']", "1 frame; at least 2 are needed"),
+        ("temporal", "points = 16\n[[series]]\nfiles = ['a1.fits', 'other.fits']", "must have one size"),
+        ("temporal", "points = 16\n[[series]]\nfiles = ['x*.fits']", "no frame 'x*.fits'"),
+        ("hsfe", "points = 16\n" + series("a"), "at least 2 [[series]]"),
+        ("hsfe", "points = 16\n" + series("a", "shift = [0, 0]") + series("b"), "shift_px"),
+        ("distortion", "points_px = [[30, 30], [300, 30]]\n" + series("a"), "off the detector"),
+        ("distortion", "points = 16\n" + series("a"), "coordinates of the target"),
+        ("distortion", f"points_px = {[list(p) for p in PLACES[:5]]}\n" + series("a"), "5 points do not determine"),
+    ],
+)
+def test_a_bad_folder_is_one_line(name, text, said, folder, capsys, tmp_path, mi):
+    status, shown = run(name, folder, text, capsys, out=tmp_path / "out")
+    lines = [line for line in shown.splitlines() if line.startswith("error")]
+    assert status == 2
+    assert len(lines) == 1
+    assert said in lines[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_missing_folder_and_a_fit_without_psf_are_one_line(folder, capsys, tmp_path, mi):
+    main = importlib.import_module("experiments.temporal").main
+    assert main(["--frames", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
+    assert "no such folder" in capsys.readouterr().err
+    only = ("--set", "centroid=epsf", "--set", "compare=[]")
+    status, text = run("temporal", folder, TEXTS["temporal"], capsys, *only, out=tmp_path / "out")
+    assert status == 2
+    assert "without a PSF" in text
