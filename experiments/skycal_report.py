@@ -144,7 +144,7 @@ def _frames(result: Result, every: Mapping[str, Table]) -> Section:
 def _frames_text(result: Result) -> str:
     config = result.config
     source = next(iter(result.cameras.values())).scene.sky
-    exposures = ", ".join(
+    exposures = "; ".join(
         f"{camera.title}: {camera.scene.config.instrument.exposure_s:g} s, stars to G = "
         f"{camera.scene.config.faintest_mag:g}, "
         f"{camera.stars_per_frame:.0f} used per frame"
