@@ -164,6 +164,7 @@ def _step_plot(result: FolderResult, reduced: StepFrames) -> Drawing:
     for axis, letter in enumerate("xy"):
         axes[axis].plot(number, residual[:, :, axis], marker=".", color=PALETTE[0], linewidth=0.6, alpha=0.7)
         axes[axis].set(xlabel="step", title=letter)
+        axes[axis].xaxis.get_major_locator().set_params(integer=True)
     axes[0].set_ylabel("residual [″]")
     return figure
 
@@ -176,26 +177,27 @@ def _grid_plot(result: FolderResult, reduced: GridFrames) -> Drawing:
         longest = float(np.linalg.norm(values, axis=1).max())
         axis.quiver(*reduced.nominal_px.T, *values.T, color=PALETTE[0], angles="xy")
         axis.set(xlabel="column [px]", title=f"{title}: longest {longest * reduced.pixel_arcsec:.2f}″", aspect="equal")
+        axis.set_xlim(0, result.folder.width_px)
     axes[0].set_ylabel("row [px]")
     axes[0].set_ylim(result.folder.height_px, 0)
     return figure
 
 
-def _signal_plot(result: FolderResult, reduced: TemporalFrames) -> Drawing:
-    """Scatter against signal beside the noise model."""
+def _level_plot(result: FolderResult, reduced: TemporalFrames) -> Drawing:
+    """Scatter of every series beside the noise model; the centroiders stand side by side."""
     figure, axes = new_figure(1, 2, aspect_ratio=0.42, sharey=True)
-    signal = [one.signal_e for one in reduced.series]
-    order = np.argsort(signal)
+    number, spread = np.arange(len(reduced.series)) + 1.0, 0.6 / len(result.methods)
+    c4 = [small_sample_factor(one.frames) for one in reduced.series]
     for axis, letter in enumerate("xy"):
-        for method, colour, marker in zip(result.methods, PALETTE, MARKERS, strict=False):
-            seen = [reduced.te_arcsec(method, n)[axis] for n in range(len(signal))]
-            model = [reduced.predicted_te_arcsec(method, n)[axis] for n in range(len(signal))]
-            errors = [one.uncertainty for one in seen]
-            label = METHOD_NAMES[method]
-            values = [one.value for one in seen]
-            axes[axis].errorbar(signal, values, errors, fmt=marker, color=colour, markerfacecolor="white", label=label)
-            axes[axis].plot(np.array(signal)[order], np.array(model)[order], marker="_", color=colour, linewidth=0.9)
-        axes[axis].set(xlabel="signal [e⁻]", title=letter)
+        for place, method in enumerate(result.methods):
+            colour, marker, at = PALETTE[place], MARKERS[place], number + spread * place - 0.3 + spread / 2
+            seen = [reduced.te_arcsec(method, n)[axis] for n in range(len(number))]
+            model = [c4[n] * reduced.predicted_te_arcsec(method, n)[axis] for n in range(len(number))]
+            values, errors, label = [o.value for o in seen], [o.uncertainty for o in seen], METHOD_NAMES[method]
+            axes[axis].errorbar(at, values, errors, fmt=marker, color=colour, markerfacecolor="white", label=label)
+            axes[axis].hlines(model, at - 0.4 * spread, at + 0.4 * spread, color=colour, linewidth=0.9)
+        axes[axis].set_xticks(number, [f"{one.signal_e:.0f}" for one in reduced.series])
+        axes[axis].set(xlabel="signal of the series [e⁻]", title=letter, xlim=(0.5, len(number) + 0.5))
     axes[0].set_ylabel("temporal error, 3 σ [″]")
     axes[1].legend()
     return figure
@@ -204,7 +206,7 @@ def _signal_plot(result: FolderResult, reduced: TemporalFrames) -> Drawing:
 def _figure(result: FolderResult) -> tuple[Drawing, str]:
     reduced, first = result.reduced, METHOD_NAMES[result.methods[0]]
     if isinstance(reduced, TemporalFrames):
-        return _signal_plot(result, reduced), "Points: measured; dashes: the noise model."
+        return _level_plot(result, reduced), "Points: measured; dashes: the noise model for as many frames."
     if isinstance(reduced, StepFrames):
         return _step_plot(result, reduced), f"Differences of consecutive positions without their mean, {first}."
     return _grid_plot(result, reduced), f"Residuals {first}, reference {reduced.references[-1]}: before and after."

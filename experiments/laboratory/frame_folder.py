@@ -211,7 +211,7 @@ def _files(folder: Path, patterns: Sequence[str], name: str) -> list[Path]:
         many = any(sign in pattern for sign in "*?[")
         here = sorted(p for p in folder.glob(pattern) if p.is_file()) if many else [folder / pattern]
         if not here or not all(p.is_file() for p in here):
-            raise ConfigError(f"{SETTINGS_FILE}, {name}: no frame {pattern!r} in the folder {folder}")
+            raise ConfigError(f"{SETTINGS_FILE}, {name}: no file {pattern!r} in the folder {folder}")
         found.update(dict.fromkeys(here))
     return list(found)
 

@@ -72,7 +72,7 @@ def test_a_folder_becomes_a_report(name, folder, capsys, tmp_path, mi):
     [
         ("temporal", "points = 16\n[[series]]\nfiles = ['a1.fits']", "1 frame; at least 2 are needed"),
         ("temporal", "points = 16\n[[series]]\nfiles = ['a1.fits', 'other.fits']", "must have one size"),
-        ("temporal", "points = 16\n[[series]]\nfiles = ['x*.fits']", "no frame 'x*.fits'"),
+        ("temporal", "points = 16\n[[series]]\nfiles = ['x*.fits']", "no file 'x*.fits'"),
         ("hsfe", "points = 16\n" + series("a"), "at least 2 [[series]]"),
         ("hsfe", "points = 16\n" + series("a", "shift = [0, 0]") + series("b"), "shift_px"),
         ("distortion", "points_px = [[30, 30], [300, 30]]\n" + series("a"), "off the detector"),

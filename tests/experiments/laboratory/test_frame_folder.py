@@ -218,8 +218,8 @@ def folder(tmp_path):
     ("text", "error", "said"),
     [
         (HEAD + "points = 1\n[[series]]\nfiles = ['b_*.fits']", DomainError, "1 frame; at least 2"),
-        (HEAD + "points = 1\n[[series]]\nfiles = ['a_1.fits', 'c_1.fits']", ConfigError, "no frame 'c_1.fits'"),
-        (HEAD + "points = 1\n[[series]]\nfiles = ['c_*.fits']", ConfigError, "no frame 'c_\\*.fits'"),
+        (HEAD + "points = 1\n[[series]]\nfiles = ['a_1.fits', 'c_1.fits']", ConfigError, "no file 'c_1.fits'"),
+        (HEAD + "points = 1\n[[series]]\nfiles = ['c_*.fits']", ConfigError, "no file 'c_\\*.fits'"),
         (HEAD + "points = 1\n" + ONE + "count = 5", ConfigError, "2 frames in the folder, count says 5"),
         (HEAD + "points = 1\n[[series]]\nfiles = ['a_1.fits', 'small.fits']", DomainError, "must have one size"),
         (HEAD + "points = 1\ndark = ['small.fits']\n" + ONE, DomainError, "small.fits has 80 x 64 px"),
@@ -231,7 +231,7 @@ def folder(tmp_path):
         (HEAD + "point = 1\n" + ONE, ConfigError, "point"),
         (HEAD + "points = 1\n" + ONE + "shift = 1", ConfigError, "shift"),
         (HEAD + "points = 1\n[[series]]\nfiles = ['../a.fits']", ConfigError, "not within the folder"),
-        (HEAD + "target = 'a.csv'\n" + ONE, ConfigError, "no frame 'a.csv'"),
+        (HEAD + "target = 'a.csv'\n" + ONE, ConfigError, "no file 'a.csv'"),
         ("gain_dn_per_e = 1", ConfigError, "offset_dn"),
     ],
 )
@@ -268,3 +268,23 @@ def test_frames_without_dark_ones_lose_a_background(folder):
     series = temporal_from_frames(read_folder(folder, window_px=9), ("cog", "gaussian")).series[0]
     assert series.signal_e == pytest.approx(600 * 2 * np.pi / 0.25, rel=0.02)
     np.testing.assert_allclose(series.points.mean_px("gaussian"), [[40, 30]], atol=0.02)
+
+
+def test_a_target_table_may_hold_tangents(folder):
+    tangent = (np.array([40.3, 29.8]) - [47.5, 31.5]) * np.radians(5.5 / 3600)
+    (folder / "grid.csv").write_text(f"tan_x,tan_y\n{tangent[0]:.17g},{tangent[1]:.17g}\n")
+    (folder / "frames.toml").write_text(HEAD + "target = 'grid.csv'\n" + ONE)
+    np.testing.assert_allclose(read_folder(folder, window_px=9).nominal_px, [[40.3, 29.8]], atol=1e-9)
+    (folder / "grid.csv").write_text("u,v\n1,2\n")
+    with pytest.raises(ConfigError, match="columns x_px and y_px, or tan_x and tan_y"):
+        read_folder(folder, window_px=9)
+
+
+def test_series_are_ordered_by_position(folder):
+    blank(folder, "b_2.fits")
+    two = ONE + "position = 2\nname = 'later'\n[[series]]\nfiles = ['b_*.fits']\nname = 'first'\n"
+    (folder / "frames.toml").write_text(HEAD + "points = 1\n" + two + "position = 1\n")
+    assert [one.name for one in read_folder(folder, window_px=9).series] == ["first", "later"]
+    (folder / "frames.toml").write_text(HEAD + "points = 1\n" + two)
+    with pytest.raises(ConfigError, match="position must be given for every series or none"):
+        read_folder(folder, window_px=9)
