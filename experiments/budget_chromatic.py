@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.centroid import Centroider
 from experiments.budget_combine import Value
 from experiments.budget_laboratory import Laboratory
 from experiments.chromatic_evaluate import evaluate
 from experiments.chromatic_measure import measure
 from experiments.chromatic_model import band_pairs, bundle_prediction, rms, shifts, table1
 from experiments.laboratory.bench import point_field
-from experiments.laboratory.point_frames import centroiders, noiseless_positions
-from experiments.laboratory.point_noise import ExpectedWindows, expected_windows, nominal_noise
+from experiments.laboratory.point_frames import centroiders
+from experiments.laboratory.point_noise import PixelNoise, drawn_positions, expected_windows
 from experiments.target import corner_directions
 from render.psf import epsf_tracer, render_epsf
 from render.random import Streams
+from render.records import EffectivePsf
 
-__all__ = ["ChromaticTerm", "measure_chromatic", "predict_chromatic"]
+__all__ = ["ChromaticTerm", "TracedTarget", "measure_chromatic", "predict_chromatic", "trace_target"]
 
 FloatArray = NDArray[np.float64]
 
@@ -79,8 +79,27 @@ def _pairs(lab: Laboratory) -> list[tuple[str, int, int]]:
     return band_pairs([band.centre_nm for band in lab.filtered.filters], lab.filtered.reference)
 
 
-def predict_chromatic(mi: Any, lab: Laboratory) -> ChromaticTerm:
-    """Positions by ray trace; where the centroider does not know the PSF, its bias on noiseless PSFs is added.
+@dataclass(frozen=True, slots=True)
+class TracedTarget:
+    """Target points in the four corners: what depends on the light alone.
+
+    Attributes
+    ----------
+    direction : (p, j, 3)
+        Points.
+    place_px : (p, j, b, 2)
+        Traced bundle means.
+    psf : list
+        PSFs ``[corner][point][band]``; empty where the centroider knows them.
+    """
+
+    direction: FloatArray
+    place_px: FloatArray
+    psf: list[list[list[EffectivePsf]]]
+
+
+def trace_target(mi: Any, lab: Laboratory) -> TracedTarget:
+    """Trace the target behind every filter; PSFs only if the centroider does not know them.
 
     Parameters
     ----------
@@ -91,45 +110,56 @@ def predict_chromatic(mi: Any, lab: Laboratory) -> ChromaticTerm:
     """
     bench, instrument = lab.filtered, lab.instrument
     direction = corner_directions(bench.target, instrument)
-    place = bundle_prediction(bench, instrument, direction)
+    psf: list[list[list[EffectivePsf]]] = []
     if bench.methods[0] != "epsf":
-        place = _as_centroided(mi, lab, direction, place.shape)
-    shift = shifts(place, _pairs(lab))
+        tracer, half = epsf_tracer(mi, instrument.camera), bench.window_px // 2 + 2
+        psf = [render_epsf(tracer, point_field(bench, instrument, one), half_size_px=half) for one in direction]
+    return TracedTarget(direction, bundle_prediction(bench, instrument, direction), psf)
+
+
+def predict_chromatic(lab: Laboratory, traced: TracedTarget, *, draws: int) -> ChromaticTerm:
+    """Positions by ray trace, or where the centroider puts them on PSFs with noise.
+
+    Parameters
+    ----------
+    lab : Laboratory
+        The laboratory.
+    traced : TracedTarget
+        Of this lens, focus, light and window (`trace_target`).
+    draws : int
+        Noisy copies of each window; a threshold makes the mean centroid depend on the noise.
+    """
+    place, error = traced.place_px, np.zeros_like(traced.place_px)
+    if traced.psf:
+        place, error = _as_centroided(lab, traced, draws)
+    pairs = _pairs(lab)
+    shift, sigma = shifts(place, pairs), {}
+    for name, high, low in pairs:
+        square = (error[:, :, high] ** 2 + error[:, :, low] ** 2).sum((0, 1))
+        sigma[name] = np.sqrt(square) / (2.0 * error.shape[0] * error.shape[1])
     return ChromaticTerm(
         table1_px={name: table1(v) for name, v in shift.items()},
-        sigma_px={name: np.zeros(2) for name in shift},
+        sigma_px=sigma,
         rms_px={name: rms(v) for name, v in shift.items()},
-        pixel_arcsec=instrument.pixel_arcsec,
+        pixel_arcsec=lab.instrument.pixel_arcsec,
         n=0,
     )
 
 
-def _as_centroided(mi: Any, lab: Laboratory, direction: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """Positions (p, j, b, 2) that the centroider gives on noiseless windows."""
+def _as_centroided(lab: Laboratory, traced: TracedTarget, draws: int) -> tuple[FloatArray, FloatArray]:
+    """Mean positions (p, j, b, 2) of the centroider over drawn noise, and their standard deviations."""
     bench, instrument, method = lab.filtered, lab.instrument, lab.filtered.methods[0]
-    tracer = epsf_tracer(mi, instrument.camera)
-    place = np.empty(shape)
-    for p, points in enumerate(direction):
-        stars = point_field(bench, instrument, points)
-        epsf = render_epsf(tracer, stars, half_size_px=bench.window_px // 2 + 2)
-        for band in range(shape[2]):
-            psf = [row[band] for row in epsf]
+    noise, rng = PixelNoise.of(instrument), Streams(lab.config.seed).generator("chromatic prediction")
+    place, error = np.empty_like(traced.place_px), np.empty_like(traced.place_px)
+    for p, points in enumerate(traced.direction):
+        for band in range(place.shape[2]):
+            psf = [row[band] for row in traced.psf[p]]
             windows = expected_windows(replace(bench, reference=band), instrument, points[None], psf)
             centroider = centroiders((method,), psf)[method]
-            place[p, :, band] = _noiseless(centroider, lab, windows)
-    return place
-
-
-def _noiseless(centroider: Centroider, lab: Laboratory, windows: ExpectedWindows) -> FloatArray:
-    """Positions (n, 2) of noiseless windows."""
-    position, _ = noiseless_positions(
-        centroider,
-        nominal_noise(lab.instrument),
-        light_e=windows.light_e,
-        corner_px=windows.corner_px,
-        psf_index=windows.psf_index,
-    )
-    return position
+            drawn = drawn_positions(centroider, instrument, windows, noise, draws=draws, rng=rng)
+            place[p, :, band] = np.nanmean(drawn, axis=0)
+            error[p, :, band] = np.nanstd(drawn, axis=0, ddof=1) / np.sqrt(draws)
+    return place, error
 
 
 def measure_chromatic(

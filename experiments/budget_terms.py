@@ -8,13 +8,13 @@ the target), the measurement is repeated and its RMS taken, so that its uncertai
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.budget_chromatic import ChromaticTerm, measure_chromatic, predict_chromatic
+from experiments.budget_chromatic import ChromaticTerm, measure_chromatic, predict_chromatic, trace_target
 from experiments.budget_combine import Budget, Value, combine
 from experiments.budget_laboratory import Laboratory
 from experiments.laboratory.bench import Bench
@@ -24,8 +24,6 @@ from experiments.laboratory.hexapod import Hexapod
 from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
 from experiments.laboratory.high_frequency_model import predict_high_frequency
 from experiments.laboratory.point_scene import PointScene, point_scene
-from experiments.laboratory.points import nominal_px
-from experiments.laboratory.step_statistics import document_rms_px
 from experiments.laboratory.targets import GridTarget, grid_directions
 from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
 from render.random import Streams
@@ -35,8 +33,8 @@ __all__ = ["Measurement", "PredictedTerms", "Psfs", "measure_terms", "predict_te
 
 FloatArray = NDArray[np.float64]
 
-ROLL_PATHS = 200
-"""Drawn paths behind what the platform's roll leaves in the step test."""
+STEP_NOISE_DRAWS = 60
+"""Noisy copies of each window of the step test: their mean is then good to an eighth of the noise of a frame."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,7 +193,8 @@ def predict_terms(
     temporal = predict_temporal(bench, instrument, psf=psf, draws=draws, seed=seed)
     te = Value(arcsec=temporal.sampled_te_arcsec(method), uncertainty_arcsec=temporal.te_uncertainty_arcsec(method))
     hsfe, causes, single = _predicted_steps(lab, psfs, step_draws, ideal_platform=ideal_platform)
-    chromatic = psfs.once(lab, lab.filtered, "chromatic", lambda: predict_chromatic(mi, lab))
+    traced = psfs.once(lab, lab.filtered, "chromatic", lambda: trace_target(mi, lab))
+    chromatic = predict_chromatic(lab, traced, draws=draws)
     found, scatter = _predicted_distortion(lab, psfs, draws, seed)
     budget = combine(
         {
@@ -235,7 +234,7 @@ def _predicted_steps(
     bench, instrument = lab.bench, lab.instrument
     method, scale = bench.methods[0], 3.0 * instrument.pixel_arcsec
     places = places_px(lab)[:: 2 if not ideal_platform else len(places_px(lab))]  # the field changes slowly
-    found, rolls, scatters = [], [], []
+    found, scatters = [], []
     for number, middle in enumerate(places):
         direction = target_place(bench, instrument, middle.tolist())
         one = predict_high_frequency(
@@ -243,41 +242,32 @@ def _predicted_steps(
             instrument,
             step_plan(lab),
             psf=psfs.of(lab, bench, f"place {number}", direction),
-            hexapod=None if ideal_platform else platform(lab),
+            hexapod=replace(platform(lab), step_error_arcsec=0.0) if ideal_platform else platform(lab),
             place_px=middle.tolist(),
             draws=draws,
+            noise_draws=noise_draws(lab, STEP_NOISE_DRAWS),
             seed=lab.config.seed + number,
         ).method[method]
-        roll, roll_scatter = _roll_px(lab, direction)
         found.append(one)
-        rolls.append(roll)
-        scatters.append(np.hypot(one.document_px * one.scatter_px, roll * roll_scatter))
+        scatters.append(one.document_px * one.scatter_px)
     parts = {label: [getattr(one, name) for one in found] for label, name in _STEP_PARTS.items()}
     parts |= {label: [one.cause_px[key] for one in found] for label, key in _CAUSES.items()}
-    parts |= {"noise": [np.hypot(one.temporal_px, one.dark_px) for one in found], "roll": rolls}
+    parts |= {"noise": [np.hypot(one.temporal_px, one.dark_px) for one in found]}
     mean = {label: np.sqrt(np.mean(np.square(values), axis=0)) for label, values in parts.items()}
-    whole = np.hypot(mean["document"], mean["roll"])
+    whole = mean["document"]
     spread = np.sqrt(np.square(scatters).mean(0) / lab.config.steps.places) / np.maximum(whole, 1e-300)
     causes = {label: mean[label] * scale for label in _CAUSES}
     causes |= {"averaged noise": mean["noise"] * scale, "roll of the platform": mean["roll"] * scale}
     return Value(arcsec=whole * scale, uncertainty_arcsec=spread * scale), causes, mean["single"] * scale
 
 
-_STEP_PARTS = {"document": "document_px", "single": "single_px"}
+def noise_draws(lab: Laboratory, wanted: int) -> int:
+    """Noisy copies behind mean centroids; a fit of the true PSF has no bias that noise could change."""
+    return 0 if lab.bench.methods[0] == "epsf" else wanted
+
+
+_STEP_PARTS = {"document": "document_px", "single": "single_px", "roll": "roll_px"}
 _CAUSES = {"S-curve": "s_curve", "PRNU": "prnu", "offset pattern": "pattern", "defects": "defects"}
-
-
-def _roll_px(lab: Laboratory, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """What the platform's roll leaves in the document's number (2,) [px, RMS], and its scatter from path to path."""
-    place = nominal_px(lab.instrument, direction)
-    middle = place - lab.instrument.camera.centre_px
-    lever = np.stack([-middle[:, 1], middle[:, 0]], axis=1)
-    rng = Streams(lab.config.seed).generator("budget roll")
-    size = np.radians(platform(lab).roll_error_arcsec / 3600.0)
-    angles = size * rng.standard_normal((ROLL_PATHS, lab.config.steps.positions))
-    drawn = np.stack([document_rms_px(one[:, None, None] * lever) for one in angles])
-    root = np.sqrt((drawn**2).mean(0))
-    return root, np.asarray((drawn**2).std(0, ddof=1) / np.maximum(2.0 * root, 1e-300))
 
 
 def _predicted_distortion(lab: Laboratory, psfs: Psfs, draws: int, seed: int) -> tuple[FloatArray, FloatArray]:
@@ -293,6 +283,7 @@ def _predicted_distortion(lab: Laboratory, psfs: Psfs, draws: int, seed: int) ->
         order=grid.order,
         references=(grid.reference,),
         draws=draws,
+        noise_draws=noise_draws(lab, 2 * draws),
         seed=seed,
     )
     method = bench.methods[0]

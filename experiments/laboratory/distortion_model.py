@@ -30,7 +30,7 @@ from experiments.laboratory.distortion_statistics import (
     without_pointing,
 )
 from experiments.laboratory.point_frames import centroiders
-from experiments.laboratory.point_noise import PixelNoise, expected_windows, influence
+from experiments.laboratory.point_noise import PixelNoise, drawn_positions, expected_windows, influence
 from experiments.laboratory.point_scene import one_filter
 from experiments.laboratory.targets import GridTarget, grid_directions, survey
 from render.random import Streams
@@ -74,6 +74,7 @@ def predict_distortion(
     order: int = 3,
     references: Sequence[Reference] = tuple(REFERENCES),
     draws: int = 200,
+    noise_draws: int = 0,
     seed: int = 0,
 ) -> DistortionPrediction:
     """Prediction for every centroider of the bench.
@@ -92,6 +93,9 @@ def predict_distortion(
         How target coordinates become pixels.
     draws : int
         Drawn targets, chips and sessions.
+    noise_draws : int
+        Noisy copies of each window from which the mean centroid is taken; 0 takes the noiseless window's, which is the
+        same but for methods with a threshold at little light.
     seed : int
         Of the draws; they have nothing in common with the frames.
     """
@@ -109,9 +113,14 @@ def predict_distortion(
         sessions = np.hypot(temporal, np.sqrt(dark2))
         fixed = noise.prnu * np.sqrt(np.einsum("nahw,nhw->na", gain.gain_px_per_e**2, windows.light_e**2))
         point[name] = np.hypot(sessions, fixed)
+        expected = gain.position_px
+        if noise_draws:
+            lots = Streams(seed).generator("distortion noise")
+            drawn = drawn_positions(centroider, instrument, windows, noise, draws=noise_draws, rng=lots)
+            expected = np.nanmean(drawn, axis=0)
         found: dict[Reference, list[FloatArray]] = {r: [] for r in references}
         for surveyed in survey(target, direction, rng, copies=draws):
-            chip = gain.position_px + fixed * rng.standard_normal(fixed.shape)
+            chip = expected + fixed * rng.standard_normal(fixed.shape)
             earlier, test = chip + sessions * rng.standard_normal((2, *fixed.shape))
             for reference in references:
                 place, d, _ = residual_px(instrument, surveyed, earlier, test, reference)

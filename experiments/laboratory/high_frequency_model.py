@@ -26,7 +26,14 @@ from experiments.laboratory.bench import Bench
 from experiments.laboratory.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import CAUSES, StepPlan
 from experiments.laboratory.point_frames import Subtraction, centroiders, noiseless_positions
-from experiments.laboratory.point_noise import ExpectedWindows, PixelNoise, expected_windows, influence, nominal_noise
+from experiments.laboratory.point_noise import (
+    ExpectedWindows,
+    PixelNoise,
+    drawn_positions,
+    expected_windows,
+    influence,
+    nominal_noise,
+)
 from experiments.laboratory.point_scene import one_filter
 from experiments.laboratory.step_statistics import document_rms_px, single_rms_px
 from experiments.laboratory.temporal_error import target_place
@@ -118,6 +125,7 @@ def predict_high_frequency(
     subtraction: Subtraction = "dark",
     defect: NDArray[np.bool_] | None = None,
     draws: int = 200,
+    noise_draws: int = 0,
     seed: int = 0,
 ) -> HighFrequencyPrediction:
     """Prediction for every centroider of the bench.
@@ -136,6 +144,9 @@ def predict_high_frequency(
         The camera's list of hot and dead pixels, which the reduction leaves out; none without it.
     draws : int
         Drawn chips.
+    noise_draws : int
+        Noisy copies of each window from which the mean centroid is taken; 0 takes the noiseless window's, which is the
+        same but for methods with a threshold at little light.
     seed : int
         Of the draws; they have nothing in common with the frames.
     """
@@ -158,6 +169,8 @@ def predict_high_frequency(
         subtraction=subtraction,
         defect=defect,
         draws=draws,
+        noise_draws=noise_draws,
+        seed=seed,
         roll_rad=0.0 if hexapod is None else hexapod.roll_error_arcsec * ARCSEC_RAD,
     )
     return HighFrequencyPrediction(
@@ -178,13 +191,17 @@ class _Model:
     subtraction: Subtraction
     defect: NDArray[np.bool_] | None
     draws: int
+    noise_draws: int
+    seed: int
     roll_rad: float
 
     def method(self, centroider: Centroider, rng: np.random.Generator) -> MethodPrediction:
         """Everything about one centroider."""
         windows, m = self.windows, self.positions
         gain = influence(centroider, self.instrument, windows)
-        curves, masked = [(gain.position_px - windows.place_px).reshape(m, -1, 2)], [self._masked(centroider, windows)]
+        first = (gain.position_px - windows.place_px).reshape(m, -1, 2)
+        curves, masked = [self._curve(centroider, windows) if self.noise_draws else first], []
+        masked.append(self._masked(centroider, windows))
         for other in self.others:
             curves.append(self._curve(centroider, other))
             masked.append(self._masked(centroider, other))
@@ -242,7 +259,11 @@ class _Model:
         return [], [self._fixed(gain, float(np.sqrt(self.noise.floor_e2 / self.bench.dark_frames)))]
 
     def _curve(self, centroider: Centroider, windows: ExpectedWindows) -> FloatArray:
-        """Error (m, j, 2) of the noiseless centroids."""
+        """Error (m, j, 2) of the noiseless centroids, or of their mean over drawn noise."""
+        if self.noise_draws:
+            rng = Streams(self.seed).generator("high-frequency noise")
+            drawn = drawn_positions(centroider, self.instrument, windows, self.noise, draws=self.noise_draws, rng=rng)
+            return np.asarray((np.nanmean(drawn, axis=0) - windows.place_px).reshape(self.positions, -1, 2))
         found, _ = noiseless_positions(
             centroider,
             nominal_noise(self.instrument),

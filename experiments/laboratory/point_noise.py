@@ -38,6 +38,7 @@ __all__ = [
     "Influence",
     "PixelNoise",
     "bound_px",
+    "drawn_positions",
     "expected_windows",
     "influence",
     "nominal_noise",
@@ -256,7 +257,24 @@ def sampled_px(
     draws: int,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Standard deviation (n, 2) by noise drawn on the windows with NumPy: Poisson, normal, rounded.
+    """Standard deviation (n, 2) of `drawn_positions`; parameters as there."""
+    position = drawn_positions(centroider, instrument, windows, noise, draws=draws, rng=rng)
+    return np.asarray(np.nanstd(position, axis=0, ddof=1))
+
+
+def drawn_positions(
+    centroider: Centroider,
+    instrument: Instrument,
+    windows: ExpectedWindows,
+    noise: PixelNoise,
+    *,
+    draws: int,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Positions (draws, n, 2) with noise drawn on the windows with NumPy: Poisson, normal, rounded.
+
+    Their mean is where frames put the centroid of a method that is not linear (a threshold): the centroid of the
+    noiseless window may lie elsewhere.
 
     Parameters
     ----------
@@ -283,5 +301,4 @@ def sampled_px(
     electrons = np.rint(electrons * stated.gain_dn_per_e) / stated.gain_dn_per_e
     many = stamps.select(np.tile(np.arange(len(stamps)), draws))
     noisy: Stamps = replace(many, electrons=electrons.reshape(-1, *shape[2:]))
-    position = measured_positions(centroider, noisy, stated, draws)
-    return np.asarray(np.nanstd(position, axis=0, ddof=1))
+    return measured_positions(centroider, noisy, stated, draws)
