@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from experiments.acf_result import Result
 from experiments.report import Figure, Section, Text
 from experiments.summary import Criterion
+from experiments.tables import cell_text
 
-__all__ = ["pixel_criteria", "pixel_results", "pixel_sections"]
+if TYPE_CHECKING:
+    from experiments.skycal_calibrate import Judged
+    from experiments.skycal_result import CameraResult
+
+__all__ = ["camera_text", "pixel_criteria", "pixel_results", "pixel_sections"]
 
 
 def pixel_results(result: Result) -> dict[str, Any] | None:
@@ -23,12 +28,15 @@ def pixel_results(result: Result) -> dict[str, Any] | None:
             "field_deg": camera.scene.field_deg,
             "frames": camera.scene.frames,
             "stars_per_frame": camera.stars_per_frame,
-            "map_error_arcsec": {"rms": camera.total.rms_arcsec, "max": camera.total.max_arcsec},
-            "predicted_arcsec": camera.total.predicted_arcsec,
-            "map_error_with_gyro_arcsec": {"rms": linked.rms_arcsec, "max": linked.max_arcsec},
-            "predicted_with_gyro_arcsec": linked.predicted_arcsec,
+            "map_error_arcsec": _map(camera.total),
+            "map_error_with_gyro_arcsec": _map(linked),
+            "parts_arcsec": camera.evaluation.part_rms_arcsec,
         }
     return found
+
+
+def _map(judged: Judged) -> dict[str, float]:
+    return {"rms": judged.rms_arcsec, "max": judged.max_arcsec, "predicted": judged.predicted_arcsec}
 
 
 def pixel_criteria(result: Result) -> list[Criterion]:
@@ -47,19 +55,14 @@ def pixel_sections(result: Result) -> list[Section]:
     from experiments.skycal_figures import error_and_uncertainty
 
     cameras = result.rendered.cameras.values()
-    parts = [
-        f"The {camera.title}: {camera.scene.frames} frames of the real sky, {camera.stars_per_frame:.0f} stars in a "
-        f"frame detected, centroided and matched. The line of sight is off by {camera.total.rms_arcsec:.2f}″ RMS; the "
-        f"noise of the calibration makes {camera.total.predicted_arcsec:.2f}″ of it, the colour of the stars and the "
-        "camera model the rest."
-        for camera in cameras
-    ]
     words = (
         "So far positions were numbers with Gaussian noise. Here frames are rendered through a traced lens, read out "
         "and reduced; the truth is the lens. "
-        + " ".join(parts)
-        + " What the error is made of, which camera model is enough, and what wrong matches do is in the report of "
-        "*skycal*."
+        + " ".join(camera_text(camera) for camera in cameras)
+        + " A part is what one more error in the positions changes of the map; parts add up as vectors, so that "
+        "opposite ones make a whole smaller than their squares do. The predicted uncertainty contains a floor fitted "
+        "to the residuals, hence some of the colour and of the camera model, not the noise alone. Which camera model "
+        "is enough, and what wrong matches do, is in the report of *skycal*."
     )
     figures = [
         Figure(
@@ -70,3 +73,17 @@ def pixel_sections(result: Result) -> list[Section]:
         for camera in cameras
     ]
     return [Section(title="On pixels", blocks=[Text(words), *figures])]
+
+
+def camera_text(camera: CameraResult) -> str:
+    """Size of the error of one camera, and the parts as ``skycal`` takes it apart."""
+    from experiments.skycal_evaluate import PARTS
+
+    sizes = sorted(camera.evaluation.part_rms_arcsec.items(), key=lambda item: -item[1])
+    return (
+        f"The {camera.title}: {camera.scene.frames} frames of the real sky, {camera.stars_per_frame:.0f} stars in a "
+        f"frame detected, centroided and matched. The line of sight is off by {camera.total.rms_arcsec:.2f}″ RMS, "
+        f"predicted {camera.total.predicted_arcsec:.2f}″. Its parts, RMS: "
+        + ", ".join(f"{PARTS[name]} {cell_text(size, '.2g')}″" for name, size in sizes)
+        + "."
+    )

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from experiments import acf_inference, acf_plan
 from experiments.acf import Config, main, run, summary, tables
 from experiments.acf_evaluate import comparison, fig3, fig4, gains, pulls
 from experiments.acf_inference import infer
+from experiments.acf_pixels import camera_text, pixel_results
 from experiments.acf_plan import make_plan
 from experiments.acf_published import TABLE2_CALIBRATED, TABLE2_ROUNDING, TABLE2_START, TABLE2_TRUE
 from experiments.acf_settings import RenderedConfig, SkyConfig, SweepConfig
@@ -212,9 +214,44 @@ def test_rendered_frames_are_part_of_the_result(tmp_path):
     wide = written["results"]["rendered"]["wide"]
     assert wide["frames"] == 5
     assert 0.0 < wide["map_error_arcsec"]["rms"] <= wide["map_error_arcsec"]["max"] < 60.0
-    assert 0.0 < wide["predicted_arcsec"] < 60.0
+    assert 0.0 < wide["map_error_arcsec"]["predicted"] < 60.0
     assert any(one["name"].startswith("25.6 mm lens") for one in written["criteria"])
     assert "On pixels" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_values_of_the_rendered_cameras_come_from_skycal():
+    def judged(rms, largest, predicted):
+        return SimpleNamespace(rms_arcsec=rms, max_arcsec=largest, predicted_arcsec=predicted)
+
+    maps = {("measured", "free"): judged(1.5, 4.0, 1.25), ("measured", "linked"): judged(0.5, 2.0, 0.75)}
+    parts = {"mismatch": 0.25, "chromatic": 1.0, "noise": 0.75, "psf": 0.125}
+    camera = SimpleNamespace(
+        title="25.6 mm lens",
+        scene=SimpleNamespace(
+            instrument=SimpleNamespace(camera=SimpleNamespace(lens=SimpleNamespace(name="a lens"))),
+            field_deg=22.5,
+            frames=60,
+        ),
+        stars_per_frame=30.5,
+        total=maps["measured", "free"],
+        of=lambda data, *, method="free": maps[data, method],
+        evaluation=SimpleNamespace(part_rms_arcsec=parts),
+    )
+    assert pixel_results(SimpleNamespace(rendered=None)) is None
+    assert pixel_results(SimpleNamespace(rendered=SimpleNamespace(cameras={"wide": camera}))) == {
+        "wide": {
+            "lens": "a lens",
+            "field_deg": 22.5,
+            "frames": 60,
+            "stars_per_frame": 30.5,
+            "map_error_arcsec": {"rms": 1.5, "max": 4.0, "predicted": 1.25},
+            "map_error_with_gyro_arcsec": {"rms": 0.5, "max": 2.0, "predicted": 0.75},
+            "parts_arcsec": parts,
+        }
+    }
+    words = camera_text(camera)
+    assert "off by 1.50″ RMS, predicted 1.25″" in words
+    assert words.endswith("star colours 1″, noise and pixels 0.75″, camera model 0.25″, PSF of one colour 0.12″.")
 
 
 @pytest.mark.slow
