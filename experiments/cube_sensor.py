@@ -8,7 +8,7 @@ conditioning the solution on it, the best estimate given that two of the unknown
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from experiments.laboratory.turntable import Turntable
 from optics.errors import ConvergenceError, DomainError
 from optics.units import DEG_RAD
 from render.bench_sensor import MaskSensor, mask_scene, trace_mask
+from render.detector import Detector
 from render.random import Streams
 
 __all__ = ["SensorCalibration", "SensorRun", "calibrate_sensor", "field_angles", "fit_sensor", "observe_spots"]
@@ -115,7 +116,8 @@ def observe_spots(laboratory: Laboratory, truth: Truth, table: Turntable, stream
     """
     from render.readout import expose_windows
 
-    config, detector, mi = laboratory.config.sensor, laboratory.sensor_detector, laboratory.mi
+    config, mi = laboratory.config.sensor, laboratory.mi
+    detector = own_detector(laboratory, truth)
     angle = table.set(field_angles(laboratory.config), streams)
     sun = table.rotation(angle).inv().apply([0.0, 0.0, 1.0]) @ truth.sensor_from_table.T
     true_px = truth.sensor.spot_px(sun)
@@ -146,6 +148,13 @@ def observe_spots(laboratory: Laboratory, truth: Truth, table: Turntable, stream
     return SensorRun(
         angle_rad=angle, pixel_px=centre_of_light(electrons) + corner, true_px=true_px, stamp=electrons[middle]
     )
+
+
+def own_detector(laboratory: Laboratory, truth: Truth) -> Detector:
+    """The detector of this bench's sensor: a chip of its own, or one fixed pattern would shift the spots of all benches
+    alike."""
+    seed = laboratory.streams.child("bench", truth.number).key("sun sensor chip") >> 1
+    return replace(laboratory.sensor_detector, sensor_seed=seed)
 
 
 def diffused(windows: NDArray[np.float32], sigma_px: float) -> FloatArray:

@@ -130,6 +130,16 @@ def test_sensor_calibration_finds_what_is_true(laboratory):
     assert np.abs(run.pixel_px - run.true_px).max() < 0.03
 
 
+def test_every_bench_has_a_sun_sensor_chip_of_its_own(laboratory):
+    """One fixed pattern in all of them would be a bias of the whole Monte-Carlo."""
+    from experiments.cube_sensor import own_detector
+
+    truths = draw_truths(laboratory.config, laboratory.streams)
+    seeds = {own_detector(laboratory, truth).sensor_seed for truth in truths}
+    assert len(seeds) == len(truths)
+    assert own_detector(laboratory, truths[0]).sensor_seed in seeds
+
+
 def test_one_bench_as_performed(laboratory):
     """Every face ends below a pixel; what is left, the mount and the reading explain the error of the cube."""
     truth = draw_truths(laboratory.config, laboratory.streams)[1]
