@@ -208,6 +208,7 @@ def results(result: Result) -> dict[str, Any]:
             "two_pictures": result.repeatability.two_px,
             "one_picture": result.repeatability.own_px,
             "stated_by_the_fits": result.repeatability.stated_px,
+            "stated_over_scatter": result.repeatability.stated_over_scatter,
             "pictures": result.repeatability.pictures,
         },
         "benches": len(result.truths),

@@ -87,6 +87,11 @@ class Repeatability:
     stated_px: float
     pictures: int
 
+    @property
+    def stated_over_scatter(self) -> float:
+        """Above 1: the fits state too much."""
+        return self.stated_px / self.two_px
+
 
 def repeatability(laboratory: Laboratory) -> Repeatability:
     """Scatter of the measured offset on a bench where nothing moves."""
