@@ -19,7 +19,7 @@ from experiments.acf_figures_more import (
     sight_maps,
     table2_sizes,
 )
-from experiments.acf_judge import degrees_of, worse_by
+from experiments.acf_judge import degrees_of, own_misses, worse_by
 from experiments.acf_pixels import pixel_sections
 from experiments.acf_published import TABLE2_CALIBRATED, TABLE2_TRUE
 from experiments.acf_tables import all_tables, fig3_at_a_glance
@@ -171,12 +171,27 @@ def _pull_text(result: Result) -> str:
     worst = int(np.argmax(own))
     name = ("x0", "y0", "f", "q1", "q2", "q3", "p1", "p2", "φ1", "φ2", "φ3", "θ1", "θ2", "θ3")[worst]
     return (
-        "ACC takes the gyro as perfect. For the camera that is almost "
+        "ACC takes the gyro as perfect, and its own covariance lacks the gyro's error. For the camera that is almost "
         f"true (RMS pulls {own[:8].min():.2f} to {own[:8].max():.2f}), for the roll angles it is not ({name}: "
         f"{own[worst]:.2f}): the star noise averages out over thousands of stars, the drift does not. With the "
         f"gyro's error carried through eq. 11 all 14 pulls lie between {carried.min():.3f} and {carried.max():.3f}. "
         "An adjustment that knows the noise of its gyro (bias and one small rotation per frame as unknowns with a "
         f"prior) needs no such help: {linked.min():.3f} to {linked.max():.3f} by its own covariance."
+    )
+
+
+def _own_text(result: Result) -> str:
+    """Whether ACC's own covariance is honest within 10 %, in one sentence."""
+    found = pulls(result)
+    missed, carried, linked = own_misses(found), found.rms("carried"), found.rms("linked")
+    if not missed:
+        return "The errors agree with ACC's own covariance within 10 %, or what chance allows."
+    said = [f"{name.replace('phi', 'φ').replace('theta', 'θ')} {value:.2f}" for name, value in missed.items()]
+    return (
+        f"ACC's own covariance misses the 10 % (RMS pulls: {', '.join(said)}; the other {14 - len(said)} of 14 "
+        "unknowns within), because it takes the gyro as perfect; with the gyro's error added they are "
+        f"{carried.min():.2f} to {carried.max():.2f}, with a gyro of stated noise {linked.min():.2f} to "
+        f"{linked.max():.2f}."
     )
 
 
@@ -425,7 +440,7 @@ def build_report(result: Result) -> Report:
         verdict=f"At {config.table_noise_px:g} px of star noise {(config.frames + 1) // 2} frames give the principal "
         f"point to {bound[0]:.2f} px and the line of sight to {sight:.1f}″. In the line of sight equally weighted "
         f"interstar angles are {iac['line_of_sight']:.2f} times worse, free attitudes {free['line_of_sight']:.2f} "
-        "times.",
+        f"times. {_own_text(result)}",
         key_numbers=_key_numbers(result),
         sections=(
             _night(result),

@@ -15,8 +15,9 @@ import pytest
 
 from experiments import acf_inference, acf_plan
 from experiments.acf import Config, main, run, summary, tables
-from experiments.acf_evaluate import comparison, fig3, fig4, gains, pulls
+from experiments.acf_evaluate import Pulls, comparison, fig3, fig4, gains, pulls
 from experiments.acf_inference import infer
+from experiments.acf_judge import own_misses
 from experiments.acf_pixels import camera_text, pixel_results
 from experiments.acf_plan import make_plan
 from experiments.acf_published import TABLE2_CALIBRATED, TABLE2_ROUNDING, TABLE2_START, TABLE2_TRUE
@@ -120,7 +121,7 @@ def test_errors_are_as_large_as_predicted(result):
 
 def test_criteria_are_finite(result):
     criteria = summary(result)[1]
-    assert len(criteria) == 12
+    assert len(criteria) == 13
     assert all(np.isfinite(one.value) for one in criteria)
     assert len({one.name for one in criteria}) == 12
 
@@ -290,3 +291,12 @@ def test_interruption_leaves_nothing_behind(tmp_path):
     assert process.returncode == 130
     assert said[1].strip() == "interrupted; nothing was written"
     assert list(tmp_path.iterdir()) == []
+
+
+def test_unknowns_that_miss_their_own_covariance_are_named():
+    """Pulls of RMS 1 but for the roll angles, whose error ACC's covariance lacks."""
+    even = np.ones((4000, 14))
+    own = even * np.where(np.isin(np.arange(14), (10, 13)), [1.5], [1.05])
+    found = Pulls(own=own, carried=even, linked=even)
+    assert own_misses(found) == pytest.approx({"phi3": 1.5, "theta3": 1.5})
+    assert own_misses(Pulls(own=own[:18], carried=even[:18], linked=even[:18])) == {}  # chance allows 0.58
