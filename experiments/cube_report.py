@@ -9,7 +9,7 @@ import numpy as np
 from experiments.cube_budget import PUBLISHED_ARCSEC, face_angles_deg
 from experiments.cube_figures import budget_bars, error_dots, pictures, spot_edge, sun_sensor, trim_paths, view
 from experiments.cube_result import Result, eq14_arcsec, sigma1_arcsec
-from experiments.cube_tables import PUBLISHED_TRIMS, all_tables
+from experiments.cube_tables import LEAST_MOVE_DEG, PUBLISHED_TRIMS, all_tables, published_rates
 from experiments.report import Equation, Figure, KeyNumber, Report, Section, Text
 from experiments.summary import Measured
 from experiments.tables import Table, cell_text
@@ -77,8 +77,8 @@ def _pictures(result: Result) -> Section:
             "level.\n\n"
             f"The fits state {again.stated_px:.3f} px for an offset (one standard deviation per axis, from the scatter "
             f"of the edge points about the circle); over {again.pictures} pictures of a bench that stands still it "
-            f"scatters by {again.two_px:.3f} px. Stated over found: {again.stated_over_scatter:.2f}. The points scatter "
-            "mostly by the number of traced particles, which are spread more evenly than chance would, so that their "
+            f"scatters by {again.two_px:.3f} px. Stated over found: {again.stated_over_scatter:.2f}. The points "
+            "scatter mostly by the number of traced particles, which are spread more evenly than chance would, so that their "
             "errors partly cancel in the centre of a circle. Bars of single offsets are too long by that factor; the "
             "predictions use what was found."
         )
@@ -117,6 +117,10 @@ def _trims(result: Result, every: Mapping[str, Table]) -> Section:
     per_step = 2 * np.tan(0.001 * DEG_RAD) * 650 / 0.015
     first, second, third = PUBLISHED_TRIMS["XY"][:3]
     slopes = (first[3] - second[3]) / 10, (second[3] - third[3]) / 8
+    rates = published_rates()
+    nearest = rates.ravel()[np.argmin(np.abs(rates - per_step))]
+    low, high = 0.8 * min(slopes), 1.4 * max(slopes)
+    slow = int(np.sum(np.any((rates > low) & (rates < high), axis=1)))
     text = (
         f"The operator takes {config.trim.gain_ratio:g} of the offset out with each trim, in steps of "
         f"{config.trim.step_deg:g}°, and stops as soon as both offsets are below {config.trim.stop_px:g} px; on "
@@ -126,7 +130,10 @@ def _trims(result: Result, every: Mapping[str, Table]) -> Section:
         f"{slopes[0]:.2f} and {slopes[1]:.2f} px per 0.001°. If a pixel of its camera was some "
         f"{15 * per_step / np.mean(slopes):.0f} µm on the screen, eq. 13 gives "
         f"{sigma1_arcsec(result) * per_step / np.mean(slopes):.1f}″ instead of 2.38″ and the claim of 4″ does not hold "
-        "by its own budget. Other rows (face YZ, first angle) fit 15 µm, so the table cannot decide it."
+        f"by its own budget. The offsets are printed without signs, so every row allows two rates, without and with a "
+        f"change of side. Of the {len(rates)} moves by {LEAST_MOVE_DEG:g}° or more, {slow} can be read as "
+        f"{low:.2f} to {high:.2f} px per 0.001°; the rate nearest to {per_step:.2f} px is {nearest:.2f} px. No row "
+        "shows that a pixel was 15 µm on the screen, and no single size of the pixel fits all rows."
     )
     figure = Figure(
         drawing=trim_paths(result),

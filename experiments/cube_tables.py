@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from experiments.cube_budget import PUBLISHED_ARCSEC
 from experiments.cube_result import eq14_arcsec, sensor_error_arcsec, sigma1_arcsec
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
     from experiments.cube_result import Result
     from experiments.cube_trim import FaceTrim
 
-__all__ = ["PUBLISHED_TRIMS", "all_tables"]
+__all__ = ["LEAST_MOVE_DEG", "PUBLISHED_TRIMS", "all_tables", "published_rates"]
 
 PUBLISHED_TRIMS = {
     "XY": (
@@ -38,6 +40,25 @@ PUBLISHED_TRIMS = {
     ),
 }
 """CUBE09 Table 1: large angle, small angle [deg], offsets x, y [px] without their signs."""
+
+LEAST_MOVE_DEG = 0.005
+"""Angles are printed to 0.001 deg: a rate from a smaller move means little."""
+
+
+def published_rates() -> NDArray[np.float64]:
+    """Motion of the spot per 0.001 deg (n, 2) [px], for every move of an angle in Table 1 of at least `LEAST_MOVE_DEG`.
+
+    The offsets have no signs: the first column takes both on one side of the aperture, the second on opposite sides.
+    """
+    rates = []
+    for trims in PUBLISHED_TRIMS.values():
+        for before, after in pairwise(trims):
+            for axis in (0, 1):
+                steps = abs(after[axis] - before[axis]) / 0.001
+                if steps > LEAST_MOVE_DEG / 0.001 - 0.1:
+                    old, new = before[2 + axis], after[2 + axis]
+                    rates.append((abs(old - new) / steps, (old + new) / steps))
+    return np.array(rates)
 
 
 def _trims(result: Result) -> Table:

@@ -13,7 +13,7 @@ from experiments.cube_bench import Case, Truth, build_table, concentric_angles, 
 from experiments.cube_budget import beam_rates, geometric_error, lean_rates, play_trim
 from experiments.cube_checks import reflected_spot_mm, spot_profile
 from experiments.cube_settings import Config
-from experiments.cube_tables import PUBLISHED_TRIMS
+from experiments.cube_tables import PUBLISHED_TRIMS, published_rates
 from render.bench_scene import CubePose
 from render.bench_sensor import MaskSensor
 from render.random import Streams
@@ -128,6 +128,14 @@ def test_sensor_calibration_finds_what_is_true(laboratory):
     assert sigma.max() < 3.0
     assert found.focal_length_mm == pytest.approx(truth.sensor.gap_mm, abs=1e-4)
     assert np.abs(run.pixel_px - run.true_px).max() < 0.03
+
+
+def test_no_row_of_table_1_shows_15_um_pixels():
+    """15 um at 650 mm are 1.51 px per 0.001 deg; whichever side the offsets are on, no longer move gives that."""
+    rates = published_rates()
+    assert rates.shape == (7, 2)
+    assert rates[1] == pytest.approx([(19.429 - 12.243) / 10, (19.429 + 12.243) / 10])
+    assert np.abs(rates - 1.513).min() > 0.2
 
 
 def test_every_bench_has_a_sun_sensor_chip_of_its_own(laboratory):
