@@ -123,7 +123,7 @@ def test_criteria_are_finite(result):
     criteria = summary(result)[1]
     assert len(criteria) == 13
     assert all(np.isfinite(one.value) for one in criteria)
-    assert len({one.name for one in criteria}) == 12
+    assert len({one.name for one in criteria}) == 13
 
 
 def test_tables(result):
