@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.cameras.brown_conrady import BrownConrady
 from experiments.acf_plan import make_plan
 from experiments.acf_predict import correlated
 from experiments.acf_settings import Config
+from experiments.acf_simulate import build_camera
 from experiments.acf_tasks import Point, sky_of
 from optics.errors import DomainError
 
@@ -15,12 +17,14 @@ __all__ = ["check_design"]
 
 LEAST_PART = 1e-12
 """Of the largest eigenvalue of the scaled normal matrix; below, an unknown is not determined."""
+MOST_DISTORTION = 0.3
+"""Of the field at a corner; from a start without distortion, more is another camera."""
 WORST_DEG = 1.0
 """Largest standard deviation of an installation angle at which the adjustment is still linear."""
 
 
 def check_design(config: Config) -> None:
-    """Refuse a night that cannot determine all 14 unknowns.
+    """Refuse a camera of mostly distortion, and a night that cannot determine all 14 unknowns.
 
     Parameters
     ----------
@@ -32,6 +36,7 @@ def check_design(config: Config) -> None:
     DomainError
         Naming what is missing.
     """
+    _check_distortion(config)
     if config.gyro.motion == "fixed_axis":
         raise DomainError(
             "gyro.motion = 'fixed_axis': the installation's turn about that axis does not show in any star, 13 of the "
@@ -40,6 +45,25 @@ def check_design(config: Config) -> None:
     plan = make_plan(config, inferred_um=config.camera.pixel_um, inferred_stars=config.counts[0])
     for point, key in ((plan.table2, "sky.stars_per_frame"), (plan.counts[0], "counts")):
         _check_point(config, point, key)
+
+
+def _check_distortion(config: Config) -> None:
+    camera = build_camera(config)
+    plain = BrownConrady.create(
+        camera.geometry,
+        focal_length_mm=config.camera.focal_length_mm,
+        x0_px=config.camera.x0_px,
+        y0_px=config.camera.y0_px,
+    )
+    corner = camera.geometry.grid_px(2)
+    moved = np.linalg.norm(plain.project(camera.unproject(corner)) - corner, axis=1)
+    part = float((moved / np.linalg.norm(corner - camera.geometry.centre_px - camera.parameters[:2], axis=1)).max())
+    if not part <= MOST_DISTORTION:
+        raise DomainError(
+            f"camera: this distortion moves the image by {100 * part:.0f} % of its distance from the principal point "
+            f"at a corner of the detector; at most {100 * MOST_DISTORTION:.0f} % are possible: use smaller q1_per_mm2 "
+            "... p2_per_mm"
+        )
 
 
 def _check_point(config: Config, point: Point, key: str) -> None:

@@ -19,6 +19,7 @@ __all__ = [
     "METHOD_LABELS",
     "METHOD_STYLES",
     "count_curves",
+    "density_of",
     "fig3_curves",
     "fig4_scatter",
     "fig5_curves",
@@ -171,11 +172,17 @@ def fig4_scatter(result: Result) -> Figure:
     return figure
 
 
+def density_of(values: FloatArray, edges: FloatArray) -> FloatArray:
+    """Density of values over bins; zero where none falls into any bin."""
+    count, _ = np.histogram(values, edges)
+    return np.asarray(count / (max(int(count.sum()), 1) * np.diff(edges)))
+
+
 def _fig4_lengths(axis: Any, every: FloatArray, one: FloatArray) -> None:
     """Lengths of the errors: the spread of single runs and of all."""
     edges = np.linspace(0, 1.5 * FIG4_LARGEST_PX, 49)
     for sample, colour, label in ((every, "#9aa1a9", "all runs"), (one, PALETTE[0], "one run")):
-        density, _ = np.histogram(np.linalg.norm(sample, axis=1), edges, density=True)
+        density = density_of(np.linalg.norm(sample, axis=1), edges)
         axis.stairs(density, edges, color=colour, linewidth=1.3, label=label, fill=label == "all runs", alpha=0.9)
     axis.axvline(FIG4_LARGEST_PX, color=PUBLISHED, linestyle="--", linewidth=1.0, label="published: all below")
     axis.axvline(float(np.linalg.norm(FIG4_RMS_PX)), color=PUBLISHED, linewidth=1.2, label="published RMS")

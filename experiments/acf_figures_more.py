@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from experiments.acf_evaluate import distortion_rms, gains, map_expected, map_rms, pulls, table2_runs
+from experiments.acf_figures import density_of
 from experiments.acf_judge import degrees_of
 from experiments.acf_published import (
     FIG4_RMS_PX,
@@ -122,7 +123,7 @@ def pull_figure(result: Result) -> Figure:
     axis.legend(loc="upper left", fontsize=7.5)
     edges = np.linspace(-4, 4, 49)
     for which, _, colour, _, _ in series[::-1]:
-        density, _ = np.histogram(getattr(found, which), edges, density=True)
+        density = density_of(getattr(found, which), edges)
         axes[1].stairs(density, edges, color=colour, linewidth=1.2)
     x = np.linspace(-4, 4, 161)
     axes[1].plot(x, np.exp(-0.5 * x * x) / np.sqrt(2 * np.pi), color=INK, linewidth=1.0, linestyle="--")

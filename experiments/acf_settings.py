@@ -19,7 +19,10 @@ CAMERA_UNKNOWNS = 8
 Number = TypeVar("Number", int, float)
 
 
-def _ascending(values: tuple[Number, ...]) -> tuple[Number, ...]:
+def _ascending(values: tuple[Number, ...], least: int = 1) -> tuple[Number, ...]:
+    # not a length of the field: one wrong number in a list would be a short list too
+    if len(values) < least:
+        raise ValueError(f"{len(values)} given; at least {least} are needed")
     if any(later <= earlier for earlier, later in pairwise(values)):
         raise ValueError("increasing values are needed, each once")
     return values
@@ -110,9 +113,9 @@ class SkyConfig(StrictModel):
 class SweepConfig(StrictModel):
     """What the document lacks: gain over free attitudes against stars per frame and gyro noise."""
 
-    stars: tuple[int, ...] = Field(default=(2, 3, 4, 6, 10, 20, 40), min_length=2, description="stars in every frame")
+    stars: tuple[int, ...] = Field(default=(2, 3, 4, 6, 10, 20, 40), description="stars in every frame")
     gyro_factor: tuple[float, ...] = Field(
-        default=(0.0, 1.0, 10.0, 50.0), min_length=1, description="bias and random walk in units of Table 1's"
+        default=(0.0, 1.0, 10.0, 50.0), description="bias and random walk in units of Table 1's"
     )
     noise_px: float = Field(default=0.1, gt=0, le=10, description="noise of a star's position, per axis")
     skies: int = Field(default=100, ge=4, le=10000, description="runs per point, each with a sky of its own")
@@ -123,7 +126,7 @@ class SweepConfig(StrictModel):
         for value in values:
             if not 2 <= value <= 100:
                 raise ValueError(f"{value} stars in every frame: 2 to 100 are possible")
-        return _ascending(values)
+        return _ascending(values, 2)
 
     @field_validator("gyro_factor")
     @classmethod
@@ -155,18 +158,15 @@ class Config(ExperimentConfig):
     runs: int = Field(default=100, ge=4, le=100000, description="Monte-Carlo runs per point")
     noise_px: tuple[float, ...] = Field(
         default=(0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5),
-        min_length=2,
         description="noise of a star's position, per axis (Fig. 3, Fig. 5)",
     )
     table_noise_px: float = Field(default=0.1, gt=0, le=10, description="the same for Fig. 4 and Table 2")
-    bias_deg_per_h: tuple[float, ...] = Field(
-        default=(0.001, 0.01, 0.1), min_length=1, description="Fig. 3a; random walk zero"
-    )
+    bias_deg_per_h: tuple[float, ...] = Field(default=(0.001, 0.01, 0.1), description="Fig. 3a; random walk zero")
     angle_random_walk_deg_per_sqrt_h: tuple[float, ...] = Field(
-        default=(0.0001, 0.001, 0.01), min_length=1, description="Fig. 3b; bias zero"
+        default=(0.0001, 0.001, 0.01), description="Fig. 3b; bias zero"
     )
     counts: tuple[int, ...] = Field(
-        default=(6, 10, 14, 20, 34, 60), min_length=2, description="stars in every frame, for Fig. 4's RMS against them"
+        default=(6, 10, 14, 20, 34, 60), description="stars in every frame, for Fig. 4's RMS against them"
     )
     sweep: SweepConfig = SweepConfig()
     rendered: RenderedConfig = RenderedConfig()
@@ -178,7 +178,7 @@ class Config(ExperimentConfig):
         for value in values:
             if not 0.0 < value <= 10.0:
                 raise ValueError(f"{value:g} px of noise: above 0 and at most 10 px are possible")
-        return _ascending(values)
+        return _ascending(values, 2)
 
     @field_validator("bias_deg_per_h", "angle_random_walk_deg_per_sqrt_h")
     @classmethod
@@ -194,7 +194,7 @@ class Config(ExperimentConfig):
         for value in values:
             if not 2 <= value <= 200:
                 raise ValueError(f"{value} stars in every frame: 2 to 200 are possible")
-        return _ascending(values)
+        return _ascending(values, 2)
 
     @model_validator(mode="after")
     def _enough(self) -> Config:

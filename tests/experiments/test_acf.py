@@ -16,6 +16,7 @@ import pytest
 from experiments import acf_inference, acf_plan
 from experiments.acf import Config, main, run, summary, tables
 from experiments.acf_evaluate import Pulls, comparison, fig3, fig4, gains, pulls
+from experiments.acf_figures import density_of
 from experiments.acf_inference import infer
 from experiments.acf_judge import own_misses
 from experiments.acf_pixels import camera_text, pixel_results
@@ -300,3 +301,10 @@ def test_unknowns_that_miss_their_own_covariance_are_named():
     found = Pulls(own=own, carried=even, linked=even)
     assert own_misses(found) == pytest.approx({"phi3": 1.5, "theta3": 1.5})
     assert own_misses(Pulls(own=own[:18], carried=even[:18], linked=even[:18])) == {}  # chance allows 0.58
+
+
+@pytest.mark.filterwarnings("error")
+def test_density_of_nothing_is_zero():
+    edges = np.array([0.0, 1.0, 3.0])
+    np.testing.assert_array_equal(density_of(np.array([5.0, 7.0]), edges), [0.0, 0.0])
+    np.testing.assert_allclose(density_of(np.array([0.5, 2.0, 2.5, 9.0]), edges), [1 / 3, 1 / 3])

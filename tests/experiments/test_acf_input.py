@@ -43,6 +43,9 @@ SETTINGS = [
     (["sweep.stars=[8,4]"], "increasing values"),
     (["sweep.gyro_factor=[-1,1]"], "-1 times the gyro's noise"),
     (["noise_px=[-0.1,0.2]"], "-0.1 px of noise: above 0"),
+    (["noise_px=[nan]"], r"nan: Input should be a finite number [^;]*$"),
+    (["noise_px=[0.2]"], "1 given; at least 2"),
+    (["bias_deg_per_h=[]"], "0 given; at least 1"),
     (["noise_px=[0,0.2]"], "0 px of noise: above 0"),
     (["table_noise_px=-1"], "table_noise_px = -1: .*above 0"),
     (["noise_px=[0.2,0.1]"], "increasing values"),
@@ -71,6 +74,7 @@ DESIGNS = [
     (["gyro.motion=fixed_axis"], "installation's turn about that axis does not show .* 13 of the 14 unknowns"),
     (["gyro.angular_speed_deg_per_s=0.001"], "the installation would be known to .* deg only"),
     (["sky.phi_deg=[150,0,0]"], r"phi = 0, \d+ of \d+ stars are behind the camera; set start.phi_from_stars=true"),
+    (["camera.q1_per_mm2=1"], r"distortion moves the image by \d+ % .* at most 30 %"),
     (["camera.q1_per_mm2=-0.02"], "this distortion folds the image over 2.* mm from the principal point"),
 ]
 
