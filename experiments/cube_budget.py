@@ -56,6 +56,9 @@ TABLE1_DEG = ((181.398, 0.528), (91.386, -0.048))
 
 PLAYED = 40000
 
+STRATIFIED = ("pixel", "square", "mounting")
+"""Terms that follow one stratified input of a bench each; the others come from noise, or from inputs in a tangle."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BudgetRow:
@@ -72,7 +75,7 @@ class BudgetRow:
     predicted_arcsec : (3,)
         The same with the noise of pictures and sun sensor, which no case is without.
     measured_arcsec, uncertainty_arcsec : (3,)
-        Monte-Carlo, and its standard deviation.
+        Monte-Carlo, and its standard deviation (`left_to_chance`).
     acts : (3,) bool
         Axes on which the term is at least a third of the prediction.
     benches : int
@@ -96,8 +99,9 @@ class BudgetRow:
 
     @property
     def ratio_sigma(self) -> float:
-        """Standard deviation of `ratio` from the number of benches, for normal errors drawn at random."""
-        return self.ratio / float(np.sqrt(2 * self.benches * self.acts.sum()))
+        """Standard deviation of `ratio`."""
+        measured, sigma = self.measured_arcsec[self.acts], self.uncertainty_arcsec[self.acts]
+        return self.ratio * float(np.linalg.norm(measured * sigma) / np.sum(measured**2))
 
 
 def play_trim(config: Config, tilt_per_px: float, noise_px: float, streams: Streams) -> FloatArray:
@@ -262,6 +266,8 @@ def build_budget(laboratory: Laboratory, cases: Mapping[str, CaseResult], pictur
         term = np.sqrt(sum((single[key] ** 2 for key, on in active.items() if on), np.zeros(3)))
         noise = _noise(laboratory, result, pictures)
         predicted = np.hypot(term, noise)
+        even = [single[key] for key in STRATIFIED if active[key]]
+        chance = left_to_chance(even, predicted, benches=len(result.bench))
         acts = term > predicted / 3
         if case.improved or not acts.any():  # noise is all there is
             acts = np.ones(3, bool)
@@ -273,12 +279,32 @@ def build_budget(laboratory: Laboratory, cases: Mapping[str, CaseResult], pictur
                 term_arcsec=term,
                 predicted_arcsec=predicted,
                 measured_arcsec=result.rms_arcsec,
-                uncertainty_arcsec=result.uncertainty_arcsec,
+                uncertainty_arcsec=result.rms_arcsec * np.sqrt(chance / (2 * len(result.bench))),
                 acts=acts,
                 benches=len(result.bench),
             )
         )
     return rows
+
+
+def left_to_chance(even: list[FloatArray], predicted: FloatArray, *, benches: int) -> FloatArray:
+    """Variance of a measured mean square over that of independent draws (3,).
+
+    The mean square of a sum of terms holds the mean squares of the terms and their products. Stratified inputs
+    (`experiments.cube_bench.draw_truths`) bring the mean square of their own term to its expectation, so its part
+    ``term^4 / predicted^4`` of the variance is missing; what it is off by is at most of the order of one bench.
+
+    Parameters
+    ----------
+    even : list of (3,)
+        Terms that are proportional to one stratified input per axis.
+    predicted : (3,)
+        All terms together.
+    benches : int
+        Number of benches.
+    """
+    missing = sum(((term / predicted) ** 4 for term in even), np.zeros(3))
+    return np.maximum(1.0 - missing, 1.0 / benches)
 
 
 def perfect_sensor(laboratory: Laboratory) -> MaskSensor:

@@ -67,14 +67,20 @@ class CaseResult:
         return np.asarray(np.sqrt(np.mean(self.error_arcsec**2, axis=0)))
 
     @property
-    def uncertainty_arcsec(self) -> FloatArray:
-        """Standard deviation of `rms_arcsec` for normal errors (3,)."""
-        return np.asarray(self.rms_arcsec / np.sqrt(2 * len(self.bench)))
+    def mean_arcsec(self) -> tuple[FloatArray, FloatArray]:
+        """Mean error per axis (3,) and its standard deviation (3,)."""
+        return _mean(self.error_arcsec)
 
     @property
-    def stated_arcsec(self) -> FloatArray:
-        """RMS of the standard deviations that the fits state (3,)."""
-        return np.asarray(np.sqrt(np.mean([one.sigma_arcsec**2 for one in self.bench], axis=0)))
+    def sensor_mean_arcsec(self) -> tuple[FloatArray, FloatArray]:
+        """Mean of what R_sr contributes (3,), and its standard deviation (3,)."""
+        return _mean(np.array([one.sensor_error_arcsec for one in self.bench]))
+
+    @property
+    def sensor_pull(self) -> FloatArray:
+        """RMS of the errors of R_sr over their stated standard deviations (3,); 1 where the fit states them well."""
+        pulls = [one.sensor_error_arcsec / one.sensor_sigma_arcsec for one in self.bench]
+        return np.asarray(np.sqrt(np.mean(np.square(pulls), axis=0)))
 
     @property
     def sensor_rms_arcsec(self) -> FloatArray:
@@ -95,6 +101,10 @@ class CaseResult:
     def offsets_px(self) -> FloatArray:
         """Measured offsets at which the faces were left (m, 2)."""
         return np.array([trim.offset.offset_px for one in self.bench for trim in one.trims])
+
+
+def _mean(error: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return error.mean(0), error.std(0, ddof=1) / np.sqrt(len(error))
 
 
 class SensorCache:

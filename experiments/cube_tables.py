@@ -121,7 +121,8 @@ def _budget(result: Result) -> Table:
         columns=columns,
         rows=rows,
         caption="Error of R_sp, 1 sigma per axis of the cube frame: predicted by geometry, measured on benches.",
-        note=f"{len(result.truths)} rendered benches; RMS about the truth. Predictions contain the noise of pictures "
+        note=f"{len(result.truths)} rendered benches; RMS about the truth, bars for their stratified "
+        "misalignments. Predictions contain the noise of pictures "
         "and sun sensor. Ratio: predicted over measured, over the axes on which the term acts. Eq. 14 with the right "
         f"eq. 13 is {eq14_arcsec(result):.2f} arcsec for every axis.",
     )
