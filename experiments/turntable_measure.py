@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -136,9 +137,19 @@ def check_table(key: str, config: TableConfig, count: int) -> None:
     ConfigError
         Naming the key.
     """
-    found = len(axis_directions(config.axes))
+    try:
+        directions = axis_directions(config.axes)
+    except ConfigError as error:
+        raise ConfigError(f"{key}.axes: {error}") from None
+    found = len(directions)
     if found != count:
         raise ConfigError(f"{key}.axes = {config.axes!r}: {count} axes are needed, {found} given")
+    for outer, inner in pairwise(directions):
+        if abs(float(outer @ inner)) > 0.5:
+            raise ConfigError(
+                f"{key}.axes = {config.axes!r}: neighbouring axes are the same; they have to be square, like 'xy' or "
+                "'xyz'"
+            )
     for name, wanted in (("reading_noise_arcsec", count), ("non_orthogonality_arcsec", count - 1)):
         values = getattr(config, name)
         if len(values) not in (1, wanted):

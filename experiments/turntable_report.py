@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from experiments.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
 from experiments.summary import Measured
 from experiments.tables import Table, cell_text
-from experiments.turntable_evaluate import crossover_arcsec, principal_point_arcsec
+from experiments.turntable_evaluate import crossover_arcsec, point_over_line, principal_point_arcsec
 from experiments.turntable_figures import error_maps, residual_arrows, star_windows, visited_places
 from experiments.turntable_plots import correlation_matrix, field_curves, lean_curves, pull_bars, reading_curves
 from experiments.turntable_result import Case, Result
@@ -143,7 +141,8 @@ def _degenerate(result: Result, every: Mapping[str, Table]) -> Section:
             f"On the {case.name} table x₀ is known to {reduction.sigma('x0_px'):.1f} px and y₀ to "
             f"{reduction.sigma('y0_px'):.1f} px "
             f"({sigma[0]:.0f}″ and {sigma[1]:.0f}″ on the axis), while the line of sight over the whole detector is "
-            f"known to {line.predicted_rms_arcsec:.3f}″ RMS, {sigma.max() / line.predicted_rms_arcsec:.0f} times better"
+            f"known to {line.predicted_rms_arcsec:.3f}″ RMS (length), per axis "
+            f"{point_over_line(sigma.max(), line.predicted_rms_arcsec):.0f} times better"
         )
     matrix = Row(
         tuple(
@@ -196,13 +195,13 @@ def _star_text(result: Result) -> str:
 
 def _field_text(result: Result) -> str:
     narrow, wide = result.field_sweep[0], result.field_sweep[-1]
-    ratio = [p.full.of("x0_px") * p.arcsec_per_px / p.full.map_sigma_arcsec * np.sqrt(2) for p in (narrow, wide)]
+    ratio = [point_over_line(p.full.of("x0_px") * p.arcsec_per_px, p.full.map_sigma_arcsec) for p in (narrow, wide)]
     return (
         f"At {narrow.field_deg:g}° of field the principal point alone is {ratio[0]:.0f} times worse known than the "
-        f"line of sight, at {wide.field_deg:g}° {ratio[1]:.0f} times. In pixels its error falls with the square of "
-        "the field, the error of the line of sight not at all: it is always a fraction of that of one image. A "
-        "calibration should therefore be judged by its map after the best rotation, and nobody should be surprised "
-        "that the principal points of two good calibrations differ by tens of pixels."
+        f"line of sight (per axis), at {wide.field_deg:g}° {ratio[1]:.0f} times. In pixels its error "
+        "falls with the square of the field, the error of the line of sight not at all: it is always a fraction of "
+        "that of one image. A calibration should therefore be judged by its map after the best rotation, and nobody "
+        "should be surprised that the principal points of two good calibrations differ by tens of pixels."
     )
 
 

@@ -43,7 +43,7 @@ class Case:
     knowledge : dict of str to Bound
         Bounds if something were known that is not.
     shares : dict of str to float
-        Map error that each cause of noise makes [arcsec per axis]; squares add up.
+        Map error that each cause of noise makes [arcsec, RMS length]; squares add up.
     monte_carlo : MonteCarlo
         Many runs on coordinates.
     """

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from calib.cameras import BrownConrady, SensorGeometry
 from experiments.config import load_config
@@ -13,6 +14,7 @@ from experiments.laboratory.collimator import star_direction
 from experiments.laboratory.turntable import build_turntable
 from experiments.turntable import Config, main
 from experiments.turntable_bench import Bench, aim
+from experiments.turntable_evaluate import RENDERED_QUANTILE, point_over_line, rendered_limit, unit_of
 from experiments.turntable_measure import TracedMap, averaged, build_table, check_table, grid_px
 from experiments.turntable_reduce import Data, check_count, check_fit, check_parity, judge, reduce_data
 from experiments.turntable_study import Coordinates, monte_carlo
@@ -136,6 +138,9 @@ def test_grids_that_do_not_do(settings: list[str], words: str, star_camera) -> N
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
+        (["two_axis.axes=xx"], "two_axis.axes = 'xx': neighbouring axes are the same"),
+        (["two_axis.axes=x-x"], "two_axis.axes = 'x-x': neighbouring axes are the same"),
+        (["two_axis.axes=xq"], "two_axis.axes: .*'xq'; letters x, y, z"),
         (["two_axis.axes=x"], "2 axes are needed, 1 given"),
         (["two_axis.reading_noise_arcsec=[1,2,3]"], "3 values where 2 are needed"),
         (["two_axis.non_orthogonality_arcsec=[1,2]"], "2 values where 1"),
@@ -163,6 +168,25 @@ def test_tables_that_do_not_do(settings: list[str], words: str) -> None:
 def test_settings_that_do_not_do(setting: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         load_config(Config, settings=[setting])
+
+
+def test_limit_of_the_rendered_run_hangs_on_no_single_run() -> None:
+    """Against the exact quantile of a chi-square of 5 degrees of freedom, from few runs."""
+    rng = np.random.default_rng(3)
+    exact = np.sqrt(chi2.ppf(RENDERED_QUANTILE, 5) / 5)
+    many = [rendered_limit(np.sqrt(rng.chisquare(5, 60) / 5)) for _ in range(300)]
+    assert np.mean(many) == pytest.approx(exact, rel=0.03)
+    assert np.std(many) < 0.1 * exact
+    assert np.isnan(rendered_limit(np.array([1.0])))
+
+
+def test_principal_point_and_line_of_sight_are_compared_per_axis() -> None:
+    assert point_over_line(3.0, np.hypot(1.0, 1.0)) == pytest.approx(3.0)
+
+
+def test_units_of_the_unknowns() -> None:
+    names = ("x0_px", "focal_length_mm", "q2_per_mm4", "star_elevation_rad")
+    assert [unit_of(name) for name in names] == ["px", "mm", "1/mm4", "rad"]
 
 
 def test_one_number_stands_for_all_axes() -> None:
