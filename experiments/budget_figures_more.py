@@ -85,12 +85,13 @@ def tolerance_histograms(result: Result) -> Figure:
     widest = int(np.argmax(built.linear_arcsec.max(1)))
     pair = built.pairs[widest]
     entries = built.signed_arcsec[:, widest]
-    edges = np.linspace(-1, 1, 26) * 1.05 * np.abs(entries).max()
+    edges = np.linspace(entries.min(), entries.max(), 26)
+    x = np.linspace(edges[0], edges[-1], 300)
     for axis, letter in enumerate("xy"):
         axes[0].hist(entries[:, axis], edges, histtype="step", color=PALETTE[axis], linewidth=1.3, label=letter)
-    x = np.linspace(edges[0], edges[-1], 200)
-    expected = len(entries) * (edges[1] - edges[0]) * norm.pdf(x, scale=float(built.linear_arcsec[widest].mean()))
-    axes[0].plot(x, expected, color=INK, linewidth=1.0, linestyle="--", label="sensitivities")
+        law = norm(built.nominal_arcsec[widest, axis], max(float(built.linear_arcsec[widest, axis]), 1e-9))
+        expected = len(entries) * (edges[1] - edges[0]) * law.pdf(x)
+        axes[0].plot(x, expected, color=PALETTE[axis], linewidth=1.0, linestyle="--")
     axes[0].set(title=f"chromatic, {pair} nm, signed", xlabel="entry [″]", ylabel="lenses")
     axes[0].legend(fontsize=7)
     for panel, values, title in (

@@ -33,7 +33,7 @@ FloatArray = NDArray[np.float64]
 
 POINTS = 3
 POSITIONS = 6
-DRAWS = 100
+DRAWS = 60
 WIDEST_PX = 63
 
 

@@ -245,7 +245,7 @@ def _predicted_steps(
             hexapod=replace(platform(lab), step_error_arcsec=0.0) if ideal_platform else platform(lab),
             place_px=middle.tolist(),
             draws=draws,
-            noise_draws=noise_draws(lab, STEP_NOISE_DRAWS),
+            noise_draws=noise_draws(lab, STEP_NOISE_DRAWS // 3 if ideal_platform else STEP_NOISE_DRAWS),
             seed=lab.config.seed + number,
         ).method[method]
         found.append(one)

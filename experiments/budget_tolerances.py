@@ -54,7 +54,9 @@ class ToleranceStudy:
     uncalibrated_arcsec : (d, 2)
         Three times the RMS change of the map against the design, mean shift and roll removed.
     design_arcsec : dict of str to (2,)
-        "chromatic" and "distortion" of the design.
+        "chromatic" and "distortion" of the nominal lens.
+    nominal_arcsec : (p, 2)
+        Signed entries of the nominal lens.
     boresight_px : (d, 2)
         Motion of the whole image.
     elements : tuple of str
@@ -74,6 +76,7 @@ class ToleranceStudy:
     distortion_arcsec: FloatArray
     uncalibrated_arcsec: FloatArray
     design_arcsec: dict[str, FloatArray]
+    nominal_arcsec: FloatArray
     boresight_px: FloatArray
     elements: tuple[str, ...]
     sensitivity_arcsec: FloatArray
@@ -182,6 +185,7 @@ def tolerance_study(
             "chromatic": np.abs(design.signed_px).max(0) * scale,
             "distortion": 3.0 * scale * _fitted(basis, design.map_px),
         },
+        nominal_arcsec=design.signed_px * scale,
         boresight_px=np.stack(boresight),
         elements=lens.elements,
         sensitivity_arcsec=sensitivity * scale,

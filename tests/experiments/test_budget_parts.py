@@ -9,7 +9,8 @@ from experiments.budget_laboratory import build_laboratory, moved_lens, overridd
 from experiments.budget_range import leaf_keys, parse_sweep, value_at, with_value
 from experiments.budget_settings import AttitudeConfig, Config, DetectorConfig, MovedConfig
 from experiments.budget_tolerances import cubic_basis
-from experiments.budget_tune import differences
+from experiments.budget_tune import as_toml, differences
+from experiments.cli import configuration_file
 from experiments.config import load_config
 from optics.errors import ConfigError
 from optics.paraxial import axial_paraxial
@@ -122,6 +123,19 @@ def test_differences_and_named_configuration():
     assert differences(Config()) == {}
     changed = load_config(Config, settings=["source.signal_e=500", "detector.prnu=0.02"])
     assert differences(changed) == {"source.signal_e": (6000.0, 500.0), "detector.prnu": (None, 0.02)}
+    tuned = load_config(Config, file=configuration_file("acc18_tuned"))
+    # the instrument alone is tuned: nothing of the laboratory or of its tests
+    physical = {"source.signal_e", "instrument.defocus_mm", "centroid", "published_within_fraction"}
+    assert {key for key in differences(tuned) if not key.startswith("moved.")} == physical
+    assert configuration_file("nothing_of_that_name") == "nothing_of_that_name"
+    assert configuration_file(None) is None
+
+
+def test_tuned_settings_survive_their_file(tmp_path):
+    tuned = load_config(Config, settings=["moved.element=L6", "moved.tilt_x_arcmin=0.25", "frames=12", "centroid=cog"])
+    path = tmp_path / "tuned.toml"
+    path.write_text(as_toml(tuned, ["a heading"]), encoding="utf-8")
+    assert load_config(Config, file=path) == tuned
 
 
 def _errors(random, chromatic, distortion):
