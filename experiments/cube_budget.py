@@ -44,7 +44,16 @@ from optics.units import ARCSEC_RAD, DEG_RAD, RAD_ARCSEC, RAD_DEG
 from render.bench_sensor import MaskSensor
 from render.random import Streams
 
-__all__ = ["PUBLISHED_ARCSEC", "TABLE1_DEG", "BudgetRow", "build_budget", "face_angles_deg", "lean_rates", "play_trim"]
+__all__ = [
+    "PUBLISHED_ARCSEC",
+    "TABLE1_DEG",
+    "BudgetRow",
+    "build_budget",
+    "face_angles_deg",
+    "lean_rates",
+    "left_to_chance",
+    "play_trim",
+]
 
 FloatArray = NDArray[np.float64]
 
