@@ -94,8 +94,8 @@ def parse_sweep(text: str, keys: Mapping[str, FieldInfo]) -> SweepRange:
         raise ConfigError(f"sweep {text!r}: the range from {low:g} to {high:g} is empty")
     if not re.fullmatch(r"\d+", parts[2]) or not 2 <= int(parts[2]) <= LARGEST:
         raise ConfigError(f"sweep {text!r}: {parts[2]!r} points; a whole number from 2 to {LARGEST} is needed")
-    points: NDArray[Any] = np.linspace(low, high, int(parts[2]))
-    points[np.abs(points) < 1e-12 * max(abs(low), abs(high))] = 0.0
+    digits = 12 - int(np.floor(np.log10(max(abs(low), abs(high)))))
+    points: NDArray[Any] = np.round(np.linspace(low, high, int(parts[2])), digits) + 0.0  # 0.15, and no minus zero
     if _number_of(keys[key].annotation) is int:
         points = np.unique(np.rint(points).astype(int))
         if len(points) < 2:

@@ -136,8 +136,9 @@ def _tolerance_text(result: Result) -> str:
     return (
         f"Every element of {len(built.chromatic_arcsec)} lenses is moved at random and the lens is traced again. "
         f"95 % of the lenses have a chromatic term (of all the light) below {_pair(p95)}; {against}. "
-        f"The largest single cause is the {MOVES[m]} of {built.elements[e]}. The signed entries scatter as the sum of squares of the sensitivities "
-        "says (dashed), so the term is linear in the movements: a tolerance twice as tight halves it.\n\n"
+        f"The largest single cause is the {MOVES[m]} of {built.elements[e]}. The signed "
+        "entries scatter as the sum of squares of the sensitivities says (dashed), so "
+        "the term is linear in the movements: a tolerance twice as tight halves it.\n\n"
         "A lens that is calibrated as it was built keeps its residual: what a cubic polynomial cannot follow is a "
         "property of the design. Elements that move *after* the calibration are another matter (right)."
     )

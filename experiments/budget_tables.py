@@ -246,9 +246,10 @@ def _tolerances(result: Result) -> Table:
         ),
         rows=rows,
         caption=f"{len(built.chromatic_arcsec)} lenses as built: the error that so many of them stay below, 3 sigma.",
-        note=f"Chromatic: of all the light, by ray trace. {built.lost} lenses were left out. One sigma of every element: "
-        f"decentre {result.config.tolerances.decentre_um:g} µm and tilt {result.config.tolerances.tilt_arcmin:g} arcmin per "
-        f"axis, despace {result.config.tolerances.despace_um:g} µm.",
+        note=f"Chromatic: of all the light, by ray trace. {built.lost} lenses were left out. "
+        f"One sigma of every element: decentre {result.config.tolerances.decentre_um:g} µm and tilt "
+        f"{result.config.tolerances.tilt_arcmin:g} arcmin per axis, despace "
+        f"{result.config.tolerances.despace_um:g} µm.",
     )
 
 
