@@ -25,6 +25,7 @@ from __future__ import annotations
 import contextlib
 import inspect
 import json
+import os
 import signal
 import sys
 import threading
@@ -95,6 +96,52 @@ class _Outcome:
     tables: Mapping[str, Table]
 
 
+@dataclass(slots=True)
+class _Interrupts:
+    """Ctrl-C and a polite kill: unwind, so that nothing half-written stays, or leave at once while there is nothing yet.
+
+    Attributes
+    ----------
+    asked : list of int
+        Signals that came.
+    at_once : bool
+        Whether a signal ends the process in its handler. True while a command starts: an exception raised amid the
+        import of a native library can crash it, or be swallowed.
+    """
+
+    asked: list[int] = field(default_factory=list)
+    at_once: bool = False
+
+    @contextlib.contextmanager
+    def caught(self) -> Iterator[None]:
+        """Take the signals over."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before = {number: signal.signal(number, self._interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    @contextlib.contextmanager
+    def unwinding(self) -> Iterator[None]:
+        """A part that has something to clear away."""
+        before, self.at_once = self.at_once, False
+        try:
+            yield
+        finally:
+            self.at_once = before
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        del frame
+        self.asked.append(number)
+        if self.at_once:
+            _leave_at_once(_say(_INTERRUPTED, EXIT_INTERRUPTED))
+        raise KeyboardInterrupt
+
+
 def command(
     name: str,
     *,
@@ -151,23 +198,27 @@ def command(
         options=options or {},
     )
     outcome: list[int] = []
-    parser = _parser(experiment, outcome)
+    interrupts = _Interrupts()
+    parser = _parser(experiment, outcome, interrupts)
 
     def main(argv: Sequence[str] | None = None) -> int:
         outcome.clear()
-        asked: list[int] = []
+        interrupts.asked.clear()
+        interrupts.at_once = argv is None
 
         def work() -> None:
-            with _interrupts(asked):
+            with interrupts.caught():
                 parser.main(argv, prog_name=f"python -m experiments.{name}", standalone_mode=False)
 
-        status = _guarded(work, asked)
+        status = _guarded(work, interrupts.asked)
+        if status == EXIT_INTERRUPTED and argv is None:
+            _leave_at_once(status)
         return status or (outcome[0] if outcome else EXIT_GOOD)
 
     return main
 
 
-def _parser(experiment: Experiment[Any, Any], outcome: list[int]) -> click.Command:
+def _parser(experiment: Experiment[Any, Any], outcome: list[int], interrupts: _Interrupts) -> click.Command:
     module = inspect.getmodule(experiment.run)
     about = inspect.cleandoc((module.__doc__ if module else None) or f"The experiment {experiment.name}.")
 
@@ -185,7 +236,7 @@ def _parser(experiment: Experiment[Any, Any], outcome: list[int]) -> click.Comma
             return
         given = {name: options.pop(f"short_{name}") for name in experiment.options}
         short = {name: text for name, text in given.items() if text is not None}
-        outcome.append(_perform(experiment, _Options(short=short, **options)))
+        outcome.append(_perform(experiment, _Options(short=short, **options), interrupts))
 
     for name, (key, text) in experiment.options.items():
         help_text = f"{text} Short for --set {key}=TEXT."
@@ -193,7 +244,7 @@ def _parser(experiment: Experiment[Any, Any], outcome: list[int]) -> click.Comma
     return parse
 
 
-def _perform(experiment: Experiment[Any, Any], options: _Options) -> int:
+def _perform(experiment: Experiment[Any, Any], options: _Options, interrupts: _Interrupts) -> int:
     short = [f"{experiment.options[name][0]}={text}" for name, text in options.short.items()]
     config = load_config(
         experiment.config,
@@ -202,12 +253,14 @@ def _perform(experiment: Experiment[Any, Any], options: _Options) -> int:
         settings=[*options.settings, *short],
         seed=options.seed,
     )
-    folder = OutputFolder(options.out)
+    with interrupts.unwinding():
+        folder = OutputFolder(options.out)
     variant = None
     if experiment.renders:
         from render.variant import use_backend
 
         variant = use_backend(options.backend)
+    interrupts.at_once = False
     progress = terminal_progress()
     result = experiment.run(config, progress=progress)
     with progress.stage("write"):
@@ -299,27 +352,18 @@ def _guarded(work: Callable[[], None], asked: Sequence[int]) -> int:
     return EXIT_GOOD
 
 
+def _leave_at_once(status: int) -> None:
+    """End the process of an interrupted command without Python's clean-up; everything of ours is unwound by now.
+
+    The clean-up could end in another exit code: Python dies by the signal if the interrupt passed through an ``exec``
+    of a string (as in the making of a dataclass), and native libraries caught amid their import may crash.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
+
+
 def _say(sentence: str, status: int) -> int:
     line = "; ".join(part.strip() for part in sentence.splitlines() if part.strip())
     print(f"error: {line}" if status == EXIT_BAD_INPUT else line, file=sys.stderr)
     return status
-
-
-@contextlib.contextmanager
-def _interrupts(asked: list[int]) -> Iterator[None]:
-    """Let a polite kill unwind like Ctrl-C, so that nothing half-written stays; notes the signals in ``asked``."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        del frame
-        asked.append(number)
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
