@@ -98,7 +98,7 @@ class _Outcome:
 
 @dataclass(slots=True)
 class _Interrupts:
-    """Ctrl-C and a polite kill: unwind, so that nothing half-written stays, or leave at once while there is nothing yet.
+    """Ctrl-C and a polite kill: unwind, so that nothing half-written stays, or leave at once while nothing can be.
 
     Attributes
     ----------
