@@ -107,10 +107,13 @@ class _Interrupts:
     at_once : bool
         Whether a signal ends the process in its handler. True while a command starts: an exception raised amid the
         import of a native library can crash it, or be swallowed.
+    stderr : int
+        Descriptor of the error stream from before anybody turned it elsewhere, as the start of the renderer does.
     """
 
     asked: list[int] = field(default_factory=list)
     at_once: bool = False
+    stderr: int = -1
 
     @contextlib.contextmanager
     def caught(self) -> Iterator[None]:
@@ -118,12 +121,16 @@ class _Interrupts:
         if threading.current_thread() is not threading.main_thread():
             yield
             return
+        with contextlib.suppress(OSError):  # closed by the caller
+            self.stderr = os.dup(2)
         before = {number: signal.signal(number, self._interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
             yield
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
+            with contextlib.suppress(OSError):
+                os.close(self.stderr)
 
     @contextlib.contextmanager
     def unwinding(self) -> Iterator[None]:
@@ -138,7 +145,9 @@ class _Interrupts:
         del frame
         self.asked.append(number)
         if self.at_once:
-            _leave_at_once(_say(_INTERRUPTED, EXIT_INTERRUPTED))
+            with contextlib.suppress(OSError):  # nobody listens
+                os.write(self.stderr, f"{_INTERRUPTED}\n".encode())
+            _leave_at_once(EXIT_INTERRUPTED)
         raise KeyboardInterrupt
 
 
