@@ -11,6 +11,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -80,8 +81,11 @@ def _stop(pool: ProcessPoolExecutor, others: Sequence[object]) -> None:
     ours = [child for child in multiprocessing.active_children() if child not in others]
     for child in ours:
         child.terminate()
+    deadline = time.monotonic() + 5.0
     for child in ours:
         child.join(timeout=5.0)
+        while child.exitcode is None and time.monotonic() < deadline:  # the pool's own thread is just taking it in
+            time.sleep(0.001)
 
 
 def _processors() -> int:
