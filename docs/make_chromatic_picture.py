@@ -13,9 +13,9 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from experiments.chromatic import Config, run
-from experiments.chromatic_figures import arrow_panels
-from experiments.chromatic_tables import moved_label
+from experiments.chromatic.experiment import Config, run
+from experiments.chromatic.figures import arrow_panels
+from experiments.chromatic.tables import moved_label
 from experiments.plotting import figure_png, house_style
 from experiments.progress import Progress
 from optics.figures import draw_lens

@@ -10,7 +10,7 @@ __all__ = ["experiments", "main"]
 
 
 def experiments(folder: Path | None = None) -> dict[str, str]:
-    """Experiments of a folder: modules that assign ``main = command(...)``.
+    """Experiments of a folder: packages whose ``experiment.py`` assigns ``main = command(...)``.
 
     Parameters
     ----------
@@ -20,16 +20,13 @@ def experiments(folder: Path | None = None) -> dict[str, str]:
     Returns
     -------
     dict
-        Name -> first line of the module's docstring, in alphabetical order.
+        Name -> first line of that module's docstring, in alphabetical order.
     """
     found = {}
-    for path in sorted((folder or Path(__file__).parent).glob("*.py")):
-        source = path.read_text(encoding="utf-8")
-        if "command(" not in source or path.name.startswith("_"):
-            continue
-        tree = ast.parse(source)
+    for path in sorted((folder or Path(__file__).parent).glob("*/experiment.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
         if any(_is_main(statement) for statement in tree.body):
-            found[path.stem] = (ast.get_docstring(tree) or "").partition("\n")[0]
+            found[path.parent.name] = (ast.get_docstring(tree) or "").partition("\n")[0]
     return found
 
 

@@ -1,6 +1,6 @@
 """The command line that all experiments share.
 
-An experiment is a module ``experiments/NAME.py`` with
+An experiment is a package ``experiments/NAME``: its ``__main__.py`` runs ``main`` of ``experiment.py``, a module with
 
 * ``Config(ExperimentConfig)``: its settings; the defaults are the published run;
 * ``run(config, *, progress) -> Result``: the work, without side effects;
@@ -12,9 +12,6 @@ An experiment is a module ``experiments/NAME.py`` with
 * and, at its end::
 
       main = command("NAME", config=Config, run=run, report=report, summary=summary, quick={"frames": 4})
-
-      if __name__ == "__main__":
-          sys.exit(main())
 
 The first line of the module's docstring is what ``python -m experiments`` lists. Import what is slow (mitsuba, astropy)
 inside ``run``, so that ``--help`` and mistakes answer at once.

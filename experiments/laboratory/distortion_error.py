@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.chromatic_model import bundle_prediction
+from experiments.chromatic.model import bundle_prediction
 from experiments.instrument import Instrument
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.distortion_statistics import (

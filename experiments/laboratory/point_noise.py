@@ -24,7 +24,7 @@ from calib.centroid import Centroider
 from calib.crlb import fisher_information
 from calib.epsf import EpsfBank, EpsfModel
 from calib.records import NoiseModel, Stamps
-from experiments.chromatic_model import bundle_prediction
+from experiments.chromatic.model import bundle_prediction
 from experiments.instrument import Instrument
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.point_frames import measured_positions, noiseless_positions

@@ -274,9 +274,13 @@ def test_interruption_leaves_nothing_behind(tmp_path, number):
 
 
 def test_experiments_are_found_by_their_source(tmp_path):
-    (tmp_path / "shot_noise.py").write_text(SCRIPT.read_text())
-    (tmp_path / "helper.py").write_text('"""Uses command( but is no experiment."""\nmain = 3\n')
-    (tmp_path / "slow.py").write_text("raise SystemExit('must not be imported')\n")
+    for name, text in {
+        "shot_noise": SCRIPT.read_text(),
+        "helper": '"""Uses command( but is no experiment."""\nmain = 3\n',
+        "slow": "raise SystemExit('must not be imported')\n",
+    }.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "experiment.py").write_text(text)
     assert experiments(tmp_path) == {"shot_noise": "Shot noise: is the variance of a Poisson signal its mean?"}
 
 

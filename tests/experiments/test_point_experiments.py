@@ -11,7 +11,7 @@ NAMES = ("temporal", "hsfe", "distortion")
 
 
 def run(name, *arguments, capsys):
-    status = importlib.import_module(f"experiments.{name}").main([*arguments])
+    status = importlib.import_module(f"experiments.{name}.experiment").main([*arguments])
     return status, capsys.readouterr().err.strip()
 
 

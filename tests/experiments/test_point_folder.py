@@ -35,7 +35,7 @@ def folder(tmp_path_factory):
 
 def run(name, folder, text, capsys, *arguments, out):
     (folder / "frames.toml").write_text(HEAD + text)
-    main = importlib.import_module(f"experiments.{name}").main
+    main = importlib.import_module(f"experiments.{name}.experiment").main
     status = main(["--frames", str(folder), "--out", str(out), *arguments])
     return status, capsys.readouterr().err.strip()
 
@@ -90,7 +90,7 @@ def test_a_bad_folder_is_one_line(name, text, said, folder, capsys, tmp_path, mi
 
 
 def test_a_missing_folder_and_a_fit_without_psf_are_one_line(folder, capsys, tmp_path, mi):
-    main = importlib.import_module("experiments.temporal").main
+    main = importlib.import_module("experiments.temporal.experiment").main
     assert main(["--frames", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
     assert "no such folder" in capsys.readouterr().err
     only = ("--set", "centroid=epsf", "--set", "compare=[]")

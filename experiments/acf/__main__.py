@@ -1,0 +1,8 @@
+"""``python -m experiments.acf``."""
+
+import sys
+
+from experiments.acf.experiment import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,123 @@
+"""From the budget's configuration to the instrument and its benches, and what is refused before long work."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from experiments.budget.settings import Config, DetectorConfig, MovedConfig
+from experiments.instrument import Instrument, build_instrument
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.filter_wheel import open_wheel
+from optics.band import TopHat
+from optics.lens import LensSystem
+from optics.perturb import decentre, despace, tilt
+from optics.prescription import load_lens
+from optics.spectrum import Blackbody
+from optics.units import UM_MM
+from render.detector import Detector, load_detector
+
+__all__ = ["Laboratory", "build_laboratory", "moved_lens", "overridden"]
+
+_IN_UM = {"diffusion_sigma_um": "diffusion_sigma_mm"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Laboratory:
+    """The instrument, and what stands in front of it.
+
+    Attributes
+    ----------
+    config : Config
+        What it was built from.
+    instrument : Instrument
+        The camera, its element moved, its detector as overridden.
+    bench : Bench
+        Point target in the whole pass band: temporal, pixel and distortion terms.
+    filtered : Bench
+        The same behind the filters: chromatic term.
+    """
+
+    config: Config
+    instrument: Instrument
+    bench: Bench
+    filtered: Bench
+
+
+def overridden(detector: Detector, changes: DetectorConfig) -> Detector:
+    """The detector with what the configuration says instead of its data file.
+
+    Raises
+    ------
+    DomainError
+        If the values do not go together.
+    """
+    given = {name: value for name, value in changes.model_dump().items() if value is not None}
+    scaled = {_IN_UM.get(name, name): value * UM_MM if name in _IN_UM else value for name, value in given.items()}
+    return replace(detector, **scaled) if scaled else detector
+
+
+def moved_lens(lens: LensSystem, moved: MovedConfig) -> LensSystem:
+    """The lens with the element where the configuration has it; the lens itself if that is where it belongs.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such element.
+    """
+    lens.indices_of(moved.element)
+    if moved.tilt_x_arcmin or moved.tilt_y_arcmin:
+        lens = tilt(lens, moved.element, moved.tilt_x_arcmin / 60.0, moved.tilt_y_arcmin / 60.0)
+    if moved.decentre_x_um or moved.decentre_y_um:
+        # rows increase against the y axis of the lens
+        lens = decentre(lens, moved.element, moved.decentre_x_um * UM_MM, -moved.decentre_y_um * UM_MM)
+    return despace(lens, moved.element, moved.despace_um * UM_MM) if moved.despace_um else lens
+
+
+def build_laboratory(config: Config, lens: LensSystem | None = None) -> Laboratory:
+    """Instrument and benches of a configuration.
+
+    Parameters
+    ----------
+    config : Config
+        The configuration.
+    lens : LensSystem, optional
+        In place of the configured one.
+
+    Raises
+    ------
+    StarbenchError
+        On an unknown lens, detector or element, values that do not go together, wavelengths that no data cover.
+    """
+    from experiments.chromatic.checks import check_wavelengths
+
+    detector = overridden(load_detector(config.instrument.detector), config.detector)
+    prescription = moved_lens(load_lens(config.instrument.lens), config.moved) if lens is None else lens
+    instrument = build_instrument(config.instrument, prescription, detector)
+    filters = config.filters
+    narrow = [
+        TopHat(centre_nm=c, width_nm=filters.width_nm, edge_nm=filters.edge_nm, name=f"{c:g} nm")
+        for c in filters.centres_nm
+    ]
+    wide = open_wheel(*config.source.passband_nm, config.source.edge_nm).filters
+    check_wavelengths(instrument, [*(("filters.centres_nm", band) for band in narrow), ("source.passband_nm", wide[0])])
+
+    def bench(bands: Sequence[TopHat], reference: int) -> Bench:
+        return Bench(
+            target=config.target,
+            lamp=Blackbody(temperature_k=config.source.lamp_k),
+            filters=bands,
+            reference=reference,
+            signal_e=config.source.signal_e,
+            frames=config.frames,
+            dark_frames=config.dark_frames,
+            window_px=config.window_px,
+            methods=(config.centroid,),
+        )
+
+    return Laboratory(
+        config=config,
+        instrument=instrument,
+        bench=bench(wide, 0),
+        filtered=bench(narrow, filters.centres_nm.index(filters.reference_nm)),
+    )

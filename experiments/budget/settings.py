@@ -1,0 +1,204 @@
+"""Configuration of the error budget: one instrument, how it is measured, and what is asked of it."""
+
+from __future__ import annotations
+
+import typing
+from typing import ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from experiments.budget.range import SweepRange, check_range, leaf_keys, parse_sweep
+from experiments.chromatic.settings import FilterConfig
+from experiments.config import ExperimentConfig, StrictModel
+from experiments.distortion import settings as distortion_settings
+from experiments.hsfe import settings as hsfe_settings
+from experiments.point_settings import SourceConfig
+from experiments.settings import InstrumentConfig, TargetConfig
+
+__all__ = [
+    "AttitudeConfig",
+    "Config",
+    "DetectorConfig",
+    "GridConfig",
+    "MovedConfig",
+    "StepConfig",
+    "ToleranceConfig",
+    "TornadoConfig",
+]
+
+Method = Literal["epsf", "gaussian", "windowed", "tcog", "cog"]
+_HIGHEST = 1e7
+
+
+class DetectorConfig(StrictModel):
+    """What differs from the detector's data file (`render.detector`); a key that is left out stays as it is there."""
+
+    dimensionless: ClassVar[frozenset[str]] = frozenset(
+        {"prnu", "crosstalk_horizontal", "crosstalk_vertical", "crosstalk_diagonal", "read_noise_spread"}
+    )
+
+    diffusion_sigma_um: float | None = Field(default=None, ge=0, le=100, description="charge diffusion")
+    prnu: float | None = Field(default=None, ge=0, le=0.5, description="response non-uniformity")
+    dark_current_e_per_s: float | None = Field(default=None, ge=0, le=_HIGHEST, description="mean dark current")
+    dark_spread_e_per_s: float | None = Field(default=None, ge=0, le=_HIGHEST, description="its spread")
+    hot_fraction: float | None = Field(default=None, ge=0, le=1, description="fraction of hot pixels")
+    hot_dark_e_per_s: float | None = Field(default=None, ge=0, le=_HIGHEST, description="their mean extra dark current")
+    dead_fraction: float | None = Field(default=None, ge=0, le=1, description="fraction of dead pixels")
+    full_well_e: float | None = Field(default=None, ge=1, le=_HIGHEST, description="saturation capacity")
+    crosstalk_horizontal: float | None = Field(default=None, ge=0, le=0.2, description="charge share of a neighbour")
+    crosstalk_vertical: float | None = Field(default=None, ge=0, le=0.2, description="charge share of a neighbour")
+    crosstalk_diagonal: float | None = Field(default=None, ge=0, le=0.1, description="charge share of a neighbour")
+    read_noise_e: float | None = Field(default=None, ge=0, le=1e5, description="median temporal dark noise")
+    read_noise_spread: float | None = Field(default=None, ge=0, le=2, description="standard deviation of its logarithm")
+    gain_dn_per_e: float | None = Field(default=None, ge=1e-6, le=1e5, description="system gain")
+    dsnu_e: float | None = Field(default=None, ge=0, le=1e5, description="spread of the offset over the pixels")
+    column_pattern_e: float | None = Field(default=None, ge=0, le=1e5, description="spread of the offset over columns")
+    adc_bits: int | None = Field(default=None, ge=1, le=16, description="resolution of the converter")
+    sensor_seed: int | None = Field(default=None, ge=0, le=2**63, description="the individual")
+
+
+class MovedConfig(StrictModel):
+    """One element of the lens that is not where the design has it."""
+
+    element: str = Field(default="L45", description="which")
+    decentre_x_um: float = Field(default=0.0, ge=-3000, le=3000, description="along increasing column")
+    decentre_y_um: float = Field(default=0.0, ge=-3000, le=3000, description="along increasing row")
+    tilt_x_arcmin: float = Field(default=0.0, ge=-180, le=180, description="rotation vector along +x of the lens")
+    tilt_y_arcmin: float = Field(default=0.0, ge=-180, le=180, description="rotation vector along +y of the lens")
+    despace_um: float = Field(default=0.0, ge=-3000, le=3000, description="along the light")
+
+
+class StepConfig(hsfe_settings.StepConfig):
+    """The step test (ACC18 section 1.3)."""
+
+    places: int = Field(default=6, ge=1, le=20, description="places of the field where the test is made; RMS of them")
+
+
+class GridConfig(distortion_settings.GridConfig):
+    """The grid target (ACC18 section 1.4.2) and its reduction; three times its marking error is the term C2."""
+
+    order: int = Field(default=3, ge=1, le=7, description="of the polynomial (ACC18: 3)")
+    reference: Literal["nominal", "aligned", "calibrated"] = Field(
+        default="calibrated", description="how target coordinates become pixels"
+    )
+    surveys: int = Field(default=200, ge=1, le=5000, description="surveys of the target, same frames; RMS of them")
+
+    @model_validator(mode="after")
+    def _enough(self) -> GridConfig:
+        points, terms = self.rows * self.columns, (self.order + 1) * (self.order + 2) // 2
+        if self.order >= min(self.rows, self.columns) or points <= terms:
+            raise ValueError(
+                f"grid.order = {self.order}: {self.rows} x {self.columns} points do not determine it; it "
+                "needs more rows and columns than the order"
+            )
+        return self
+
+
+class AttitudeConfig(StrictModel):
+    """Monte-Carlo of the attitude."""
+
+    stars: int = Field(default=10, ge=2, le=1000, description="stars in the field (ACC18: 10)")
+    counts: tuple[int, ...] = Field(
+        default=(2, 3, 4, 5, 7, 10, 15, 20, 30, 50), min_length=1, description="numbers of stars of the curve"
+    )
+    trials: int = Field(default=4000, ge=50, le=1_000_000, description="fields of stars per number")
+
+    @model_validator(mode="after")
+    def _at_least_two(self) -> AttitudeConfig:
+        if min(self.counts) < 2:
+            raise ValueError(f"attitude.counts = {list(self.counts)}: at least 2 stars are needed for an attitude")
+        return self
+
+
+class ToleranceConfig(StrictModel):
+    """Monte-Carlo of the lens as built: standard deviations, every element, both axes."""
+
+    decentre_um: float = Field(default=10.0, ge=0, le=1000, description="decentre per axis")
+    tilt_arcmin: float = Field(default=0.5, ge=0, le=60, description="tilt per axis, about the first vertex")
+    despace_um: float = Field(default=10.0, ge=0, le=1000, description="shift along the axis")
+    draws: int = Field(default=200, ge=2, le=100_000, description="lenses built")
+    limit_px: float = Field(default=80.0, gt=0, description="boresight motion beyond which a lens counts as not built")
+
+
+Parameter = Literal[
+    "source.signal_e",
+    "detector.read_noise_e",
+    "detector.prnu",
+    "detector.diffusion_sigma_um",
+    "detector.dark_current_e_per_s",
+    "grid.marking_error_arcsec",
+    "hexapod.roll_error_arcsec",
+    "instrument.defocus_mm",
+    "instrument.chip_temperature_c",
+    "moved.decentre_x_um",
+    "moved.decentre_y_um",
+    "moved.tilt_x_arcmin",
+    "moved.tilt_y_arcmin",
+]
+
+
+class TornadoConfig(StrictModel):
+    """Which parameters are moved for the sensitivities, and how far."""
+
+    parameters: tuple[Parameter, ...] = Field(default=typing.get_args(Parameter), description="which; none: no chart")
+
+    change_fraction: float = Field(default=0.1, gt=0, lt=1, description="of the parameters that have a natural zero")
+    focus_mm: float = Field(default=0.01, gt=0, le=0.2, description="defocus")
+    decentre_um: float = Field(default=10.0, gt=0, le=1000, description="decentre of the element in [moved]")
+    tilt_arcmin: float = Field(default=0.5, gt=0, le=60, description="tilt of the element in [moved]")
+    chip_k: float = Field(default=5.0, gt=0, le=50, description="temperature of the chip")
+
+
+class Config(ExperimentConfig):
+    """One instrument and what is asked of it."""
+
+    instrument: InstrumentConfig = InstrumentConfig()
+    detector: DetectorConfig = DetectorConfig()
+    moved: MovedConfig = MovedConfig()
+    target: TargetConfig = TargetConfig(pitch_px=150.4)  # not whole pixels: points at all fractions of a pixel
+    source: SourceConfig = SourceConfig()
+    filters: FilterConfig = FilterConfig()
+    hexapod: hsfe_settings.HexapodConfig = hsfe_settings.HexapodConfig()
+    steps: StepConfig = StepConfig()
+    grid: GridConfig = GridConfig()
+    frames: int = Field(default=30, ge=2, le=10000, description="frames per position (ACC18: at least 30)")
+    dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off, per position")
+    window_px: int = Field(default=13, ge=7, le=63, description="window around a point, odd")
+    centroid: Method = Field(default="epsf", description="centroider")
+    attitude: AttitudeConfig = AttitudeConfig()
+    tolerances: ToleranceConfig = ToleranceConfig()
+    tornado: TornadoConfig = TornadoConfig()
+    published_within_fraction: float | None = Field(
+        default=None, gt=0, le=1, description="if given, the measured terms have to land this near to the published"
+    )
+    sweep: str = Field(default="instrument.defocus_mm=-0.04:0.06:9", description="KEY=LOW:HIGH:POINTS; empty: none")
+    sweep_measured: bool = Field(default=False, description="measure every point of the sweep too, not only predict")
+
+    @model_validator(mode="after")
+    def _windows(self) -> Config:
+        size, target = self.window_px, self.target
+        if size % 2 == 0:
+            raise ValueError(f"window_px = {size}: an odd number is needed")
+        if target.rows * target.columns < 2:
+            raise ValueError("target.rows * target.columns = 1: at least 2 points are needed")
+        if target.pitch_px < size:
+            raise ValueError(
+                f"target.pitch_px = {target.pitch_px:g} px: at least window_px = {size} px is needed, or one window "
+                "holds two points"
+            )
+        if target.edge_px < size // 2 + 1:
+            raise ValueError(
+                f"target.edge_px = {target.edge_px:g} px: at least {size // 2 + 1} px is needed, or windows of "
+                f"window_px = {size} px leave the detector"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _sweep(self) -> Config:
+        if self.sweep:
+            check_range(type(self), parse_sweep(self.sweep, leaf_keys(type(self))))
+        return self
+
+    def sweep_range(self) -> SweepRange | None:
+        """The sweep that is asked for; None if there is none."""
+        return parse_sweep(self.sweep, leaf_keys(type(self))) if self.sweep else None

@@ -1,0 +1,263 @@
+"""Lenses as built: Monte-Carlo over decentre, tilt and despace of every element, by ray trace.
+
+Of every lens the document's chromatic statistic (eq. 16, over the target in four corners) and the distortion over the
+field are found from traced bundle means. Distortion counts twice: what is left when each lens is calibrated with a
+cubic polynomial of its own (ACC18 eq. 19), and what a camera shows that still uses the design's map, a common shift and
+roll apart (elements that moved after the calibration).
+
+The linear prediction beside it adds the sensitivities of all movements, each traced once, in quadrature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.budget.laboratory import Laboratory
+from experiments.budget.settings import ToleranceConfig
+from experiments.chromatic.model import band_pairs, shifts, table1
+from experiments.laboratory.bench import point_field
+from experiments.target import corner_directions
+from optics.errors import ConvergenceError, DomainError
+from optics.lens import LensSystem
+from optics.perturb import decentre, despace, tilt
+from optics.units import UM_MM
+from render.random import Streams
+from render.tracer import Tracer
+
+__all__ = ["MOVES", "ToleranceStudy", "cubic_basis", "tolerance_study"]
+
+FloatArray = NDArray[np.float64]
+
+MOVES = ("decentre x", "decentre y", "tilt x", "tilt y", "despace")
+GRID = (9, 5)
+"""Field points of the distortion, columns x rows."""
+EDGE_PX = 60.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToleranceStudy:
+    """d lenses; 3 sigma [arcsec], columns x and y.
+
+    Attributes
+    ----------
+    chromatic_arcsec : (d, 2)
+        ACC18's chromatic term: largest entry of Table 1 over the pairs.
+    signed_arcsec : (d, p, 2)
+        The entries themselves, by pair of bands.
+    distortion_arcsec : (d, 2)
+        Three times the RMS residual of a cubic polynomial fitted to that very lens.
+    uncalibrated_arcsec : (d, 2)
+        Three times the RMS change of the map against the design, mean shift and roll removed.
+    design_arcsec : dict of str to (2,)
+        "chromatic" and "distortion" of the nominal lens.
+    nominal_arcsec : (p, 2)
+        Signed entries of the nominal lens.
+    boresight_px : (d, 2)
+        Motion of the whole image.
+    elements : tuple of str
+        Names of the elements.
+    sensitivity_arcsec : (e, 5, p, 2)
+        Change of the signed entries by one standard deviation of every movement (`MOVES`) of every element.
+    linear_arcsec : (p, 2)
+        Standard deviation of the signed entries by the sum of squares of the above.
+    pairs : tuple of str
+        Names of the pairs of bands.
+    lost : int
+        Lenses left out: no light, or the image moved beyond the limit.
+    """
+
+    chromatic_arcsec: FloatArray
+    signed_arcsec: FloatArray
+    distortion_arcsec: FloatArray
+    uncalibrated_arcsec: FloatArray
+    design_arcsec: dict[str, FloatArray]
+    nominal_arcsec: FloatArray
+    boresight_px: FloatArray
+    elements: tuple[str, ...]
+    sensitivity_arcsec: FloatArray
+    linear_arcsec: FloatArray
+    pairs: tuple[str, ...]
+    lost: int
+
+    @property
+    def lsfe_arcsec(self) -> FloatArray:
+        """Chromatic and residual distortion together, (d, 2)."""
+        return np.hypot(self.chromatic_arcsec, self.distortion_arcsec)
+
+    @property
+    def spread_arcsec(self) -> FloatArray:
+        """Standard deviation (p, 2) of the signed entries over the lenses."""
+        return np.asarray(self.signed_arcsec.std(0, ddof=1))
+
+    @property
+    def spread_uncertainty(self) -> float:
+        """Relative uncertainty of `spread_arcsec`."""
+        return float(1.0 / np.sqrt(2.0 * (len(self.signed_arcsec) - 1)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Traced:
+    """What is read from one lens."""
+
+    signed_px: FloatArray  # (p, 2)
+    map_px: FloatArray  # (g, 2) displacement from the ideal image
+
+
+class _Probe:
+    """Traces perturbed copies of a lens at the same stars."""
+
+    def __init__(self, mi: Any, lab: Laboratory) -> None:
+        self.mi, self.lab, self.instrument = mi, lab, lab.instrument
+        camera = self.instrument.camera
+        self.corners = corner_directions(lab.filtered.target, self.instrument)
+        x = np.linspace(EDGE_PX, camera.width_px - 1 - EDGE_PX, GRID[0])
+        y = np.linspace(EDGE_PX, camera.height_px - 1 - EDGE_PX, GRID[1])
+        self.grid_px = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        grid = camera.nominal_direction(self.grid_px[:, 0], self.grid_px[:, 1], self.instrument.focal_length_mm)
+        stars = np.concatenate([self.corners.reshape(-1, 3), grid])
+        self.stars = point_field(lab.filtered, self.instrument, stars)
+        self.pairs = band_pairs([band.centre_nm for band in lab.filtered.filters], lab.filtered.reference)
+
+    def trace(self, lens: LensSystem) -> _Traced:
+        camera = replace(self.instrument.camera, lens=lens)
+        mean = Tracer(self.mi, camera, general=True).bundle_means(self.stars, rings=4, arms=12)
+        split = self.corners.shape[0] * self.corners.shape[1]
+        place = mean[:split].reshape(*self.corners.shape[:2], *mean.shape[1:])
+        signed = np.stack([table1(v) for v in shifts(place, self.pairs).values()])
+        return _Traced(signed, mean[split:, self.lab.filtered.reference] - self.grid_px)
+
+
+def tolerance_study(
+    mi: Any, lab: Laboratory, streams: Streams, *, advance: Callable[[], None] = lambda: None
+) -> ToleranceStudy:
+    """Build lenses with the tolerances of the configuration and trace them.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with an active variant; rays only.
+    lab : Laboratory
+        The laboratory; its lens is the nominal one.
+    streams : Streams
+        Root of the random numbers.
+    advance : callable
+        Called after every lens.
+
+    Raises
+    ------
+    DomainError
+        If fewer than two lenses could be used.
+    """
+    config, lens = lab.config.tolerances, lab.instrument.camera.lens
+    probe, scale = _Probe(mi, lab), lab.instrument.pixel_arcsec
+    design = probe.trace(lens)
+    basis = cubic_basis(probe.grid_px)
+    rng = streams.generator("built lenses")
+    amounts = rng.standard_normal((config.draws, len(lens.elements), len(MOVES)))
+    signed, left, moved, boresight = [], [], [], []
+    for draw in amounts:
+        found = _try(probe, built(lens, config, draw))
+        advance()
+        if found is None or not np.abs((found.map_px - design.map_px).mean(0)).max() <= config.limit_px:
+            continue
+        signed.append(found.signed_px)
+        left.append(_fitted(basis, found.map_px))
+        moved.append(_fitted(_rigid_basis(probe.grid_px), found.map_px - design.map_px))
+        boresight.append((found.map_px - design.map_px).mean(0))
+    if len(signed) < 2:
+        raise DomainError(
+            f"{len(signed)} of {config.draws} lenses can be used (light lost, or the image moved by more than "
+            f"tolerances.limit_px = {config.limit_px:g} px); lower tolerances.decentre_um, tilt_arcmin or despace_um"
+        )
+    sensitivity = _sensitivities(probe, lens, config, design)
+    entries = np.stack(signed) * scale
+    return ToleranceStudy(
+        chromatic_arcsec=np.abs(entries).max(1),
+        signed_arcsec=entries,
+        distortion_arcsec=3.0 * scale * np.stack(left),
+        uncalibrated_arcsec=3.0 * scale * np.stack(moved),
+        design_arcsec={
+            "chromatic": np.abs(design.signed_px).max(0) * scale,
+            "distortion": 3.0 * scale * _fitted(basis, design.map_px),
+        },
+        nominal_arcsec=design.signed_px * scale,
+        boresight_px=np.stack(boresight),
+        elements=lens.elements,
+        sensitivity_arcsec=sensitivity * scale,
+        linear_arcsec=np.sqrt((sensitivity**2).sum((0, 1))) * scale,
+        pairs=tuple(name for name, _, _ in probe.pairs),
+        lost=config.draws - len(signed),
+    )
+
+
+def built(lens: LensSystem, config: ToleranceConfig, amounts: FloatArray) -> LensSystem:
+    """The lens with every element moved.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The nominal lens.
+    config : ToleranceConfig
+        Standard deviations.
+    amounts : (e, 5)
+        Movements in standard deviations, by element and `MOVES`.
+    """
+    for element, (dx, dy, tx, ty, dz) in zip(lens.elements, amounts, strict=True):
+        size = config.tilt_arcmin / 60.0
+        lens = tilt(lens, element, float(tx) * size, float(ty) * size)
+        lens = decentre(lens, element, float(dx) * config.decentre_um * UM_MM, float(dy) * config.decentre_um * UM_MM)
+        lens = despace(lens, element, float(dz) * config.despace_um * UM_MM)
+    return lens
+
+
+def _try(probe: _Probe, lens: LensSystem) -> _Traced | None:
+    """Trace, or None where no light gets through."""
+    try:
+        found = probe.trace(lens)
+    except (ConvergenceError, DomainError):
+        return None
+    return found if np.isfinite(found.signed_px).all() and np.isfinite(found.map_px).all() else None
+
+
+def _sensitivities(probe: _Probe, lens: LensSystem, config: ToleranceConfig, design: _Traced) -> FloatArray:
+    """Change of the signed entries (e, 5, p, 2) [px] by one standard deviation; central differences."""
+    out = np.zeros((len(lens.elements), len(MOVES), *design.signed_px.shape))
+    for e in range(len(lens.elements)):
+        for m in range(len(MOVES)):
+            step = np.zeros((len(lens.elements), len(MOVES)))
+            step[e, m] = 1.0
+            up, down = (probe.trace(built(lens, config, sign * step)).signed_px for sign in (1.0, -1.0))
+            out[e, m] = (up - down) / 2.0
+    return out
+
+
+def cubic_basis(place_px: FloatArray) -> FloatArray:
+    """Values (n, 10) of the monomials up to the third degree (ACC18 eq. 19), coordinates scaled to -1 ... 1."""
+    low, high = place_px.min(0), place_px.max(0)
+    x, y = ((2.0 * place_px - low - high) / (high - low)).T
+    return np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
+
+
+def _rigid_basis(place_px: FloatArray) -> FloatArray:
+    """Shift and roll: (n, 2, 3)."""
+    centred = place_px - place_px.mean(0)
+    out = np.zeros((len(place_px), 2, 3))
+    out[:, 0, 0] = out[:, 1, 1] = 1.0
+    out[:, 0, 2], out[:, 1, 2] = -centred[:, 1], centred[:, 0]
+    return out
+
+
+def _fitted(basis: FloatArray, shift_px: FloatArray) -> FloatArray:
+    """RMS (2,) of what a least-squares fit leaves; free parameters are counted."""
+    if basis.ndim == 2:
+        left = shift_px - basis @ np.linalg.lstsq(basis, shift_px, rcond=None)[0]
+        free = len(basis) - basis.shape[1]
+        return np.asarray(np.sqrt((left**2).sum(0) / free))
+    design, data = basis.reshape(-1, basis.shape[2]), shift_px.ravel()
+    left = (data - design @ np.linalg.lstsq(design, data, rcond=None)[0]).reshape(shift_px.shape)
+    return np.asarray(np.sqrt((left**2).mean(0)))

@@ -1,0 +1,118 @@
+"""What the chromatic test refuses before its long work: light that no data cover, points that cannot be seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.chromatic.model import Solution, expected_spots
+from experiments.instrument import Instrument
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.points import SEARCH_MARGIN_PX
+from optics.analysis import best_focus_shift_mm
+from optics.band import Band
+from optics.errors import DomainError
+from optics.frames import field_angles_deg
+
+__all__ = ["check_light", "check_motion", "check_wavelengths"]
+
+FloatArray = NDArray[np.float64]
+
+
+def check_wavelengths(instrument: Instrument, bands: Sequence[tuple[str, Band]]) -> None:
+    """Refuse bands that reach beyond what is known of the glasses, coatings and the quantum efficiency.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        The camera.
+    bands : sequence of (str, Band)
+        Key of the configuration, and the band it describes.
+
+    Raises
+    ------
+    DomainError
+        Naming the key, the band and the range.
+    """
+    camera = instrument.camera
+    known = [(glass.range_nm, f"glass {name}") for name, glass in camera.lens.glasses.items()]
+    if camera.response is not None:
+        known.append((camera.response.range_nm, "the quantum efficiency and transmission tables"))
+    (low, first), (high, last) = (
+        max((range_nm[0], what) for range_nm, what in known),
+        min((range_nm[1], what) for range_nm, what in known),
+    )
+    for key, band in bands:
+        start, end = min(band.breakpoints_nm), max(band.breakpoints_nm)
+        if start < low or end > high:
+            limit = first if start < low else last
+            raise DomainError(
+                f"{key}: {band.name!r} passes {start:g} ... {end:g} nm; lens {camera.lens.name!r} on "
+                f"{instrument.detector.name!r} is known for {low:g} ... {high:g} nm (the range of {limit})"
+            )
+
+
+def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> None:
+    """Refuse a target whose light does not reach the detector, or not the window around its image.
+
+    Parameters
+    ----------
+    bench, instrument
+        The laboratory.
+    direction : (p, j, 3)
+        Target points.
+
+    Raises
+    ------
+    DomainError
+        Rays lost, or a spot wider than the window.
+    ConvergenceError
+        If no ray of any point gets through the lens.
+    """
+    position, radius_px, _ = expected_spots(bench, instrument, direction)
+    dark = ~np.isfinite(position).all(axis=(2, 3))
+    if dark.any():
+        raise DomainError(
+            f"no light of {int(dark.sum())} of {dark.size} target points gets through lens "
+            f"{instrument.camera.lens.name!r}; look at its clear apertures or raise target.edge_px"
+        )
+    widest = float(radius_px.max())
+    if 4.0 * widest > bench.window_px:
+        field_x, field_y = field_angles_deg(direction.reshape(-1, 3))
+        waves = [band.centre_nm for band in bench.filters]
+        best = best_focus_shift_mm(instrument.camera.lens, field_x, field_y, waves)
+        raise DomainError(
+            f"the image of a target point has an RMS radius of {widest:.1f} px, for which window_px = "
+            f"{bench.window_px} is too small (at least four RMS radii); best focus for these filters is at "
+            f"instrument.defocus_mm = {best:.3f} mm (it is {instrument.config.defocus_mm:g} mm), or enlarge the window"
+        )
+
+
+def check_motion(bench: Bench, chosen: Solution, wanted_px: float) -> None:
+    """Refuse a moved element that carries the target's image out of the search area or off the detector.
+
+    Parameters
+    ----------
+    bench : Bench
+        The laboratory.
+    chosen : Solution
+        Movement to be rendered.
+    wanted_px : float
+        The mean shift it is to give.
+
+    Raises
+    ------
+    DomainError
+        Naming the movement and the room there is.
+    """
+    moves = float(np.abs(chosen.boresight_px).max())
+    room = min(float(SEARCH_MARGIN_PX), bench.target.edge_px - bench.window_px // 2 - 1)
+    if moves > room:
+        raise DomainError(
+            f"a mean shift of decentre.wanted_px = {wanted_px:g} px takes a {chosen.kind} of {chosen.element} by "
+            f"{chosen.amount:.0f} {chosen.unit}, which moves the whole image by {moves:.0f} px; at most {room:.0f} px "
+            f"can be followed (target.edge_px = {bench.target.edge_px:g} px, and {SEARCH_MARGIN_PX} px in any case): "
+            "lower decentre.wanted_px or name another decentre.element"
+        )

@@ -1,0 +1,361 @@
+"""The benches: what is true on each of them, and the one rendered laboratory that they all are put into."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+from scipy.stats import norm
+
+from calib.cube_mirror import normal_of_offset, triad
+from experiments.cube.settings import Config
+from experiments.laboratory.turntable import Turntable, build_turntable
+from optics.units import ARCSEC_RAD, DEG_RAD
+from render.bench_camera import BenchCamera
+from render.bench_scene import FACES, BenchGeometry, CubePose, bench_scene, place_cube
+from render.bench_sensor import MaskSensor
+from render.detector import Detector, load_detector
+from render.random import Streams
+
+__all__ = ["FACE_ANGLES_DEG", "Case", "Laboratory", "Truth", "build_laboratory", "draw_truths", "geometry_of"]
+
+FloatArray = NDArray[np.float64]
+
+DATA = Path(__file__).parents[1] / "data"
+FACE_ANGLES_DEG = {"+Z": (0.0, 180.0), "+X": (0.0, 90.0), "-X": (0.0, 270.0)}
+"""Nominal (outer, inner) angles that turn a face to the light: the cube sits on the back of the sensor."""
+
+NOMINAL_CUBE = np.diag([-1.0, 1.0, -1.0])
+"""Table from cube as designed: the cube's Z looks backwards, its X against the table's."""
+
+COVER_LOG2 = 21
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truth:
+    """One bench: everything that the calibration has to find or suffers from. Terms are in units of their sigma.
+
+    Attributes
+    ----------
+    number : int
+        Which bench.
+    table_from_cube : (3, 3)
+        Of the cube's body.
+    normal : (6, 3)
+        Normals in the body's frame, in the order of `render.bench_scene.FACES`.
+    sensor_from_table : (3, 3)
+        R_sr.
+    sensor : MaskSensor
+        The sun sensor as it was built.
+    start : (faces, repeats, 2)
+        Where the eye leaves the spot, -1 to 1 of ``trim.start_px``.
+    aim, mounting : (faces, repeats, 2)
+        Aiming error and give of the camera mount, x and y on the screen.
+    lean : float
+        Axes out of square.
+    """
+
+    number: int
+    table_from_cube: FloatArray
+    normal: FloatArray
+    sensor_from_table: FloatArray
+    sensor: MaskSensor
+    start: FloatArray
+    aim: FloatArray
+    mounting: FloatArray
+    lean: float
+
+    def normal_in_table(self, face: str) -> FloatArray:
+        """True normal of a face in the table frame (3,)."""
+        return np.asarray(self.table_from_cube @ self.normal[list(FACES).index(face)])
+
+    def normal_in_cube(self, face: str, faces: Sequence[str]) -> FloatArray:
+        """True normal of a face in the cube's frame (3,), as a certificate of the cube would give it."""
+        return np.asarray(self.cube_from_table(faces) @ self.normal_in_table(face))
+
+    def cube_from_table(self, faces: Sequence[str]) -> FloatArray:
+        """True R_pr (3, 3): the frame that the first face and the first one not parallel to it define."""
+        second = next(face for face in faces if face[1] != faces[0][1])
+        return triad(
+            [nominal_normal(faces[0]), nominal_normal(second)],
+            [self.normal_in_table(faces[0]), self.normal_in_table(second)],
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """Which errors are switched on, and how the reduction goes.
+
+    Attributes
+    ----------
+    name, label : str
+        For machines and for people.
+    aim_px : float
+        1 sigma of what the operator takes for concentric.
+    lean, mounting, reading : bool
+        Axes out of square, camera mount, angle reading.
+    coarse : bool
+        Trim from where the eye left the spot, in steps of the table, with the operator's gain, until the stop rule
+        holds; otherwise the table goes where it is sent, starts trimmed, and one correction is enough.
+    improved : bool
+        Aperture and spot from one picture, what is left of the offset taken into account, and the axes of the table
+        from the joint fit with the sun sensor.
+    pictures_of : str
+        Name of the case whose pictures and readings are reduced once more; "" for its own.
+    """
+
+    name: str
+    label: str
+    aim_px: float = 0.0
+    lean: bool = False
+    mounting: bool = False
+    reading: bool = False
+    coarse: bool = False
+    improved: bool = False
+    pictures_of: str = ""
+
+
+@dataclass(slots=True, kw_only=True)
+class Laboratory:
+    """The rendered bench: one Mitsuba scene whose cube is moved, with the camera and the detectors.
+
+    Attributes
+    ----------
+    mi : module
+        Mitsuba.
+    config : Config
+        Settings.
+    geometry : BenchGeometry
+        Sizes.
+    camera : BenchCamera
+        The camera as it was aimed.
+    detector, sensor_detector : Detector
+        CCD and sun sensor.
+    scene, sensor : Any
+        Mitsuba objects.
+    aperture_e : (h, w)
+        Expected electrons of the picture of the covered, glowing aperture.
+    streams : Streams
+        Root of the randomness.
+    backend : str
+        For the readout.
+    """
+
+    mi: Any
+    config: Config
+    geometry: BenchGeometry
+    camera: BenchCamera
+    detector: Detector
+    sensor_detector: Detector
+    scene: Any
+    sensor: Any
+    aperture_e: NDArray[np.float32]
+    streams: Streams
+    backend: str
+
+    @property
+    def pitch_mm(self) -> float:
+        """One pixel on the screen."""
+        return self.camera.pitch_mm
+
+    @property
+    def tilt_per_px(self) -> float:
+        """Tilt of a face for one pixel of its spot [rad]."""
+        return self.pitch_mm / self.geometry.path_mm
+
+
+def nominal_normal(face: str) -> FloatArray:
+    """Normal of a face of a perfect cube in its frame (3,)."""
+    axis, sign = FACES[face]
+    return np.asarray(sign * np.eye(3)[axis])
+
+
+def geometry_of(config: Config) -> BenchGeometry:
+    """Sizes of the bench."""
+    return BenchGeometry(
+        distance_mm=config.screen.distance_mm,
+        aperture_mm=config.screen.aperture_mm,
+        screen_mm=config.screen.side_mm,
+        simulator_mm=config.simulator.diameter_mm,
+        simulator_gap_mm=config.simulator.gap_mm,
+        source_arcmin=config.simulator.source_arcmin,
+        cube_mm=config.cube.side_mm,
+        chamfer_mm=config.cube.chamfer_mm,
+        cube_offset_mm=np.array(config.cube.offset_mm),
+        screen_reflectance=config.screen.reflectance_fraction,
+    )
+
+
+def camera_of(config: Config, detector: Detector) -> BenchCamera:
+    """The camera as it was aimed."""
+    return BenchCamera(
+        width_px=detector.width_px,
+        height_px=detector.height_px,
+        pitch_mm=detector.pixel_pitch_mm,
+        distance_mm=config.camera.distance_mm,
+        angle_deg=config.camera.angle_deg,
+        aim_mm=np.zeros(2),
+    )
+
+
+def build_laboratory(mi: Any, config: Config) -> Laboratory:
+    """Build the scene once, and take the picture of the covered aperture, which no bench changes.
+
+    Raises
+    ------
+    StarbenchError
+        What `experiments.cube.checks` finds, or a detector file that is wrong.
+    """
+    from experiments.cube.checks import check_bench, check_light_levels
+    from render.bench_trace import trace_screen
+    from render.diffusion import diffuse
+
+    geometry = geometry_of(config)
+    detector = load_detector(config.camera.detector or DATA / "cube_ccd.toml")
+    sensor_detector = load_detector(config.sensor.detector or DATA / "cube_sun_sensor.toml")
+    camera = camera_of(config, detector)
+    check_bench(config, geometry, camera)
+    check_light_levels(config, detector, sensor_detector)
+    pose = CubePose.of_table(geometry, Rotation.from_euler("y", 180, degrees=True).as_matrix(), NOMINAL_CUBE, SQUARE)
+    sensor = camera.sensor(mi)
+    covered = bench_scene(mi, geometry, pose, covered=True)
+    light = trace_screen(
+        mi, covered, sensor, camera, geometry, covered=True, log2_particles=COVER_LOG2, seed=config.seed
+    )
+    return Laboratory(
+        mi=mi,
+        config=config,
+        geometry=geometry,
+        camera=camera,
+        detector=detector,
+        sensor_detector=sensor_detector,
+        scene=bench_scene(mi, geometry, pose, covered=False),
+        sensor=sensor,
+        aperture_e=diffuse(light * electrons_per_radiance(config), detector.diffusion_sigma_px),
+        streams=Streams(config.seed).child("cube"),
+        backend=str(mi.variant()).split("_")[0],
+    )
+
+
+SQUARE = np.array([sign * np.eye(3)[axis] for axis, sign in FACES.values()])
+"""Normals of a perfect cube, in the order of FACES."""
+
+
+def electrons_per_radiance(config: Config) -> float:
+    """Electrons of a pixel for radiance 1 per unit irradiance: the screen in the full beam gives ``plateau_e``."""
+    return config.camera.plateau_e * np.pi / config.screen.reflectance_fraction
+
+
+def build_table(config: Config, truth: Truth, case: Case) -> Turntable:
+    """The table of a bench: outer axis X', inner axis Y'."""
+    reading = (config.table.outer_reading_arcsec, config.table.inner_reading_arcsec)
+    return build_turntable(
+        "xy",
+        non_orthogonality_arcsec=config.table.square_arcsec * truth.lean if case.lean else 0.0,
+        reading_noise_arcsec=reading if case.reading else 0.0,
+        step_arcsec=config.trim.step_deg * 3600 if case.coarse else 0.0,
+    )
+
+
+def put_cube(laboratory: Laboratory, truth: Truth, lab_from_table: FloatArray) -> CubePose:
+    """Move the cube of the scene to where the table carries it."""
+    pose = CubePose.of_table(laboratory.geometry, lab_from_table, truth.table_from_cube, truth.normal)
+    place_cube(laboratory.mi, laboratory.scene, laboratory.geometry, pose)
+    return pose
+
+
+def concentric_angles(table: Turntable, normal: FloatArray, face: str, beam: ArrayLike = (0.0, 0.0, 1.0)) -> FloatArray:
+    """Angles (outer, inner) [rad] at which a normal (table frame) looks along the beam; Newton on the true table."""
+    angle = np.array(FACE_ANGLES_DEG[face]) * DEG_RAD
+    nominal = np.arcsin(normal[1]), np.arctan2(-normal[0], normal[2])
+    angle += (np.array(nominal) - angle + np.pi) % (2 * np.pi) - np.pi
+    step = np.full(2, np.inf)
+    while np.max(np.abs(step)) > 1e-9:
+        turn = table.rotation(angle[None])[0]
+        looks = turn.apply(normal)
+        rates = table.angle_rates(angle[None])[0]
+        leverage = np.cross(rates, looks)[:, :2].T
+        step = np.linalg.solve(leverage, looks[:2] - np.asarray(beam)[:2])
+        angle -= step
+    return angle
+
+
+def draw_truths(config: Config, streams: Streams) -> list[Truth]:
+    """The misaligned benches.
+
+    All random numbers are stratified over the benches (Latin hypercube; McKay, Beckman & Conover 1979): each has its
+    distribution to 1/count, whatever the count, so that a spread of the results is not blurred by that of the inputs.
+    """
+    count, faces = config.benches.count, len(config.cube.faces) * config.cube.repeats
+    generator = streams.generator("benches")
+
+    def stratified(size: int) -> FloatArray:
+        order = np.argsort(generator.random((size, count)), axis=1)
+        return np.asarray(((order + generator.random((size, count))) / count).T)
+
+    def normals(size: int) -> FloatArray:
+        return np.asarray(norm.ppf(stratified(size)))
+
+    shape = (count, len(config.cube.faces), config.cube.repeats, 2)
+    mount, sensor_mount, square = normals(3), normals(3), normals(12)
+    start = 2 * stratified(2 * faces).reshape(shape) - 1
+    aim, mounting = normals(2 * faces).reshape(shape), normals(2 * faces).reshape(shape)
+    lean, build = normals(1)[:, 0], normals(3)
+    return [
+        Truth(
+            number=i,
+            table_from_cube=NOMINAL_CUBE @ small_turn(mount[i] * config.cube.mount_arcmin * 60),
+            normal=_out_of_square(square[i].reshape(6, 2) * config.cube.square_arcsec),
+            sensor_from_table=small_turn(sensor_mount[i] * config.sensor.mount_arcmin * 60),
+            sensor=_mask(config, build[i]),
+            start=start[i],
+            aim=aim[i],
+            mounting=mounting[i],
+            lean=float(lean[i]),
+        )
+        for i in range(count)
+    ]
+
+
+def small_turn(arcsec: FloatArray) -> FloatArray:
+    """Rotation matrix of a rotation vector [arcsec]."""
+    return np.asarray(Rotation.from_rotvec(arcsec * ARCSEC_RAD).as_matrix())
+
+
+def _out_of_square(tilt_arcsec: FloatArray) -> FloatArray:
+    """Normals (6, 3) of a cube whose faces are tilted by (6, 2)."""
+    normals = SQUARE.copy()
+    for i, (axis, _) in enumerate(FACES.values()):
+        normals[i, [(axis + 1) % 3, (axis + 2) % 3]] += tilt_arcsec[i] * ARCSEC_RAD
+    return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
+
+
+def _mask(config: Config, build: FloatArray) -> MaskSensor:
+    detector = load_detector(config.sensor.detector or DATA / "cube_sun_sensor.toml")
+    sensor = config.sensor
+    return MaskSensor(
+        width_px=detector.width_px,
+        height_px=detector.height_px,
+        pitch_mm=detector.pixel_pitch_mm,
+        hole_mm=sensor.hole_um * 1e-3,
+        gap_mm=sensor.gap_mm + build[0] * sensor.gap_tolerance_um * 1e-3,
+        offset_px=build[1:] * sensor.centring_px,
+    )
+
+
+def start_angles(
+    laboratory: Laboratory, truth: Truth, table: Turntable, face: int, repeat: int, *, within_px: float
+) -> FloatArray:
+    """Where the table stands at first (2,) [rad]: the spot is ``start`` times ``within_px`` from the aperture."""
+    name = laboratory.config.cube.faces[face]
+    offset = truth.start[face, repeat] * within_px * laboratory.pitch_mm
+    straight = replace(table, non_orthogonality_arcsec=np.zeros(1))
+    normal = normal_of_offset(offset, laboratory.geometry.distance_mm)
+    angle = concentric_angles(straight, truth.normal_in_table(name), name)
+    # from looking at the Sun to looking beside it: turn about y and x by the offset of the normal
+    return angle + np.array([-normal[1], normal[0]])

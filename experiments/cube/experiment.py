@@ -1,0 +1,161 @@
+"""Sun sensor to cube mirror (CUBE09): a rendered bench, trimmed face by face, reduced to R_sp, against its budget.
+
+A collimated sun shines through an aperture onto a polished face of a cube mirror on a two-axis turntable; the table is
+trimmed until the reflected spot is concentric with the aperture, first one face, then another, as the document does.
+The sun sensor on the same table is calibrated by turning the table over its field. A hundred misaligned benches show
+which term of the published budget (eq. 13 and 14) does what to which axis, and what would bring the error below 1
+arcsec.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from experiments.cli import command
+from experiments.cube.settings import Config
+from experiments.progress import Progress
+
+if TYPE_CHECKING:
+    from experiments.cube.result import Result
+    from experiments.report import Report
+    from experiments.summary import Criterion
+    from experiments.tables import Table
+
+__all__ = ["Config", "main", "report", "run", "summary", "tables"]
+
+VIEW_PX = (760, 440)
+
+
+def run(config: Config, *, progress: Progress) -> Result:
+    """Build the bench, trim, calibrate, and repeat on every misaligned bench.
+
+    Parameters
+    ----------
+    config : Config
+        Settings.
+    progress : Progress
+        Where to report.
+
+    Raises
+    ------
+    StarbenchError
+        On anything the user can mend: spot off the screen or not larger than the aperture, beam beside the face,
+        parallel faces, a trim that does not end, a spot off the sun sensor.
+    """
+    import mitsuba as mi
+
+    from experiments.cube.bench import build_laboratory, draw_truths
+    from experiments.cube.budget import beam_rates, build_budget, lean_rates, perfect_sensor
+    from experiments.cube.montecarlo import CASES, SensorCache, run_bench, run_cases
+    from experiments.cube.result import Result
+    from experiments.cube.verify import check_light, repeatability
+    from experiments.provenance import peak_memory_mb, process_seconds
+
+    with progress.stage("bench"):
+        laboratory = build_laboratory(mi, config)
+        truths = draw_truths(config, laboratory.streams)
+    performed = next(case for case in CASES if case.name == "procedure")
+    known = SensorCache()
+    with progress.stage("one bench, shown"):
+        shown = run_bench(
+            laboratory,
+            truths[0],
+            performed,
+            known,
+            log2_particles=config.benches.shown_log2_particles,
+            keep=True,
+        )
+    cases = run_cases(laboratory, truths, CASES, progress)
+    with progress.stage("checks"):
+        light = check_light(laboratory)
+        again = repeatability(laboratory)
+        budget = build_budget(laboratory, cases, again)
+        sensor = perfect_sensor(laboratory)
+        rates = lean_rates(config, sensor), beam_rates(config, sensor)
+    with progress.stage("views"):
+        views = _views(mi, config, laboratory, truths[0])
+    return Result(
+        config=config,
+        laboratory=laboratory,
+        truths=truths,
+        shown=shown,
+        shown_run=known.runs[performed.lean],
+        cases=cases,
+        budget=budget,
+        lean_rate=rates[0],
+        beam_rate=rates[1],
+        light=light,
+        repeatability=again,
+        views=views,
+        runtime_s=process_seconds(),
+        peak_memory_mb=peak_memory_mb(),
+    )
+
+
+def _views(mi: Any, config: Config, laboratory: Any, truth: Any) -> list[Any]:
+    """The bench from afar and the cube from near, the first face trimmed."""
+    from experiments.cube.bench import Case, build_table, concentric_angles
+    from render.bench_scene import CubePose
+    from render.bench_view import overview_scene, overview_sensor, render_overview
+
+    geometry, face = laboratory.geometry, config.cube.faces[0]
+    table = build_table(config, truth, Case(name="", label=""))
+    angle = concentric_angles(table, truth.normal_in_table(face), face)
+    top = table.rotation(angle[None])[0].as_matrix()
+    pose = CubePose.of_table(geometry, top, truth.table_from_cube, truth.normal)
+    scene = overview_scene(mi, geometry, pose, top, laboratory.camera)
+    width, height = VIEW_PX
+    return [
+        render_overview(
+            mi,
+            scene,
+            overview_sensor(mi, geometry, width_px=width, height_px=height, close=close),
+            geometry,
+            spp=config.benches.view_samples,
+        )
+        for close in (False, True)
+    ]
+
+
+def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:
+    """What goes into ``summary.json``."""
+    from experiments.cube.result import criteria, results
+
+    return results(result), criteria(result)
+
+
+def tables(result: Result) -> Mapping[str, Table]:
+    """Tables written beside the report."""
+    from experiments.cube.tables import all_tables
+
+    return all_tables(result)
+
+
+def report(result: Result) -> Report:
+    """What ``report.html`` shows."""
+    from experiments.cube.report import build_report
+
+    return build_report(result)
+
+
+QUICK: dict[str, Any] = {
+    "benches.count": 6,
+    "benches.log2_particles": 17,
+    "benches.shown_log2_particles": 19,
+    "benches.view_samples": 8,
+    "sensor.grid": 7,
+}
+
+SHOWN: Sequence[str] = ("trims", "budget")
+
+main = command(
+    "cube",
+    config=Config,
+    run=run,
+    report=report,
+    summary=summary,
+    tables=tables,
+    show=SHOWN,
+    quick=QUICK,
+)

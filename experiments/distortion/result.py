@@ -1,0 +1,130 @@
+"""Record of the distortion test, the published numbers, and the maps that judge a correction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.distortion.settings import Config
+from experiments.instrument import Instrument
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.distortion_error import DenseMap, DistortionMeasurement, dense_map
+from experiments.laboratory.distortion_model import DistortionPrediction, MapForecast, forecast_map
+from experiments.laboratory.distortion_statistics import REFERENCES, Reference
+from experiments.laboratory.targets import GridTarget
+
+__all__ = ["MARKING_ARCSEC", "PUBLISHED_ARCSEC", "CorrectionMap", "Result", "correction_maps", "forecasts"]
+
+FloatArray = NDArray[np.float64]
+
+PUBLISHED_ARCSEC = (0.29, 0.41)
+"""ACC18 section 2.3.2: sigma_LSFE-C1, x and y, 3 sigma."""
+MARKING_ARCSEC = 0.5
+"""ACC18 section 2.3.3: marking error, 3 sigma."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CorrectionMap:
+    """True error of a correction between the points.
+
+    Attributes
+    ----------
+    first : DenseMap
+        With the survey that counts.
+    rms_px : (q, 2)
+        RMS map error of every survey.
+    """
+
+    first: DenseMap
+    rms_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """Everything the run found.
+
+    Attributes
+    ----------
+    config : Config
+        Settings.
+    instrument : Instrument
+        The camera.
+    measured, predicted : DistortionMeasurement, DistortionPrediction
+        The test, and what it should give.
+    maps : dict of Reference to CorrectionMap
+        True map errors, first method.
+    forecast : tuple of MapForecast
+        Map errors to be expected of other targets and polynomials.
+    runtime_s, peak_memory_mb : float
+        Of the process up to the end of the run.
+    """
+
+    config: Config
+    instrument: Instrument
+    measured: DistortionMeasurement
+    predicted: DistortionPrediction
+    maps: Mapping[Reference, CorrectionMap]
+    forecast: tuple[MapForecast, ...]
+    runtime_s: float
+    peak_memory_mb: float
+
+    @property
+    def scale(self) -> float:
+        """From px, 1 sigma, to arcsec, 3 sigma."""
+        return self.measured.arcsec_3sigma
+
+
+def correction_maps(
+    bench: Bench, measured: DistortionMeasurement, config: Config, traced_px: FloatArray, grid: tuple[int, int]
+) -> dict[Reference, CorrectionMap]:
+    """Map errors of every reference and survey, first method."""
+    out: dict[Reference, CorrectionMap] = {}
+    for reference in REFERENCES:
+        every = []
+        for copy in range(len(measured.surveyed)):
+            camera, polynomial = measured.correction(config.methods[0], reference, copy)
+            every.append(
+                dense_map(
+                    bench,
+                    measured.instrument,
+                    camera,
+                    polynomial,
+                    reference=reference,
+                    order=config.order,
+                    rows=grid[0],
+                    columns=grid[1],
+                    traced_px=traced_px,
+                )
+            )
+        out[reference] = CorrectionMap(first=every[0], rms_px=np.stack([one.rms_px for one in every]))
+    return out
+
+
+def forecasts(
+    bench: Bench,
+    instrument: Instrument,
+    target: GridTarget,
+    config: Config,
+    point_error_px: float,
+    traced_px: FloatArray,
+    grid: tuple[int, int],
+) -> tuple[MapForecast, ...]:
+    """Map errors to be expected; the configured target and order are always among them."""
+    sizes = sorted({(rows, 2 * rows) for rows in config.study.rows} | {(target.rows, target.columns)})
+    found = [
+        forecast_map(
+            bench,
+            instrument,
+            replace(target, rows=rows, columns=columns),
+            order=order,
+            point_error_px=point_error_px,
+            traced_px=traced_px,
+            grid=grid,
+        )
+        for rows, columns in sizes
+        for order in sorted({*config.study.orders, config.order})
+    ]
+    return tuple(one for one in found if one is not None)

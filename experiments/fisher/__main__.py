@@ -1,0 +1,8 @@
+"""``python -m experiments.fisher``."""
+
+import sys
+
+from experiments.fisher.experiment import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,437 @@
+"""Acquisition of star vectors (S200): one frame and one reading of the table at every place, at rest or on the move.
+
+On the move the second axis turns at a constant rate while the shutter is open, and the image is a streak. It is
+rendered as such: the star at several instants of the exposure, all in one expectation image, each with its share of the
+light. The reading belongs to the middle of the exposure; the clocks of table and camera jitter against each other, so
+that a reading is off by the rate times that.
+
+What the reduction knows: the calibrated camera, the readings, the rate. It sets its windows where these put the star,
+and centroids with the PSF of the lens, smeared along the path of the image for a moving table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.centroid import get_centroider
+from calib.flags import StarFlag, has_flag
+from calib.records import NoiseModel, Stamps
+from calib.stamps import stamps_from_windows
+from experiments.instrument import Instrument
+from experiments.laboratory.collimator import SingleStar
+from experiments.laboratory.windows import linear_response
+from experiments.turntable.bench import Bench, aim
+from optics.errors import DomainError
+from optics.records import freeze
+from optics.units import ARCSEC_RAD, DEG_RAD
+from render.forward import StarRenderer
+from render.psf import render_epsf
+from render.random import Streams
+from render.readout import expose_windows
+from render.records import EffectivePsf, StarField, WindowStack
+from render.tracer import Tracer
+
+__all__ = [
+    "Acquisition",
+    "Motion",
+    "Places",
+    "acquire",
+    "merged_nodes",
+    "motion_of",
+    "place_psfs",
+    "smear_px",
+    "smeared_psfs",
+    "visit_once",
+]
+
+FloatArray = NDArray[np.float64]
+
+CHUNK = 32
+"""Places whose response is found at once; bounds the memory."""
+FEWEST_SEEN = 0.9
+"""Part of the places that must give a position."""
+SEEN_SIGMA = 5.0
+LEAST_SHARE = 0.5
+"""Of the star's electrons that a window must hold."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """How the table moves while the shutter is open.
+
+    Attributes
+    ----------
+    rate_rad_per_s : float
+        Speed of the second axis (the inner one of two); 0: at rest.
+    jitter_s : float
+        Standard deviation between mid-exposure and reading.
+    samples : int
+        Instants that are rendered.
+    """
+
+    rate_rad_per_s: float = 0.0
+    jitter_s: float = 0.0
+    samples: int = 1
+
+    @property
+    def smear_rad(self) -> float:
+        """Standard deviation of a reading by the jitter."""
+        return abs(self.rate_rad_per_s) * self.jitter_s
+
+    def instants_s(self, exposure_s: float) -> FloatArray:
+        """Instants about mid-exposure, equally spaced (midpoint rule)."""
+        return np.asarray(((np.arange(self.samples) + 0.5) / self.samples - 0.5) * exposure_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Places:
+    """Angles of the table at n places, at mid-exposure.
+
+    Attributes
+    ----------
+    true_rad, reading_rad : (n, k)
+        As they are; as they are read.
+    rate_rad_per_s : (n, k)
+        Of the axes.
+    motion : Motion
+        Of the second one.
+    """
+
+    true_rad: FloatArray
+    reading_rad: FloatArray
+    rate_rad_per_s: FloatArray
+    motion: Motion
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        for name in ("true_rad", "reading_rad", "rate_rad_per_s"):
+            freeze(self, name, shape=("n", "k"), sizes=sizes)
+
+    def __len__(self) -> int:
+        return len(self.true_rad)
+
+    def directions(self, bench: Bench, exposure_s: float) -> FloatArray:
+        """Unit vectors (n, t, 3) in cam towards the star at the instants of the exposure."""
+        instants = self.motion.instants_s(exposure_s)
+        angle = self.true_rad[:, None] + self.rate_rad_per_s[:, None] * instants[None, :, None]
+        count, axes = self.true_rad.shape
+        return bench.seen(angle.reshape(-1, axes)).reshape(count, len(instants), 3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Acquisition:
+    """Star images of one acquisition, those of n places that gave a position.
+
+    Attributes
+    ----------
+    name : str
+        "static" or "dynamic".
+    places : Places
+        Angles.
+    position_px : (n, 2)
+        Centroids of single frames.
+    covariance_px2 : (n, 2, 2)
+        Predicted, pixel by pixel: photons, read noise, rounding, dark frames, response pattern.
+    bundle_px : (n, 2)
+        Truth: mean of the traced rays over the exposure.
+    windows : WindowStack
+        The frames.
+    lost : int
+        Places without a position.
+    """
+
+    name: str
+    places: Places
+    position_px: FloatArray
+    covariance_px2: FloatArray
+    bundle_px: FloatArray
+    windows: WindowStack
+    lost: int
+
+    def __post_init__(self) -> None:
+        sizes = {"n": len(self.places)}
+        freeze(self, "position_px", shape=("n", 2), sizes=sizes)
+        freeze(self, "covariance_px2", shape=("n", 2, 2), sizes=sizes)
+        freeze(self, "bundle_px", shape=("n", 2), sizes=sizes)
+
+
+def visit_once(
+    bench: Bench, wanted_cam: FloatArray, roll_rad: FloatArray, motion: Motion, columns: int, streams: Streams
+) -> Places:
+    """Turn the table to every place, or through it; read each axis once.
+
+    Parameters
+    ----------
+    bench : Bench
+        As it really is.
+    wanted_cam : (n, 3)
+        Where in cam the star is to be, row by row.
+    roll_rad : (n,)
+        Of a third axis.
+    motion : Motion
+        Rows are run through forwards and backwards in turn.
+    columns : int
+        Places in a row.
+    streams : Streams
+        Root of the errors of setting, reading and clocks.
+    """
+    true = bench.table.set(aim(bench, wanted_cam, roll_rad), streams)
+    rate = np.zeros_like(true)
+    rate[:, 1] = np.where(np.arange(len(true)) // columns % 2, -1, 1)
+    rate *= motion.rate_rad_per_s
+    late = motion.jitter_s * streams.child("clock").generator("jitter").standard_normal((len(true), 1))
+    reading = bench.table.read(true + rate * late, streams)
+    return Places(true_rad=true, reading_rad=reading, rate_rad_per_s=rate, motion=motion)
+
+
+def merged_nodes(stars: StarField) -> StarField:
+    """The same light on half the wavelengths: neighbours become one node at their photon-weighted mean.
+
+    First moments in wavelength are kept, so that a linear lateral colour is; a streak has ten times as many stars.
+    """
+    if stars.wavelength_nm.shape[1] % 2:
+        return stars
+    rate = np.array(stars.photon_rate).reshape(*stars.photon_rate.shape[:2], -1, 2)
+    wavelength = np.array(stars.wavelength_nm).reshape(len(stars.wavelength_nm), -1, 2)
+    weight = np.maximum(rate.mean(0), 1e-300)
+    return replace(
+        stars,
+        wavelength_nm=(wavelength * weight).sum(-1) / weight.sum(-1),
+        photon_rate=rate.sum(-1),
+    )
+
+
+def place_psfs(tracer: Tracer, star: SingleStar, seen: FloatArray, instrument: Instrument, half_px: int) -> FloatArray:
+    """PSFs (n, m, m) at directions (n, 3); the oversampling is that of `render.psf.render_epsf`."""
+    light = merged_nodes(star.seen(seen, instrument))
+    return np.stack([row[0].values for row in render_epsf(tracer, light, half_size_px=half_px)])
+
+
+def smeared_psfs(values: FloatArray, path_px: FloatArray, oversampling: int = 8) -> list[EffectivePsf]:
+    """PSFs averaged over the path of the image.
+
+    Parameters
+    ----------
+    values : (n, m, m)
+        PSFs at rest on grids of 1/``oversampling`` pixel, zero at their borders.
+    path_px : (n, t, 2)
+        Where the image is at instants of the exposure, about its mean (column, row).
+
+    Notes
+    -----
+    By the shift theorem of the discrete Fourier transform: exact for what the grid can hold.
+    """
+    if not np.any(path_px):
+        return [EffectivePsf(values=psf, oversampling=oversampling) for psf in values]
+    side = values.shape[-1]
+    wave = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None, :]
+    smeared = []
+    for psf, path in zip(values, path_px * oversampling, strict=True):
+        phase = wave[0][None] * path[:, 1, None, None] + wave[1][None] * path[:, 0, None, None]
+        transfer = np.exp(-2j * np.pi * phase).mean(0)
+        moved = np.fft.irfft2(np.fft.rfft2(psf) * transfer, s=psf.shape)
+        smeared.append(EffectivePsf(values=moved, oversampling=oversampling))
+    return smeared
+
+
+def acquire(
+    name: str,
+    places: Places,
+    bench: Bench,
+    star: SingleStar,
+    renderer: StarRenderer,
+    psfs: Sequence[EffectivePsf],
+    expected_px: FloatArray,
+    instrument: Instrument,
+    *,
+    window_px: int,
+    dark_frames: int,
+    streams: Streams,
+    backend: str,
+) -> Acquisition:
+    """Render, read, centroid.
+
+    Parameters
+    ----------
+    name : str
+        What error messages call the acquisition.
+    places : Places
+        Where the table is and how it moves.
+    bench : Bench
+        As it really is.
+    star : SingleStar
+        The simulator.
+    renderer : StarRenderer
+        Of the camera.
+    psfs : sequence of EffectivePsf
+        For the centroids, one per place.
+    expected_px : (n, 2)
+        Where the calibration puts the star by the readings; windows stand there, centroids start there.
+    instrument : Instrument
+        The camera.
+    window_px, dark_frames : int
+        Side of a window; frames with the lamp off.
+    streams : Streams
+        Root of the noise.
+    backend : str
+        Where the detector runs.
+
+    Raises
+    ------
+    DomainError
+        If the star leaves its window or the detector, is saturated or not seen.
+    """
+    exposure_s = instrument.config.exposure_s
+    seen = places.directions(bench, exposure_s)
+    count, instants, _ = seen.shape
+    light = merged_nodes(star.seen(seen.reshape(-1, 3), instrument))
+    expected = renderer.render(replace(light, photon_rate=light.photon_rate / instants))
+    truth = expected.truth
+    assert truth is not None
+    bundle = np.column_stack([truth.bundle_x_px, truth.bundle_y_px]).reshape(count, instants, 2).mean(1)
+    corner = _corners(name, expected_px, expected.electrons.shape[:2], window_px)
+    index = np.arange(window_px)
+    rows, columns = corner[:, 1, None, None] + index[:, None], corner[:, 0, None, None] + index
+    window_e = np.asarray(expected.electrons[rows, columns, 0])
+    _check_inside(name, window_e, truth.electrons_in.reshape(count, instants).sum(1), expected_px, window_px)
+
+    def expose(electrons: NDArray[Any], frames: int, band: str) -> WindowStack:
+        return expose_windows(
+            electrons,
+            corner,
+            instrument.detector,
+            streams=streams,
+            frames=frames,
+            exposure_s=exposure_s,
+            temperature_c=instrument.config.chip_temperature_c,
+            band=f"{name} {band}",
+            backend=backend,
+        )
+
+    stack, dark = expose(window_e, 1, "star"), expose(np.zeros_like(window_e), dark_frames, "dark")
+    stamps, noise = stamps_from_windows(stack, background_e=0.0, start_px=expected_px)
+    pedestal = dark.dn.mean(0) / dark.gain_dn_per_e - noise.offset_dn / noise.gain_dn_per_e
+    stamps = replace(
+        stamps,
+        electrons=np.where(stamps.valid, stamps.electrons - pedestal, 0.0),
+        psf_index=np.arange(count),
+    )
+    return _measured(name, places, stamps, noise, list(psfs), window_e, bundle, stack, instrument, dark_frames)
+
+
+def _measured(
+    name: str,
+    places: Places,
+    stamps: Stamps,
+    noise: NoiseModel,
+    psfs: Sequence[EffectivePsf],
+    light_e: NDArray[Any],
+    bundle_px: FloatArray,
+    stack: WindowStack,
+    instrument: Instrument,
+    dark_frames: int,
+) -> Acquisition:
+    """Centroids and their covariance; places without a position are dropped."""
+    found = get_centroider("epsf", epsf=list(psfs)).measure(stamps, noise)
+    bad = has_flag(found.flags, StarFlag.NOT_CONVERGED | StarFlag.NO_DATA)
+    saturated = has_flag(stamps.flags, StarFlag.SATURATED)
+    if saturated.any():
+        at = int(np.argmax(saturated))
+        raise DomainError(
+            f"{name} acquisition: the star is saturated at column {bundle_px[at, 0]:.0f}, row {bundle_px[at, 1]:.0f}; "
+            f"lower evaluation.signal_e ({float(light_e[at].sum()):.0f} e- in the window)"
+        )
+    floor = noise.floor_e2 * light_e[0].size
+    faint = stamps.electrons.sum((1, 2)) < SEEN_SIGMA * np.sqrt(floor + light_e.sum((1, 2)))
+    good = ~(bad | faint)
+    if good.mean() < FEWEST_SEEN:
+        raise DomainError(
+            f"{name} acquisition: the star gives a position at {int(good.sum())} of {len(good)} places only, at least "
+            f"{FEWEST_SEEN:.0%} are needed; raise evaluation.signal_e or narrow the window"
+        )
+    electrons = light_e.astype(np.float64)
+    variance = _pixel_variance(electrons, instrument, dark_frames)
+    covariance = np.concatenate(
+        [
+            _covariance(psfs[first : first + CHUNK], stamps, noise, electrons, variance, first)
+            for first in range(0, len(electrons), CHUNK)
+        ]
+    )
+    return Acquisition(
+        name=name,
+        places=replace(
+            places,
+            true_rad=places.true_rad[good],
+            reading_rad=places.reading_rad[good],
+            rate_rad_per_s=places.rate_rad_per_s[good],
+        ),
+        position_px=np.column_stack([found.x_px, found.y_px])[good],
+        covariance_px2=covariance[good],
+        bundle_px=bundle_px[good],
+        windows=stack,
+        lost=int((~good).sum()),
+    )
+
+
+def _covariance(
+    psfs: Sequence[EffectivePsf],
+    stamps: Stamps,
+    noise: NoiseModel,
+    light_e: FloatArray,
+    variance_e2: FloatArray,
+    first: int,
+) -> FloatArray:
+    """Covariance (k, 2, 2) of the centroids of k places from the first one on, through their linear response."""
+    part = slice(first, first + len(psfs))
+    chosen = replace(stamps.select(part), psf_index=np.arange(len(psfs)))
+    gain = linear_response(get_centroider("epsf", epsf=list(psfs)), chosen, noise, light_e[part])
+    return np.asarray(np.einsum("nahw,nhw,nbhw->nab", gain, variance_e2[part], gain))
+
+
+def _pixel_variance(light_e: FloatArray, instrument: Instrument, dark_frames: int) -> FloatArray:
+    """Variance of a pixel of one dark-subtracted frame [e-^2], response pattern included."""
+    detector, config = instrument.detector, instrument.config
+    dark_e = detector.dark_current_e_per_s * detector.dark_factor(config.chip_temperature_c) * config.exposure_s
+    floor = detector.read_noise_e**2 * np.exp(2.0 * detector.read_noise_spread**2) + dark_e  # lognormal map
+    floor += 1.0 / (12.0 * detector.gain_dn_per_e**2)
+    return np.asarray(light_e + floor * (1.0 + 1.0 / dark_frames) + (detector.prnu * light_e) ** 2)
+
+
+def _corners(name: str, expected_px: FloatArray, shape: tuple[int, int], window_px: int) -> NDArray[np.int64]:
+    corner = np.rint(expected_px).astype(np.int64) - window_px // 2
+    off = np.any((corner < 0) | (corner + window_px > np.array(shape[::-1])), axis=1)
+    if off.any():
+        at = int(np.argmax(off))
+        raise DomainError(
+            f"{name} acquisition: the window of {window_px} px at column {expected_px[at, 0]:.0f}, row "
+            f"{expected_px[at, 1]:.0f} leaves the detector of {shape[1]} x {shape[0]} px; raise evaluation.edge_px"
+        )
+    return corner
+
+
+def _check_inside(
+    name: str, window_e: NDArray[Any], sent_e: FloatArray, expected_px: FloatArray, window_px: int
+) -> None:
+    share = window_e.sum((1, 2)) / np.maximum(sent_e, 1e-300)
+    if share.min() < LEAST_SHARE:
+        at = int(np.argmin(share))
+        raise DomainError(
+            f"{name} acquisition: only {share[at]:.0%} of the star's light falls into the window of {window_px} px at "
+            f"column {expected_px[at, 0]:.0f}, row {expected_px[at, 1]:.0f}; the image is vignetted, off the detector "
+            "or smeared beyond the window (dynamic.rate_deg_per_s times the exposure)"
+        )
+
+
+def motion_of(rate_deg_per_s: float, jitter_ms: float, samples: int) -> Motion:
+    """Motion from the units of a configuration."""
+    return Motion(rate_rad_per_s=rate_deg_per_s * DEG_RAD, jitter_s=jitter_ms * 1e-3, samples=samples)
+
+
+def smear_px(motion: Motion, instrument: Instrument) -> float:
+    """Length of the streak on the axis [px]."""
+    return abs(motion.rate_rad_per_s) * instrument.config.exposure_s / (instrument.pixel_arcsec * ARCSEC_RAD)

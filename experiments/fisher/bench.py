@@ -1,0 +1,429 @@
+"""The bench from the calibration (S100) to the accuracy of star vectors (S500), rendered: at rest, and on the move."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.cameras.base import CameraModel
+from calib.solution import Calibration
+from calib.star_vectors import initial_frame_vectors
+from experiments.fisher.acquire import (
+    Acquisition,
+    Motion,
+    Places,
+    acquire,
+    motion_of,
+    place_psfs,
+    smear_px,
+    smeared_psfs,
+    visit_once,
+)
+from experiments.fisher.predict import (
+    Scatter,
+    calibration_of_rows,
+    jitter_covariance_px2,
+    on_the_sphere,
+    predict_independent,
+    predict_same_data,
+    table_covariance_px2,
+    tangent_maps,
+)
+from experiments.fisher.prepare import evaluation_px, turntable_config
+from experiments.fisher.reduce import Evaluation, calibrated_bench, evaluate, expected_px
+from experiments.fisher.settings import Config
+from experiments.instrument import Instrument
+from experiments.laboratory.collimator import SingleStar, star_direction
+from experiments.laboratory.turntable import Turntable
+from experiments.progress import Progress
+from experiments.turntable.bench import Bench
+from experiments.turntable.bound import reading_covariance_px2
+from experiments.turntable.measure import (
+    Measurement,
+    averaged,
+    build_bench,
+    build_star,
+    build_table,
+    measure,
+)
+from experiments.turntable.reduce import (
+    LARGEST_REDUCED_CHI2,
+    Data,
+    check_parity,
+    reduce_data,
+    start_model,
+)
+from optics.errors import DomainError
+from optics.units import RAD_ARCSEC
+from render.forward import StarRenderer
+from render.psf import epsf_tracer
+from render.random import Streams
+
+__all__ = ["BenchRun", "Case", "SameData", "run_bench"]
+
+FloatArray = NDArray[np.float64]
+
+PATH_PER_PX = 4
+"""Instants per pixel of the streak by which a PSF is smeared."""
+EXTRA_PSF_PX = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """One acquisition, evaluated.
+
+    Attributes
+    ----------
+    acquisition : Acquisition
+        The frames.
+    evaluation : Evaluation
+        Steps S300-S500, with the calibration of S100, which has seen none of these frames.
+    predicted : Scatter
+        From covariances.
+    expected_arcsec : mapping of str to float
+        Standard deviation per axis that each cause is expected to make: "centroids", "readings", "clocks",
+        "calibration".
+    realised_arcsec : mapping of str to float
+        What the causes made in this run, known to the simulation alone: "centroids", "table", "camera".
+    smear_px : float
+        Length of the streak.
+    """
+
+    acquisition: Acquisition
+    evaluation: Evaluation
+    predicted: Scatter
+    expected_arcsec: Mapping[str, float]
+    realised_arcsec: Mapping[str, float]
+    smear_px: float
+
+    @property
+    def camera_arcsec(self) -> float:
+        """Standard deviation without what the table is known to add; NaN where the table is all of it."""
+        table2 = self.expected_arcsec["readings"] ** 2 + self.expected_arcsec["clocks"] ** 2
+        rest = self.evaluation.sigma_arcsec**2 - table2
+        return float(np.sqrt(rest)) if rest > 0 else float("nan")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SameData:
+    """Static vectors, evaluated with a calibration that was fitted to them.
+
+    Attributes
+    ----------
+    unknowns : int
+        Of the calibration.
+    naive, corrected : Evaluation
+        With 2 (n - 1) degrees of freedom, and with 2 n minus the unknowns.
+    predicted : Scatter
+        From covariances.
+    """
+
+    unknowns: int
+    naive: Evaluation
+    corrected: Evaluation
+    predicted: Scatter
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BenchRun:
+    """Everything that was rendered.
+
+    Attributes
+    ----------
+    measurement : Measurement
+        Data of the calibration (S100).
+    calibration : Calibration
+        Its result.
+    model, bench
+        Camera and bench as calibrated.
+    true_bench : Bench
+        As it really is.
+    cases : sequence of Case
+        At rest; on the move.
+    same_data : SameData
+        At rest, calibrated with the data themselves.
+    resolutions_arcsec : mapping of str to float
+        Angles per pixel that somebody may assume.
+    """
+
+    measurement: Measurement
+    calibration: Calibration
+    model: CameraModel
+    bench: Bench
+    true_bench: Bench
+    cases: Sequence[Case]
+    same_data: SameData
+    resolutions_arcsec: Mapping[str, float]
+
+
+def run_bench(mi: Any, config: Config, instrument: Instrument, progress: Progress) -> BenchRun:
+    """Calibrate, acquire at rest and on the move, evaluate.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with an active variant.
+    config, instrument
+        What to do, with which camera.
+    progress : Progress
+        Where to report.
+
+    Raises
+    ------
+    StarbenchError
+        If the star is lost, or the calibration does not converge.
+    """
+    streams, backend = Streams(config.seed).child("fisher"), str(mi.variant()).split("_")[0]
+    bench_config = turntable_config(config)
+    with progress.stage("calibration (S100)", total=5) as stage:
+        measurement = measure(
+            mi,
+            bench_config,
+            instrument,
+            config.table,
+            streams.child("calibration"),
+            backend=backend,
+            advance=stage.advance,
+        )
+        believed = build_table(config.table).nominal
+        calibration = _calibrate(measurement, believed, instrument, config)
+        stage.advance()
+    model, bench = calibrated_bench(calibration, believed)
+    work = _Work(
+        config=config,
+        instrument=instrument,
+        model=model,
+        bench=bench,
+        true_bench=build_bench(bench_config, config.table),
+        calibration=calibration,
+        star=replace(build_star(bench_config), signal_e=config.evaluation.signal_e),
+        renderer=StarRenderer(instrument.camera, exposure_s=instrument.config.exposure_s),
+        wanted_px=evaluation_px(config, instrument),
+        streams=streams,
+        backend=backend,
+    )
+    motion = motion_of(config.dynamic.rate_deg_per_s, config.dynamic.jitter_ms, config.dynamic.samples)
+    with progress.stage("acquisition (S200)", total=3) as stage:
+        psfs = work.psfs(mi, motion)
+        stage.advance()
+        static = work.case("static", Motion(), psfs)
+        stage.advance()
+        dynamic = work.case("dynamic", motion, psfs)
+        stage.advance()
+    with progress.stage("same data"):
+        same = _same_data(static.acquisition, believed, instrument, _nominal_star(config))
+    return BenchRun(
+        measurement=measurement,
+        calibration=calibration,
+        model=model,
+        bench=bench,
+        true_bench=work.true_bench,
+        cases=(static, dynamic),
+        same_data=same,
+        resolutions_arcsec=_resolutions(model, instrument),
+    )
+
+
+def _resolutions(model: CameraModel, instrument: Instrument) -> dict[str, float]:
+    camera = instrument.camera
+    focal = float(model.parameters[model.parameter_names.index("focal_length_mm")])
+    rounded = start_model(instrument, None)
+    start = float(rounded.parameters[rounded.parameter_names.index("focal_length_mm")])
+    half = camera.width_px * camera.pixel_pitch_mm / 2 / focal
+    return {
+        "calibrated": float(camera.pixel_pitch_mm / focal * RAD_ARCSEC),
+        "data sheet": float(camera.pixel_pitch_mm / start * RAD_ARCSEC),
+        "field over pixels": float(2 * np.arctan(half) / camera.width_px * RAD_ARCSEC),
+    }
+
+
+def _calibrate(measurement: Measurement, believed: Turntable, instrument: Instrument, config: Config) -> Calibration:
+    data = Data(
+        pixel_px=np.array(measurement.readings.position_px),
+        covariance_px2=np.array(measurement.readings.covariance_px2),
+        reading_rad=np.array(measurement.visits.reading_rad),
+    )
+    start, table = start_model(instrument, None), averaged(believed, config.frames)
+    ahead = _nominal_star(config)
+    check_parity(data, table, start, ahead)
+    calibration = reduce_data(data, table, start, leans=True, start_star=ahead)
+    _check_fit(calibration, "joint calibration (S100)")
+    return calibration
+
+
+def _nominal_star(config: Config) -> FloatArray:
+    """Where the simulator was set up to stand, to whole degrees."""
+    return star_direction(round(config.star.azimuth_deg), round(config.star.elevation_deg))
+
+
+def _check_fit(calibration: Calibration, what: str) -> None:
+    solution = calibration.solution
+    if not (solution.converged and solution.reduced_chi2 <= LARGEST_REDUCED_CHI2):
+        raise DomainError(
+            f"{what}: it ended as {solution.status!r} with residuals of {np.sqrt(solution.reduced_chi2):.3g} times "
+            "their noise; too few places (grid.columns, grid.rows) or too little motion for the unknowns, errors of "
+            "the table that are not in its reading noise (table.encoder_amplitude_arcsec), or a lens that the camera "
+            "model does not describe"
+        )
+
+
+def _same_data(acquisition: Acquisition, believed: Turntable, instrument: Instrument, ahead: FloatArray) -> SameData:
+    places, count = acquisition.places, len(acquisition.places)
+    data = Data(
+        pixel_px=np.array(acquisition.position_px),
+        covariance_px2=np.array(acquisition.covariance_px2),
+        reading_rad=np.array(places.reading_rad),
+    )
+    calibration = reduce_data(data, believed, start_model(instrument, None), leans=True, start_star=ahead)
+    _check_fit(calibration, "joint calibration with the vectors' own data")
+    model, bench = calibrated_bench(calibration, believed)
+    angle = np.array(places.reading_rad)
+    maps = tangent_maps(model, bench, angle)
+    noise = np.array(acquisition.covariance_px2) + reading_covariance_px2(model, bench, angle)
+    unknowns = len(calibration.solution.names)
+
+    def judged(freedom: float) -> Evaluation:
+        return evaluate(
+            model,
+            bench,
+            acquisition.position_px,
+            angle,
+            outlier_probability=None,
+            degrees_of_freedom=freedom,
+        )
+
+    return SameData(
+        unknowns=unknowns,
+        naive=judged(2.0 * (count - 1)),
+        corrected=judged(2.0 * count - unknowns),
+        predicted=predict_same_data(maps, noise, calibration_of_rows(model, bench, angle)),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Work:
+    """What the acquisitions share."""
+
+    config: Config
+    instrument: Instrument
+    model: CameraModel
+    bench: Bench
+    true_bench: Bench
+    calibration: Calibration
+    star: SingleStar
+    renderer: StarRenderer
+    wanted_px: FloatArray
+    streams: Streams
+    backend: str
+
+    def _wanted(self) -> FloatArray:
+        return self.instrument.camera.nominal_direction(
+            self.wanted_px[:, 0], self.wanted_px[:, 1], self.instrument.focal_length_mm
+        )
+
+    def window_px(self, motion: Motion) -> int:
+        """Side of a window that holds the streak as well as a window at rest holds the star."""
+        return self.config.window_px + 2 * int(np.ceil(smear_px(motion, self.instrument) / 2))
+
+    def psfs(self, mi: Any, motion: Motion) -> FloatArray:
+        """PSFs (n, m, m) at the places, wide enough for the streak."""
+        half = self.window_px(motion) // 2 + EXTRA_PSF_PX
+        return place_psfs(epsf_tracer(mi, self.instrument.camera), self.star, self._wanted(), self.instrument, half)
+
+    def places(self, name: str, motion: Motion) -> Places:
+        rolls = np.radians(self.config.table.rolls_deg)
+        return visit_once(
+            self.true_bench,
+            self._wanted(),
+            rolls[np.arange(len(self.wanted_px)) % len(rolls)],
+            motion,
+            self.config.evaluation.columns,
+            self.streams.child(name),
+        )
+
+    def case(self, name: str, motion: Motion, psfs: FloatArray) -> Case:
+        """One acquisition from the table to the prediction."""
+        places = self.places(name, motion)
+        taken = acquire(
+            name,
+            places,
+            self.true_bench,
+            self.star,
+            self.renderer,
+            smeared_psfs(psfs, self._path(places, motion)),
+            expected_px(self.model, self.bench, places.reading_rad),
+            self.instrument,
+            window_px=self.window_px(motion),
+            dark_frames=self.config.dark_frames,
+            streams=self.streams.child(name),
+            backend=self.backend,
+        )
+        judged = evaluate(
+            self.model,
+            self.bench,
+            taken.position_px,
+            taken.places.reading_rad,
+            outlier_probability=self.config.evaluation.outlier_probability,
+        )
+        predicted, expected = self._predict(taken, motion)
+        return Case(
+            acquisition=taken,
+            evaluation=judged,
+            predicted=predicted,
+            expected_arcsec=expected,
+            realised_arcsec=self._realised(taken),
+            smear_px=smear_px(motion, self.instrument),
+        )
+
+    def _path(self, places: Places, motion: Motion) -> FloatArray:
+        """Path of the image (n, t, 2) about its mean, from readings and rate."""
+        if motion.rate_rad_per_s == 0.0:
+            return np.zeros((len(places), 1, 2))
+        instants = max(8, int(np.ceil(PATH_PER_PX * smear_px(motion, self.instrument))))
+        known = replace(places, true_rad=places.reading_rad, motion=replace(motion, samples=instants))
+        seen = known.directions(self.bench, self.instrument.config.exposure_s)
+        path = self.model.project(seen.reshape(-1, 3)).reshape(len(seen), -1, 2)
+        return np.asarray(path - path.mean(1, keepdims=True))
+
+    def _predict(self, taken: Acquisition, motion: Motion) -> tuple[Scatter, dict[str, float]]:
+        angle = np.array(taken.places.reading_rad)
+        maps = tangent_maps(self.model, self.bench, angle)
+        centroid = np.array(taken.covariance_px2)
+        noise = centroid + table_covariance_px2(self.model, self.bench, angle, motion)
+        rows = calibration_of_rows(self.model, self.bench, angle)
+        solution = self.calibration.solution
+        star = [solution.index(name) for name in ("star_azimuth_rad", "star_elevation_rad")]
+        order = [i for i in range(len(solution.names)) if i not in star] + star
+        known = np.array(solution.covariance)[np.ix_(order, order)]
+        quiet = predict_independent(maps, 1e-30 * np.broadcast_to(np.eye(2), maps.shape), rows, known)
+        return predict_independent(maps, noise, rows, known), {
+            "centroids": on_the_sphere(maps, centroid),
+            "readings": on_the_sphere(maps, reading_covariance_px2(self.model, self.bench, angle)),
+            "clocks": on_the_sphere(maps, jitter_covariance_px2(self.model, self.bench, angle, motion)),
+            "calibration": quiet.sigma_arcsec,
+        }
+
+    def _realised(self, taken: Acquisition) -> dict[str, float]:
+        """What each cause did, by putting the truth in place of the measured, one after the other."""
+        places = taken.places
+
+        def vectors(pixel: FloatArray, angle: FloatArray) -> FloatArray:
+            return initial_frame_vectors(
+                self.model,
+                np.array(pixel),
+                installation=self.bench.installation,
+                table_rotation=self.bench.table.rotation(np.array(angle)),
+            )
+
+        def spread(difference: FloatArray) -> float:
+            apart = difference - difference.mean(0)
+            return float(np.sqrt(np.sum(apart**2) / (2 * (len(apart) - 1))) * RAD_ARCSEC)
+
+        seen = vectors(taken.position_px, places.reading_rad)
+        rays = vectors(taken.bundle_px, places.reading_rad)
+        truth = vectors(taken.bundle_px, places.true_rad)
+        return {"centroids": spread(seen - rays), "table": spread(rays - truth), "camera": spread(truth)}

@@ -1,0 +1,211 @@
+r"""What the pixel-residual method makes of star vectors, over the field of view.
+
+A camera maps a direction to its image by a map that stretches: at the field angle whose tangent is t a small angle
+e across the line of sight becomes, in units of the focal length, (1 + t^2) e along the radius and sqrt(1 + t^2) e
+across it. Noise that is equal in all directions on the sphere therefore grows in pixels towards the edge, and its
+standard deviation per axis over a field, times the angle of a pixel on the axis, is too large by
+
+.. math:: \frac{\sigma_b}{\sigma} = \sqrt{\tfrac12 \langle (1 + t^2)^2 + (1 + t^2) \rangle}
+    = \sqrt{1 + \tfrac32 \langle t^2 \rangle + \tfrac12 \langle t^4 \rangle}
+
+Over a square of half-width a = tan(field/2), evenly covered, <t^2> = 2 a^2/3 and <t^4> = 28 a^4/45:
+
+.. math:: \frac{\sigma_b}{\sigma} = \sqrt{1 + a^2 + \tfrac{14}{45} a^4} \approx 1 + a^2/2
+
+The opposite: noise that is equal everywhere in *pixels* (that of a centroid is) shrinks on the sphere towards the edge.
+The Fisher estimate is then the root mean square of the angles over the field, which is below that on the axis; the
+pixel method gives the one on the axis:
+
+.. math:: \frac{\sigma_F}{\sigma_{axis}} = \sqrt{\tfrac12 \langle (1 + t^2)^{-2} + (1 + t^2)^{-1} \rangle}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.cameras import BrownConrady, SensorGeometry
+from calib.cameras.base import CameraModel, unproject_jacobian
+from calib.fisher import mean_and_chords, sample_fisher
+from experiments.fisher.settings import FieldConfig
+from optics.units import ARCSEC_RAD, DEG_RAD
+from render.random import Streams
+
+__all__ = ["FieldPoint", "Ratio", "baseline_over_sphere", "closed_form", "field_sweep", "ideal_camera", "opposite_form"]
+
+FloatArray = NDArray[np.float64]
+
+SWEEP_PX, SWEEP_PITCH_MM = 2048, 0.0055
+NODES = 64
+"""Of the Gauss-Legendre rule over half a side."""
+STAR = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ratio:
+    """A ratio of standard deviations over many runs.
+
+    Attributes
+    ----------
+    mean, error : float
+        Mean and its standard error.
+    spread : float
+        Standard deviation of a run.
+    """
+
+    mean: float
+    error: float
+    spread: float
+
+    @property
+    def percent(self) -> float:
+        """By how much it differs from 1, in percent."""
+        return 100.0 * (self.mean - 1.0)
+
+    @property
+    def percent_error(self) -> float:
+        """Standard error of that."""
+        return 100.0 * self.error
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FieldPoint:
+    """Square field of one width.
+
+    Attributes
+    ----------
+    field_deg : float
+        Full width.
+    baseline, fisher : Ratio
+        Noise isotropic on the sphere: pixel method over Fisher on the same vectors; Fisher over the truth.
+    wrong_resolution : Ratio
+        Pixel method with a wrong angle per pixel, over Fisher.
+    field_over_pixels : Ratio
+        Pixel method with field/pixels as the angle per pixel, over Fisher.
+    opposite_fisher, opposite_baseline : Ratio
+        Noise isotropic in pixels: Fisher over the pixel method on the same images; pixel method over what the noise is
+        on the axis.
+    """
+
+    field_deg: float
+    baseline: Ratio
+    fisher: Ratio
+    wrong_resolution: Ratio
+    field_over_pixels: Ratio
+    opposite_fisher: Ratio
+    opposite_baseline: Ratio
+
+
+def _half_width(field_deg: float) -> float:
+    return float(np.tan(field_deg * DEG_RAD / 2))
+
+
+def closed_form(field_deg: float) -> float:
+    """Pixel method over the truth, noise isotropic on the sphere, square field (see the module)."""
+    a2 = _half_width(field_deg) ** 2
+    return float(np.sqrt(1.0 + a2 + 14.0 / 45.0 * a2 * a2))
+
+
+def opposite_form(field_deg: float) -> float:
+    """Fisher over the noise on the axis, noise isotropic in pixels, square field; by quadrature."""
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    x = (nodes + 1.0) / 2.0 * _half_width(field_deg)
+    stretch = 1.0 + x[:, None] ** 2 + x[None, :] ** 2
+    weight = np.outer(weights, weights) / 4.0
+    return float(np.sqrt(0.5 * np.sum(weight * (stretch**-2 + stretch**-1))))
+
+
+def baseline_over_sphere(model: CameraModel, pixel_px: FloatArray, noise_px2: FloatArray | None = None) -> float:
+    """Pixel method over the truth for any camera, at given images, with the angle per pixel of the axis.
+
+    Parameters
+    ----------
+    model : CameraModel
+        The camera, distortion included.
+    pixel_px : (n, 2)
+        Images.
+    noise_px2 : (n, 2, 2), optional
+        Covariance of the images; by default that of noise isotropic on the sphere.
+    """
+    by_pixel = unproject_jacobian(model, pixel_px).by_pixel
+    metric = np.swapaxes(by_pixel, 1, 2) @ by_pixel  # angle^2 per pixel^2
+    noise = np.linalg.inv(metric) if noise_px2 is None else noise_px2
+    centre = unproject_jacobian(model, model.project(STAR[None])).by_pixel[0]
+    axis2 = float(np.sqrt(np.linalg.det(centre.T @ centre)))
+    pixels2 = float(np.einsum("nii->", noise))
+    return float(np.sqrt(pixels2 * axis2 / np.einsum("nij,nji->", metric, noise)))
+
+
+def ideal_camera(field_deg: float) -> BrownConrady:
+    """Camera without distortion whose square detector sees that field, edge to edge."""
+    geometry = SensorGeometry(width_px=SWEEP_PX, height_px=SWEEP_PX, pixel_pitch_mm=SWEEP_PITCH_MM)
+    return BrownConrady.create(geometry, focal_length_mm=SWEEP_PX * SWEEP_PITCH_MM / 2 / _half_width(field_deg))
+
+
+def field_sweep(config: FieldConfig, streams: Streams, *, advance: Callable[[], None]) -> list[FieldPoint]:
+    """Monte-Carlo over fields: ideal cameras with known calibration, vectors spread evenly over the detector.
+
+    Parameters
+    ----------
+    config : FieldConfig
+        Fields, numbers, noise.
+    streams : Streams
+        Root of the randomness.
+    advance : callable
+        Called after every field.
+    """
+    points = []
+    for field in config.field_deg:
+        points.append(_field_point(config, field, streams.child("field", f"{field:g}")))
+        advance()
+    return points
+
+
+def _field_point(config: FieldConfig, field_deg: float, streams: Streams) -> FieldPoint:
+    model, sigma = ideal_camera(field_deg), config.sigma_arcsec * ARCSEC_RAD
+    pixel_rad = 2 * _half_width(field_deg) / SWEEP_PX  # on the axis
+    even = field_deg * DEG_RAD / SWEEP_PX
+    columns: dict[str, list[float]] = {name: [] for name in FieldPoint.__dataclass_fields__ if name != "field_deg"}
+    for run in range(config.runs):
+        rng = streams.generator("vectors", run)
+        place = rng.uniform(-0.5, SWEEP_PX - 0.5, (config.directions, 2))
+        seen = model.unproject(place)
+        turn = _turns(seen)
+        vectors = sample_fisher(STAR, sigma**-2, len(place), rng)
+        residual = model.project(np.einsum("nji,nj->ni", turn, vectors)) - place
+        on_sphere, in_pixels = _sigma(vectors), _pixel_sigma(residual)
+        columns["baseline"].append(in_pixels * pixel_rad / on_sphere)
+        columns["fisher"].append(on_sphere / sigma)
+        columns["wrong_resolution"].append(in_pixels * pixel_rad * (1.0 + config.resolution_error_fraction) / on_sphere)
+        columns["field_over_pixels"].append(in_pixels * even / on_sphere)
+        noise = sigma / pixel_rad * rng.standard_normal(place.shape)
+        back = np.einsum("nij,nj->ni", turn, model.unproject(place + noise))
+        on_axis = _pixel_sigma(noise) * pixel_rad
+        columns["opposite_fisher"].append(_sigma(back) / on_axis)
+        columns["opposite_baseline"].append(on_axis / sigma)
+    return FieldPoint(field_deg=field_deg, **{name: _ratio(values) for name, values in columns.items()})
+
+
+def _turns(direction: FloatArray) -> FloatArray:
+    """Rotations (n, 3, 3) that bring each direction to the star: what installation and table do on a perfect bench."""
+    across = np.cross([0.0, 1.0, 0.0], direction)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return np.stack([across, np.cross(direction, across), direction], axis=1)
+
+
+def _sigma(vectors: FloatArray) -> float:
+    """Step S400-S500 without the checks of a single sample."""
+    chord2 = mean_and_chords(vectors[None])[1]
+    return float(np.sqrt(chord2.sum() / (2 * (len(vectors) - 1))))
+
+
+def _pixel_sigma(residual_px: FloatArray) -> float:
+    return float(np.sqrt(residual_px.var(0, ddof=1).mean()))
+
+
+def _ratio(values: Sequence[float]) -> Ratio:
+    spread = float(np.std(values, ddof=1))
+    return Ratio(mean=float(np.mean(values)), error=spread / float(np.sqrt(len(values))), spread=spread)

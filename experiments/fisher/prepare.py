@@ -1,0 +1,91 @@
+"""What can be refused of a configuration before anything is rendered, and the calibration's own view of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.fisher.acquire import motion_of, smear_px
+from experiments.fisher.settings import Config
+from experiments.instrument import Instrument
+from experiments.turntable.measure import build_star, build_table, camera_under_test, check_table, grid_px
+from experiments.turntable.reduce import check_count
+from experiments.turntable.settings import Config as TurntableConfig
+from experiments.turntable.settings import GridConfig
+from optics.errors import ConfigError, DomainError
+
+__all__ = ["evaluation_px", "prepare", "turntable_config"]
+
+FloatArray = NDArray[np.float64]
+
+LONGEST_SMEAR_PX = 40.0
+
+
+def turntable_config(config: Config) -> TurntableConfig:
+    """The same bench for the calibration's own code; the evaluation's star is dimmer."""
+    return TurntableConfig(
+        seed=config.seed,
+        instrument=config.instrument,
+        principal_point_px=config.principal_point_px,
+        installation_deg=config.installation_deg,
+        star=config.star,
+        two_axis=config.table,
+        grid=config.grid,
+        frames=config.frames,
+        dark_frames=config.dark_frames,
+        window_px=config.window_px,
+    )
+
+
+def prepare(config: Config) -> Instrument:
+    """The camera; whatever can be refused without rendering is refused here.
+
+    Raises
+    ------
+    StarbenchError
+        On anything that the user can mend.
+    """
+    from experiments.chromatic.checks import check_wavelengths
+
+    axes = len(build_table(config.table).axis)
+    check_table("table", config.table, axes)
+    if axes == 3 and len({round(roll % 360.0, 6) for roll in config.table.rolls_deg}) < 2:
+        raise ConfigError(
+            f"table.rolls_deg = {list(config.table.rolls_deg)}: a third axis that does not move says nothing about its "
+            "angle to the second; give at least two angles, or take two axes"
+        )
+    bench_config = turntable_config(config)
+    check_count(config.grid.columns * config.grid.rows, build_table(config.table))
+    instrument = camera_under_test(bench_config)
+    grid_px(bench_config, instrument)
+    evaluation_px(config, instrument)
+    check_wavelengths(instrument, [("star.passband_nm", build_star(bench_config).band)])
+    motion = motion_of(config.dynamic.rate_deg_per_s, config.dynamic.jitter_ms, config.dynamic.samples)
+    if (smear := smear_px(motion, instrument)) > LONGEST_SMEAR_PX:
+        raise ConfigError(
+            f"dynamic.rate_deg_per_s = {config.dynamic.rate_deg_per_s:g} deg/s smears the image over {smear:.0f} px in "
+            f"{config.instrument.exposure_s:g} s; at most {LONGEST_SMEAR_PX:g} px: lower it or instrument.exposure_s"
+        )
+    if config.dynamic.samples < smear:
+        raise ConfigError(
+            f"dynamic.samples = {config.dynamic.samples} for a streak of {smear:.1f} px; at least one per "
+            "pixel is needed"
+        )
+    return instrument
+
+
+def evaluation_px(config: Config, instrument: Instrument) -> FloatArray:
+    """Places (n, 2) of the evaluation; checked like those of the calibration.
+
+    Raises
+    ------
+    DomainError
+        As `experiments.turntable.measure.grid_px`; on fewer measurements than unknowns.
+    """
+    chosen = config.evaluation
+    grid = GridConfig(columns=chosen.columns, rows=chosen.rows, edge_px=chosen.edge_px)
+    try:
+        check_count(chosen.columns * chosen.rows, build_table(config.table))
+        return grid_px(turntable_config(config).model_copy(update={"grid": grid}), instrument)
+    except DomainError as error:
+        raise DomainError(str(error).replace("grid.", "evaluation.")) from None

@@ -1,0 +1,8 @@
+"""``python -m experiments.hsfe``."""
+
+import sys
+
+from experiments.hsfe.experiment import main
+
+if __name__ == "__main__":
+    sys.exit(main())

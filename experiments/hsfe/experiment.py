@@ -1,0 +1,184 @@
+"""High spatial frequency error (ACC18 eq. 3-12): small steps of a hexapod, split by cause, predicted without frames.
+
+A 5 x 5 point target is stepped over the pixels by 0.2 px at a time; thirty frames at every position are rendered, read
+out, detected and centroided, and reduced as the document does. Response and offset patterns and bad pixels are switched
+off one by one on the same random streams; the S-curve is what is left of an image without noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from experiments.cli import command
+from experiments.hsfe.settings import Config
+from experiments.point_settings import FRAMES_OPTION
+from experiments.progress import Progress
+from experiments.summary import Criterion
+
+if TYPE_CHECKING:
+    from experiments.hsfe.result import Result
+    from experiments.point_folder import FolderResult
+    from experiments.report import Report
+    from experiments.tables import Table
+
+__all__ = ["Config", "main", "report", "run", "summary", "tables"]
+
+
+def run(config: Config, *, progress: Progress) -> Result | FolderResult:
+    """Step, read out, reduce, predict.
+
+    Parameters
+    ----------
+    config : Config
+        Settings.
+    progress : Progress
+        Where to report.
+
+    Raises
+    ------
+    StarbenchError
+        On anything the user can mend: unknown lens or detector, target off the detector, a step larger than the window,
+        points not detected or saturated, light beyond the range of the data.
+    """
+    if config.frames_folder is not None:
+        from experiments.point_folder import run_folder
+
+        return run_folder("hsfe", config, progress=progress)
+    import mitsuba as mi
+
+    from experiments.hsfe.result import Result, geometry_study, s_curves
+    from experiments.instrument import build_instrument
+    from experiments.laboratory.hexapod import Hexapod, turned
+    from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
+    from experiments.laboratory.high_frequency_model import predict_high_frequency
+    from experiments.laboratory.point_scene import point_scene
+    from experiments.laboratory.temporal_error import target_place
+    from experiments.point_settings import check_bench, make_bench
+    from experiments.provenance import peak_memory_mb, process_seconds
+    from render.random import Streams
+    from render.sensor_maps import sensor_maps
+
+    instrument = build_instrument(config.instrument)
+    bench = make_bench(config, config.target)
+    plan, hexapod = StepPlan(**config.steps.model_dump()), Hexapod(**config.hexapod.model_dump())
+    plan.check(bench)
+    rest = target_place(bench, instrument, config.place_px)
+    streams = Streams(config.seed).child("hsfe")
+    path = plan.path(instrument, hexapod, streams.generator("hexapod"))
+    check_bench(bench, instrument, turned(rest, path.true_rad))
+    with progress.stage("prepare"):
+        backend = str(mi.variant()).split("_", maxsplit=1)[0]
+        scene = point_scene(bench, instrument, backend)
+        psf = scene.psfs(rest)
+        defect = sensor_maps(instrument.detector, backend=backend).defect
+    with progress.stage("before the test"):
+        before = predict_high_frequency(
+            bench,
+            instrument,
+            plan,
+            psf=psf,
+            hexapod=hexapod,
+            place_px=config.place_px,
+            subtraction=config.subtraction,
+            defect=defect,
+            draws=config.draws,
+            seed=config.seed,
+        )
+    with progress.stage("steps", total=plan.positions) as stage:
+        measured = measure_high_frequency(
+            bench,
+            instrument,
+            hexapod,
+            plan,
+            place_px=config.place_px,
+            subtraction=config.subtraction,
+            streams=streams,
+            backend=backend,
+            scene=scene,
+            advance=stage.advance,
+        )
+    with progress.stage("after the test"):
+        # where the image stood is best read with the method that has no S-curve of its own
+        without_curve = "epsf" if "epsf" in bench.methods else bench.methods[0]
+        after = predict_high_frequency(
+            bench,
+            instrument,
+            plan,
+            psf=psf,
+            hexapod=hexapod,
+            shift_px=measured.common_shift_px(without_curve, before.place_px),
+            place_px=config.place_px,
+            subtraction=config.subtraction,
+            defect=defect,
+            draws=config.draws,
+            seed=config.seed,
+        )
+        curves = s_curves(bench, instrument, psf, rest)
+        geometry = geometry_study(bench, instrument, plan, hexapod, rest, streams)
+    return Result(
+        config=config,
+        instrument=instrument,
+        measured=measured,
+        before=before,
+        after=after,
+        curves=curves,
+        geometry=geometry,
+        runtime_s=process_seconds(),
+        peak_memory_mb=peak_memory_mb(),
+    )
+
+
+def summary(result: Result | FolderResult) -> tuple[dict[str, Any], list[Criterion]]:
+    """What goes into ``summary.json``."""
+    from experiments.point_folder import FolderResult, outcome
+
+    if isinstance(result, FolderResult):
+        return outcome(result)
+    from experiments.hsfe.evaluate import criteria, results
+
+    return results(result), criteria(result)
+
+
+def tables(result: Result | FolderResult) -> Mapping[str, Table]:
+    """Tables written beside the report."""
+    from experiments.point_folder import FolderResult
+
+    if isinstance(result, FolderResult):
+        from experiments.point_folder_report import folder_tables
+
+        return folder_tables(result)
+    from experiments.hsfe.tables import all_tables
+
+    return all_tables(result)
+
+
+def report(result: Result | FolderResult) -> Report:
+    """What ``report.html`` shows."""
+    from experiments.point_folder import FolderResult
+
+    if isinstance(result, FolderResult):
+        from experiments.point_folder_report import build_report as folder_report
+
+        return folder_report(result)
+    from experiments.hsfe.report import build_report
+
+    return build_report(result)
+
+
+main = command(
+    "hsfe",
+    config=Config,
+    run=run,
+    report=report,
+    summary=summary,
+    tables=tables,
+    show=("hsfe",),
+    options=FRAMES_OPTION,
+    quick={
+        "steps.positions": 6,
+        "target.rows": 3,
+        "target.columns": 3,
+        "compare": ["gaussian", "epsf"],
+    },
+)

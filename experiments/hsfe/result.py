@@ -1,0 +1,157 @@
+"""Record of the step test, the published numbers, and two small studies: S-curves, and what the hexapod leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.epsf import draw_epsf
+from experiments.chromatic.model import bundle_prediction
+from experiments.hsfe.settings import Config
+from experiments.instrument import Instrument
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.hexapod import Hexapod, turned
+from experiments.laboratory.high_frequency import HighFrequencyMeasurement, StepPlan
+from experiments.laboratory.high_frequency_model import HighFrequencyPrediction
+from experiments.laboratory.point_frames import centroiders, noiseless_positions
+from experiments.laboratory.point_noise import nominal_noise
+from experiments.laboratory.step_statistics import document_rms_px
+from render.random import Streams
+from render.records import EffectivePsf
+
+__all__ = ["PUBLISHED_ARCSEC", "Geometry", "Result", "SCurve", "geometry_study", "s_curves"]
+
+FloatArray = NDArray[np.float64]
+
+PUBLISHED_ARCSEC = (1.08, 1.01)
+"""ACC18 section 2.2: HSFE, x and y, 3 sigma."""
+PHASES = 101
+PATHS = 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SCurve:
+    """Error of noiseless centroids of the middle star while it crosses a pixel.
+
+    Attributes
+    ----------
+    phase_px : (n,)
+        Place of the star in the pixel, along the columns, -0.5 to 0.5.
+    error_px : dict of str to (n,)
+        Centroid minus truth, along the columns, by method; averaged over the phase along the rows.
+    """
+
+    phase_px: FloatArray
+    error_px: Mapping[str, FloatArray]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Geometry:
+    """What hexapods of different quality leave in the document's number, positions known exactly (traced).
+
+    Attributes
+    ----------
+    label : str
+        Which errors.
+    step_arcsec, roll_arcsec : float
+        Their size.
+    motion_px : float
+        RMS of the common motion per step against the commanded one, per axis.
+    document_px : (2,)
+        RMS over paths of what is left after the mean over the stars is removed.
+    """
+
+    label: str
+    step_arcsec: float
+    roll_arcsec: float
+    motion_px: float
+    document_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """Everything the run found.
+
+    Attributes
+    ----------
+    config : Config
+        Settings.
+    instrument : Instrument
+        The camera.
+    measured : HighFrequencyMeasurement
+        The test.
+    before, after : HighFrequencyPrediction
+        Predicted for drawn paths of the hexapod; and for the common motion seen in the images.
+    curves : SCurve
+        S-curves of the middle star.
+    geometry : tuple of Geometry
+        Hexapods of different quality.
+    runtime_s, peak_memory_mb : float
+        Of the process up to the end of the run.
+    """
+
+    config: Config
+    instrument: Instrument
+    measured: HighFrequencyMeasurement
+    before: HighFrequencyPrediction
+    after: HighFrequencyPrediction
+    curves: SCurve
+    geometry: tuple[Geometry, ...]
+    runtime_s: float
+    peak_memory_mb: float
+
+
+def s_curves(bench: Bench, instrument: Instrument, psf: Sequence[EffectivePsf], direction: FloatArray) -> SCurve:
+    """S-curves of the star in the middle of the target, from its PSF."""
+    middle, size = len(direction) // 2, bench.window_px
+    along = np.linspace(-0.5, 0.5, PHASES)
+    across = np.array([-0.4, -0.2, 0.0, 0.2, 0.4])
+    x, y = (v.ravel() for v in np.meshgrid(along, across))
+    light = bench.signal_e * np.maximum(draw_epsf(psf[middle], x + size // 2, y + size // 2, (size, size)), 0.0)
+    error = {}
+    for name, centroider in centroiders(bench.methods, [psf[middle]]).items():
+        found, _ = noiseless_positions(
+            centroider,
+            nominal_noise(instrument),
+            light_e=light,
+            corner_px=np.zeros((len(x), 2), np.int64),
+            psf_index=np.zeros(len(x), np.int64),
+        )
+        error[name] = (found[:, 0] - x - size // 2).reshape(len(across), -1).mean(0)
+    return SCurve(phase_px=along, error_px=error)
+
+
+def geometry_study(
+    bench: Bench, instrument: Instrument, plan: StepPlan, hexapod: Hexapod, direction: FloatArray, streams: Streams
+) -> tuple[Geometry, ...]:
+    """Common motion and what is left of it, for an ideal hexapod, this one, and ones that are ten times worse."""
+    ideal = Hexapod(step_error_arcsec=0.0, roll_error_arcsec=0.0, reading_error_arcsec=0.0)
+    ten = 10.0
+    cases = {
+        "ideal": ideal,
+        "this one": hexapod,
+        "ten times the step error": replace(hexapod, step_error_arcsec=ten * hexapod.step_error_arcsec),
+        "ten times the roll error": replace(hexapod, roll_error_arcsec=ten * hexapod.roll_error_arcsec),
+    }
+    out = []
+    for label, case in cases.items():
+        motion, left = [], []
+        for number in range(1 if case == ideal else PATHS):
+            path = plan.path(instrument, case, streams.generator("geometry", number))
+            place = bundle_prediction(bench, instrument, turned(direction, path.true_rad))[:, :, 0]
+            wanted = bundle_prediction(bench, instrument, turned(direction, path.commanded_rad))[:, :, 0]
+            motion.append(np.diff((place - wanted).mean(1), axis=0))
+            left.append(document_rms_px(place))
+        out.append(
+            Geometry(
+                label=label,
+                step_arcsec=case.step_error_arcsec,
+                roll_arcsec=case.roll_error_arcsec,
+                motion_px=float(np.sqrt(np.mean(np.square(motion)))),
+                document_px=np.sqrt(np.mean(np.square(left), axis=0)),
+            )
+        )
+    return tuple(out)

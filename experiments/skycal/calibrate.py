@@ -1,0 +1,254 @@
+"""Calibrations of one camera from one set of stars, each judged by the traced lens."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from calib.attitude_correlated import calibrate_attitude_correlated
+from calib.cameras import BrownConrady, Polynomial
+from calib.cameras.base import CameraModel, unproject_jacobian
+from calib.free_attitude import calibrate_free_attitude
+from calib.gyro_linked import GyroNoise, calibrate_gyro_linked
+from calib.line_of_sight import line_of_sight_map
+from calib.observations import Observations
+from calib.solution import Calibration
+from experiments.skycal.light import Chart
+from experiments.skycal.match import Matched, geometry_of
+from experiments.skycal.settings import parse_model_name
+from optics.units import RAD_ARCSEC
+
+if TYPE_CHECKING:
+    from experiments.skycal.scene import Scene
+    from experiments.skycal.settings import Config
+
+__all__ = ["LOSS", "METHODS", "Bench", "Judged", "chance_of", "rms", "start_camera"]
+
+FloatArray = NDArray[np.float64]
+
+METHODS = {
+    "free": "free attitudes",
+    "acc": "ACC, gyro taken as perfect",
+    "linked": "gyro of stated noise",
+    "acc_true": "ACC with a truly perfect gyro",
+}
+LOSS = "tukey"
+"""Of the robust fits: a real sky has blends that no flag tells."""
+FLOOR_CLIP_SIGMA = 5.0
+DRAWS = 40000
+"""Of the distribution of the mean square that a covariance predicts."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judged:
+    """A calibration beside the truth.
+
+    Attributes
+    ----------
+    method, model, data : str
+        Estimator (one of `METHODS`), name of the camera model, which positions were calibrated.
+    calibration : Calibration
+        Camera, covariance, status.
+    error_arcsec : (n, 2)
+        Line-of-sight error over the chart, best rotation removed; NaN where the camera has no direction.
+    sigma_arcsec : (n, 2)
+        Its predicted standard deviation.
+    spectrum_arcsec2 : (r,)
+        The mean square length of the error is predicted to be the sum of these, each times a chi-square of one degree
+        of freedom.
+    """
+
+    method: str
+    model: str
+    data: str
+    calibration: Calibration
+    error_arcsec: FloatArray
+    sigma_arcsec: FloatArray
+    spectrum_arcsec2: FloatArray
+
+    @property
+    def rms_arcsec(self) -> float:
+        """RMS length of the error over the chart."""
+        return rms(self.error_arcsec)
+
+    @property
+    def max_arcsec(self) -> float:
+        """Largest length of the error."""
+        return float(np.nanmax(np.linalg.norm(self.error_arcsec, axis=1)))
+
+    @property
+    def predicted_arcsec(self) -> float:
+        """RMS that the covariance predicts."""
+        return float(np.sqrt(self.spectrum_arcsec2.sum()))
+
+    @property
+    def predicted_spread_arcsec(self) -> float:
+        """Standard deviation of the RMS around its prediction (to first order)."""
+        mean = self.predicted_arcsec
+        return float(np.sqrt(2.0 * (self.spectrum_arcsec2**2).sum()) / (2.0 * mean)) if mean > 0 else float("nan")
+
+
+def rms(error: FloatArray) -> float:
+    """Root mean square length of vectors (n, 2); rows of NaN are left out."""
+    return float(np.sqrt(np.nanmean((error**2).sum(axis=1))))
+
+
+def chance_of(error_arcsec: FloatArray, spectrum_arcsec2: FloatArray) -> float:
+    """Probability of a mean square at least as far from what is predicted, on the same side, times two.
+
+    The weighted sum of chi-squares has no closed form; `DRAWS` of it are made with a fixed seed.
+    """
+    if not (len(spectrum_arcsec2) and np.isfinite(spectrum_arcsec2).all()):
+        return float("nan")
+    rng = np.random.default_rng(20180917)
+    drawn = rng.chisquare(1.0, (DRAWS, len(spectrum_arcsec2))) @ spectrum_arcsec2
+    above = float(np.mean(drawn >= rms(error_arcsec) ** 2))
+    return min(1.0, 2.0 * min(above, 1.0 - above))
+
+
+def start_camera(scene: Scene, config: Config, name: str) -> tuple[CameraModel, tuple[str, ...] | None]:
+    """Poor start of a camera model, and the names of the parameters that are free (None: all)."""
+    family, degree = parse_model_name(name)
+    focal_length_mm = scene.instrument.focal_length_mm * config.start.focal_ratio
+    geometry = geometry_of(scene)
+    if family == "polynomial":
+        return Polynomial.create(geometry, degree=degree, focal_length_mm=focal_length_mm), None
+    model = BrownConrady.create(geometry, focal_length_mm=focal_length_mm)
+    return model, ("x0_px", "y0_px", "focal_length_mm") if family == "pinhole" else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bench:
+    """What all calibrations of one camera share.
+
+    Attributes
+    ----------
+    scene, matched, config, chart
+        Camera, stars, settings, truth.
+    used : (n,) bool
+        Matched stars that take part.
+    position_px : mapping of str to (n, 2)
+        Positions of the matched stars, by kind.
+    robust : frozenset of str
+        Kinds that get the robust loss; the others get least squares.
+    floor_px : float
+        Error per axis that is added to the noise of every star.
+    """
+
+    scene: Scene
+    matched: Matched
+    config: Config
+    chart: Chart
+    used: NDArray[np.bool_]
+    position_px: Mapping[str, FloatArray]
+    robust: frozenset[str]
+    floor_px: float = 0.0
+
+    def observations(self, data: str) -> Observations:
+        """The stars with the positions of one kind; the weights are always those of the measurement."""
+        matched, used = self.matched, self.used
+        return Observations(
+            pixel_px=self.position_px[data][used],
+            covariance_px2=matched.covariance_px2[used] + self.floor_px**2 * np.eye(2),
+            direction=matched.direction[used],
+            frame=matched.frame[used],
+            frames=self.scene.frames,
+            star=matched.star[used],
+        )
+
+    def calibrate(self, data: str, *, model: str, method: str = "free") -> Judged:
+        """One calibration, from poor start values."""
+        start, free = start_camera(self.scene, self.config, model)
+        stars, loss = self.observations(data), LOSS if data in self.robust else "linear"
+        scene, gyro = self.scene, self.config.gyro
+        if method == "free":
+            made = calibrate_free_attitude(stars, start, loss=loss, free=free)
+        elif method == "linked":
+            noise = GyroNoise.from_data_sheet(
+                angle_random_walk_deg_per_sqrt_h=gyro.angle_random_walk_deg_per_sqrt_h,
+                bias_deg_per_h=gyro.bias_deg_per_h,
+            )
+            made = calibrate_gyro_linked(
+                stars, scene.gyro_rotation, start, time_s=scene.time_s, noise=noise, loss=loss, free=free
+            )
+        else:
+            turn = scene.true_gyro_rotation if method == "acc_true" else scene.gyro_rotation
+            made = calibrate_attitude_correlated(stars, turn, start, loss=loss, free=free)
+        return self.judge(made, method=method, model=model, data=data)
+
+    def judge(self, made: Calibration, *, method: str, model: str, data: str) -> Judged:
+        """Map error of a calibration."""
+        chart = self.chart
+        # scipy's rotations cannot take write-locked arrays
+        found = line_of_sight_map(made.model, np.array(chart.direction), chart.pixel_px, covariance=made.covariance)
+        return Judged(
+            method=method,
+            model=model,
+            data=data,
+            calibration=made,
+            error_arcsec=found.error_arcsec,
+            sigma_arcsec=found.predicted_sigma_arcsec,
+            spectrum_arcsec2=_spectrum(made, chart),
+        )
+
+    def direct(self, model: str) -> Judged:
+        """What the camera model can do at best: fitted to the chart itself."""
+        start, free = start_camera(self.scene, self.config, model)
+        grid = Observations.isotropic(
+            pixel_px=self.chart.pixel_px,
+            direction=self.chart.direction,
+            frame=np.zeros(len(self.chart.pixel_px), np.int64),
+            sigma_px=1.0,
+        )
+        made = calibrate_free_attitude(grid, start, free=free)
+        return self.judge(made, method="free", model=model, data="chart")
+
+    def residuals(self, judged: Judged) -> FloatArray:
+        """Position minus what the calibration predicts (k, 2) [px] of the used stars."""
+        stars, made = self.observations(judged.data), judged.calibration
+        assert made.attitude is not None
+        turn = made.attitude.as_matrix()[stars.frame]
+        return np.asarray(stars.pixel_px - made.model.project(np.einsum("nij,nj->ni", turn, stars.direction)))
+
+    def find_floor_px(self, data: str, model: str) -> float:
+        """Error per axis beyond the centroids' own noise that the residuals of a fit without it show.
+
+        With it the mean squared residual is what the degrees of freedom let expect. Outliers are left out.
+        """
+        judged = self.calibrate(data, model=model)
+        squared = (self.residuals(judged) ** 2).sum(axis=1)
+        variance = np.trace(self.observations(data).covariance_px2, axis1=1, axis2=2)
+        expected = judged.calibration.solution.degrees_of_freedom / (2 * len(squared))
+
+        def excess(floor: float) -> float:
+            now = variance + 2.0 * floor**2
+            good = squared < FLOOR_CLIP_SIGMA**2 * now
+            return float(np.mean(squared[good] / now[good])) - expected
+
+        return float(brentq(excess, 0.0, 10.0)) if excess(0.0) > 0 > excess(10.0) else 0.0
+
+
+def _spectrum(made: Calibration, chart: Chart) -> FloatArray:
+    """Eigenvalues [arcsec^2] of the mean square map error that a covariance predicts.
+
+    With e = A d, d the errors of the parameters (covariance C) and A their effect on the directions of the chart less
+    the best rotation, the mean square is d^T M d with M = A^T A / n: a sum of chi-squares weighted by the eigenvalues
+    of C M.
+    """
+    if not np.isfinite(made.covariance).all():
+        return np.array([np.nan])
+    direction, _, by_parameter = unproject_jacobian(made.model, chart.pixel_px)
+    good = np.isfinite(direction).all(axis=1)
+    direction, by_parameter = direction[good], by_parameter[good]
+    if not len(direction):
+        return np.array([np.nan])
+    turned = np.concatenate([np.cross(axis, direction)[..., None] for axis in np.eye(3)], axis=2).reshape(-1, 3)
+    moved = by_parameter.reshape(len(turned), -1)
+    left = moved - turned @ np.linalg.lstsq(turned, moved, rcond=None)[0]
+    values = np.linalg.eigvals(made.covariance @ (left.T @ left / len(direction))).real
+    return np.sort(np.maximum(values, 0.0))[::-1] * RAD_ARCSEC**2

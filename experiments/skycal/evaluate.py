@@ -1,0 +1,212 @@
+"""What the line-of-sight error is made of.
+
+The same stars, frames and weights are calibrated again and again, and one more error is switched on each time:
+
+1. ``reference``: positions that stars of the reference colour would have, means of traced rays. What is left is what
+   the camera model cannot describe: *camera model*.
+2. ``light``: the light as it fell, every star in its own colour: *+ star colours*.
+3. ``own``: centroids measured with the PSF of each star's own colour: *+ noise and pixels*.
+4. ``measured``: centroids measured with the PSF of one colour, what a camera does by itself: *+ PSF of one colour*.
+
+Each part is the difference of one map and the one before, so that they add up as vectors; whether their squares add up
+depends on whether they are independent. ``corrected`` is ``own`` with the colour shift of every star taken off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.skycal.calibrate import Bench, Judged, rms
+from experiments.skycal.light import Chart, own_colour_centroids, trace_chart, trace_colour
+from experiments.skycal.match import Matched
+from experiments.skycal.wrong import WrongRun, wrong_runs
+from optics.errors import DomainError
+
+if TYPE_CHECKING:
+    from experiments.skycal.measure import Recording
+    from experiments.skycal.scene import Scene
+    from experiments.skycal.settings import Config
+    from render.random import Streams
+
+__all__ = ["PARTS", "STEPS", "Evaluation", "evaluate"]
+
+FloatArray = NDArray[np.float64]
+
+STEPS = ("reference", "light", "own", "measured")
+"""Kinds of positions, one more error in each."""
+PARTS = {
+    "mismatch": "camera model",
+    "chromatic": "star colours",
+    "noise": "noise and pixels",
+    "psf": "PSF of one colour",
+}
+"""What each step adds."""
+ROBUST = frozenset({"light", "own", "measured", "corrected"})
+"""Kinds that get the robust loss: the colour of a very red star is an outlier, with and without noise."""
+LEAST_SURPLUS = 40
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evaluation:
+    """All calibrations of one camera.
+
+    Attributes
+    ----------
+    chart : Chart
+        Truth.
+    position_px : dict of str to (n, 2)
+        Positions of all matched stars: `STEPS` and "corrected".
+    used : (n,) bool
+        Matched stars that are calibrated with.
+    floor_px, corrected_floor_px : float
+        Error per axis added to the noise of every centroid so that residuals are what was expected: for all steps, and
+        for the corrected centroids.
+    judged : dict
+        By (method, model, data), all `STEPS` for the model that counts. All have the same weights but those of
+        ``corrected``.
+    clean : Judged
+        ``reference`` with the weights of ``corrected``.
+    direct : dict of str to Judged
+        Each model fitted to the chart itself: no stars, no noise.
+    part_arcsec : dict of str to (n, 2)
+        Maps of `PARTS` for the model that counts.
+    residual_px : (k, 2)
+        Residuals of the used stars in the measured fit that counts.
+    wrong : tuple of WrongRun
+        Robustness.
+    """
+
+    chart: Chart
+    position_px: dict[str, FloatArray]
+    used: NDArray[np.bool_]
+    floor_px: float
+    corrected_floor_px: float
+    judged: dict[tuple[str, str, str], Judged]
+    clean: Judged
+    direct: dict[str, Judged]
+    part_arcsec: dict[str, FloatArray]
+    residual_px: FloatArray
+    wrong: tuple[WrongRun, ...]
+
+    @property
+    def part_rms_arcsec(self) -> dict[str, float]:
+        """RMS of each part."""
+        return {name: rms(part) for name, part in self.part_arcsec.items()}
+
+    @property
+    def quadrature_arcsec(self) -> float:
+        """Root of the sum of the squares of the parts."""
+        return float(np.sqrt(sum(size**2 for size in self.part_rms_arcsec.values())))
+
+    def alike(self, one: str, other: str) -> float:
+        """Correlation of two parts over the chart: their mean product over their RMS."""
+        a, b = self.part_arcsec[one], self.part_arcsec[other]
+        return float(np.nanmean((a * b).sum(axis=1)) / (rms(a) * rms(b)))
+
+
+def evaluate(
+    mi: Any,
+    scene: Scene,
+    recording: Recording,
+    matched: Matched,
+    config: Config,
+    streams: Streams,
+    *,
+    advance: Callable[[], None],
+) -> Evaluation:
+    """Calibrate, switch the errors on one by one, and compare with the traced lens.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with an active variant.
+    scene, recording, matched, config
+        The camera, its frames, its stars, settings.
+    streams : Streams
+        Randomness of the wrong matches.
+    advance : callable
+        Called after the positions, after each camera model, after the gyro and after the wrong matches.
+
+    Raises
+    ------
+    DomainError
+        Too few stars.
+    """
+    _check_count(scene, config, matched, np.asarray(np.isfinite(matched.in_cam).all(axis=1)))
+    chart = trace_chart(mi, scene, config)
+    position = _positions(mi, scene, recording, matched, config)
+    used = np.all([np.isfinite(place).all(axis=1) for place in position.values()], axis=0)
+    _check_count(scene, config, matched, used)
+    advance()
+    plain = Bench(
+        scene=scene, matched=matched, config=config, chart=chart, used=used, position_px=position, robust=ROBUST
+    )
+    name = scene.config.model
+    bench = replace(plain, floor_px=plain.find_floor_px("measured", name))
+    fine = replace(plain, floor_px=plain.find_floor_px("corrected", name))
+    judged: dict[tuple[str, str, str], Judged] = {}
+    direct = {}
+    for model in scene.config.models:
+        for data in STEPS if model == name else ("reference", "measured"):
+            judged["free", model, data] = bench.calibrate(data, model=model)
+        judged["free", model, "corrected"] = fine.calibrate("corrected", model=model)
+        direct[model] = bench.direct(model)
+        advance()
+    for method in ("acc", "linked", "acc_true"):
+        judged[method, name, "measured"] = bench.calibrate("measured", model=name, method=method)
+        judged[method, name, "corrected"] = fine.calibrate("corrected", model=name, method=method)
+    advance()
+    wrong = wrong_runs(bench, judged["free", name, "measured"], streams)
+    advance()
+    return Evaluation(
+        chart=chart,
+        position_px=position,
+        used=used,
+        floor_px=bench.floor_px,
+        corrected_floor_px=fine.floor_px,
+        judged=judged,
+        clean=fine.calibrate("reference", model=name),
+        direct=direct,
+        part_arcsec=_parts([judged["free", name, data] for data in STEPS]),
+        residual_px=bench.residuals(judged["free", name, "measured"]),
+        wrong=wrong,
+    )
+
+
+def _positions(mi: Any, scene: Scene, recording: Recording, matched: Matched, config: Config) -> dict[str, FloatArray]:
+    """Positions of the matched stars, by kind; NaN where one is not known."""
+    reference = np.full((len(matched), 2), np.nan)
+    there = np.isfinite(matched.in_cam).all(axis=1)
+    if there.any():
+        reference[there] = trace_colour(mi, scene, matched.in_cam[there], config.sky.reference_k)
+    own = own_colour_centroids(mi, scene, recording, matched, config)
+    light = matched.photon_px
+    corrected = own - (light - reference)
+    return {"reference": reference, "light": light, "own": own, "measured": matched.pixel_px, "corrected": corrected}
+
+
+def _check_count(scene: Scene, config: Config, matched: Matched, used: NDArray[np.bool_]) -> None:
+    """Refuse to calibrate with next to nothing."""
+    stars, frames = int(used.sum()), len(np.unique(matched.frame[used]))
+    needed = 2 * frames + LEAST_SURPLUS
+    if stars < needed:
+        raise DomainError(
+            f"{scene.name}: {stars} good stars matched in {frames} frames; at least {needed} are needed: raise "
+            f"{scene.name}.instrument.exposure_s ({scene.instrument.config.exposure_s:g} s) or "
+            f"{scene.name}.faintest_mag ({scene.config.faintest_mag:g}), or lower least_snr ({config.least_snr:g})"
+        )
+
+
+def _parts(runs: list[Judged]) -> dict[str, FloatArray]:
+    """Each part of the error: a map minus the one before."""
+    before = np.zeros_like(runs[0].error_arcsec)
+    out = {}
+    for part, run in zip(PARTS, runs, strict=True):
+        out[part] = run.error_arcsec - before
+        before = run.error_arcsec
+    return out

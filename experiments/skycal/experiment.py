@@ -1,0 +1,124 @@
+"""Calibration of star cameras from rendered frames of a moving sky: pixels in, line-of-sight map out.
+
+Sixty frames of the real sky are rendered through the 206 mm lens and through a wide one, every star in its own colour,
+read out with noise, detected, centroided and matched from an attitude that is wrong by arcminutes. Cameras are
+calibrated with free attitudes and with attitudes linked by a gyro (ACF17), from poor start values, and the resulting
+line of sight is compared with the traced lens over the whole detector: how far off it is, how far off it says it is,
+and how much of that is the camera model, the colour of the stars, and the centroids.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from experiments.cli import command
+from experiments.progress import Progress
+from experiments.skycal.settings import Config
+from experiments.summary import Criterion
+
+if TYPE_CHECKING:
+    from experiments.report import Report
+    from experiments.skycal.result import CameraResult, Result
+    from experiments.tables import Table
+
+__all__ = ["Config", "main", "report", "run", "summary", "tables"]
+
+
+def run(config: Config, *, progress: Progress) -> Result:
+    """Render, read out, measure, match, calibrate and compare.
+
+    Parameters
+    ----------
+    config : Config
+        Settings.
+    progress : Progress
+        Where to report.
+
+    Raises
+    ------
+    StarbenchError
+        On anything the user can mend: unknown lens or detector, a detector larger than the field of the lens, a glass
+        without transmittance, no stars in the field, stars saturated, too few matched.
+    """
+    from experiments.provenance import peak_memory_mb, process_seconds
+    from experiments.skycal.result import Result
+    from experiments.skycal.scene import build_scene
+    from render.random import Streams
+
+    root = Streams(config.seed).child("skycal")
+    scenes = {name: build_scene(name, config, root.child(name)) for name in config.cameras}
+    cameras = {name: _camera(scene, config, root.child(name), progress) for name, scene in scenes.items()}
+    return Result(config=config, cameras=cameras, runtime_s=process_seconds(), peak_memory_mb=peak_memory_mb())
+
+
+def _camera(scene: Any, config: Config, streams: Any, progress: Progress) -> CameraResult:
+    """All of one camera."""
+    import mitsuba as mi
+
+    from experiments.skycal.evaluate import evaluate
+    from experiments.skycal.match import match_frames
+    from experiments.skycal.measure import record
+    from experiments.skycal.result import CameraResult
+
+    backend = str(mi.variant()).split("_")[0]
+    with progress.stage(f"{scene.name}: frames", total=scene.frames) as stage:
+        recording = record(mi, scene, config, streams, backend=backend, advance=stage.advance)
+    with progress.stage(f"{scene.name}: matches"):
+        matched = match_frames(scene, recording, config)
+    with progress.stage(f"{scene.name}: calibrations", total=len(scene.config.models) + 3) as stage:
+        found = evaluate(mi, scene, recording, matched, config, streams, advance=stage.advance)
+    return CameraResult(scene=scene, recording=recording, matched=matched, evaluation=found)
+
+
+def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:
+    """What goes into ``summary.json``."""
+    from experiments.skycal.checks import criteria, results
+
+    return results(result), criteria(result)
+
+
+def tables(result: Result) -> Mapping[str, Table]:
+    """Tables written beside the report."""
+    from experiments.skycal.tables import all_tables
+
+    return all_tables(result)
+
+
+def report(result: Result) -> Report:
+    """What ``report.html`` shows."""
+    from experiments.skycal.report import build_report
+
+    return build_report(result)
+
+
+def files(result: Result, folder: Any) -> None:
+    """One frame of each camera as FITS."""
+    from render.fits import write_frame
+
+    for name, camera in result.cameras.items():
+        write_frame(camera.recording.example, folder / f"frame_{name}.fits")
+
+
+main = command(
+    "skycal",
+    config=Config,
+    run=run,
+    report=report,
+    summary=summary,
+    tables=tables,
+    show=("cameras", "parts"),
+    files=files,
+    quick={
+        "frames": 6,
+        "dark_frames": 5,
+        "motion.rate_deg_per_s": 3.0,
+        "map_points": 13,
+        "narrow.faintest_mag": 8.7,
+        "narrow.psf_spacing_px": 400.0,
+        "narrow.models": ["pinhole", "brown_conrady", "polynomial_3"],
+        "wide.faintest_mag": 6.2,
+        "wide.psf_spacing_px": 170.0,
+        "wide.models": ["pinhole", "brown_conrady", "polynomial_5"],
+    },
+)

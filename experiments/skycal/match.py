@@ -1,0 +1,293 @@
+"""Which detection is which star, from a data-sheet camera and an attitude that is wrong by arcminutes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.association import associate, match_stars
+from calib.cameras import BrownConrady
+from calib.cameras.base import CameraModel, SensorGeometry
+from calib.flags import StarFlag, has_flag
+from calib.free_attitude import calibrate_free_attitude
+from calib.observations import Observations
+from optics.errors import DomainError
+from optics.records import freeze
+
+if TYPE_CHECKING:
+    from experiments.skycal.measure import FrameStars, Recording
+    from experiments.skycal.scene import Scene
+    from experiments.skycal.settings import Config
+
+__all__ = ["Matched", "geometry_of", "match_frames", "sheet_camera"]
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+BRIGHTEST = 40
+"""Detections and catalogue stars that the first matching looks at."""
+FIRST_TOLERANCE_PX = 12.0
+"""How far the camera of the data sheet may be off: its focal length, and a distortion nobody has told."""
+FINAL_RADIUS_PX = 2.0
+LEAST_RADIUS_SIGMA = 4.5
+"""Search radius of the first matching over the standard deviation of the attitude."""
+FEWEST_MATCHED = 4
+"""Stars in a frame, below which it does not count as matched."""
+TRUE_PX = 1.0
+"""A match counts as right if the light of that star really fell this close."""
+REFUSED = StarFlag.SATURATED | StarFlag.EDGE | StarFlag.BLEND | StarFlag.DEFECT | StarFlag.SPIKE
+FAILED = StarFlag.NOT_CONVERGED | StarFlag.NO_DATA
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Matched:
+    """Measured stars with their names, all frames one after the other.
+
+    Attributes
+    ----------
+    frame, star : (n,) int64
+        Frame, and row in the sky.
+    row : (n,) int64
+        Row of the detection in the stamps of the recording.
+    direction : (n, 3)
+        Unit vectors in icrs.
+    pixel_px : (n, 2)
+        Measured centroids.
+    covariance_px2 : (n, 2, 2)
+        Of the centroids: temporal noise.
+    snr : (n,)
+        Flux over its standard deviation.
+    photon_px : (n, 2)
+        Truth: centroid of the star's noiseless light.
+    in_cam : (n, 3)
+        Truth: direction in cam.
+    right : (n,) bool
+        Truth: whether the match is right.
+    count : dict of str to int
+        What became of the detections of all frames.
+    first_matched : int
+        Frames matched from the camera of the data sheet.
+    """
+
+    frame: IndexArray
+    star: IndexArray
+    row: IndexArray
+    direction: FloatArray
+    pixel_px: FloatArray
+    covariance_px2: FloatArray
+    snr: FloatArray
+    photon_px: FloatArray
+    in_cam: FloatArray
+    right: NDArray[np.bool_]
+    count: dict[str, int]
+    first_matched: int
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        for name in ("frame", "star", "row"):
+            freeze(self, name, shape=("n",), dtype=np.int64, sizes=sizes)
+        freeze(self, "direction", shape=("n", 3), sizes=sizes)
+        for name in ("pixel_px", "photon_px"):
+            freeze(self, name, shape=("n", 2), finite=False, sizes=sizes)
+        freeze(self, "covariance_px2", shape=("n", 2, 2), sizes=sizes)
+        freeze(self, "snr", shape=("n",), sizes=sizes)
+        freeze(self, "in_cam", shape=("n", 3), finite=False, sizes=sizes)
+        freeze(self, "right", shape=("n",), dtype=np.bool_, sizes=sizes)
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+
+def geometry_of(scene: Scene) -> SensorGeometry:
+    """The detector as the camera models know it."""
+    camera = scene.instrument.camera
+    return SensorGeometry(width_px=camera.width_px, height_px=camera.height_px, pixel_pitch_mm=camera.pixel_pitch_mm)
+
+
+def sheet_camera(scene: Scene, config: Config) -> CameraModel:
+    """Pinhole with the focal length of a data sheet, not quite right."""
+    focal_length_mm = scene.instrument.focal_length_mm * (1.0 + config.start.sheet_error_fraction)
+    return BrownConrady.create(geometry_of(scene), focal_length_mm=focal_length_mm)
+
+
+def match_frames(scene: Scene, recording: Recording, config: Config) -> Matched:
+    """Match all frames.
+
+    The brightest detections give every frame an attitude under the camera of the data sheet; what they match gives a
+    first camera; with that one all detections are matched closely.
+
+    Parameters
+    ----------
+    scene, recording, config
+        The camera, what it saw, settings.
+
+    Raises
+    ------
+    DomainError
+        Nothing detected, everything saturated, or too few frames matched.
+    """
+    _check_detections(scene, recording, config)
+    camera = sheet_camera(scene, config)
+    first = [_first_match(scene, stars, config, camera, k) for k, stars in enumerate(recording.frames)]
+    good = [one for one in first if one is not None]
+    if len(good) < max(2, scene.frames // 2):
+        raise DomainError(
+            f"{scene.name}: the stars of {len(good)} of {scene.frames} frames were matched; at least half are needed: "
+            f"point the camera better (motion.attitude_error_arcmin = {config.motion.attitude_error_arcmin:g}), let it "
+            f"see more stars ({scene.name}.faintest_mag, {scene.name}.instrument.exposure_s) or come nearer to its "
+            f"focal length (start.sheet_error_fraction = {config.start.sheet_error_fraction:g})"
+        )
+    rough = calibrate_free_attitude(_merged(good, scene.frames), camera, loss="tukey")
+    if not rough.converged:
+        raise DomainError(f"{scene.name}: no camera fits the first matches ({rough.solution.message})")
+    assert rough.attitude is not None
+    parts = [
+        _Close(scene, stars, config, number).match(rough.model, rough.attitude[number])
+        for number, stars in enumerate(recording.frames)
+        if first[number] is not None
+    ]
+    return _concatenate(parts, len(good))
+
+
+def _check_detections(scene: Scene, recording: Recording, config: Config) -> None:
+    found = sum(len(one.found) for one in recording.frames)
+    set_up = scene.instrument.config
+    if not found:
+        raise DomainError(
+            f"{scene.name}: no star was detected in {scene.frames} frames at {config.threshold_sigma:g} sigma; raise "
+            f"{scene.name}.instrument.exposure_s ({set_up.exposure_s:g} s) or look at the focus "
+            f"({scene.name}.instrument.defocus_mm = {set_up.defocus_mm:g} mm)"
+        )
+    saturated = sum(int(has_flag(one.found.flags, StarFlag.SATURATED).sum()) for one in recording.frames)
+    if 2 * saturated > found:
+        raise DomainError(
+            f"{scene.name}: {saturated} of {found} detections are saturated; lower {scene.name}.instrument.exposure_s "
+            f"({set_up.exposure_s:g} s)"
+        )
+
+
+def _first_match(
+    scene: Scene, stars: FrameStars, config: Config, camera: CameraModel, number: int
+) -> Observations | None:
+    """Brightest stars of one frame, or None where they cannot be told."""
+    bright = stars.found.select(slice(BRIGHTEST))
+    told = scene.told_attitude[number]
+    sigma_px = config.motion.attitude_error_arcmin * 60.0 / scene.pixel_arcsec
+    radius_px = LEAST_RADIUS_SIGMA * sigma_px + FIRST_TOLERANCE_PX
+    rows = _brightest_near(scene, told)
+    pixel = np.column_stack([bright.x_px, bright.y_px])
+    found = match_stars(
+        pixel, scene.sky.direction[rows], told, camera, radius_px=radius_px, tolerance_px=FIRST_TOLERANCE_PX
+    )
+    if not found.ok or len(found.association) < FEWEST_MATCHED:
+        return None
+    match = found.association
+    return Observations.isotropic(
+        pixel_px=pixel[match.detected],
+        direction=scene.sky.direction[rows[match.catalogue]],
+        frame=np.full(len(match), number),
+        sigma_px=0.1,
+        frames=scene.frames,
+        star=rows[match.catalogue],
+    )
+
+
+def _brightest_near(scene: Scene, attitude: Rotation) -> IndexArray:
+    """Rows of the brightest catalogue stars around a boresight: about as many as detections are looked at."""
+    width, height = scene.field_deg
+    reach = np.radians(0.5 * np.hypot(width, height) + 0.2)
+    near = np.flatnonzero(scene.sky.direction @ attitude.as_matrix()[2] > np.cos(reach))
+    share = np.pi * np.degrees(reach) ** 2 / (width * height)  # the circle holds more than the detector
+    order = np.argsort(scene.sky.magnitude[near], kind="stable")[: round(1.2 * share * BRIGHTEST)]
+    return near[order]
+
+
+def _merged(parts: list[Observations], frames: int) -> Observations:
+    return Observations(
+        **{
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in ("pixel_px", "covariance_px2", "direction", "frame", "band", "star")
+        },
+        frames=frames,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Close:
+    """Second matching of one frame, and what becomes of its detections."""
+
+    scene: Scene
+    stars: FrameStars
+    config: Config
+    number: int
+
+    def match(self, model: CameraModel, attitude: Rotation) -> Matched:
+        """Matches of good detections."""
+        found, sky = self.stars.found, self.scene.sky
+        pixel = np.column_stack([found.x_px, found.y_px])
+        reach = np.radians(np.hypot(*self.scene.field_deg))
+        near = np.flatnonzero(sky.direction @ attitude.as_matrix()[2] > np.cos(reach))
+        pair = associate(pixel, sky.direction[near], attitude, model, radius_px=FINAL_RADIUS_PX)
+        snr = found.flux_e / np.sqrt(found.covariance[:, 2, 2])
+        fault = self._faults(snr, pair.detected)
+        fine = fault[pair.detected] == 0
+        rows, star = pair.detected[fine], near[pair.catalogue[fine]]
+        photon, in_cam = self._truth(star)
+        return Matched(
+            frame=np.full(len(rows), self.number),
+            star=star,
+            row=self.stars.first_row + rows,
+            direction=sky.direction[star],
+            pixel_px=pixel[rows],
+            covariance_px2=found.covariance[rows][:, :2, :2],
+            snr=snr[rows],
+            photon_px=photon,
+            in_cam=in_cam,
+            right=np.linalg.norm(pixel[rows] - photon, axis=1) < TRUE_PX,
+            count={name: int((fault == code).sum()) for code, name in enumerate(_FATE)},
+            first_matched=0,
+        )
+
+    def _faults(self, snr: FloatArray, matched: IndexArray) -> IndexArray:
+        """Per detection: 0 for those that take part, otherwise the first reason of `_FATE` that holds."""
+        flags = self.stars.found.flags
+        unmatched = np.ones(len(flags), bool)
+        unmatched[matched] = False
+        reasons = (
+            has_flag(flags, FAILED) | ~np.isfinite(snr),
+            has_flag(flags, StarFlag.SATURATED),
+            has_flag(flags, StarFlag.BLEND),
+            has_flag(flags, StarFlag.EDGE),
+            has_flag(flags, StarFlag.DEFECT | StarFlag.SPIKE),
+            ~(snr >= self.config.least_snr),
+            unmatched,
+        )
+        fault = np.zeros(len(flags), np.int64)
+        for code in range(len(reasons), 0, -1):
+            fault[reasons[code - 1]] = code
+        return fault
+
+    def _truth(self, star: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """Centroid of the light (n, 2) and direction in cam (n, 3) of stars; NaN for one that was not rendered."""
+        order = np.argsort(self.stars.star)
+        at = np.clip(np.searchsorted(self.stars.star, star, sorter=order), 0, max(len(order) - 1, 0))
+        row = order[at]
+        there = (self.stars.star[row] == star)[:, None]
+        return np.where(there, self.stars.photon_px[row], np.nan), np.where(there, self.stars.direction[row], np.nan)
+
+
+_FATE = ("used", "not converged", "saturated", "blended", "at the edge", "defective pixel", "too faint", "not matched")
+
+
+def _concatenate(parts: list[Matched], first_matched: int) -> Matched:
+    arrays = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in Matched.__dataclass_fields__
+        if name not in ("count", "first_matched")
+    }
+    total = {name: sum(part.count[name] for part in parts) for name in _FATE}
+    return Matched(**arrays, count=total, first_matched=first_matched)

@@ -1,0 +1,291 @@
+"""From the sky to centroids: every frame rendered through the lens, read out, dark-subtracted, detected, measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.background import estimate_background
+from calib.centroid import get_centroider
+from calib.detection import detect
+from calib.records import NoiseModel, SensorImage, Stamps, StarTable
+from calib.stamps import extract_stamps
+from experiments.skycal.light import BankRenderer
+from optics.records import freeze
+from render.forward import StarRenderer
+from render.readout import expose
+
+if TYPE_CHECKING:
+    from experiments.skycal.scene import Scene
+    from experiments.skycal.settings import Config
+    from render.random import Streams
+    from render.records import Frame, Truth
+
+__all__ = ["FrameStars", "Recording", "record"]
+
+FloatArray = NDArray[np.float64]
+
+BACKGROUND_BOX_PX = 256
+BACKGROUND_STEP_PX = 4
+"""The sky is flat over hundreds of pixels; every 16th pixel gives its level to 0.3 e-."""
+AHEAD = 2
+"""Frames that may wait for their reduction while the next ones are rendered."""
+FWHM_PX = 1.8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameStars:
+    """One frame: what was found, and what was there.
+
+    Attributes
+    ----------
+    found : StarTable
+        Detections with centroids, in pixels of the window.
+    first_row : int
+        Row of the first of them in the stamps of the recording.
+    star : (n,) int64
+        Rows of the sky that were rendered.
+    direction : (n, 3)
+        Their directions in cam.
+    photon_px : (n, 2)
+        Centroid of the noiseless light of each.
+    electrons : (n,)
+        Electrons of each on the detector.
+    """
+
+    found: StarTable
+    first_row: int
+    star: NDArray[np.int64]
+    direction: FloatArray
+    photon_px: FloatArray
+    electrons: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "star", shape=("n",), dtype=np.int64, sizes=sizes)
+        freeze(self, "direction", shape=("n", 3), sizes=sizes)
+        freeze(self, "photon_px", shape=("n", 2), finite=False, sizes=sizes)
+        freeze(self, "electrons", shape=("n",), sizes=sizes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recording:
+    """All frames of a camera.
+
+    Attributes
+    ----------
+    frames : tuple of FrameStars
+        In order.
+    example : Frame
+        Raw readout of one frame in the middle of the sequence.
+    example_index : int
+        Its number.
+    stamps : Stamps
+        Windows of all detections, frame after frame.
+    noise : NoiseModel
+        Noise of a pixel.
+    rms_spot_px : float
+        RMS radius of the ray bundles, mean over the rendered stars.
+    """
+
+    frames: tuple[FrameStars, ...]
+    example: Frame
+    example_index: int
+    stamps: Stamps
+    noise: NoiseModel
+    rms_spot_px: float
+
+
+def record(
+    mi: Any, scene: Scene, config: Config, streams: Streams, *, backend: str, advance: Callable[[], None]
+) -> Recording:
+    """Render and reduce all frames.
+
+    The renderer needs all cores for a moment and the reduction one for longer; the latter runs behind in threads of
+    its own.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with an active variant.
+    scene : Scene
+        Camera and sky.
+    config : Config
+        Settings.
+    streams : Streams
+        Randomness of this camera.
+    backend : str
+        Where the detector runs.
+    advance : callable
+        Called once per frame.
+
+    Raises
+    ------
+    DomainError
+        What the renderer raises.
+    """
+    camera, set_up = scene.instrument.camera, scene.instrument.config
+    renderer = StarRenderer(camera, exposure_s=set_up.exposure_s, sobol_log2_rays=scene.config.sobol_log2_rays)
+    readout = _Readout(scene, streams, backend)
+    reduction = _Reduction(config, readout.dark(config.dark_frames))
+    middle, example = scene.frames // 2, None
+    truths: list[_Rendered] = []
+    cut: list[Future[Stamps]] = []
+    with ThreadPoolExecutor(max_workers=AHEAD) as pool:
+        for number in range(scene.frames):
+            rows, direction = scene.in_cam(number)
+            expected = renderer.render(scene.stars(rows, direction))
+            assert expected.truth is not None
+            frame = readout.frame(expected, number)
+            truths.append(_Rendered(rows, direction, expected.truth))
+            if number == middle:
+                example = frame
+            cut.append(pool.submit(reduction.detect, frame))
+            del expected, frame
+            if number >= AHEAD:
+                cut[number - AHEAD].result()
+            advance()
+        stamps = [one.result() for one in cut]
+    assert example is not None
+    noise = reduction.noise(example)
+    every = _joined(stamps)
+    table = _centroids(mi, scene, config, every, noise)
+    ends = np.cumsum([len(one) for one in stamps])
+    return Recording(
+        frames=tuple(
+            truth.beside(table.select(slice(end - len(one), end)), int(end - len(one)))
+            for truth, one, end in zip(truths, stamps, ends, strict=True)
+        ),
+        example=example,
+        example_index=middle,
+        stamps=every,
+        noise=noise,
+        rms_spot_px=float(np.mean([truth.spot_px for truth in truths])),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Rendered:
+    """What was rendered into a frame."""
+
+    star: NDArray[np.int64]
+    direction: FloatArray
+    truth: Truth
+
+    @property
+    def spot_px(self) -> float:
+        """RMS radius of the ray bundles."""
+        variance = self.truth.variance_x_px2 + self.truth.variance_y_px2
+        return float(np.sqrt(np.nanmean(variance))) if np.isfinite(variance).any() else 0.0
+
+    def beside(self, found: StarTable, first_row: int) -> FrameStars:
+        """Truth and measurement together."""
+        return FrameStars(
+            found=found,
+            first_row=first_row,
+            star=self.star,
+            direction=self.direction,
+            photon_px=np.column_stack([self.truth.photon_x_px, self.truth.photon_y_px]),
+            electrons=self.truth.electrons_image[:, 0],
+        )
+
+
+def _joined(parts: list[Stamps]) -> Stamps:
+    return Stamps(
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in Stamps.__dataclass_fields__}
+    )
+
+
+def _centroids(mi: Any, scene: Scene, config: Config, stamps: Stamps, noise: NoiseModel) -> StarTable:
+    """Centroids of all frames at once, so that PSFs are prepared once."""
+    if not len(stamps):
+        return StarTable.empty()
+    if config.centroid == "epsf":
+        return BankRenderer(mi, scene, config).render(config.sky.reference_k).measure(stamps, noise)
+    return get_centroider(config.centroid).measure(stamps, noise)
+
+
+@dataclass(frozen=True, slots=True)
+class _Readout:
+    """The detector under the sky."""
+
+    scene: Scene
+    streams: Streams
+    backend: str
+
+    def frame(self, expected: Any, number: int) -> Frame:
+        """One frame."""
+        set_up = self.scene.instrument.config
+        return expose(
+            expected,
+            self.scene.instrument.detector,
+            streams=self.streams,
+            frame=number,
+            exposure_s=set_up.exposure_s,
+            temperature_c=set_up.chip_temperature_c,
+            background_e_per_s=self.scene.config.background_e_per_s,
+            backend=self.backend,
+        )
+
+    def dark(self, count: int) -> NDArray[np.float32]:
+        """Mean of frames without light [DN]."""
+        detector, set_up = self.scene.instrument.detector, self.scene.instrument.config
+        nothing, total = np.zeros(detector.shape, np.float32), np.zeros(detector.shape, np.float32)
+        for number in range(count):
+            total += expose(
+                nothing,
+                detector,
+                streams=self.streams.child("dark"),
+                frame=number,
+                exposure_s=set_up.exposure_s,
+                temperature_c=set_up.chip_temperature_c,
+                backend=self.backend,
+            ).dn
+        return total / np.float32(count)
+
+
+@dataclass(frozen=True, slots=True)
+class _Reduction:
+    """Frame to stamps."""
+
+    config: Config
+    dark_dn: NDArray[np.float32]
+
+    def detect(self, frame: Frame) -> Stamps:
+        """Find the stars of a frame, brightest first, and cut them out."""
+        image = self._without_dark(frame)
+        background = estimate_background(image, box_px=BACKGROUND_BOX_PX, step_px=BACKGROUND_STEP_PX)
+        found = detect(image, background, threshold_sigma=self.config.threshold_sigma, fwhm_px=FWHM_PX)
+        return extract_stamps(
+            image,
+            found.x_px,
+            found.y_px,
+            background=background,
+            size_px=self.config.window_px,
+            flags=found.flags,
+        )
+
+    def noise(self, frame: Frame) -> NoiseModel:
+        """Noise of a pixel; that of the mean dark frame is added to the read noise."""
+        return NoiseModel(
+            read_noise_e=float(frame.read_noise_e * np.sqrt(1.0 + 1.0 / self.config.dark_frames)),
+            gain_dn_per_e=frame.gain_dn_per_e,
+            offset_dn=frame.offset_dn,
+            quantised=True,
+        )
+
+    def _without_dark(self, frame: Frame) -> SensorImage:
+        """The frame minus the mean dark frame."""
+        return SensorImage(
+            dn=np.asarray(frame.dn - self.dark_dn + np.float32(frame.offset_dn), np.float64),
+            valid=~frame.defect,
+            saturated=frame.saturated,
+            noise=self.noise(frame),
+            exposure_s=frame.exposure_s,
+            source=f"frame {frame.index}",
+        )

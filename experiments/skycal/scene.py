@@ -1,0 +1,255 @@
+"""One camera under the moving sky: which lens and detector, where it points at every frame, what is known of that."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from experiments.instrument import Instrument, build_instrument
+from experiments.skycal.sky import Sky, in_light, load_sky, passband
+from optics.errors import DomainError
+from optics.units import ARCSEC_RAD, DEG_RAD
+
+if TYPE_CHECKING:
+    from experiments.skycal.settings import CameraConfig, Config, MotionConfig, SkyConfig
+    from render.random import Streams
+    from render.records import StarField
+    from render.sky_field import StarLight
+    from render.trajectory import SampledAttitude
+
+__all__ = ["Scene", "build_scene", "pointing"]
+
+FloatArray = NDArray[np.float64]
+
+STEPS_PER_FRAME = 20
+"""Of the integration that makes the trajectory; a spline through the result is the truth."""
+AXIS_TURN_DEG = 180.0
+"""How far the axis of rotation turns about the boresight in the sequence. About one fixed axis alone, the part of the
+installation that turns about that axis could not be seen."""
+FEWEST_STARS = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """A camera, its sky and its motion; f frames.
+
+    Attributes
+    ----------
+    name : str
+        "narrow" or "wide".
+    config : CameraConfig
+        What was asked for.
+    instrument : Instrument
+        Camera and detector, cut to the window that is read out.
+    sky : Sky
+        Stars down to the faintest that are rendered.
+    light : StarLight
+        Their light in the full pass band.
+    time_s : (f,)
+        Times of the frames.
+    attitude : Rotation
+        f attitudes, cam from icrs: the truth.
+    told_attitude : Rotation
+        What the user is told, wrong by some arcmin.
+    gyro_rotation, true_gyro_rotation : Rotation
+        Gyro body at frame k from gyro body at the first frame, integrated from noisy rates, and the truth.
+    installation : Rotation
+        Camera from gyro body.
+    """
+
+    name: str
+    config: CameraConfig
+    instrument: Instrument
+    sky: Sky
+    light: StarLight
+    time_s: FloatArray
+    attitude: Rotation
+    told_attitude: Rotation
+    gyro_rotation: Rotation
+    true_gyro_rotation: Rotation
+    installation: Rotation
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.attitude)
+
+    @property
+    def pixel_arcsec(self) -> float:
+        """Angle of a pixel on the axis [arcsec]."""
+        return self.instrument.pixel_arcsec
+
+    @property
+    def field_deg(self) -> tuple[float, float]:
+        """Width and height of the field."""
+        camera = self.instrument.camera
+        half = np.array([camera.width_px, camera.height_px]) * camera.pixel_pitch_mm / 2
+        width, height = np.degrees(2 * np.arctan(half / self.instrument.focal_length_mm))
+        return float(width), float(height)
+
+    def stars(self, rows: NDArray[np.int64], direction: FloatArray) -> StarField:
+        """Stars of the sky with their own light, seen at directions (n, 3) in cam."""
+        return in_light(self.light, direction, self.sky.magnitude[rows], self.sky.temperature_k[rows])
+
+    def of_one_colour(self, direction: FloatArray, temperature_k: float) -> StarField:
+        """Stars of one colour and brightness at directions (n, 3) in cam."""
+        return in_light(self.light, direction, 5.0, temperature_k)
+
+    def in_cam(self, frame: int) -> tuple[NDArray[np.int64], FloatArray]:
+        """Rows of the stars that may fall on the detector in a frame, and their directions (n, 3) in cam."""
+        camera, turn = self.instrument.camera, self.attitude[frame].as_matrix()
+        scale = self.instrument.focal_length_mm / camera.pixel_pitch_mm
+        size, margin = np.array([camera.width_px, camera.height_px]), 0.02 * camera.width_px + 8.0
+        reach = np.arctan((np.hypot(*size) / 2 + 2 * margin) / scale)
+        near = np.flatnonzero(self.sky.direction @ turn[2] > np.cos(reach))
+        direction = self.sky.direction[near] @ turn.T
+        place = camera.centre_px + scale * direction[:, :2] / direction[:, 2:]
+        inside = np.all((place > -margin) & (place < size + margin), axis=1)
+        return near[inside], direction[inside]
+
+
+def pointing(ra_deg: float, dec_deg: float) -> Rotation:
+    """Camera that looks at (ra, dec) with north up (towards smaller rows) and, as the sky is seen, east to the left."""
+    ra, dec = np.radians([ra_deg, dec_deg])
+    boresight = np.array([np.cos(ra) * np.cos(dec), np.sin(ra) * np.cos(dec), np.sin(dec)])
+    north = np.array([-np.cos(ra) * np.sin(dec), -np.sin(ra) * np.sin(dec), np.cos(dec)])
+    return Rotation.from_matrix(np.stack([np.cross(boresight, north), -north, boresight]))
+
+
+def build_scene(name: str, config: Config, streams: Streams) -> Scene:
+    """Scene of one camera; what can be refused before rendering is refused here.
+
+    Parameters
+    ----------
+    name : str
+        "narrow" or "wide".
+    config : Config
+        Settings.
+    streams : Streams
+        Randomness of this camera.
+
+    Raises
+    ------
+    StarbenchError
+        Unknown lens or detector, glass without transmittance, window larger than the detector, a lens that does not
+        reach the corners, a field without stars.
+    """
+    from calib.attitude_link import rotation_of_angles
+    from calib.gyro_attitude import integrate_rates
+    from render.gyro import Gyro, simulate_gyro
+    from render.sky_field import star_light
+    from render.trajectory import mounted
+
+    chosen = config.cameras[name]
+    instrument = _windowed(name, chosen)
+    _check_field(name, instrument)
+    _check_light(name, instrument, config.sky)
+    path = _trajectory(config.sky, config.motion, config.frames)
+    time_s = np.arange(config.frames) / config.motion.frame_rate_hz
+    installation = rotation_of_angles(np.radians(config.gyro.installation_deg))
+    body = mounted(path, installation.inv())
+    sign = np.where(streams.generator("bias").uniform(size=3) < 0.5, -1.0, 1.0)
+    gyro = Gyro(
+        rate_hz=config.gyro.rate_hz,
+        bias_deg_per_h=config.gyro.bias_deg_per_h * sign,
+        angle_random_walk_deg_per_sqrt_h=np.full(3, config.gyro.angle_random_walk_deg_per_sqrt_h),
+    )
+    record = simulate_gyro(body, gyro, streams)
+    attitude, of_body = path.attitude(time_s), body.attitude(time_s)
+    error = streams.generator("told attitude").normal(size=(config.frames, 3))
+    error *= config.motion.attitude_error_arcmin * 60.0 * ARCSEC_RAD
+    scene = Scene(
+        name=name,
+        config=chosen,
+        instrument=instrument,
+        sky=load_sky(config.sky, chosen.faintest_mag, streams.generator("random sky")),
+        light=star_light([passband(config.sky)], nodes=config.sky.nodes, magnitude_system="G"),
+        time_s=time_s,
+        attitude=attitude,
+        told_attitude=Rotation.from_rotvec(error) * attitude,
+        gyro_rotation=integrate_rates(record.time_s, record.rate_rad_per_s, at_s=time_s),
+        true_gyro_rotation=of_body * of_body[0].inv(),
+        installation=installation,
+    )
+    _check_stars(scene)
+    return scene
+
+
+def _trajectory(sky: SkyConfig, motion: MotionConfig, frames: int) -> SampledAttitude:
+    """Camera from icrs until one interval after the last frame: constant speed, the axis turns in the camera."""
+    from render.trajectory import SampledAttitude
+
+    steps = frames * STEPS_PER_FRAME
+    end_s = frames / motion.frame_rate_hz
+    part = (np.arange(steps) + 0.5) / steps
+    turn, tilt = AXIS_TURN_DEG * DEG_RAD * part, motion.axis_deg * DEG_RAD
+    axis = np.column_stack([-np.sin(tilt) * np.sin(turn), np.sin(tilt) * np.cos(turn), np.full(steps, np.cos(tilt))])
+    attitudes = [pointing(sky.ra_deg, sky.dec_deg)]
+    for increment in Rotation.from_rotvec(-axis * (motion.rate_deg_per_s * DEG_RAD * end_s / steps)):
+        attitudes.append(increment * attitudes[-1])
+    kept = slice(None, None, STEPS_PER_FRAME // 4)
+    return SampledAttitude(
+        samples_s=np.linspace(0.0, end_s, steps + 1)[kept], attitudes=Rotation.concatenate(attitudes)[kept]
+    )
+
+
+def _windowed(name: str, config: CameraConfig) -> Instrument:
+    """Instrument whose detector and camera are cut to the window around the centre."""
+    instrument = build_instrument(config.instrument)
+    if not config.window_px:
+        return instrument
+    detector, camera, size = instrument.detector, instrument.camera, config.window_px
+    if detector.chips > 1:
+        raise DomainError(
+            f"{name}.window_px = {size} px on detector {detector.name!r} of {detector.chips} chips; windows are read "
+            f"from one chip only: set {name}.window_px = 0 or take another detector"
+        )
+    if size > min(detector.width_px, detector.height_px):
+        raise DomainError(
+            f"{name}.window_px = {size} px is more than detector {detector.name!r} has ({detector.width_px} x "
+            f"{detector.height_px} px)"
+        )
+    return replace(
+        instrument,
+        detector=replace(detector, chip_width_px=size, chip_height_px=size),
+        camera=replace(camera, width_px=size, height_px=size, centre_px=np.full(2, (size - 1) / 2)),
+    )
+
+
+def _check_field(name: str, instrument: Instrument) -> None:
+    """Refuse a detector that reaches far beyond what the lens was made for."""
+    camera = instrument.camera
+    corner_mm = np.hypot(camera.width_px, camera.height_px) * camera.pixel_pitch_mm / 2
+    corner_deg = float(np.degrees(np.arctan(corner_mm / instrument.focal_length_mm)))
+    limit = camera.lens.max_field_deg
+    if corner_deg > 1.02 * limit:
+        side = int(np.sqrt(2) * instrument.focal_length_mm * np.tan(np.radians(limit)) / camera.pixel_pitch_mm)
+        raise DomainError(
+            f"{name}: the corners of detector {instrument.detector.name!r} see {corner_deg:.1f} deg from the axis, "
+            f"lens {camera.lens.name!r} is made for {limit:g} deg; set {name}.window_px to at most {side} px, or take "
+            "another lens or detector"
+        )
+
+
+def _check_light(name: str, instrument: Instrument, sky: SkyConfig) -> None:
+    """Refuse a pass band that nothing is known about."""
+    from experiments.chromatic.checks import check_wavelengths
+
+    del name
+    check_wavelengths(instrument, [("sky.passband_nm", passband(sky))])
+
+
+def _check_stars(scene: Scene) -> None:
+    """Refuse a sequence that has next to no stars."""
+    count = np.array([len(scene.in_cam(frame)[0]) for frame in range(scene.frames)])
+    if count.mean() < FEWEST_STARS:
+        width, height = scene.field_deg
+        raise DomainError(
+            f"{scene.name}: {count.mean():.1f} stars per frame to G = {scene.config.faintest_mag:g} in the field of "
+            f"{width:.1f} x {height:.1f} deg; at least {FEWEST_STARS} are needed: raise {scene.name}.faintest_mag or "
+            "point elsewhere (sky.ra_deg, sky.dec_deg)"
+        )

@@ -1,0 +1,165 @@
+"""Temporal error of a star camera (ACC18 eq. 1-2, Fig. 5): frames of a static target, scatter against signal.
+
+A 5 x 5 point target stands still; frames are rendered, read out with noise and rounding, detected and centroided at
+several signal levels. The scatter of every star's centroid stands beside the Cramer-Rao bound and two predictions that
+use no frames: the noise model carried through each centroider's influence function, and noise drawn on PSF windows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from experiments.cli import command
+from experiments.point_settings import FRAMES_OPTION
+from experiments.progress import Progress
+from experiments.summary import Criterion
+from experiments.temporal.settings import Config
+
+if TYPE_CHECKING:
+    from experiments.point_folder import FolderResult
+    from experiments.report import Report
+    from experiments.tables import Table
+    from experiments.temporal.result import Result
+
+__all__ = ["Config", "main", "report", "run", "summary", "tables"]
+
+
+def run(config: Config, *, progress: Progress) -> Result | FolderResult:
+    """Render, read out, reduce, predict.
+
+    Parameters
+    ----------
+    config : Config
+        Settings.
+    progress : Progress
+        Where to report.
+
+    Raises
+    ------
+    StarbenchError
+        On anything the user can mend: unknown lens or detector, target off the detector, points not detected or
+        saturated, light beyond the range of the data.
+    """
+    if config.frames_folder is not None:
+        from experiments.point_folder import run_folder
+
+        return run_folder("temporal", config, progress=progress)
+    import mitsuba as mi
+
+    from experiments.instrument import build_instrument
+    from experiments.laboratory.brightness import BrightnessControl
+    from experiments.laboratory.point_scene import point_scene
+    from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
+    from experiments.point_settings import check_bench, make_bench
+    from experiments.provenance import peak_memory_mb, process_seconds
+    from experiments.temporal.result import Result, level_for
+    from render.random import Streams
+
+    instrument = build_instrument(config.instrument)
+    bench = make_bench(config, config.target)
+    direction = target_place(bench, instrument, config.place_px)
+    check_bench(bench, instrument, direction[None])
+    streams = Streams(config.seed).child("temporal")
+    brightness = config.brightness
+    control = BrightnessControl(
+        lowest_e=brightness.lowest_e,
+        highest_e=brightness.highest_e,
+        setting_error_ratio=brightness.setting_error_ratio,
+    )
+    wanted = control.levels_e(brightness.levels)
+    reached = control.reached_e(wanted, streams.generator("brightness"))
+    with progress.stage("prepare"):
+        scene = point_scene(bench, instrument, str(mi.variant()).split("_", maxsplit=1)[0])
+        psf = scene.psfs(direction)
+    with progress.stage("frames", total=len(reached) + 1) as stage:
+        measured, nominal = (
+            measure_temporal(
+                bench,
+                instrument,
+                levels_e=levels_e,
+                place_px=config.place_px,
+                subtractions=("dark", "raw"),
+                streams=root,
+                backend=scene.backend,
+                scene=scene,
+                advance=stage.advance,
+            )
+            for levels_e, root in ((reached, streams), (None, streams.child("nominal")))
+        )
+    with progress.stage("prediction"):
+        predicted = predict_temporal(
+            bench, instrument, psf=psf, levels_e=reached, place_px=config.place_px, draws=config.draws, seed=config.seed
+        )
+        at_nominal = predict_temporal(
+            bench, instrument, psf=psf, place_px=config.place_px, draws=config.draws, seed=config.seed + 1
+        )
+        levels = {method: level_for(bench, instrument, psf, config.place_px, method) for method in bench.methods}
+    return Result(
+        config=config,
+        instrument=instrument,
+        measured=measured,
+        nominal=nominal,
+        predicted=predicted,
+        predicted_nominal=at_nominal,
+        published_level_e=levels,
+        runtime_s=process_seconds(),
+        peak_memory_mb=peak_memory_mb(),
+    )
+
+
+def summary(result: Result | FolderResult) -> tuple[dict[str, Any], list[Criterion]]:
+    """What goes into ``summary.json``."""
+    from experiments.point_folder import FolderResult, outcome
+
+    if isinstance(result, FolderResult):
+        return outcome(result)
+    from experiments.temporal.evaluate import criteria, results
+
+    return results(result), criteria(result)
+
+
+def tables(result: Result | FolderResult) -> Mapping[str, Table]:
+    """Tables written beside the report."""
+    from experiments.point_folder import FolderResult
+
+    if isinstance(result, FolderResult):
+        from experiments.point_folder_report import folder_tables
+
+        return folder_tables(result)
+    from experiments.temporal.tables import all_tables
+
+    return all_tables(result)
+
+
+def report(result: Result | FolderResult) -> Report:
+    """What ``report.html`` shows."""
+    from experiments.point_folder import FolderResult
+
+    if isinstance(result, FolderResult):
+        from experiments.point_folder_report import build_report as folder_report
+
+        return folder_report(result)
+    from experiments.temporal.report import build_report
+
+    return build_report(result)
+
+
+main = command(
+    "temporal",
+    config=Config,
+    run=run,
+    report=report,
+    summary=summary,
+    tables=tables,
+    show=("temporal_error",),
+    options=FRAMES_OPTION,
+    quick={
+        "frames": 30,
+        "draws": 30,
+        "brightness.levels": 5,
+        "target.rows": 3,
+        "target.columns": 3,
+        "compare": ["tcog", "epsf"],
+    },
+)

@@ -1,0 +1,147 @@
+"""Figures of the temporal-error test."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from experiments.laboratory.temporal_error import small_sample_factor
+from experiments.plotting import INK, MARKERS, PALETTE, new_figure
+from experiments.point_settings import METHOD_NAMES
+from experiments.temporal.evaluate import ratio
+from experiments.temporal.result import PUBLISHED_ARCSEC
+
+if TYPE_CHECKING:
+    from experiments.temporal.result import Result
+
+__all__ = ["frame_cloud", "level_curves", "ratio_plot", "star_scatter", "target_frame"]
+
+
+def plain_log(axis: Any, which: str, ticks: tuple[float, ...]) -> None:
+    """Ticks of a logarithmic axis as plain numbers."""
+    side = axis.xaxis if which == "x" else axis.yaxis
+    low, high = axis.get_xlim() if which == "x" else axis.get_ylim()
+    shown = [t for t in ticks if low <= t <= high]
+    side.set_ticks(shown, [f"{t:g}" for t in shown])
+    side.set_ticks([], minor=True)
+
+
+def level_curves(result: Result) -> Figure:
+    """ACC18 Fig. 5: scatter against signal, both axes, every centroider; curves are predictions."""
+    figure, axes = new_figure(1, 2, aspect_ratio=0.52, sharey=True)
+    measured, predicted = result.measured, result.predicted
+    c4 = small_sample_factor(measured.frames)
+    for axis, letter in enumerate("xy"):
+        panel = axes[axis]
+        bound = [predicted.bound_te_arcsec(n)[axis] for n in range(len(measured.levels_e))]
+        panel.fill_between(measured.levels_e, 1e-3, bound, color="#eef0f2", linewidth=0, zorder=0)
+        panel.plot(measured.levels_e, bound, color=INK, linewidth=1.0)
+        for method, colour, marker in zip(result.config.methods, PALETTE, MARKERS, strict=False):
+            found = [measured.te_arcsec(method, n)[axis] for n in range(len(measured.levels_e))]
+            curve = [predicted.sampled_te_arcsec(method, n)[axis] for n in range(len(measured.levels_e))]
+            panel.plot(measured.levels_e, curve, color=colour, linewidth=1.1)
+            panel.plot(measured.levels_e, [f.value / c4 for f in found], marker, color=colour, markerfacecolor="white")
+        panel.axhline(PUBLISHED_ARCSEC[axis], color="#8a9099", linewidth=0.9, dashes=(5, 3))
+        panel.text(
+            measured.levels_e[-1], PUBLISHED_ARCSEC[axis] * 1.05, f"published {PUBLISHED_ARCSEC[axis]}″", ha="right"
+        )
+        panel.set(xscale="log", yscale="log", xlabel="signal [e⁻ per star and frame]", title=f"{letter}")
+        panel.set_ylim(0.75 * min(bound), None)
+        plain_log(panel, "x", (500, 1000, 2000, 5000, 10000, 20000, 50000))
+        plain_log(panel, "y", (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10))
+    axes[0].set_ylabel("temporal error, 3 σ [″]")
+    handles = [
+        Line2D([], [], color=colour, marker=marker, markerfacecolor="white", label=METHOD_NAMES[method])
+        for method, colour, marker in zip(result.config.methods, PALETTE, MARKERS, strict=False)
+    ]
+    handles.append(Line2D([], [], color=INK, linewidth=1.0, label="Cramér-Rao bound"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    return figure
+
+
+def ratio_plot(result: Result) -> Figure:
+    """Measured over predicted at every level."""
+    methods = result.config.methods
+    figure, axes = new_figure(1, 2, aspect_ratio=0.34, sharey=True)
+    offsets = np.linspace(-0.04, 0.04, len(methods)) if len(methods) > 1 else np.zeros(1)
+    for axis, letter in enumerate("xy"):
+        axes[axis].axhline(1.0, color=INK, linewidth=0.8)
+        axes[axis].axhspan(0.9, 1.1, color="#eef0f2", linewidth=0, zorder=0)
+        for method, colour, marker, offset in zip(methods, PALETTE, MARKERS, offsets, strict=False):
+            found = [
+                ratio(result.measured, result.predicted, method, n)[axis] for n in range(len(result.measured.levels_e))
+            ]
+            axes[axis].errorbar(
+                result.measured.levels_e * np.exp(offset),
+                [f.value for f in found],
+                [f.uncertainty or 0.0 for f in found],
+                fmt=marker,
+                color=colour,
+                markerfacecolor="white",
+                linewidth=0.9,
+            )
+        axes[axis].set(xscale="log", xlabel="signal [e⁻]", title=letter)
+        plain_log(axes[axis], "x", (500, 1000, 2000, 5000, 10000, 20000, 50000))
+    axes[0].set_ylabel("measured / predicted")
+    return figure
+
+
+def target_frame(result: Result) -> Figure:
+    """Windows of one frame, laid out as the target."""
+    target = result.config.target
+    stack = result.nominal.windows
+    size = stack.dn.shape[2]
+    light = (stack.dn[0].astype(float) - stack.offset_dn) / stack.gain_dn_per_e
+    mosaic = light.reshape(target.rows, target.columns, size, size)
+    gap = np.full((target.rows, target.columns, size + 1, size + 1), np.nan)
+    gap[:, :, :size, :size] = mosaic
+    image = gap.transpose(0, 2, 1, 3).reshape(target.rows * (size + 1), target.columns * (size + 1))[:-1, :-1]
+    figure, axis = new_figure(width="half", aspect_ratio=1.0)
+    axis.imshow(np.arcsinh(image / 60.0), vmin=-1.0, interpolation="nearest")
+    axis.set(xticks=[], yticks=[])
+    axis.grid(visible=False)
+    for side in axis.spines.values():
+        side.set_visible(False)
+    return figure
+
+
+def frame_cloud(result: Result) -> Figure:
+    """Centroids of all frames of all stars about their means, with the predicted 3 sigma ellipse."""
+    first = result.config.methods[0]
+    position = result.nominal.position_px[first]
+    place = (position - np.nanmean(position, axis=0)) * result.instrument.pixel_arcsec
+    figure, axis = new_figure(width="half", aspect_ratio=1.0)
+    axis.plot(*place.reshape(-1, 2).T, ".", color=PALETTE[0], markersize=1.6, alpha=0.5)
+    turn = np.linspace(0, 2 * np.pi, 181)
+    for values, colour, label in (
+        (result.predicted_nominal.sampled_te_arcsec(first), PALETTE[1], "predicted 3 σ"),
+        (result.predicted_nominal.bound_te_arcsec(), INK, "Cramér-Rao 3 σ"),
+    ):
+        axis.plot(values[0] * np.cos(turn), values[1] * np.sin(turn), color=colour, label=label)
+    reach = 1.15 * float(np.nanmax(np.abs(place)))
+    axis.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x [″]", ylabel="y [″]", aspect="equal")
+    axis.legend(loc="upper right")
+    return figure
+
+
+def star_scatter(result: Result) -> Figure:
+    """Standard deviation of every star: measured with its uncertainty, and predicted."""
+    first = result.config.methods[0]
+    sigma, expected = result.nominal.sigma_px["dark"][first][0], result.predicted_nominal.linear_px[first][0]
+    c4 = small_sample_factor(result.nominal.frames)
+    scale = 3.0 * result.instrument.pixel_arcsec
+    number = np.arange(len(sigma)) + 1
+    figure, axes = new_figure(2, 1, aspect_ratio=0.46, sharex=True)
+    for axis, letter in enumerate("xy"):
+        error = expected[:, axis] * np.sqrt(1.0 - c4**2) / c4
+        axes[axis].errorbar(
+            number, scale * sigma[:, axis] / c4, scale * error, fmt="o", color=PALETTE[0], linewidth=0.9
+        )
+        axes[axis].step(number, scale * expected[:, axis], where="mid", color=PALETTE[1])
+        axes[axis].set_ylabel(f"{letter}, 3 σ [″]")
+    axes[1].set_xlabel("star")
+    axes[0].set_title("points: measured; line: predicted by the influence function")
+    return figure

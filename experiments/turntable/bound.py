@@ -1,0 +1,316 @@
+"""Cramer-Rao bound of the joint calibration, from first principles: what the data can tell, whatever the estimator.
+
+Independent of the estimator in `calib`: the readings' noise is carried to the images and the information summed there,
+with derivatives of the table and of the star of its own. Only the camera's derivatives are shared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.attitude_link import angles_of_rotation, increment_per_angle
+from calib.cameras import BrownConrady, SensorGeometry
+from calib.cameras.base import CameraModel
+from calib.line_of_sight import line_of_sight_map
+from experiments.laboratory.collimator import star_angles_deg
+from experiments.laboratory.turntable import build_turntable
+from experiments.turntable.bench import Bench, aim, angle_effect, lean_effect
+from optics.errors import DomainError
+from optics.units import ARCSEC_RAD, DEG_RAD, RAD_ARCSEC
+
+__all__ = [
+    "Bound",
+    "FieldPoint",
+    "bound",
+    "closed_form_px",
+    "field_sweep",
+    "knowledge",
+    "noise_shares",
+    "reading_covariance_px2",
+]
+
+FloatArray = NDArray[np.float64]
+
+SWEEP_PX, SWEEP_PITCH_MM = 2048, 0.0055
+SWEEP_SIDE = 13
+"""Cameras of the field sweep: pixels along each side, their pitch, places along each side."""
+WORST_CONDITION = 1e14
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bound:
+    """The bound at one truth.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Unknowns as `calib.turntable` names them: camera parameters, star, installation, leans.
+    covariance : (q, q)
+        Of the unknowns; rows of camera parameters that are held are zero.
+    alone : (q,)
+        Standard deviations if all other unknowns were known.
+    condition : float
+        Of the information matrix scaled to a unit diagonal.
+    map_sigma_arcsec : float
+        RMS length of the line-of-sight error over the map, after the best rotation.
+    """
+
+    names: tuple[str, ...]
+    covariance: FloatArray
+    alone: FloatArray
+    condition: float
+    map_sigma_arcsec: float
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Standard deviations (q,)."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+    def of(self, name: str) -> float:
+        """Standard deviation of one unknown."""
+        return float(self.sigma[self.names.index(name)])
+
+    def inflation(self, name: str) -> float:
+        """How many times worse an unknown is known because the others are not known either."""
+        return self.of(name) / float(self.alone[self.names.index(name)])
+
+
+def reading_covariance_px2(model: CameraModel, bench: Bench, angle_rad: FloatArray) -> FloatArray:
+    """What the reading noise of the table amounts to on the detector, (n, 2, 2) [px^2]."""
+    by_direction = model.project_jacobian(bench.seen(angle_rad)).by_direction
+    shift = by_direction @ np.swapaxes(angle_effect(bench, angle_rad), 1, 2)
+    sigma = bench.table.reading_noise_arcsec * ARCSEC_RAD
+    return np.asarray((shift * sigma**2) @ np.swapaxes(shift, 1, 2))
+
+
+def design(model: CameraModel, bench: Bench, angle_rad: FloatArray, *, leans: bool) -> FloatArray:
+    """Derivatives (n, 2, q) of the image by all unknowns."""
+    direction = bench.seen(angle_rad)
+    projection = model.project_jacobian(direction)
+    (azimuth, elevation), theta = star_angles_deg(bench.star) * DEG_RAD, angles_of_rotation(bench.installation)
+    across = np.array(  # derivatives of the star's direction by azimuth and elevation
+        [
+            [np.cos(azimuth) * np.cos(elevation), 0.0, -np.sin(azimuth) * np.cos(elevation)],
+            [-np.sin(azimuth) * np.sin(elevation), np.cos(elevation), -np.cos(azimuth) * np.sin(elevation)],
+        ]
+    )
+    turns = increment_per_angle(theta).T  # rotation vectors in cam, per angle of the installation
+    to_cam = bench.installation.as_matrix() @ np.swapaxes(bench.table.rotation(angle_rad).as_matrix(), 1, 2)
+    moves = [np.swapaxes(to_cam @ across.T, 1, 2), np.cross(turns[None], direction[:, None])]
+    if leans:
+        moves.append(lean_effect(bench, angle_rad))
+    by_pose = projection.by_direction @ np.swapaxes(np.concatenate(moves, axis=1), 1, 2)
+    return np.concatenate([projection.by_parameter, by_pose], axis=2)
+
+
+def bound(
+    model: CameraModel,
+    bench: Bench,
+    angle_rad: FloatArray,
+    covariance_px2: FloatArray,
+    map_direction: FloatArray,
+    *,
+    leans: bool,
+    star: bool = True,
+    free: Sequence[str] | None = None,
+) -> Bound:
+    """Smallest covariance of all unknowns together.
+
+    Parameters
+    ----------
+    model : CameraModel
+        The camera, at the truth.
+    bench : Bench
+        The bench, at the truth.
+    angle_rad : (n, k)
+        Angles of the table.
+    covariance_px2 : (n, 2, 2)
+        Of the measured images, whatever the cause.
+    map_direction : (m, 3)
+        Where in cam the line of sight is judged.
+    leans : bool
+        Whether the non-orthogonality of the axes is an unknown too.
+    star : bool
+        Whether the direction of the star is unknown.
+    free : sequence of str, optional
+        Camera parameters that are unknown; all of them by default.
+
+    Raises
+    ------
+    DomainError
+        If the places do not determine the unknowns.
+    """
+    columns = design(model, bench, angle_rad, leans=leans)
+    names = (
+        *model.parameter_names,
+        *("star_azimuth_rad", "star_elevation_rad", "theta1_rad", "theta2_rad", "theta3_rad"),
+        *(f"lean{i + 1}_rad" for i in range(len(bench.table.axis) - 1) if leans),
+    )
+    fixed = set() if free is None else set(model.parameter_names) - set(free)
+    use = np.array([i for i, name in enumerate(names) if name not in fixed and (star or not name.startswith("star"))])
+    if 2 * len(columns) < len(use):
+        raise DomainError(
+            f"{len(columns)} places give {2 * len(columns)} measurements for {len(use)} unknowns; more are needed"
+        )
+    rows = columns[:, :, use]
+    information = np.einsum("nia,nij,njb->ab", rows, np.linalg.inv(covariance_px2), rows)
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+    scaled = information * np.outer(scale, scale)
+    condition = float(np.linalg.cond(scaled))
+    if not condition < WORST_CONDITION:
+        raise DomainError(
+            f"the places visited do not determine the unknowns (condition {condition:.1e}); visit more of the "
+            "detector, or hold parameters"
+        )
+    covariance = np.zeros((len(names), len(names)))
+    covariance[np.ix_(use, use)] = np.linalg.inv(scaled) * np.outer(scale, scale)
+    alone = np.zeros(len(names))
+    alone[use] = scale
+    count = len(model.parameter_names)
+    judged = line_of_sight_map(
+        model, map_direction.copy(), model.project(map_direction), covariance=covariance[:count, :count]
+    )
+    return Bound(
+        names=names,
+        covariance=covariance,
+        alone=alone,
+        condition=condition,
+        map_sigma_arcsec=judged.predicted_rms_arcsec,
+    )
+
+
+def knowledge(
+    model: CameraModel,
+    bench: Bench,
+    angle_rad: FloatArray,
+    covariance_px2: FloatArray,
+    map_direction: FloatArray,
+) -> dict[str, Bound]:
+    """What it would be worth to know more: bounds of the joint calibration with something of it known."""
+    centred = [name for name in model.parameter_names if not name.startswith(("p1", "p2"))]
+    return {
+        label: bound(model, bench, angle_rad, covariance_px2, map_direction, leans=leans, star=star, free=free)
+        for label, leans, star, free in (
+            ("nothing more", True, True, None),
+            ("the axes' angles", False, True, None),
+            ("the star's direction", True, False, None),
+            ("star and axes", False, False, None),
+            ("no tangential distortion", True, True, centred),
+        )
+    }
+
+
+def noise_shares(
+    model: CameraModel,
+    bench: Bench,
+    angle_rad: FloatArray,
+    centroid_px2: FloatArray,
+    map_direction: FloatArray,
+) -> dict[str, float]:
+    """How much of the map error each cause of noise makes, leans unknown [arcsec, RMS length]; squares add up.
+
+    The best estimator weighs all noise together, theta = (J^T W J)^-1 J^T W y; each cause is carried through it.
+    """
+    shares = {}
+    parts = {"centroids": centroid_px2}
+    for i, name in enumerate(bench.table.axis_names):
+        only = np.where(np.arange(len(bench.table.axis)) == i, bench.table.reading_noise_arcsec, 0.0)
+        quiet = replace(bench, table=replace(bench.table, reading_noise_arcsec=only))
+        parts[f"readings, {name} axis"] = reading_covariance_px2(model, quiet, angle_rad)
+    total = sum(parts.values(), np.zeros_like(centroid_px2))
+    rows = design(model, bench, angle_rad, leans=True)
+    weighted = np.linalg.inv(total) @ rows
+    information = np.einsum("nia,nib->ab", rows, weighted)
+    scale = 1.0 / np.sqrt(np.diagonal(information))
+    inverse = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+    count = len(model.parameter_names)
+    pixel = model.project(map_direction)
+    for name, part in parts.items():
+        covariance = inverse @ np.einsum("nia,nij,njb->ab", weighted, part, weighted) @ inverse
+        line = line_of_sight_map(model, map_direction.copy(), pixel, covariance=covariance[:count, :count])
+        shares[name] = float(line.predicted_rms_arcsec)
+    return shares
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FieldPoint:
+    """The bound for a camera of one field of view.
+
+    Attributes
+    ----------
+    field_deg : float
+        Full width.
+    full : Bound
+        All unknowns, two-axis table.
+    rolled : Bound
+        All unknowns, three-axis table, the camera rolled by quarter turns from place to place.
+    plain : Bound
+        Principal point, focal length and installation alone, two-axis table.
+    arcsec_per_px : float
+        On the axis.
+    """
+
+    field_deg: float
+    full: Bound
+    rolled: Bound
+    plain: Bound
+    arcsec_per_px: float
+
+
+def field_sweep(fields_deg: Sequence[float], sigma_px: float) -> list[FieldPoint]:
+    """Bounds for ideal cameras of 2048 x 2048 pixels, 13 x 13 places, on perfect tables.
+
+    Parameters
+    ----------
+    fields_deg : sequence of float
+        Full widths of the field [deg].
+    sigma_px : float
+        Error of an image, per axis.
+    """
+    geometry = SensorGeometry(width_px=SWEEP_PX, height_px=SWEEP_PX, pixel_pitch_mm=SWEEP_PITCH_MM)
+    points = []
+    for field in fields_deg:
+        focal = SWEEP_PX * SWEEP_PITCH_MM / 2 / np.tan(np.radians(field) / 2)
+        model = BrownConrady.create(geometry, focal_length_mm=float(focal))
+        points.append(
+            FieldPoint(
+                field_deg=float(field),
+                full=_ideal(model, "xy", sigma_px),
+                rolled=_ideal(model, "xyz", sigma_px),
+                plain=_ideal(model, "xy", sigma_px, star=False, free=("x0_px", "y0_px", "focal_length_mm")),
+                arcsec_per_px=float(SWEEP_PITCH_MM / focal * RAD_ARCSEC),
+            )
+        )
+    return points
+
+
+def _ideal(
+    model: CameraModel, axes: str, sigma_px: float, *, star: bool = True, free: Sequence[str] | None = None
+) -> Bound:
+    """Bound of one ideal camera on a perfect table; a third axis makes quarter turns."""
+    bench = Bench(table=build_turntable(axes), star=np.array([0.0, 0.0, 1.0]), installation=Rotation.identity())
+    direction = model.unproject(model.geometry.grid_px(SWEEP_SIDE))
+    angle = aim(bench, direction, np.asarray(np.arange(len(direction)) % 4 * (np.pi / 2), np.float64))
+    covariance = np.broadcast_to(np.eye(2) * sigma_px**2, (len(direction), 2, 2))
+    return bound(model, bench, angle, covariance, direction, leans=False, free=free, star=star)
+
+
+def closed_form_px(field_deg: float, sigma_px: float) -> float:
+    r"""Error of the principal point of an undistorted camera, star direction known, for small fields [px].
+
+    A shift of the principal point moves every image by (1, 0); a turn of the installation moves it by
+    (1 + t_x^2, t_x t_y) with t the tangents of the field angles. What tells them apart is (t_x^2, t_x t_y) minus its
+    mean, whose mean square over a square grid is the mean of t^4, because the mean of t_x^2 t_y^2 is the square of
+    that of t^2:
+
+    .. math:: \sigma_{x_0} = \sigma / \sqrt{n \langle t^4 \rangle}
+    """
+    side = SWEEP_SIDE
+    tangent = np.tan(np.radians(field_deg) / 2) * (SWEEP_PX - 1) / SWEEP_PX
+    fourth = tangent**4 * (side + 1) * (3 * side**2 - 7) / (15 * (side - 1) ** 3)
+    return float(sigma_px / np.sqrt(side**2 * fourth))

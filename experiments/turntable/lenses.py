@@ -1,0 +1,96 @@
+"""How well the camera model can describe a lens at all: fitted to noise-free rays, no table, no noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from calib.free_attitude import calibrate_free_attitude
+from calib.line_of_sight import line_of_sight_map
+from calib.observations import Observations
+from experiments.instrument import Instrument, build_instrument
+from experiments.settings import InstrumentConfig
+from experiments.turntable.measure import TracedMap, traced_map
+from experiments.turntable.reduce import start_model
+from experiments.turntable.settings import Config
+from optics.perturb import decentre
+
+__all__ = ["LensPoint", "lens_points"]
+
+DECENTRE_MM = 0.1
+MODEL_SIGMA_PX = 1e-3
+"""Weight of the rays; the same for all, so that it does not matter."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LensPoint:
+    """What Brown-Conrady leaves of a traced lens.
+
+    Attributes
+    ----------
+    label : str
+        Which lens.
+    field_deg : float
+        Full field along the diagonal.
+    rms_arcsec, max_arcsec : float
+        Line-of-sight error of the best fit over the detector, length.
+    max_px : float
+        The largest one on the detector, on the axis's scale.
+    """
+
+    label: str
+    field_deg: float
+    rms_arcsec: float
+    max_arcsec: float
+    max_px: float
+
+
+def lens_points(mi: Any, config: Config, instrument: Instrument, traced: TracedMap) -> list[LensPoint]:
+    """The lens as it is, with its first element decentred, and a wide lens.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with an active variant.
+    config : Config
+        Settings.
+    instrument : Instrument
+        The camera under test.
+    traced : TracedMap
+        Its truth.
+    """
+    lens = instrument.camera.lens
+    element = lens.elements[0]
+    moved = replace(
+        instrument, camera=replace(instrument.camera, lens=decentre(lens, element, DECENTRE_MM / 2, DECENTRE_MM))
+    )
+    points = [_point(f"{lens.name}, as designed", instrument, traced)]
+    label = f"{lens.name}, {element} decentred by {1e3 * DECENTRE_MM * np.hypot(0.5, 1.0):.0f} µm"
+    points.append(_point(label, moved, traced_map(mi, config, moved)))
+    wide = build_instrument(InstrumentConfig(lens="star_tracker_26mm", detector="cmv4000", defocus_mm=0.0))
+    points.append(_point(f"{wide.camera.lens.name}, as designed", wide, traced_map(mi, config, wide)))
+    return points
+
+
+def _point(label: str, instrument: Instrument, traced: TracedMap) -> LensPoint:
+    count = len(traced.pixel_px)
+    camera = instrument.camera
+    inside = np.all((traced.pixel_px > -1) & (traced.pixel_px < (camera.width_px, camera.height_px)), axis=1)
+    observations = Observations.isotropic(
+        pixel_px=traced.pixel_px[inside],
+        direction=traced.direction[inside],
+        frame=np.zeros(count, np.int64)[inside],
+        sigma_px=MODEL_SIGMA_PX,
+    )
+    found = calibrate_free_attitude(observations, start_model(instrument, None))
+    line = line_of_sight_map(found.model, np.array(traced.direction[inside]), traced.pixel_px[inside])
+    cosine = float((traced.direction[inside] @ traced.direction[inside].T).min())
+    return LensPoint(
+        label=label,
+        field_deg=float(np.degrees(np.arccos(cosine))),
+        rms_arcsec=line.rms_arcsec,
+        max_arcsec=line.max_arcsec,
+        max_px=line.max_arcsec / instrument.pixel_arcsec,
+    )

@@ -1,0 +1,211 @@
+"""Predictions of the attitude-correlated-frames experiment: derivatives, closed forms, limits, sampled statistics."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.attitude_link import link_attitudes
+from calib.line_of_sight import line_of_sight_map
+from experiments.acf.predict import (
+    Design,
+    GyroError,
+    correlated,
+    free,
+    linked,
+    reprojection,
+    sight_arcsec,
+    sight_operator,
+)
+from experiments.acf.settings import Config, SweepConfig
+from experiments.acf.simulate import build_scene, choose_frames, draw_stars, gyro_rotations
+from optics.units import DEG_RAD
+from render.random import Streams
+
+CONFIG = Config(frames=12, sweep=SweepConfig(stars=(4, 8)))
+SIGMA = 0.1
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return build_scene(CONFIG)
+
+
+@pytest.fixture(scope="module")
+def stars(scene):
+    return draw_stars(scene, Streams(1), 0, mean=20.0)
+
+
+@pytest.fixture(scope="module")
+def design(scene, stars):
+    return Design.at(scene.camera, scene.attitude, scene.installation, stars.direction, stars.frame)
+
+
+def gyro_error(scene, bias=0.3, walk=0.05):
+    return GyroError.of(
+        scene.time_s, scene.swept, bias_rad_per_s=bias * DEG_RAD / 3600, walk_rad_per_sqrt_s=walk * DEG_RAD / 60
+    )
+
+
+def seen_at(scene, stars, camera, first, installation, body):
+    attitude = link_attitudes(first, installation, body).as_matrix()
+    return camera.project(np.einsum("nij,nj->ni", attitude[stars.frame], stars.direction))
+
+
+def test_derivatives_by_the_unknowns(scene, stars, design):
+    """Against central differences of the projection through eq. 6."""
+    camera, step = scene.camera, 1e-6
+    found = design.by_unknown()
+    for k in range(14):
+        moved = []
+        for sign in (1, -1):
+            parameters, turn = camera.parameters.copy(), np.zeros(6)
+            if k < 8:
+                parameters[k] += sign * step * camera.parameter_scales[k]
+            else:
+                turn[k - 8] = sign * step
+            moved.append(
+                seen_at(
+                    scene,
+                    stars,
+                    camera.with_parameters(parameters),
+                    Rotation.from_rotvec(turn[:3]) * scene.attitude[0],
+                    Rotation.from_rotvec(turn[3:]) * scene.installation,
+                    scene.body,
+                )
+            )
+        size = camera.parameter_scales[k] if k < 8 else 1.0
+        difference = ((moved[0] - moved[1]) / (2 * step * size)).ravel()
+        assert np.abs(found[:, k] - difference).max() < 1e-5 * np.abs(difference).max()
+
+
+def test_derivatives_by_the_gyro(scene, stars, design):
+    """A drift e of the first body's axes since the first frame: measured body = truth exp(-e)."""
+    found = design.by_drift()
+    for axis in range(3):
+        drift = np.zeros((CONFIG.frames, 3))
+        drift[:, axis] = 1e-6
+        moved = [
+            seen_at(
+                scene,
+                stars,
+                scene.camera,
+                scene.attitude[0],
+                scene.installation,
+                scene.body * Rotation.from_rotvec(-sign * drift),
+            )
+            for sign in (1, -1)
+        ]
+        difference = ((moved[0] - moved[1]) / 2e-6).ravel()
+        assert np.abs(found[:, axis] - difference).max() < 1e-5 * np.abs(difference).max()
+
+
+def test_reprojection_of_the_same_frames_is_the_closed_form(design):
+    """tr[H (H'H)^-1 H'] = 14: with a perfect gyro n stars give sigma sqrt(14 / n) whatever the design."""
+    found = reprojection(design, design, SIGMA)
+    assert found.total_px == pytest.approx(SIGMA * np.sqrt(14 / len(design.frame)), rel=1e-9)
+    # the square is sigma^2 / n times chi^2 of 14: mean of chi_14 / sqrt(14), variance of chi^2 = 28
+    assert found.mean_px / found.total_px == pytest.approx(0.98230, abs=3e-4)
+    assert found.scatter_px / found.total_px == pytest.approx(np.sqrt(1 / 28), rel=1e-6)
+
+
+def test_reprojection_with_gyro_against_drawn_errors(scene, design):
+    """3000 drawings of star noise, bias signs and walk through the linear adjustment.
+
+    The mean of the RMS lengths is known to scatter / sqrt(3000), their standard deviation to 1 / sqrt(6000) = 1.3 %;
+    four of these, and 1 % for the second-order formula of the mean.
+    """
+    odd, even = (design.select(design.frame % 2 == k) for k in (0, 1))
+    error = gyro_error(scene)
+    rng = np.random.default_rng(3)
+    h, ahead = odd.by_unknown(), even.by_unknown()
+    scale = np.linalg.norm(h, axis=0)
+    solve = np.linalg.pinv(h / scale)
+
+    def shift(some, drift):  # (draws, 2 n) of drifts (draws, 3 f)
+        by_star = drift.reshape(len(drift), -1, 3)[:, np.repeat(some.frame, 2)]
+        return np.einsum("ij,dij->di", some.by_drift(), by_star)
+
+    drift = rng.choice([-1.0, 1.0], (3000, 3)) @ error.steady.T
+    drift += rng.standard_normal((3000, error.walk.shape[1])) @ error.walk.T
+    noise = SIGMA * rng.standard_normal((3000, len(h)))
+    unknown = (noise - shift(odd, drift)) @ solve.T
+    away = unknown @ (ahead / scale).T + shift(even, drift)
+    length = np.sqrt((away**2).sum(1) / len(even.frame))
+    found = reprojection(odd, even, SIGMA, error)
+    assert length.mean() == pytest.approx(
+        found.mean_px, abs=4 * found.scatter_px / np.sqrt(3000) + 0.01 * found.mean_px
+    )
+    # the formula is of first order; the gyro's few sources make the law skew
+    assert length.std() == pytest.approx(found.scatter_px, rel=4 / np.sqrt(6000) + 0.05)
+    assert (away[:, ::2] ** 2).sum(1).mean() / len(even.frame) == pytest.approx(found.axis_px[0] ** 2, rel=0.06)
+
+
+def test_limits_of_the_weighted_gyro(scene, design):
+    """A perfect gyro gives ACC, a useless one free attitudes; in between the bound is in between."""
+    perfect = np.diag(correlated(design, SIGMA))[:8]
+    alone = np.diag(free(design, SIGMA))
+    assert np.diag(linked(design, SIGMA, gyro_error(scene, 0.0, 0.0)))[:8] == pytest.approx(perfect, rel=1e-9)
+    assert np.diag(linked(design, SIGMA, gyro_error(scene, 0.0, 1e4)))[:8] == pytest.approx(alone, rel=1e-3)
+    between = np.diag(linked(design, SIGMA, gyro_error(scene)))[:8]
+    assert np.all(perfect < between)
+    assert np.all(between < alone)
+
+
+def test_trusting_a_gyro_is_never_better_than_weighting_it(scene, design):
+    for factor in (0.1, 1.0, 10.0):
+        error = gyro_error(scene, 0.3 * factor, 0.05 * factor)
+        assert np.all(np.diag(correlated(design, SIGMA, error)) >= np.diag(linked(design, SIGMA, error)) * (1 - 1e-9))
+
+
+def test_lonely_stars_tell_nothing_of_the_camera(design):
+    """A frame of one star has two measurements and three unknowns."""
+    everything = free(design, SIGMA)
+    keep = design.frame != 5
+    lonely = keep.copy()
+    lonely[np.flatnonzero(~keep)[0]] = True
+    without = np.diag(free(design.select(keep), SIGMA))
+    assert np.diag(free(design.select(lonely), SIGMA)) == pytest.approx(without, rel=1e-9)
+    assert np.all(np.diag(everything) < without)
+
+
+def test_covariance_of_the_gyro_against_the_simulated_one():
+    """500 gyro records integrated; every variance is known to sqrt(2 / 500) = 6.3 %, every covariance likewise."""
+    config = CONFIG
+    scene = build_scene(config)
+    noise = (3.0, 0.05)
+    found = gyro_rotations(scene, config, Streams(4).child("gyro"), range(500), noise)
+    # measured = truth exp(-e), e in the axes of the body at the first frame
+    drift = np.stack([-(scene.body.inv() * one).as_rotvec() for one in found]).reshape(500, -1)
+    expected = gyro_error(scene, *noise).covariance
+    assert np.abs(drift[:, :3]).max() < 1e-12  # no error at the first frame
+    measured, expected = (drift.T @ drift / 500)[3:, 3:], expected[3:, 3:]
+    size = np.sqrt(np.diag(expected))
+    away = (measured - expected) / np.outer(size, size)
+    assert np.abs(np.diag(away)).max() < 4.0 * np.sqrt(2 / 500)
+    assert np.abs(away).max() < 4.5 * np.sqrt(2 / 500)
+
+
+def test_line_of_sight_operator_against_the_map(scene):
+    """Linear in small changes of the parameters; the map removes its rotation by Kabsch's method."""
+    camera = scene.camera
+    operator = sight_operator(camera, 9)
+    pixel = camera.geometry.grid_px(9)
+    truth = camera.unproject(pixel)
+    rng = np.random.default_rng(5)
+    for _ in range(3):
+        change = 0.01 * rng.standard_normal(8) * camera.parameter_scales
+        found = line_of_sight_map(camera.with_parameters(camera.parameters + change), truth, pixel)
+        expected = np.sqrt(((operator @ change) ** 2).sum() / len(pixel))
+        assert expected == pytest.approx(found.rms_arcsec, rel=2e-3)
+    covariance = np.diag((0.01 * camera.parameter_scales) ** 2)
+    drawn = rng.standard_normal((4000, 8)) * 0.01 * camera.parameter_scales
+    mean_square = ((drawn @ operator.T) ** 2).sum(1).mean() / len(pixel)
+    assert sight_arcsec(operator, covariance) == pytest.approx(np.sqrt(mean_square), rel=4 / np.sqrt(2 * 4000) * 1.5)
+
+
+def test_frames_are_chosen_as_the_document_counts_them(scene, stars):
+    """Frames 1, 3, 5 ... calibrate."""
+    used, kept = choose_frames(stars, scene, "odd")
+    assert kept.tolist() == [0, 2, 4, 6, 8, 10]
+    assert np.array_equal(used, stars.frame % 2 == 0)
+    assert choose_frames(stars, scene, "all")[0].all()

@@ -1,0 +1,230 @@
+"""Whatever a user can get wrong in the chromatic test: one clear line, exit code 2, nothing written."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from experiments.chromatic.experiment import main
+from optics.prescription import load_lens
+
+ROOT = Path(__file__).parents[3]
+LENS = ROOT / "optics" / "data" / "lenses" / "star_camera_206mm.toml"
+
+
+@pytest.fixture
+def refused(tmp_path, monkeypatch, capsys):
+    """Runs the command in an empty folder; gives the one line it says."""
+    monkeypatch.chdir(tmp_path)
+    before = sorted(path.name for path in tmp_path.iterdir())
+
+    def run(*arguments, within_s=5.0):
+        present = sorted(path.name for path in tmp_path.iterdir())
+        start = time.perf_counter()
+        assert main(["--quick", *arguments]) == 2
+        assert time.perf_counter() - start < within_s
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert said.err.startswith("error: ")
+        assert said.err.count("\n") == 1
+        assert sorted(path.name for path in tmp_path.iterdir()) == present
+        return said.err
+
+    assert before == []
+    return run
+
+
+SETTINGS = [
+    # key and value, what the line has to say
+    ("framse=3", "unknown key 'framse'; did you mean 'frames'?"),
+    ("instrument.lense=a", "unknown key 'instrument.lense'; did you mean 'lens'?"),
+    ("filters.centre_nm=[500,600]", "did you mean 'centres_nm'?"),
+    ("instrument.lens=star_camera_206", "unknown lens 'star_camera_206'; did you mean star_camera_206mm"),
+    ("instrument.lens=absent.toml", "absent.toml: no such file"),
+    ("instrument.detector=acc18_mosiac", "did you mean acc18_mosaic?"),
+    ("instrument.detector=absent.toml", "absent.toml: no such file"),
+    ("decentre.element=L9", "unknown element 'L9'; did you mean L"),
+    ("decentre.pair=800-500", "unknown decentre.pair '800-500'; did you mean 800-600"),
+    ("centroid=epfs", "'epsf'"),
+    ('compare=["cogg"]', "'cog'"),
+    ("filters.centres_nm=[350,600,800]", "'350 nm' passes 295 ... 405 nm; .* 400 ... 1000 nm"),
+    ("filters.centres_nm=[500,600,1100]", "'1100 nm' passes 1045 ... 1155 nm; .* 400 ... 1000 nm"),
+    ("filters.centres_nm=[0,600,800]", "reaches below 0 nm"),
+    ("filters.centres_nm=[600]", "at least 2 items"),
+    ("filters.centres_nm=[600,600,800]", "a centre is given twice"),
+    ("filters.reference_nm=700", "filters.reference_nm = 700: it is none of centres_nm = .500.0, 600.0, 800.0"),
+    ("filters.width_nm=0", "above 0 and at most 400"),
+    ("filters.edge_nm=101", "at least 0 and at most 100"),
+    ("filters.width_nm=4", "edge 10 nm is outside 0 ... 4 nm"),
+    ("frames=0", "frames = 0: .*at least 2"),
+    ("frames=1", "frames = 1: .*at least 2"),
+    ("frames=-3", "frames = -3: .*at least 2"),
+    ("frames=2.5", "frames = 2.5: .*integer"),
+    ("dark_frames=1", "dark_frames = 1: .*at least 2"),
+    ("window_px=5", "window_px = 5: .*at least 7 and at most 63"),
+    ("window_px=14", "window_px = 14: an odd number"),
+    ("target.rows=0", "target.rows = 0: .*at least 1"),
+    ("target.pitch_px=3", "target.pitch_px = 3 px: at least window_px = 13 px"),
+    ("target.pitch_px=1500", "3 x 3 points, 1500 px apart .* does not fit on 4096 x 2048 px"),
+    ("target.pitch_px=nan", "target.pitch_px = nan: .*finite"),
+    ("target.edge_px=1200", "1200 px from the edge, does not fit on 4096 x 2048 px"),
+    ("target.edge_px=5", "target.edge_px = 5 px: at least 7 px"),
+    ("target.edge_px=-1", "target.edge_px = -1: .*at least 0"),
+    ("signal_e=nan", "signal_e = nan: .*finite"),
+    ("signal_e=-1", "signal_e = -1: .*above 0"),
+    ("signal_e=inf", "signal_e = inf: .*finite"),
+    ("lamp_k=nan", "lamp_k = nan: .*finite"),
+    ("lamp_k=-3000", "lamp_k = -3000: .*at least 1000"),
+    ("instrument.defocus_mm=nan", "instrument.defocus_mm = nan: .*finite"),
+    ("instrument.defocus_mm=5", "instrument.defocus_mm = 5: .*at least -1 and at most 1"),
+    ("instrument.defocus_mm=1", "RMS radius of 22.7 px, .*window_px = 13 is too small .*instrument.defocus_mm"),
+    ("instrument.defocus_mm=-0.3", "RMS radius of 7.4 px, .*window_px = 13 is too small .*instrument.defocus_mm"),
+    ("instrument.exposure_s=-1", "instrument.exposure_s = -1: .*above 0"),
+    ("instrument.chip_temperature_c=-300", "at least -100 and at most 80"),
+    ("instrument.coating_nm=-5", "at least 0 and at most 2000"),
+    ("instrument.coating_nm=1", "MgF2: wavelength 1 nm is outside 200 ... 7000 nm"),
+    ("decentre.wanted_px=nan", "decentre.wanted_px = nan: .*finite"),
+    ("decentre.axis=z", "'x' or 'y'"),
+    ("stars.temperatures_k=[nan,3000]", "stars.temperatures_k.0 = nan: .*finite"),
+    ("stars.temperatures_k=[-5,3000]", "-5 K is outside 1000 ... 100000 K"),
+    ("stars.reference_k=nan", "stars.reference_k = nan: .*finite"),
+    ("stars.passband_nm=[900,450]", "two increasing wavelengths"),
+    ("stars.passband_nm=[300,900]", "passes 290 ... 910 nm; .* 400 ... 1000 nm"),
+    ("stars.passband_nm=[450,1200]", "passes 440 ... 1210 nm; .* 400 ... 1000 nm"),
+    ("stars.edge_nm=-1", "at least 0"),
+    ("stars.edge_nm=1000", "edge 1000 nm is outside 0 ... 450 nm"),
+    ("stars.grid=1", "at least 2 and at most 20"),
+    ("frames", "key=value"),
+]
+
+
+@pytest.mark.parametrize(("setting", "expected"), SETTINGS, ids=[setting for setting, _ in SETTINGS])
+def test_wrong_setting(refused, setting, expected):
+    said = refused("--set", setting)
+    assert re.search(expected, said), said
+
+
+def test_configuration_files(refused, tmp_path):
+    assert "absent.toml: no such file" in refused("--config", "absent.toml")
+    (tmp_path / "broken.toml").write_text("frames = = 3\n")
+    assert "broken.toml: not valid TOML (Invalid value (at line 1, column 10))" in refused("--config", "broken.toml")
+    (tmp_path / "wrong.toml").write_text("[target]\nrows = 3\ncollumns = 3\n")
+    assert "unknown key 'target.collumns'; did you mean 'columns'?" in refused("--config", "wrong.toml")
+    assert "Is a directory" in refused("--config", ".")
+
+
+def test_lens_and_detector_files_of_another_kind(refused, tmp_path):
+    (tmp_path / "other.toml").write_text("frames = 3\n")
+    assert "other.toml: key 'surface' is missing" in refused("--set", "instrument.lens=other.toml")
+    assert "other.toml: key 'quantum_efficiency' is missing" in refused("--set", "instrument.detector=other.toml")
+
+
+def test_lens_whose_rays_all_fail(refused, tmp_path):
+    text = re.sub(r"semi_diameter_mm\s*=\s*[\d.]+", "semi_diameter_mm = 0.001", LENS.read_text(encoding="utf-8"))
+    (tmp_path / "blind.toml").write_text(text, encoding="utf-8")
+    assert load_lens(tmp_path / "blind.toml").surfaces[0].semi_diameter_mm == 0.001
+    assert re.search(r"no ray of any field|no light of 36 of 36", refused("--set", "instrument.lens=blind.toml"))
+
+
+def test_lens_that_is_not_centred(refused, tmp_path):
+    """The reference of the test is a centred lens; the element that moves is the test's own business."""
+    text = LENS.read_text(encoding="utf-8")
+    head, part, tail = text.rpartition("[[surface]]")
+    (tmp_path / "tilted.toml").write_text(f"{head}{part}\ntilt_deg = [0.1, 0.0]{tail}", encoding="utf-8")
+    assert "paraxial quantities exist for centred lenses only" in refused("--set", "instrument.lens=tilted.toml")
+
+
+def test_target_beyond_the_field_of_the_lens(refused):
+    said = refused("--set", "instrument.lens=star_tracker_26mm")
+    assert re.search(r"reaches \d+\.\d+ deg .* field of 16.5 deg", said)
+
+
+def test_output_folder(refused, tmp_path):
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "chapter.txt").write_text("all of it")
+    (tmp_path / "file").touch()
+    assert "holds chapter.txt" in refused("--out", "thesis")
+    assert "is a file" in refused("--out", "file")
+    assert "cannot be written" in refused("--out", "file/below")
+    assert "current folder" in refused("--out", ".")
+    assert (tmp_path / "thesis" / "chapter.txt").read_text() == "all of it"
+
+
+def test_options(refused):
+    assert "-1" in refused("--seed", "-1")
+    assert "'auto', 'llvm', 'cuda'" in refused("--backend", "gpu")
+    assert "surplus" in refused("surplus")
+
+
+SLOW = [
+    ("signal_e=10", "no target point was detected at the upper left position; raise signal_e .10 e-."),
+    ("signal_e=300", r"target points not detected: \d of 9 .*raise signal_e .300 e-."),
+    ("signal_e=1e5", "saturated behind filter 500 nm at the upper left position; lower signal_e .100000 e-."),
+    ("instrument.exposure_s=1000", "lower the dark current .1000 s at 0 C."),
+    ("decentre.wanted_px=50", "no decentre of any element up to 3 mm gives .*decentre.wanted_px = 50 px in 800-600, x"),
+    ("decentre.wanted_px=1.0", "moves the whole image by 147 px; at most 80 px can be followed"),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("setting", "expected"), SLOW, ids=[setting for setting, _ in SLOW])
+def test_setting_that_only_the_light_shows_wrong(refused, setting, expected):
+    said = refused("--set", setting, within_s=20.0)
+    assert re.search(expected, said), said
+
+
+@pytest.mark.slow
+def test_unreachable_kind_of_movement(refused):
+    said = refused("--set", "decentre.element=L2", "--set", "decentre.kind=tilt", within_s=20.0)
+    assert "no tilt of element L2 up to 3 deg" in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("settings", [["decentre.wanted_px=0"], ["target.rows=1", "target.columns=1"]])
+def test_unusual_but_possible(tmp_path, settings):
+    arguments = [word for setting in settings for word in ("--set", setting)]
+    assert main(["--quick", *arguments, "--out", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+@pytest.mark.slow
+def test_two_filters_are_enough(tmp_path):
+    """One pair of bands leaves the report without a witness, not without a report."""
+    assert main(["--quick", "--set", "filters.centres_nm=[600,800]", "--out", str(tmp_path / "out")]) == 0
+    assert "witness" not in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def catches_sigterm(process):
+    """Whether the program has taken over SIGTERM, which it does first of all (Python itself does not)."""
+    status = Path(f"/proc/{process.pid}/status").read_text(encoding="ascii")
+    caught = int(re.search(r"^SigCgt:\s*(\w+)", status, re.MULTILINE)[1], 16)
+    return bool(caught >> (signal.SIGTERM - 1) & 1)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc to see when the program is up")
+@pytest.mark.parametrize("after_s", [0.0, 0.5, 3.0, 6.0])
+def test_interruption_leaves_nothing_behind(tmp_path, after_s):
+    """Interrupted at any time after the program took charge; before that an interrupt ends Python, not the program."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "experiments.chromatic", "--set", "frames=200", "--out", str(tmp_path / "deep" / "out")],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 60
+    while not catches_sigterm(process) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    time.sleep(after_s)
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert said[1].strip() == "interrupted; nothing was written"
+    assert list(tmp_path.iterdir()) == []

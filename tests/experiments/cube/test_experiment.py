@@ -1,0 +1,242 @@
+"""The cube-mirror experiment: predictions by themselves, one rendered bench, and a small run from end to end."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from experiments.cube import bench as cube_bench
+from experiments.cube import budget as cube_budget
+from experiments.cube import montecarlo as cube_montecarlo
+from experiments.cube.bench import Case, Truth, build_table, concentric_angles, draw_truths
+from experiments.cube.budget import beam_rates, geometric_error, lean_rates, left_to_chance, play_trim
+from experiments.cube.checks import reflected_spot_mm, spot_profile
+from experiments.cube.settings import Config
+from experiments.cube.tables import PUBLISHED_TRIMS, published_rates
+from render.bench_scene import CubePose
+from render.bench_sensor import MaskSensor
+from render.random import Streams
+
+ARCSEC = np.pi / 180 / 3600
+
+
+def mask():
+    return MaskSensor(
+        width_px=1280, height_px=1280, pitch_mm=0.007, hole_mm=0.2, gap_mm=3.0, offset_px=np.array([1.0, -2.0])
+    )
+
+
+@pytest.fixture(scope="module")
+def laboratory(mi):
+    config = Config(benches={"count": 4, "log2_particles": 16}, sensor={"grid": 5, "log2_particles": 12})
+    return cube_bench.build_laboratory(mi, config)
+
+
+def test_inputs_are_stratified():
+    """Latin hypercube: every sigma of 50 benches is met to a few per cent, where chance gives 10 per cent."""
+    truths = draw_truths(Config(benches={"count": 50}), Streams(3))
+    for values in (
+        [t.lean for t in truths],
+        *np.array([t.mounting.ravel() for t in truths]).T,
+        *np.array([t.aim.ravel() for t in truths]).T,
+    ):
+        assert np.std(values) == pytest.approx(1.0, abs=0.05)
+    starts = np.array([t.start.ravel() for t in truths])
+    assert np.abs(starts).max() <= 1.0
+    assert starts.std(0) == pytest.approx(np.full(4, 1 / np.sqrt(3)), abs=0.01)
+
+
+def test_bars_of_stratified_benches():
+    """Mean squares of a stratified term of 2 and a free one of 1, from 50 benches; 100 repeats tell to 7 %."""
+    generator = np.random.default_rng(6)
+    squares = []
+    for i in range(100):
+        even = np.array([t.lean for t in draw_truths(Config(benches={"count": 50}), Streams(i))])
+        squares.append(np.mean((2.0 * even + generator.standard_normal(50)) ** 2))
+    chance = left_to_chance([np.full(3, 2.0)], np.full(3, np.sqrt(5.0)), benches=50)
+    assert np.std(squares) == pytest.approx(np.sqrt(chance[0] * 2 / 50) * 5.0, rel=0.25)
+    assert left_to_chance([np.ones(3)], np.ones(3), benches=50) == pytest.approx(np.full(3, 0.02))
+
+
+def test_benches_do_not_depend_on_their_order():
+    first, again = (draw_truths(Config(benches={"count": 3}), Streams(3)) for _ in range(2))
+    assert all(np.array_equal(a.normal, b.normal) for a, b in zip(first, again, strict=True))
+
+
+def test_true_cube_frame_follows_the_ecss_rule():
+    truth = draw_truths(Config(benches={"count": 2}), Streams(4))[1]
+    to_cube = truth.cube_from_table(("+Z", "+X"))
+    first, second = to_cube @ truth.normal_in_table("+Z"), to_cube @ truth.normal_in_table("+X")
+    assert first == pytest.approx([0, 0, 1], abs=1e-14)
+    assert second[1] == pytest.approx(0, abs=1e-14)
+    assert second[0] > 0.999
+    assert abs(second[2]) > 1e-6  # faces are out of square
+
+
+@pytest.mark.parametrize("face", ["+Z", "+X", "-X"])
+def test_concentric_angles_return_the_light_into_the_aperture(face):
+    """On a crooked table too: the law of reflection puts the spot into the middle of the hole."""
+    config = Config(benches={"count": 2}, table={"square_arcsec": 200.0})
+    truth = replace(draw_truths(config, Streams(5))[0], lean=1.0)
+    table = build_table(config, truth, Case(name="", label="", lean=True))
+    of = cube_bench.geometry_of(config)
+    angle = concentric_angles(table, truth.normal_in_table(face), face)
+    pose = CubePose.of_table(of, table.rotation(angle[None])[0].as_matrix(), truth.table_from_cube, truth.normal)
+    assert reflected_spot_mm(of, pose, face) == pytest.approx([0, 0], abs=1e-9)
+
+
+def test_profile_of_the_spot():
+    """All light of the aperture is in it; a point sees the whole sun inside a - b and none beyond a + b."""
+    of = cube_bench.geometry_of(Config())
+    reach = 1.25 + 1300 * np.tan(np.radians(1.5 / 60))
+    radius = np.linspace(0, reach, 20001)
+    profile = spot_profile(of, radius)
+    assert np.trapezoid(profile * 2 * np.pi * radius, radius) == pytest.approx(np.pi * 1.25**2, rel=1e-6)
+    assert profile[0] == 1.0
+    assert spot_profile(of, [2.5 - reach - 1e-3, reach + 1e-3]) == pytest.approx([1.0, 0.0])
+
+
+def test_stop_rule_played():
+    """A perfect operator leaves what the table's steps leave: uniform within half a step; N = 40000."""
+    config = Config(trim={"gain_ratio": 1.0, "step_deg": 0.001, "start_px": 500.0, "stop_px": 1.0})
+    step_px = np.radians(0.001) / (0.015 / 1300)
+    left = play_trim(config, 0.015 / 1300, 0.0, Streams(1))
+    assert left == pytest.approx([step_px / np.sqrt(12)] * 2, rel=0.02)
+    coarse = play_trim(
+        config.model_copy(update={"trim": config.trim.model_copy(update={"gain_ratio": 0.5})}),
+        0.015 / 1300,
+        0.0,
+        Streams(1),
+    )
+    assert np.all(coarse > left)
+
+
+def test_axes_out_of_square_act_on_z_and_half_of_it_cancels():
+    """By hand: the second face gets all of the lean about z. The spots of the sun sensor are sheared by it: those along
+    x turn by the lean, those along y do not, which is half a turn and half a shear that no rotation fits."""
+    rate = lean_rates(Config(sensor={"grid": 5, "field_deg": 5.0}), mask())
+    assert rate[:2] == pytest.approx([0, 0], abs=1e-6)
+    assert abs(rate[2]) == pytest.approx(0.5, abs=2e-3)
+
+
+def test_error_of_the_beam_is_not_in_the_published_budget():
+    rates = beam_rates(Config(sensor={"grid": 5}), mask())
+    assert np.abs(rates).max() > 1.0
+    assert geometric_error(Config(sensor={"grid": 5}), mask()) == pytest.approx([0, 0, 0], abs=1e-6)
+
+
+def test_sensor_calibration_finds_what_is_true(laboratory):
+    """Rendered spots: R_sr within 4 of its sigmas, which are below 3 arcsec with 25 positions."""
+    from experiments.cube.sensor import calibrate_sensor, observe_spots
+
+    truth = draw_truths(laboratory.config, laboratory.streams)[0]
+    table = build_table(laboratory.config, truth, Case(name="", label=""))
+    run = observe_spots(laboratory, truth, table, Streams(8))
+    found = calibrate_sensor(laboratory, truth, table, run, Streams(9), free=False)
+    error = (found.rotation * Rotation.from_matrix(truth.sensor_from_table).inv()).as_rotvec() / ARCSEC
+    sigma = np.sqrt(np.diag(found.covariance_rad2)) / ARCSEC
+    assert np.all(np.abs(error) < 4 * sigma)
+    assert sigma.max() < 3.0
+    assert found.focal_length_mm == pytest.approx(truth.sensor.gap_mm, abs=1e-4)
+    assert np.abs(run.pixel_px - run.true_px).max() < 0.03
+
+
+def test_no_row_of_table_1_shows_15_um_pixels():
+    """15 um at 650 mm are 1.51 px per 0.001 deg; whichever side the offsets are on, no longer move gives that."""
+    rates = published_rates()
+    assert rates.shape == (7, 2)
+    assert rates[1] == pytest.approx([(19.429 - 12.243) / 10, (19.429 + 12.243) / 10])
+    assert np.abs(rates - 1.513).min() > 0.2
+
+
+def test_every_bench_has_a_sun_sensor_chip_of_its_own(laboratory):
+    """One fixed pattern in all of them would be a bias of the whole Monte-Carlo."""
+    from experiments.cube.sensor import own_detector
+
+    truths = draw_truths(laboratory.config, laboratory.streams)
+    seeds = {own_detector(laboratory, truth).sensor_seed for truth in truths}
+    assert len(seeds) == len(truths)
+    assert own_detector(laboratory, truths[0]).sensor_seed in seeds
+
+
+def test_one_bench_as_performed(laboratory):
+    """Every face ends below a pixel; what is left, the mount and the reading explain the error of the cube."""
+    truth = draw_truths(laboratory.config, laboratory.streams)[1]
+    case = next(c for c in cube_montecarlo.CASES if c.name == "procedure")
+    found = cube_montecarlo.run_bench(
+        laboratory, truth, case, cube_montecarlo.SensorCache(), log2_particles=17, keep=True
+    )
+    per_px = 0.015 / 1300 / ARCSEC
+    for face, trim in enumerate(found.trims):
+        assert len(trim.rows) >= 2
+        assert np.abs(trim.rows[0].offset_px).max() > 1.0
+        assert np.all(np.abs(trim.rows[-1].offset_px) < 1.0)
+        assert len(trim.pictures) == 3
+        # the mount moved the picture of the spot: the hole in it stands off the glowing aperture by as much
+        shift = 2.0 * truth.mounting[face, 0] / per_px
+        assert trim.offset.offset_px - trim.own.offset_px == pytest.approx(shift, abs=0.5)
+    assert np.abs(found.cube_error_arcsec).max() < 12.0
+    assert found.face_angle_rad == pytest.approx(found.true_face_angle_rad, abs=20 * ARCSEC)
+
+
+def test_wahba_on_three_faces_twice(laboratory):
+    """More faces and repeats by least squares, with the certificate of the cube; aligned benches, no other errors."""
+    config = laboratory.config.model_copy(
+        update={
+            "cube": laboratory.config.cube.model_copy(
+                update={"faces": ("+Z", "+X", "-X"), "repeats": 2, "method": "wahba"}
+            )
+        }
+    )
+    more = replace_config(laboratory, config)
+    truth = draw_truths(config, more.streams)[0]
+    found = cube_montecarlo.run_bench(
+        more, truth, Case(name="x", label="x"), cube_montecarlo.SensorCache(), log2_particles=16
+    )
+    assert len(found.trims) == 6
+    assert np.abs(found.cube_error_arcsec).max() < 1.0
+
+
+def replace_config(laboratory, config):
+    fields = {name: getattr(laboratory, name) for name in laboratory.__dataclass_fields__}
+    return cube_bench.Laboratory(**(fields | {"config": config}))
+
+
+def test_published_trims_are_the_document_s():
+    assert [len(rows) for rows in PUBLISHED_TRIMS.values()] == [7, 5]
+    for rows, angles in zip(PUBLISHED_TRIMS.values(), cube_budget.TABLE1_DEG, strict=True):
+        assert rows[-1][:2] == angles
+        assert max(rows[-1][2:]) < 1.0
+    assert np.sqrt(2.34**2 + 2**2 + 2**2 + 0.4**2) == pytest.approx(cube_budget.PUBLISHED_ARCSEC["all"], abs=5e-3)
+
+
+def test_truth_is_a_record():
+    truth = draw_truths(Config(benches={"count": 2}), Streams(4))[0]
+    with pytest.raises(AttributeError):
+        truth.lean = 3.0
+    assert isinstance(truth, Truth)
+
+
+@pytest.mark.slow
+def test_quick_run_from_end_to_end(tmp_path):
+    """Files, agreed keys, and a report that stands alone."""
+    from experiments.cube.experiment import main
+
+    out = tmp_path / "out"
+    settings = ["benches.count=3", "benches.view_samples=2", "benches.log2_particles=16", "sensor.grid=5"]
+    status = main(["--quick", "--out", str(out), *(word for one in settings for word in ("--set", one))])
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert status == 0, [one for one in summary["criteria"] if not one["passed"]]
+    results = summary["results"]
+    assert sorted(results["trim_tables"]) == ["+X", "+Z"]
+    assert sorted(results["r_sp_error_arcsec_1sigma"]) == ["x", "y", "z"]
+    assert results["face_angle_check_deg"] == pytest.approx(90.0121, abs=5e-5)
+    for row in results["budget"]:
+        assert sorted(row["predicted"]) == sorted(row["measured"]) == ["x", "y", "z"]
+    assert [row["term"] for row in results["budget"]][:5] == ["pixel", "trim", "square", "mounting", "reading"]
+    text = (out / "report.html").read_text(encoding="utf-8")
+    assert "http" not in re.sub(r"xmlns(:\w+)?=\"[^\"]*\"", "", text)
+    assert "nan" not in re.sub(r"<svg.*?</svg>|data:[^\"]*", "", text, flags=re.DOTALL).lower().split()

@@ -1,0 +1,139 @@
+"""Rationale: the whole bench, rendered, small; and the streak of a moving table.
+
+Expected behaviour: the scatter agrees with the prediction, the same seed gives the same bytes, mistakes get a line.
+"""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from experiments.fisher.acquire import merged_nodes, smeared_psfs
+from experiments.fisher.experiment import main
+from experiments.fisher.prepare import prepare
+from experiments.fisher.settings import Config
+from optics.errors import StarbenchError
+from render.records import EffectivePsf, StarField
+
+SMALL = [
+    "grid.columns=7",
+    "grid.rows=5",
+    "evaluation.columns=6",
+    "evaluation.rows=5",
+    "frames=4",
+    "dark_frames=10",
+    "dynamic.samples=5",
+    "field.field_deg=[3.0,20.0]",
+    "field.directions=500",
+    "field.runs=6",
+    "coverage.counts=[10]",
+    "coverage.runs=200",
+    "same_data.sides=[5]",
+    "same_data.runs=10",
+]
+
+
+def _arguments(folder, *more: str) -> list[str]:
+    return ["--out", str(folder), *(part for setting in (*SMALL, *more) for part in ("--set", setting))]
+
+
+@pytest.mark.slow
+def test_small_run(tmp_path, capsys) -> None:
+    first, second = tmp_path / "a", tmp_path / "b"
+    assert main(_arguments(first)) == 0, capsys.readouterr().out
+    assert main(_arguments(second)) == 0
+    for name in ("accuracy.ecsv", "same_data.ecsv", "field_of_view.ecsv"):
+        assert (first / name).read_bytes() == (second / name).read_bytes()
+    found = json.loads((first / "summary.json").read_text())
+    assert all(criterion["passed"] for criterion in found["criteria"])
+    static, dynamic = found["results"]["static"], found["results"]["dynamic"]
+    assert static["n"] == 30
+    assert abs(static["z_score"]) < 4
+    assert abs(dynamic["z_score"]) < 4
+    assert dynamic["sigma_predicted_arcsec"] > 1.3 * static["sigma_predicted_arcsec"]
+    assert dynamic["streak_px"] == pytest.approx(0.05 * 3600 * 0.1 / 5.5005, rel=1e-3)
+    whole = np.sqrt(sum(value**2 for value in static["realised_arcsec"].values()))
+    assert static["sigma_arcsec"]["value"] == pytest.approx(whole, rel=0.25)  # 30 vectors: causes correlate by chance
+    assert "<svg" in (first / "report.html").read_text()
+
+
+def test_merged_nodes_keep_light_and_mean_wavelength() -> None:
+    rate = np.random.default_rng(1).uniform(0.5, 1.5, (1, 1, 6)) * np.ones((4, 1, 1))
+    stars = StarField(
+        direction=np.tile([0.0, 0.0, 1.0], (4, 1)),
+        wavelength_nm=np.array([[450.0, 500.0, 560.0, 640.0, 700.0, 800.0]]),
+        photon_rate=rate,
+        band=("x",),
+    )
+    merged = merged_nodes(stars)
+    assert merged.wavelength_nm.shape == (1, 3)
+    np.testing.assert_allclose(merged.photon_rate.sum(2), stars.photon_rate.sum(2))
+    np.testing.assert_allclose(
+        (merged.photon_rate * merged.wavelength_nm).sum(2), (stars.photon_rate * stars.wavelength_nm).sum(2)
+    )
+
+
+def test_smeared_psf_has_the_variance_of_its_path() -> None:
+    grid = np.arange(-80, 81) / 8.0
+    gauss = np.exp(-0.5 * (grid[:, None] ** 2 + grid[None, :] ** 2) / 0.8**2)
+    psf = gauss / gauss.sum() * 64
+    path = np.column_stack([np.linspace(-1.5, 1.5, 31), np.zeros(31)])
+    (smeared,) = smeared_psfs(psf[None], path[None])
+    assert isinstance(smeared, EffectivePsf)
+    share = smeared.values / smeared.values.sum()
+    assert smeared.values.sum() == pytest.approx(64, rel=1e-9)
+    assert (share.sum(0) * grid).sum() == pytest.approx(0.0, abs=1e-9)
+    assert (share.sum(0) * grid**2).sum() == pytest.approx(0.64 + path[:, 0].var(), rel=1e-6)  # columns: along the path
+    assert (share.sum(1) * grid**2).sum() == pytest.approx(0.64, rel=1e-6)
+    (still,) = smeared_psfs(psf[None], np.zeros((1, 1, 2)))
+    np.testing.assert_array_equal(still.values, psf)
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("table.axes=x", "2 or 3"),
+        ("table.axes=xx", "square"),
+        ("table.axes=q", "letters"),
+        ("table.axes=xyz", "table.rolls_deg = [0.0]"),
+        ("table.reading_noise_arcsec=[0.1,0.1,0.1]", "table.reading_noise_arcsec"),
+        ("table.reading_noise_arcsec=[-0.1]", "cannot be negative"),
+        ("evaluation.columns=100", "lower evaluation.columns"),
+        ("evaluation.edge_px=5", "evaluation.edge_px = 5 px"),
+        ("evaluation.edge_px=900", "evaluation.edge_px"),
+        ("grid.edge_px=900", "grid.edge_px"),
+        ("dynamic.rate_deg_per_s=5", "smears the image"),
+        ("dynamic.samples=2", "dynamic.samples = 2"),
+        ("field.field_deg=[3.0,150.0]", "field_deg"),
+        ("coverage.counts=[2]", "counts"),
+        ("same_data.sides=[2]", "sides"),
+        ("window_px=12", "odd"),
+        ("star.passband_nm=[100,200]", "nm"),
+        ("tabel.axes=xy", "table"),
+    ],
+)
+def test_bad_settings_get_one_line(setting: str, words: str, tmp_path, capsys) -> None:
+    assert main(["--out", str(tmp_path / "x"), "--set", setting]) == 2
+    line = capsys.readouterr().err.strip()
+    assert words in line
+    assert "\n" not in line
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [("evaluation.signal_e=200000", "saturated"), ("evaluation.signal_e=20", "gives a position at")],
+)
+def test_light_that_cannot_be_measured(setting: str, words: str, tmp_path, capsys) -> None:
+    assert main(_arguments(tmp_path / "x", setting)) == 2
+    line = capsys.readouterr().err.strip().splitlines()[-1]
+    assert words in line
+
+
+def test_defaults_are_accepted_without_rendering() -> None:
+    assert prepare(Config()).pixel_arcsec == pytest.approx(5.5005, abs=1e-3)
+    with pytest.raises(StarbenchError, match=r"evaluation\.columns or evaluation\.rows"):
+        prepare(Config.model_validate({"evaluation": {"columns": 2, "rows": 2}}))

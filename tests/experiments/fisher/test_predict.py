@@ -1,0 +1,170 @@
+"""Rationale: the measured scatter is judged against covariances; these must be right without the bench.
+
+Expected behaviour: what they predict is what many noisy realisations scatter, for data of their own and for the data
+that the calibration was fitted to.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.cameras import BrownConrady, SensorGeometry
+from calib.fisher import mean_and_chords
+from calib.star_vectors import initial_frame_vectors
+from experiments.fisher.acquire import Motion, visit_once
+from experiments.fisher.limits import digits_sweep, table_share, table_sweep
+from experiments.fisher.predict import (
+    calibration_of_rows,
+    jitter_covariance_px2,
+    on_the_sphere,
+    predict_independent,
+    predict_same_data,
+    table_covariance_px2,
+    tangent_maps,
+)
+from experiments.fisher.reduce import baseline_px, evaluate
+from experiments.fisher.same import same_data_sweep
+from experiments.laboratory.collimator import star_direction
+from experiments.laboratory.turntable import build_turntable
+from experiments.turntable.bench import Bench, aim
+from optics.units import ARCSEC_RAD, RAD_ARCSEC
+from render.random import Streams
+
+SIGMA_PX = 0.02
+
+
+@pytest.fixture(scope="module")
+def model() -> BrownConrady:
+    geometry = SensorGeometry(width_px=2048, height_px=2048, pixel_pitch_mm=0.0055)
+    return BrownConrady.create(geometry, focal_length_mm=50.0, x0_px=6.0, y0_px=-4.0, q1_per_mm2=2e-5)
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return Bench(
+        table=build_turntable("xy", reading_noise_arcsec=(0.2, 0.5), non_orthogonality_arcsec=4.0),
+        star=star_direction(0.3, -0.2),
+        installation=Rotation.from_rotvec([0.01, -0.02, 0.3]),
+    )
+
+
+@pytest.fixture(scope="module")
+def angle(model: BrownConrady, bench: Bench) -> np.ndarray:
+    return aim(bench, model.unproject(model.geometry.grid_px(9)), np.zeros(81))
+
+
+def _vectors(model, bench, pixel, angle):
+    turn = bench.table.rotation(angle)
+    return initial_frame_vectors(model, pixel, installation=bench.installation, table_rotation=turn)
+
+
+def test_tangent_maps_against_differences(model, bench, angle) -> None:
+    maps = tangent_maps(model, bench, angle)
+    pixel = model.project(bench.seen(angle))
+    for axis in range(2):
+        step = 0.01 * np.eye(2)[axis]
+        moved = _vectors(model, bench, pixel + step, angle) - _vectors(model, bench, pixel - step, angle)
+        np.testing.assert_allclose(
+            np.linalg.norm(moved, axis=1) / 0.02, np.linalg.norm(maps[:, :, axis], axis=1), rtol=1e-6
+        )
+
+
+def test_the_prediction_is_what_noisy_data_scatter(model, bench, angle) -> None:
+    """N = 800 runs of 81 vectors: the mean sum of squares is known to 0.3 %, its variance to 5 %."""
+    maps, rows = tangent_maps(model, bench, angle), calibration_of_rows(model, bench, angle)
+    noise = SIGMA_PX**2 * np.broadcast_to(np.eye(2), maps.shape) + table_covariance_px2(model, bench, angle, Motion())
+    predicted = predict_independent(maps, noise, rows, np.zeros((rows.shape[2], rows.shape[2])))
+    rng, exact, sums = np.random.default_rng(3), model.project(bench.seen(angle)), []
+    sigma = np.array([0.2, 0.5]) * ARCSEC_RAD
+    for _ in range(800):
+        pixel = exact + SIGMA_PX * rng.standard_normal(exact.shape)
+        w = _vectors(model, bench, pixel, angle + sigma * rng.standard_normal(angle.shape))
+        sums.append(mean_and_chords(w[None])[1].sum())
+    error = np.std(sums) / np.sqrt(len(sums))
+    assert np.mean(sums) == pytest.approx(predicted.sum_rad2, abs=4 * error)
+    assert np.var(sums) == pytest.approx(predicted.variance_rad4, rel=4 * np.sqrt(2 / 800))
+    z = [predicted.z_score(s) for s in sums]
+    assert np.std(z) == pytest.approx(1.0, abs=4 / np.sqrt(1600))
+    assert predicted.sigma_arcsec == pytest.approx(predicted.noise_arcsec, rel=1e-3)
+
+
+def test_causes_add_up(model, bench, angle) -> None:
+    maps, motion = tangent_maps(model, bench, angle), Motion(rate_rad_per_s=1e-3, jitter_s=2e-3, samples=4)
+    both = on_the_sphere(maps, table_covariance_px2(model, bench, angle, motion))
+    readings = on_the_sphere(maps, table_covariance_px2(model, bench, angle, Motion()))
+    clocks = on_the_sphere(maps, jitter_covariance_px2(model, bench, angle, motion))
+    assert both == pytest.approx(np.hypot(readings, clocks), rel=1e-12)
+    # the second axis, Y carried by a turn about X, stands nearly across the star: the whole error, in one of two axes
+    carried = Rotation.from_rotvec(angle[:, :1] * [1.0, 0.0, 0.0]).apply(bench.table.true_axis[1])
+    share = np.mean(1.0 - (carried @ bench.star) ** 2)
+    assert clocks == pytest.approx(1e-3 * 2e-3 * RAD_ARCSEC * np.sqrt(share / 2), rel=1e-9)
+
+
+def test_same_data_lose_as_many_degrees_as_there_are_unknowns(model, bench, angle) -> None:
+    maps, rows = tangent_maps(model, bench, angle), calibration_of_rows(model, bench, angle)
+    even = np.linalg.inv(np.swapaxes(maps, 1, 2) @ maps)  # isotropic on the sphere
+    same = predict_same_data(maps, even, rows)
+    assert same.effective_degrees == pytest.approx(2 * len(maps) - rows.shape[2], rel=1e-9)
+    assert same.satterthwaite == pytest.approx(2 * len(maps) - rows.shape[2], rel=1e-9)
+
+
+def test_same_data_by_real_calibrations(model, bench) -> None:
+    """N = 30 calibrations at 36 places: variances known to some 4 %."""
+    (point,) = same_data_sweep(model, bench, SIGMA_PX, [6], 30, Streams(5), advance=lambda: None)
+    assert point.lost == 0
+    assert (point.count, point.unknowns) == (36, 14)
+    assert point.corrected.value == pytest.approx(1.0, abs=4 * point.corrected.error)
+    assert point.naive.value == pytest.approx(point.predicted_naive, abs=4 * point.naive.error)
+    assert point.independent.value == pytest.approx(point.predicted_independent, abs=4 * point.independent.error)
+    assert point.predicted_naive < 0.9
+    assert point.predicted_independent > 1.1
+
+
+def test_evaluation_of_coordinates(model, bench, angle) -> None:
+    """N = 81 vectors of one acquisition: sigma known to 5.6 %."""
+    places = visit_once(bench, bench.seen(angle), np.zeros(len(angle)), Motion(), 9, Streams(2))
+    rng = np.random.default_rng(4)
+    pixel = model.project(bench.seen(places.true_rad.copy())) + SIGMA_PX * rng.standard_normal((81, 2))
+    pixel[40] += [1.5, 0.0]  # a wrong centroid
+    judged = evaluate(model, bench, pixel, places.reading_rad)
+    np.testing.assert_array_equal(np.flatnonzero(judged.outlier), [40])
+    assert judged.fit.count == 80
+    expected = np.hypot(
+        SIGMA_PX * 0.0055 / 50.0 * RAD_ARCSEC, table_share(bench, angle) * np.sqrt((0.2**2 + 0.5**2) / 2)
+    )
+    assert judged.sigma_arcsec == pytest.approx(expected, rel=4 / np.sqrt(4 * 80))
+    low, high = judged.interval_arcsec(0.9999)
+    assert low < expected < high
+    np.testing.assert_allclose(judged.fit.mean, bench.star, atol=2e-6)
+    assert baseline_px(judged.residual_px[~judged.outlier]) * 0.0055 / 50 * RAD_ARCSEC == pytest.approx(
+        judged.sigma_arcsec, rel=0.03
+    )
+
+
+def test_motion_moves_the_star_along_one_axis(bench, angle) -> None:
+    motion = Motion(rate_rad_per_s=1e-2, jitter_s=1e-3, samples=4)
+    places = visit_once(bench, bench.seen(angle), np.zeros(len(angle)), motion, 9, Streams(2))
+    np.testing.assert_allclose(np.abs(places.rate_rad_per_s), np.tile([0.0, 1e-2], (81, 1)))
+    assert places.rate_rad_per_s[0, 1] == -places.rate_rad_per_s[9, 1]
+    seen = places.directions(bench, exposure_s=0.1)
+    assert seen.shape == (81, 4, 3)
+    np.testing.assert_allclose(motion.instants_s(0.1), [-0.0375, -0.0125, 0.0125, 0.0375])
+    length = np.linalg.norm(seen[:, 3] - seen[:, 0], axis=1)
+    np.testing.assert_allclose(length, 1e-2 * 0.075, rtol=0.05)
+    late = (places.reading_rad - places.true_rad)[:, 1]
+    assert late.std() == pytest.approx(np.hypot(1e-5, 0.5 * ARCSEC_RAD), rel=4 / np.sqrt(162))
+
+
+def test_other_tables(model, bench, angle) -> None:
+    points = table_sweep(model, bench, angle, SIGMA_PX * 0.0055 / 50 * RAD_ARCSEC, SIGMA_PX, Streams(3), (0.01, 1.0))
+    for point in points:
+        assert point.sigma_arcsec == pytest.approx(point.expected_arcsec, abs=0.02 * point.expected_arcsec)
+
+
+def test_digits() -> None:
+    points = digits_sweep(Streams(1), (10.0, 0.1, 0.001))
+    assert max(p.chords for p in points) < 1e-8
+    assert points[0].subtraction < 1e-5
+    assert points[2].subtraction > 0.01

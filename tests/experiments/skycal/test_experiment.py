@@ -1,0 +1,180 @@
+"""Calibration under the sky from end to end: what it writes, and whether its parts agree."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.table import Table
+
+from experiments.skycal.experiment import main
+
+pytestmark = pytest.mark.slow
+
+SMALL = {
+    "frames": 6,
+    "dark_frames": 5,
+    "motion.rate_deg_per_s": 3.0,
+    "sky.source": "random",
+    "map_points": 11,
+    "narrow.faintest_mag": 8.7,
+    "narrow.psf_spacing_px": 400.0,
+    "narrow.models": '["brown_conrady", "polynomial_3"]',
+    "wide.faintest_mag": 6.2,
+    "wide.psf_spacing_px": 190.0,
+    "wide.models": '["brown_conrady"]',
+}
+
+
+def arguments(out, **changes):
+    settings = SMALL | changes
+    return ["--out", str(out), "--seed", "4", *(w for k, v in settings.items() for w in ("--set", f"{k}={v}"))]
+
+
+@pytest.fixture(scope="module")
+def outcome(tmp_path_factory, small_detector):
+    """Exit code, folder and result of one small run through the command line."""
+    folder = tmp_path_factory.mktemp("skycal") / "out"
+    kept = []
+    with pytest.MonkeyPatch.context() as patch:
+        from experiments.skycal import checks as skycal_checks
+
+        original = skycal_checks.results
+        patch.setattr(skycal_checks, "results", lambda result: kept.append(result) or original(result))
+        status = main(arguments(folder, **{"narrow.instrument.detector": small_detector}))
+    return status, folder, kept[0]
+
+
+@pytest.fixture(scope="module")
+def summary(outcome):
+    return json.loads((outcome[1] / "summary.json").read_text(encoding="utf-8"))
+
+
+def test_all_criteria_hold(outcome, summary):
+    assert [one["name"] for one in summary["criteria"] if not one["passed"]] == []
+    assert len(summary["criteria"]) == 14
+    assert outcome[0] == 0
+
+
+def test_summary_holds_what_was_agreed(summary):
+    rendered = summary["results"]["rendered"]
+    assert sorted(rendered) == ["narrow", "wide"]
+    for one in rendered.values():
+        assert sorted(one["map_error_arcsec"]) == [
+            "iterations",
+            "max",
+            "predicted",
+            "predicted_spread",
+            "rms",
+            "status",
+        ]
+        assert 0 < one["map_error_arcsec"]["rms"] <= one["map_error_arcsec"]["max"]
+        assert sorted(one["parts_arcsec"]) == ["chromatic", "mismatch", "noise", "psf"]
+        assert one["wrong_matches"] == 0
+        assert one["frames_matched"] == 6
+        accepted = [run["status"] == "converged" for run in one["wrong_matches_put_in"]]
+        assert accepted == [False, True, False]
+    assert summary["results"]["runtime_s"] > 0
+
+
+@pytest.mark.parametrize("name", ["narrow", "wide"])
+def test_maps_add_up(outcome, summary, name):
+    """Error = sum of its parts, vector by vector; the RMS in the summary is that of the table."""
+    table = Table.read(outcome[1] / f"map_{name}.ecsv", format="ascii.ecsv")
+    one = summary["results"]["rendered"][name]
+    for axis in "xy":
+        parts = sum(table[f"{part}_{axis}_arcsec"] for part in ("mismatch", "chromatic", "noise", "psf"))
+        assert np.abs(parts - table[f"error_{axis}_arcsec"]).max() < 1e-12
+    length2 = table["error_x_arcsec"] ** 2 + table["error_y_arcsec"] ** 2
+    assert np.sqrt(length2.mean()) == pytest.approx(one["map_error_arcsec"]["rms"])
+    sigma2 = table["sigma_x_arcsec"] ** 2 + table["sigma_y_arcsec"] ** 2
+    # two ways to the predicted RMS: variances point by point, eigenvalues of the mean square
+    assert np.sqrt(sigma2.mean()) == pytest.approx(one["map_error_arcsec"]["predicted"], rel=1e-6)
+
+
+@pytest.mark.parametrize(("name", "pixel_arcsec"), [("narrow", 5.5), ("wide", 44.3)])
+def test_map_is_much_better_than_a_star(outcome, summary, name, pixel_arcsec):
+    """Some 400 stars of 0.03 px, 8 parameters: noise of 0.03 px sqrt(8 / 400) = 0.004 px; five times that."""
+    one = summary["results"]["rendered"][name]
+    assert one["pixel_arcsec"] == pytest.approx(pixel_arcsec, rel=0.01)
+    assert one["map_error_arcsec"]["rms"] < 0.02 * pixel_arcsec
+    assert one["map_error_corrected_arcsec"]["rms"] < 0.02 * pixel_arcsec
+
+
+@pytest.mark.parametrize("name", ["narrow", "wide"])
+def test_centroids_scatter_as_they_state(outcome, name):
+    """Own-colour PSFs against the noiseless light, stars faint enough for noise to rule; n of 200 and more, 5 sigma."""
+    camera = outcome[2].cameras[name]
+    error, sigma = camera.shift_px("own", "light"), camera.noise_sigma_px
+    faint = camera.matched.snr[camera.evaluation.used] < 50
+    pull = (error / sigma)[faint]
+    assert len(pull) > 100
+    assert np.median(np.abs(pull)) / 0.6745 == pytest.approx(1.0, abs=5 * 1.17 / np.sqrt(pull.size))
+    assert np.abs(pull.mean(0)).max() < 5 / np.sqrt(len(pull))
+
+
+def test_reference_positions_lie_on_the_chart(outcome):
+    """Stars of the reference colour and the chart are traced by one lens: a smooth map takes one into the other."""
+    for camera in outcome[2].cameras.values():
+        model = camera.of("reference").calibration
+        chart = camera.evaluation.chart
+        place = model.model.project(np.array(chart.direction))
+        shift = (place - chart.pixel_px).mean(0)  # the calibration has a +Z of its own
+        assert np.linalg.norm(place - chart.pixel_px - shift, axis=1).max() < 0.5
+
+
+def test_truth_matches_the_frames(outcome):
+    with fits.open(outcome[1] / "frame_wide.fits") as file:
+        image = np.asarray(file[0].data).astype(float)
+    camera = outcome[2].cameras["wide"]
+    assert image.shape == (1862, 1862)
+    frame = camera.recording.frames[camera.recording.example_index]
+    bright = np.argsort(-frame.electrons)[:10]
+    for (x, y), electrons in zip(frame.photon_px[bright], frame.electrons[bright], strict=True):
+        column, row = round(x), round(y)
+        if not (8 < column < 1853 and 8 < row < 1853):
+            continue
+        box = image[row - 4 : row + 5, column - 4 : column + 5]
+        light = (box - np.median(image)).sum() / camera.recording.noise.gain_dn_per_e
+        # 81 pixels of 13 e- read noise and 13 e- pattern: 166 e-; a neighbour may add, saturation take away
+        assert light > 0.5 * min(electrons, 13000) - 5 * 166
+
+
+def test_report_stands_alone(outcome):
+    text = (outcome[1] / "report.html").read_text(encoding="utf-8")
+    loads = [one for one in re.findall(r"(?:src|href)=\"([^\"]*)\"", text) if not one.startswith(("data:", "#"))]
+    assert loads == []
+    assert "<script" not in text
+    assert "nan" not in re.sub(r"<svg.*?</svg>|data:[^\"]*", "", text, flags=re.DOTALL).lower().split()
+
+
+def test_same_seed_same_numbers(tmp_path):
+    """Threads, and how many of them, change nothing."""
+    small = {"which": "wide", "frames": 4, "dark_frames": 2, "wide.faintest_mag": 5.8, "wide.psf_spacing_px": 400.0}
+    found = []
+    for name in ("a", "b"):
+        assert main(arguments(tmp_path / name, **small)) in (0, 1)
+        content = json.loads((tmp_path / name / "summary.json").read_text(encoding="utf-8"))
+        for key in ("runtime_s", "peak_memory_mb"):
+            content["results"].pop(key)
+        found.append(content)
+    assert found[0] == found[1]
+    tables = [(tmp_path / name / "stars_wide.ecsv").read_bytes() for name in ("a", "b")]
+    assert tables[0] == tables[1]
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"wide.instrument.exposure_s": 0.0005}, "wide: no star was detected in 4 frames"),
+        ({"wide.instrument.exposure_s": 20.0}, "detections are saturated; lower wide.instrument.exposure_s"),
+        ({"least_snr": 200.0}, "good stars matched in 0 frames"),
+    ],
+)
+def test_bad_exposures_are_one_line(settings, said, tmp_path, capsys):
+    small = {"which": "wide", "frames": 4, "dark_frames": 1, "wide.faintest_mag": 5.0, "wide.psf_spacing_px": 900.0}
+    assert main(arguments(tmp_path / "out", **small, **settings)) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert len(error.strip().splitlines()) == 1

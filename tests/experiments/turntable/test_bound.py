@@ -1,0 +1,133 @@
+"""The bound against a closed form, against the estimator's own covariance, and against what must hold of any bound."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.cameras import BrownConrady, SensorGeometry
+from experiments.laboratory.collimator import star_direction
+from experiments.laboratory.turntable import build_turntable
+from experiments.turntable.bench import Bench, aim, visit
+from experiments.turntable.bound import (
+    bound,
+    closed_form_px,
+    design,
+    field_sweep,
+    knowledge,
+    noise_shares,
+    reading_covariance_px2,
+)
+from experiments.turntable.reduce import Data, reduce_data
+from optics.errors import DomainError
+from optics.units import ARCSEC_RAD
+from render.random import Streams
+
+SENSOR = SensorGeometry(width_px=2048, height_px=2048, pixel_pitch_mm=0.0055)
+MODEL = BrownConrady.create(SENSOR, focal_length_mm=40.0, x0_px=5.0, y0_px=-3.0, q1_per_mm2=1e-4, p1_per_mm=1e-5)
+SIGMA_PX = 0.01
+
+
+def _bench(axes: str) -> Bench:
+    return Bench(
+        table=build_turntable(axes, non_orthogonality_arcsec=20.0, reading_noise_arcsec=0.3),
+        star=star_direction(0.5, -0.4),
+        installation=Rotation.from_rotvec([0.01, 0.02, -0.05]),
+    )
+
+
+def _setup(axes: str, side: int = 9):
+    bench = _bench(axes)
+    direction = MODEL.unproject(SENSOR.grid_px(side))
+    angle = aim(bench, direction, np.asarray(np.arange(len(direction)) % 4 * (np.pi / 2)))
+    covariance = np.tile(np.eye(2) * SIGMA_PX**2, (len(direction), 1, 1))
+    return bench, direction, angle, covariance
+
+
+@pytest.mark.parametrize("axes", ["xy", "xyz"])
+def test_design_is_the_derivative(axes: str) -> None:
+    """Against finite differences of the whole chain, in the estimator's unknowns."""
+    bench, _, angle, _ = _setup(axes, side=4)
+    columns = design(MODEL, bench, angle, leans=True)
+    step = 1e-6
+    azimuth = Bench(
+        table=bench.table, star=star_direction(0.5 + np.degrees(step), -0.4), installation=bench.installation
+    )
+    moved = (MODEL.project(azimuth.seen(angle)) - MODEL.project(bench.seen(angle))) / step
+    np.testing.assert_allclose(columns[:, :, 8], moved, rtol=1e-4, atol=0.05)
+    leans = np.full(len(axes) - 1, 20.0)
+    leans[0] += step / ARCSEC_RAD
+    leaning = build_turntable(axes, non_orthogonality_arcsec=leans)
+    lean = Bench(table=leaning, star=bench.star, installation=bench.installation)
+    moved = (MODEL.project(lean.seen(angle)) - MODEL.project(bench.seen(angle))) / step
+    np.testing.assert_allclose(columns[:, :, 13], moved, rtol=1e-4, atol=0.05)
+
+
+@pytest.mark.parametrize("field_deg", [3.0, 6.0])
+def test_principal_point_in_closed_form(field_deg: float) -> None:
+    """Second order in the field: the next term is t^2, 0.3 % at 6 deg."""
+    (point,) = field_sweep([field_deg], SIGMA_PX)
+    assert point.plain.of("x0_px") == pytest.approx(closed_form_px(field_deg, SIGMA_PX), rel=0.005)
+    assert point.plain.of("y0_px") == pytest.approx(point.plain.of("x0_px"), rel=1e-3)
+
+
+def test_principal_point_falls_with_the_square_of_the_field_and_the_line_of_sight_does_not() -> None:
+    narrow, wide = field_sweep([3.0, 6.0], SIGMA_PX)
+    for name in ("full", "rolled"):
+        low, high = getattr(narrow, name), getattr(wide, name)
+        assert low.of("x0_px") / high.of("x0_px") == pytest.approx(4.0, rel=0.03)
+        in_px = [b.map_sigma_arcsec / p.arcsec_per_px for b, p in ((low, narrow), (high, wide))]
+        assert in_px[0] == pytest.approx(in_px[1], rel=0.03)
+        assert in_px[1] < SIGMA_PX
+
+
+@pytest.mark.parametrize("axes", ["xy", "xyz"])
+def test_bound_is_the_covariance_of_the_estimator(axes: str) -> None:
+    """Two ways to the same: readings carried to the images here, readings as unknowns with a prior there."""
+    bench, direction, angle, covariance = _setup(axes)
+    visits = visit(
+        bench, SENSOR.grid_px(9), direction, np.asarray(np.arange(81) % 4 * (np.pi / 2)), Streams(1), readings=1
+    )
+    angle = np.array(visits.true_rad)
+    noise = covariance + reading_covariance_px2(MODEL, bench, angle)
+    found = bound(MODEL, bench, angle, noise, direction, leans=True)
+    # exact data: the estimator's covariance is that at the truth
+    data = Data(pixel_px=MODEL.project(bench.seen(angle)), covariance_px2=covariance, reading_rad=angle)
+    calibration = reduce_data(data, bench.table.nominal, MODEL, leans=True, start_star=np.array(bench.star))
+    assert calibration.converged
+    assert calibration.solution.names == found.names
+    np.testing.assert_allclose(calibration.solution.sigma, found.sigma, rtol=2e-3)
+
+
+def test_reading_noise_on_the_axis_is_pixels_over_the_plate_scale() -> None:
+    bench = Bench(
+        table=build_turntable("xy", reading_noise_arcsec=(1.0, 2.0)),
+        star=np.array([0.0, 0.0, 1.0]),
+        installation=Rotation.identity(),
+    )
+    plain = BrownConrady.create(SENSOR, focal_length_mm=40.0)
+    found = reading_covariance_px2(plain, bench, np.zeros((1, 2)))[0]
+    arcsec_px = 40.0 / 0.0055 * ARCSEC_RAD
+    np.testing.assert_allclose(np.sqrt(np.diagonal(found)), [2.0 * arcsec_px, 1.0 * arcsec_px], rtol=1e-9)
+    assert abs(found[0, 1]) < 1e-12
+
+
+def test_shares_add_up_and_knowledge_never_hurts() -> None:
+    bench, direction, angle, covariance = _setup("xyz")
+    noise = covariance + reading_covariance_px2(MODEL, bench, angle)
+    total = bound(MODEL, bench, angle, noise, direction, leans=True)
+    shares = noise_shares(MODEL, bench, angle, covariance, direction)
+    assert set(shares) == {"centroids", *(f"readings, {name} axis" for name in ("outer", "middle", "inner"))}
+    assert np.sqrt(sum(v**2 for v in shares.values())) == pytest.approx(total.map_sigma_arcsec, rel=1e-6)
+    known = knowledge(MODEL, bench, angle, noise, direction)
+    assert known["nothing more"].map_sigma_arcsec == pytest.approx(total.map_sigma_arcsec)
+    for name in total.names[:8]:
+        assert known["star and axes"].of(name) <= total.of(name) * (1 + 1e-9)
+        assert total.inflation(name) >= 1.0
+
+
+def test_places_that_do_not_determine_the_unknowns() -> None:
+    bench, direction, angle, covariance = _setup("xy")
+    with pytest.raises(DomainError, match="6 places give 12 measurements for 14 unknowns"):
+        bound(MODEL, bench, angle[:6], covariance[:6], direction, leans=True)
+    with pytest.raises(DomainError, match="do not determine"):
+        bound(MODEL, bench, np.repeat(angle[:1], 81, axis=0), covariance, direction, leans=True)

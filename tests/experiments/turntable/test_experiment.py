@@ -1,0 +1,235 @@
+"""The turntable calibration: reduction on coordinates, rendered windows, refusals; the whole command when slow."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from calib.cameras import BrownConrady, SensorGeometry
+from experiments.config import load_config
+from experiments.laboratory.collimator import star_direction
+from experiments.laboratory.turntable import build_turntable
+from experiments.turntable.bench import Bench, aim
+from experiments.turntable.evaluate import RENDERED_QUANTILE, point_over_line, rendered_limit, unit_of
+from experiments.turntable.experiment import Config, main
+from experiments.turntable.measure import TracedMap, averaged, build_table, check_table, grid_px
+from experiments.turntable.reduce import Data, check_count, check_fit, check_parity, judge, reduce_data
+from experiments.turntable.study import Coordinates, monte_carlo
+from optics.errors import ConfigError, DomainError
+from render.random import Streams
+
+SENSOR = SensorGeometry(width_px=2048, height_px=2048, pixel_pitch_mm=0.0055)
+MODEL = BrownConrady.create(SENSOR, focal_length_mm=40.0, x0_px=5.0, y0_px=-3.0, q1_per_mm2=1e-5, p2_per_mm=1e-6)
+START = BrownConrady.create(SENSOR, focal_length_mm=38.0)
+AHEAD = np.array([0.0, 0.0, 1.0])
+MAP = TracedMap(direction=MODEL.unproject(SENSOR.grid_px(11)), pixel_px=SENSOR.grid_px(11))
+
+
+def _setup(axes: str, *, reading_arcsec: float = 0.3, side: int = 9) -> Coordinates:
+    bench = Bench(
+        table=build_turntable(axes, non_orthogonality_arcsec=8.0, reading_noise_arcsec=reading_arcsec),
+        star=star_direction(0.5, -0.4),
+        installation=Rotation.from_rotvec([0.01, 0.02, -0.05]),
+    )
+    direction = MODEL.unproject(SENSOR.grid_px(side))
+    angle = aim(bench, direction, np.asarray(np.arange(len(direction)) % 4 * (np.pi / 2)))
+    covariance = np.tile(np.array([[4e-4, 1e-4], [1e-4, 2e-4]]), (len(direction), 1, 1))
+    return Coordinates(
+        model=MODEL, bench=bench, true_rad=angle, covariance_px2=covariance, start=START, start_star=AHEAD
+    )
+
+
+@pytest.mark.parametrize("axes", ["xy", "yx", "xyz"])
+def test_exact_data_give_the_truth_back(axes: str) -> None:
+    setup = _setup(axes)
+    exact = Data(
+        pixel_px=MODEL.project(setup.bench.seen(setup.true_rad)),
+        covariance_px2=setup.covariance_px2,
+        reading_rad=setup.true_rad,
+    )
+    believed = setup.bench.table.nominal
+    check_parity(exact, believed, START, AHEAD)
+    found = judge(reduce_data(exact, believed, START, leans=True), exact, believed, MAP)
+    check_fit(found.calibration, "exact")
+    solution = found.calibration.solution
+    np.testing.assert_allclose(found.star, setup.bench.star, atol=1e-7)
+    # the lean is linearised by the estimator: 8 arcsec squared is 1.5e-9 rad
+    off = np.abs(solution.value - setup.truth(solution.names)) / solution.sigma
+    assert off.max() < 0.05
+    assert found.line_of_sight.rms_arcsec < 1e-3
+    assert np.abs(found.residual_px).max() < 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axes", ["xy", "xyz"])
+def test_covariance_is_honest(axes: str) -> None:
+    """N = 200: the RMS of a pull is known to 1 / sqrt(2 N) = 5 %; the worst of 15 stays within four of those."""
+    setup = _setup(axes)
+    found = monte_carlo(setup, MAP, Streams(5), 200)
+    assert found.lost == 0
+    assert np.abs(found.pull_std - 1).max() < 4 / np.sqrt(400)
+    assert np.abs(found.pull.mean(0)).max() < 4 / np.sqrt(200)
+    assert found.map_arcsec == pytest.approx(setup.map_bound_arcsec(MAP), rel=0.1)
+    assert found.reduced_chi2.mean() == pytest.approx(1.0, abs=4 * found.reduced_chi2.std() / np.sqrt(200))
+
+
+def test_what_a_square_table_is_taken_for_does_not_fit() -> None:
+    setup = _setup("xy", reading_arcsec=0.01).with_leans(60.0)
+    data = setup.draw(Streams(1), 0)
+    believed = setup.bench.table.nominal
+    estimated = reduce_data(data, believed, START, leans=True)
+    ignored = reduce_data(data, believed, START, leans=False)
+    assert estimated.solution.reduced_chi2 < 1.5
+    assert ignored.solution.reduced_chi2 > 2.0
+    errors = [judge(c, data, believed, MAP).line_of_sight.rms_arcsec for c in (estimated, ignored)]
+    assert errors[1] > 5 * errors[0]
+
+
+@pytest.mark.parametrize("believed", ["x-y", "-xy", "yx"])
+def test_mirrored_axes_are_refused(believed: str) -> None:
+    setup = _setup("xy")
+    with pytest.raises(DomainError, match="mirrored"):
+        check_parity(setup.draw(Streams(2), 0), build_turntable(believed), START, AHEAD)
+
+
+def test_a_believed_table_that_points_away() -> None:
+    setup = _setup("xy")
+    data = replace(setup.draw(Streams(2), 0), reading_rad=np.linspace([-2.5, 0.0], [2.5, 0.0], 81))
+    with pytest.raises(DomainError, match="behind the camera"):
+        check_parity(data, build_turntable("xy"), START, AHEAD)
+
+
+def test_too_few_places() -> None:
+    with pytest.raises(DomainError, match="7 places give 14 measurements for 14 unknowns"):
+        check_count(7, build_turntable("xy"))
+    check_count(8, build_turntable("xy"))
+
+
+def test_a_fit_that_does_not_fit_is_no_result() -> None:
+    setup = _setup("xy")
+    data = setup.draw(Streams(3), 0)
+    wrong = replace(data, pixel_px=np.roll(data.pixel_px, 1, axis=0))
+    with pytest.raises(DomainError, match=r"reduction\.axes"):
+        check_fit(reduce_data(wrong, setup.bench.table.nominal, START, leans=True), "wrong")
+
+
+def test_readings_average() -> None:
+    table = averaged(build_turntable("xy", reading_noise_arcsec=(0.3, 0.4)), 9)
+    np.testing.assert_allclose(table.reading_noise_arcsec, [0.1, 0.4 / 3])
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (["grid.columns=1"], "cover 0% of the detector's width"),
+        (["grid.edge_px=900"], "at least 50% of both"),
+        (["grid.edge_px=3000"], "leaves nothing"),
+        (["grid.columns=150"], "places lie 27 px apart"),
+    ],
+)
+def test_grids_that_do_not_do(settings: list[str], words: str, star_camera) -> None:
+    with pytest.raises(DomainError, match=words):
+        grid_px(load_config(Config, settings=settings), star_camera)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (["two_axis.axes=xx"], "two_axis.axes = 'xx': neighbouring axes are the same"),
+        (["two_axis.axes=x-x"], "two_axis.axes = 'x-x': neighbouring axes are the same"),
+        (["two_axis.axes=xq"], "two_axis.axes: .*'xq'; letters x, y, z"),
+        (["two_axis.axes=x"], "2 axes are needed, 1 given"),
+        (["two_axis.reading_noise_arcsec=[1,2,3]"], "3 values where 2 are needed"),
+        (["two_axis.non_orthogonality_arcsec=[1,2]"], "2 values where 1"),
+    ],
+)
+def test_tables_that_do_not_do(settings: list[str], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        check_table("two_axis", load_config(Config, settings=settings).two_axis, 2)
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("two_axis.reading_noise_arcsec=[-0.3]", "cannot be negative"),
+        ("window_px=12", "odd"),
+        ("grid.edge_px=5", "windows leave the detector"),
+        ("star.passband_nm=[900,450]", "two increasing"),
+        ("installation_deg=[40,0,0]", "at most 30 deg"),
+        ("reduction.star_deg=[90,0]", "at most 60 deg"),
+        ("study.field_deg=[0,3]", "0.5"),
+        ("study.reading_noise_arcsec=[-1,3]", "none may be negative"),
+        ("two_axis.axis=xy", "did you mean 'axes'"),
+    ],
+)
+def test_settings_that_do_not_do(setting: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        load_config(Config, settings=[setting])
+
+
+def test_limit_of_the_rendered_run_hangs_on_no_single_run() -> None:
+    """Against the exact quantile of a chi-square of 5 degrees of freedom, from few runs."""
+    rng = np.random.default_rng(3)
+    exact = np.sqrt(chi2.ppf(RENDERED_QUANTILE, 5) / 5)
+    many = [rendered_limit(np.sqrt(rng.chisquare(5, 60) / 5)) for _ in range(300)]
+    assert np.mean(many) == pytest.approx(exact, rel=0.03)
+    assert np.std(many) < 0.1 * exact
+    assert np.isnan(rendered_limit(np.array([1.0])))
+
+
+def test_principal_point_and_line_of_sight_are_compared_per_axis() -> None:
+    assert point_over_line(3.0, np.hypot(1.0, 1.0)) == pytest.approx(3.0)
+
+
+def test_units_of_the_unknowns() -> None:
+    names = ("x0_px", "focal_length_mm", "q2_per_mm4", "star_elevation_rad")
+    assert [unit_of(name) for name in names] == ["px", "mm", "1/mm4", "rad"]
+
+
+def test_one_number_stands_for_all_axes() -> None:
+    config = load_config(Config, settings=["three_axis.reading_noise_arcsec=[0.7]"])
+    np.testing.assert_array_equal(build_table(config.three_axis).reading_noise_arcsec, [0.7, 0.7, 0.7])
+
+
+@pytest.mark.slow
+def test_the_command(tmp_path, capsys) -> None:
+    """Few places and runs; what is judged are the parts, not the statistics."""
+    out = tmp_path / "run"
+    argv = ["--quick", "--out", str(out), "--set", "study.runs=20", "--set", "study.sweep_runs=5"]
+    assert main(argv) in (0, 1)
+    capsys.readouterr()
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["experiment"] == "turntable"
+    for name in ("two_axis", "three_axis"):
+        found = summary["results"][name]
+        assert found["lost_runs"] == 0
+        assert found["map_split_arcsec"]["model"] < 1e-4 < found["map_error_arcsec"]["estimated"]
+        predicted, rms = np.array(found["centroid_predicted_px"]), np.array(found["centroid_error_px"]["rms"])
+        # N = 81 places: a standard deviation to 8 %, three of those
+        np.testing.assert_allclose(rms, predicted, rtol=0.25)
+    assert (out / "report.html").stat().st_size > 100_000
+    assert {p.name for p in out.glob("*.ecsv")} >= {"places.ecsv", "unknowns_two_axis.ecsv", "field_sweep.ecsv"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (["two_axis.axes=x"], "2 axes are needed"),
+        (["grid.columns=2", "grid.rows=2", "grid.edge_px=400"], "4 places give 8 measurements"),
+        (["two_axis.setting_noise_arcsec=2000"], "field of 3.5 deg"),
+        (["reduction.axes=x-y"], "mirrored"),
+        (["star.signal_e=50"], "not seen"),
+        (["star.signal_e=200000"], "saturated"),
+    ],
+)
+def test_mistakes_end_in_one_line(settings: list[str], words: str, tmp_path, capsys) -> None:
+    options = [part for setting in settings for part in ("--set", setting)]
+    assert main(["--quick", "--out", str(tmp_path / "run"), *options]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert words in lines[0]
+    assert not (tmp_path / "run").exists()
