@@ -10,7 +10,7 @@ __all__ = ["experiments", "main"]
 
 
 def experiments(folder: Path | None = None) -> dict[str, str]:
-    """Experiments of a folder: packages whose ``experiment.py`` assigns ``main = command(...)``.
+    """Experiments of a folder: packages whose ``experiment.py`` holds ``main = command(...)`` or another kind of it.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def _is_main(statement: ast.stmt) -> bool:
         isinstance(statement, ast.Assign)
         and [target.id for target in statement.targets if isinstance(target, ast.Name)] == ["main"]
         and isinstance(statement.value, ast.Call)
-        and getattr(statement.value.func, "attr", getattr(statement.value.func, "id", "")) == "command"
+        and getattr(statement.value.func, "attr", getattr(statement.value.func, "id", "")).endswith("command")
     )
 
 

@@ -69,7 +69,8 @@ class Experiment(Generic[C, R]):
     tables: Callable[[R], Mapping[str, Table]] | None = None
     show: Sequence[str] = ()
     files: Callable[[R, Path], None] | None = None
-    renders: bool = True
+    renders: Callable[[C], bool] = field(default=lambda _: True)
+    about: Callable[..., Any] | None = None
     options: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
 
@@ -159,8 +160,9 @@ def command(
     tables: Callable[[R], Mapping[str, Table]] | None = None,
     show: Sequence[str] = (),
     files: Callable[[R, Path], None] | None = None,
-    renders: bool = True,
+    renders: bool | Callable[[Any], bool] = True,
     options: Mapping[str, tuple[str, str]] | None = None,
+    about: Callable[..., Any] | None = None,
 ) -> Main:
     """Turn an experiment into a command.
 
@@ -178,11 +180,14 @@ def command(
         Names of those tables that are printed in the terminal too.
     files : callable, optional
         ``files(result, folder)`` writes anything else.
-    renders : bool
-        Whether the backend has to be ready before `run` (`render.variant.use_backend` is called).
+    renders : bool or callable
+        Whether the backend has to be ready before `run` (`render.variant.use_backend` is called); may depend on the
+        configuration.
     options : mapping, optional
         Name of an option without dashes -> (key of the configuration, help text): ``--NAME TEXT`` is short for
         ``--set KEY=TEXT`` and wins over it.
+    about : callable, optional
+        A function of the module whose docstring is the help text; ``run`` if left out.
 
     Returns
     -------
@@ -200,7 +205,8 @@ def command(
         tables=tables,
         show=show,
         files=files,
-        renders=renders,
+        renders=renders if callable(renders) else lambda _: bool(renders),
+        about=about,
         options=options or {},
     )
     outcome: list[int] = []
@@ -227,7 +233,7 @@ def command(
 
 
 def _parser(experiment: Experiment[Any, Any], outcome: list[int], interrupts: _Interrupts) -> click.Command:
-    module = inspect.getmodule(experiment.run)
+    module = inspect.getmodule(experiment.about or experiment.run)
     about = inspect.cleandoc((module.__doc__ if module else None) or f"The experiment {experiment.name}.")
 
     @click.command(help=about.partition("\n\n")[0], context_settings={"max_content_width": 100})
@@ -264,7 +270,7 @@ def _perform(experiment: Experiment[Any, Any], options: _Options, interrupts: _I
     with interrupts.unwinding():
         folder = OutputFolder(options.out)
     variant = None
-    if experiment.renders:
+    if experiment.renders(config):
         from render.variant import use_backend
 
         variant = use_backend(options.backend)

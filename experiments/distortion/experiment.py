@@ -10,22 +10,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from experiments.cli import command
 from experiments.distortion.settings import Config
-from experiments.point_settings import FRAMES_OPTION
+from experiments.point_command import point_command
 from experiments.progress import Progress
 from experiments.summary import Criterion
 
 if TYPE_CHECKING:
     from experiments.distortion.result import Result
-    from experiments.point_folder import FolderResult
     from experiments.report import Report
     from experiments.tables import Table
 
 __all__ = ["Config", "main", "report", "run", "summary", "tables"]
 
 
-def run(config: Config, *, progress: Progress) -> Result | FolderResult:
+def run(config: Config, *, progress: Progress) -> Result:
     """Render, read out, reduce, predict, compare with the true map.
 
     Parameters
@@ -41,10 +39,6 @@ def run(config: Config, *, progress: Progress) -> Result | FolderResult:
         On anything the user can mend: unknown lens or detector, target off the detector, points not detected or
         saturated, too few points for the polynomial, light beyond the range of the data.
     """
-    if config.frames_folder is not None:
-        from experiments.point_folder import run_folder
-
-        return run_folder("distortion", config, progress=progress)
     import mitsuba as mi
 
     from experiments.distortion.result import Result, correction_maps, forecasts
@@ -107,44 +101,28 @@ def run(config: Config, *, progress: Progress) -> Result | FolderResult:
     )
 
 
-def summary(result: Result | FolderResult) -> tuple[dict[str, Any], list[Criterion]]:
+def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:
     """What goes into ``summary.json``."""
-    from experiments.point_folder import FolderResult, outcome
-
-    if isinstance(result, FolderResult):
-        return outcome(result)
     from experiments.distortion.evaluate import criteria, results
 
     return results(result), criteria(result)
 
 
-def tables(result: Result | FolderResult) -> Mapping[str, Table]:
+def tables(result: Result) -> Mapping[str, Table]:
     """Tables written beside the report."""
-    from experiments.point_folder import FolderResult
-
-    if isinstance(result, FolderResult):
-        from experiments.point_folder_report import folder_tables
-
-        return folder_tables(result)
     from experiments.distortion.tables import all_tables
 
     return all_tables(result)
 
 
-def report(result: Result | FolderResult) -> Report:
+def report(result: Result) -> Report:
     """What ``report.html`` shows."""
-    from experiments.point_folder import FolderResult
-
-    if isinstance(result, FolderResult):
-        from experiments.point_folder_report import build_report as folder_report
-
-        return folder_report(result)
     from experiments.distortion.report import build_report
 
     return build_report(result)
 
 
-main = command(
+main = point_command(
     "distortion",
     config=Config,
     run=run,
@@ -152,7 +130,6 @@ main = command(
     summary=summary,
     tables=tables,
     show=("distortion",),
-    options=FRAMES_OPTION,
     quick={
         "compare": ["cog"],
         "surveys": 50,

@@ -10,22 +10,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from experiments.cli import command
 from experiments.hsfe.settings import Config
-from experiments.point_settings import FRAMES_OPTION
+from experiments.point_command import point_command
 from experiments.progress import Progress
 from experiments.summary import Criterion
 
 if TYPE_CHECKING:
     from experiments.hsfe.result import Result
-    from experiments.point_folder import FolderResult
     from experiments.report import Report
     from experiments.tables import Table
 
 __all__ = ["Config", "main", "report", "run", "summary", "tables"]
 
 
-def run(config: Config, *, progress: Progress) -> Result | FolderResult:
+def run(config: Config, *, progress: Progress) -> Result:
     """Step, read out, reduce, predict.
 
     Parameters
@@ -41,10 +39,6 @@ def run(config: Config, *, progress: Progress) -> Result | FolderResult:
         On anything the user can mend: unknown lens or detector, target off the detector, a step larger than the window,
         points not detected or saturated, light beyond the range of the data.
     """
-    if config.frames_folder is not None:
-        from experiments.point_folder import run_folder
-
-        return run_folder("hsfe", config, progress=progress)
     import mitsuba as mi
 
     from experiments.hsfe.result import Result, geometry_study, s_curves
@@ -129,44 +123,28 @@ def run(config: Config, *, progress: Progress) -> Result | FolderResult:
     )
 
 
-def summary(result: Result | FolderResult) -> tuple[dict[str, Any], list[Criterion]]:
+def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:
     """What goes into ``summary.json``."""
-    from experiments.point_folder import FolderResult, outcome
-
-    if isinstance(result, FolderResult):
-        return outcome(result)
     from experiments.hsfe.evaluate import criteria, results
 
     return results(result), criteria(result)
 
 
-def tables(result: Result | FolderResult) -> Mapping[str, Table]:
+def tables(result: Result) -> Mapping[str, Table]:
     """Tables written beside the report."""
-    from experiments.point_folder import FolderResult
-
-    if isinstance(result, FolderResult):
-        from experiments.point_folder_report import folder_tables
-
-        return folder_tables(result)
     from experiments.hsfe.tables import all_tables
 
     return all_tables(result)
 
 
-def report(result: Result | FolderResult) -> Report:
+def report(result: Result) -> Report:
     """What ``report.html`` shows."""
-    from experiments.point_folder import FolderResult
-
-    if isinstance(result, FolderResult):
-        from experiments.point_folder_report import build_report as folder_report
-
-        return folder_report(result)
     from experiments.hsfe.report import build_report
 
     return build_report(result)
 
 
-main = command(
+main = point_command(
     "hsfe",
     config=Config,
     run=run,
@@ -174,7 +152,6 @@ main = command(
     summary=summary,
     tables=tables,
     show=("hsfe",),
-    options=FRAMES_OPTION,
     quick={
         "steps.positions": 6,
         "target.rows": 3,

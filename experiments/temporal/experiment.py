@@ -10,14 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from experiments.cli import command
-from experiments.point_settings import FRAMES_OPTION
+from experiments.point_command import point_command
 from experiments.progress import Progress
 from experiments.summary import Criterion
 from experiments.temporal.settings import Config
 
 if TYPE_CHECKING:
-    from experiments.point_folder import FolderResult
     from experiments.report import Report
     from experiments.tables import Table
     from experiments.temporal.result import Result
@@ -25,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["Config", "main", "report", "run", "summary", "tables"]
 
 
-def run(config: Config, *, progress: Progress) -> Result | FolderResult:
+def run(config: Config, *, progress: Progress) -> Result:
     """Render, read out, reduce, predict.
 
     Parameters
@@ -41,10 +39,6 @@ def run(config: Config, *, progress: Progress) -> Result | FolderResult:
         On anything the user can mend: unknown lens or detector, target off the detector, points not detected or
         saturated, light beyond the range of the data.
     """
-    if config.frames_folder is not None:
-        from experiments.point_folder import run_folder
-
-        return run_folder("temporal", config, progress=progress)
     import mitsuba as mi
 
     from experiments.instrument import build_instrument
@@ -108,44 +102,28 @@ def run(config: Config, *, progress: Progress) -> Result | FolderResult:
     )
 
 
-def summary(result: Result | FolderResult) -> tuple[dict[str, Any], list[Criterion]]:
+def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:
     """What goes into ``summary.json``."""
-    from experiments.point_folder import FolderResult, outcome
-
-    if isinstance(result, FolderResult):
-        return outcome(result)
     from experiments.temporal.evaluate import criteria, results
 
     return results(result), criteria(result)
 
 
-def tables(result: Result | FolderResult) -> Mapping[str, Table]:
+def tables(result: Result) -> Mapping[str, Table]:
     """Tables written beside the report."""
-    from experiments.point_folder import FolderResult
-
-    if isinstance(result, FolderResult):
-        from experiments.point_folder_report import folder_tables
-
-        return folder_tables(result)
     from experiments.temporal.tables import all_tables
 
     return all_tables(result)
 
 
-def report(result: Result | FolderResult) -> Report:
+def report(result: Result) -> Report:
     """What ``report.html`` shows."""
-    from experiments.point_folder import FolderResult
-
-    if isinstance(result, FolderResult):
-        from experiments.point_folder_report import build_report as folder_report
-
-        return folder_report(result)
     from experiments.temporal.report import build_report
 
     return build_report(result)
 
 
-main = command(
+main = point_command(
     "temporal",
     config=Config,
     run=run,
@@ -153,7 +131,6 @@ main = command(
     summary=summary,
     tables=tables,
     show=("temporal_error",),
-    options=FRAMES_OPTION,
     quick={
         "frames": 30,
         "draws": 30,
