@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -23,10 +24,17 @@ ALLOWED = {"calib": {"render.records"}}
 LINES = 500
 
 
+@cache
+def nodes(source):
+    """All nodes of the syntax tree of a source text; parsed once."""
+    return tuple(ast.walk(ast.parse(source)))
+
+
+@cache
 def imported(source, package):
     """Full dotted names of all modules that a source text imports, wherever the statement stands."""
     names = set()
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes(source):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -57,7 +65,7 @@ def calls_set_variant(source):
     return any(
         (isinstance(node, ast.Attribute) and node.attr in ("set_variant", "scoped_set_variant"))
         or (isinstance(node, ast.ImportFrom) and any("set_variant" in alias.name for alias in node.names))
-        for node in ast.walk(ast.parse(source))
+        for node in nodes(source)
     )
 
 

@@ -18,6 +18,7 @@ def test_relative_links_lead_to_files(page):
     assert not missing
 
 
+@pytest.mark.slow
 def test_the_library_script_runs_and_measures(tmp_path):
     source = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "library.md").read_text(encoding="utf-8"), re.S)[0]
     script = tmp_path / "script.py"

@@ -214,6 +214,7 @@ def test_inputs_unchanged(measured, bench_of, small_camera):
     assert np.array_equal(measured.direction, direction)
 
 
+@pytest.mark.slow
 def test_same_seed_same_numbers_another_seed_others(mi, measured, bench_of, small_camera):
     bench = bench_of(rows=1, columns=2, frames=2, dark_frames=2)
     one = measured.mean_px["epsf"]

@@ -49,6 +49,7 @@ def test_inputs_are_stratified():
     assert starts.std(0) == pytest.approx(np.full(4, 1 / np.sqrt(3)), abs=0.01)
 
 
+@pytest.mark.slow
 def test_bars_of_stratified_benches():
     """Mean squares of a stratified term of 2 and a free one of 1, from 50 benches; 100 repeats tell to 7 %."""
     generator = np.random.default_rng(6)
