@@ -153,7 +153,7 @@ def lens_wcs(camera: Camera, *, wavelength_nm: float | None = None, tolerance_px
     wavelength_nm : float, optional
         Wavelength of the chief rays, e.g. the mean of a band; the design wavelength by default.
     tolerance_px : float
-        The order is raised until both polynomials are that good; at order 9 anything below 0.01 px is taken.
+        The order is raised until both polynomials are that good, at most 0.01; order 9 is taken if it reaches 0.01 px.
 
     Returns
     -------
@@ -162,12 +162,14 @@ def lens_wcs(camera: Camera, *, wavelength_nm: float | None = None, tolerance_px
     Raises
     ------
     DomainError
-        Tolerance not positive.
+        Tolerance out of range.
     ConvergenceError
         The corners of the detector lie outside what the lens can image, or order 9 does not reach 0.01 px.
     """
-    if not (0.0 < tolerance_px < math.inf):
-        raise DomainError(f"tolerance_px = {tolerance_px:g} px; it must be positive")
+    if not 0.0 < tolerance_px <= _LARGEST_RESIDUAL_PX:
+        raise DomainError(
+            f"tolerance_px = {tolerance_px:g} px; it must be above 0, at most {_LARGEST_RESIDUAL_PX:g} px"
+        )
     wavelength = camera.lens.design_wavelength_nm if wavelength_nm is None else float(wavelength_nm)
     centre = _chief_px(camera, np.zeros((1, 2)), wavelength)[0]
     nodes = np.cos(np.pi * (np.arange(_FIT_NODES) + 0.5) / _FIT_NODES)
@@ -249,7 +251,7 @@ def _fitted(x: FloatArray, y: FloatArray, order: int, linear: FloatArray | None)
     size = float(np.abs(x).max())
     power = [(p, total - p) for total in range(1, order + 1) for p in range(total, -1, -1)]
     basis = np.stack([(x[:, 0] / size) ** p * (x[:, 1] / size) ** q for p, q in power], axis=1)
-    solution = np.linalg.lstsq(basis, y, rcond=None)[0]
+    solution = np.asarray(np.linalg.lstsq(basis, y, rcond=None)[0], np.float64)
     matrix = np.asarray(solution[:2].T / size, np.float64) if linear is None else linear
     solution = _solved(matrix, solution)  # in pixels
     solution[:2] = 0.0 if linear is None else solution[:2] - size * np.eye(2)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,6 +54,83 @@ def test_what_other_software_sees(tmp_path: Path) -> None:
         assert header["PIXOFF"] == 1
         assert content[0].section[2, 5] == before.dn[2, 5]
         assert np.array_equal(content["MASK"].data, before.saturated * 1 + before.defect * 2)
+
+
+@pytest.mark.parametrize("compression", ["rice", "gzip"])
+def test_compressed_frame_comes_back(tmp_path: Path, compression: Any) -> None:
+    """Nothing lost, by our reader and as astropy and fitsverify's rules see it; more rows than a tile."""
+    rng = np.random.default_rng(5)
+    dn, flags = rng.poisson(200, (70, 33)).astype(np.uint16), rng.random((70, 33)) < 0.1
+    dn[0, :2] = 0, 65535
+    before = dataclasses.replace(frame(), dn=dn, saturated=flags, defect=~flags)
+    path = write_frame(before, tmp_path / "a.fits", compression=compression, cards=[("OBJECT", "sky", "")])
+    after = read_frame(path)
+    assert np.array_equal(after.dn, dn)
+    assert np.array_equal(after.saturated, flags)
+    assert np.array_equal(after.defect, ~flags)
+    assert (after.index, after.band, after.exposure_s) == (17, "600 nm", 0.1)
+    with fits.open(path) as content:
+        content.verify("exception")
+        assert content["FRAME"].header["OBJECT"] == "sky"
+        assert content["FRAME"].compression_type == {"rice": "RICE_1", "gzip": "GZIP_2"}[compression]
+        assert len(content) == 3
+    assert path.stat().st_size % 2880 == 0
+
+
+def test_masks(tmp_path: Path) -> None:
+    """Saturated pixels where there are any; defects only in "always"."""
+    before, path = frame(), tmp_path / "a.fits"
+    dark = dataclasses.replace(before, saturated=np.zeros((7, 11), bool))
+    for mask, held, planes, defects in (
+        ("saturated", before, 2, False),
+        ("saturated", dark, 1, False),
+        ("never", before, 1, False),
+        ("always", dark, 2, True),
+    ):
+        after = read_frame(write_frame(held, path, mask=mask))
+        assert np.array_equal(after.saturated, held.saturated & (mask != "never"))
+        assert np.array_equal(after.defect, held.defect & defects)
+        with fits.open(path) as content:
+            assert len(content) == planes
+
+
+def test_bytes_depend_on_nothing_else(tmp_path: Path) -> None:
+    """Another process, on another day, after other files, writes the same bytes; zero keeps no sign."""
+    write_frame(frame(), tmp_path / "other.fits", cards=[("A_2_0", -0.0, ""), ("B", 1, ""), ("C", True, "")])
+    options: dict[str, Any] = {"cards": [("A_2_0", 0.0, ""), ("B", 1.0, ""), ("C", 1, ""), ("A", np.float32(0.5), "")]}
+    here = [write_frame(frame(), tmp_path / f"{c}.fits", compression=c, **options).read_bytes() for c in (None, "rice")]
+    program = (
+        "import sys, time, numpy as np; time.time = lambda: 0.0\n"
+        "from render.fits import read_frame, write_frame\n"
+        "frame = read_frame(sys.argv[1])\n"
+        "cards = [('A_2_0', 0.0, ''), ('B', 1.0, ''), ('C', 1, ''), ('A', np.float32(0.5), '')]\n"
+        "for c in (None, 'rice'): write_frame(frame, sys.argv[1] + str(c), compression=c, cards=cards)\n"
+    )
+    path = tmp_path / "None.fits"
+    root = Path(__file__).resolve().parents[2]
+    subprocess.run([sys.executable, "-c", program, str(path)], check=True, cwd=root)
+    assert here == [Path(f"{path}{c}").read_bytes() for c in (None, "rice")]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"compression": "zip"}, "unknown compression 'zip'"),
+        ({"mask": "sometimes"}, "unknown mask"),
+        ({"cards": [("EXPTIME", 1.0, "")]}, "card EXPTIME is there already"),
+        ({"cards": [("A", 1.0, ""), ("a", 1.0, "")]}, "card A is there already"),
+        ({"cards": [("NAXIS1", 1, "")]}, "NAXIS1 describes the file itself"),
+        ({"cards": [("A", float("nan"), "")]}, "card A = nan cannot be written"),
+        ({"cards": [("A", [1, 2], "")]}, "text, a number"),
+        ({"cards": [("A", "n\u00e4", "")]}, "cannot be written"),
+        ({"cards": ["A"]}, "is needed"),
+    ],
+)
+def test_bad_options(tmp_path: Path, options: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigError, match=words) as caught:
+        write_frame(frame(), tmp_path / "a.fits", **options)
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
 
 
 def test_write_replaces_and_leaves_nothing_beside(tmp_path: Path) -> None:
