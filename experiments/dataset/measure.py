@@ -1,0 +1,157 @@
+"""Stars of a frame as a star tracker measures them: dark subtracted, detected, centroided, without the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.background import estimate_background
+from calib.centroid import get_centroider
+from calib.detection import detect
+from calib.flags import StarFlag
+from calib.frames import image_from_frame
+from calib.records import SensorImage, StarTable
+from calib.stamps import extract_stamps
+from optics.records import freeze
+from render.readout import expose
+
+if TYPE_CHECKING:
+    from experiments.dataset.scene import Scene
+    from experiments.dataset.settings import VerifyConfig
+    from render.random import Streams
+    from render.records import Frame
+
+__all__ = ["MeasuredFrame", "Reduction", "master_dark", "measure_frame"]
+
+FloatArray = NDArray[np.float64]
+
+FWHM_PX = 1.8
+"""Of the detection filter: a spot of sigma 0.7 px on the pixels."""
+BACKGROUND_STEP_PX = 4
+"""The sky is flat over hundreds of pixels; every 16th pixel gives its level to a fraction of an electron."""
+UNFIT = (
+    StarFlag.SATURATED
+    | StarFlag.EDGE
+    | StarFlag.BLEND
+    | StarFlag.DEFECT
+    | StarFlag.SPIKE
+    | StarFlag.NOT_CONVERGED
+    | StarFlag.NO_DATA
+)
+"""Flags that keep a star out of an attitude."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reduction:
+    """How frames are measured.
+
+    Attributes
+    ----------
+    dark_dn : (h, w) float32
+        Mean of frames without light.
+    centroid : str
+        Name of a centroider.
+    window_px : int
+        Its window.
+    threshold_sigma : float
+        Detection limit.
+    """
+
+    dark_dn: NDArray[np.float32]
+    centroid: str
+    window_px: int
+    threshold_sigma: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "dark_dn", shape=("h", "w"), dtype=np.float32, sizes={})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredFrame:
+    """Stars of one frame.
+
+    Attributes
+    ----------
+    stars : StarTable
+        All detections with their centroids, brightest first.
+    fit : (n,) bool
+        Whether a star may count in an attitude: no flag against it.
+    detected_px : (n, 2)
+        Where they were detected, before the centroid.
+    """
+
+    stars: StarTable
+    fit: NDArray[np.bool_]
+    detected_px: FloatArray
+
+    @property
+    def pixel_px(self) -> FloatArray:
+        """Centroids (n, 2); NaN where there is none."""
+        return np.column_stack([self.stars.x_px, self.stars.y_px])
+
+
+def master_dark(scene: Scene, *, frames: int, streams: Streams, backend: str) -> NDArray[np.float32]:
+    """Mean of frames without light [DN], of the same exposure time and temperature as the dataset."""
+    camera, detector = scene.config.camera, scene.instrument.detector
+    nothing, total = np.zeros(detector.shape, np.float32), np.zeros(detector.shape)
+    for frame in range(frames):
+        total += expose(
+            nothing,
+            detector,
+            streams=streams,
+            frame=frame,
+            exposure_s=camera.exposure_s,
+            temperature_c=camera.chip_temperature_c,
+            band="dark",
+            backend=backend,
+        ).dn
+    return np.asarray(total / frames, np.float32)
+
+
+def dark_subtracted(frame: Frame, dark_dn: NDArray[np.float32]) -> SensorImage:
+    """The frame without its pattern: what is left above the nominal offset is light."""
+    image = image_from_frame(frame)
+    return replace(image, dn=image.dn - dark_dn + frame.offset_dn)
+
+
+def measure_frame(frame: Frame, reduction: Reduction) -> MeasuredFrame:
+    """Detect and centroid the stars of a frame.
+
+    Parameters
+    ----------
+    frame : Frame
+        Raw readout.
+    reduction : Reduction
+        Dark and methods.
+
+    Returns
+    -------
+    MeasuredFrame
+        Empty if nothing was found.
+    """
+    image = dark_subtracted(frame, reduction.dark_dn)
+    background = estimate_background(image, step_px=BACKGROUND_STEP_PX)
+    found = detect(image, background, threshold_sigma=reduction.threshold_sigma, fwhm_px=FWHM_PX)
+    stamps = extract_stamps(
+        image, found.x_px, found.y_px, background=background, size_px=reduction.window_px, flags=found.flags
+    )
+    stars = get_centroider(reduction.centroid).measure(stamps, image.noise) if len(stamps) else found
+    known = np.isfinite(stars.covariance).all(axis=(1, 2)) & np.isfinite(stars.x_px) & np.isfinite(stars.y_px)
+    return MeasuredFrame(
+        stars=stars,
+        fit=((stars.flags & np.uint32(int(UNFIT))) == 0) & known,
+        detected_px=np.column_stack([found.x_px, found.y_px]),
+    )
+
+
+def reduction_of(verify: VerifyConfig, dark_dn: NDArray[Any]) -> Reduction:
+    """The configured reduction."""
+    return Reduction(
+        dark_dn=dark_dn,
+        centroid=verify.centroid,
+        window_px=verify.window_px,
+        threshold_sigma=verify.threshold_sigma,
+    )

@@ -1,0 +1,219 @@
+"""Frames solved by a stranger: tetra3rs identifies the stars blind, attitudes follow, the truth judges them.
+
+tetra3rs gets centroids and a calibrated camera, no attitude, and the whole sky. Two attitudes are made of what it
+matched: one in which all stars weigh the same, and one from all detections near a star of the catalogue, weighted by
+their own covariance and a common error that nobody modelled (undersampling, colour): the one with which the residuals
+are as large as they should be (R. C. Paule, J. Mandel, J. Res. NBS 87, 377 (1982)). Neither uses the truth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+from calib.association import associate
+from calib.attitude import attitude_error_arcsec, solve_wahba
+from calib.cameras.base import CameraModel
+from calib.identify import Identification, identify
+from experiments.dataset.measure import MeasuredFrame
+from optics.records import freeze
+from optics.units import RAD_ARCSEC
+
+__all__ = ["SkyMap", "SolvedFrame", "solve_frame"]
+
+FloatArray = NDArray[np.float64]
+
+MATCH_PX = 1.0
+LARGEST_COMMON_PX = 0.5
+FEWEST = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SkyMap:
+    """Catalogue that attitudes are computed with, as the camera sees it.
+
+    Attributes
+    ----------
+    direction : (n, 3)
+        Unit vectors in icrs, aberration included if the frames have it.
+    by_id : mapping
+        Identifier -> direction.
+    """
+
+    direction: FloatArray
+    by_id: Mapping[int, FloatArray]
+
+    def __post_init__(self) -> None:
+        freeze(self, "direction", shape=("n", 3), sizes={})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SolvedFrame:
+    """What became of one frame; errors are rotation vectors in cam: across the boresight x, y, and roll z.
+
+    Attributes
+    ----------
+    frame : int
+        Its number.
+    status, message : str
+        Of `calib.identify.identify`; ``"wrong"`` for an attitude that is off by more than a pixel.
+    detected, fit, identified, used : int
+        Detections, those without a flag, those that tetra3rs matched, those in the weighted attitude.
+    error_arcsec : (3,)
+        Weighted attitude minus truth; NaN where there is none.
+    sigma_arcsec : (3,)
+        What its covariance says.
+    equal_error_arcsec : (3,)
+        With equal weights, of the stars that tetra3rs matched.
+    common_px : float
+        Common centroid error that the residuals ask for.
+    chance : float
+        Probability of a false identification as tetra3rs states it.
+    """
+
+    frame: int
+    status: str
+    message: str
+    detected: int
+    fit: int
+    identified: int
+    used: int
+    error_arcsec: FloatArray
+    sigma_arcsec: FloatArray
+    equal_error_arcsec: FloatArray
+    common_px: float
+    chance: float
+
+    def __post_init__(self) -> None:
+        for name in ("error_arcsec", "sigma_arcsec", "equal_error_arcsec"):
+            freeze(self, name, shape=(3,), finite=False)
+
+    @property
+    def solved(self) -> bool:
+        """Whether the stars were identified and the attitude is right."""
+        return self.status == "identified"
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the stars matched a mirrored sky only."""
+        return self.status == "mirrored"
+
+    @property
+    def boresight_arcsec(self) -> float:
+        """Angle between the boresights."""
+        return float(np.hypot(self.error_arcsec[0], self.error_arcsec[1]))
+
+
+def solve_frame(
+    frame: int,
+    measured: MeasuredFrame,
+    *,
+    model: CameraModel,
+    model_turn: Rotation,
+    database: Any,
+    sky: SkyMap,
+    truth: Rotation,
+    pixel_arcsec: float,
+) -> SolvedFrame:
+    """Solve one frame blind and compare with the truth.
+
+    Parameters
+    ----------
+    frame : int
+        Its number.
+    measured : MeasuredFrame
+        Its stars.
+    model : CameraModel
+        Calibrated camera.
+    model_turn : Rotation
+        The model's cam from the cam of the truth (`calib.cameras.fit.MapFit.rotation`).
+    database : tetra3rs.SolverDatabase
+        For this field of view.
+    sky : SkyMap
+        Catalogue.
+    truth : Rotation
+        cam from icrs.
+    pixel_arcsec : float
+        Angle of a pixel.
+
+    Raises
+    ------
+    ConfigError
+        tetra3rs is missing.
+    """
+    pixel = measured.pixel_px[measured.fit]
+    found = identify(pixel, model, database, flux=measured.stars.flux_e[measured.fit], catalogue=sky.by_id)
+    common: dict[str, Any] = {
+        "frame": frame,
+        "detected": len(measured.stars),
+        "fit": len(pixel),
+        "identified": len(found.detected),
+        "chance": found.chance,
+    }
+    nothing = np.full(3, np.nan)
+    if not found.ok or found.attitude is None:
+        return SolvedFrame(
+            **common,
+            status=found.status,
+            message=found.message,
+            used=0,
+            error_arcsec=nothing,
+            sigma_arcsec=nothing,
+            equal_error_arcsec=nothing,
+            common_px=float("nan"),
+        )
+    equal = attitude_error_arcsec(model_turn.inv() * found.attitude.rotation, truth)
+    weighted, used, common_px = _weighted(measured, pixel, model, found, sky, pixel_arcsec)
+    error = attitude_error_arcsec(model_turn.inv() * weighted.rotation, truth)
+    wrong = not np.hypot(error[0], error[1]) < pixel_arcsec
+    return SolvedFrame(
+        **common,
+        status="wrong" if wrong else "identified",
+        message=f"off by {np.hypot(error[0], error[1]):.3g} arcsec" if wrong else found.message,
+        used=used,
+        error_arcsec=error,
+        sigma_arcsec=np.sqrt(np.diagonal(weighted.covariance_rad2)) * RAD_ARCSEC,
+        equal_error_arcsec=equal,
+        common_px=common_px,
+    )
+
+
+def _weighted(
+    measured: MeasuredFrame,
+    pixel: FloatArray,
+    model: CameraModel,
+    found: Identification,
+    sky: SkyMap,
+    pixel_arcsec: float,
+) -> tuple[Any, int, float]:
+    """Attitude from all detections near a star, how many they are, and their common error [px]."""
+    assert found.attitude is not None
+    pairs = associate(pixel, sky.direction, found.attitude.rotation, model, radius_px=MATCH_PX)
+    if len(pairs.detected) < FEWEST:
+        return found.attitude, len(found.detected), float("nan")
+    covariance = measured.stars.covariance[measured.fit][pairs.detected]
+    variance = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2.0
+    v_cam, v_ref = model.unproject(pixel[pairs.detected]), sky.direction[pairs.catalogue]
+    scale = pixel_arcsec / RAD_ARCSEC
+
+    def solved(common_px: float) -> Any:
+        return solve_wahba(v_cam, v_ref, sigma_rad=scale * np.sqrt(variance + common_px**2))
+
+    def excess(common_px: float) -> float:
+        miss = np.linalg.norm(v_cam - solved(common_px).rotation.apply(v_ref), axis=1) / scale
+        return float(np.sum(miss**2 / (variance + common_px**2))) - (2 * len(miss) - 3)
+
+    common_px = 0.0
+    if excess(0.0) > 0.0:
+        common_px = (
+            LARGEST_COMMON_PX
+            if excess(LARGEST_COMMON_PX) > 0.0
+            else float(brentq(excess, 0.0, LARGEST_COMMON_PX, xtol=1e-3))
+        )
+    return solved(common_px), len(pairs.detected), common_px
