@@ -9,6 +9,8 @@ An experiment is a package ``experiments/NAME``: its ``__main__.py`` runs ``main
 * optionally ``tables(result) -> {name: Table}``: written as ``NAME.ecsv``;
 * optionally ``files(result, folder)``: writes further files (FITS frames) into ``folder``;
 * optionally ``options``: text options of its own, each short for one key of the configuration;
+* optionally ``output(path, config)``: an output folder of its own kind, for work that is to be taken up again; ``run``
+  is then given it as ``output=``;
 * and, at its end::
 
       main = command("NAME", config=Config, run=run, report=report, summary=summary, quick={"frames": 4})
@@ -31,7 +33,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import click
 
@@ -51,9 +53,27 @@ C = TypeVar("C", bound=ExperimentConfig)
 R = TypeVar("R")
 Main = Callable[..., int]
 
-_INTERRUPTED = "interrupted; nothing was written"
+_INTERRUPTED = OutputFolder.interrupted
 
 EXIT_GOOD, EXIT_FAILED, EXIT_BAD_INPUT, EXIT_BROKEN, EXIT_INTERRUPTED = 0, 1, 2, 3, 130
+
+
+class Output(Protocol):
+    """Where an experiment writes; `experiments.outputs.OutputFolder` is the usual kind."""
+
+    @property
+    def shown(self) -> str:
+        """The folder as the user named it."""
+        ...
+
+    @property
+    def interrupted(self) -> str:
+        """What to say after an interrupt."""
+        ...
+
+    def writing(self) -> contextlib.AbstractContextManager[Path]:
+        """Folder for the files that are written at the end."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,6 +92,7 @@ class Experiment(Generic[C, R]):
     renders: Callable[[C], bool] = field(default=lambda _: True)
     about: Callable[..., Any] | None = None
     options: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    output: Callable[[str, C], Output] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,11 +128,14 @@ class _Interrupts:
         import of a native library can crash it, or be swallowed.
     stderr : int
         Descriptor of the error stream from before anybody turned it elsewhere, as the start of the renderer does.
+    said : callable
+        What to say.
     """
 
     asked: list[int] = field(default_factory=list)
     at_once: bool = False
     stderr: int = -1
+    said: Callable[[], str] = lambda: _INTERRUPTED
 
     @contextlib.contextmanager
     def caught(self) -> Iterator[None]:
@@ -144,7 +168,7 @@ class _Interrupts:
         self.asked.append(number)
         if self.at_once:
             with contextlib.suppress(OSError):  # nobody listens
-                os.write(self.stderr, f"{_INTERRUPTED}\n".encode())
+                os.write(self.stderr, f"{self.said()}\n".encode())
             _leave_at_once(EXIT_INTERRUPTED)
         raise KeyboardInterrupt
 
@@ -162,6 +186,7 @@ def command(
     files: Callable[[R, Path], None] | None = None,
     renders: bool | Callable[[Any], bool] = True,
     options: Mapping[str, tuple[str, str]] | None = None,
+    output: Callable[[str, Any], Output] | None = None,
     about: Callable[..., Any] | None = None,
 ) -> Main:
     """Turn an experiment into a command.
@@ -186,6 +211,9 @@ def command(
     options : mapping, optional
         Name of an option without dashes -> (key of the configuration, help text): ``--NAME TEXT`` is short for
         ``--set KEY=TEXT`` and wins over it.
+    output : callable, optional
+        ``output(path, config)``: the folder to write into, in place of an `experiments.outputs.OutputFolder`; it may
+        refuse the path.
     about : callable, optional
         A function of the module whose docstring is the help text; ``run`` if left out.
 
@@ -208,6 +236,7 @@ def command(
         renders=renders if callable(renders) else lambda _: bool(renders),
         about=about,
         options=options or {},
+        output=output,
     )
     outcome: list[int] = []
     interrupts = _Interrupts()
@@ -217,12 +246,13 @@ def command(
         outcome.clear()
         interrupts.asked.clear()
         interrupts.at_once = argv is None
+        interrupts.said = lambda: _INTERRUPTED
 
         def work() -> None:
             with interrupts.caught():
                 parser.main(argv, prog_name=f"python -m experiments.{name}", standalone_mode=False)
 
-        status = _guarded(work, interrupts.asked)
+        status = _guarded(work, interrupts)
         if status == EXIT_INTERRUPTED and argv is None:
             if "multiprocessing.synchronize" not in sys.modules:  # its semaphores want Python's clean-up
                 _leave_at_once(status)
@@ -268,7 +298,9 @@ def _perform(experiment: Experiment[Any, Any], options: _Options, interrupts: _I
         seed=options.seed,
     )
     with interrupts.unwinding():
-        folder = OutputFolder(options.out)
+        folder: Output = experiment.output(options.out, config) if experiment.output else OutputFolder(options.out)
+    interrupts.said = lambda: folder.interrupted
+    own = {"output": folder} if experiment.output else {}
     variant = None
     if experiment.renders(config):
         from render.variant import use_backend
@@ -276,7 +308,7 @@ def _perform(experiment: Experiment[Any, Any], options: _Options, interrupts: _I
         variant = use_backend(options.backend)
     interrupts.at_once = False
     progress = terminal_progress()
-    result = experiment.run(config, progress=progress)
+    result = experiment.run(config, progress=progress, **own)
     with progress.stage("write"):
         results, criteria = experiment.summary(result)
         tables = dict(experiment.tables(result)) if experiment.tables else {}
@@ -344,7 +376,7 @@ def _show(experiment: Experiment[Any, Any], outcome: _Outcome, shown: str) -> No
     console.print(f"report: {Path(shown) / 'report.html'}", highlight=False, soft_wrap=True)
 
 
-def _guarded(work: Callable[[], None], asked: Sequence[int]) -> int:
+def _guarded(work: Callable[[], None], interrupts: _Interrupts) -> int:
     """Exit code of ``work``; what the user can mend becomes one line.
 
     An interrupt in the middle of an import may come out as another error (an extension module that failed to load), so
@@ -353,10 +385,10 @@ def _guarded(work: Callable[[], None], asked: Sequence[int]) -> int:
     try:
         work()
     except (click.exceptions.Abort, KeyboardInterrupt):
-        return _say(_INTERRUPTED, EXIT_INTERRUPTED)
+        return _say(interrupts.said(), EXIT_INTERRUPTED)
     except Exception as error:
-        if asked:
-            return _say(_INTERRUPTED, EXIT_INTERRUPTED)
+        if interrupts.asked:
+            return _say(interrupts.said(), EXIT_INTERRUPTED)
         if isinstance(error, click.ClickException):
             return _say(error.format_message(), EXIT_BAD_INPUT)
         if isinstance(error, StarbenchError):

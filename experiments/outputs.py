@@ -48,6 +48,8 @@ class OutputFolder:
     ...     (staging / "summary.json").write_text("{}")
     """
 
+    interrupted = "interrupted; nothing was written"
+
     def __init__(self, path: str | Path) -> None:
         self.shown = str(path)
         self.path = Path(os.path.realpath(path))

@@ -1,0 +1,171 @@
+"""Datasets of star frames with exact truth: thousands of frames of the real sky, for whoever builds star sensors.
+
+Every frame is the real sky through a traced lens, read out with noise, beside a table that says where each star truly
+is. Frame k is the same bytes whether it is made alone, in any order, or by many workers. What was made stays: run the
+same command again after an interrupt, a killed machine or a full disk, and it goes on where it stopped; ask for more
+frames, and the dataset grows.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from experiments.cli import command
+from experiments.dataset.folder import DatasetFolder
+from experiments.dataset.identity import for_workers, identity
+from experiments.dataset.settings import Config
+from experiments.progress import Progress
+from experiments.summary import Criterion
+
+if TYPE_CHECKING:
+    from experiments.dataset.facts import FrameFacts
+    from experiments.dataset.result import Result
+    from experiments.report import Report
+
+__all__ = ["Config", "main", "report", "run", "summary"]
+
+
+def output(path: str, config: Config) -> DatasetFolder:
+    """The folder of the dataset, new or begun."""
+    return DatasetFolder(path, config=identity(config), frames=config.frames, truth=config.files.truth)
+
+
+def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
+    """Make the frames that are missing.
+
+    Parameters
+    ----------
+    config : Config
+        Settings.
+    progress : Progress
+        Where to report.
+    output : DatasetFolder
+        Where they go.
+
+    Raises
+    ------
+    StarbenchError
+        On anything the user can mend; see `experiments.dataset.scene.build_scene`, `experiments.dataset.folder` and
+        `experiments.dataset.schedule`.
+    """
+    import mitsuba as mi
+
+    from experiments.dataset.result import Result
+    from experiments.dataset.scene import build_scene
+    from experiments.dataset.schedule import software
+    from experiments.provenance import peak_memory_mb, process_seconds
+
+    with progress.stage("prepare"):
+        scene = build_scene(config)
+    backend = str(mi.variant()).split("_", maxsplit=1)[0]
+    output.open(software(backend))
+    try:
+        facts = _look(config, output, progress)
+        before = len(facts)
+        started = time.perf_counter()
+        rate, workers = _make(config, output, backend, facts, progress)
+        seconds = time.perf_counter() - started
+        ordered = tuple(facts[frame] for frame in range(config.frames))
+        return Result(
+            config=config,
+            folder=output.path,
+            scene=scene,
+            facts=ordered,
+            made=config.frames - before,
+            seconds=seconds,
+            frames_per_s=rate,
+            workers=workers,
+            runtime_s=process_seconds(),
+            peak_memory_mb=peak_memory_mb(),
+        )
+    except BaseException:
+        output.close()
+        raise
+
+
+def _look(config: Config, output: DatasetFolder, progress: Progress) -> dict[int, FrameFacts]:
+    """Frames that are there and whole."""
+    from concurrent.futures import ThreadPoolExecutor
+    from functools import partial
+
+    from experiments.dataset.folder import checked_frame
+    from experiments.dataset.schedule import processors
+
+    numbers = output.numbers()
+    if not numbers:
+        return {}
+    check = partial(checked_frame, output.path, truth=config.files.truth)
+    with ThreadPoolExecutor(processors()) as pool:
+        found = progress.track(pool.map(check, numbers), "look at the frames there are", total=len(numbers))
+        return {facts.frame: facts for facts in found if facts is not None}
+
+
+def _make(
+    config: Config, output: DatasetFolder, backend: str, facts: dict[int, FrameFacts], progress: Progress
+) -> tuple[float, int]:
+    """Make what is missing; frames per second and the number of processes."""
+    from experiments.dataset.folder import StorageError
+    from experiments.dataset.schedule import make_frames
+    from experiments.dataset.work import Job
+
+    missing = [frame for frame in range(config.frames) if frame not in facts]
+    job = Job(config=for_workers(config).model_dump_json(), folder=str(output.path), backend=backend)
+    times: list[float] = []
+    with progress.stage("make frames", total=len(missing)) as stage:
+
+        def done(one: FrameFacts) -> None:
+            facts[one.frame] = one
+            times.append(time.perf_counter())
+            stage.advance()
+
+        try:
+            workers = make_frames(job, missing, workers=config.workers, scheduler=config.scheduler, done=done)
+        except StorageError as error:
+            raise StorageError(
+                f"{output.shown}: {error}; {output.count()} of {config.frames} frames are whole and kept: make room "
+                "and run the same command again"
+            ) from None
+    rate = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else math.nan
+    return rate, workers
+
+
+def files(result: Result, folder: Path) -> None:
+    """The index, beside what the command line writes."""
+    from experiments.dataset.truth_file import index_bytes
+
+    form = result.config.files.truth
+    (folder / f"index.{form}").write_bytes(index_bytes(result.facts, form))
+
+
+def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:
+    """What goes into ``summary.json``."""
+    from experiments.dataset.checks import criteria, results
+
+    return results(result), criteria(result)
+
+
+def report(result: Result) -> Report:
+    """What ``report.html`` shows."""
+    from experiments.dataset.report import build_report
+
+    return build_report(result)
+
+
+main = command(
+    "dataset",
+    config=Config,
+    run=run,
+    report=report,
+    summary=summary,
+    files=files,
+    output=output,
+    options={
+        "frames": ("frames", "Frames in all."),
+        "workers": ("workers", "Processes; 0: one per processor."),
+        "scheduler": ("scheduler", "Address of a Dask scheduler."),
+    },
+    quick={"frames": 6, "camera.width_px": 512, "camera.height_px": 512},
+)

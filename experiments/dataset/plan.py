@@ -1,0 +1,218 @@
+"""What each frame is: attitude, motion, split. A pure function of configuration and frame number."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from experiments.dataset.pointing import attitude_from_angles, read_attitudes, read_motion
+from experiments.dataset.settings import (
+    ConePointing,
+    Config,
+    FixedRate,
+    ListPointing,
+    RandomRate,
+    ScanPointing,
+    SkyPointing,
+    SplitsConfig,
+)
+from optics.errors import ConfigError, DomainError
+from optics.units import DEG_RAD
+from render.random import Streams
+from render.trajectory import ConstantRate, SampledAttitude, Trajectory
+
+__all__ = ["SPLITS", "FramePlan", "Plan", "build_plan", "duration_s", "fastest_rad_per_s", "plan_frame", "split_of"]
+
+FloatArray = NDArray[np.float64]
+
+SPLITS = ("train", "validation", "test")
+SPLIT_BLOCK = 100
+RATE_SAMPLES = 1000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """All frames of a dataset; made by `build_plan`.
+
+    Attributes
+    ----------
+    config : Config
+        The configuration.
+    streams : Streams
+        Root of the randomness of this dataset.
+    attitudes : Rotation or None
+        Of a list.
+    path : Trajectory or None
+        Of a scan.
+    """
+
+    config: Config
+    streams: Streams
+    attitudes: Rotation | None
+    path: Trajectory | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FramePlan:
+    """One frame.
+
+    Attributes
+    ----------
+    frame : int
+        Its number.
+    split : str
+        One of `SPLITS`.
+    attitude : Rotation
+        cam from icrs in the middle of the exposure.
+    rate_rad_per_s : (3,)
+        Angular velocity in camera axes at that time.
+    start_s : float
+        Start of the exposure on the trajectory.
+    trajectory : Trajectory or None
+        Motion during the exposure; None where the camera stands still.
+    """
+
+    frame: int
+    split: str
+    attitude: Rotation
+    rate_rad_per_s: FloatArray
+    start_s: float
+    trajectory: Trajectory | None
+
+
+def duration_s(config: Config) -> float:
+    """From the start of the exposure of the first row to the end of that of the last."""
+    return config.camera.exposure_s
+
+
+def build_plan(config: Config) -> Plan:
+    """Read what has to be read, and refuse what cannot be.
+
+    Raises
+    ------
+    ConfigError
+        A file that is missing or not understood, fewer attitudes than frames, a motion given twice.
+    DomainError
+        An attitude that is not normalised, a motion shorter than the frames need.
+    """
+    pointing = config.pointing
+    attitudes: Rotation | None = None
+    path: Trajectory | None = None
+    if isinstance(pointing, ListPointing):
+        attitudes = read_attitudes(pointing.file, "pointing.file")
+        if len(attitudes) < config.frames:
+            raise ConfigError(
+                f"pointing.file: {pointing.file} holds {len(attitudes)} attitudes, {config.frames} frames are asked "
+                f"for; set frames to at most {len(attitudes)}"
+            )
+    elif isinstance(pointing, ScanPointing):
+        if not (isinstance(config.rate, FixedRate) and not any(config.rate.rate_deg_per_s)):
+            raise ConfigError("rate: the motion of a scan is that of pointing; leave rate out")
+        path = _scan(pointing, config)
+    return Plan(config=config, streams=Streams(config.seed).child("dataset"), attitudes=attitudes, path=path)
+
+
+def _scan(pointing: ScanPointing, config: Config) -> Trajectory:
+    last_s = (config.frames - 1) / pointing.frame_rate_hz + duration_s(config)
+    if pointing.file:
+        times, attitudes = read_motion(pointing.file, "pointing.file")
+        path = SampledAttitude(samples_s=times, attitudes=attitudes)
+        if path.end_s - path.start_s < last_s:
+            most = int((path.end_s - path.start_s - duration_s(config)) * pointing.frame_rate_hz) + 1
+            raise DomainError(
+                f"pointing.file: {pointing.file} lasts {path.end_s - path.start_s:g} s, {config.frames} frames at "
+                f"{pointing.frame_rate_hz:g} Hz need {last_s:g} s; set frames to at most {max(most, 0)}"
+            )
+        return path
+    return ConstantRate(
+        initial=attitude_from_angles(pointing.ra_deg, pointing.dec_deg, pointing.roll_deg),
+        rate_rad_per_s=np.array(pointing.rate_deg_per_s) * DEG_RAD,
+        end_s=1e7 / pointing.frame_rate_hz + duration_s(config),  # more than the most frames there can be
+    )
+
+
+def plan_frame(plan: Plan, frame: int) -> FramePlan:
+    """What frame number ``frame`` is."""
+    config, half_s = plan.config, duration_s(plan.config) / 2.0
+    split = split_of(config.splits, plan.streams, frame)
+    if plan.path is not None:
+        assert isinstance(config.pointing, ScanPointing)
+        start = plan.path.start_s + frame / config.pointing.frame_rate_hz
+        rate = plan.path.rate(start + half_s)
+        return FramePlan(
+            frame=frame,
+            split=split,
+            attitude=plan.path.attitude(start + half_s),
+            rate_rad_per_s=rate,
+            start_s=start,
+            trajectory=plan.path if np.any(rate) else None,
+        )
+    attitude, rate = _attitude(plan, frame), _rate(plan, frame)
+    path = None
+    if rate.any():
+        initial = Rotation.from_rotvec(rate * half_s) * attitude  # half an exposure earlier
+        path = ConstantRate(initial=initial, rate_rad_per_s=rate, end_s=2.0 * half_s)
+    return FramePlan(frame=frame, split=split, attitude=attitude, rate_rad_per_s=rate, start_s=0.0, trajectory=path)
+
+
+def _attitude(plan: Plan, frame: int) -> Rotation:
+    pointing = plan.config.pointing
+    if plan.attitudes is not None:
+        return plan.attitudes[frame]
+    rng = plan.streams.generator("attitude", frame)
+    if isinstance(pointing, SkyPointing):
+        return Rotation.from_quat(rng.standard_normal(4))  # a direction uniform on the 3-sphere is a uniform rotation
+    assert isinstance(pointing, ConePointing)
+    height = rng.uniform(np.cos(pointing.radius_deg * DEG_RAD), 1.0)  # equal heights of a cap are equal areas
+    azimuth, roll = rng.uniform(0.0, 360.0, 2)
+    centre = attitude_from_angles(pointing.ra_deg, pointing.dec_deg, 0.0)
+    across = np.sqrt(max(0.0, 1.0 - height * height))
+    inside = np.array([across * np.cos(azimuth * DEG_RAD), across * np.sin(azimuth * DEG_RAD), height])
+    boresight = centre.inv().apply(inside)
+    ra, dec = np.arctan2(boresight[1], boresight[0]), np.arcsin(np.clip(boresight[2], -1.0, 1.0))
+    return attitude_from_angles(ra / DEG_RAD, dec / DEG_RAD, roll if pointing.roll_deg is None else pointing.roll_deg)
+
+
+def _rate(plan: Plan, frame: int) -> FloatArray:
+    """Angular velocity in camera axes [rad/s]."""
+    rate = plan.config.rate
+    if isinstance(rate, FixedRate):
+        return np.array(rate.rate_deg_per_s) * DEG_RAD
+    rng = plan.streams.generator("rate", frame)
+    axis = rng.standard_normal(3)
+    share = rng.uniform()
+    low, high = rate.lowest_deg_per_s, rate.highest_deg_per_s
+    size = low * (high / low) ** share if rate.distribution == "log_uniform" else low + (high - low) * share
+    return np.asarray(axis / np.linalg.norm(axis) * size * DEG_RAD)
+
+
+def fastest_rad_per_s(plan: Plan) -> float:
+    """Largest angular velocity across the boresight that a frame may have [rad/s]."""
+    config = plan.config
+    if plan.path is not None:
+        assert isinstance(config.pointing, ScanPointing)
+        end_s = plan.path.start_s + (config.frames - 1) / config.pointing.frame_rate_hz + duration_s(config)
+        rate = plan.path.rate(np.linspace(plan.path.start_s, end_s, RATE_SAMPLES))
+        return float(np.hypot(rate[:, 0], rate[:, 1]).max())
+    if isinstance(config.rate, RandomRate):
+        return config.rate.highest_deg_per_s * DEG_RAD
+    return float(np.hypot(*config.rate.rate_deg_per_s[:2])) * DEG_RAD
+
+
+def split_of(splits: SplitsConfig, streams: Streams, frame: int) -> str:
+    """Which split a frame belongs to; every block of 100 frames is shared out as exactly as whole frames allow."""
+    block, place = divmod(frame, SPLIT_BLOCK)
+    position = (_order(streams, block)[place] + 0.5) / SPLIT_BLOCK
+    if position < splits.train_fraction:
+        return SPLITS[0]
+    return SPLITS[1] if position < splits.train_fraction + splits.validation_fraction else SPLITS[2]
+
+
+@lru_cache(maxsize=64)
+def _order(streams: Streams, block: int) -> Any:
+    return streams.generator("split", block).permutation(SPLIT_BLOCK)

@@ -1,0 +1,179 @@
+"""Attitudes of the frames: angles to rotations and back, lists and motions from files.
+
+Roll is the position angle of *up* in the image (towards smaller rows) at the boresight, from north through east. At
+roll 0 north is up and, as the sky is seen, east is to the left.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from optics.errors import ConfigError, DomainError
+from optics.units import DEG_RAD, RAD_DEG
+
+__all__ = ["angles_of", "attitude_from_angles", "file_digest", "quat_xyzw", "read_attitudes", "read_motion"]
+
+FloatArray = NDArray[np.float64]
+
+NORM_TOLERANCE = 1e-6
+"""A quaternion written with seven digits is this near to unit length; farther off it is something else."""
+_FEWEST_TO_JUDGE = 20
+_QUATERNION = ("quat_x", "quat_y", "quat_z", "quat_w")
+
+
+def attitude_from_angles(ra_deg: ArrayLike, dec_deg: ArrayLike, roll_deg: ArrayLike) -> Rotation:
+    """Rotation cam from icrs of right ascension, declination and roll [deg], single or n of them.
+
+    Raises
+    ------
+    DomainError
+        A declination beyond the poles, or a value that is not finite.
+    """
+    ra, dec, roll = np.broadcast_arrays(*(np.asarray(value, float) for value in (ra_deg, dec_deg, roll_deg)))
+    if not (np.isfinite(ra).all() and np.isfinite(dec).all() and np.isfinite(roll).all()):
+        raise DomainError("right ascension, declination and roll must be finite numbers")
+    if dec.size and float(np.abs(dec).max()) > 90.0:
+        raise DomainError(f"declination {float(dec.flat[np.abs(dec).argmax()]):g} deg is beyond the pole (90 deg)")
+    boresight, north, east = _triad(ra * DEG_RAD, dec * DEG_RAD)
+    turn = (roll * DEG_RAD)[..., None]
+    up = np.cos(turn) * north + np.sin(turn) * east
+    return Rotation.from_matrix(np.stack([np.cross(boresight, up), -up, boresight], axis=-2))
+
+
+def angles_of(attitude: Rotation) -> tuple[float, float, float]:
+    """Right ascension (0 ... 360), declination and roll (0 ... 360) [deg] of one attitude cam from icrs."""
+    _, down, boresight = attitude.as_matrix()
+    ra = np.arctan2(boresight[1], boresight[0])
+    dec = np.arctan2(boresight[2], np.hypot(boresight[0], boresight[1]))
+    _, north, east = _triad(ra, dec)
+    roll = np.arctan2(-down @ east, -down @ north)
+    return float(ra * RAD_DEG) % 360.0, float(dec * RAD_DEG), float(roll * RAD_DEG) % 360.0
+
+
+def quat_xyzw(attitude: Rotation) -> FloatArray:
+    """Quaternion (..., 4) as files hold it: scalar last and not negative."""
+    return np.asarray(attitude.as_quat(canonical=True))
+
+
+def _triad(ra: Any, dec: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Boresight, north and east (..., 3) of angles [rad]."""
+    ra, dec = np.asarray(ra, float), np.asarray(dec, float)
+    cos_ra, sin_ra, cos_dec, sin_dec = np.cos(ra), np.sin(ra), np.cos(dec), np.sin(dec)
+    zero = np.zeros_like(cos_ra)
+    return (
+        np.stack([cos_ra * cos_dec, sin_ra * cos_dec, sin_dec], axis=-1),
+        np.stack([-cos_ra * sin_dec, -sin_ra * sin_dec, cos_dec], axis=-1),
+        np.stack([-sin_ra, cos_ra, zero], axis=-1),
+    )
+
+
+def file_digest(name: str | Path) -> str:
+    """SHA-256 of a file that frames depend on.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be read.
+    """
+    try:
+        return hashlib.sha256(Path(name).read_bytes()).hexdigest()
+    except OSError as error:
+        raise ConfigError(f"{name}: cannot be read ({error.strerror})") from None
+
+
+def read_attitudes(name: str, key: str) -> Rotation:
+    """Attitudes of a file, cam from icrs.
+
+    Parameters
+    ----------
+    name : str
+        CSV or ECSV with the columns ``ra_deg, dec_deg, roll_deg`` or ``quat_x, quat_y, quat_z, quat_w``.
+    key : str
+        Key of the configuration that named it, for messages.
+
+    Raises
+    ------
+    ConfigError
+        No file, columns missing, a unit that is no angle.
+    DomainError
+        A quaternion that is not of unit length, values that are not finite or look like another unit.
+    """
+    return _attitudes(_table(name, key), name)
+
+
+def read_motion(name: str, key: str) -> tuple[FloatArray, Rotation]:
+    """Times [s] and attitudes of a file with a column ``time_s``; errors as `read_attitudes`."""
+    table = _table(name, key)
+    return _column(table, "time_s", "s", name), _attitudes(table, name)
+
+
+def _table(name: str, key: str) -> Any:
+    from astropy.table import Table
+
+    if not name:
+        raise ConfigError(f"{key} is empty; name a CSV or ECSV file with attitudes")
+    path = Path(name)
+    if not path.is_file():
+        raise ConfigError(f"{key}: {name}: no such file")
+    if path.suffix.lower() not in (".csv", ".ecsv"):
+        raise ConfigError(f"{key}: {name}: a file .csv or .ecsv is needed")
+    try:
+        table = Table.read(path, format="ascii.ecsv" if path.suffix.lower() == ".ecsv" else "ascii.csv")
+    except Exception as error:  # astropy raises what its readers happen to raise
+        raise ConfigError(f"{key}: {name} cannot be read: {' '.join(str(error).split())[:200]}") from None
+    if not len(table):
+        raise ConfigError(f"{key}: {name} holds no rows")
+    return table
+
+
+def _attitudes(table: Any, name: str) -> Rotation:
+    if all(column in table.colnames for column in _QUATERNION):
+        return _from_quaternions(table, name)
+    found = [next((c for c in (f"{a}_deg", a) if c in table.colnames), None) for a in ("ra", "dec", "roll")]
+    if None in found:
+        raise ConfigError(
+            f"{name}: columns {', '.join(table.colnames)}; ra_deg, dec_deg, roll_deg or {', '.join(_QUATERNION)} needed"
+        )
+    ra, dec, roll = (_column(table, str(column), "deg", name) for column in found)
+    stated = any(table[column].unit is not None or str(column).endswith("_deg") for column in found)
+    if not stated and len(ra) >= _FEWEST_TO_JUDGE and max(np.ptp(ra), 2 * np.abs(dec).max()) <= 2 * np.pi:
+        raise DomainError(f"{name}: no angle is above 2 pi; are they radians? State the unit or name the columns _deg")
+    return attitude_from_angles(ra, dec, roll)
+
+
+def _from_quaternions(table: Any, name: str) -> Rotation:
+    quaternion = np.stack([_column(table, column, "", name) for column in _QUATERNION], axis=1)
+    length = np.linalg.norm(quaternion, axis=1)
+    worst = int(np.argmax(np.abs(length - 1.0)))
+    if abs(length[worst] - 1.0) > NORM_TOLERANCE:
+        raise DomainError(
+            f"{name}: the quaternion of row {worst} has length {length[worst]:.9g}; an attitude must be normalised "
+            f"(1 within {NORM_TOLERANCE:g})"
+        )
+    return Rotation.from_quat(quaternion)
+
+
+def _column(table: Any, column: str, unit: str, name: str) -> FloatArray:
+    """Values of a column in a unit; those without a unit are taken to be in it."""
+    from astropy import units
+
+    if column not in table.colnames:
+        raise ConfigError(f"{name}: column {column} is missing; it has {', '.join(table.colnames)}")
+    try:
+        held = table[column]
+        factor = 1.0 if held.unit is None else units.Unit(held.unit).to(units.Unit(unit))
+        values = np.ma.filled(np.ma.asarray(held, float), np.nan) * factor
+    except units.UnitConversionError:
+        wanted = unit or "none"
+        raise ConfigError(f"{name}: column {column} is in {table[column].unit}; its unit must be {wanted}") from None
+    except (TypeError, ValueError):
+        raise ConfigError(f"{name}: column {column} holds something that is no number") from None
+    if not np.isfinite(values).all():
+        raise DomainError(f"{name}: {column} of row {int(np.argmin(np.isfinite(values)))} is missing or not finite")
+    return np.asarray(values, np.float64)

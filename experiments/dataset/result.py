@@ -1,0 +1,58 @@
+"""What a run of the dataset experiment has to show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from experiments.dataset.facts import FrameFacts
+from experiments.dataset.scene import Scene
+from experiments.dataset.settings import Config
+
+__all__ = ["Result"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """A dataset that is complete.
+
+    Attributes
+    ----------
+    config : Config
+        The configuration.
+    folder : pathlib.Path
+        Where it is.
+    scene : Scene
+        What the frames have in common.
+    facts : tuple of FrameFacts
+        One per frame, in their order.
+    made : int
+        Frames made by this run; the others were there.
+    seconds : float
+        Time this run took to make them, the start of the workers included.
+    frames_per_s : float
+        Frames per second from the first finished one to the last, all workers together; NaN for fewer than two.
+    workers : int
+        Processes that made them.
+    runtime_s, peak_memory_mb : float
+        Of this process.
+    exports : mapping
+        Name of an export -> what was written, in words.
+    evaluation : mapping
+        What was found in the frames.
+    """
+
+    config: Config
+    folder: Path
+    scene: Scene
+    facts: tuple[FrameFacts, ...]
+    made: int
+    seconds: float
+    frames_per_s: float
+    workers: int
+    runtime_s: float
+    peak_memory_mb: float
+    exports: Mapping[str, str] = field(default_factory=dict)
+    evaluation: Mapping[str, Any] = field(default_factory=dict)

@@ -1,0 +1,183 @@
+"""All that frames of a dataset have in common, without the renderer: camera, stars, light, attitudes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.dataset.camera import passband, windowed_instrument
+from experiments.dataset.plan import Plan, build_plan, fastest_rad_per_s, plan_frame
+from experiments.dataset.settings import CatalogueConfig, Config, SkyPointing
+from experiments.instrument import Instrument
+from optics.errors import DomainError
+from render.catalogue import StarCatalog
+from render.catalogue_motion import Observer, earth_observer
+from render.catalogue_temperature import TYPICAL_TEMPERATURE_K, colour_temperature
+from render.sky_field import FieldOfView, SkyField, StarLight, field_of, field_of_view, star_light
+from render.sky_index import SkyIndex, build_index
+
+__all__ = ["Scene", "build_scene", "load_catalogue", "stars_of"]
+
+FloatArray = NDArray[np.float64]
+
+MARGIN_PX = 16.0
+SEARCHED_FRAMES = 10_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """What every frame of a dataset needs; made by `build_scene`.
+
+    Attributes
+    ----------
+    config : Config
+        The configuration.
+    instrument : Instrument
+        Camera and detector, cut to the window.
+    catalogue : SkyIndex
+        Stars that are bright enough, with their search tree.
+    row : (n,) int64
+        Their rows in the whole catalogue.
+    temperature_k : (n,)
+        Temperatures of the black bodies that stand for them.
+    view : FieldOfView
+        What the camera sees.
+    light : StarLight
+        The pass band.
+    plan : Plan
+        Attitudes and motions.
+    observer : Observer or None
+        Where the camera is.
+    """
+
+    config: Config
+    instrument: Instrument
+    catalogue: SkyIndex
+    row: NDArray[np.int64]
+    temperature_k: FloatArray
+    view: FieldOfView
+    light: StarLight
+    plan: Plan
+    observer: Observer | None
+
+
+def build_scene(config: Config) -> Scene:
+    """Read and prepare everything, and refuse what cannot become a dataset.
+
+    Raises
+    ------
+    StarbenchError
+        Unknown lens, detector or catalogue, a window larger than the detector, a pass band beyond what is known, a
+        catalogue without magnitudes, no star bright enough, stars that leave the frame during an exposure, attitudes
+        that are not normalised, fields that hold no star at all.
+    """
+    instrument = windowed_instrument(config.camera)
+    band = passband(config.camera, instrument)
+    plan = build_plan(config)
+    whole = load_catalogue(config.sky)
+    bright = np.flatnonzero(whole.magnitude <= config.sky.faintest_mag)
+    if not len(bright):
+        raise DomainError(_no_star(whole, config.sky))
+    catalogue = whole.select(bright)
+    scene = Scene(
+        config=config,
+        instrument=instrument,
+        catalogue=build_index(catalogue),
+        row=bright,
+        temperature_k=_temperatures(catalogue, config.sky),
+        view=field_of_view(instrument.camera, margin_px=MARGIN_PX),
+        light=star_light([band], nodes=config.camera.nodes, magnitude_system=whole.magnitude_system),
+        plan=plan,
+        observer=earth_observer(config.sky.epoch_year) if config.sky.observer == "earth" else None,
+    )
+    _check_light(scene)
+    _check_rate(scene)
+    _check_stars(scene)
+    return scene
+
+
+def load_catalogue(config: CatalogueConfig) -> StarCatalog:
+    """The configured catalogue.
+
+    Raises
+    ------
+    StarbenchError
+        Missing, not understood, in wrong units, without magnitudes.
+    """
+    if config.catalogue == "gaia":
+        from render.catalogue_gaia import load_gaia
+
+        return load_gaia()
+    from render.catalogue_read import read_catalog
+
+    return read_catalog(Path(config.catalogue), config.preset)
+
+
+def stars_of(scene: Scene, frame: int) -> SkyField:
+    """Stars that a frame sees in the middle of its exposure; `SkyField.row` counts in ``scene.catalogue``."""
+    return field_of(
+        scene.catalogue,
+        scene.view,
+        plan_frame(scene.plan, frame).attitude,
+        epoch_year=scene.config.sky.epoch_year,
+        observer=scene.observer,
+    )
+
+
+def _temperatures(catalogue: StarCatalog, config: CatalogueConfig) -> FloatArray:
+    """Of every star; a typical one where nothing is known."""
+    by_colour = colour_temperature(catalogue.bp_rp_mag, catalogue.b_v_mag)
+    first, second = by_colour, catalogue.effective_temperature_k
+    if config.temperature == "effective":
+        first, second = second, first
+    kelvin = np.where(np.isnan(first), second, first)
+    return np.where(np.isnan(kelvin), TYPICAL_TEMPERATURE_K, kelvin)
+
+
+def _no_star(catalogue: StarCatalog, config: CatalogueConfig) -> str:
+    known = catalogue.magnitude[np.isfinite(catalogue.magnitude)]
+    if not len(known):
+        return f"catalogue {catalogue.name} has no magnitude for any of its {len(catalogue)} stars; name another column"
+    return (
+        f"sky.faintest_mag = {config.faintest_mag:g}: the brightest star of catalogue {catalogue.name} has "
+        f"{known.min():.2f} mag; raise it"
+    )
+
+
+def _check_light(scene: Scene) -> None:
+    """Refuse stars that cannot be rendered now, not in the middle of the work."""
+    coldest, hottest = np.argmin(scene.temperature_k), np.argmax(scene.temperature_k)
+    for at in (coldest, hottest):
+        try:
+            scene.light.photon_rate(scene.catalogue.catalog.magnitude[[at]], scene.temperature_k[[at]])
+        except DomainError as error:
+            number = scene.catalogue.catalog.id[at]
+            raise DomainError(f"catalogue {scene.catalogue.catalog.name}, star {number}: {error}") from None
+
+
+def _check_rate(scene: Scene) -> None:
+    """Refuse a motion that carries the stars out of the frame during the exposure."""
+    across = fastest_rad_per_s(scene.plan)
+    exposure_s = scene.config.camera.exposure_s
+    smallest = 2.0 * float(np.arctan(scene.view.half_width.min()))
+    if across * exposure_s > 0.5 * smallest:
+        raise DomainError(
+            f"rate: at {np.degrees(across):g} deg/s stars move by {np.degrees(across * exposure_s):.3g} deg in "
+            f"camera.exposure_s = {exposure_s:g} s and leave the field of {np.degrees(smallest):.3g} deg; at most "
+            f"{0.5 * np.degrees(smallest) / exposure_s:.3g} deg/s is possible"
+        )
+
+
+def _check_stars(scene: Scene) -> None:
+    """Refuse a dataset of which no frame sees a star; single empty frames are frames of an empty sky."""
+    if isinstance(scene.config.pointing, SkyPointing):
+        return  # some frame of a random sky may always see one
+    for frame in range(min(scene.config.frames, SEARCHED_FRAMES)):
+        if len(stars_of(scene, frame)):
+            return
+    raise DomainError(
+        f"no frame sees a star to sky.faintest_mag = {scene.config.sky.faintest_mag:g} mag; raise it or point elsewhere"
+    )

@@ -1,0 +1,193 @@
+"""Configuration of a dataset of star frames."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from experiments.config import ExperimentConfig, StrictModel
+from experiments.settings import InstrumentConfig
+
+__all__ = [
+    "BackgroundConfig",
+    "CameraConfig",
+    "CatalogueConfig",
+    "ConePointing",
+    "Config",
+    "FilesConfig",
+    "FixedRate",
+    "ListPointing",
+    "Pointing",
+    "RandomRate",
+    "Rate",
+    "ScanPointing",
+    "SkyPointing",
+    "SplitsConfig",
+]
+
+Vector = tuple[float, float, float]
+
+
+class CameraConfig(InstrumentConfig):
+    """Lens, detector and how they are operated; the defaults are a star tracker with a field of 12.4 deg."""
+
+    lens: str = Field(default="star_tracker_26mm", description="built-in lens or TOML file")
+    detector: str = Field(default="cmv4000", description="built-in detector or TOML file")
+    exposure_s: float = Field(default=0.2, gt=0, le=1e4, description="exposure time")
+    width_px: int = Field(default=1024, ge=0, le=32768, description="columns read out around the centre; 0: all")
+    height_px: int = Field(default=1024, ge=0, le=32768, description="rows read out around the centre; 0: all")
+    gain_dn_per_e: float = Field(default=0.0, ge=0, le=1e5, description="system gain; 0: the detector's own")
+    passband_nm: tuple[float, float] | None = Field(
+        default=None, description="pass band between its feet; left out: all that lens and detector are known for"
+    )
+    edge_nm: float = Field(default=20.0, ge=0, le=200, description="length of the pass band's edges")
+    nodes: int = Field(default=6, ge=2, le=64, description="wavelengths at which the pass band is sampled")
+
+    @field_validator("passband_nm")
+    @classmethod
+    def _increasing(cls, values: tuple[float, float] | None) -> tuple[float, float] | None:
+        if values is not None and not 0.0 < values[0] < values[1]:
+            raise ValueError("two increasing wavelengths are needed")
+        return values
+
+
+class CatalogueConfig(StrictModel):
+    """Which stars there are."""
+
+    dimensionless: ClassVar[frozenset[str]] = frozenset({"epoch_year"})
+
+    catalogue: str = Field(default="gaia", description="gaia: the built-in sky to G = 10; or a file, see preset")
+    preset: str = Field(
+        default="plain",
+        description="columns of the file: hipparcos, gaia, bright_star, open_bright_star or plain",
+    )
+    faintest_mag: float = Field(default=8.0, ge=-2, le=30, description="faintest stars rendered")
+    epoch_year: float = Field(default=2016.0, ge=1900, le=2100, description="Julian year of the exposures")
+    observer: Literal["none", "earth"] = Field(
+        default="none", description="earth: parallax, deflection by the Sun and aberration as seen from the Earth"
+    )
+    temperature: Literal["colour", "effective"] = Field(
+        default="colour", description="temperature of the black body that stands for a star"
+    )
+
+
+class SkyPointing(StrictModel):
+    """Attitudes uniform over all rotations."""
+
+    kind: Literal["sky"] = "sky"
+
+
+class ConePointing(StrictModel):
+    """Boresights uniform over a cone."""
+
+    kind: Literal["cone"] = "cone"
+    ra_deg: float = Field(default=83.8, ge=0, le=360, description="right ascension of the middle of the cone")
+    dec_deg: float = Field(default=0.0, ge=-90, le=90, description="its declination")
+    radius_deg: float = Field(default=10.0, ge=0, le=180, description="half angle of the cone")
+    roll_deg: float | None = Field(
+        default=None, ge=-360, le=360, description="position angle of up in the image; left out: random"
+    )
+
+
+class ListPointing(StrictModel):
+    """Attitudes from a file: frame k has row k."""
+
+    kind: Literal["list"] = "list"
+    file: str = Field(
+        default="", description="CSV or ECSV with ra_deg, dec_deg, roll_deg or quat_x, quat_y, quat_z, quat_w"
+    )
+
+
+class ScanPointing(StrictModel):
+    """Frames taken at a steady frame rate by a camera that turns."""
+
+    kind: Literal["scan"] = "scan"
+    file: str = Field(
+        default="", description="CSV or ECSV with time_s and quaternions; left out: a constant rate from ra, dec, roll"
+    )
+    ra_deg: float = Field(default=83.8, ge=0, le=360, description="right ascension of the boresight at the start")
+    dec_deg: float = Field(default=0.0, ge=-90, le=90, description="its declination")
+    roll_deg: float = Field(default=0.0, ge=-360, le=360, description="position angle of up in the image at the start")
+    rate_deg_per_s: Vector = Field(default=(0.0, 0.5, 0.0), description="angular velocity in camera axes")
+    frame_rate_hz: float = Field(default=1.0, gt=0, le=1e4, description="frames per second")
+
+
+class FixedRate(StrictModel):
+    """The same angular velocity in every frame."""
+
+    kind: Literal["fixed"] = "fixed"
+    rate_deg_per_s: Vector = Field(default=(0.0, 0.0, 0.0), description="angular velocity in camera axes")
+
+
+class RandomRate(StrictModel):
+    """An angular velocity of its own for every frame, axes uniform over the sphere."""
+
+    kind: Literal["random"] = "random"
+    distribution: Literal["uniform", "log_uniform"] = Field(default="uniform", description="of the magnitude")
+    lowest_deg_per_s: float = Field(default=0.0, ge=0, le=360, description="smallest magnitude")
+    highest_deg_per_s: float = Field(default=0.5, ge=0, le=360, description="largest magnitude")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> RandomRate:
+        if self.highest_deg_per_s < self.lowest_deg_per_s:
+            raise ValueError("highest_deg_per_s is below lowest_deg_per_s")
+        if self.distribution == "log_uniform" and not self.lowest_deg_per_s > 0:
+            raise ValueError("log_uniform needs lowest_deg_per_s above 0")
+        return self
+
+
+Pointing = SkyPointing | ConePointing | ListPointing | ScanPointing
+Rate = FixedRate | RandomRate
+
+
+class BackgroundConfig(StrictModel):
+    """Light that is no star."""
+
+    extra_e_per_s: float = Field(default=2.0, ge=0, le=1e6, description="uniform light per pixel")
+
+
+class SplitsConfig(StrictModel):
+    """Shares of the frames; they are drawn in blocks of 100, so that more frames never change those there are."""
+
+    train_fraction: float = Field(default=0.8, ge=0, le=1, description="for training")
+    validation_fraction: float = Field(default=0.1, ge=0, le=1, description="for validation")
+    test_fraction: float = Field(default=0.1, ge=0, le=1, description="for the last test")
+
+    @model_validator(mode="after")
+    def _whole(self) -> SplitsConfig:
+        total = self.train_fraction + self.validation_fraction + self.test_fraction
+        if abs(total - 1.0) > 1e-9:
+            raise ValueError(f"train, validation and test add up to {total:g}; they must add up to 1")
+        return self
+
+
+class FilesConfig(StrictModel):
+    """How frames and truth are stored."""
+
+    truth: Literal["parquet", "ecsv"] = Field(default="parquet", description="format of truth and index")
+
+
+class Config(ExperimentConfig):
+    """Two hundred frames of the real sky in random attitudes."""
+
+    frames: int = Field(default=200, ge=1, le=10_000_000, description="frames in all; more than there are: continued")
+    camera: CameraConfig = CameraConfig()
+    sky: CatalogueConfig = CatalogueConfig()
+    pointing: Pointing = Field(default=SkyPointing(), discriminator="kind", description="where the camera looks")
+    rate: Rate = Field(default=FixedRate(), discriminator="kind", description="how it turns during the exposure")
+    background: BackgroundConfig = BackgroundConfig()
+    splits: SplitsConfig = SplitsConfig()
+    files: FilesConfig = FilesConfig()
+    exports: tuple[Literal["coco", "webdataset"], ...] = Field(
+        default=(), description="copies for learning programs: coco, webdataset"
+    )
+    workers: int = Field(default=0, ge=0, le=4096, description="processes; 0: one per processor; 1: this one")
+    scheduler: str = Field(default="", description="Dask scheduler such as tcp://host:8786; left out: this machine")
+
+    @field_validator("exports")
+    @classmethod
+    def _once(cls, values: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(values)) != len(values):
+            raise ValueError("an export is named twice")
+        return values

@@ -1,0 +1,225 @@
+"""Truth of a frame: one row per star and band, with what went wrong with it as flags."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from optics.units import RAD_DEG
+
+if TYPE_CHECKING:
+    from render.detector import Detector
+    from render.records import Truth
+    from render.sky_field import SkyField
+
+__all__ = ["COLUMNS", "FLAGS", "Column", "StarLightOnChip", "pixel_flags", "star_rows"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of the truth: name, type, unit as astropy spells it, and what it holds."""
+
+    name: str
+    type: str
+    unit: str
+    about: str
+
+
+COLUMNS = (
+    Column("frame", "int32", "", "number of the frame"),
+    Column("star_id", "int64", "", "id of the star in the catalogue (Gaia DR3 source_id, or -HIP)"),
+    Column("catalogue_row", "int64", "", "row of the catalogue"),
+    Column("band", "str", "", "pass band"),
+    Column("ra_deg", "float64", "deg", "right ascension of the direction in which the star is seen, icrs"),
+    Column("dec_deg", "float64", "deg", "its declination"),
+    Column("magnitude", "float64", "mag", "magnitude in the catalogue"),
+    Column("temperature_k", "float64", "K", "temperature of the black body that was rendered"),
+    Column("chief_x_px", "float64", "pix", "column of the ray through the centre of the aperture stop"),
+    Column("chief_y_px", "float64", "pix", "its row"),
+    Column("bundle_x_px", "float64", "pix", "column of the photon-weighted mean of all traced rays"),
+    Column("bundle_y_px", "float64", "pix", "its row"),
+    Column("photon_x_px", "float64", "pix", "column of the centroid of the noiseless light, after charge diffusion"),
+    Column("photon_y_px", "float64", "pix", "its row"),
+    Column("electrons_in", "float64", "electron", "electrons if all light of the entrance aperture arrived"),
+    Column("electrons", "float64", "electron", "expected electrons on the detector"),
+    Column("electrons_vignetted", "float64", "electron", "expected electrons lost in the lens"),
+    Column("electrons_off_edge", "float64", "electron", "expected electrons that fall beside the detector"),
+    Column("variance_x_px2", "float64", "pix2", "second central moment of the ray bundle along the columns"),
+    Column("variance_y_px2", "float64", "pix2", "along the rows"),
+    Column("snr", "float64", "", "signal-to-noise ratio of the flux by optimal weights, a Gaussian spot"),
+    Column("smear_x_px", "float64", "pix", "motion of the chief ray from start to end of the exposure, columns"),
+    Column("smear_y_px", "float64", "pix", "rows"),
+    Column("flags", "int32", "", "sum of bits, see flag names"),
+)
+
+FLAGS = {
+    "saturated": (1, "a pixel of its footprint is saturated"),
+    "off_edge": (2, "more than 0.1 % of its light falls beside the detector"),
+    "blended": (4, "its footprint meets that of a star with at least 1 % of its electrons"),
+    "defect": (8, "a pixel of its footprint is defective"),
+    "cosmic_ray": (16, "a cosmic ray left charge in its footprint"),
+    "vignetted": (32, "more than 0.1 % of its light is lost in the lens"),
+    "no_light": (64, "none of its light reaches the detector"),
+}
+"""Name -> (bit, meaning). The footprint of a star reaches 3 standard deviations of its spot and half a pixel from its
+photon centroid; the variance of the spot is that of the rays, of the charge diffusion and of a pixel (1/12)."""
+
+SHARE_LOST = 1e-3
+BLEND_SHARE = 0.01
+DARK_SHARE = 1e-6
+FOOTPRINT_SIGMA = 3.0
+LARGEST_FOOTPRINT_PX = 512.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StarLightOnChip:
+    """What disturbs the stars of a frame.
+
+    Attributes
+    ----------
+    background_e : float
+        Expected electrons per pixel that are no starlight: sky and dark current.
+    pixel_flags : (h, w) uint8
+        Bits of `FLAGS` for single pixels: saturated, defect, cosmic_ray.
+    smear_px : (n, 2)
+        Motion of every star during the exposure.
+    """
+
+    background_e: float
+    pixel_flags: NDArray[np.uint8]
+    smear_px: FloatArray
+
+
+def pixel_flags(
+    saturated: NDArray[np.bool_], defect: NDArray[np.bool_], hit: NDArray[np.bool_] | None = None
+) -> NDArray[np.uint8]:
+    """Bits of single pixels (h, w)."""
+    bits = saturated.view(np.uint8) * np.uint8(FLAGS["saturated"][0])
+    bits |= defect.view(np.uint8) * np.uint8(FLAGS["defect"][0])
+    if hit is not None:
+        bits |= hit.view(np.uint8) * np.uint8(FLAGS["cosmic_ray"][0])
+    return bits
+
+
+def star_rows(
+    field: SkyField,
+    truth: Truth,
+    detector: Detector,
+    *,
+    frame: int,
+    band: str,
+    catalogue_row: NDArray[np.int64],
+    temperature_k: FloatArray,
+    on_chip: StarLightOnChip,
+) -> dict[str, Any]:
+    """Columns of the truth of a frame in one band.
+
+    Parameters
+    ----------
+    field : SkyField
+        n stars.
+    truth : Truth
+        Of these stars in one band, (n, 1).
+    detector : Detector
+        Its noise enters the signal-to-noise ratio, its diffusion the spot.
+    frame : int
+        Number of the frame.
+    band : str
+        Name of the band.
+    catalogue_row : (n,)
+        Where the stars stand in the whole catalogue.
+    temperature_k : (n,)
+        Of the stars.
+    on_chip : StarLightOnChip
+        What disturbs them.
+
+    Returns
+    -------
+    dict
+        `COLUMNS` in their order, (n,) each.
+
+    Notes
+    -----
+    The signal-to-noise ratio is that of a Gaussian spot of the star's own variances in x and y, N / sqrt(N + A n) with
+    the noise-equivalent area A = 4 pi sigma_x sigma_y (I. R. King, PASP 95, 163 (1983)) and the variance n of a pixel
+    without the star: background, read noise, rounding.
+    """
+    x, y, z = field.direction.T
+    values = {name: getattr(truth, name)[:, 0] for name in type(truth).__dataclass_fields__}
+    n = len(field)
+    electrons = values["electrons_image"]
+    sigma = _spot_sigma(values, detector)
+    noise = on_chip.background_e + detector.read_noise_e**2 + 1.0 / (12.0 * detector.gain_dn_per_e**2)
+    area = 4.0 * np.pi * sigma[0] * sigma[1]
+    columns = {
+        "frame": np.full(n, frame, np.int32),
+        "star_id": field.stars.id,
+        "catalogue_row": catalogue_row,
+        "band": band,
+        "ra_deg": np.arctan2(y, x) * RAD_DEG % 360.0,
+        "dec_deg": np.arctan2(z, np.hypot(x, y)) * RAD_DEG,
+        "magnitude": field.stars.magnitude,
+        "temperature_k": temperature_k,
+        "electrons": electrons,
+        "snr": electrons / np.sqrt(np.maximum(electrons + area * noise, 1e-300)),
+        "smear_x_px": on_chip.smear_px[:, 0],
+        "smear_y_px": on_chip.smear_px[:, 1],
+        "flags": _flags(values, sigma, on_chip.pixel_flags),
+        **{name: value for name, value in values.items() if name != "electrons_image"},
+    }
+    return {column.name: columns[column.name] for column in COLUMNS}
+
+
+def _spot_sigma(values: dict[str, FloatArray], detector: Detector) -> FloatArray:
+    """Standard deviations (2, n) of spots on the pixels; that of a point where no ray arrives."""
+    diffusion = detector.diffusion_sigma_px**2 + 1.0 / 12.0
+    rays = np.stack([values["variance_x_px2"], values["variance_y_px2"]])
+    return np.asarray(np.sqrt(np.maximum(np.nan_to_num(rays, nan=0.0), 0.0) + diffusion))
+
+
+def _flags(values: dict[str, FloatArray], sigma: FloatArray, bits: NDArray[np.uint8]) -> NDArray[np.int32]:
+    sent, arrived = values["electrons_in"], values["electrons_image"]
+    lost = values["electrons_off_edge"] + arrived
+    flags = np.zeros(len(sent), np.int32)
+    flags[values["electrons_off_edge"] > SHARE_LOST * lost] |= FLAGS["off_edge"][0]
+    flags[values["electrons_vignetted"] > SHARE_LOST * sent] |= FLAGS["vignetted"][0]
+    dark = ~(arrived > DARK_SHARE * sent)
+    flags[dark] |= FLAGS["no_light"][0]
+    centre = np.stack([values["photon_x_px"], values["photon_y_px"]])
+    half = np.minimum(FOOTPRINT_SIGMA * sigma + 0.5, LARGEST_FOOTPRINT_PX)
+    lit = np.flatnonzero(~dark & np.isfinite(centre).all(0))
+    flags[lit] |= _footprint_bits(centre[:, lit], half[:, lit], bits)
+    flags[lit[_blended(centre[:, lit], half[:, lit], arrived[lit])]] |= FLAGS["blended"][0]
+    return flags
+
+
+def _footprint_bits(centre: FloatArray, half: FloatArray, bits: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """Bits (n,) of all pixels whose centres lie in the footprints."""
+    height, width = bits.shape
+    size = np.array([[width], [height]])
+    low = np.clip(np.ceil(centre - half), 0, size).astype(np.int64)
+    high = np.clip(np.floor(centre + half) + 1, 0, size).astype(np.int64)
+    found = np.zeros(centre.shape[1], np.int32)
+    either = np.bitwise_or.reduce
+    for i, (x0, y0, x1, y1) in enumerate(zip(*low.tolist(), *high.tolist(), strict=True)):
+        if x1 > x0 and y1 > y0:
+            found[i] = either(bits[y0:y1, x0:x1], axis=None)
+    return found
+
+
+def _blended(centre: FloatArray, half: FloatArray, electrons: FloatArray) -> NDArray[np.int64]:
+    """Stars (indices) whose footprint meets that of one that is bright enough to matter."""
+    if centre.shape[1] < 2:
+        return np.zeros(0, np.int64)
+    reach = 2.0 * float(np.hypot(*half.max(axis=1)))
+    first, second = cKDTree(centre.T).query_pairs(reach, output_type="ndarray").T
+    meet = (np.abs(centre[:, first] - centre[:, second]) <= half[:, first] + half[:, second]).all(0)
+    first, second = first[meet], second[meet]
+    ratio = electrons[second] / electrons[first]
+    return np.asarray(np.unique(np.concatenate([first[ratio >= BLEND_SHARE], second[ratio <= 1.0 / BLEND_SHARE]])))
