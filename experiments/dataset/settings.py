@@ -24,6 +24,7 @@ __all__ = [
     "ScanPointing",
     "SkyPointing",
     "SplitsConfig",
+    "VerifyConfig",
 ]
 
 Vector = tuple[float, float, float]
@@ -166,6 +167,29 @@ class FilesConfig(StrictModel):
     """How frames and truth are stored."""
 
     truth: Literal["parquet", "ecsv"] = Field(default="parquet", description="format of truth and index")
+    compression: Literal["none", "rice", "gzip"] = Field(
+        default="none", description="lossless tile compression of the frames: rice a third smaller, a third slower"
+    )
+    mask: Literal["always", "saturated", "never"] = Field(
+        default="saturated", description="frames with a mask of saturated and defective pixels"
+    )
+
+
+class VerifyConfig(StrictModel):
+    """How the finished frames are looked at; changes no frame."""
+
+    frames: int = Field(default=200, ge=0, le=1_000_000, description="frames that are measured and solved blind")
+    dark_frames: int = Field(default=20, ge=1, le=1000, description="frames without light, averaged and subtracted")
+    centroid: Literal["gaussian", "windowed"] = Field(default="gaussian", description="centroider")
+    window_px: int = Field(default=9, ge=5, le=63, description="window around a star, odd")
+    threshold_sigma: float = Field(default=5.0, gt=0, le=1000, description="detection limit")
+
+    @field_validator("window_px")
+    @classmethod
+    def _odd(cls, value: int) -> int:
+        if value % 2 == 0:
+            raise ValueError("an odd number is needed")
+        return value
 
 
 class Config(ExperimentConfig):
@@ -179,6 +203,7 @@ class Config(ExperimentConfig):
     background: BackgroundConfig = BackgroundConfig()
     splits: SplitsConfig = SplitsConfig()
     files: FilesConfig = FilesConfig()
+    verify: VerifyConfig = VerifyConfig()
     exports: tuple[Literal["coco", "webdataset"], ...] = Field(
         default=(), description="copies for learning programs: coco, webdataset"
     )
