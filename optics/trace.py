@@ -8,7 +8,7 @@ happened to them: the intersection is checked first, then the clear aperture, th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -173,7 +173,13 @@ def _cross(number: int, step: Step, theta: Any, index: Sequence[Any], rays: Rays
     )  # fmt: skip
 
 
-def trace_program(program: LensProgram, theta: Any, rays: Rays, xp: ArrayNamespace) -> Rays:
+def trace_program(
+    program: LensProgram,
+    theta: Any,
+    rays: Rays,
+    xp: ArrayNamespace,
+    visit: Callable[[int, Rays], None] | None = None,
+) -> Rays:
     """Trace rays through a compiled lens to its image plane.
 
     Parameters
@@ -184,6 +190,8 @@ def trace_program(program: LensProgram, theta: Any, rays: Rays, xp: ArrayNamespa
         In the lens frame.
     xp : ArrayNamespace
         Array library of the rays.
+    visit : callable, optional
+        Called with the number of every surface and the rays on it, in its vertex frame.
 
     Returns
     -------
@@ -193,6 +201,8 @@ def trace_program(program: LensProgram, theta: Any, rays: Rays, xp: ArrayNamespa
     index = [medium.index(theta, rays.wavelength_nm, xp) for medium in program.media]
     for number, step in enumerate(program.steps):
         rays = _cross(number, step, theta, index, rays, xp)
+        if visit is not None:
+            visit(number, rays)
     return replace(rays, z=rays.z + 0.0 * rays.x)  # a plane leaves z as the number 0
 
 
