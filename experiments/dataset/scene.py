@@ -18,6 +18,7 @@ from render.catalogue_motion import Observer, earth_observer
 from render.catalogue_temperature import TYPICAL_TEMPERATURE_K, colour_temperature
 from render.sky_field import FieldOfView, SkyField, StarLight, field_of, field_of_view, star_light
 from render.sky_index import SkyIndex, build_index
+from render.wcs import LensWcs, lens_wcs
 
 __all__ = ["Scene", "build_scene", "load_catalogue", "stars_of"]
 
@@ -51,6 +52,8 @@ class Scene:
         Attitudes and motions.
     observer : Observer or None
         Where the camera is.
+    wcs : LensWcs
+        World coordinates, fitted to chief rays at the mean of the wavelength nodes.
     """
 
     config: Config
@@ -62,6 +65,7 @@ class Scene:
     light: StarLight
     plan: Plan
     observer: Observer | None
+    wcs: LensWcs
 
 
 def build_scene(config: Config) -> Scene:
@@ -82,6 +86,7 @@ def build_scene(config: Config) -> Scene:
     if not len(bright):
         raise DomainError(_no_star(whole, config.sky))
     catalogue = whole.select(bright)
+    light = star_light([band], nodes=config.camera.nodes, magnitude_system=whole.magnitude_system)
     scene = Scene(
         config=config,
         instrument=instrument,
@@ -89,9 +94,10 @@ def build_scene(config: Config) -> Scene:
         row=bright,
         temperature_k=_temperatures(catalogue, config.sky),
         view=field_of_view(instrument.camera, margin_px=MARGIN_PX),
-        light=star_light([band], nodes=config.camera.nodes, magnitude_system=whole.magnitude_system),
+        light=light,
         plan=plan,
         observer=earth_observer(config.sky.epoch_year) if config.sky.observer == "earth" else None,
+        wcs=lens_wcs(instrument.camera, wavelength_nm=float(light.wavelength_nm.mean())),
     )
     _check_light(scene)
     _check_rate(scene)

@@ -176,20 +176,13 @@ class FilesConfig(StrictModel):
 
 
 class VerifyConfig(StrictModel):
-    """How the finished frames are looked at; changes no frame."""
+    """What is done with the frames afterwards: stars measured, attitudes solved blind, world coordinates tried."""
 
-    frames: int = Field(default=200, ge=0, le=1_000_000, description="frames that are measured and solved blind")
-    dark_frames: int = Field(default=20, ge=1, le=1000, description="frames without light, averaged and subtracted")
-    centroid: Literal["gaussian", "windowed"] = Field(default="gaussian", description="centroider")
-    window_px: int = Field(default=9, ge=5, le=63, description="window around a star, odd")
-    threshold_sigma: float = Field(default=5.0, gt=0, le=1000, description="detection limit")
-
-    @field_validator("window_px")
-    @classmethod
-    def _odd(cls, value: int) -> int:
-        if value % 2 == 0:
-            raise ValueError("an odd number is needed")
-        return value
+    frames: int = Field(default=200, ge=0, le=10_000_000, description="frames looked at, the first ones; 0: none")
+    dark_frames: int = Field(default=20, ge=1, le=1000, description="frames without light in the mean dark")
+    centroid: Literal["gaussian", "windowed", "tcog", "cog"] = Field(default="gaussian", description="centroider")
+    window_px: int = Field(default=7, ge=5, le=31, description="window of the centroider")
+    threshold_sigma: float = Field(default=5.0, gt=0, le=100, description="detection limit")
 
 
 class Config(ExperimentConfig):
@@ -203,10 +196,10 @@ class Config(ExperimentConfig):
     background: BackgroundConfig = BackgroundConfig()
     splits: SplitsConfig = SplitsConfig()
     files: FilesConfig = FilesConfig()
-    verify: VerifyConfig = VerifyConfig()
     exports: tuple[Literal["coco", "webdataset"], ...] = Field(
         default=(), description="copies for learning programs: coco, webdataset"
     )
+    verify: VerifyConfig = VerifyConfig()
     workers: int = Field(default=0, ge=0, le=4096, description="processes; 0: one per processor; 1: this one")
     scheduler: str = Field(default="", description="Dask scheduler such as tcp://host:8786; left out: this machine")
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from experiments.dataset.cards import header_cards
 from experiments.dataset.facts import FrameFacts
 from experiments.dataset.folder import checked_frame, frame_files, storage_error, write_whole
 from experiments.dataset.maker import FrameMaker, MadeFrame
@@ -111,8 +112,10 @@ def _write(maker: FrameMaker, folder: Path, frame: int) -> FrameFacts:
 def _write_fits(maker: FrameMaker, made: MadeFrame, path: Path) -> None:
     from render.fits import write_frame
 
+    files = maker.scene.config.files
+    compression = None if files.compression == "none" else files.compression
     try:
-        write_frame(made.frame, path)
+        write_frame(made.frame, path, compression=compression, mask=files.mask, cards=header_cards(maker.scene, made))
     except ConfigError as error:
         cause: Any = error.__context__
         if isinstance(cause, OSError):
