@@ -10,7 +10,7 @@ from experiments.dataset.settings import Config
 
 __all__ = ["FILE_KEYS", "for_workers", "identity"]
 
-FREE = ("frames", "exports", "verify", "workers", "scheduler")
+FREE = ("frames", "exports", "png_bits", "verify", "workers", "scheduler")
 """Keys that change no frame."""
 FILE_KEYS = (("camera", "lens"), ("camera", "detector"), ("sky", "catalogue"), ("pointing", "file"))
 """Keys that may name a file."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from render.records import Truth
     from render.sky_field import SkyField
 
-__all__ = ["COLUMNS", "FLAGS", "Column", "StarLightOnChip", "pixel_flags", "star_rows"]
+__all__ = ["COLUMNS", "FLAGS", "Column", "StarLightOnChip", "footprint_px", "pixel_flags", "star_rows"]
 
 FloatArray = NDArray[np.float64]
 
@@ -154,7 +154,8 @@ def star_rows(
     values = {name: getattr(truth, name)[:, 0] for name in type(truth).__dataclass_fields__}
     n = len(field)
     electrons = values["electrons_image"]
-    sigma = _spot_sigma(values, detector)
+    rays = values["variance_x_px2"], values["variance_y_px2"]
+    sigma = _spot_sigma(np.stack(rays), detector.diffusion_sigma_px)
     noise = on_chip.background_e + detector.read_noise_e**2 + 1.0 / (12.0 * detector.gain_dn_per_e**2)
     area = 4.0 * np.pi * sigma[0] * sigma[1]
     columns = {
@@ -170,20 +171,25 @@ def star_rows(
         "snr": electrons / np.sqrt(np.maximum(electrons + area * noise, 1e-300)),
         "smear_x_px": on_chip.smear_px[:, 0],
         "smear_y_px": on_chip.smear_px[:, 1],
-        "flags": _flags(values, sigma, on_chip.pixel_flags),
+        "flags": _flags(values, footprint_px(*rays, detector.diffusion_sigma_px), on_chip.pixel_flags),
         **{name: value for name, value in values.items() if name != "electrons_image"},
     }
     return {column.name: columns[column.name] for column in COLUMNS}
 
 
-def _spot_sigma(values: dict[str, FloatArray], detector: Detector) -> FloatArray:
+def footprint_px(variance_x_px2: FloatArray, variance_y_px2: FloatArray, diffusion_px: float) -> FloatArray:
+    """How far footprints reach from the photon centroid along columns and rows (2, n), see `FLAGS`."""
+    sigma = _spot_sigma(np.stack([variance_x_px2, variance_y_px2]), diffusion_px)
+    return np.asarray(np.minimum(FOOTPRINT_SIGMA * sigma + 0.5, LARGEST_FOOTPRINT_PX))
+
+
+def _spot_sigma(rays_px2: FloatArray, diffusion_px: float) -> FloatArray:
     """Standard deviations (2, n) of spots on the pixels; that of a point where no ray arrives."""
-    diffusion = detector.diffusion_sigma_px**2 + 1.0 / 12.0
-    rays = np.stack([values["variance_x_px2"], values["variance_y_px2"]])
-    return np.asarray(np.sqrt(np.maximum(np.nan_to_num(rays, nan=0.0), 0.0) + diffusion))
+    known = np.maximum(np.nan_to_num(rays_px2, nan=0.0), 0.0)
+    return np.asarray(np.sqrt(known + diffusion_px**2 + 1.0 / 12.0))
 
 
-def _flags(values: dict[str, FloatArray], sigma: FloatArray, bits: NDArray[np.uint8]) -> NDArray[np.int32]:
+def _flags(values: dict[str, FloatArray], half: FloatArray, bits: NDArray[np.uint8]) -> NDArray[np.int32]:
     sent, arrived = values["electrons_in"], values["electrons_image"]
     lost = values["electrons_off_edge"] + arrived
     flags = np.zeros(len(sent), np.int32)
@@ -192,7 +198,6 @@ def _flags(values: dict[str, FloatArray], sigma: FloatArray, bits: NDArray[np.ui
     dark = ~(arrived > DARK_SHARE * sent)
     flags[dark] |= FLAGS["no_light"][0]
     centre = np.stack([values["photon_x_px"], values["photon_y_px"]])
-    half = np.minimum(FOOTPRINT_SIGMA * sigma + 0.5, LARGEST_FOOTPRINT_PX)
     lit = np.flatnonzero(~dark & np.isfinite(centre).all(0))
     flags[lit] |= _footprint_bits(centre[:, lit], half[:, lit], bits)
     flags[lit[_blended(centre[:, lit], half[:, lit], arrived[lit])]] |= FLAGS["blended"][0]

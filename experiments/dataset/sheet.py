@@ -1,0 +1,91 @@
+"""Contact sheet: small pictures of frames, side by side, for a first look."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.dataset.facts import FrameFacts
+
+if TYPE_CHECKING:
+    from render.records import Frame
+
+__all__ = ["chosen", "contact_sheet", "preview", "stretched"]
+
+ROWS, COLUMNS = 4, 6
+TILE_PX = 300
+"""Longer side of a picture."""
+DARKEST_SIGMA, SOFT_SIGMA = 1.5, 6.0
+BRIGHTEST_SIGMA = 400.0
+
+
+def stretched(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Brightness 0 ... 1 of an image of digital numbers: inverse hyperbolic sine above the sky, in units of its noise.
+
+    Linear for what is as faint as the noise, logarithmic for what is bright (R. Lupton et al., PASP 116, 133 (2004)).
+    """
+    low, sky, high = np.percentile(image, (15.9, 50.0, 84.1))
+    sigma = max(0.5 * (high - low), 0.5)
+    above = ((image - sky) / sigma - DARKEST_SIGMA) / SOFT_SIGMA
+    return np.asarray(np.clip(np.arcsinh(above) / np.arcsinh(BRIGHTEST_SIGMA / SOFT_SIGMA), 0.0, 1.0), np.float32)
+
+
+def preview(frame: Frame, size_px: int = TILE_PX) -> NDArray[np.uint8]:
+    """Small grey picture of a frame; of every block of pixels the brightest is kept, so that no star goes under."""
+    image = stretched(frame.dn.astype(np.float32))
+    step = max(1, -(-max(image.shape) // size_px))
+    height, width = (side - side % step for side in image.shape)
+    blocks = image[:height, :width].reshape(height // step, step, width // step, step)
+    return np.asarray(np.rint(255.0 * blocks.max((1, 3))), np.uint8)
+
+
+def chosen(facts: Sequence[FrameFacts]) -> list[FrameFacts]:
+    """Frames for the sheet, spread evenly over the dataset."""
+    count = min(ROWS * COLUMNS, len(facts))
+    return [facts[i] for i in np.unique(np.linspace(0, len(facts) - 1, count).round().astype(int))]
+
+
+def contact_sheet(folder: Path, facts: Sequence[FrameFacts]) -> bytes:
+    """PNG of up to 24 frames of a dataset; the same frames give the same bytes.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        The dataset.
+    facts : sequence of FrameFacts
+        Its frames.
+
+    Raises
+    ------
+    ConfigError
+        A frame that cannot be read.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from render.fits import read_frame
+
+    shown = chosen(facts)
+    columns = min(COLUMNS, len(shown))
+    rows = -(-len(shown) // columns)
+    pictures = [preview(read_frame(folder / one.file)) for one in shown]
+    height, width = pictures[0].shape
+    tall = 2.0 * height / width
+    figure = Figure(figsize=(2.0 * columns, (tall + 0.24) * rows), dpi=150, facecolor="#111418")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    figure.subplots_adjust(left=0.004, right=0.996, bottom=0.004, top=1.0 - 0.2 / ((tall + 0.24) * rows), wspace=0.03)
+    figure.subplots_adjust(hspace=0.24 / tall)
+    for place in axes:
+        place.set_axis_off()
+    for place, one, picture in zip(axes, shown, pictures, strict=False):
+        place.imshow(picture, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+        title = f"{one.frame}   {one.ra_deg:.1f}° {one.dec_deg:+.1f}°   {one.stars} stars"
+        place.set_title(title, color="#d7dbe0", fontsize=6.5, pad=2.5)
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
+    return buffer.getvalue()
