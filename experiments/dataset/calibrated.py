@@ -51,9 +51,7 @@ def calibrated_camera(scene: Scene, tracer: Tracer, *, temperature_k: float) -> 
     camera, focal_mm = scene.instrument.camera, scene.instrument.focal_length_mm
     half = REACH * np.array([camera.width_px, camera.height_px]) / 2
     x, y = np.meshgrid(*(np.linspace(-h, h, GRID) for h in half))
-    direction = camera.nominal_direction(
-        (x + camera.centre_px[0]).ravel(), (y + camera.centre_px[1]).ravel(), focal_mm
-    )
+    direction = camera.nominal_direction((x + camera.centre_px[0]).ravel(), (y + camera.centre_px[1]).ravel(), focal_mm)
     stars = StarField(
         direction=direction,
         wavelength_nm=scene.light.wavelength_nm,

@@ -4,16 +4,32 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from experiments.dataset.statistics import centroid_bins, completeness, solver
 from experiments.summary import Criterion
 
 if TYPE_CHECKING:
+    from experiments.dataset.evaluate import Evaluation
     from experiments.dataset.result import Result
 
 __all__ = ["criteria", "results"]
 
+LEAST_SOLVED = 0.995
+LARGEST_MEDIAN_ARCSEC = 0.5
+MEDIAN_PIXEL_ARCSEC = 44.32
+"""The median was asked for at 1024 pixels over 12 deg; other cameras are judged by the same part of a pixel."""
+WCS_LIMIT_PX = 0.01
+PULL_LIMIT = 1.3
+BRIGHT_SNR = 10.0
+LEAST_COMPLETE = 0.99
+FALSE_OVER_NOISE = 3.0
+"""Read noise differs from pixel to pixel and dark current is noisy too: more than white noise alone makes."""
+
 
 def results(result: Result) -> dict[str, Any]:
     """The numbers."""
+    evaluation = result.evaluation
     return {
         "frames": len(result.facts),
         "frames_made": result.made,
@@ -22,18 +38,133 @@ def results(result: Result) -> dict[str, Any]:
         "stars": sum(one.stars for one in result.facts),
         "frames_without_stars": sum(one.stars == 0 for one in result.facts),
         "exports": dict(result.exports),
+        **(_found(evaluation) if evaluation is not None else {}),
         "runtime_s": result.runtime_s,
         "peak_memory_mb": result.peak_memory_mb,
     }
 
 
+def _found(evaluation: Evaluation) -> dict[str, Any]:
+    stars, bins = evaluation.stars, centroid_bins(evaluation)
+    one = completeness(stars, stars.snr, np.array([BRIGHT_SNR, np.inf]))
+    undisturbed = stars.clean & (stars.snr >= BRIGHT_SNR)
+    found: dict[str, Any] = {
+        "frames_looked_at": evaluation.frames,
+        "wcs_max_error_px": _largest(evaluation),
+        "completeness": {
+            "snr_above": BRIGHT_SNR,
+            "stars": int(one.stars[0]),
+            "share": float(one.share[0]),
+            "undisturbed": float(stars.found[undisturbed].mean()) if undisturbed.any() else float("nan"),
+            "magnitude_of_half": _magnitude_of_half(evaluation),
+        },
+        "false_detections_per_frame": {
+            "all": len(stars.false) / stars.frames,
+            "not_flagged": int((~stars.false_spike).sum()) / stars.frames,
+            "by_white_noise": evaluation.false_alarms,
+        },
+        "centroids": {
+            "snr": bins.snr.tolist(),
+            "error_px": bins.error_px.tolist(),
+            "bound_px": bins.bound_px.tolist(),
+        },
+        "camera_model_max_px": evaluation.calibration.max_px,
+    }
+    if evaluation.solved:
+        judged = solver(evaluation.solved)
+        found["solver"] = {
+            "solved": judged.solved,
+            "attempted": judged.attempted,
+            "median_arcsec": judged.median_arcsec,
+            "median_sigma_arcsec": judged.median_error_arcsec,
+            "p95_arcsec": judged.p95_arcsec,
+            "equal_weights_median_arcsec": judged.equal_median_arcsec,
+            "roll_median_arcsec": judged.roll_median_arcsec,
+            "pull_rms": judged.pull.tolist(),
+            "parity_ok": judged.parity_ok,
+        }
+    else:
+        found["solver"] = {"attempted": 0, "why": evaluation.without_solver}
+    return found
+
+
+def _largest(evaluation: Evaluation) -> float:
+    return float(evaluation.wcs_miss_px.max()) if len(evaluation.wcs_miss_px) else float("nan")
+
+
+def _magnitude_of_half(evaluation: Evaluation) -> float | None:
+    """Where the completeness falls below one half for good; None where it never does."""
+    stars = evaluation.stars
+    if not len(stars.magnitude):
+        return None
+    edges = np.arange(np.floor(stars.magnitude.min()), stars.magnitude.max() + 0.25, 0.25)
+    one = completeness(stars, stars.magnitude, edges)
+    enough = one.stars >= 5
+    middle, share = one.middle[enough], one.share[enough]
+    below = np.flatnonzero(share >= 0.5)
+    if not len(below) or below[-1] + 1 >= len(share):
+        return None
+    k = int(below[-1])
+    return float(np.interp(0.5, [share[k + 1], share[k]], [middle[k + 1], middle[k]]))
+
+
 def criteria(result: Result) -> list[Criterion]:
     """What has to hold."""
+    made = [
+        Criterion(
+            name="frames that are there and whole", value=len(result.facts), limit=result.config.frames, relation=">="
+        )
+    ]
+    evaluation = result.evaluation
+    if evaluation is None or not len(evaluation.stars.magnitude):
+        return made
+    stars = evaluation.stars
+    undisturbed = stars.clean & (stars.snr >= BRIGHT_SNR)
+    if undisturbed.any():
+        made.append(
+            Criterion(
+                name=f"share of undisturbed stars of SNR {BRIGHT_SNR:g} and more that are detected",
+                value=float(stars.found[undisturbed].mean()),
+                limit=LEAST_COMPLETE,
+                relation=">=",
+            )
+        )
+    made += [
+        Criterion(
+            name="detections without a star and without a flag, over those that white noise makes",
+            value=int((~stars.false_spike).sum()) / stars.frames / evaluation.false_alarms,
+            limit=FALSE_OVER_NOISE,
+        ),
+        Criterion(
+            name="world coordinates in astropy against chief rays, largest",
+            value=_largest(evaluation),
+            limit=WCS_LIMIT_PX,
+            unit="px",
+        ),
+    ]
+    return made + (_attitude(result, evaluation) if evaluation.solved else [])
+
+
+def _attitude(result: Result, evaluation: Evaluation) -> list[Criterion]:
+    judged = solver(evaluation.solved)
+    scale = result.scene.instrument.pixel_arcsec / MEDIAN_PIXEL_ARCSEC
     return [
         Criterion(
-            name="frames that are there and whole",
-            value=len(result.facts),
-            limit=result.config.frames,
+            name="share of the frames that tetra3rs solves blind",
+            value=judged.solved / judged.attempted,
+            limit=LEAST_SOLVED,
             relation=">=",
-        )
+        ),
+        Criterion(
+            name="boresight error, median",
+            value=judged.median_arcsec,
+            limit=LARGEST_MEDIAN_ARCSEC * scale,
+            unit="arcsec",
+        ),
+        Criterion(name="frames that match a mirrored sky", value=judged.mirrored, limit=0),
+        Criterion(
+            name="attitude error over its predicted sigma, RMS of x, y and roll",
+            value=float(np.sqrt(np.mean(judged.pull**2))),
+            limit=PULL_LIMIT,
+        ),
     ]

@@ -18,7 +18,7 @@ from experiments.dataset.truth import FLAGS
 from optics.records import freeze
 from render.records import EffectivePsf
 
-__all__ = ["CentroidBound", "FoundStars", "centroid_bound", "compare_frame", "joined"]
+__all__ = ["CentroidBound", "FoundStars", "centroid_bound", "compare_frame", "false_alarms", "joined"]
 
 FloatArray = NDArray[np.float64]
 
@@ -149,6 +149,18 @@ def joined(parts: list[FoundStars]) -> FoundStars:
         **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names},
         frames=sum(part.frames for part in parts),
     )
+
+
+def false_alarms(pixels: int, threshold_sigma: float, fwhm_px: float) -> float:
+    """Maxima of filtered white noise above a threshold that an image of so many pixels has, expected.
+
+    A Gaussian field of unit variance with the correlation exp(-r^2 / (4 s^2)), s the width of the filter, has
+    ``u exp(-u^2 / 2) / ((2 pi)^(3/2) 2 s^2)`` maxima above a high level u per unit of area (R. J. Adler, *The Geometry
+    of Random Fields*, 1981, sec. 6.8).
+    """
+    width = fwhm_px / 2.354820045
+    density = threshold_sigma * np.exp(-(threshold_sigma**2) / 2) / ((2 * np.pi) ** 1.5 * 2 * width**2)
+    return float(pixels * density)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,9 +22,12 @@ from experiments.progress import Progress
 from experiments.summary import Criterion
 
 if TYPE_CHECKING:
+    from experiments.dataset.evaluate import Evaluation
     from experiments.dataset.facts import FrameFacts
     from experiments.dataset.result import Result
+    from experiments.dataset.scene import Scene
     from experiments.report import Report
+    from experiments.tables import Table
 
 __all__ = ["Config", "main", "report", "run", "summary"]
 
@@ -53,12 +57,16 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
     """
     import mitsuba as mi
 
+    from experiments.dataset.finish import write_exports
     from experiments.dataset.result import Result
     from experiments.dataset.scene import build_scene
     from experiments.dataset.schedule import software
+    from experiments.dataset.shards import check_webdataset
     from experiments.provenance import peak_memory_mb, process_seconds
 
     with progress.stage("prepare"):
+        if "webdataset" in config.exports:
+            check_webdataset()
         scene = build_scene(config)
     backend = str(mi.variant()).split("_", maxsplit=1)[0]
     output.open(software(backend))
@@ -69,6 +77,8 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
         rate, workers = _make(config, output, backend, facts, progress)
         seconds = time.perf_counter() - started
         ordered = tuple(facts[frame] for frame in range(config.frames))
+        exports = write_exports(scene, output.path, ordered, progress)
+        evaluation = _evaluate(mi, config, output, scene, ordered, progress)
         return Result(
             config=config,
             folder=output.path,
@@ -80,6 +90,8 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
             workers=workers,
             runtime_s=process_seconds(),
             peak_memory_mb=peak_memory_mb(),
+            exports=exports,
+            evaluation=evaluation,
         )
     except BaseException:
         output.close()
@@ -132,12 +144,31 @@ def _make(
     return rate, workers
 
 
-def files(result: Result, folder: Path) -> None:
-    """The index, beside what the command line writes."""
-    from experiments.dataset.truth_file import index_bytes
+def _evaluate(
+    mi: Any, config: Config, output: DatasetFolder, scene: Scene, facts: tuple[FrameFacts, ...], progress: Progress
+) -> Evaluation | None:
+    """Look at the first frames, as others will."""
+    from experiments.dataset.evaluate import evaluate
 
-    form = result.config.files.truth
-    (folder / f"index.{form}").write_bytes(index_bytes(result.facts, form))
+    looked_at = facts[: config.verify.frames]
+    if not looked_at:
+        return None
+    with progress.stage("look at frames", total=len(looked_at)) as stage:
+        return evaluate(mi, output.path, scene, looked_at, advance=stage.advance)
+
+
+def tables(result: Result) -> Mapping[str, Table]:
+    """Tables written beside the report."""
+    from experiments.dataset.tables import all_tables
+
+    return all_tables(result)
+
+
+def files(result: Result, folder: Path) -> None:
+    """Index, data card and contact sheet, beside what the command line writes."""
+    from experiments.dataset.finish import write_closing_files
+
+    write_closing_files(result, folder)
 
 
 def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:
@@ -160,6 +191,7 @@ main = command(
     run=run,
     report=report,
     summary=summary,
+    tables=tables,
     files=files,
     output=output,
     options={

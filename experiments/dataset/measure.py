@@ -19,12 +19,13 @@ from optics.records import freeze
 from render.readout import expose
 
 if TYPE_CHECKING:
+    from experiments.dataset.psf_grid import PsfGrid
     from experiments.dataset.scene import Scene
     from experiments.dataset.settings import VerifyConfig
     from render.random import Streams
     from render.records import Frame
 
-__all__ = ["MeasuredFrame", "Reduction", "master_dark", "measure_frame"]
+__all__ = ["FWHM_PX", "MeasuredFrame", "Reduction", "master_dark", "measure_frame", "reduction_of"]
 
 FloatArray = NDArray[np.float64]
 
@@ -58,12 +59,15 @@ class Reduction:
         Its window.
     threshold_sigma : float
         Detection limit.
+    psfs : PsfGrid or None
+        For the centroider "epsf".
     """
 
     dark_dn: NDArray[np.float32]
     centroid: str
     window_px: int
     threshold_sigma: float
+    psfs: PsfGrid | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "dark_dn", shape=("h", "w"), dtype=np.float32, sizes={})
@@ -135,10 +139,18 @@ def measure_frame(frame: Frame, reduction: Reduction) -> MeasuredFrame:
     image = dark_subtracted(frame, reduction.dark_dn)
     background = estimate_background(image, step_px=BACKGROUND_STEP_PX)
     found = detect(image, background, threshold_sigma=reduction.threshold_sigma, fwhm_px=FWHM_PX)
+    psfs = reduction.psfs
     stamps = extract_stamps(
-        image, found.x_px, found.y_px, background=background, size_px=reduction.window_px, flags=found.flags
+        image,
+        found.x_px,
+        found.y_px,
+        background=background,
+        size_px=reduction.window_px,
+        flags=found.flags,
+        psf_index=None if psfs is None else psfs.nearest(found.x_px, found.y_px),
     )
-    stars = get_centroider(reduction.centroid).measure(stamps, image.noise) if len(stamps) else found
+    options = {} if psfs is None else {"epsf": psfs.psfs}
+    stars = get_centroider(reduction.centroid, **options).measure(stamps, image.noise) if len(stamps) else found
     known = np.isfinite(stars.covariance).all(axis=(1, 2)) & np.isfinite(stars.x_px) & np.isfinite(stars.y_px)
     return MeasuredFrame(
         stars=stars,
@@ -147,11 +159,12 @@ def measure_frame(frame: Frame, reduction: Reduction) -> MeasuredFrame:
     )
 
 
-def reduction_of(verify: VerifyConfig, dark_dn: NDArray[Any]) -> Reduction:
+def reduction_of(verify: VerifyConfig, dark_dn: NDArray[Any], psfs: PsfGrid | None) -> Reduction:
     """The configured reduction."""
     return Reduction(
         dark_dn=dark_dn,
         centroid=verify.centroid,
         window_px=verify.window_px,
         threshold_sigma=verify.threshold_sigma,
+        psfs=psfs if verify.centroid == "epsf" else None,
     )

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from experiments.dataset.facts import FrameFacts
 from experiments.dataset.scene import Scene
 from experiments.dataset.settings import Config
+
+if TYPE_CHECKING:
+    from experiments.dataset.evaluate import Evaluation
 
 __all__ = ["Result"]
 
@@ -40,8 +43,8 @@ class Result:
         Of this process.
     exports : mapping
         Name of an export -> what was written, in words.
-    evaluation : mapping
-        What was found in the frames.
+    evaluation : Evaluation or None
+        What was found in the frames; None if they were not looked at.
     """
 
     config: Config
@@ -55,4 +58,4 @@ class Result:
     runtime_s: float
     peak_memory_mb: float
     exports: Mapping[str, str] = field(default_factory=dict)
-    evaluation: Mapping[str, Any] = field(default_factory=dict)
+    evaluation: Evaluation | None = None

@@ -180,7 +180,7 @@ class VerifyConfig(StrictModel):
 
     frames: int = Field(default=200, ge=0, le=10_000_000, description="frames looked at, the first ones; 0: none")
     dark_frames: int = Field(default=20, ge=1, le=1000, description="frames without light in the mean dark")
-    centroid: Literal["gaussian", "windowed", "tcog", "cog"] = Field(default="gaussian", description="centroider")
+    centroid: Literal["epsf", "gaussian", "windowed", "tcog", "cog"] = Field(default="epsf", description="centroider")
     window_px: int = Field(default=7, ge=5, le=31, description="window of the centroider")
     threshold_sigma: float = Field(default=5.0, gt=0, le=100, description="detection limit")
 
@@ -199,6 +199,7 @@ class Config(ExperimentConfig):
     exports: tuple[Literal["coco", "webdataset"], ...] = Field(
         default=(), description="copies for learning programs: coco, webdataset"
     )
+    png_bits: Literal[8, 16] = Field(default=16, description="of coco; 16: raw numbers, 8: stretched for the eye")
     verify: VerifyConfig = VerifyConfig()
     workers: int = Field(default=0, ge=0, le=4096, description="processes; 0: one per processor; 1: this one")
     scheduler: str = Field(default="", description="Dask scheduler such as tcp://host:8786; left out: this machine")

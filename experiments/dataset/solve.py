@@ -42,12 +42,12 @@ class SkyMap:
     ----------
     direction : (n, 3)
         Unit vectors in icrs, aberration included if the frames have it.
-    by_id : mapping
-        Identifier -> direction.
+    by_id : mapping or None
+        Identifier -> direction; None where identifiers are not those of tetra3rs, whose own directions then serve.
     """
 
     direction: FloatArray
-    by_id: Mapping[int, FloatArray]
+    by_id: Mapping[int, FloatArray] | None
 
     def __post_init__(self) -> None:
         freeze(self, "direction", shape=("n", 3), sizes={})

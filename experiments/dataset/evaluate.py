@@ -1,0 +1,233 @@
+"""What others find in the frames of a dataset: stars, attitudes, world coordinates; read back from the files."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.identify import build_database
+from calib.records import NoiseModel
+from experiments.dataset.calibrated import calibrated_camera
+from experiments.dataset.detection import CentroidBound, FoundStars, centroid_bound, compare_frame, false_alarms, joined
+from experiments.dataset.facts import FrameFacts
+from experiments.dataset.measure import FWHM_PX, MeasuredFrame, master_dark, measure_frame, reduction_of
+from experiments.dataset.psf_grid import PsfGrid, render_psf_grid
+from experiments.dataset.solve import SkyMap, SolvedFrame, solve_frame
+from experiments.dataset.truth_file import read_table
+from experiments.dataset.wcs_check import wcs_misses_px
+from render.catalogue_motion import directions_at
+from render.fits import read_frame
+from render.tracer import Tracer
+
+if TYPE_CHECKING:
+    from calib.cameras.fit import MapFit
+    from experiments.dataset.scene import Scene
+
+__all__ = ["Evaluation", "Example", "evaluate"]
+
+FloatArray = NDArray[np.float64]
+
+FIELD_MARGIN = 0.06
+"""The database of patterns is made for fields this much narrower and wider than the camera's."""
+BOUND_RADII = (0.0, 0.5, 0.9)
+"""Where PSFs for the bound are taken: parts of the largest distance of a PSF from the middle."""
+WITHOUT_SOLVER = "tetra3rs is not installed: pip install '.[solve]'"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Example:
+    """A frame to be shown.
+
+    Attributes
+    ----------
+    frame : int
+        Its number.
+    electrons : (h, w) float32
+        Above the dark.
+    measured : MeasuredFrame
+        What was detected.
+    truth : dict
+        Columns of its truth.
+    """
+
+    frame: int
+    electrons: NDArray[np.float32]
+    measured: MeasuredFrame
+    truth: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evaluation:
+    """What was found.
+
+    Attributes
+    ----------
+    frames : int
+        How many were looked at.
+    temperature_k : float
+        Colour of the stars that the camera is calibrated for: the median.
+    calibration : MapFit
+        Camera model.
+    solved : tuple of SolvedFrame
+        One per frame; empty where the solver is missing.
+    without_solver : str
+        Why, if so.
+    stars : FoundStars
+        Of all frames.
+    bound : CentroidBound
+        What centroids could reach.
+    background_e : float
+        Expected electrons of a pixel without star, sky and dark current, that the bound was computed with.
+    false_alarms : float
+        False detections per frame that white noise alone makes at this threshold.
+    wcs_miss_px : (n,)
+        Of all stars of all frames.
+    example : Example or None
+        The first frame with stars.
+    """
+
+    frames: int
+    temperature_k: float
+    calibration: MapFit
+    solved: tuple[SolvedFrame, ...]
+    without_solver: str
+    stars: FoundStars
+    bound: CentroidBound
+    background_e: float
+    false_alarms: float
+    wcs_miss_px: FloatArray
+    example: Example | None
+
+
+def evaluate(
+    mi: Any, folder: Path, scene: Scene, facts: Sequence[FrameFacts], *, advance: Callable[[], None]
+) -> Evaluation:
+    """Measure, solve and compare frames of a dataset.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with an active variant.
+    folder : pathlib.Path
+        The dataset.
+    scene : Scene
+        What its frames have in common.
+    facts : sequence of FrameFacts
+        The frames to look at.
+    advance : callable
+        Called once per frame.
+
+    Raises
+    ------
+    StarbenchError
+        Unknown centroider; no light on most of the detector.
+    """
+    verify, camera = scene.config.verify, scene.instrument.camera
+    backend = str(mi.variant()).split("_", maxsplit=1)[0]
+    streams = scene.plan.streams.child("verify")
+    dark = master_dark(scene, frames=verify.dark_frames, streams=streams, backend=backend)
+    temperature_k = float(np.median(scene.temperature_k))
+    psfs = render_psf_grid(mi, scene, temperature_k=temperature_k, window_px=verify.window_px)
+    reduction = reduction_of(verify, dark, psfs)
+    calibration = calibrated_camera(scene, Tracer(mi, camera), temperature_k=temperature_k)
+    solver = _Solver(scene, calibration)
+    size = {"width_px": camera.width_px, "height_px": camera.height_px}
+    stars, solved, misses = [], [], [np.zeros(0)]
+    example: Example | None = None
+    for one in facts:
+        frame = read_frame(folder / one.file)
+        table = read_table(folder / one.truth)
+        truth = {name: np.asarray(table[name]) for name in table.colnames}
+        measured = measure_frame(frame, reduction)
+        stars.append(compare_frame(one.frame, measured, truth, **size))
+        misses.append(wcs_misses_px(folder / one.file, truth, **size))
+        if solver.database is not None:
+            solved.append(solver.solve(one, measured))
+        if example is None and one.stars:
+            light = (frame.dn - dark) / np.float32(frame.gain_dn_per_e)
+            example = Example(frame=one.frame, electrons=light, measured=measured, truth=truth)
+        advance()
+    background_e = float(np.mean([one.background_e for one in facts])) + _dark_e(scene)
+    return Evaluation(
+        frames=len(facts),
+        temperature_k=temperature_k,
+        calibration=calibration,
+        solved=tuple(solved),
+        without_solver="" if solver.database is not None else WITHOUT_SOLVER,
+        stars=joined(stars),
+        bound=_bound(scene, psfs, background_e),
+        background_e=background_e,
+        false_alarms=false_alarms(camera.width_px * camera.height_px, verify.threshold_sigma, FWHM_PX),
+        wcs_miss_px=np.concatenate(misses),
+        example=example,
+    )
+
+
+class _Solver:
+    """tetra3rs with the camera and the sky of a dataset."""
+
+    def __init__(self, scene: Scene, calibration: MapFit) -> None:
+        self.scene, self.calibration = scene, calibration
+        self.database: Any = None
+        if importlib.util.find_spec("tetra3rs") is None:
+            return
+        camera = scene.instrument.camera
+        half = camera.width_px * camera.pixel_pitch_mm / 2 / scene.instrument.focal_length_mm
+        field_deg = 2.0 * float(np.degrees(np.arctan(half)))
+        self.database = build_database(
+            min_fov_deg=field_deg * (1.0 - FIELD_MARGIN), max_fov_deg=field_deg * (1.0 + FIELD_MARGIN)
+        )
+        catalogue = scene.catalogue.catalog
+        direction = directions_at(catalogue, scene.config.sky.epoch_year, scene.observer)
+        known = scene.config.sky.catalogue == "gaia"  # the identifiers of tetra3rs are Gaia's
+        self.sky = SkyMap(
+            direction=direction,
+            by_id=dict(zip(catalogue.id.tolist(), direction, strict=True)) if known else None,
+        )
+
+    def solve(self, facts: FrameFacts, measured: MeasuredFrame) -> SolvedFrame:
+        """One frame."""
+        return solve_frame(
+            facts.frame,
+            measured,
+            model=self.calibration.model,
+            model_turn=self.calibration.rotation,
+            database=self.database,
+            sky=self.sky,
+            truth=Rotation.from_quat(facts.quat_xyzw),
+            pixel_arcsec=self.scene.instrument.pixel_arcsec,
+        )
+
+
+def _dark_e(scene: Scene) -> float:
+    camera, detector = scene.config.camera, scene.instrument.detector
+    return detector.dark_current_e_per_s * detector.dark_factor(camera.chip_temperature_c) * camera.exposure_s
+
+
+def _bound(scene: Scene, psfs: PsfGrid, background_e: float) -> CentroidBound:
+    """Bound with the PSFs of the lens; the noise of the mean dark counts."""
+    detector, verify = scene.instrument.detector, scene.config.verify
+    distance = np.hypot(*(psfs.place_px - scene.instrument.camera.centre_px).T)
+    chosen = [int(np.abs(distance - part * distance.max()).argmin()) for part in BOUND_RADII]
+    floor = detector.read_noise_e**2
+    noise = NoiseModel(
+        read_noise_e=float(np.sqrt(floor + (floor + _dark_e(scene)) / verify.dark_frames)),
+        gain_dn_per_e=detector.gain_dn_per_e,
+        offset_dn=detector.offset_dn,
+        quantised=True,
+    )
+    return centroid_bound(
+        [psfs.psfs[k] for k in chosen],
+        distance[chosen],
+        noise=noise,
+        background_e=background_e,
+        window_px=verify.window_px,
+        electrons=(30.0, 10.0 * detector.full_well_e),
+    )

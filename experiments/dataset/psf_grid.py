@@ -1,0 +1,81 @@
+"""Effective PSFs of one star colour on a grid over the detector, from the lens: what stars are compared with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from render.psf import epsf_tracer, render_epsf
+from render.records import EffectivePsf, StarField
+
+if TYPE_CHECKING:
+    from experiments.dataset.scene import Scene
+
+__all__ = ["PsfGrid", "render_psf_grid"]
+
+FloatArray = NDArray[np.float64]
+
+LONG_SIDE = 9
+"""PSFs along the longer side. Between neighbours a PSF changes its shape by so little that the nearest one serves."""
+OVERSAMPLING = 4
+INSET = 0.97
+"""Share of the half-width that the grid spans, so that its outermost bundles stay on the detector."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PsfGrid:
+    """PSFs, each centred on the mean of its rays.
+
+    Attributes
+    ----------
+    psfs : tuple of EffectivePsf
+        Row by row.
+    place_px : (n, 2)
+        Where they stand.
+    """
+
+    psfs: tuple[EffectivePsf, ...]
+    place_px: FloatArray
+
+    def nearest(self, x_px: FloatArray, y_px: FloatArray) -> NDArray[np.int64]:
+        """Which PSF is the nearest to places (n,)."""
+        at = np.stack([x_px, y_px], axis=-1)
+        return np.asarray(((at[:, None] - self.place_px) ** 2).sum(-1).argmin(1))
+
+
+def render_psf_grid(mi: Any, scene: Scene, *, temperature_k: float, window_px: int) -> PsfGrid:
+    """Render the PSFs of a camera.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with an active variant.
+    scene : Scene
+        Camera and band.
+    temperature_k : float
+        Colour of the star.
+    window_px : int
+        Window that they have to cover, at any sub-pixel phase.
+
+    Raises
+    ------
+    DomainError
+        No light reaches one of the places.
+    """
+    camera = scene.instrument.camera
+    size = np.array([camera.width_px, camera.height_px])
+    columns, rows = np.maximum(3, np.rint(LONG_SIDE * size / size.max()).astype(int) // 2 * 2 + 1)
+    x, y = (INSET * n / 2 * np.linspace(-1.0, 1.0, count) for n, count in zip(size, (columns, rows), strict=True))
+    place = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) + camera.centre_px
+    n = len(place)
+    stars = StarField(
+        direction=camera.nominal_direction(place[:, 0], place[:, 1], scene.instrument.focal_length_mm),
+        wavelength_nm=scene.light.wavelength_nm,
+        photon_rate=scene.light.photon_rate(np.full(n, 5.0), np.full(n, temperature_k)),
+        band=scene.light.band,
+    )
+    rendered = render_epsf(epsf_tracer(mi, camera), stars, oversampling=OVERSAMPLING, half_size_px=window_px // 2 + 2)
+    return PsfGrid(psfs=tuple(row[0] for row in rendered), place_px=place)
