@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from render.lunar_surface import lommel_seeliger_phase
+
 __all__ = ["MOON_RADIUS_KM", "moon_scene"]
 
 MOON_RADIUS_KM = 1737.4
@@ -118,46 +120,8 @@ def rays(v: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def disk_function(phase_rad: float) -> float:
     """What brings the disk of a Lommel-Seeliger sphere to Allen's phase law."""
-    half, degrees = phase_rad / 2, np.degrees(phase_rad)
-    sphere = 1.0 if phase_rad < 1e-6 else 1 - np.sin(half) * np.tan(half) * np.log(1 / np.tan(half / 2))
-    return float(10 ** (-0.4 * (0.026 * degrees + 4e-9 * degrees**4)) / sphere)
-
-
-def lunar_bsdf(mi: Any, dr: Any) -> type:
-    """Lommel-Seeliger: radiance factor 2 albedo mu0 / (mu0 + mu); ``albedo`` is the normal reflectance."""
-
-    class LunarSurface(mi.BSDF):
-        def __init__(self, props: Any) -> None:
-            super().__init__(props)
-            self.albedo = props["albedo"]
-            self.m_components = [mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide]
-            self.m_flags = self.m_components[0]
-
-        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            mu, mu0 = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
-            value = self.albedo.eval(si, active) * (2 / np.pi) * mu0 / (mu + mu0)
-            return dr.select(active & (mu > 0) & (mu0 > 0), value, 0.0)
-
-        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            return dr.select(active & (mi.Frame3f.cos_theta(wo) > 0), mi.warp.square_to_cosine_hemisphere_pdf(wo), 0.0)
-
-        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
-
-        def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
-            sample = dr.zeros(mi.BSDFSample3f)
-            sample.wo = mi.warp.square_to_cosine_hemisphere(sample2)
-            sample.pdf = mi.warp.square_to_cosine_hemisphere_pdf(sample.wo)
-            sample.eta = 1.0
-            sample.sampled_type = mi.UInt32(+mi.BSDFFlags.DiffuseReflection)
-            sample.sampled_component = 0
-            ok = active & (sample.pdf > 0)
-            return sample, dr.select(ok, self.eval(ctx, si, sample.wo, ok) / sample.pdf, 0.0)
-
-        def to_string(self) -> str:
-            return "LunarSurface[]"
-
-    return LunarSurface
+    degrees = np.degrees(phase_rad)
+    return float(10 ** (-0.4 * (0.026 * degrees + 4e-9 * degrees**4)) / lommel_seeliger_phase(phase_rad))
 
 
 def moon_scene(
@@ -168,7 +132,7 @@ def moon_scene(
     Parameters
     ----------
     mi : module
-        Mitsuba with an active variant.
+        Mitsuba with an active variant and the project's plugins.
     towards : (3,)
         Direction in which the camera sees the Moon.
     sky_frame : (3, 3)
@@ -178,8 +142,6 @@ def moon_scene(
     sun_position_angle_deg : float
         Direction of the Sun in the sky, from north through east.
     """
-    import drjit as dr
-
     rng = np.random.default_rng(11)
     v, faces = grid()
     mare = maria(v, rng)
@@ -190,7 +152,6 @@ def moon_scene(
     phase, at = np.radians(phase_deg), np.radians(sun_position_angle_deg)
     sideways = -np.sin(at) * west - np.cos(at) * south
     to_sun = -np.cos(phase) * towards + np.sin(phase) * sideways
-    mi.register_bsdf("lunar_surface", lunar_bsdf(mi, dr))
     bsdf = mi.load_dict({"type": "lunar_surface", "albedo": {"type": "mesh_attribute", "name": "vertex_albedo"}})
     props = mi.Properties()
     props["bsdf"] = bsdf

@@ -23,6 +23,15 @@ wavelength_nm : float
     variants only the hero wavelength carries weight, because dispersion separates the others.
 shutter_open, shutter_close : float
     Exposure time is their difference; 1 s if it is zero.
+motion_rotation : TensorXf64 (1, m, 3, 3)
+    Attitude at m >= 2 equal steps from ``shutter_open`` over motion_duration_s, in place of ``rotation``: a ray takes
+    the one at its time sample, between two steps along the shorter arc.
+motion_duration_s : float
+    Length of that table: the exposure, with a rolling shutter also the time from the first row's start to the last's.
+line_time_s : float, default 0
+    A row starts this much later than the one before it.
+first_row : int, default 0
+    Row of the detector that is row 0 of the film, where the film is a window.
 
 Stars are traced forward by ``star_tracer``. Extended bodies are rendered by any stock integrator: `sample_ray` starts
 on the detector, aims at the exit pupil, and traces the lens backwards, so that a pixel's value is its mean irradiance:
@@ -33,10 +42,11 @@ efficiency and the transmission of the lens are not in it.
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from optics.errors import BackendError, ConfigError, ConvergenceError, unknown_name
 from optics.frames import light_direction
@@ -104,6 +114,36 @@ def _shared_camera(props: Any, width: int, height: int) -> Camera:
     if "rotation" in props or ("to_world" in props and not np.allclose(props["to_world"].matrix, _moved(props))):
         raise ConfigError("lens_camera: a shared camera has an attitude of its own; to_world may only move it")
     return camera
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """Attitudes at equal steps as quaternions (m, 4), neighbours on the same side; times in s."""
+
+    quaternion: np.ndarray
+    duration_s: float
+    line_time_s: float
+    first_row: int
+
+
+def _motion(props: Any) -> _Motion | None:
+    """The table of attitudes, if there is one."""
+    if "motion_rotation" not in props:
+        return None
+    table = np.array(props["motion_rotation"], dtype=float)
+    table = table[0] if table.ndim == 4 else table
+    duration_s, line_time_s = float(props.get("motion_duration_s", 0.0)), float(props.get("line_time_s", 0.0))
+    if table.ndim != 3 or table.shape[1:] != (3, 3) or len(table) < 2:
+        raise ConfigError(f"lens_camera: motion_rotation has shape {table.shape}; (m, 3, 3) with m >= 2 is needed")
+    if not duration_s > 0 or not 0 <= line_time_s < math.inf:
+        raise ConfigError(
+            f"lens_camera: motion_duration_s = {duration_s:g} s must be positive, line_time_s = {line_time_s:g} s not "
+            "negative"
+        )
+    quaternion = Rotation.from_matrix(table).as_quat()
+    side = np.cumprod(np.where(np.einsum("ij,ij->i", quaternion[1:], quaternion[:-1]) < 0, -1.0, 1.0))
+    quaternion[1:] *= side[:, None]
+    return _Motion(quaternion, duration_s, line_time_s, int(props.get("first_row", 0)))
 
 
 def _moved(props: Any) -> np.ndarray:
@@ -184,7 +224,12 @@ def define(mi: Any, dr: Any) -> type:
             self._position = mi.ScalarVector3d(_moved(props)[:3, 3].tolist())
             exposure_s = float(props.get("shutter_close", 0.0)) - float(props.get("shutter_open", 0.0))
             self.exposure_s = exposure_s or 1.0
+            self._motion = _motion(props)
+            if self._motion is not None and not exposure_s > 0:
+                raise ConfigError("lens_camera: motion_rotation needs shutter_open and shutter_close")
+            self._opened_s = float(props.get("shutter_open", 0.0))
             self._backward: tuple[Any, ...] | None = None
+            self._turns: tuple[Any, ...] | None = None
 
         def _reverse(self) -> tuple[Any, ...]:
             """Compiled reversed lens, its parameters, and the numbers of `_start`; none of them ends up in a kernel."""
@@ -233,7 +278,7 @@ def define(mi: Any, dr: Any) -> type:
                 failed_at=zero - 1,
             )
             out = trace_program(program, theta, rays, xp)
-            scale, rotation = 1.0 / self.scene_unit_mm, numbers[17:26]
+            scale, rotation = 1.0 / self.scene_unit_mm, self._attitude(time, sample2, numbers)
             origin = self._world(rotation, out.x * scale, out.y * scale, 0.0) + self._position
             direction = dr.normalize(mi.Vector3f(self._world(rotation, out.dx, out.dy, out.dz)))
             ok = active & (out.status == OK)  # rays that failed carry numbers that mean nothing
@@ -247,6 +292,31 @@ def define(mi: Any, dr: Any) -> type:
             """As `sample_ray`, without differentials (textures are then not prefiltered)."""
             ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
             return mi.RayDifferential3f(ray), weight
+
+        def _attitude(self, time: Any, sample2: Any, numbers: Any) -> Any:
+            """Nine numbers of cam from world, row by row: one attitude for all rays, or each at its own time."""
+            if self._motion is None:
+                return numbers[17:26]
+            F, motion = mi.Float64, self._motion
+            if self._turns is None:
+                columns = tuple(F(np.ascontiguousarray(motion.quaternion[:, k])) for k in range(4))
+                last = len(motion.quaternion) - 1
+                values = (self._opened_s, last / motion.duration_s, motion.line_time_s, float(last), motion.first_row)
+                self._turns = (columns, tuple(dr.opaque(F, value) for value in values))
+            columns, (opened, steps_per_s, line_time, last, first_row) = self._turns
+            row = dr.floor(F(sample2.y) * self.camera.height_px) + first_row
+            step = dr.clip((F(time) - opened + row * line_time) * steps_per_s, 0.0, last)
+            low = dr.minimum(dr.floor(step), last - 1.0)
+            index, part = mi.UInt32(low), step - low
+            x, y, z, w = (
+                dr.lerp(dr.gather(F, column, index), dr.gather(F, column, index + 1), part) for column in columns
+            )
+            s = 2.0 / (x * x + y * y + z * z + w * w)
+            return [
+                1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w),
+                s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w),
+                s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y),
+            ]  # fmt: skip
 
         @staticmethod
         def _world(rotation: Any, x: Any, y: Any, z: Any) -> Any:

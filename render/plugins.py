@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from optics.errors import BackendError
-from render import lens_camera, star_field, star_tracer
+from render import lens_camera, lunar_surface, star_field, star_tracer
 
 __all__ = ["register_plugins"]
 
@@ -13,7 +13,7 @@ _registered: dict[str, tuple[type, type, type]] = {}
 
 
 def register_plugins() -> tuple[type, type, type]:
-    """Make ``star_field``, ``lens_camera`` and ``star_tracer`` known to ``mi.load_dict``.
+    """Make ``star_field``, ``lens_camera``, ``star_tracer`` and ``lunar_surface`` known to ``mi.load_dict``.
 
     Classes belong to a variant: call this after every change of variant (`render.variant.use_backend`). Calling it
     again does nothing.
@@ -21,7 +21,7 @@ def register_plugins() -> tuple[type, type, type]:
     Returns
     -------
     tuple of type
-        The three classes.
+        The classes of the first three.
 
     Raises
     ------
@@ -40,5 +40,6 @@ def register_plugins() -> tuple[type, type, type]:
         mi.register_emitter("star_field", emitter)
         mi.register_sensor("lens_camera", sensor)
         mi.register_integrator("star_tracer", integrator)
+        mi.register_bsdf("lunar_surface", lunar_surface.define(mi, dr))
         _registered[variant] = (emitter, sensor, integrator)
     return _registered[variant]

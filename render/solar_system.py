@@ -21,7 +21,7 @@ from scipy import constants
 
 from optics.band import Band, band_nodes
 from optics.errors import ConfigError, DomainError, unknown_name
-from optics.photometry import photon_rate
+from optics.photometry import band_photon_rate, photon_rate
 from optics.records import freeze
 from render.catalogue_motion import Observer, aberrated, earth_observer
 from render.planet_brightness import planet_spectrum, planet_v
@@ -222,16 +222,13 @@ def planet_field(system: SolarSystem, bands: Sequence[Band], *, nodes: int = 5) 
             f"{system.name[first]} has no published magnitude at a phase of {np.degrees(system.phase_rad[first]):.1f} "
             "deg; leave it out (SolarSystem.select) or render it"
         )
-    rates = [
-        photon_rate(planet_spectrum(name), float(v), wavelength_nm=rule.wavelength_nm)
-        for name, v in zip(system.name, system.magnitude_v, strict=True)
-    ]
-    return StarField(
-        direction=system.direction,
-        wavelength_nm=rule.wavelength_nm,
-        photon_rate=np.array(rates).reshape(-1, *rule.wavelength_nm.shape) * rule.weight_nm * rule.transmission,
-        band=rule.name,
-    )
+    rates = np.zeros((len(system), *rule.wavelength_nm.shape))
+    for i, name in enumerate(system.name):
+        spectrum, v = planet_spectrum(name), float(system.magnitude_v[i])
+        rate = photon_rate(spectrum, v, wavelength_nm=rule.wavelength_nm) * rule.weight_nm * rule.transmission
+        # a few nodes miss some 0.1 % of a spectrum as rough as the Sun's: they share the integral over all its pieces
+        rates[i] = rate * (band_photon_rate(spectrum, v, bands) / rate.sum(1))[:, None]
+    return StarField(direction=system.direction, wavelength_nm=rule.wavelength_nm, photon_rate=rates, band=rule.name)
 
 
 def joined(first: StarField, *others: StarField) -> StarField:
@@ -245,7 +242,7 @@ def joined(first: StarField, *others: StarField) -> StarField:
     for other in others:
         if other.band != first.band or not np.array_equal(other.wavelength_nm, first.wavelength_nm):
             raise ConfigError(
-                f"star fields of bands {', '.join(first.band)} and {', '.join(other.band)} do not share their wavelengths; "
+                f"star fields of bands {', '.join(first.band)} and {', '.join(other.band)} do not share wavelengths; "
                 "make both with the same bands and number of nodes"
             )
     parts = (first, *others)
