@@ -23,8 +23,12 @@ WCS_LIMIT_PX = 0.01
 PULL_LIMIT = 1.3
 BRIGHT_SNR = 10.0
 LEAST_COMPLETE = 0.99
-FALSE_OVER_NOISE = 3.0
-"""Read noise differs from pixel to pixel and dark current is noisy too: more than white noise alone makes."""
+BOUND_SNR = (8.0, 25.0)
+"""Between these noise alone decides: below, only stars that the noise helped are seen; above, colours and response."""
+BOUND_RATIO = (0.93, 1.3)
+BOUND_STARS = 200
+"""Fewer tell the ratio to worse than 5 %."""
+FALSE_SIGMA = 4.0
 
 
 def results(result: Result) -> dict[str, Any]:
@@ -61,12 +65,13 @@ def _found(evaluation: Evaluation) -> dict[str, Any]:
         "false_detections_per_frame": {
             "all": len(stars.false) / stars.frames,
             "not_flagged": int((~stars.false_spike).sum()) / stars.frames,
-            "by_white_noise": evaluation.false_alarms,
+            "in_empty_frames": evaluation.empty_detections / evaluation.empty_frames,
         },
         "centroids": {
             "snr": bins.snr.tolist(),
             "error_px": bins.error_px.tolist(),
             "bound_px": bins.bound_px.tolist(),
+            "ratio": bins.ratio.tolist(),
         },
         "camera_model_max_px": evaluation.calibration.max_px,
     }
@@ -86,6 +91,14 @@ def _found(evaluation: Evaluation) -> dict[str, Any]:
     else:
         found["solver"] = {"attempted": 0, "why": evaluation.without_solver}
     return found
+
+
+def _false_excess(evaluation: Evaluation) -> float:
+    """False detections per frame less those of empty frames, in standard deviations of both counts."""
+    stars = evaluation.stars
+    mine, empty = int((~stars.false_spike).sum()), evaluation.empty_detections
+    spread = np.sqrt((mine + 1) / stars.frames**2 + (empty + 1) / evaluation.empty_frames**2)
+    return float((mine / stars.frames - empty / evaluation.empty_frames) / spread)
 
 
 def _largest(evaluation: Evaluation) -> float:
@@ -129,11 +142,13 @@ def criteria(result: Result) -> list[Criterion]:
                 relation=">=",
             )
         )
+    made += _centroids(evaluation)
     made += [
         Criterion(
-            name="detections without a star and without a flag, over those that white noise makes",
-            value=int((~stars.false_spike).sum()) / stars.frames / evaluation.false_alarms,
-            limit=FALSE_OVER_NOISE,
+            name="detections without star and flag, more than in frames without stars by",
+            value=_false_excess(evaluation),
+            limit=FALSE_SIGMA,
+            unit="sigma",
         ),
         Criterion(
             name="world coordinates in astropy against chief rays, largest",
@@ -143,6 +158,20 @@ def criteria(result: Result) -> list[Criterion]:
         ),
     ]
     return made + (_attitude(result, evaluation) if evaluation.solved else [])
+
+
+def _centroids(evaluation: Evaluation) -> list[Criterion]:
+    """Errors may not be below the bound, and not far above it."""
+    bins = centroid_bins(evaluation)
+    inside = (bins.snr >= BOUND_SNR[0]) & (bins.snr <= BOUND_SNR[1])
+    if bins.stars[inside].sum() < BOUND_STARS:
+        return []
+    ratio = float(np.average(bins.ratio[inside], weights=bins.stars[inside]))
+    name = f"centroid error over its Cramer-Rao bound, SNR {BOUND_SNR[0]:g} to {BOUND_SNR[1]:g}"
+    return [
+        Criterion(name=f"{name}, not less than", value=ratio, limit=BOUND_RATIO[0], relation=">="),
+        Criterion(name=f"{name}, not more than", value=ratio, limit=BOUND_RATIO[1]),
+    ]
 
 
 def _attitude(result: Result, evaluation: Evaluation) -> list[Criterion]:

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-from calib.crlb import cramer_rao
+from calib.crlb import fisher_information
 from calib.epsf import draw_epsf
 from calib.flags import StarFlag, has_flag
 from calib.records import NoiseModel
@@ -18,7 +19,7 @@ from experiments.dataset.truth import FLAGS
 from optics.records import freeze
 from render.records import EffectivePsf
 
-__all__ = ["CentroidBound", "FoundStars", "centroid_bound", "compare_frame", "false_alarms", "joined"]
+__all__ = ["CentroidBound", "FoundStars", "centroid_bound", "compare_frame", "joined"]
 
 FloatArray = NDArray[np.float64]
 
@@ -26,7 +27,8 @@ MATCH_PX = 2.0
 """A detection this near to the light of a star is that star; both must be each other's nearest."""
 NEAR_PX = 4.0
 """A detection farther than this from every rendered star is false."""
-PHASES = 5
+PHASES = 8
+STEP_PX = 1e-4
 FLUX_KNOTS = 25
 
 
@@ -48,6 +50,8 @@ class FoundStars:
         Whether that detection is flagged ``BLEND``.
     error_px : (n, 2)
         Centroid minus centroid of the noiseless light; NaN where there is no centroid.
+    position_px : (n, 2)
+        Centroid of its noiseless light.
     radius_px : (n,)
         Distance from the middle of the detector.
     false : (f,)
@@ -66,6 +70,7 @@ class FoundStars:
     fit: NDArray[np.bool_]
     blend_seen: NDArray[np.bool_]
     error_px: FloatArray
+    position_px: FloatArray
     radius_px: FloatArray
     false: NDArray[np.int64]
     false_spike: NDArray[np.bool_]
@@ -77,7 +82,8 @@ class FoundStars:
             freeze(self, name, shape=("n",), sizes=sizes)
         for name, kind in (("flags", np.int32), ("found", np.bool_), ("fit", np.bool_), ("blend_seen", np.bool_)):
             freeze(self, name, shape=("n",), dtype=kind, sizes=sizes)
-        freeze(self, "error_px", shape=("n", 2), finite=False, sizes=sizes)
+        for name in ("error_px", "position_px"):
+            freeze(self, name, shape=("n", 2), finite=False, sizes=sizes)
         freeze(self, "false", shape=("f",), dtype=np.int64, sizes=sizes)
         freeze(self, "false_spike", shape=("f",), dtype=np.bool_, sizes=sizes)
 
@@ -125,7 +131,6 @@ def compare_frame(
     flags = np.zeros(n, np.uint32)
     flags[found] = measured.stars.flags[partner[found]]
     middle = np.array([(width_px - 1) / 2, (height_px - 1) / 2])
-    sharp = has_flag(measured.stars.flags, StarFlag.SPIKE) | has_flag(measured.stars.flags, StarFlag.DEFECT)
     return FoundStars(
         magnitude=np.asarray(truth["magnitude"])[lit],
         snr=np.asarray(truth["snr"])[lit],
@@ -135,9 +140,10 @@ def compare_frame(
         fit=found & ((flags & np.uint32(int(UNFIT))) == 0),
         blend_seen=has_flag(flags, StarFlag.BLEND),
         error_px=error,
+        position_px=star,
         radius_px=np.hypot(*(star - middle).T) if n else np.zeros(0),
         false=np.full(np.count_nonzero(lonely), frame),
-        false_spike=sharp[lonely],
+        false_spike=measured.sharp[lonely],
         frames=1,
     )
 
@@ -151,21 +157,9 @@ def joined(parts: list[FoundStars]) -> FoundStars:
     )
 
 
-def false_alarms(pixels: int, threshold_sigma: float, fwhm_px: float) -> float:
-    """Maxima of filtered white noise above a threshold that an image of so many pixels has, expected.
-
-    A Gaussian field of unit variance with the correlation exp(-r^2 / (4 s^2)), s the width of the filter, has
-    ``u exp(-u^2 / 2) / ((2 pi)^(3/2) 2 s^2)`` maxima above a high level u per unit of area (R. J. Adler, *The Geometry
-    of Random Fields*, 1981, sec. 6.8).
-    """
-    width = fwhm_px / 2.354820045
-    density = threshold_sigma * np.exp(-(threshold_sigma**2) / 2) / ((2 * np.pi) ** 1.5 * 2 * width**2)
-    return float(pixels * density)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CentroidBound:
-    """Cramer-Rao bound of a centroid against electrons, at some distances from the middle of the detector.
+    """Cramer-Rao bound of a centroid against electrons, at some distances from the middle, at every sub-pixel phase.
 
     Attributes
     ----------
@@ -173,8 +167,8 @@ class CentroidBound:
         Increasing distances of the PSFs.
     electrons : (k,)
         Increasing.
-    sigma_px : (r, k)
-        Root of the mean variance of x and y, mean over sub-pixel phases.
+    sigma_px : (r, k, p, p, 2)
+        Of x and y, for phases (-1/2 + (i + 1/2) / p) of row and column.
     """
 
     radius_px: FloatArray
@@ -185,14 +179,18 @@ class CentroidBound:
         sizes: dict[str, int] = {}
         freeze(self, "radius_px", shape=("r",), sizes=sizes)
         freeze(self, "electrons", shape=("k",), sizes=sizes)
-        freeze(self, "sigma_px", shape=("r", "k"), sizes=sizes)
+        freeze(self, "sigma_px", shape=("r", "k", "p", "p", 2), sizes=sizes)
 
-    def at(self, electrons: FloatArray, radius_px: FloatArray) -> FloatArray:
-        """Bound (n,) of stars, by the PSF nearest in distance."""
+    def at(self, electrons: FloatArray, position_px: FloatArray, radius_px: FloatArray) -> FloatArray:
+        """Bounds (n, 2) of stars at positions (n, 2): nearest PSF, interpolated in phase and in the log of the flux."""
         nearest = np.abs(np.asarray(radius_px)[:, None] - self.radius_px).argmin(axis=1)
-        log_e = np.log(np.asarray(electrons))
-        rows = np.stack([np.interp(log_e, np.log(self.electrons), np.log(row)) for row in self.sigma_px])
-        return np.asarray(np.exp(rows[nearest, np.arange(len(log_e))]))
+        log_e = np.log(self.electrons)
+        flux = np.clip(np.interp(np.log(np.asarray(electrons)), log_e, np.arange(len(log_e))), 0, len(log_e) - 1)
+        phases = self.sigma_px.shape[2]
+        phase = (np.asarray(position_px) + 0.5) % 1.0 * phases - 0.5
+        padded = np.pad(np.log(self.sigma_px), ((0, 0), (0, 0), (1, 1), (1, 1), (0, 0)), mode="wrap")
+        place = np.stack([nearest, flux, phase[:, 1] + 1.0, phase[:, 0] + 1.0])
+        return np.stack([np.exp(map_coordinates(padded[..., axis], place, order=1)) for axis in (0, 1)], axis=-1)
 
 
 def centroid_bound(
@@ -221,21 +219,23 @@ def centroid_bound(
     electrons : (float, float)
         Range.
     """
-    flux = np.geomspace(*electrons, FLUX_KNOTS)
-    middle = (window_px - 1) / 2.0
+    flux, middle = np.geomspace(*electrons, FLUX_KNOTS), (window_px - 1) / 2.0
     phase = (np.arange(PHASES) + 0.5) / PHASES - 0.5
-    sigma = np.empty((len(psfs), FLUX_KNOTS))
+    y, x = (value.ravel() + middle for value in np.meshgrid(phase, phase, indexing="ij"))
+
+    def images(psf: EffectivePsf, dx: float, dy: float) -> FloatArray:
+        return np.asarray(draw_epsf(psf, x + dx, y + dy, (window_px, window_px))).reshape(PHASES**2, -1)
+
+    sigma = np.empty((len(psfs), FLUX_KNOTS, PHASES, PHASES, 2))
     for row, psf in enumerate(psfs):
-
-        def image(theta: FloatArray, psf: EffectivePsf = psf) -> FloatArray:
-            one = draw_epsf(psf, theta[:1], theta[1:2], (window_px, window_px))[0]
-            return np.asarray(theta[2] * one + background_e)
-
+        unit = images(psf, 0.0, 0.0)
+        along_x, along_y = (
+            (images(psf, *step) - images(psf, *(-np.array(step)))) / (2.0 * STEP_PX)
+            for step in ((STEP_PX, 0.0), (0.0, STEP_PX))
+        )
         for column, value in enumerate(flux):
-            variance = []
-            for dx in phase:
-                for dy in phase:
-                    bound = cramer_rao(image, np.array([middle + dx, middle + dy, value]), noise)
-                    variance.append((bound[0, 0] + bound[1, 1]) / 2.0)
-            sigma[row, column] = np.sqrt(np.mean(variance))
+            jacobian = np.stack([value * along_x, value * along_y, unit], axis=1)
+            information = fisher_information(jacobian, value * unit + background_e, noise)
+            variance = np.diagonal(np.linalg.inv(information), axis1=1, axis2=2)[:, :2]
+            sigma[row, column] = np.sqrt(variance).reshape(PHASES, PHASES, 2)
     return CentroidBound(radius_px=np.asarray(radius_px, float), electrons=flux, sigma_px=sigma)

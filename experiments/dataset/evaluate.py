@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 from calib.identify import build_database
 from calib.records import NoiseModel
 from experiments.dataset.calibrated import calibrated_camera
-from experiments.dataset.detection import CentroidBound, FoundStars, centroid_bound, compare_frame, false_alarms, joined
+from experiments.dataset.detection import CentroidBound, FoundStars, centroid_bound, compare_frame, joined
 from experiments.dataset.facts import FrameFacts
-from experiments.dataset.measure import FWHM_PX, MeasuredFrame, master_dark, measure_frame, reduction_of
+from experiments.dataset.measure import MeasuredFrame, Reduction, empty_frame, master_dark, measure_frame, reduction_of
 from experiments.dataset.psf_grid import PsfGrid, render_psf_grid
 from experiments.dataset.solve import SkyMap, SolvedFrame, solve_frame
 from experiments.dataset.truth_file import read_table
@@ -29,6 +29,7 @@ from render.tracer import Tracer
 if TYPE_CHECKING:
     from calib.cameras.fit import MapFit
     from experiments.dataset.scene import Scene
+    from render.random import Streams
 
 __all__ = ["Evaluation", "Example", "evaluate"]
 
@@ -85,8 +86,10 @@ class Evaluation:
         What centroids could reach.
     background_e : float
         Expected electrons of a pixel without star, sky and dark current, that the bound was computed with.
-    false_alarms : float
-        False detections per frame that white noise alone makes at this threshold.
+    empty_frames : int
+        Frames without stars that were read out for comparison, with the same background.
+    empty_detections : int
+        What was detected in them without a flag of the measurement.
     wcs_miss_px : (n,)
         Of all stars of all frames.
     example : Example or None
@@ -101,7 +104,8 @@ class Evaluation:
     stars: FoundStars
     bound: CentroidBound
     background_e: float
-    false_alarms: float
+    empty_frames: int
+    empty_detections: int
     wcs_miss_px: FloatArray
     example: Example | None
 
@@ -154,7 +158,8 @@ def evaluate(
             light = (frame.dn - dark) / np.float32(frame.gain_dn_per_e)
             example = Example(frame=one.frame, electrons=light, measured=measured, truth=truth)
         advance()
-    background_e = float(np.mean([one.background_e for one in facts])) + _dark_e(scene)
+    sky_e = float(np.mean([one.background_e for one in facts]))
+    background_e = sky_e + _dark_e(scene)
     return Evaluation(
         frames=len(facts),
         temperature_k=temperature_k,
@@ -164,7 +169,8 @@ def evaluate(
         stars=joined(stars),
         bound=_bound(scene, psfs, background_e),
         background_e=background_e,
-        false_alarms=false_alarms(camera.width_px * camera.height_px, verify.threshold_sigma, FWHM_PX),
+        empty_frames=verify.dark_frames,
+        empty_detections=_in_empty_frames(scene, reduction, sky_e, streams.child("empty"), backend),
         wcs_miss_px=np.concatenate(misses),
         example=example,
     )
@@ -209,6 +215,15 @@ class _Solver:
 def _dark_e(scene: Scene) -> float:
     camera, detector = scene.config.camera, scene.instrument.detector
     return detector.dark_current_e_per_s * detector.dark_factor(camera.chip_temperature_c) * camera.exposure_s
+
+
+def _in_empty_frames(scene: Scene, reduction: Reduction, sky_e: float, streams: Streams, backend: str) -> int:
+    """Detections without a flag in frames of an even background: what noise alone makes."""
+    count = 0
+    for frame in range(scene.config.verify.dark_frames):
+        found = measure_frame(empty_frame(scene, frame, sky_e=sky_e, streams=streams, backend=backend), reduction)
+        count += int(np.count_nonzero(~found.sharp))
+    return count
 
 
 def _bound(scene: Scene, psfs: PsfGrid, background_e: float) -> CentroidBound:

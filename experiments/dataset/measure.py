@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib.background import estimate_background
 from calib.centroid import get_centroider
 from calib.detection import detect
-from calib.flags import StarFlag
+from calib.flags import StarFlag, has_flag
 from calib.frames import image_from_frame
 from calib.records import SensorImage, StarTable
 from calib.stamps import extract_stamps
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from render.random import Streams
     from render.records import Frame
 
-__all__ = ["FWHM_PX", "MeasuredFrame", "Reduction", "master_dark", "measure_frame", "reduction_of"]
+__all__ = ["FWHM_PX", "MeasuredFrame", "Reduction", "empty_frame", "master_dark", "measure_frame", "reduction_of"]
 
 FloatArray = NDArray[np.float64]
 
@@ -92,26 +92,37 @@ class MeasuredFrame:
     detected_px: FloatArray
 
     @property
+    def sharp(self) -> NDArray[np.bool_]:
+        """Detections (n,) that are sharper than a star or sit on a pixel that is known to be bad."""
+        return has_flag(self.stars.flags, StarFlag.SPIKE) | has_flag(self.stars.flags, StarFlag.DEFECT)
+
+    @property
     def pixel_px(self) -> FloatArray:
         """Centroids (n, 2); NaN where there is none."""
         return np.column_stack([self.stars.x_px, self.stars.y_px])
 
 
+def empty_frame(scene: Scene, frame: int, *, sky_e: float, streams: Streams, backend: str) -> Frame:
+    """A frame without stars on an even background [e-], exposed like those of the dataset."""
+    camera, detector = scene.config.camera, scene.instrument.detector
+    return expose(
+        np.zeros(detector.shape, np.float32),
+        detector,
+        streams=streams,
+        frame=frame,
+        exposure_s=camera.exposure_s,
+        temperature_c=camera.chip_temperature_c,
+        background_e_per_s=sky_e / camera.exposure_s,
+        band="empty",
+        backend=backend,
+    )
+
+
 def master_dark(scene: Scene, *, frames: int, streams: Streams, backend: str) -> NDArray[np.float32]:
     """Mean of frames without light [DN], of the same exposure time and temperature as the dataset."""
-    camera, detector = scene.config.camera, scene.instrument.detector
-    nothing, total = np.zeros(detector.shape, np.float32), np.zeros(detector.shape)
+    total = np.zeros(scene.instrument.detector.shape)
     for frame in range(frames):
-        total += expose(
-            nothing,
-            detector,
-            streams=streams,
-            frame=frame,
-            exposure_s=camera.exposure_s,
-            temperature_c=camera.chip_temperature_c,
-            band="dark",
-            backend=backend,
-        ).dn
+        total += empty_frame(scene, frame, sky_e=0.0, streams=streams, backend=backend).dn
     return np.asarray(total / frames, np.float32)
 
 

@@ -157,7 +157,8 @@ def _detected(evaluation: Evaluation, tables: object) -> Section:
             every["flags"],
             Text(
                 f"{len(stars.false)} detections in {stars.frames} frames belong to no rendered star; {unflagged} of "
-                f"them carry no flag, where white noise alone would make {evaluation.false_alarms * stars.frames:.1f}. "
+                f"them carry no flag, {unflagged / stars.frames:.2f} a frame; in frames without stars there are "
+                f"{evaluation.empty_detections / evaluation.empty_frames:.2f}. "
                 "Those with a flag are hot pixels and cosmic rays, sharper than any star."
             ),
         ),

@@ -135,7 +135,9 @@ class CentroidBins:
     error_sigma_px : (k,)
         Its own standard error.
     bound_px : (k,)
-        Root mean square of the stars' Cramer-Rao bounds.
+        Median of the stars' Cramer-Rao bounds, each at its own place on the pixels.
+    ratio : (k,)
+        Robust standard deviation of each star's error over its own bound.
     stars : (k,) int64
         In each bin.
     """
@@ -144,6 +146,7 @@ class CentroidBins:
     error_px: FloatArray
     error_sigma_px: FloatArray
     bound_px: FloatArray
+    ratio: FloatArray
     stars: NDArray[np.int64]
 
 
@@ -152,7 +155,7 @@ def centroid_bins(evaluation: Evaluation, *, bins_per_decade: int = 6) -> Centro
     stars = evaluation.stars
     good = stars.clean & stars.fit & np.isfinite(stars.error_px).all(axis=1) & (stars.snr > 0)
     snr, error = stars.snr[good], stars.error_px[good]
-    bound = evaluation.bound.at(stars.electrons[good], stars.radius_px[good])
+    bound = evaluation.bound.at(stars.electrons[good], stars.position_px[good], stars.radius_px[good])
     number = np.floor(np.log10(snr) * bins_per_decade).astype(int)
     rows = []
     for one in np.unique(number):
@@ -160,14 +163,18 @@ def centroid_bins(evaluation: Evaluation, *, bins_per_decade: int = 6) -> Centro
         count = int(mine.sum())
         if count < FEWEST_IN_BIN:
             continue
-        values = (error[mine] - np.median(error[mine], axis=0)).ravel()
-        spread = ROBUST_SIGMA * float(np.median(np.abs(values)))
+        off = error[mine] - np.median(error[mine], axis=0)
+        spread = ROBUST_SIGMA * float(np.median(np.abs(off)))
+        ratio = ROBUST_SIGMA * float(np.median(np.abs(off / bound[mine])))
         # variance of the median absolute deviation of 2 n normal values: 1.3604 sigma^2 / (2 n)
-        rows.append((float(np.median(snr[mine])), spread, spread * np.sqrt(1.3604 / (2 * count)), bound[mine], count))
+        uncertainty = spread * np.sqrt(1.3604 / (2 * count))
+        rows.append((np.median(snr[mine]), spread, uncertainty, np.median(bound[mine]), ratio, count))
+    columns = np.array(rows, float).reshape(-1, 6).T
     return CentroidBins(
-        snr=np.array([row[0] for row in rows]),
-        error_px=np.array([row[1] for row in rows]),
-        error_sigma_px=np.array([row[2] for row in rows]),
-        bound_px=np.array([np.sqrt(np.mean(row[3] ** 2)) for row in rows]),
-        stars=np.array([row[4] for row in rows], np.int64),
+        snr=columns[0],
+        error_px=columns[1],
+        error_sigma_px=columns[2],
+        bound_px=columns[3],
+        ratio=columns[4],
+        stars=columns[5].astype(np.int64),
     )

@@ -110,7 +110,7 @@ def _centroids(evaluation: Evaluation) -> Table:
             int(bins.stars[k]),
             Measured(value=float(bins.error_px[k]), uncertainty=float(bins.error_sigma_px[k])),
             float(bins.bound_px[k]),
-            float(bins.error_px[k] / bins.bound_px[k]),
+            float(bins.ratio[k]),
         )
         for k in range(len(bins.snr))
     ]
@@ -124,8 +124,9 @@ def _centroids(evaluation: Evaluation) -> Table:
         ),
         rows=rows,
         caption="Centroid error of undisturbed stars against the bound.",
-        note="Error: 1.4826 times the median absolute deviation, per axis. Bound: PSF of the lens, mean over sub-pixel "
-        "phases, position and flux unknown, background known.",
+        note="Error: 1.4826 times the median absolute deviation, per axis. Bound: median; PSF of the lens, each star "
+        "at its own place on the pixels, position and flux unknown, background known. Ratio: the same deviation, of "
+        "every error over its own bound.",
     )
 
 
