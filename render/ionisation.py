@@ -1,8 +1,8 @@
 """Energy that fast charged particles leave in thin silicon, collision by collision.
 
 Mean loss with energetic knock-on electrons left out: the restricted Bethe formula with density correction (Particle
-Data Group, Review of Particle Physics 2022, eq. 34.4 to 34.7; constants of silicon: Sternheimer, Berger & Seltzer 1984,
-At. Data Nucl. Data Tables 30, 261). A knock-on electron counts up to the energy at which it leaves the layer, R = 0.0171
+Data Group, Review of Particle Physics 2022, eq. 34.4 to 34.7; constants of silicon: Sternheimer et al. 1984, At. Data
+Nucl. Data Tables 30, 261). A knock-on electron counts up to the energy at which it leaves the layer, range 0.0171
 E^1.75 (um, keV; Everhart & Hoff 1971, J. Appl. Phys. 42, 5837).
 
 Fluctuations: the model of Urban (GEANT 3, PHYS332): each atom has two levels E1, E2 and a continuum g(E) ~ 1/E^2; the
