@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 from optics.band import Band, band_nodes
 from optics.errors import ConfigError, ConvergenceError, DomainError
 from optics.frames import light_direction
-from optics.photometry import photon_rate
+from optics.photometry import band_integral, photon_rate
 from optics.records import freeze
 from optics.spectrum import Sed
 from optics.trace import Rays, trace
@@ -45,6 +45,8 @@ SQUARE_ARCSEC_SR = (math.pi / 180.0 / 3600.0) ** 2
 TRACED_NODES = 13
 """Places per axis at which the etendue is traced; a spline runs between them."""
 TRACED_RAYS = 2048
+RIM_RAYS = 64
+"""Where all of these pass and the launch disk is the stop, all others do."""
 TRACED_WAVELENGTHS = 3
 NODE_STEP_RAD = math.radians(1.0)
 """Distance of the places at which the radiance of a frame is computed; the table changes over 5 deg and more."""
@@ -96,6 +98,8 @@ class BackgroundMap:
         Names of the b bands.
     wavelength_nm, weight_nm : (b, k)
         Nodes, and the weights of filter, camera's response and quadrature together.
+    sunlight_factor : (b,)
+        What the nodes miss of a spectrum as rough as the Sun's: its integral over all its pieces against theirs.
     etendue_mm2_sr : (h, w, b) float32
         Etendue of every pixel, mean over the band for sunlight.
     direction : (gy, gx, 3)
@@ -107,6 +111,7 @@ class BackgroundMap:
     band: tuple[str, ...]
     wavelength_nm: FloatArray
     weight_nm: FloatArray
+    sunlight_factor: FloatArray
     etendue_mm2_sr: NDArray[np.float32]
     direction: FloatArray
     spline_x: NDArray[np.float32]
@@ -116,6 +121,7 @@ class BackgroundMap:
         sizes: dict[str, int] = {"b": len(self.band)}
         freeze(self, "wavelength_nm", shape=("b", "k"), sizes=sizes)
         freeze(self, "weight_nm", shape=("b", "k"), sizes=sizes)
+        freeze(self, "sunlight_factor", shape=("b",), sizes=sizes)
         freeze(self, "etendue_mm2_sr", shape=("h", "w", "b"), dtype=np.float32, sizes=sizes)
         freeze(self, "direction", shape=("gy", "gx", 3), sizes=sizes)
         freeze(self, "spline_x", shape=("gx", "w"), dtype=np.float32, sizes=sizes)
@@ -149,6 +155,8 @@ def background_map(camera: Camera, bands: Sequence[Band], *, nodes: int = 5) -> 
     wavelength = rule.wavelength_nm
     camera.lens.check_wavelength(wavelength)
     weight = rule.weight_nm * rule.transmission * camera.response_at(wavelength)
+    knots = sun_spectrum().wavelength_nm
+    exact = [band_integral(b, lambda at: sunlight(at) * camera.response_at(at), breakpoints_nm=knots) for b in bands]
     view = field_of_view(camera, margin_px=2.0)
     columns, rows = _nodes(camera.width_px, TRACED_NODES), _nodes(camera.height_px, TRACED_NODES)
     tangent = _tangents(view, camera, columns, rows)
@@ -164,6 +172,7 @@ def background_map(camera: Camera, bands: Sequence[Band], *, nodes: int = 5) -> 
         band=rule.name,
         wavelength_nm=wavelength,
         weight_nm=weight,
+        sunlight_factor=exact / (weight * sunlight(wavelength)).sum(1),
         etendue_mm2_sr=np.maximum(every, 0.0),
         direction=_unit(_tangents(view, camera, *coarse)),
         spline_x=_spline(coarse[0], camera.width_px).T,
@@ -218,9 +227,12 @@ def sky_background(
         place = _from_sun(epoch_year, observer)
         icrs = background.direction.reshape(-1, 3) @ attitude.as_matrix()
         radiance = zodiacal_radiance(icrs, from_sun_au=place, wavelength_nm=background.wavelength_nm.ravel())
-        rate += np.einsum("nbk,bk->bn", radiance.reshape(-1, *weight.shape), weight).reshape(rate.shape)
+        rate += np.einsum(
+            "nbk,bk,b->bn", radiance.reshape(-1, *weight.shape), weight, background.sunlight_factor
+        ).reshape(rate.shape)
     if uniform is not None:
-        rate += (uniform.radiance(background.wavelength_nm) * weight).sum(1)[:, None, None]
+        light = (uniform.radiance(background.wavelength_nm) * weight).sum(1)
+        rate += (light * (background.sunlight_factor if uniform.spectrum is None else 1.0))[:, None, None]
     image = np.empty(background.etendue_mm2_sr.shape, np.float32)
     for band in range(len(background.band)):
         rows = background.spline_y @ rate[band].astype(np.float32)
@@ -311,13 +323,19 @@ def _etendue(
 def _passing(camera: Camera, v_cam: FloatArray, wavelength_nm: float) -> FloatArray:
     """Share (n,) of the rays through the launch disk that reach the image plane."""
     pupil, lens = launch_disk(camera), camera.focused_lens
+
+    def arriving(v: FloatArray, r: FloatArray, phi: FloatArray) -> FloatArray:
+        x, y = pupil.x_mm + pupil.radius_mm * r * np.cos(phi), pupil.y_mm + pupil.radius_mm * r * np.sin(phi)
+        direction = light_direction(v)[:, None, :]
+        rays = Rays.create(x_mm=x, y_mm=y, z_mm=pupil.z_mm, direction=direction, wavelength_nm=wavelength_nm)
+        return np.asarray(trace(lens, rays).ok.mean(1))
+
+    rim = np.full(RIM_RAYS, 1.0 - 1e-9)
+    share = arriving(v_cam, rim, np.arange(RIM_RAYS) * (2.0 * math.pi / RIM_RAYS))
+    cut = np.arange(len(v_cam)) if not pupil.exact else np.flatnonzero(share < 1.0)
     i = np.arange(TRACED_RAYS)
     r, phi = np.sqrt((i + 0.5) / TRACED_RAYS), i * math.pi * (3.0 - math.sqrt(5.0))  # a sunflower: equal areas
-    x, y = pupil.x_mm + pupil.radius_mm * r * np.cos(phi), pupil.y_mm + pupil.radius_mm * r * np.sin(phi)
-    share = np.empty(len(v_cam))
-    for start in range(0, len(v_cam), 32):
-        part = slice(start, start + 32)
-        direction = light_direction(v_cam[part])[:, None, :]
-        rays = Rays.create(x_mm=x, y_mm=y, z_mm=pupil.z_mm, direction=direction, wavelength_nm=wavelength_nm)
-        share[part] = trace(lens, rays).ok.mean(1)
+    for start in range(0, len(cut), 32):
+        some = cut[start : start + 32]
+        share[some] = arriving(v_cam[some], r, phi)
     return share

@@ -174,7 +174,7 @@ def zodiacal_radiance(direction: ArrayLike, *, from_sun_au: ArrayLike, wavelengt
     x, y, z = np.clip(v @ turn.T, -1.0, 1.0).T
     sun = turn @ (-place / distance)
     angle = np.degrees(np.arccos(np.clip(x * sun[0] + y * sun[1] + z * sun[2], -1.0, 1.0)))
-    if len(v) and angle.min() < CLOSEST_DEG:
+    if len(v) and angle.min() < CLOSEST_DEG - 1e-6:
         raise DomainError(
             f"a direction lies {angle.min():.1f} deg from the Sun; zodiacal light is known from {CLOSEST_DEG:g} deg "
             "on: turn away or leave it out"
