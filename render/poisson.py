@@ -107,14 +107,14 @@ class _Proposal:
         self.types, self.mean = types, mean
         self.b = 0.931 + 2.53 * dr.sqrt(mean)
         self.a = -0.059 + 0.02483 * self.b
-        self.squeeze = 0.9277 - 3.6224 / (self.b - 2.0)
 
     def attempt(self, first: Any, second: Any) -> tuple[Any, Any, Any]:
         """(count, taken without a logarithm, refused without one)."""
         u = first - 0.5
         edge = 0.5 - dr.abs(u)
         count = dr.floor((2.0 * self.a / edge + self.b) * u + self.mean + 0.43)
-        taken = (edge >= 0.07) & (second <= self.squeeze)
+        # second <= 0.9277 - 3.6224 / (b - 2), a subset of what `below` takes: rounding cannot change the variate
+        taken = (edge >= 0.07) & ((0.9277 - second) * (self.b - 2.0) >= 3.6224)
         return count, taken, (count < 0.0) | ((edge < 0.013) & (second > edge))
 
     def below(self, first: Any, second: Any, count: Any) -> Any:
