@@ -51,6 +51,7 @@ def digitise(
     neighbours: Neighbours | None,
     detector: Detector,
     exposure: Exposure,
+    deposit: Any = None,
 ) -> NDArray[np.uint32]:
     """Read all pixels out in all frames.
 
@@ -68,6 +69,8 @@ def digitise(
         The numbers.
     exposure : Exposure
         Conditions and frames.
+    deposit : Float32 (frames n,), optional
+        Charge of cosmic rays [e-], frame after frame.
 
     Returns
     -------
@@ -81,7 +84,10 @@ def digitise(
     for start in range(0, exposure.frames, step):
         count = min(step, exposure.frames - start)
         keys = _keys(types, exposure, start, count, size)
-        packed = _read(types, expected, maps=maps, neighbours=neighbours, numbers=numbers, keys=keys)
+        part = deposit
+        if deposit is not None and count < exposure.frames:
+            part = dr.gather(types.Float32, deposit, dr.arange(types.UInt32, count * size) + start * size)
+        packed = _read(types, expected, part, maps=maps, neighbours=neighbours, numbers=numbers, keys=keys)
         parts.append(np.array(packed).reshape(count, size))
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
@@ -124,6 +130,7 @@ def _keys(types: Any, exposure: Exposure, start: int, count: int, size: int) -> 
 def _read(
     types: Any,
     expected: Any,
+    deposit: Any,
     *,
     maps: PixelMaps,
     neighbours: Neighbours | None,
@@ -138,6 +145,8 @@ def _read(
     light = expected * numbers["signal_factor"] + numbers["background_e"]
     mean = maps.response * light + maps.dark_rate * numbers["dark_factor_s"]
     charge = types.Float32(poisson(types, mean, maps.pixel, keys["photon"]))
+    if deposit is not None:  # cosmic rays; gaps and dead pixels collect nothing
+        charge = charge + dr.select(maps.response > 0.0, deposit, 0.0)
     charge = dr.minimum(charge, numbers["full_well_e"])
     if neighbours is not None:
         dr.eval(charge)  # neighbours are read from memory: the only place where the chain is cut in two kernels

@@ -5,7 +5,7 @@ The order of effects, each from the EMVA 1288 description in `render.detector`:
 1. charge diffusion on the expectation (only where the renderer has not applied it; `render.diffusion`);
 2. response non-uniformity (PRNU) on all light, signal and background;
 3. Poisson variate of (signal + background + dark current); the dark current has its own map (spread, hot pixels) and
-   doubles with every ``dark_doubling_c``;
+   doubles with every ``dark_doubling_c``; then the charge of cosmic rays (`render.cosmic_rays`), where any is given;
 4. full well: charge beyond it is lost, the pixel is flagged;
 5. crosstalk: 3 x 3, each pair of neighbours on a chip exchanges a fixed share of its difference;
 6. read noise, Gaussian, with its own standard deviation per pixel;
@@ -23,6 +23,7 @@ anything else that distinguishes exposures (target position, run) goes into ``st
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from optics.errors import ConfigError, DomainError, unknown_name
 from render.backend import array_types
+from render.cosmic_rays import CosmicRayHits
+from render.deposits import frame_deposit, window_deposit
 from render.detector import Detector
 from render.diffusion import diffuse
 from render.random import Streams
@@ -49,6 +52,7 @@ def expose(
     temperature_c: float | None = None,
     background_e_per_s: float = 0.0,
     band: str | None = None,
+    hits: CosmicRayHits | None = None,
     backend: str = "llvm",
 ) -> Frame:
     """Read one frame out.
@@ -71,6 +75,8 @@ def expose(
         Uniform light on top [e-/s per pixel].
     band : str, optional
         Which band of an image with several; for a bare array a label.
+    hits : CosmicRayHits, optional
+        Cosmic rays of this frame and detector.
     backend : {"auto", "llvm", "cuda"}
         Where to compute.
 
@@ -81,7 +87,7 @@ def expose(
     Raises
     ------
     DomainError
-        Shapes that differ, negative or not finite electrons, exposure or background.
+        Shapes that differ, negative or not finite electrons, exposure or background; hits of another detector.
     ConfigError
         No exposure time, or an unknown band.
     BackendError
@@ -109,8 +115,11 @@ def expose(
         background_e_per_s=background_e_per_s,
         factor=factor,
     )
+    deposit = None if hits is None else frame_deposit(types, hits, detector)
     flat = types.Float32(electrons.ravel())
-    packed = digitise(types, flat, maps=maps, neighbours=neighbours, detector=detector, exposure=exposure)
+    packed = digitise(
+        types, flat, maps=maps, neighbours=neighbours, detector=detector, exposure=exposure, deposit=deposit
+    )
     dn, saturated = _unpack(packed.reshape(detector.shape))
     return Frame(
         dn=dn,
@@ -138,6 +147,7 @@ def expose_windows(
     background_e_per_s: float = 0.0,
     band: str = "",
     margin_px: int = 0,
+    hits: Sequence[CosmicRayHits] | None = None,
     backend: str = "llvm",
 ) -> WindowStack:
     """Read windows of many frames out, all at once.
@@ -163,6 +173,8 @@ def expose_windows(
         corners move inwards accordingly. With crosstalk, a margin of one pixel makes the windows equal to the crop of
         the full frame up to their borders; without it their border pixels have no neighbours outside. Without
         crosstalk it changes nothing. The margin may lie outside the detector.
+    hits : sequence of CosmicRayHits, optional
+        Cosmic rays of the whole detector, one set for each frame.
 
     Returns
     -------
@@ -172,13 +184,15 @@ def expose_windows(
     Raises
     ------
     DomainError, BackendError
-        As in `expose`; also windows not inside the detector and zero frames.
+        As in `expose`; also windows not inside the detector, zero frames, or sets of hits that are not as many.
     """
     types = array_types(backend)
     electrons = _checked_electrons(stamps, "stamps", ndim=3)
     corner = _checked_corners(corner_px, electrons, detector, margin_px)
     if isinstance(frames, bool) or not isinstance(frames, int | np.integer) or frames < 1:
         raise DomainError(f"frames = {frames!r}; at least 1 frame is needed")
+    if hits is not None and len(hits) != frames:
+        raise DomainError(f"{len(hits)} sets of cosmic-ray hits for {frames} frames; one for each is needed")
     exposure = _exposure(
         detector,
         streams.child("readout", band),
@@ -197,8 +211,11 @@ def expose_windows(
         neighbours = None
         if _has_crosstalk(detector):
             neighbours = Neighbours(types.UInt32(neighbour_bits(detector, column, row).ravel()), width)
+        deposit = None if hits is None else window_deposit(types, hits, detector, column, row)
         flat = types.Float32(electrons.ravel())
-        packed = digitise(types, flat, maps=maps, neighbours=neighbours, detector=detector, exposure=exposure)
+        packed = digitise(
+            types, flat, maps=maps, neighbours=neighbours, detector=detector, exposure=exposure, deposit=deposit
+        )
         defect = np.array(maps.defect)
     else:  # no stars is a result too
         packed, defect = np.zeros((frames, 0), np.uint32), np.zeros(0, bool)
