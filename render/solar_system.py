@@ -4,7 +4,7 @@ Places: astropy's built-in ephemeris, offline (ERFA: ``epv00`` for Earth and Sun
 ``moon98`` for the Moon). Against JPL's ephemerides they err by some arcseconds for Mercury to Mars and the Moon, by up
 to 10" for Neptune, 80" for Jupiter, Saturn and Uranus (J. L. Simon et al., A&A 282, 663 (1994), 1900 ... 2100).
 Directions are those at which the light arrives: the place of the body one light time before, and the aberration of
-`render.catalogue_motion`. Deflection by the Sun, below 0.1" outside a degree from it, is left out.
+`render.catalogue_motion`. Deflection by the Sun, below 0.1" outside five degrees from it, is left out.
 
 A body smaller than about a pixel joins the stars (`planet_field`, `joined`); a larger one is rendered
 (`render.sunlit_body`).
