@@ -124,7 +124,10 @@ def _solved(evaluation: Evaluation, table: object) -> Section:
                 f"{evaluation.temperature_k:.0f} K), no attitude, and the whole sky. From all detections within a "
                 "pixel of a star the attitude follows with weights"
             ),
-            Equation(latex=r"w_i = 1 / (\sigma_i^2 + s^2), \quad \mathrm{median}_i\, w_i r_i^2 = 2 \ln 2", note="after Paule & Mandel 1982"),
+            Equation(
+                latex=r"w_i = 1 / (\sigma_i^2 + s^2), \quad \mathrm{median}_i\, w_i r_i^2 = 2 \ln 2",
+                note="after Paule & Mandel 1982",
+            ),
             Text(
                 "in which *σ* is the centroid's own covariance and *s* an error common to all that nobody modelled "
                 "(undersampling, star colours), found from the residuals alone: "
