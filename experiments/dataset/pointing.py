@@ -53,7 +53,13 @@ def angles_of(attitude: Rotation) -> tuple[float, float, float]:
     dec = np.arctan2(boresight[2], np.hypot(boresight[0], boresight[1]))
     _, north, east = _triad(ra, dec)
     roll = np.arctan2(-down @ east, -down @ north)
-    return float(ra * RAD_DEG) % 360.0, float(dec * RAD_DEG), float(roll * RAD_DEG) % 360.0
+    return _turn(float(ra * RAD_DEG)), float(dec * RAD_DEG), _turn(float(roll * RAD_DEG))
+
+
+def _turn(angle_deg: float) -> float:
+    """The same angle from 0 to below 360; the rest of a tiny negative one rounds to 360."""
+    rest = angle_deg % 360.0
+    return rest if rest < 360.0 else 0.0
 
 
 def quat_xyzw(attitude: Rotation) -> FloatArray:

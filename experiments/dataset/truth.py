@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from render.records import Truth
     from render.sky_field import SkyField
 
-__all__ = ["COLUMNS", "FLAGS", "Column", "StarLightOnChip", "footprint_px", "pixel_flags", "star_rows"]
+__all__ = ["COLUMNS", "FLAGS", "Column", "StarLightOnChip", "flux_snr", "footprint_px", "pixel_flags", "star_rows"]
 
 FloatArray = NDArray[np.float64]
 
@@ -143,12 +143,6 @@ def star_rows(
     -------
     dict
         `COLUMNS` in their order, (n,) each.
-
-    Notes
-    -----
-    The signal-to-noise ratio is that of a Gaussian spot of the star's own variances in x and y, N / sqrt(N + A n) with
-    the noise-equivalent area A = 4 pi sigma_x sigma_y (I. R. King, PASP 95, 163 (1983)) and the variance n of a pixel
-    without the star: background, read noise, rounding.
     """
     x, y, z = field.direction.T
     values = {name: getattr(truth, name)[:, 0] for name in type(truth).__dataclass_fields__}
@@ -157,7 +151,6 @@ def star_rows(
     rays = values["variance_x_px2"], values["variance_y_px2"]
     sigma = _spot_sigma(np.stack(rays), detector.diffusion_sigma_px)
     noise = on_chip.background_e + detector.read_noise_e**2 + 1.0 / (12.0 * detector.gain_dn_per_e**2)
-    area = 4.0 * np.pi * sigma[0] * sigma[1]
     columns = {
         "frame": np.full(n, frame, np.int32),
         "star_id": field.stars.id,
@@ -168,13 +161,31 @@ def star_rows(
         "magnitude": field.stars.magnitude,
         "temperature_k": temperature_k,
         "electrons": electrons,
-        "snr": electrons / np.sqrt(np.maximum(electrons + area * noise, 1e-300)),
+        "snr": flux_snr(electrons, *sigma, noise_e2=noise),
         "smear_x_px": on_chip.smear_px[:, 0],
         "smear_y_px": on_chip.smear_px[:, 1],
         "flags": _flags(values, footprint_px(*rays, detector.diffusion_sigma_px), on_chip.pixel_flags),
         **{name: value for name, value in values.items() if name != "electrons_image"},
     }
     return {column.name: columns[column.name] for column in COLUMNS}
+
+
+def flux_snr(electrons: FloatArray, sigma_x_px: FloatArray, sigma_y_px: FloatArray, *, noise_e2: float) -> FloatArray:
+    """Signal-to-noise ratio of the flux of Gaussian spots, measured with optimal weights.
+
+    N / sqrt(N + A n) with the noise-equivalent area A = 4 pi sigma_x sigma_y (I. R. King, PASP 95, 163 (1983)).
+
+    Parameters
+    ----------
+    electrons : (n,)
+        Light of the spots, N [e-].
+    sigma_x_px, sigma_y_px : (n,)
+        Their standard deviations, pixel included.
+    noise_e2 : float
+        Variance of a pixel without the star, n [e-^2]: background, read noise, rounding.
+    """
+    area = 4.0 * np.pi * sigma_x_px * sigma_y_px
+    return np.asarray(electrons / np.sqrt(np.maximum(electrons + area * noise_e2, 1e-300)))
 
 
 def footprint_px(variance_x_px2: FloatArray, variance_y_px2: FloatArray, diffusion_px: float) -> FloatArray:

@@ -1,0 +1,181 @@
+"""A dataset on disk: whole or not there, taken up again, extended, refused; bytes depend on nothing but the number."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import shutil
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from astropy.table import Table
+
+from experiments.dataset import folder as storage
+from experiments.dataset.experiment import main
+from experiments.dataset.folder import DatasetFolder
+from experiments.dataset.settings import Config
+from experiments.dataset.truth_file import read_facts, truth_bytes
+from experiments.dataset.work import Job, make_frame
+
+SMALL = [
+    *("--set", "camera.lens=star_camera_206mm", "--set", "camera.width_px=192", "--set", "camera.height_px=128"),
+    *("--set", "camera.nodes=3", "--set", "sky.faintest_mag=10", "--set", "verify.frames=0"),
+    *("--set", "pointing.kind=cone", "--set", "pointing.ra_deg=56.75", "--set", "pointing.dec_deg=24.12"),
+    *("--set", "pointing.radius_deg=0.1", "--workers", "1"),
+]
+
+
+def run(folder, *more, frames=3):
+    return main([*SMALL, "--frames", str(frames), "--out", str(folder), *more])
+
+
+def data(folder):
+    """Digest of every frame and truth file."""
+    files = [*(folder / "frames").iterdir(), *(folder / "truth").iterdir()]
+    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(files)}
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """Three frames, made in one go."""
+    folder = tmp_path_factory.mktemp("dataset") / "one"
+    assert run(folder) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def job(dataset):
+    """The same dataset as a worker sees it."""
+    settings = json.loads((dataset / "dataset.json").read_text())["config"]
+    return lambda folder: Job(
+        config=Config.model_validate(settings).model_dump_json(), folder=str(folder), backend="llvm"
+    )
+
+
+def test_everything_is_there(dataset):
+    names = {file.name for file in dataset.iterdir()}
+    assert {"README.md", "contact_sheet.png", "dataset.json", "frames", "index.parquet", "truth"} <= names
+    assert {"report.html", "summary.json", "provenance.json"} <= names
+    assert not [name for name in names if name.startswith(".")]
+    assert sorted(data(dataset)) == sorted(f"frame_00000{k}.{form}" for k in range(3) for form in ("fits", "parquet"))
+    text = (dataset / "README.md").read_text()
+    assert "ESA" in text
+    assert "CC BY-SA" in text
+    assert str(dataset) not in text
+
+
+def test_a_frame_made_alone_in_another_order_is_the_same(dataset, job, tmp_path):
+    for name in ("frames", "truth"):
+        (tmp_path / name).mkdir()
+    for frame in (2, 0):
+        make_frame(job(tmp_path), frame)
+    made = data(tmp_path)
+    assert len(made) == 4
+    assert made.items() <= data(dataset).items()
+
+
+def test_what_is_missing_or_damaged_is_made_again(dataset, tmp_path):
+    folder = tmp_path / "resumed"
+    shutil.copytree(dataset, folder)
+    for name in ("truth/frame_000000.parquet", "truth/frame_000002.parquet", "frames/frame_000002.fits"):
+        (folder / name).unlink()
+    damaged = folder / "frames" / "frame_000001.fits"
+    content = bytearray(damaged.read_bytes())
+    content[-5000] ^= 1
+    damaged.write_bytes(content)
+    (folder / "frames" / ".frame_000002.fits.abc").write_bytes(b"half")  # of a run that was killed
+    (folder / "truth" / ".frame_000002.parquet.1-2.partial").write_bytes(b"half")
+    closing = ("index.parquet", "README.md", "contact_sheet.png")
+    for name in closing:
+        (folder / name).unlink()
+    assert run(folder) == 0
+    assert data(folder) == data(dataset)
+    assert json.loads((folder / "summary.json").read_text())["results"]["frames_made"] == 3
+    for name in closing:
+        assert (folder / name).read_bytes() == (dataset / name).read_bytes(), name
+
+
+@pytest.mark.parametrize(
+    ("more", "frames", "said"),
+    [
+        (("--set", "camera.exposure_s=0.3"), 3, "camera.exposure_s = 0.2, this run has 0.3"),
+        (("--seed", "2"), 3, "seed = 1, this run has 2"),
+        ((), 2, "ask for at least 3"),
+    ],
+)
+def test_another_dataset_in_the_folder_is_refused(dataset, capsys, more, frames, said):
+    before = data(dataset)
+    assert run(dataset, *more, frames=frames) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert data(dataset) == before
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path, capsys):
+    (tmp_path / "thesis.tex").write_text("years")
+    assert run(tmp_path) == 2
+    assert "thesis.tex" in capsys.readouterr().err
+    assert [file.name for file in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_one_writer_at_a_time(dataset, capsys):
+    identity = json.loads((dataset / "dataset.json").read_text())
+    other = DatasetFolder(dataset, config=identity["config"], frames=3, truth="parquet")
+    other.open(identity["software"])
+    try:
+        assert run(dataset) == 2
+    finally:
+        other.close()
+    assert "another run" in capsys.readouterr().err
+
+
+def test_other_software_is_refused(dataset):
+    identity = json.loads((dataset / "dataset.json").read_text())
+    other = DatasetFolder(dataset, config=identity["config"], frames=3, truth="parquet")
+    with pytest.raises(storage.ConfigError, match=r"software.mitsuba = \"3.*\", this run has \"4.0\""):
+        other.open({**identity["software"], "mitsuba": "4.0"})
+    other.close()
+
+
+def test_a_full_disk_keeps_what_was_made(dataset, tmp_path, monkeypatch, capsys):
+    """Every place that writes fails in turn as a full disk does; what was whole before stays, nothing else is taken."""
+    folder = tmp_path / "full"
+    real = storage.os.replace
+
+    def replace(source, target):
+        if str(target).endswith("frame_000001.parquet"):  # its frame is written, its truth is not
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(source, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(storage.os, "replace", replace)
+        assert run(folder) == 2
+    error = capsys.readouterr().err
+    assert "disk is full" in error
+    assert "1 of 3 frames are whole and kept" in error
+    assert error.count("\n") == 1
+    assert not [file for file in folder.rglob(".*") if file.is_file()]
+    assert not (folder / "index.parquet").exists()
+    whole = {name: digest for name, digest in data(folder).items() if name != "frame_000001.fits"}
+    assert len(whole) == 2
+    assert whole.items() <= data(dataset).items()
+
+
+def test_ecsv_says_the_same(dataset, tmp_path):
+    parquet = dataset / "truth" / "frame_000000.parquet"
+    table, facts = pq.read_table(parquet), read_facts(parquet)
+    rows = {name: table.column(name).to_numpy() for name in table.column_names}
+    path = tmp_path / "frame_000000.ecsv"
+    path.write_bytes(truth_bytes(rows, facts, "ecsv"))
+    text = Table.read(path, format="ascii.ecsv")
+    assert text.colnames == table.column_names
+    for name, values in rows.items():
+        np.testing.assert_array_equal(np.asarray(text[name]), values, err_msg=name)
+    assert str(text["ra_deg"].unit) == table.schema.field("ra_deg").metadata[b"unit"].decode() == "deg"
+    assert read_facts(path) == facts
+    path.write_bytes(path.read_bytes()[:-200])  # cut off
+    with pytest.raises(Exception, match=r"rows|columns"):
+        read_facts(path)

@@ -1,0 +1,209 @@
+"""The command killed, starved and interrupted: what was made stays, the same command goes on to the same bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).parents[3]
+FRAMES = 60
+SMALL = [
+    *("--set", "camera.lens=star_camera_206mm", "--set", "camera.width_px=192", "--set", "camera.height_px=128"),
+    *("--set", "camera.nodes=3", "--set", "sky.faintest_mag=10", "--set", "verify.frames=0"),
+    *("--set", "pointing.kind=cone", "--set", "pointing.ra_deg=56.75", "--set", "pointing.dec_deg=24.12"),
+    *("--set", "pointing.radius_deg=0.1", "--backend", "llvm"),
+]
+
+
+def command(folder, *more, workers=1, frames=FRAMES):
+    return [
+        *(sys.executable, "-m", "experiments.dataset", *SMALL, "--out", str(folder)),
+        *("--frames", str(frames), "--workers", str(workers), *more),
+    ]
+
+
+def start(*arguments, **settings):
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "cwd": ROOT}
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    return subprocess.Popen(command(*arguments, **settings), env=environment, start_new_session=True, **pipes)
+
+
+def data(folder):
+    """Digest of every frame and truth file."""
+    files = [*(folder / "frames").iterdir(), *(folder / "truth").iterdir()]
+    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(files)}
+
+
+def results(folder):
+    return json.loads((folder / "summary.json").read_text())["results"]
+
+
+def wait_for(folder, frames, process):
+    """Until so many frames are made."""
+    until = time.monotonic() + 60
+    while len(list(folder.glob("truth/frame_*"))) < frames:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < until
+        time.sleep(0.002)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """All frames by one process in one go."""
+    folder = tmp_path_factory.mktemp("killed") / "one"
+    done = start(folder)
+    out, error = done.communicate(timeout=120)
+    assert done.returncode == 0, out + error
+    return folder
+
+
+def test_killed_at_any_moment_and_taken_up_again(dataset, tmp_path):
+    folder = tmp_path / "killed"
+    for frames in (1, 30):
+        process = start(folder)
+        wait_for(folder, frames, process)
+        process.kill()
+        process.communicate()
+        assert not (folder / "index.parquet").exists()
+        made = {name: digest for name, digest in data(folder).items() if not name.startswith(".")}
+        assert made.items() <= data(dataset).items()  # what bears a frame's name is that frame
+    process = start(folder)
+    out, error = process.communicate(timeout=120)
+    assert process.returncode == 0, out + error
+    assert data(folder) == data(dataset)
+    assert 0 < results(folder)["frames_made"] <= FRAMES - 30
+    assert (folder / "index.parquet").read_bytes() == (dataset / "index.parquet").read_bytes()
+
+
+def test_a_worker_killed_in_the_middle(dataset, tmp_path):
+    """Two worker processes; one dies by SIGKILL; the run goes on and every frame is as it would have been."""
+    folder = tmp_path / "worker"
+    process = start(folder, workers=2)
+    wait_for(folder, 10, process)
+    workers = workers_of(process.pid)
+    assert len(workers) == 2
+    os.kill(workers[0], signal.SIGKILL)
+    out, error = process.communicate(timeout=120)
+    assert process.returncode == 0, out + error
+    assert error == ""
+    assert data(folder) == data(dataset)
+    assert results(folder)["workers"] == 2
+    assert results(folder)["frames_made"] == FRAMES
+
+
+def workers_of(parent):
+    """Worker processes below a process: those that Python's multiprocessing spawned with a pipe."""
+    found = subprocess.run(
+        ["ps", "-o", "pid=,args=", "--ppid", str(parent)], capture_output=True, text=True, check=True
+    )
+    lines = [line.split(None, 1) for line in found.stdout.splitlines()]
+    return [int(pid) for pid, arguments in lines if "spawn_main" in arguments]
+
+
+def test_everything_killed_with_workers(dataset, tmp_path):
+    folder = tmp_path / "all"
+    process = start(folder, workers=2)
+    wait_for(folder, 20, process)
+    workers = workers_of(process.pid)
+    process.kill()
+    process.communicate()
+    until = time.monotonic() + 10
+    while any(Path(f"/proc/{pid}").exists() for pid in workers):  # they do not stay behind
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    process = start(folder)
+    out, error = process.communicate(timeout=120)
+    assert process.returncode == 0, out + error
+    assert data(folder) == data(dataset)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_interrupted(tmp_path, workers):
+    folder = tmp_path / "interrupted"
+    process = start(folder, workers=workers)
+    wait_for(folder, 5, process)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    out, error = process.communicate(timeout=30)
+    assert process.returncode == 130, out + error
+    found = re.fullmatch(r"interrupted; (\d+) of 60 frames are kept, the same command continues", error.strip())
+    assert found, error
+    assert 5 <= int(found[1]) == len(list(folder.glob("truth/frame_*"))) < FRAMES
+    assert not list(folder.rglob("*.partial"))
+
+
+def test_a_disk_that_is_really_full(dataset, tmp_path):
+    """A file system of 2 MB, mounted for one process."""
+    if shutil.which("unshare") is None or subprocess.run(["unshare", "-m", "true"], check=False).returncode:
+        pytest.skip("needs the right to mount")
+    disk, kept = tmp_path / "disk", tmp_path / "kept"
+    disk.mkdir()
+    steps = 'mount -t tmpfs -o size=2m none "$0" && { shift 0; "$@"; echo status $?; cp -r "$0/full" "$KEPT"; }'
+    line = ["unshare", "-m", "sh", "-c", steps, str(disk), *command(disk / "full", workers=1)]
+    environment = {**os.environ, "KEPT": str(kept), "OPENBLAS_NUM_THREADS": "1"}
+    done = subprocess.run(line, capture_output=True, text=True, cwd=ROOT, env=environment, timeout=120, check=False)
+    if "mount:" in done.stderr:
+        pytest.skip("needs the right to mount")
+    assert "status 2" in done.stdout, done.stderr
+    assert "the disk is full" in done.stderr
+    assert done.stderr.count("\n") == 1
+    made = data(kept)
+    truths = [name for name in made if name.endswith(".parquet")]
+    assert 5 < len(truths) < FRAMES
+    assert f"{len(truths)} of 60 frames are whole and kept" in done.stderr
+    assert made.items() <= data(dataset).items()  # nothing half-written bears a frame's name
+    process = start(kept)  # with room
+    out, error = process.communicate(timeout=120)
+    assert process.returncode == 0, out + error
+    assert data(kept) == data(dataset)
+
+
+def test_a_scheduler_elsewhere(dataset, tmp_path):
+    """Dask's own commands, two workers; then none; then an address where nobody listens."""
+    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
+    file = tmp_path / "scheduler.json"
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": ROOT}
+    scheduler = subprocess.Popen([*dask, "--scheduler-file", str(file), "--host", "127.0.0.1"], **quiet)
+    workers = []
+    try:
+        until = time.monotonic() + 30
+        while not (file.exists() and file.read_text()):
+            assert time.monotonic() < until
+            time.sleep(0.1)
+        address = json.loads(file.read_text())["address"]
+        process = start(tmp_path / "none", "--scheduler", address)
+        assert "has no workers" in process.communicate(timeout=60)[1]
+        assert process.returncode == 2
+        one = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-dashboard"]
+        workers = [subprocess.Popen([*one, "--local-directory", str(tmp_path)], **quiet) for _ in range(2)]
+        time.sleep(4)
+        folder = tmp_path / "remote"
+        process = start(folder, "--scheduler", address)
+        out, error = process.communicate(timeout=120)
+        assert process.returncode == 0, out + error
+        assert error == ""
+        assert data(folder) == data(dataset)
+        assert results(folder)["workers"] == 2
+    finally:
+        for process in (*workers, scheduler):
+            process.terminate()
+        for process in (*workers, scheduler):
+            process.wait(20)
+    begun = time.monotonic()
+    process = start(tmp_path / "nobody", "--scheduler", address)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert "does not answer" in error
+    assert error.count("\n") == 1
+    assert time.monotonic() - begun < 15

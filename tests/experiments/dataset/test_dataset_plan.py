@@ -1,0 +1,141 @@
+"""Attitudes, motions and splits: what each frame is depends on its number alone, and means what the columns say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from astropy import units
+from astropy.coordinates import SkyCoord
+from astropy.table import Table
+from scipy.spatial.transform import Rotation
+
+from experiments.dataset.plan import build_plan, plan_frame
+from experiments.dataset.pointing import angles_of, attitude_from_angles, read_attitudes
+from experiments.dataset.settings import (
+    ConePointing,
+    Config,
+    FixedRate,
+    ListPointing,
+    RandomRate,
+    ScanPointing,
+    SplitsConfig,
+)
+from optics.errors import ConfigError, DomainError, StarbenchError
+
+N = 500
+
+
+def frames_of(**settings):
+    plan = build_plan(Config(frames=N, **settings))
+    return [plan_frame(plan, frame) for frame in range(N)]
+
+
+def test_random_attitudes_are_uniform():
+    axes = np.array([one.attitude.as_matrix() for one in frames_of()])  # every axis uniform over the sphere
+    assert np.abs(axes.mean(0)).max() < 4.5 / np.sqrt(3 * N)
+    assert np.abs((axes**2).mean(0) - 1 / 3).max() < 4.5 * np.sqrt(4 / 45 / N)
+
+
+def test_cone_is_filled_evenly():
+    frames = frames_of(pointing=ConePointing(ra_deg=200.0, dec_deg=-80.0, radius_deg=30.0))
+    centre = SkyCoord(200.0, -80.0, unit="deg").cartesian.xyz.value
+    height = np.array([one.attitude.as_matrix()[2] @ centre for one in frames])
+    low = np.cos(np.radians(30.0))
+    assert height.min() >= low
+    assert abs(height.mean() - (1 + low) / 2) < 4 * (1 - low) / np.sqrt(12 * N)  # equal heights are equal areas
+
+
+@pytest.mark.parametrize(("ra", "dec", "roll"), [(10.0, 20.0, 0.0), (310.0, -65.0, 37.0), (123.0, 89.5, 300.0)])
+def test_roll_is_the_position_angle_of_up(ra, dec, roll):
+    attitude = attitude_from_angles(ra, dec, roll)
+    back = np.array(angles_of(attitude))
+    assert back[1] == pytest.approx(dec, abs=1e-9)
+    assert (back >= (0, -90, 0)).all()
+    assert (back < (360, 90.1, 360)).all()
+    assert (np.array([back[0] - ra, back[2] - roll]) + 180) % 360 - 180 == pytest.approx(0.0, abs=1e-9)
+    up = attitude.inv().apply([0.0, -1e-4, 1.0])  # up in the image is towards smaller rows
+    here, there = SkyCoord(ra, dec, unit="deg"), SkyCoord(*up, representation_type="cartesian")
+    angle = here.position_angle(SkyCoord(there.spherical.lon, there.spherical.lat)).deg
+    assert (angle - roll + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=0.01)
+    left = attitude_from_angles(ra, 0.0, 0.0).inv().apply([-1e-3, 0.0, 1.0])
+    assert SkyCoord(*left, representation_type="cartesian").spherical.lon.deg > ra  # east is left
+
+
+def test_a_scan_is_one_motion():
+    rate = np.radians([0.2, -0.5, 0.1])
+    scan = ScanPointing(rate_deg_per_s=tuple(np.degrees(rate)), frame_rate_hz=4.0)
+    first, second = frames_of(pointing=scan)[7:9]
+    assert (second.attitude * first.attitude.inv()).as_rotvec() == pytest.approx(-rate / 4.0, abs=1e-12)
+    assert first.trajectory is second.trajectory
+    middle = first.trajectory.attitude(first.start_s + Config().camera.exposure_s / 2)
+    assert (middle * first.attitude.inv()).magnitude() < 1e-12
+
+
+def test_rates():
+    fixed = frames_of(rate=FixedRate(rate_deg_per_s=(0.0, 1.0, 0.0)))[3]
+    middle = fixed.trajectory.attitude(Config().camera.exposure_s / 2)
+    assert (middle * fixed.attitude.inv()).magnitude() < 1e-12
+    free = frames_of()[3]
+    assert free.trajectory is None
+    assert (free.attitude * fixed.attitude.inv()).magnitude() < 1e-12  # the rate changes no attitude
+    random = RandomRate(distribution="log_uniform", lowest_deg_per_s=0.01, highest_deg_per_s=1.0)
+    size = np.degrees([np.linalg.norm(one.rate_rad_per_s) for one in frames_of(rate=random)])
+    assert 0.01 <= size.min() <= size.max() <= 1.0
+    assert abs(np.log10(size).mean() + 1.0) < 4 * 2 / np.sqrt(12 * N)
+
+
+def test_splits_are_shared_out_in_blocks():
+    splits = SplitsConfig(train_fraction=0.7, validation_fraction=0.2, test_fraction=0.1)
+    names = [one.split for one in frames_of(splits=splits)]
+    for block in range(0, N, 100):
+        part = names[block : block + 100]
+        assert [part.count(name) for name in ("train", "validation", "test")] == [70, 20, 10]
+    assert names[:100] != names[100:200]
+
+
+def test_attitudes_from_files(tmp_path):
+    rotation = Rotation.random(30, random_state=4)
+    ra, dec, roll = np.array([angles_of(one) for one in rotation]).T
+    quaternion = dict(zip(("quat_x", "quat_y", "quat_z", "quat_w"), rotation.as_quat().T, strict=True))
+    tables = {
+        "angles.csv": Table({"ra_deg": ra, "dec_deg": dec, "roll_deg": roll}),
+        "radians.ecsv": Table(
+            {"ra": np.radians(ra), "dec": np.radians(dec), "roll": np.radians(roll)}, units=["rad"] * 3
+        ),
+        "quaternions.csv": Table(quaternion),
+    }
+    for name, table in tables.items():
+        table.write(tmp_path / name)
+        read = read_attitudes(str(tmp_path / name), "pointing.file")
+        assert (read * rotation.inv()).magnitude().max() < 1e-9, name
+
+
+@pytest.mark.parametrize(
+    ("columns", "error", "said"),
+    [
+        ({"quat_x": [0.0], "quat_y": [0.0], "quat_z": [0.1], "quat_w": [0.9]}, DomainError, "normalised"),
+        ({"ra": np.linspace(0, 6, 30), "dec": np.linspace(-1, 1, 30), "roll": np.zeros(30)}, DomainError, "radians"),
+        ({"ra_deg": [1.0], "dec_deg": [95.0], "roll_deg": [0.0]}, DomainError, "beyond the pole"),
+        ({"ra_deg": [1.0], "dec_deg": [np.nan], "roll_deg": [0.0]}, DomainError, "not finite"),
+        ({"ra_deg": [1.0], "dec_deg": [5.0]}, ConfigError, "roll_deg"),
+        ({"ra_deg": [1.0] * units.m, "dec_deg": [5.0], "roll_deg": [0.0]}, ConfigError, "its unit must be deg"),
+    ],
+)
+def test_attitudes_that_are_none(tmp_path, columns, error, said):
+    path = tmp_path / "list.ecsv"
+    Table(columns).write(path)
+    with pytest.raises(error, match=said):
+        build_plan(Config(frames=1, pointing=ListPointing(file=str(path))))
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"pointing": ListPointing(file="nowhere.csv")}, "no such file"),
+        ({"pointing": ListPointing()}, "is empty"),
+        ({"pointing": ScanPointing(), "rate": FixedRate(rate_deg_per_s=(0, 1, 0))}, "leave rate out"),
+    ],
+)
+def test_plans_that_are_none(settings, said):
+    with pytest.raises(StarbenchError, match=said):
+        build_plan(Config(frames=2, **settings))

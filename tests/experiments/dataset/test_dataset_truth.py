@@ -1,0 +1,146 @@
+"""The truth of a frame: against rays of the other trace, the frame itself and astropy; and frames that cannot be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import Table
+from scipy.special import erf
+
+from experiments.dataset.facts import facts_from_text
+from experiments.dataset.maker import FrameMaker
+from experiments.dataset.scene import build_scene, stars_of
+from experiments.dataset.settings import (
+    BackgroundConfig,
+    CameraConfig,
+    CatalogueConfig,
+    ConePointing,
+    Config,
+    FixedRate,
+)
+from experiments.dataset.truth import FLAGS, flux_snr, footprint_px
+from experiments.dataset.work import _facts
+from optics.chief import chief_ray_points
+from optics.errors import DomainError, StarbenchError
+from optics.frames import field_angles_deg
+
+SMALL = {
+    "camera": CameraConfig(lens="star_camera_206mm", width_px=256, height_px=192, nodes=3),
+    "sky": CatalogueConfig(faintest_mag=10.0),
+    "pointing": ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1),
+}
+
+
+@pytest.fixture(scope="module")
+def maker(mi):
+    return FrameMaker(mi, build_scene(Config(**SMALL)))
+
+
+@pytest.fixture(scope="module")
+def made(maker):
+    return maker.make(0)
+
+
+def test_chief_rays_of_the_other_trace(maker, made):
+    """The columns ra and dec, turned by the attitude and traced by NumPy, land on the columns chief_x and chief_y."""
+    truth, camera = made.truth, maker.scene.instrument.camera
+    seen = SkyCoord(truth["ra_deg"], truth["dec_deg"], unit="deg").cartesian.xyz.value.T
+    angles = field_angles_deg(made.plan.attitude.apply(seen))
+    wavelength = float(maker.scene.light.wavelength_nm.mean())
+    x, y = camera.to_pixel(*chief_ray_points(camera.focused_lens, *angles, wavelength))
+    assert len(x) >= 8
+    assert np.hypot(truth["chief_x_px"] - x, truth["chief_y_px"] - y).max() < 1e-5
+
+
+def test_light_is_where_the_truth_says(maker, made):
+    """Bright stars of the frame: charge near the photon centroid adds up to the expected electrons."""
+    truth, frame = made.truth, made.frame
+    electrons = (frame.dn.astype(float) - frame.offset_dn) / frame.gain_dn_per_e
+    flags = truth["flags"]
+    clean = (flags & ~FLAGS["defect"][0] & 0xFF) == 0
+    tested = np.flatnonzero(clean & (truth["snr"] > 50))
+    assert len(tested) >= 2
+    for i in tested:
+        x, y = (round(float(truth[f"photon_{axis}_px"][i])) for axis in "xy")
+        part = electrons[y - 7 : y + 8, x - 7 : x + 8] - np.median(electrons)
+        sigma = np.sqrt(truth["electrons"][i] + part.size * 13.0**2)
+        # fixed pattern of offsets (a few e-) and of the response (1 %) come on top of the noise
+        assert abs(part.sum() - truth["electrons"][i]) < 5 * sigma + 0.05 * truth["electrons"][i]
+    kept = truth["electrons"] + truth["electrons_vignetted"] + truth["electrons_off_edge"]
+    assert kept == pytest.approx(truth["electrons_in"], rel=1e-9)
+
+
+def test_flags(made):
+    truth, bit = made.truth, {name: number for name, (number, _) in FLAGS.items()}
+    saturated = np.argwhere(made.frame.saturated)[:, ::-1]
+    assert len(saturated)
+    half = footprint_px(truth["variance_x_px2"], truth["variance_y_px2"], 0.0)
+    centre = np.stack([truth["photon_x_px"], truth["photon_y_px"]], axis=1)
+    for i in np.flatnonzero(truth["flags"] & bit["no_light"] == 0):
+        inside = (np.abs(saturated - centre[i]) <= half[:, i]).all(1).any()
+        assert not inside or truth["flags"][i] & bit["saturated"]  # the real footprint is a little larger
+        near = np.hypot(*(saturated - centre[i]).T).min() < 3 * half[:, i].max()
+        assert near or not truth["flags"][i] & bit["saturated"]
+    assert made.saturated == np.count_nonzero(truth["flags"] & bit["saturated"])
+    dark = truth["flags"] & bit["no_light"] != 0
+    assert (truth["electrons"][dark] < 1e-3).all()
+    beside = truth["electrons_off_edge"] > 0.5 * truth["electrons_in"]
+    assert (truth["flags"][beside] & bit["off_edge"] != 0).all()
+
+
+def test_snr_of_a_faint_gaussian_spot():
+    """Against the variance of a least-squares fit to pixels: 1 / sum of the squared profile."""
+    sigma_px, noise_e2, electrons = 1.2, 200.0, 50.0
+    edges = np.arange(-12, 13) - 0.5
+    profile = np.diff(erf(edges / np.sqrt(2) / sigma_px)) / 2
+    fitted = electrons * np.sqrt((np.outer(profile, profile) ** 2).sum() / noise_e2)
+    total = np.array([np.sqrt(sigma_px**2 + 1 / 12)])
+    found = flux_snr(np.array([electrons]), total, total, noise_e2=noise_e2)[0]
+    assert found == pytest.approx(fitted, rel=0.02)  # a pixel is not quite a Gaussian; the star's own noise is small
+    assert flux_snr(np.array([1e6]), total, total, noise_e2=0.0)[0] == pytest.approx(1e3)
+
+
+def test_facts_survive_their_text(maker, made):
+    facts = _facts(made, maker.scene.config, "frames/a.fits", "truth/a.parquet", b"content")
+    assert facts_from_text(facts.to_text()) == facts
+    x, y, z, w = facts.quat_xyzw
+    assert w >= 0
+    boresight = SkyCoord(facts.ra_deg, facts.dec_deg, unit="deg").cartesian.xyz.value
+    turned = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])  # third row, scalar last
+    assert turned == pytest.approx(boresight, abs=1e-12)
+
+
+def test_no_light_at_all(mi):
+    """A field without stars is a frame like any other: noise, and a table without rows."""
+    config = Config(**{**SMALL, "pointing": ConePointing(ra_deg=192.9, dec_deg=27.1, radius_deg=2.0)}, frames=50)
+    maker = FrameMaker(mi, build_scene(config))
+    empty = next(k for k in range(50) if not len(stars_of(maker.scene, k)))
+    made = maker.make(empty)
+    assert made.stars == made.saturated == 0
+    assert len(made.truth["star_id"]) == 0
+    assert made.frame.dn.std() > 1.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"sky": CatalogueConfig(faintest_mag=-2.0)}, "the brightest star"),
+        ({"sky": CatalogueConfig(faintest_mag=1.0)}, "no frame sees a star"),
+        ({"rate": FixedRate(rate_deg_per_s=(0.0, 5.0, 0.0))}, "leave the field"),
+        ({"camera": CameraConfig(width_px=4096)}, "set it to at most that"),
+        ({"camera": CameraConfig(width_px=0, height_px=0)}, "made for 16.5 deg"),
+        ({"camera": CameraConfig(passband_nm=(300.0, 700.0))}, "known for 400"),
+        ({"sky": CatalogueConfig(catalogue="no.fits", preset="gaia")}, "no such file"),
+    ],
+)
+def test_refused_before_anything_is_rendered(settings, said):
+    with pytest.raises(StarbenchError, match=said):
+        build_scene(Config(**{**SMALL, **settings}, background=BackgroundConfig(extra_e_per_s=0.0)))
+
+
+def test_a_catalogue_without_magnitudes(tmp_path):
+    path = tmp_path / "stars.ecsv"
+    Table({"source_id": [1, 2], "ra": [10.0, 20.0], "dec": [1.0, 2.0], "phot_g_mean_mag": [np.nan, np.nan]}).write(path)
+    with pytest.raises(DomainError, match="no magnitude for any of its 2 stars"):
+        build_scene(Config(**{**SMALL, "sky": CatalogueConfig(catalogue=str(path), preset="gaia")}))
