@@ -56,6 +56,9 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     "column_pattern_e": (0, 1e5, "e-"),
     "adc_bits": (1, 16, "bit"),
     "sensor_seed": (0, 2**63, ""),
+    "damage_centres_per_px": (0, 1000, ""),
+    "damage_dark_e_per_s": (0, _HIGHEST, "e-/s"),
+    "damage_known_e_per_s": (0, _HIGHEST, "e-/s"),
 }
 _LENGTHS = {"pixel_pitch_um": "pixel_pitch_mm", "diffusion_sigma_um": "diffusion_sigma_mm"}
 
@@ -112,6 +115,11 @@ class Detector:
         Resolution of the converter.
     sensor_seed : int
         The individual: which pixels are hot, what the patterns look like.
+    damage_centres_per_px, damage_dark_e_per_s : float
+        Radiation damage (`render.radiation.aged`): mean number of centres per pixel, mean of the exponentially
+        distributed dark current of each at the reference [e-/s].
+    damage_known_e_per_s : float
+        Dark current by centres above which a pixel is in the map of defects [e-/s].
 
     Raises
     ------
@@ -149,6 +157,9 @@ class Detector:
     column_pattern_e: float
     adc_bits: int
     sensor_seed: int
+    damage_centres_per_px: float = 0.0
+    damage_dark_e_per_s: float = 0.0
+    damage_known_e_per_s: float = _HIGHEST
 
     def __post_init__(self) -> None:
         for key, (low, high, unit) in _RANGES.items():
@@ -256,6 +267,11 @@ class DetectorFile(BaseModel):
     column_pattern_e: float = _in_range("column_pattern_e", "spread of the offset over the columns")
     adc_bits: int = _in_range("adc_bits", "resolution of the converter")
     sensor_seed: int = _in_range("sensor_seed", "seed of the individual")
+    damage_centres_per_px: float = _in_range("damage_centres_per_px", "radiation damage: centres", default=0.0)
+    damage_dark_e_per_s: float = _in_range("damage_dark_e_per_s", "mean dark current of a centre", default=0.0)
+    damage_known_e_per_s: float = _in_range(
+        "damage_known_e_per_s", "dark current by centres that makes a known defect", default=_HIGHEST
+    )
 
 
 def list_detectors() -> tuple[str, ...]:

@@ -97,6 +97,9 @@ class _Recipe:
     offset_dn: float
     dsnu_e: float
     column_pattern_e: float
+    damage_centres_per_px: float
+    damage_dark_e_per_s: float
+    damage_known_e_per_s: float
 
 
 def sensor_maps(detector: Detector, *, backend: str = "llvm") -> SensorMaps:
@@ -196,6 +199,10 @@ def _maps(recipe: _Recipe, types: Any, column: Any, row: Any) -> PixelMaps:
     spread = dr.exp(dr.sqrt(variance) * normal(types, pixel, key("dark current")) - 0.5 * variance)
     dark_rate = p.dark_current_e_per_s * spread + dr.select(hot, -p.hot_dark_e_per_s * dr.log(chance[2]), 0.0)
     read_noise = p.read_noise_e * dr.exp(p.read_noise_spread * normal(types, pixel, key("read noise spread")))
+    known = dead | hot
+    if recipe.damage_centres_per_px > 0.0:
+        centres = _damage(types, p, pixel, key("damage centres"), key("damage current"))
+        dark_rate, known = dark_rate + centres, known | (centres > p.damage_known_e_per_s)
     pattern = p.dsnu_e * normal(types, pixel, key("offset"))
     pattern = pattern + p.column_pattern_e * normal(types, column, key("column offset"))
     maps = PixelMaps(
@@ -203,11 +210,34 @@ def _maps(recipe: _Recipe, types: Any, column: Any, row: Any) -> PixelMaps:
         dark_rate=dr.select(gap, 0.0, dark_rate),
         read_noise=dr.select(gap, 0.0, read_noise),
         offset=p.offset_dn + dr.select(gap, 0.0, p.gain_dn_per_e * pattern),
-        defect=dead | hot,
+        defect=known,
         pixel=pixel,
     )
     dr.eval(*maps)
     return maps
+
+
+def _damage(types: Any, p: SimpleNamespace, pixel: Any, centres_key: tuple[Any, Any], key: tuple[Any, Any]) -> Any:
+    """Dark current of the damage centres: a Poisson number of exponential variates, each from its own counter."""
+    import drjit as dr
+
+    from render.philox import philox4x32
+    from render.poisson import poisson
+
+    size = dr.width(pixel)
+    number = types.UInt32(poisson(types, p.damage_centres_per_px + dr.zeros(types.Float32, size), pixel, centres_key))
+
+    def one_more(total: Any, index: Any) -> tuple[Any, Any]:
+        word = philox4x32(types, (pixel, index, 0, 0), key)[0]
+        return total - dr.log(dr.fma(types.Float32(word), 2.0**-32, 2.0**-33)), index + 1
+
+    total, _ = dr.while_loop(
+        (dr.zeros(types.Float32, size), dr.zeros(types.UInt32, size)),
+        lambda total, index: index < number,
+        one_more,
+        label="damage",
+    )
+    return p.damage_dark_e_per_s * total
 
 
 @lru_cache(maxsize=2)
