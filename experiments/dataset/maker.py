@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.dataset.plan import FramePlan, plan_frame
-from experiments.dataset.scene import Scene, stars_of
+from experiments.dataset.points import points_of
+from experiments.dataset.scene import Scene
+from experiments.dataset.sky_light import diffuse_light, resolved_light
 from experiments.dataset.truth import FLAGS, StarLightOnChip, pixel_flags, star_rows
+from render.cosmic_rays import CosmicRayHits, cosmic_ray_hits
 from render.random import Streams
 from render.readout import expose
-from render.records import Frame, StarField
-from render.sky_field import SkyField
+from render.records import Frame
 from render.tracer import Tracer
 
 __all__ = ["FrameMaker", "MadeFrame"]
@@ -78,58 +80,85 @@ class FrameMaker:
         """Frame number ``frame``, 0 to 2^32 - 1."""
         scene, config = self.scene, self.scene.config
         plan = plan_frame(scene.plan, frame)
-        field = stars_of(scene, frame)
+        seen = points_of(scene, plan)
         traced = self._tracer.render(
-            self._star_field(field),
+            seen.light,
             exposure_s=config.camera.exposure_s,
-            rotation_cam_from_world=field.rotation_cam_from_icrs,
+            rotation_cam_from_world=plan.attitude.as_matrix(),
         )
+        electrons = traced.electrons[:, :, 0]
+        sky_e = self._add_sky(electrons, plan)
+        hits = self._hits(frame)
         band = scene.light.band[0]
-        sky_e_per_s = config.background.extra_e_per_s
         read = expose(
-            traced.electrons[:, :, 0],
+            electrons,
             scene.instrument.detector,
             streams=self._streams,
             frame=frame,
             exposure_s=config.camera.exposure_s,
             temperature_c=config.camera.chip_temperature_c,
-            background_e_per_s=sky_e_per_s,
+            background_e_per_s=config.background.extra_e_per_s,
             band=band,
+            hits=hits,
             backend=self.backend,
         )
-        background_e = sky_e_per_s * config.camera.exposure_s
         truth = star_rows(
-            field,
+            seen,
             traced.truth,
             scene.instrument.detector,
             frame=frame,
             band=band,
-            catalogue_row=scene.row[field.row],
-            temperature_k=scene.temperature_k[field.row],
             on_chip=StarLightOnChip(
-                background_e=background_e + self._dark_e(),
-                pixel_flags=pixel_flags(read.saturated, read.defect),
-                smear_px=np.zeros((len(field), 2)),
+                background_e=sky_e + self._dark_e(),
+                pixel_flags=pixel_flags(read.saturated, read.defect, None if hits is None else _struck(hits)),
+                smear_px=np.zeros((len(seen), 2)),
             ),
         )
         return MadeFrame(
             plan=plan,
             frame=read,
             truth=truth,
-            background_e=background_e,
+            background_e=sky_e,
             saturated_px=int(np.count_nonzero(read.saturated)),
         )
 
-    def _star_field(self, field: SkyField) -> StarField:
-        light = self.scene.light
-        return StarField(
-            direction=field.direction,
-            wavelength_nm=light.wavelength_nm,
-            photon_rate=light.photon_rate(field.stars.magnitude, self.scene.temperature_k[field.row]),
-            band=light.band,
+    def _add_sky(self, electrons: NDArray[np.float32], plan: FramePlan) -> float:
+        """Add the light of the sky to the stars', except what is the same everywhere; mean of all sky light [e-]."""
+        scene, config = self.scene, self.scene.config
+        exposure_s = config.camera.exposure_s
+        mean = config.background.extra_e_per_s * exposure_s
+        diffuse = diffuse_light(scene.sky_light, plan.attitude, config)
+        if diffuse is not None:
+            diffuse *= np.float32(exposure_s)
+            electrons += diffuse
+            mean += float(diffuse.mean())
+        disks = resolved_light(scene.sky_light, scene.instrument.camera, scene.view, plan, config)
+        if disks is not None:
+            electrons += disks
+        return mean
+
+    def _hits(self, frame: int) -> CosmicRayHits | None:
+        radiation = self.scene.config.radiation
+        if radiation.environment == "none":
+            return None
+        return cosmic_ray_hits(
+            self.scene.instrument.detector,
+            radiation.environment,
+            streams=self._streams,
+            frame=frame,
+            exposure_s=self.scene.config.camera.exposure_s,
+            depth_um=radiation.depth_um,
         )
 
     def _dark_e(self) -> float:
         """Mean dark charge of a normal pixel [e-]."""
         camera, detector = self.scene.config.camera, self.scene.instrument.detector
         return detector.dark_current_e_per_s * detector.dark_factor(camera.chip_temperature_c) * camera.exposure_s
+
+
+def _struck(hits: CosmicRayHits) -> NDArray[np.bool_]:
+    """Pixels (h, w) in which cosmic rays left at least an electron."""
+    struck = np.zeros(hits.shape, np.bool_)
+    counts = hits.charge_e >= 1.0
+    struck[hits.row[counts], hits.column[counts]] = True
+    return struck

@@ -23,10 +23,21 @@ from experiments.dataset.settings import (
 )
 from optics.errors import ConfigError, DomainError
 from optics.units import DEG_RAD
+from render.catalogue_motion import earth_observer
 from render.random import Streams
 from render.trajectory import ConstantRate, SampledAttitude, Trajectory
 
-__all__ = ["SPLITS", "FramePlan", "Plan", "build_plan", "duration_s", "fastest_rad_per_s", "plan_frame", "split_of"]
+__all__ = [
+    "SPLITS",
+    "FramePlan",
+    "Plan",
+    "build_plan",
+    "duration_s",
+    "fastest_rad_per_s",
+    "plan_frame",
+    "split_of",
+    "sun_direction",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -49,12 +60,15 @@ class Plan:
         Of a list.
     path : Trajectory or None
         Of a scan.
+    to_sun : (3,) or None
+        Towards the Sun along icrs, where attitudes have to keep away from it.
     """
 
     config: Config
     streams: Streams
     attitudes: Rotation | None
     path: Trajectory | None
+    to_sun: FloatArray | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,7 +128,31 @@ def build_plan(config: Config) -> Plan:
         if not (isinstance(config.rate, FixedRate) and not any(config.rate.rate_deg_per_s)):
             raise ConfigError("rate: the motion of a scan is that of pointing; leave rate out")
         path = _scan(pointing, config)
-    return Plan(config=config, streams=Streams(config.seed).child("dataset"), attitudes=attitudes, path=path)
+    to_sun = None
+    if isinstance(pointing, SkyPointing | ConePointing) and pointing.sun_exclusion_deg > 0:
+        to_sun = sun_direction(config.sky.epoch_year)
+        if isinstance(pointing, ConePointing):
+            _check_cone(pointing, to_sun)
+    streams = Streams(config.seed).child("dataset")
+    return Plan(config=config, streams=streams, attitudes=attitudes, path=path, to_sun=to_sun)
+
+
+def sun_direction(epoch_year: float) -> FloatArray:
+    """Unit vector from the Earth towards the Sun, along icrs."""
+    away = earth_observer(epoch_year).from_sun_au
+    assert away is not None
+    return np.asarray(-away / np.linalg.norm(away))
+
+
+def _check_cone(pointing: ConePointing, to_sun: FloatArray) -> None:
+    """Refuse a cone of which nothing is left."""
+    centre = attitude_from_angles(pointing.ra_deg, pointing.dec_deg, 0.0).as_matrix()[2]
+    farthest = float(np.degrees(np.arccos(np.clip(centre @ to_sun, -1.0, 1.0)))) + pointing.radius_deg
+    if farthest <= pointing.sun_exclusion_deg:
+        raise DomainError(
+            f"pointing: all of the cone lies within {farthest:.1f} deg of the Sun, pointing.sun_exclusion_deg = "
+            f"{pointing.sun_exclusion_deg:g} deg; point elsewhere or change sky.epoch_year"
+        )
 
 
 def _scan(pointing: ScanPointing, config: Config) -> Trajectory:
@@ -164,10 +202,18 @@ def _attitude(plan: Plan, frame: int) -> Rotation:
     pointing = plan.config.pointing
     if plan.attitudes is not None:
         return plan.attitudes[frame]
+    assert isinstance(pointing, SkyPointing | ConePointing)
     rng = plan.streams.generator("attitude", frame)
+    nearest = np.cos(pointing.sun_exclusion_deg * DEG_RAD)
+    while True:
+        attitude = _drawn(pointing, rng)
+        if plan.to_sun is None or attitude.as_matrix()[2] @ plan.to_sun < nearest:
+            return attitude
+
+
+def _drawn(pointing: SkyPointing | ConePointing, rng: np.random.Generator) -> Rotation:
     if isinstance(pointing, SkyPointing):
         return Rotation.from_quat(rng.standard_normal(4))  # a direction uniform on the 3-sphere is a uniform rotation
-    assert isinstance(pointing, ConePointing)
     height = rng.uniform(np.cos(pointing.radius_deg * DEG_RAD), 1.0)  # equal heights of a cap are equal areas
     azimuth, roll = rng.uniform(0.0, 360.0, 2)
     centre = attitude_from_angles(pointing.ra_deg, pointing.dec_deg, 0.0)

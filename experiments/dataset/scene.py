@@ -2,30 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from experiments.dataset.camera import passband, windowed_instrument
-from experiments.dataset.plan import Plan, build_plan, fastest_rad_per_s, plan_frame
+from experiments.dataset.plan import Plan, build_plan, fastest_rad_per_s, plan_frame, sun_direction
 from experiments.dataset.settings import CatalogueConfig, Config, SkyPointing
+from experiments.dataset.sky_light import SkyLight, build_sky_light, check_sun
 from experiments.instrument import Instrument
 from optics.errors import DomainError
+from optics.units import ARCSEC_RAD
 from render.catalogue import StarCatalog
 from render.catalogue_motion import Observer, earth_observer
 from render.catalogue_temperature import TYPICAL_TEMPERATURE_K, colour_temperature
+from render.radiation import aged
 from render.sky_field import FieldOfView, SkyField, StarLight, field_of, field_of_view, star_light
 from render.sky_index import SkyIndex, build_index
 from render.wcs import LensWcs, lens_wcs
 
-__all__ = ["Scene", "build_scene", "load_catalogue", "stars_of"]
+__all__ = ["Scene", "build_scene", "load_catalogue", "seen_at", "stars_of"]
 
 FloatArray = NDArray[np.float64]
 
 MARGIN_PX = 16.0
 SEARCHED_FRAMES = 10_000
+LONGEST_ANNEALED_S = 5e6
+"""A dose that comes over years has annealed all the while: the end of the published curve (`render.radiation`)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +60,8 @@ class Scene:
         Where the camera is.
     wcs : LensWcs
         World coordinates, fitted to chief rays at the mean of the wavelength nodes.
+    sky_light : SkyLight
+        Light that is no star.
     """
 
     config: Config
@@ -66,6 +74,7 @@ class Scene:
     plan: Plan
     observer: Observer | None
     wcs: LensWcs
+    sky_light: SkyLight
 
 
 def build_scene(config: Config) -> Scene:
@@ -78,7 +87,7 @@ def build_scene(config: Config) -> Scene:
         catalogue without magnitudes, no star bright enough, stars that leave the frame during an exposure, attitudes
         that are not normalised, fields that hold no star at all.
     """
-    instrument = windowed_instrument(config.camera)
+    instrument = _aged(windowed_instrument(config.camera), config)
     band = passband(config.camera, instrument)
     plan = build_plan(config)
     whole = load_catalogue(config.sky)
@@ -87,6 +96,8 @@ def build_scene(config: Config) -> Scene:
         raise DomainError(_no_star(whole, config.sky))
     catalogue = whole.select(bright)
     light = star_light([band], nodes=config.camera.nodes, magnitude_system=whole.magnitude_system)
+    observer = earth_observer(config.sky.epoch_year) if config.sky.observer == "earth" else None
+    pixel_rad = instrument.pixel_arcsec * ARCSEC_RAD
     scene = Scene(
         config=config,
         instrument=instrument,
@@ -96,13 +107,32 @@ def build_scene(config: Config) -> Scene:
         view=field_of_view(instrument.camera, margin_px=MARGIN_PX),
         light=light,
         plan=plan,
-        observer=earth_observer(config.sky.epoch_year) if config.sky.observer == "earth" else None,
+        observer=observer,
         wcs=lens_wcs(instrument.camera, wavelength_nm=float(light.wavelength_nm.mean())),
+        sky_light=build_sky_light(config, instrument.camera, band, pixel_rad=pixel_rad, observer=observer),
     )
     _check_light(scene)
     _check_rate(scene)
     _check_stars(scene)
+    if config.background.zodiacal:
+        to_sun = sun_direction(config.sky.epoch_year)
+        check_sun(plan, to_sun, scene.view, min(config.frames, SEARCHED_FRAMES))
     return scene
+
+
+def _aged(instrument: Instrument, config: Config) -> Instrument:
+    """The instrument with what radiation has done to its detector."""
+    radiation = config.radiation
+    if not radiation.displacement_dose_tev_per_g:
+        return instrument
+    detector = aged(
+        instrument.detector,
+        displacement_dose_tev_per_g=radiation.displacement_dose_tev_per_g,
+        depleted_volume_um3=radiation.depleted_volume_um3,
+        temperature_c=config.camera.chip_temperature_c,
+        annealed_s=LONGEST_ANNEALED_S,
+    )
+    return replace(instrument, detector=detector)
 
 
 def load_catalogue(config: CatalogueConfig) -> StarCatalog:
@@ -124,10 +154,15 @@ def load_catalogue(config: CatalogueConfig) -> StarCatalog:
 
 def stars_of(scene: Scene, frame: int) -> SkyField:
     """Stars that a frame sees in the middle of its exposure; `SkyField.row` counts in ``scene.catalogue``."""
+    return seen_at(scene, plan_frame(scene.plan, frame).attitude)
+
+
+def seen_at(scene: Scene, attitude: Rotation) -> SkyField:
+    """Stars that are seen in an attitude cam from icrs."""
     return field_of(
         scene.catalogue,
         scene.view,
-        plan_frame(scene.plan, frame).attitude,
+        attitude,
         epoch_year=scene.config.sky.epoch_year,
         observer=scene.observer,
     )

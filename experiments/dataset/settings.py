@@ -19,6 +19,7 @@ __all__ = [
     "FixedRate",
     "ListPointing",
     "Pointing",
+    "RadiationConfig",
     "RandomRate",
     "Rate",
     "ScanPointing",
@@ -73,10 +74,14 @@ class CatalogueConfig(StrictModel):
     )
 
 
+SUN_EXCLUSION = "smallest angle between boresight and Sun as seen from the Earth; attitudes nearer are drawn anew"
+
+
 class SkyPointing(StrictModel):
     """Attitudes uniform over all rotations."""
 
     kind: Literal["sky"] = "sky"
+    sun_exclusion_deg: float = Field(default=0.0, ge=0, le=120, description=SUN_EXCLUSION)
 
 
 class ConePointing(StrictModel):
@@ -89,6 +94,7 @@ class ConePointing(StrictModel):
     roll_deg: float | None = Field(
         default=None, ge=-360, le=360, description="position angle of up in the image; left out: random"
     )
+    sun_exclusion_deg: float = Field(default=0.0, ge=0, le=120, description=SUN_EXCLUSION)
 
 
 class ListPointing(StrictModel):
@@ -145,7 +151,34 @@ Rate = FixedRate | RandomRate
 class BackgroundConfig(StrictModel):
     """Light that is no star."""
 
+    dimensionless: ClassVar[frozenset[str]] = frozenset({"uniform_mag_per_arcsec2"})
+
     extra_e_per_s: float = Field(default=2.0, ge=0, le=1e6, description="uniform light per pixel")
+    zodiacal: bool = Field(default=False, description="zodiacal light as seen from the Earth, through the lens")
+    uniform_mag_per_arcsec2: float | None = Field(
+        default=None, ge=0, le=40, description="V of a uniform sky, through the lens; left out: none"
+    )
+    moon_planets: bool = Field(
+        default=False, description="Moon and planets where they stand; needs sky.observer = earth"
+    )
+    moon_samples: int = Field(
+        default=64, ge=1, le=65536, description="rays per pixel and wavelength of resolved bodies"
+    )
+
+
+class RadiationConfig(StrictModel):
+    """What space does to the detector."""
+
+    dimensionless: ClassVar[frozenset[str]] = frozenset({"depleted_volume_um3"})
+
+    environment: Literal["none", "deep_space_solar_minimum", "deep_space_solar_maximum", "solar_flare", "leo_quiet"] = (
+        Field(default="none", description="cosmic rays")
+    )
+    depth_um: float = Field(default=10.0, ge=1, le=500, description="thickness of the sensitive silicon")
+    displacement_dose_tev_per_g: float = Field(
+        default=0.0, ge=0, le=1e6, description="displacement damage dose; hot pixels follow from it"
+    )
+    depleted_volume_um3: float = Field(default=30.0, gt=0, le=1e5, description="depleted volume of a pixel")
 
 
 class SplitsConfig(StrictModel):
@@ -194,6 +227,7 @@ class Config(ExperimentConfig):
     pointing: Pointing = Field(default=SkyPointing(), discriminator="kind", description="where the camera looks")
     rate: Rate = Field(default=FixedRate(), discriminator="kind", description="how it turns during the exposure")
     background: BackgroundConfig = BackgroundConfig()
+    radiation: RadiationConfig = RadiationConfig()
     splits: SplitsConfig = SplitsConfig()
     files: FilesConfig = FilesConfig()
     exports: tuple[Literal["coco", "webdataset"], ...] = Field(

@@ -12,9 +12,9 @@ from scipy.spatial import cKDTree
 from optics.units import RAD_DEG
 
 if TYPE_CHECKING:
+    from experiments.dataset.points import Points
     from render.detector import Detector
     from render.records import Truth
-    from render.sky_field import SkyField
 
 __all__ = ["COLUMNS", "FLAGS", "Column", "StarLightOnChip", "flux_snr", "footprint_px", "pixel_flags", "star_rows"]
 
@@ -33,13 +33,15 @@ class Column:
 
 COLUMNS = (
     Column("frame", "int32", "", "number of the frame"),
-    Column("star_id", "int64", "", "id of the star in the catalogue (Gaia DR3 source_id, or -HIP)"),
-    Column("catalogue_row", "int64", "", "row of the catalogue"),
+    Column(
+        "star_id", "int64", "", "id in the catalogue (Gaia DR3 source_id, or -HIP); planets: -10^6 - NAIF number"
+    ),
+    Column("catalogue_row", "int64", "", "row of the catalogue; -1 for planets"),
     Column("band", "str", "", "pass band"),
     Column("ra_deg", "float64", "deg", "right ascension of the direction in which the star is seen, icrs"),
     Column("dec_deg", "float64", "deg", "its declination"),
-    Column("magnitude", "float64", "mag", "magnitude in the catalogue"),
-    Column("temperature_k", "float64", "K", "temperature of the black body that was rendered"),
+    Column("magnitude", "float64", "mag", "magnitude in the catalogue; V of planets"),
+    Column("temperature_k", "float64", "K", "temperature of the black body that was rendered; NaN for planets"),
     Column("chief_x_px", "float64", "pix", "column of the ray through the centre of the aperture stop"),
     Column("chief_y_px", "float64", "pix", "its row"),
     Column("bundle_x_px", "float64", "pix", "column of the photon-weighted mean of all traced rays"),
@@ -108,21 +110,19 @@ def pixel_flags(
 
 
 def star_rows(
-    field: SkyField,
+    seen: Points,
     truth: Truth,
     detector: Detector,
     *,
     frame: int,
     band: str,
-    catalogue_row: NDArray[np.int64],
-    temperature_k: FloatArray,
     on_chip: StarLightOnChip,
 ) -> dict[str, Any]:
     """Columns of the truth of a frame in one band.
 
     Parameters
     ----------
-    field : SkyField
+    seen : Points
         n stars.
     truth : Truth
         Of these stars in one band, (n, 1).
@@ -132,10 +132,6 @@ def star_rows(
         Number of the frame.
     band : str
         Name of the band.
-    catalogue_row : (n,)
-        Where the stars stand in the whole catalogue.
-    temperature_k : (n,)
-        Of the stars.
     on_chip : StarLightOnChip
         What disturbs them.
 
@@ -144,22 +140,22 @@ def star_rows(
     dict
         `COLUMNS` in their order, (n,) each.
     """
-    x, y, z = field.direction.T
+    x, y, z = seen.direction.T
     values = {name: getattr(truth, name)[:, 0] for name in type(truth).__dataclass_fields__}
-    n = len(field)
+    n = len(seen)
     electrons = values["electrons_image"]
     rays = values["variance_x_px2"], values["variance_y_px2"]
     sigma = _spot_sigma(np.stack(rays), detector.diffusion_sigma_px)
     noise = on_chip.background_e + detector.read_noise_e**2 + 1.0 / (12.0 * detector.gain_dn_per_e**2)
     columns = {
         "frame": np.full(n, frame, np.int32),
-        "star_id": field.stars.id,
-        "catalogue_row": catalogue_row,
+        "star_id": seen.star_id,
+        "catalogue_row": seen.catalogue_row,
         "band": band,
         "ra_deg": np.arctan2(y, x) * RAD_DEG % 360.0,
         "dec_deg": np.arctan2(z, np.hypot(x, y)) * RAD_DEG,
-        "magnitude": field.stars.magnitude,
-        "temperature_k": temperature_k,
+        "magnitude": seen.magnitude,
+        "temperature_k": seen.temperature_k,
         "electrons": electrons,
         "snr": flux_snr(electrons, *sigma, noise_e2=noise),
         "smear_x_px": on_chip.smear_px[:, 0],

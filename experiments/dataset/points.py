@@ -1,0 +1,109 @@
+"""Points of light that a frame sees: stars of the catalogue, and planets smaller than a pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.dataset.plan import FramePlan
+from experiments.dataset.scene import Scene, seen_at
+from experiments.dataset.sky_light import PLANET_IDS
+from optics.records import freeze
+from render.records import StarField
+from render.solar_system import joined
+
+__all__ = ["Points", "points_of"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Points:
+    """n points of light.
+
+    Attributes
+    ----------
+    light : StarField
+        Directions along icrs and light, as the renderer takes them.
+    star_id, catalogue_row : (n,) int64
+        Who they are.
+    magnitude, temperature_k : (n,)
+        As the truth tells them.
+    """
+
+    light: StarField
+    star_id: NDArray[np.int64]
+    catalogue_row: NDArray[np.int64]
+    magnitude: FloatArray
+    temperature_k: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes = {"n": len(self.light)}
+        for name, kind in (("star_id", np.int64), ("catalogue_row", np.int64), ("magnitude", np.float64)):
+            freeze(self, name, shape=("n",), dtype=kind, sizes=sizes)
+        freeze(self, "temperature_k", shape=("n",), sizes=sizes, finite=False)
+
+    def __len__(self) -> int:
+        return len(self.light)
+
+    @property
+    def direction(self) -> FloatArray:
+        """Unit vectors (n, 3) along icrs."""
+        return self.light.direction
+
+
+def points_of(scene: Scene, plan: FramePlan) -> Points:
+    """Points of light of a frame, stars in the order of the catalogue, planets behind them."""
+    field = seen_at(scene, plan.attitude)
+    shown = np.ones(len(field), bool)
+    disks = scene.sky_light.disks
+    if disks is not None:  # what stands behind the Moon is not seen
+        for direction, diameter in zip(disks.direction, disks.angular_diameter_rad, strict=True):
+            shown &= field.direction @ direction <= np.cos(0.5 * diameter)
+    row, kelvin = field.row[shown], scene.temperature_k[field.row[shown]]
+    magnitude = field.stars.magnitude[shown]
+    light = StarField(
+        direction=field.direction[shown],
+        wavelength_nm=scene.light.wavelength_nm,
+        photon_rate=scene.light.photon_rate(magnitude, kelvin),
+        band=scene.light.band,
+    )
+    stars = Points(
+        light=light,
+        star_id=field.stars.id[shown],
+        catalogue_row=scene.row[row],
+        magnitude=magnitude,
+        temperature_k=kelvin,
+    )
+    planets = _planets(scene, plan)
+    return stars if planets is None else _together(stars, planets)
+
+
+def _planets(scene: Scene, plan: FramePlan) -> Points | None:
+    sky, view = scene.sky_light, scene.view
+    if sky.points is None or sky.light is None:
+        return None
+    seen = np.flatnonzero(view.on_detector(view.pixel_of(sky.points.direction @ plan.attitude.as_matrix().T)))
+    if not len(seen):
+        return None
+    light = StarField(
+        direction=sky.light.direction[seen],
+        wavelength_nm=sky.light.wavelength_nm,
+        photon_rate=sky.light.photon_rate[seen],
+        band=sky.light.band,
+    )
+    return Points(
+        light=light,
+        star_id=np.array([PLANET_IDS[sky.points.name[i]] for i in seen]),
+        catalogue_row=np.full(len(seen), -1),
+        magnitude=sky.points.magnitude_v[seen],
+        temperature_k=np.full(len(seen), np.nan),
+    )
+
+
+def _together(first: Points, second: Points) -> Points:
+    columns = ("star_id", "catalogue_row", "magnitude", "temperature_k")
+    both = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in columns}
+    return Points(light=joined(first.light, second.light), **both)
