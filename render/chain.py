@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from render.detector import Detector
 from render.philox import normal, split_key
-from render.poisson import poisson
+from render.poisson import INVERSION_LIMIT, poisson
 from render.random import Streams
 from render.sensor_maps import DISPLACEMENTS, PixelMaps
 
 __all__ = ["Exposure", "Neighbours", "digitise"]
 
-_FRAME_AXIS_LIMIT = 1 << 25
+_FRAME_AXIS_LIMIT = 1 << 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +33,7 @@ class Exposure:
     streams: Streams
     first_frame: int
     frames: int
+    typical_e: float = 0.0  # signal of most pixels; a hint for the choice of the kernel, without effect on any number
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +108,8 @@ def _numbers(types: Any, detector: Detector, exposure: Exposure) -> dict[str, An
         "diagonal": detector.crosstalk_diagonal,
     }
     numbers: dict[str, Any] = {name: dr.opaque(types.Float32, value) for name, value in values.items()}
+    level = exposure.typical_e + exposure.background_e + detector.dark_current_e_per_s * exposure.dark_factor_s
+    numbers["dark"] = level < INVERSION_LIMIT / 2.0
     numbers["nonlinearity"] = [dr.opaque(types.Float32, value) for value in detector.nonlinearity]
     return numbers
 
@@ -144,7 +147,7 @@ def _read(
     # PRNU on all light, then one Poisson variate for light and dark current together: a sum of Poisson variates is one
     light = expected * numbers["signal_factor"] + numbers["background_e"]
     mean = maps.response * light + maps.dark_rate * numbers["dark_factor_s"]
-    charge = types.Float32(poisson(types, mean, maps.pixel, keys["photon"]))
+    charge = types.Float32(poisson(types, mean, maps.pixel, keys["photon"], mostly_small=numbers["dark"]))
     if deposit is not None:  # cosmic rays; gaps and dead pixels collect nothing
         charge = charge + dr.select(maps.response > 0.0, deposit, 0.0)
     charge = dr.minimum(charge, numbers["full_well_e"])

@@ -31,7 +31,7 @@ _UNROLLED = 8
 _HALF_LOG_TWO_PI = 0.9189385332046727
 
 
-def poisson(types: Any, mean: Any, pixel: Any, key: tuple[Any, Any]) -> Any:
+def poisson(types: Any, mean: Any, pixel: Any, key: tuple[Any, Any], *, mostly_small: bool = False) -> Any:
     """Poisson variates.
 
     Parameters
@@ -44,6 +44,8 @@ def poisson(types: Any, mean: Any, pixel: Any, key: tuple[Any, Any]) -> Any:
         Index of each pixel in the whole detector: the counter.
     key : 2 UInt32
         Key of the stream; scalars or (n,).
+    mostly_small : bool
+        Whether most means are expected below `INVERSION_LIMIT`: faster if they are, slower if not, the same variates.
 
     Returns
     -------
@@ -55,11 +57,11 @@ def poisson(types: Any, mean: Any, pixel: Any, key: tuple[Any, Any]) -> Any:
     small = mean < INVERSION_LIMIT
     words = philox4x32(types, (pixel, 0, 0, 0), key)
     first, second = uniform64(types, words[1], words[0]), uniform64(types, words[3], words[2])
-    few = _inversion(types, mean, first, small)
-    proposal = _Proposal(types, dr.select(small, 100.0, mean))
-    many, sure, _ = proposal.attempt(first, second)  # the first attempt; what it does not settle is repeated below
-    count = _whole(types, dr.select(small, few, many))
-    doubtful = ~(small | sure)
+    count, doubtful = _inversion(types, mean, first, small), ~small
+    if not mostly_small:  # the first attempt of PTRS, here for all at once; what it does not settle is repeated below
+        many, sure, _ = _Proposal(types, dr.select(small, 100.0, mean)).attempt(first, second)
+        count, doubtful = dr.select(small, count, many), doubtful & ~sure
+    count = _whole(types, count)
     dr.eval(count, doubtful, given)
     left: Any = dr.compress(doubtful)
     if dr.width(left):

@@ -41,6 +41,8 @@ from render.sensor_maps import full_maps, full_neighbours, neighbour_bits, windo
 
 __all__ = ["expose", "expose_windows"]
 
+_EVERY = 8  # of the rows and columns that tell how bright an image is
+
 
 def expose(
     expected: ExpectedImage | NDArray[Any],
@@ -114,6 +116,7 @@ def expose(
         temperature_c=temperature_c,
         background_e_per_s=background_e_per_s,
         factor=factor,
+        electrons=electrons,
     )
     deposit = None if hits is None else frame_deposit(types, hits, detector)
     flat = types.Float32(electrons.ravel())
@@ -200,6 +203,7 @@ def expose_windows(
         exposure_s=exposure_s,
         temperature_c=temperature_c,
         background_e_per_s=background_e_per_s,
+        electrons=electrons,
     )
     count, height, width = electrons.shape
     inner = (slice(margin_px, height - margin_px), slice(margin_px, width - margin_px))
@@ -309,6 +313,7 @@ def _exposure(
     exposure_s: float,
     temperature_c: float | None,
     background_e_per_s: float,
+    electrons: NDArray[np.float32],
     factor: float = 1.0,
 ) -> Any:
     from render.chain import Exposure
@@ -317,6 +322,7 @@ def _exposure(
     if not 0.0 <= background_e_per_s < np.inf:
         raise DomainError(f"background_e_per_s = {background_e_per_s:g} e-/s; it must be finite and not negative")
     temperature_c = detector.dark_reference_c if temperature_c is None else temperature_c
+    some = electrons[..., ::_EVERY, ::_EVERY]
     return Exposure(
         signal_factor=factor,
         background_e=background_e_per_s * exposure_s,
@@ -324,6 +330,7 @@ def _exposure(
         streams=streams,
         first_frame=frames[0],
         frames=frames[1],
+        typical_e=factor * float(np.median(some)) if some.size else 0.0,
     )
 
 
