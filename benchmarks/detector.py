@@ -1,10 +1,11 @@
-"""Detector readout against GalSim's CCDNoise: 4096 x 2048 pixels, low background, medians, megapixels per second.
+"""Detector readout against GalSim's CCDNoise, 4096 x 2048 pixels, and frames to disk; medians, megapixels per second.
 
 Run from the repository root: ``python benchmarks/detector.py`` or ``python -m benchmarks.detector``.
 starbench: every effect of `render.readout` at once, crosstalk included, from float32 NumPy electrons to a `Frame` with
 its uint16 NumPy array and flags, all cores. GalSim (if installed): ``CCDNoise`` (Poisson, gain, read noise) on an
 ImageF of the same expectation, then ``quantize`` and conversion to uint16; one core, its generator is sequential.
-Repetitions of the two alternate, so that both see the same machine.
+Repetitions of the two alternate, so that both see the same machine. ``--threads 1`` is what one worker of many gets.
+Frames to disk: `render.fits.write_frame` into a temporary folder, without mask, 40 cards of world coordinates.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import argparse
 import dataclasses
 import statistics
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +23,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from render.backend import array_types
 from render.detector import Detector, load_detector
+from render.fits import write_frame
 from render.random import Streams
 from render.readout import expose
 
@@ -88,12 +92,37 @@ def galsim_noise(image: np.ndarray, detector: Detector) -> Callable[[int], np.nd
     return run
 
 
+def written(image: np.ndarray, detector: Detector, repeat: int) -> None:
+    """Print the time and size of files."""
+    frame = expose(image, detector, streams=Streams(1), exposure_s=EXPOSURE_S, temperature_c=TEMPERATURE_C)
+    cards = [(f"A_{i}_{j}", 1.0 / (3 + i + j), "") for i in range(8) for j in range(5)]
+    with tempfile.TemporaryDirectory() as folder:
+        for compression in (None, "rice", "gzip"):
+            taken = []
+            for number in range(repeat + 1):
+                path = Path(folder) / f"{compression}{number}.fits"
+                start = time.perf_counter()
+                write_frame(frame, path, compression=compression, cards=cards, mask="never")
+                taken.append(time.perf_counter() - start)
+                size = path.stat().st_size
+                path.unlink()
+            middle = statistics.median(taken[1:])
+            name, rate = compression or "not compressed", image.size / middle / 1e6
+            print(f"  {name:24s} {1e3 * middle:7.1f} ms  {rate:6.1f} Mpx/s  ({size / image.size:.2f} bytes per pixel)")
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeat", type=int, default=7, help="timed repetitions (default 7)")
     parser.add_argument("--backend", default="llvm", choices=("auto", "llvm", "cuda"))
+    parser.add_argument("--threads", type=int, help="threads of the processor (default: all)")
     arguments = parser.parse_args()
+    if arguments.threads is not None:
+        import drjit
+
+        array_types("llvm")
+        drjit.set_thread_count(arguments.threads)
     full = everything_on()
     image = scene(full.shape)
     plain = dataclasses.replace(full, crosstalk_horizontal=0.0, crosstalk_vertical=0.0, crosstalk_diagonal=0.0)
@@ -120,6 +149,8 @@ def main() -> None:
         print("  GalSim is not installed: pip install 'starbench[reference]'")
     else:
         print(f"  ratio, all effects: {speed['starbench, all effects'] / speed['GalSim CCDNoise']:.1f}")
+    print("Frames to disk:")
+    written(image, plain, arguments.repeat)
 
 
 if __name__ == "__main__":
