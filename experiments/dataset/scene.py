@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -144,12 +145,17 @@ def load_catalogue(config: CatalogueConfig) -> StarCatalog:
         Missing, not understood, in wrong units, without magnitudes.
     """
     if config.catalogue == "gaia":
-        from render.catalogue_gaia import load_gaia
-
-        return load_gaia()
+        return _gaia()
     from render.catalogue_read import read_catalog
 
     return read_catalog(Path(config.catalogue), config.preset)
+
+
+@cache
+def _gaia() -> StarCatalog:
+    from render.catalogue_gaia import load_gaia
+
+    return load_gaia()
 
 
 def stars_of(scene: Scene, frame: int) -> SkyField:
@@ -214,8 +220,8 @@ def _check_rate(scene: Scene) -> None:
 
 def _check_stars(scene: Scene) -> None:
     """Refuse a dataset of which no frame sees a star; single empty frames are frames of an empty sky."""
-    if isinstance(scene.config.pointing, SkyPointing):
-        return  # some frame of a random sky may always see one
+    if isinstance(scene.config.pointing, SkyPointing) or scene.config.background.moon_planets:
+        return  # some frame of a random sky may always see one; planets are points of light too
     for frame in range(min(scene.config.frames, SEARCHED_FRAMES)):
         if len(stars_of(scene, frame)):
             return

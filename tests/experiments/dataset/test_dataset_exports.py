@@ -1,0 +1,120 @@
+"""Copies for learning programs, read back by what would read them; the contact sheet."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+import tarfile
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from experiments.dataset.coco import export_coco
+from experiments.dataset.folder import StorageError
+from experiments.dataset.settings import CameraConfig, CatalogueConfig, ConePointing, Config, VerifyConfig
+from experiments.dataset.shards import check_webdataset, export_shards
+from experiments.dataset.sheet import preview
+from experiments.dataset.truth_file import read_table
+from experiments.dataset.work import Job, make_frame
+from optics.errors import ConfigError
+from render.fits import read_frame
+
+
+@pytest.fixture(scope="module")
+def dataset(mi, tmp_path_factory):
+    """(folder, facts) of two frames of the Pleiades."""
+    folder = tmp_path_factory.mktemp("exports")
+    for name in ("frames", "truth"):
+        (folder / name).mkdir()
+    config = Config(
+        camera=CameraConfig(lens="star_camera_206mm", width_px=192, height_px=128, nodes=3),
+        sky=CatalogueConfig(faintest_mag=10.0),
+        pointing=ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1),
+        verify=VerifyConfig(frames=0),
+    )
+    job = Job(config=config.model_dump_json(), folder=str(folder), backend="llvm")
+    return folder, [make_frame(job, frame) for frame in (0, 1)]
+
+
+def test_coco(dataset):
+    folder, facts = dataset
+    seen = []
+    said = export_coco(folder, facts, diffusion_px=0.3, bits=16, done=lambda: seen.append(1))
+    assert len(seen) == 2
+    parts = {split: _coco(folder, split) for split in ("train", "validation", "test")}
+    images = [image for part in parts.values() for image in part["images"]]
+    stars = [star for part in parts.values() for star in part["annotations"]]
+    assert [one["id"] for one in parts[facts[0].split]["images"]].count(0) == 1
+    assert f"{len(stars)} stars" in said
+    assert len({star["id"] for star in stars}) == len(stars)
+    for image in images:
+        one = facts[image["id"]]
+        pixels = np.array(Image.open(folder / "coco" / "images" / image["file_name"]))
+        np.testing.assert_array_equal(pixels, read_frame(folder / one.file).dn)
+        truth = read_table(folder / one.truth)
+        mine = {star["star_id"]: star for star in stars if star["image_id"] == image["id"]}
+        for row in truth[np.asarray(truth["electrons"]) > 5000]:
+            x, y, seen_flag = mine[row["star_id"]]["keypoints"]
+            assert (x, y, seen_flag) == (row["photon_x_px"] + 0.5, row["photon_y_px"] + 0.5, 2)  # COCO: from the corner
+            left, top, width, height = mine[row["star_id"]]["bbox"]
+            peak = pixels[int(top) : int(top + height) + 1, int(left) : int(left + width) + 1].max()
+            assert peak > np.median(pixels) + 30
+            assert 0 <= left <= x <= left + width <= image["width"]
+            assert 0 <= top <= y <= top + height <= image["height"]
+
+
+def _coco(folder, split):
+    content = json.loads((folder / "coco" / "annotations" / f"instances_{split}.json").read_text())
+    assert [one["name"] for one in content["categories"]] == ["star"]
+    return content
+
+
+def test_shards(dataset):
+    pytest.importorskip("webdataset")
+    folder, facts = dataset
+    export_shards(folder, facts, done=lambda: None)
+    shards = sorted((folder / "webdataset").iterdir())
+    assert {shard.name for shard in shards} == {f"{one.split}-000000.tar" for one in facts}
+    first = {shard.name: shard.read_bytes() for shard in shards}
+    members = {}
+    for content in first.values():
+        with tarfile.open(fileobj=io.BytesIO(content)) as tar:
+            members.update({member.name: tar.extractfile(member).read() for member in tar})
+    for one in facts:
+        assert members[f"frame_{one.frame:06d}.fits"] == (folder / one.file).read_bytes()
+        assert members[f"frame_{one.frame:06d}.parquet"] == (folder / one.truth).read_bytes()
+        assert json.loads(members[f"frame_{one.frame:06d}.json"])["quat_xyzw"] == list(one.quat_xyzw)
+    export_shards(folder, facts, done=lambda: None)
+    assert {shard.name: shard.read_bytes() for shard in shards} == first  # no time, no user in it
+
+
+def test_a_full_disk_leaves_no_half_shard(dataset, monkeypatch):
+    webdataset = pytest.importorskip("webdataset")
+    folder, facts = dataset
+
+    def full(self, sample):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(webdataset.TarWriter, "write", full)
+    with pytest.raises(StorageError, match="the disk is full"):
+        export_shards(folder, facts, done=lambda: None)
+    assert not list(folder.rglob("*.partial"))
+
+
+def test_missing_library_is_said(monkeypatch):
+    monkeypatch.setitem(sys.modules, "webdataset", None)
+    with pytest.raises(ConfigError, match="pip install"):
+        check_webdataset()
+
+
+def test_preview_keeps_single_bright_pixels(dataset):
+    folder, facts = dataset
+    frame = read_frame(folder / facts[0].file)
+    picture = preview(frame, size_px=64)
+    assert picture.shape == (42, 64)
+    brightest = np.unravel_index(np.argmax(frame.dn), frame.dn.shape)
+    row, column = (int(place) // 3 for place in brightest)
+    assert picture[row, column] > 200
+    assert np.median(picture) < 30
