@@ -89,7 +89,7 @@ def digitise(
         if deposit is not None and count < exposure.frames:
             part = dr.gather(types.Float32, deposit, dr.arange(types.UInt32, count * size) + start * size)
         packed = _read(types, expected, part, maps=maps, neighbours=neighbours, numbers=numbers, keys=keys)
-        parts.append(np.array(packed).reshape(count, size))
+        parts.append(np.asarray(packed).reshape(count, size))
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 

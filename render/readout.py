@@ -41,6 +41,7 @@ from render.sensor_maps import full_maps, full_neighbours, neighbour_bits, windo
 
 __all__ = ["expose", "expose_windows"]
 
+_INFINITY = np.float32(np.inf).view(np.uint32)
 _EVERY = 8  # of the rows and columns that tell how bright an image is
 
 
@@ -127,7 +128,7 @@ def expose(
     return Frame(
         dn=dn,
         saturated=saturated,
-        defect=np.array(maps.defect).reshape(detector.shape),
+        defect=np.asarray(maps.defect).reshape(detector.shape),
         gain_dn_per_e=detector.gain_dn_per_e,
         offset_dn=detector.offset_dn,
         read_noise_e=detector.read_noise_e,
@@ -272,7 +273,8 @@ def _checked_electrons(values: ArrayLike, name: str, *, ndim: int) -> NDArray[np
         raise DomainError(f"{name}: an array of electrons with {ndim} axes is needed") from None
     if electrons.ndim != ndim:
         raise DomainError(f"{name} has shape {electrons.shape}; {ndim} axes are needed")
-    if electrons.size:
+    # one pass over the bits: those of positive finite numbers lie below those of infinity
+    if electrons.size and electrons.view(np.uint32).max() >= _INFINITY:
         lowest, highest = float(electrons.min()), float(electrons.max())
         if not (lowest >= 0.0 and highest < np.inf):  # NaN fails too
             bad = highest if lowest >= 0.0 else lowest
@@ -339,4 +341,6 @@ def _has_crosstalk(detector: Detector) -> bool:
 
 
 def _unpack(packed: NDArray[np.uint32]) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-    return packed.astype(np.uint16), packed >= np.uint32(1 << 16)
+    """(numbers, whether saturated) as views where that can be: the records copy."""
+    halves = packed.astype("<u4", copy=False)[..., None].view("<u2")
+    return halves[..., 0], halves.view(np.bool_)[..., 2]  # a byte of 0 or 1 is a truth value
