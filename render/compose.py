@@ -96,18 +96,16 @@ class TruthSums:
         """
         size, moments = sums.pixels.shape[-1], sums.moments
         landed = sums.pixels.sum((2, 3))
-        along = (np.arange(sums.strips_x.shape[-1]) + 0.5) * (size / sums.strips_x.shape[-1])
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = moments[..., 3:5] / moments[..., :1]
             variance = moments[..., 5:7] / moments[..., :1] - mean**2
-            photon_x = sums.strips_x @ along / sums.strips_x.sum(2)
-            photon_y = sums.strips_y @ along / sums.strips_y.sum(2)
+            photon = moments[..., 7:9] / moments[..., :1]
         self.bundle_x[stars] = corner_px[..., 0] + mean[..., 0] * size
         self.bundle_y[stars] = corner_px[..., 1] + mean[..., 1] * size
         self.variance_x[stars] = variance[..., 0] * size**2
         self.variance_y[stars] = variance[..., 1] * size**2
-        self.photon_x[stars] = corner_px[..., 0] + photon_x
-        self.photon_y[stars] = corner_px[..., 1] + photon_y
+        self.photon_x[stars] = corner_px[..., 0] + photon[..., 0] * size
+        self.photon_y[stars] = corner_px[..., 1] + photon[..., 1] * size
         self.image[stars] = on_image * electrons_in
         self.vignetted[stars] = moments[..., 1] * electrons_in
         self.off_edge[stars] = (landed - on_image + moments[..., 2]) * electrons_in

@@ -1,4 +1,4 @@
-"""How the pupil is sampled: quadrature where it is round and clear, scrambled Sobol where it is not.
+"""How the pupil is sampled: quadrature where its outline is known, scrambled Sobol where it is not.
 
 The quadrature order is found by trial on stars spread over the field: what a pixel value depends on is the
 characteristic function of the landing points, times the transfer of the diffusion kernel and of the pixel; the first
@@ -13,16 +13,29 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optics.pupil import gauss_disk
+from render.outlines import GOLDEN
 from render.pupil_points import PupilPoints, SobolPoints, TablePoints
-from render.star_kernel import StarKernel
 
-__all__ = ["LADDER", "TOLERANCE", "PupilPlan", "bounding_points", "probe_fields", "quadrature_plan", "sobol_plan"]
+__all__ = [
+    "LADDER",
+    "OUTLINE_LADDER",
+    "TOLERANCE",
+    "Landed",
+    "PupilPlan",
+    "bounding_points",
+    "converged_order",
+    "probe_fields",
+    "probe_nodes",
+    "sobol_plan",
+    "staggered",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -42,13 +55,28 @@ LADDER = (
 )
 """Rings and azimuths that are tried, in this order."""
 
+OUTLINE_LADDER = (
+    (4, 6),
+    (6, 8),
+    (7, 10),
+    (8, 12),
+    (10, 14),
+    (11, 16),
+    (13, 19),
+    (16, 23),
+    (20, 29),
+    (25, 37),
+    (31, 47),
+    (39, 60),
+)
+"""The same for outlines, where the rings' azimuths are staggered."""
+
 TOLERANCE = 3e-5
 HIGHEST_FREQUENCY = 8.0
 """Cycles per pixel beyond which a spot is not followed; diffusion below 0.09 px lets more through: Sobol points."""
 
 PROBE_NODES = 6
 """Wavelength nodes per band on which the quadrature order is tried."""
-_GOLDEN = 0.6180339887498949
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,22 +85,33 @@ class PupilPlan:
 
     Attributes
     ----------
-    mode : {"quadrature", "sobol"}
-        Which rule.
-    pupil : PupilPoints
-        Unit-disk points of every wavelength node.
+    mode : {"quadrature", "arcs", "sobol"}
+        Which rule: Gauss x trapezoid, Gauss x Gauss between the kinks of an outline, or Sobol points.
+    rays_per_node : int
+        Rays per star, band and node.
     error : float
         Change of the damped characteristic function against the next order (quadrature), NaN for Sobol.
+    pupil : PupilPoints or None
+        Points of the launch disk; None where they follow every star's outline.
+    order : (int, int)
+        Rings and azimuths, (0, 0) for Sobol.
     """
 
     mode: str
-    pupil: PupilPoints
+    rays_per_node: int
     error: float
+    pupil: PupilPoints | None = None
+    order: tuple[int, int] = (0, 0)
 
-    @property
-    def rays_per_node(self) -> int:
-        """Rays per star, band and wavelength node."""
-        return self.pupil.count
+
+@dataclass(frozen=True, slots=True)
+class Landed:
+    """Where the rays of stars land: columns, rows [px] and arrival (n, b, k, m), and weights that broadcast to it."""
+
+    x: FloatArray
+    y: FloatArray
+    arrived: NDArray[np.bool_]
+    weight: FloatArray
 
 
 def bounding_points() -> FloatArray:
@@ -98,7 +137,7 @@ def probe_fields(reach_rad: float) -> FloatArray:
 def staggered(order: tuple[int, int], nodes: int) -> TablePoints:
     """Gauss x trapezoid points, turned from wavelength node to wavelength node."""
     pupil = gauss_disk(*order)
-    turn = 2 * np.pi / order[1] * (_GOLDEN * np.arange(nodes) % 1.0)[:, None]
+    turn = 2 * np.pi / order[1] * (GOLDEN * np.arange(nodes) % 1.0)[:, None]
     x = np.cos(turn) * pupil.x - np.sin(turn) * pupil.y
     y = np.sin(turn) * pupil.x + np.cos(turn) * pupil.y
     return TablePoints(np.stack([x, y], axis=-1), np.asarray(pupil.weight))
@@ -121,14 +160,11 @@ def _frequencies(diffusion_px: float, tolerance: float) -> tuple[FloatArray, Flo
     return frequency, pixel * np.exp(-2 * (np.pi * diffusion_px) ** 2 * (frequency**2).sum(1))
 
 
-def _spectrum(
-    kernel: StarKernel, wavelength_nm: FloatArray, order: tuple[int, int], frequency: FloatArray, transfer: FloatArray
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Damped characteristic function and mean of the landing points (n, b, 2 f + 2); which stars are clear (n,)."""
-    pupil = staggered(order, wavelength_nm.shape[1])
-    x, y, ok = kernel.land(pupil, wavelength_nm)
+def _spectrum(landed: Landed, frequency: FloatArray, transfer: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Damped characteristic function, light and mean of the landing points (n, b, 2 f + 3); which stars are clear."""
+    x, y = landed.x, landed.y
     origin_x, origin_y = x.mean((2, 3), keepdims=True), y.mean((2, 3), keepdims=True)
-    weight = np.broadcast_to(pupil.weight / wavelength_nm.shape[1], x.shape)
+    weight = np.broadcast_to(landed.weight / x.shape[2], x.shape)
     half_x, half_y = (np.exp(1j * np.pi * value) for value in (x, y))  # half a cycle per pixel; powers of it follow
     diagonal = np.sqrt(0.5)
     base = {
@@ -144,41 +180,49 @@ def _spectrum(
             powers[key] = powers[key] * base[key]
             columns.append(transfer[at + offset] * (weight * powers[key]).sum((2, 3)))
     rows = [part for column in columns for part in (column.real, column.imag)]
-    rows += [(weight * (v - o)).sum((2, 3)) + o[..., 0, 0] for v, o in ((x, origin_x), (y, origin_y))]
-    return np.stack(rows, axis=-1), np.asarray(ok.all((1, 2, 3)))
+    light = weight.sum((2, 3))
+    rows += [light, *((weight * (v - o)).sum((2, 3)) / light + o[..., 0, 0] for v, o in ((x, origin_x), (y, origin_y)))]
+    return np.stack(rows, axis=-1), np.asarray(landed.arrived.all((1, 2, 3)))
 
 
-def quadrature_plan(
-    kernel: StarKernel, wavelength_nm: FloatArray, diffusion_px: float, tolerance: float = TOLERANCE
-) -> PupilPlan | None:
-    """Lowest Gauss x trapezoid order that is converged for the probe stars in ``kernel``; None if there is none.
+def probe_nodes(nodes: int) -> NDArray[np.int64]:
+    """The few of so many wavelength nodes that judge for all.
+
+    Fewer nodes leave wider gaps between their azimuths, so the order errs on the safe side.
+    """
+    return np.unique(np.rint(np.linspace(0, nodes - 1, min(nodes, PROBE_NODES))).astype(int))
+
+
+def converged_order(
+    land: Callable[[tuple[int, int]], Landed],
+    diffusion_px: float,
+    tolerance: float = TOLERANCE,
+    ladder: tuple[tuple[int, int], ...] = LADDER,
+) -> tuple[tuple[int, int], float] | None:
+    """Lowest order of a ladder that is converged for probe stars, and its error; None if there is none.
 
     Parameters
     ----------
-    kernel : StarKernel
-        Holds the probe stars only; those that are not clear do not count.
-    wavelength_nm : (b, k)
-        Wavelength nodes.
+    land : callable
+        Landing points of the probe stars for an order; stars that are not clear do not count.
     diffusion_px : float
         Width of the diffusion kernel.
     tolerance : float
         Largest change of the characteristic function and of the mean [px] that counts as converged.
+    ladder : tuple of (int, int)
+        Rings and azimuths that are tried, in this order.
     """
     grid = _frequencies(diffusion_px, tolerance)
     if grid is None:
         return None
-    # a few nodes judge for all: fewer nodes leave wider gaps between their azimuths, so the order errs on the safe side
-    every = wavelength_nm.shape[1]
-    few = np.unique(np.rint(np.linspace(0, every - 1, min(every, PROBE_NODES))).astype(int))
-    probed = np.ascontiguousarray(wavelength_nm[:, few])
-    previous, _ = _spectrum(kernel, probed, LADDER[0], *grid)
-    for order, following in itertools.pairwise(LADDER):
-        current, clear = _spectrum(kernel, probed, following, *grid)
+    previous, _ = _spectrum(land(ladder[0]), *grid)
+    for order, following in itertools.pairwise(ladder):
+        current, clear = _spectrum(land(following), *grid)
         if not clear.any():
             return None
         error = float(np.abs(current - previous)[clear].max())
         if error < tolerance:
-            return PupilPlan("quadrature", staggered(order, every), error)
+            return order, error
         previous = current
     return None
 
@@ -196,4 +240,4 @@ def sobol_plan(nodes: int, seed: int, log2_rays: int) -> PupilPlan:
         Logarithm of the least number of rays per star and band.
     """
     log2_points = max(6, math.ceil(log2_rays - math.log2(nodes)))
-    return PupilPlan("sobol", SobolPoints(log2_points, seed), float("nan"))
+    return PupilPlan("sobol", 1 << log2_points, math.nan, SobolPoints(log2_points, seed))

@@ -3,7 +3,7 @@
 One ray is one lane of a fused kernel; nothing per ray is kept. Its light, a Gaussian of the charge-diffusion width
 around the landing point, is integrated exactly over pixels, so a stamp is the pixel integral of (ray density convolved
 with the diffusion kernel), with no other blur. The same light is also integrated over narrow strips along columns and
-along rows, fine enough that their first moment is the centroid of the light.
+along rows, fine enough that their first moment, which is all that is kept of them, is the centroid of the light.
 
 Sums are 64-bit integers (2^-50 of the star's light): their order does not matter, so the result is the same to the last
 bit whatever the number of threads. Counts that change from call to call reach the kernel from memory, so that one
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from optics.frames import light_direction
 from optics.program import LensProgram
-from optics.trace import Rays, trace_program
+from optics.trace import OK, Rays, trace_program
 from render.arrays import DrJitArrays
 from render.pupil_points import PupilPoints
 
@@ -40,8 +40,8 @@ MOST_STRIPS = 1024
 _SCALE = 2.0**50
 _MAGIC = 1.5 * 2.0**52
 _MASK = (1 << 51) - 1
-_MOMENTS = 7
-"""Sums kept per star and band: light arrived, lost, outside the stamp, x, y, x^2, y^2."""
+_MOMENTS = 9
+"""Sums kept per star and band: light arrived, lost, outside the stamp, x, y, x^2, y^2, and x, y of the strips."""
 
 
 def strips_per_pixel(diffusion_px: float) -> int:
@@ -88,21 +88,18 @@ class StampSums:
     ----------
     pixels : (s, b, m, m)
         Light per pixel of the stamp.
-    strips_x, strips_y : (s, b, m * strips)
-        Light per strip of columns and of rows.
-    moments : (s, b, 7)
+    moments : (s, b, 9)
         Light on the stamp, lost in the lens, beside the stamp; then first and second moments of the landing points on
-        the stamp from its corner, in units of the stamp's size.
+        the stamp, and first moments of the light over strips of columns and of rows, from the stamp's corner in units
+        of its size. Where cells were asked for in place of pixels the strips are left out.
     """
 
     pixels: FloatArray
-    strips_x: FloatArray
-    strips_y: FloatArray
     moments: FloatArray
 
     def take(self, keep: NDArray[np.bool_]) -> StampSums:
         """Some of the stars."""
-        return StampSums(self.pixels[keep], self.strips_x[keep], self.strips_y[keep], self.moments[keep])
+        return StampSums(self.pixels[keep], self.moments[keep])
 
 
 class StarKernel:
@@ -133,14 +130,14 @@ class StarKernel:
         )
         light = light_direction(direction)
         self.light = [self.F(np.ascontiguousarray(light[:, i])) for i in range(3)]
-        self.count = len(direction)
+        self.direction, self.count = direction, len(direction)
 
-    def _launch(self, star: Any, px: Any, py: Any, wavelength_nm: Any) -> tuple[Any, Any, Any]:
-        """Column, row [px] and arrival of rays through unit-disk points."""
-        pitch, cx, cy, x0, y0, z0, radius = self.numbers
+    def rays(self, star: Any, px: Any, py: Any, wavelength_nm: Any) -> Rays:
+        """Rays of stars through points of the launch disk."""
+        x0, y0, z0, radius = self.numbers[3:]
         dx, dy, dz = (dr.gather(self.F, component, star) for component in self.light)
         zero = dr.zeros(self.I, 1)
-        rays = Rays(
+        return Rays(
             x=x0 + px * radius,
             y=y0 + py * radius,
             z=z0,
@@ -152,10 +149,14 @@ class StarKernel:
             status=zero,
             failed_at=zero - 1,
         )
-        out = trace_program(self.program, self.theta, rays, self.xp)
-        return cx + out.x / pitch, cy - out.y / pitch, out.status == 0
 
-    def _numbered(self, total: int, *sizes: int) -> list[Any]:
+    def launch(self, star: Any, px: Any, py: Any, wavelength_nm: Any) -> tuple[Any, Any, Any]:
+        """Column, row [px] and status of rays through points of the launch disk."""
+        pitch, cx, cy = self.numbers[:3]
+        out = trace_program(self.program, self.theta, self.rays(star, px, py, wavelength_nm), self.xp)
+        return cx + out.x / pitch, cy - out.y / pitch, out.status
+
+    def numbered(self, total: int, *sizes: int) -> list[Any]:
         """Indices of lane 0 ... total-1 along axes of the given sizes, last axis first, and what is left over."""
         left = dr.arange(self.U, total)
         indices = []
@@ -167,35 +168,45 @@ class StarKernel:
         return [*indices, left]
 
     def land(
-        self, pupil: PupilPoints, wavelength_nm: FloatArray, stars: slice | None = None
+        self, pupil: PupilPoints, wavelength_nm: FloatArray, stars: NDArray[np.uint32] | None = None
     ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
         """Landing points of a few rays per star and band.
 
         Parameters
         ----------
         pupil : PupilPoints
-            Points in the unit disk for each wavelength node.
+            Points of the launch disk for each node.
         wavelength_nm : (b, k)
             Wavelengths.
-        stars : slice, optional
-            Consecutive stars; all if left out.
+        stars : (s,), optional
+            Indices of the stars; all if left out.
 
         Returns
         -------
-        x_px, y_px : (n, b, k, m)
+        x_px, y_px : (s, b, k, m)
             Column and row.
-        arrived : (n, b, k, m)
+        arrived : (s, b, k, m)
             Whether the ray reaches the image plane.
         """
         bands, nodes = wavelength_nm.shape
-        first, last = (0, self.count) if stars is None else (stars.start, stars.stop)
-        shape = (last - first, bands, nodes, pupil.count)
-        point, node, band, star = self._numbered(math.prod(shape), bands, nodes, pupil.count)
-        wavelength = dr.gather(self.F, self.F(wavelength_nm.ravel()), band * dr.opaque(self.U, nodes) + node)
-        px, py, _ = pupil.sample(self.types, node, point)
-        x, y, ok = self._launch(star + dr.opaque(self.U, first), px, py, wavelength)
+        shape = (self.count if stars is None else len(stars), bands, nodes, pupil.count)
+        point, node, slot = self.numbered(math.prod(shape), nodes, pupil.count)
+        star, wavelength = self._light_of(slot, node, wavelength_nm, stars)
+        px, py, _ = pupil.sample(self.types, slot, node, point)
+        x, y, status = self.launch(star, px, py, wavelength)
+        ok = status == OK
         dr.eval(x, y, ok)
         return x.numpy().reshape(shape), y.numpy().reshape(shape), ok.numpy().astype(bool).reshape(shape)
+
+    def _light_of(
+        self, slot: Any, node: Any, wavelength_nm: FloatArray, stars: NDArray[np.uint32] | None
+    ) -> tuple[Any, Any]:
+        """Star and wavelength of a slot's node."""
+        F, U = self.F, self.U
+        bands, nodes = (dr.opaque(U, size) for size in wavelength_nm.shape)
+        position = slot // bands
+        wavelength = dr.gather(F, F(wavelength_nm.ravel()), (slot - position * bands) * nodes + node)
+        return position if stars is None else dr.gather(U, U(stars), position), wavelength
 
     def _shares(self, position_px: Any, per_pixel: int, reach: float) -> tuple[Any, list[Any]]:
         """First cell and share of each along one axis, for ``per_pixel`` cells per pixel from the stamp's corner."""
@@ -213,10 +224,12 @@ class StarKernel:
             below = up_to
         return self.I(first), shares
 
-    def _add(self, target: Any, value: Any, index: Any, active: Any) -> None:
+    def _add(
+        self, target: Any, value: Any, index: Any, active: Any, mode: dr.ReduceMode = dr.ReduceMode.Direct
+    ) -> None:
         """Fixed-point accumulation; ``value`` is already scaled to 2^50."""
         fixed = dr.reinterpret_array(self.U64, value + _MAGIC) & self.U64(_MASK)
-        dr.scatter_add(target, fixed, index, active, mode=dr.ReduceMode.Direct)
+        dr.scatter_add(target, fixed, index, active, mode=mode)
 
     def _numpy(self, fixed: Any, *shape: int) -> FloatArray:
         """Fixed-point sums as numbers."""
@@ -241,7 +254,7 @@ class StarKernel:
         stars : (s,)
             Indices of the stars.
         pupil : PupilPoints
-            Points in the unit disk for each wavelength node.
+            Points of the launch disk for each node, in slots of the ``stars``.
         wavelength_nm : (b, k)
             Wavelengths.
         node_share : (s, b, k)
@@ -255,22 +268,19 @@ class StarKernel:
         """
         F, U = self.F, self.U
         bands, nodes = wavelength_nm.shape
-        total = len(stars) * bands * nodes * pupil.count
-        point, node, slot = self._numbered(total, nodes, pupil.count)
-        bands_u, nodes_u = dr.opaque(U, bands), dr.opaque(U, nodes)
-        star = slot // bands_u
-        px, py, weight = pupil.sample(self.types, node, point)
-        weight = weight * dr.gather(F, F(node_share.ravel()), slot * nodes_u + node) * _SCALE
-        wavelength = dr.gather(F, F(wavelength_nm.ravel()), (slot - star * bands_u) * nodes_u + node)
-        x, y, ok = self._launch(dr.gather(U, U(stars), star), px, py, wavelength)
+        point, node, slot = self.numbered(len(stars) * bands * nodes * pupil.count, nodes, pupil.count)
+        px, py, weight = pupil.sample(self.types, slot, node, point)
+        weight = weight * dr.gather(F, F(node_share.ravel()), slot * dr.opaque(U, nodes) + node) * _SCALE
+        star, wavelength = self._light_of(slot, node, wavelength_nm, stars)
+        x, y, status = self.launch(star, px, py, wavelength)
         x = x - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 0].ravel())), slot)
         y = y - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 1].ravel())), slot)
-        return self._collect(x, y, ok, weight, slot, (len(stars), bands), stamp_px, cells_per_px)
+        return self._collect(x, y, status == OK, weight, slot, (len(stars), bands), stamp_px, cells_per_px)
 
     def _collect(
         self, x: Any, y: Any, ok: Any, weight: Any, slot: Any, shape: tuple[int, int], stamp_px: int, cells_per_px: int
     ) -> StampSums:
-        """Add the light of every ray to its star's pixels (or cells), strips and moments."""
+        """Add the light of every ray to its star's pixels (or cells) and moments."""
         F, U, slots = self.F, self.U, math.prod(shape)
         size, strips = stamp_px * cells_per_px, stamp_px * self.geometry.strips
         cells = [self._shares(v, cells_per_px, PIXEL_REACH) for v in (x, y)]
@@ -281,10 +291,17 @@ class StarKernel:
                 inside = inside & (first >= 0) & (first + len(shares) <= dr.opaque(self.I, limit))
         moments = dr.zeros(self.U64, slots * _MOMENTS)
         base = slot * _MOMENTS
-        self._add(moments, weight, base + dr.select(inside, U(0), dr.select(ok, U(2), U(1))), dr.mask_t(F)(True))
+        kind = dr.select(inside, U(0), dr.select(ok, U(2), U(1)))
+        self._add(moments, weight, base + kind, dr.mask_t(F)(True), dr.ReduceMode.Local)
         u, v = x / dr.opaque(F, stamp_px), y / dr.opaque(F, stamp_px)
-        for k, value in enumerate((u, v, u * u, v * v)):
-            self._add(moments, weight * value, base + (3 + k), inside)
+        centres = []
+        for first, shares in marginals:  # the strips' sum is taken ray by ray
+            centre = F(first) + 0.5
+            for s, share in enumerate(shares[1:], 1):
+                centre = centre + s * share
+            centres.append(centre / dr.opaque(F, strips))
+        for k, value in enumerate((u, v, u * u, v * v, *centres)):
+            self._add(moments, weight * value, base + (3 + k), inside, dr.ReduceMode.Local)
         (column, along_x), (row, along_y) = cells
         pixels, edge = dr.zeros(self.U64, slots * size**2), dr.opaque(U, size)
         origin = (slot * edge + U(row)) * edge + U(column)
@@ -292,14 +309,5 @@ class StarKernel:
             line = weight * share_y
             for c, share_x in enumerate(along_x):
                 self._add(pixels, line * share_x, origin + r * edge + c, inside)
-        sums = []
-        for first, shares in marginals:
-            sums.append(dr.zeros(self.U64, slots * strips))
-            start = slot * dr.opaque(U, strips) + U(first)
-            for s, share in enumerate(shares):
-                self._add(sums[-1], weight * share, start + s, inside)
-        dr.eval(pixels, *sums, moments)
-        strips_x, strips_y = (self._numpy(v, *shape, strips) for v in sums) if sums else 2 * (np.empty((*shape, 0)),)
-        return StampSums(
-            self._numpy(pixels, *shape, size, size), strips_x, strips_y, self._numpy(moments, *shape, _MOMENTS)
-        )
+        dr.eval(pixels, moments)
+        return StampSums(self._numpy(pixels, *shape, size, size), self._numpy(moments, *shape, _MOMENTS))

@@ -12,6 +12,7 @@ from scipy.stats import qmc
 
 from optics.prescription import load_lens
 from render import pupil_points
+from render.compose import TruthSums
 from render.pupil_points import SobolPoints
 from render.sampling import LADDER, TOLERANCE, bounding_points, probe_fields, sobol_plan, staggered
 from render.tracer import Tracer
@@ -56,7 +57,7 @@ def test_sobol_points_fill_the_disk_evenly(mi):
 
     plan = sobol_plan(4, 1, 16)  # 4 nodes with 2^14 points each
     assert plan.rays_per_node == 1 << 14
-    x, y, weight = plan.pupil.sample(mi, mi.UInt32(2), dr.arange(mi.UInt32, 1 << 14))
+    x, y, weight = plan.pupil.sample(mi, mi.UInt32(0), mi.UInt32(2), dr.arange(mi.UInt32, 1 << 14))
     x, y = x.numpy(), y.numpy()
     assert np.array_equal(plan.pupil.weight, np.full(1 << 14, weight.numpy()[0]))
     # moments of the uniform disk: 1/4, 0, 1/8 = <x^4>, 1/24 = <x^2 y^2>
@@ -101,17 +102,18 @@ def test_chosen_order_keeps_its_tolerance(mi, bench, diffusion_px, defocus_mm):
     rng = np.random.default_rng(3)
     stars = bench.stars_at(camera, rng.uniform(10, 4085, 12), rng.uniform(10, 2037, 12))
     tracer = Tracer(mi, camera)
-    direction = tracer._in_cam(stars, None)
-    bounds = tracer._bounds(tracer._kernel(direction), stars.wavelength_nm)
-    plan, members, _ = tracer._quadrature(stars.wavelength_nm, direction, bounds)
-    assert len(members) == 12
+    kernel = tracer._kernel(tracer._in_cam(stars, None))
+    (group, rest), _ = tracer._groups(kernel, stars.wavelength_nm, TruthSums.empty(12, 1))
+    plan = group.plan
+    assert len(group.members) == 12
+    assert len(rest.members) == 0
     assert plan.error < TOLERANCE
     fine = stamps(tracer, stars, staggered((60, 120), 3), size=22).pixels
     assert np.abs(stamps(tracer, stars, plan.pupil, size=22).pixels - fine).max() < TOLERANCE
 
 
 def test_rule_is_chosen_by_the_pupil(mi, bench):
-    """Round and clear: quadrature. Inside the lens, cut, obstructed, or nothing that smooths: Sobol."""
+    """Clear: quadrature. Cut before or behind a stop inside the lens: arcs. Anything else: Sobol."""
 
     def rule(camera, x, y):
         stars = bench.stars_at(camera, x, y, nodes=1)
@@ -120,7 +122,13 @@ def test_rule_is_chosen_by_the_pupil(mi, bench):
     lens = load_lens("star_camera_206mm")
     camera = partial(bench.camera_of, film=False)
     assert rule(camera(), [2000, 4090], [1000, 5]) == {"quadrature"}
-    assert rule(camera("star_tracker_26mm"), 500, 500) == {"sobol"}
+    tracker = camera("star_tracker_26mm")
+    assert rule(tracker, 500, 500) == {"quadrature"}
+    assert rule(tracker, [500, 20, 90], [500, 30, 900]) == {"quadrature", "arcs"}
+    assert rule(replace(tracker, charge_diffusion_px=0.0), 500, 500) == {"sobol"}
+    stop = tracker.lens.surfaces[tracker.lens.stop_index]
+    spot = tracker.lens.with_surfaces({tracker.lens.stop_index: replace(stop, inner_semi_diameter_mm=1.0)})
+    assert rule(replace(tracker, lens=spot), 500, 500) == {"sobol"}
     assert rule(camera(charge_diffusion_px=0.0), 2000, 1000) == {"sobol"}
     assert rule(camera(defocus_mm=1.5), 2000, 1000) == {"sobol"}  # 90 px wide
     last = len(lens.surfaces) - 1

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from optics.errors import DomainError
-from render import tracer as tracer_module
+from render import passes
 from render.star_kernel import reach_px, strips_per_pixel
 from render.tracer import Tracer
 
@@ -53,10 +53,13 @@ def test_pixels_against_brute_force(mi, bench, defocus_mm, diffusion_px):
 
 
 def test_pixels_of_a_cut_bundle_against_brute_force(mi, bench):
-    """Stop inside the lens and vignetting: 2^16 Sobol rays."""
+    """Stop inside the lens and vignetting: smooth outlines, outlines with kinks, and 2^16 Sobol rays."""
     camera = bench.camera_of("star_tracker_26mm")
     stars = bench.stars_at(camera, [511.6, 1000.3], [511.4, 1003.9], bands=((650.0, 0.0),))
     traced = Tracer(mi, camera).render(stars, exposure_s=1.0)
+    assert set(traced.sampling) == {"quadrature", "arcs"}
+    assert worst_pixel(bench, camera, stars, traced, rings=300, arms=400, stagger=True) < 1e-4
+    traced = Tracer(mi, camera, tolerance=1e-300).render(stars, exposure_s=1.0)  # which nothing meets
     assert set(traced.sampling) == {"sobol"}
     assert worst_pixel(bench, camera, stars, traced, rings=300, arms=400, stagger=True) < 2e-4
 
@@ -143,7 +146,7 @@ def test_stamp_that_is_too_small_is_done_again(mi, bench, monkeypatch):
     camera = bench.camera_of(defocus_mm=0.02)
     stars = bench.stars_at(camera, *PLACES)
     expected = Tracer(mi, camera).render(stars, exposure_s=1.0)
-    monkeypatch.setattr(tracer_module, "MARGIN_PX", -1.0)
+    monkeypatch.setattr(passes, "MARGIN_PX", -1.0)
     got = Tracer(mi, camera).render(stars, exposure_s=1.0)
     assert got.sampling == expected.sampling  # light beside the stamp is not lost in the lens
     assert got.truth.electrons_vignetted.max() == 0.0
