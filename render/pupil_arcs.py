@@ -181,8 +181,8 @@ def _coarse_kinks(height: FloatArray) -> tuple[_Kinks, NDArray[np.bool_]]:
         used=used,
         before=before,
         after=after,
-        low=pick * (2.0 * np.pi / COARSE),
-        high=(pick + 1) * (2.0 * np.pi / COARSE),
+        low=pick.astype(np.float64) * (2.0 * np.pi / COARSE),
+        high=(pick + 1).astype(np.float64) * (2.0 * np.pi / COARSE),
         at_low=np.where(used, _height_of(low, after) - _height_of(low, before), -1.0),
         at_high=np.where(used, _height_of(high, after) - _height_of(high, before), 1.0),
     ), np.asarray(change.sum(-1) <= MOST_ARCS)
