@@ -331,9 +331,9 @@ def _passing(camera: Camera, v_cam: FloatArray, wavelength_nm: float) -> FloatAr
         return np.asarray(trace(lens, rays).ok.mean(1))
 
     rim = np.full(RIM_RAYS, 1.0 - 1e-9)
-    share = arriving(v_cam, rim, np.arange(RIM_RAYS) * (2.0 * math.pi / RIM_RAYS))
+    share = arriving(v_cam, rim, np.linspace(0.0, 2.0 * math.pi, RIM_RAYS, endpoint=False))
     cut = np.arange(len(v_cam)) if not pupil.exact else np.flatnonzero(share < 1.0)
-    i = np.arange(TRACED_RAYS)
+    i = np.arange(TRACED_RAYS, dtype=np.float64)
     r, phi = np.sqrt((i + 0.5) / TRACED_RAYS), i * math.pi * (3.0 - math.sqrt(5.0))  # a sunflower: equal areas
     for start in range(0, len(cut), 32):
         some = cut[start : start + 32]

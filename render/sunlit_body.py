@@ -321,11 +321,14 @@ def _window(camera: Camera, view: FieldOfView, body: SunlitBody, attitudes: Floa
     near = centre[:, 2] > math.cos(min(reach, math.pi))
     if not near.any():
         return None
-    whole = slice(0, camera.width_px), slice(0, camera.height_px)
     limb = _limb(body)
-    pixel = np.concatenate([view.pixel_of(limb @ attitude.T) for attitude in attitudes[near][:: max(1, STEPS // 64)]])
-    if np.isnan(pixel).any() or not near.all():
-        return whole
+    seen = np.concatenate([limb @ attitude.T for attitude in attitudes[near][:: max(1, len(attitudes) // 64)]])
+    if (seen[:, 2] <= 0.1).any():  # round the camera
+        return slice(0, camera.width_px), slice(0, camera.height_px)
+    pixel = view.pixel_of(seen)
+    beyond = np.isnan(pixel[:, 0])  # the field: about where it would be
+    half_px = 0.5 * np.array([camera.width_px, camera.height_px]) + view.margin_px
+    pixel[beyond] = camera.centre_px + seen[beyond, :2] / seen[beyond, 2:] / view.half_width * half_px
     low = np.floor(pixel.min(0)).astype(int) - MARGIN_PX
     high = np.ceil(pixel.max(0)).astype(int) + MARGIN_PX + 1
     columns = slice(max(low[0], 0), min(high[0], camera.width_px))

@@ -138,6 +138,18 @@ def test_mesh_of_the_user(mi, tmp_path):
     assert var_y == pytest.approx(8**2 / 12 + spot[4], rel=0.05)
 
 
+def test_cut_by_the_edge(mi):
+    """A full disk around the detector's edge: half of it, and only the part near it is rendered."""
+    camera = camera_of(96, 512)
+    away = np.array([48.0 * PITCH_RAD, 0.0, 1.0])
+    direction = away / np.linalg.norm(away)
+    cut = render_body(camera, ball(8.0, 0.0, direction=direction, to_sun=-direction), BAND, exposure_s=1.0, nodes=1)
+    whole = render_body(camera, ball(8.0, 0.0), BAND, exposure_s=1.0, nodes=1)
+    # 64 rays in each of 200 px: 0.7 %; the spot carries as much in as out
+    assert cut.electrons.sum(dtype=float) == pytest.approx(0.5 * whole.electrons.sum(dtype=float), rel=0.04)
+    assert not cut.electrons[:200].any()
+
+
 def test_out_of_sight_and_refusals(mi, tmp_path):
     camera = camera_of(32, 32)
     beside = render_body(camera, ball(5.0, 0.0, direction=[1.0, 0.0, 0.0]), BAND, exposure_s=1.0)
