@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
+from optics.errors import ConfigError
 from optics.frames import light_direction
 from optics.perturb import decentre, tilt_image
 from optics.prescription import load_lens
@@ -172,3 +173,29 @@ def test_pixel_value_is_an_irradiance_whatever_the_pixel(mi):
         for pitch in (0.001, 0.02)
     ]
     assert images[0] == pytest.approx(images[1], rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"motion_duration_s": 0.0}, "must be positive"),
+        ({"line_time_s": -1.0}, "not negative"),
+        ({"count": 1}, "m >= 2"),
+        ({"shutter_close": 0.0}, "needs shutter_open"),
+    ],
+)
+def test_motion_refused(mi, changes, text):
+    camera = Camera(lens=load_lens("star_camera_206mm"), width_px=4, height_px=4, pixel_pitch_mm=0.01)
+    settings = {"motion_duration_s": 1.0, "line_time_s": 0.0, "shutter_close": 1.0, "count": 3} | changes
+    table = np.broadcast_to(np.eye(3), (1, settings.pop("count"), 3, 3))
+    film = {"type": "hdrfilm", "width": 4, "height": 4}
+    with pytest.raises((ConfigError, RuntimeError), match=text):
+        mi.load_dict(
+            {
+                "type": "lens_camera",
+                "camera": share_camera(camera),
+                "film": film,
+                "motion_rotation": mi.TensorXf64(np.ascontiguousarray(table)),
+                **settings,
+            }
+        )
