@@ -159,21 +159,30 @@ class DatasetFolder:
         """
         identity = {"format": FORMAT_VERSION, "software": dict(software), "config": self._config}
         try:
-            for name in (FRAMES, TRUTH):
-                (self.path / name).mkdir(parents=True, exist_ok=True)
-            if not (self.path / IDENTITY).exists():
-                write_whole(self.path / IDENTITY, dumps(identity).encode())
+            self.path.mkdir(parents=True, exist_ok=True)
             self._take_lock()
-            self._compare(identity)
             self._clear()
+            if self.count():
+                self._compare(identity)
+            else:  # of what configuration nothing is does not matter
+                write_whole(self.path / IDENTITY, dumps(identity).encode())
+            for name in (FRAMES, TRUTH):
+                (self.path / name).mkdir(exist_ok=True)
         except OSError as error:
             raise StorageError(f"{self.shown}: cannot be written ({error.strerror})") from None
 
     def close(self) -> None:
-        """Let others write here."""
-        if self._lock is not None:
-            os.close(self._lock)
-            self._lock = None
+        """Let others write here. A folder in which no frame was made is left as if it had not been opened."""
+        if self._lock is None:
+            return
+        if not self.count():
+            with contextlib.suppress(OSError):
+                for folder in (self.path / FRAMES, self.path / TRUTH):
+                    folder.rmdir()
+                (self.path / IDENTITY).unlink()
+                self.path.rmdir()
+        os.close(self._lock)
+        self._lock = None
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[Path]:
@@ -206,7 +215,8 @@ class DatasetFolder:
                     "so it is no dataset; name another folder or empty it"
                 )
             return
-        self._compare({"format": FORMAT_VERSION, "config": self._config})
+        if self.count():
+            self._compare({"format": FORMAT_VERSION, "config": self._config})
         most = max(self.numbers(), default=-1) + 1
         if most > self.frames:
             raise ConfigError(
@@ -241,7 +251,7 @@ class DatasetFolder:
         return sorted(int(found.group(1)) for found in map(_NUMBERED.fullmatch, names) if found)
 
     def _take_lock(self) -> None:
-        handle = os.open(self.path / IDENTITY, os.O_RDONLY)
+        handle = os.open(self.path, os.O_RDONLY)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # let go by the system when the process ends, however
         except BlockingIOError:
@@ -252,15 +262,19 @@ class DatasetFolder:
         self._lock = handle
 
     def _clear(self) -> None:
-        """Remove what an earlier run left half-written."""
+        """Remove what an earlier run left half-written: temporary files, frames without truth."""
         for folder in (self.path, self.path / FRAMES, self.path / TRUTH):
-            for file in folder.iterdir():
+            for file in folder.iterdir() if folder.exists() else ():
                 if not file.name.startswith("."):
                     continue
                 if file.name.startswith((".frame_", f".{IDENTITY}.")) or file.name.endswith(".partial"):
                     file.unlink(missing_ok=True)
                 elif file.name.startswith(".report-"):
                     shutil.rmtree(file, ignore_errors=True)
+        made = {Path(frame_files(frame, self.truth)[0]).name for frame in self.numbers()}
+        for file in (self.path / FRAMES).glob("frame_*.fits"):
+            if file.name not in made:
+                file.unlink(missing_ok=True)
 
 
 def _flat(value: Any, key: str = "") -> dict[str, Any]:

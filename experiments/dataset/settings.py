@@ -201,7 +201,7 @@ class FilesConfig(StrictModel):
 
     truth: Literal["parquet", "ecsv"] = Field(default="parquet", description="format of truth and index")
     compression: Literal["none", "rice", "gzip"] = Field(
-        default="none", description="lossless tile compression of the frames: rice a third smaller, a third slower"
+        default="none", description="lossless tile compression of the frames"
     )
     mask: Literal["always", "saturated", "never"] = Field(
         default="saturated", description="frames with a mask of saturated and defective pixels"

@@ -121,6 +121,24 @@ def test_a_folder_of_something_else_is_refused(tmp_path, capsys):
     assert [file.name for file in tmp_path.iterdir()] == ["thesis.tex"]
 
 
+def test_a_run_that_made_nothing_leaves_nothing(tmp_path, capsys):
+    folder = tmp_path / "none"
+    assert run(folder, "--scheduler", "localhost") == 2
+    assert "tcp://host:8786" in capsys.readouterr().err
+    assert not folder.exists()
+    other = DatasetFolder(folder, config={"seed": 1}, frames=3, truth="parquet")
+    other.open({"mitsuba": "3"})
+    (folder / "frames" / "frame_000007.fits").write_bytes(b"of a run that was killed before it wrote the truth")
+    other.close()
+    assert (folder / "dataset.json").exists()  # nothing of what lies there is taken away unasked
+    again = DatasetFolder(folder, config={"seed": 2}, frames=3, truth="parquet")  # no frame is of the other seed
+    again.open({"mitsuba": "3"})
+    assert json.loads((folder / "dataset.json").read_text())["config"] == {"seed": 2}
+    assert list((folder / "frames").iterdir()) == []
+    again.close()
+    assert not folder.exists()
+
+
 def test_one_writer_at_a_time(dataset, capsys):
     identity = json.loads((dataset / "dataset.json").read_text())
     other = DatasetFolder(dataset, config=identity["config"], frames=3, truth="parquet")
