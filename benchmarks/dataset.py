@@ -30,7 +30,7 @@ FIGURE = ROOT / "docs" / "pictures" / "dataset_cost.png"
 SMALL = ["sky.faintest_mag=8"]
 LARGE = [
     *("camera.lens=star_camera_206mm", "camera.detector=acc18_mosaic", "camera.width_px=0", "camera.height_px=0"),
-    *("camera.passband_nm=[450,900]", "sky.faintest_mag=10"),
+    "sky.faintest_mag=10",
 ]
 MAGNITUDES = (4.0, 6.0, 7.0, 8.0, 9.0, 10.0)
 SIDES_PX = (256, 512, 1024, 1536)

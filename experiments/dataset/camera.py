@@ -81,7 +81,7 @@ def passband(config: CameraConfig, instrument: Instrument) -> TopHat:
         It reaches beyond what is known, or is narrower than its edges.
     """
     low, high = known_range_nm(instrument)
-    first, last = config.passband_nm or (low, high)
+    first, last = config.passband_nm if any(config.passband_nm) else (low, high)
     if first < low or last > high:
         raise DomainError(
             f"camera.passband_nm = {first:g} ... {last:g} nm; lens {instrument.camera.lens.name!r} on "

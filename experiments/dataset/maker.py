@@ -73,7 +73,7 @@ class FrameMaker:
     def __init__(self, mi: Any, scene: Scene) -> None:
         self.scene = scene
         self.backend = str(mi.variant()).split("_", maxsplit=1)[0]
-        self._tracer = Tracer(mi, scene.instrument.camera)
+        self._tracer = Tracer(mi, scene.instrument.camera, tolerance=scene.config.camera.pupil_tolerance)
         self._streams: Streams = scene.plan.streams.child("detector")
 
     def make(self, frame: int) -> MadeFrame:

@@ -40,17 +40,24 @@ class CameraConfig(InstrumentConfig):
     width_px: int = Field(default=1024, ge=0, le=32768, description="columns read out around the centre; 0: all")
     height_px: int = Field(default=1024, ge=0, le=32768, description="rows read out around the centre; 0: all")
     gain_dn_per_e: float = Field(default=0.0, ge=0, le=1e5, description="system gain; 0: the detector's own")
-    passband_nm: tuple[float, float] | None = Field(
-        default=None, description="pass band between its feet; left out: all that lens and detector are known for"
+    passband_nm: tuple[float, float] = Field(
+        default=(450.0, 900.0),
+        description="pass band between its feet; [0, 0]: all that lens and detector are known for",
     )
     edge_nm: float = Field(default=20.0, ge=0, le=200, description="length of the pass band's edges")
     nodes: int = Field(default=6, ge=2, le=64, description="wavelengths at which the pass band is sampled")
+    pupil_tolerance: float = Field(
+        default=1e-4,
+        ge=1e-7,
+        le=1e-2,
+        description="of the pupil's quadrature: change of a spot with the next finer one",
+    )
 
     @field_validator("passband_nm")
     @classmethod
-    def _increasing(cls, values: tuple[float, float] | None) -> tuple[float, float] | None:
-        if values is not None and not 0.0 < values[0] < values[1]:
-            raise ValueError("two increasing wavelengths are needed")
+    def _increasing(cls, values: tuple[float, float]) -> tuple[float, float]:
+        if values != (0.0, 0.0) and not 0.0 < values[0] < values[1]:
+            raise ValueError("two increasing wavelengths are needed, or [0, 0]")
         return values
 
 
