@@ -150,8 +150,10 @@ def solve_frame(
     ConfigError
         tetra3rs is missing.
     """
+    # patterns are made of the brightest stars: those that are saturated or blended must not be missing from them
+    seen = np.isfinite(measured.pixel_px).all(axis=1) & np.isfinite(measured.stars.flux_e) & ~measured.sharp
+    found = identify(measured.pixel_px[seen], model, database, flux=measured.stars.flux_e[seen], catalogue=sky.by_id)
     pixel = measured.pixel_px[measured.fit]
-    found = identify(pixel, model, database, flux=measured.stars.flux_e[measured.fit], catalogue=sky.by_id)
     common: dict[str, Any] = {
         "frame": frame,
         "detected": len(measured.stars),
