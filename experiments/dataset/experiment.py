@@ -74,7 +74,8 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
         facts = _look(config, output, progress)
         before = len(facts)
         started = time.perf_counter()
-        rate, workers = _make(config, output, backend, facts, progress)
+        pixels = scene.instrument.camera.width_px * scene.instrument.camera.height_px
+        rate, workers = _make(config, output, backend, facts, pixels, progress)
         seconds = time.perf_counter() - started
         ordered = tuple(facts[frame] for frame in range(config.frames))
         exports = write_exports(scene, output.path, ordered, progress)
@@ -116,7 +117,7 @@ def _look(config: Config, output: DatasetFolder, progress: Progress) -> dict[int
 
 
 def _make(
-    config: Config, output: DatasetFolder, backend: str, facts: dict[int, FrameFacts], progress: Progress
+    config: Config, output: DatasetFolder, backend: str, facts: dict[int, FrameFacts], pixels: int, progress: Progress
 ) -> tuple[float, int]:
     """Make what is missing; frames per second and the number of processes."""
     from experiments.dataset.folder import StorageError
@@ -124,6 +125,8 @@ def _make(
     from experiments.dataset.work import Job
 
     missing = [frame for frame in range(config.frames) if frame not in facts]
+    if config.files.compression == "none":
+        output.check_room(len(missing) * 2 * pixels)
     job = Job(config=for_workers(config).model_dump_json(), folder=str(output.path), backend=backend)
     times: list[tuple[float, int]] = []
     with progress.stage("make frames", total=len(missing)) as stage:

@@ -171,6 +171,21 @@ class DatasetFolder:
         except OSError as error:
             raise StorageError(f"{self.shown}: cannot be written ({error.strerror})") from None
 
+    def check_room(self, needed_bytes: int) -> None:
+        """Refuse what surely does not fit.
+
+        Raises
+        ------
+        StorageError
+            Less is free.
+        """
+        free = shutil.disk_usage(self.path).free
+        if needed_bytes > free:
+            raise StorageError(
+                f"{self.shown}: needs {needed_bytes / 1e9:.3g} GB more, its disk has {free / 1e9:.3g} GB left; make "
+                "room, ask for fewer frames, or set files.compression = rice"
+            )
+
     def close(self) -> None:
         """Let others write here. A folder in which no frame was made is left as if it had not been opened."""
         if self._lock is None:

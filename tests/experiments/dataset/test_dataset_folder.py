@@ -121,6 +121,13 @@ def test_a_folder_of_something_else_is_refused(tmp_path, capsys):
     assert [file.name for file in tmp_path.iterdir()] == ["thesis.tex"]
 
 
+def test_what_cannot_fit_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(storage.shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(10, 9, 10**5))
+    assert run(tmp_path / "large") == 2
+    assert "0.000147 GB more, its disk has 0.0001 GB left" in capsys.readouterr().err  # 3 x 2 x 192 x 128 bytes
+    assert not (tmp_path / "large").exists()
+
+
 def test_a_run_that_made_nothing_leaves_nothing(tmp_path, capsys):
     folder = tmp_path / "none"
     assert run(folder, "--scheduler", "localhost") == 2
