@@ -57,10 +57,44 @@ def _head(result: Result) -> str:
         f"| stars | {result.scene.catalogue.catalog.name} to {result.config.sky.faintest_mag:g} mag "
         f"({result.scene.catalogue.catalog.magnitude_system}), epoch {result.config.sky.epoch_year:g}, "
         f"observer: {result.config.sky.observer} |",
-        f"| attitudes | {result.config.pointing.kind} |",
+        f"| attitudes | {_attitudes(result)} |",
+        f"| other light | {_other_light(result)} |",
+        f"| radiation | {_radiation(result)} |",
         f"| seed | {result.config.seed} |",
     ]
     return "\n".join(lines)
+
+
+def _attitudes(result: Result) -> str:
+    config = result.config
+    words = {
+        "sky": "uniform over all rotations",
+        "cone": "boresights uniform over a cone",
+        "list": "a list",
+        "scan": f"a scan at {getattr(config.pointing, 'frame_rate_hz', 0.0):g} frames per second",
+    }[config.pointing.kind]
+    fastest = max(math.hypot(*one.rate_deg_per_s) for one in result.facts)
+    moving = f", turning by up to {fastest:.3g} deg/s" if fastest else ", at rest"
+    shutter = f", rolling shutter of {config.camera.line_time_us:g} us per row" if config.camera.line_time_us else ""
+    return f"{words}{moving}{shutter}"
+
+
+def _other_light(result: Result) -> str:
+    background = result.config.background
+    parts = [f"{background.extra_e_per_s:g} e-/s per pixel"] if background.extra_e_per_s else []
+    parts += ["zodiacal light"] if background.zodiacal else []
+    if background.uniform_mag_per_arcsec2 is not None:
+        parts.append(f"a uniform sky of V = {background.uniform_mag_per_arcsec2:g} mag/arcsec2")
+    parts += ["Moon and planets"] if background.moon_planets else []
+    return ", ".join(parts) or "none"
+
+
+def _radiation(result: Result) -> str:
+    radiation = result.config.radiation
+    parts = [] if radiation.environment == "none" else [f"cosmic rays ({radiation.environment})"]
+    if radiation.displacement_dose_tev_per_g:
+        parts.append(f"displacement damage of {radiation.displacement_dose_tev_per_g:g} TeV/g")
+    return ", ".join(parts) or "none"
 
 
 def _half_fields(result: Result) -> tuple[float, float]:

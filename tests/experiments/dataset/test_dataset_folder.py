@@ -54,7 +54,7 @@ def job(dataset):
     )
 
 
-def test_everything_is_there(dataset):
+def test_everything_is_there(dataset, monkeypatch):
     names = {file.name for file in dataset.iterdir()}
     assert {"README.md", "contact_sheet.png", "dataset.json", "frames", "index.parquet", "truth"} <= names
     assert {"report.html", "summary.json", "provenance.json"} <= names
@@ -64,6 +64,13 @@ def test_everything_is_there(dataset):
     assert "ESA" in text
     assert "CC BY-SA" in text
     assert str(dataset) not in text
+    monkeypatch.chdir(dataset)
+    found = {}
+    exec(text.partition("```python\n")[2].partition("```")[0], found)  # the card's own lines read the dataset
+    assert found["dn"].shape == (128, 192)
+    bright = int(np.argmax(found["stars"]["electrons"]))
+    row, column = (round(found["stars"][f"photon_{axis}_px"][bright]) for axis in "yx")
+    assert found["dn"][row, column] > 0.95 * found["dn"].max()  # it saturates
 
 
 def test_a_frame_made_alone_in_another_order_is_the_same(dataset, job, tmp_path):
