@@ -42,6 +42,7 @@ def results(result: Result) -> dict[str, Any]:
         "stars": sum(one.stars for one in result.facts),
         "frames_without_stars": sum(one.stars == 0 for one in result.facts),
         "exports": dict(result.exports),
+        "resume_test": result.resume,
         **(_found(evaluation) if evaluation is not None else {}),
         "runtime_s": result.runtime_s,
         "peak_memory_mb": result.peak_memory_mb,
@@ -128,6 +129,14 @@ def criteria(result: Result) -> list[Criterion]:
             name="frames that are there and whole", value=len(result.facts), limit=result.config.frames, relation=">="
         )
     ]
+    if result.resume is not None:
+        made.append(
+            Criterion(
+                name="frames that differ after a killed run was taken up again",
+                value=result.resume.frames - result.resume.same_bytes,
+                limit=0,
+            )
+        )
     evaluation = result.evaluation
     if evaluation is None or not len(evaluation.stars.magnitude):
         return made

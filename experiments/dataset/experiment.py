@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from experiments.dataset.evaluate import Evaluation
     from experiments.dataset.facts import FrameFacts
     from experiments.dataset.result import Result
+    from experiments.dataset.resume_test import ResumeTest
     from experiments.dataset.scene import Scene
     from experiments.report import Report
     from experiments.tables import Table
@@ -92,6 +93,7 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
             runtime_s=process_seconds(),
             peak_memory_mb=peak_memory_mb(),
             exports=exports,
+            resume=_resume(config, output, backend, ordered, progress),
             evaluation=evaluation,
         )
     except BaseException:
@@ -160,6 +162,21 @@ def _evaluate(
         return None
     with progress.stage("look at frames", total=len(looked_at)) as stage:
         return evaluate(mi, output.path, scene, looked_at, advance=stage.advance)
+
+
+def _resume(
+    config: Config, output: DatasetFolder, backend: str, facts: tuple[FrameFacts, ...], progress: Progress
+) -> ResumeTest | None:
+    """Kill a run of the first frames and take it up again, somewhere else."""
+    from experiments.dataset.resume_test import try_to_resume
+    from experiments.dataset.work import Job
+
+    some = facts[: config.verify.resume_frames]
+    if len(some) < 2:
+        return None
+    job = Job(config=for_workers(config).model_dump_json(), folder=str(output.path), backend=backend)
+    with progress.stage("kill a run and take it up"):
+        return try_to_resume(job, some, truth=config.files.truth)
 
 
 def tables(result: Result) -> Mapping[str, Table]:

@@ -102,6 +102,11 @@ def _made(result: Result) -> Section:
         + ". Frame k is a function of the configuration and k: it is the same bytes made alone, in any order, by any "
         "number of processes."
     )
+    if result.resume is not None:
+        speed += (
+            f" A run of {result.resume.frames} of them was killed when {result.resume.whole_when_killed} were whole, "
+            f"and taken up again: {result.resume.same_bytes} of {result.resume.frames} are the same bytes."
+        )
     if result.evaluation is None or result.evaluation.example is None:
         return Section(title="The frames", blocks=(Text(speed), sky))
     number = result.evaluation.example.frame

@@ -13,6 +13,7 @@ from experiments.dataset.settings import Config
 
 if TYPE_CHECKING:
     from experiments.dataset.evaluate import Evaluation
+    from experiments.dataset.resume_test import ResumeTest
 
 __all__ = ["Result"]
 
@@ -43,6 +44,8 @@ class Result:
         Of this process.
     exports : mapping
         Name of an export -> what was written, in words.
+    resume : ResumeTest or None
+        A run that was killed and taken up again; None if it was not tried.
     evaluation : Evaluation or None
         What was found in the frames; None if they were not looked at.
     """
@@ -58,4 +61,5 @@ class Result:
     runtime_s: float
     peak_memory_mb: float
     exports: Mapping[str, str] = field(default_factory=dict)
+    resume: ResumeTest | None = None
     evaluation: Evaluation | None = None

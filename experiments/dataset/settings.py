@@ -37,6 +37,9 @@ class CameraConfig(InstrumentConfig):
     lens: str = Field(default="star_tracker_26mm", description="built-in lens or TOML file")
     detector: str = Field(default="cmv4000", description="built-in detector or TOML file")
     exposure_s: float = Field(default=0.2, gt=0, le=1e4, description="exposure time")
+    line_time_us: float = Field(
+        default=0.0, ge=0, le=1e4, description="rolling shutter: how much later each row is exposed; 0: global shutter"
+    )
     width_px: int = Field(default=1024, ge=0, le=32768, description="columns read out around the centre; 0: all")
     height_px: int = Field(default=1024, ge=0, le=32768, description="rows read out around the centre; 0: all")
     gain_dn_per_e: float = Field(default=0.0, ge=0, le=1e5, description="system gain; 0: the detector's own")
@@ -219,6 +222,9 @@ class VerifyConfig(StrictModel):
     """What is done with the frames afterwards: stars measured, attitudes solved blind, world coordinates tried."""
 
     frames: int = Field(default=200, ge=0, le=10_000_000, description="frames looked at, the first ones; 0: none")
+    resume_frames: int = Field(
+        default=6, ge=0, le=1000, description="frames made again by a run that is killed and taken up; 0 or 1: none"
+    )
     dark_frames: int = Field(default=20, ge=1, le=1000, description="frames without light in the mean dark")
     centroid: Literal["epsf", "gaussian", "windowed", "tcog", "cog"] = Field(default="epsf", description="centroider")
     window_px: int = Field(default=7, ge=5, le=31, description="window of the centroider")
