@@ -80,7 +80,7 @@ class Chiefs:
 
 @dataclass(frozen=True, slots=True)
 class Rims:
-    """Outlines of the beams of n stars in b bands at k wavelengths, at m azimuths about the chief's launch point.
+    """Outlines of the beams of n stars in b bands at k nodes, at m azimuths about the chief's launch point.
 
     Attributes
     ----------
@@ -98,7 +98,9 @@ class Rims:
     good: BoolArray
 
 
-def aimed_lens(lens: LensSystem, kernel_lens: tuple[LensProgram, FloatArray], xp: Any) -> AimedLens:
+def aimed_lens(
+    lens: LensSystem, kernel_lens: tuple[LensProgram, FloatArray], xp: Any, *, general: bool = False
+) -> AimedLens:
     """Compile a lens for aiming.
 
     Parameters
@@ -109,13 +111,15 @@ def aimed_lens(lens: LensSystem, kernel_lens: tuple[LensProgram, FloatArray], xp
         The same lens as it is traced.
     xp : DrJitArrays
         Array library.
+    general : bool
+        Whether it is traced with general poses.
     """
     at = lens.stop_index
     stop = lens.surfaces[at]
     to_stop = replace(
         lens, surfaces=lens.surfaces[: at + 1], image_position_mm=stop.position_mm, image_rotation=stop.rotation
     )
-    front, front_theta = compile_lens(to_stop)
+    front, front_theta = compile_lens(to_stop, general=general)
     full, theta = kernel_lens
     limits = [(i, float(s.semi_diameter_mm)) for i, s in enumerate(lens.surfaces) if np.isfinite(s.semi_diameter_mm)]
     return AimedLens(front, xp.parameters(front_theta.tolist()), full, xp.parameters(theta.tolist()), at, tuple(limits))
@@ -181,14 +185,13 @@ class _Beams:
         stars: IndexArray | None,
     ) -> None:
         F, U = kernel.F, kernel.U
-        bands, (nodes, arms) = chief.shape[1], azimuth.shape[-2:]
-        self.shape = (len(chief), bands, nodes, arms)
+        nodes, arms = azimuth.shape[-2:]
+        self.shape = (*chief.shape[:2], nodes, arms)
         self.lens, self.kernel = lens, kernel
-        arm, node, band, position = kernel.numbered(int(np.prod(self.shape)), bands, nodes, arms)
-        self.star = position if stars is None else dr.gather(U, U(stars.astype(np.uint32)), position)
-        slot = position * dr.opaque(U, bands) + band
+        arm, node, slot = kernel.numbered(int(np.prod(self.shape)), nodes, arms)
+        which = None if stars is None else stars.astype(np.uint32)
+        self.star, self.wavelength = kernel.light_of(slot, node, wavelength_nm, which)
         self.cx, self.cy = (dr.gather(F, F(np.ascontiguousarray(chief[..., i].ravel())), slot) for i in (0, 1))
-        self.wavelength = dr.gather(F, F(wavelength_nm.ravel()), band * dr.opaque(U, nodes) + node)
         at = dr.arange(U, len(arm)) if azimuth.ndim == 4 else node * dr.opaque(U, arms) + arm
         self.sine, self.cosine = dr.sincos(dr.gather(F, F(np.ascontiguousarray(azimuth.ravel())), at))
 
@@ -271,8 +274,8 @@ def find_stop_rims(
         Holds the stars.
     chief : (n, b, 2)
         Launch points of the chief rays.
-    wavelength_nm : (b, k)
-        Wavelengths.
+    wavelength_nm : (b, c)
+        Wavelengths; the k nodes are c of them at every time of the kernel.
     azimuth : (k, m) or (n, b, k, m)
         Azimuths [rad].
     stars : (n,), optional

@@ -5,8 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from optics.errors import DomainError, StarbenchError
 from render.camera import Camera
+from render.exposure_motion import ExposureMotion, share_motion
 from render.lens_camera import share_camera
 from render.plugins import register_plugins
 from render.records import ExpectedImage, StarField
@@ -66,20 +70,35 @@ class StarRenderer:
             }
         )
 
-    def render(self, stars: StarField) -> ExpectedImage:
+    def render(
+        self,
+        stars: StarField,
+        *,
+        rotation_cam_from_world: NDArray[np.float64] | None = None,
+        motion: ExposureMotion | None = None,
+    ) -> ExpectedImage:
         """Noiseless image with truth.
 
         Parameters
         ----------
         stars : StarField
             Stars in the camera's world frame.
+        rotation_cam_from_world : (3, 3), optional
+            Attitude; the camera's own if left out.
+        motion : ExposureMotion, optional
+            Attitudes during the exposure, in place of one (`render.exposure_motion.exposure_motion`).
 
         Raises
         ------
         DomainError
-            Wavelength outside a glass's range, star behind the camera.
+            Wavelength outside a glass's range, star behind the camera, motion for another exposure time.
+        ConfigError
+            Both an attitude and a motion.
         """
         mi = self._mi
+        attitude: dict[str, Any] = {} if motion is None else {"motion": share_motion(motion)}
+        if rotation_cam_from_world is not None:
+            attitude["rotation"] = mi.TensorXf64(np.ascontiguousarray(rotation_cam_from_world, float)[None])
         scene = mi.load_dict(
             {
                 "type": "scene",
@@ -90,6 +109,7 @@ class StarRenderer:
                     "wavelength_nm": mi.TensorXf64(stars.wavelength_nm[None]),
                     "photon_rate": mi.TensorXf64(stars.photon_rate[None]),
                     "band": ",".join(name.replace(",", ";") for name in stars.band),
+                    **attitude,
                 },
             }
         )

@@ -19,7 +19,7 @@ from render.aimed_pupil import AimedLens, Chiefs, Rims, find_stop_rims
 from render.pupil_points import OutlinePoints
 from render.star_kernel import StarKernel
 
-__all__ = ["GOLDEN", "Outlines", "find_outlines", "rings"]
+__all__ = ["GOLDEN", "NodePicks", "Outlines", "find_outlines", "node_picks", "rings"]
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -45,8 +45,69 @@ def rings(count: int) -> tuple[FloatArray, FloatArray]:
     return np.sqrt(0.5 * (1.0 + node)), 0.5 * weight
 
 
-def _picks(wavelength_nm: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """Nodes (j,) at which outlines are found, and the Lagrange factors (b, k, j) that lead to all k."""
+@dataclass(frozen=True, slots=True, eq=False)
+class NodePicks:
+    """The few nodes at which outlines are found, and how they lead to all.
+
+    Attributes
+    ----------
+    kernel : StarKernel
+        Holds the n stars at p times.
+    wavelength_nm : (b, j)
+        Wavelengths; nodes are all of the first time, then all of the second, ...
+    colours : (b, k, j)
+        Factors that lead from these wavelengths to all.
+    times : (n, t, p)
+        Factors that lead from these times to all.
+    every : bool
+        Whether they are all the nodes there are.
+    """
+
+    kernel: StarKernel
+    wavelength_nm: FloatArray
+    colours: FloatArray
+    times: FloatArray
+    every: bool
+
+    @property
+    def count(self) -> int:
+        """Number of picked nodes."""
+        return self.times.shape[2] * self.wavelength_nm.shape[1]
+
+    @property
+    def nodes(self) -> int:
+        """Number of all nodes."""
+        return self.times.shape[1] * self.colours.shape[1]
+
+    def ends(self) -> tuple[IndexArray, FloatArray]:
+        """Picked nodes of the first, middle and last wavelength at a middle time, and these wavelengths (b, 3)."""
+        last = self.wavelength_nm.shape[1] - 1
+        colours = np.array([0, (last + 1) // 2, last])
+        start = self.times.shape[2] // 2 * (last + 1)
+        return start + colours, np.ascontiguousarray(self.wavelength_nm[:, colours])
+
+    def spread(self, values: FloatArray, stars: IndexArray) -> FloatArray:
+        """Values (s, b, count, m) of some stars at all nodes, (s, b, nodes, m)."""
+        if self.every:
+            return values
+        shape = (*values.shape[:2], self.times.shape[2], self.wavelength_nm.shape[1], values.shape[3])
+        coloured = np.einsum("bkj,sbpjm->sbpkm", self.colours, values.reshape(shape), optimize=True)
+        everywhere = np.einsum("stp,sbpkm->sbtkm", self.times[stars], coloured, optimize=True)
+        return np.asarray(everywhere.reshape(*values.shape[:2], self.nodes, values.shape[3]))
+
+
+def node_picks(kernel: StarKernel, wavelength_nm: FloatArray, times: FloatArray | None = None) -> NodePicks:
+    """Picks of wavelengths (b, k); polynomials in 1/wavelength^2 lead to the others.
+
+    Parameters
+    ----------
+    kernel : StarKernel
+        Holds the stars at the picked times.
+    wavelength_nm : (b, k)
+        All wavelengths.
+    times : (n, t, p), optional
+        Factors that lead from the picked times to all; for one time it is left out.
+    """
     bands, nodes = wavelength_nm.shape
     spread = 0.5 * (nodes - 1) * (1.0 - np.cos(np.pi * np.arange(WAVELENGTHS) / (WAVELENGTHS - 1)))
     picks = np.arange(nodes) if nodes <= WAVELENGTHS else np.unique(np.rint(spread).astype(int))
@@ -55,7 +116,9 @@ def _picks(wavelength_nm: FloatArray) -> tuple[IndexArray, FloatArray]:
     for j, pick in enumerate(picks):
         for other in picks[picks != pick]:
             factors[..., j] *= (t - t[:, [other]]) / (t[:, [pick]] - t[:, [other]])
-    return picks, factors
+    every = times is None and len(picks) == nodes
+    one = np.ones((kernel.count, 1, 1)) if times is None else times
+    return NodePicks(kernel, np.ascontiguousarray(wavelength_nm[:, picks]), factors, one, every)
 
 
 @cache
@@ -72,21 +135,20 @@ class Outlines:
 
     Attributes
     ----------
-    lens, kernel
-        What they are found with.
-    wavelength_nm : (b, k)
-        Nodes.
+    lens : AimedLens
+        The lens.
+    picks : NodePicks
+        Where they are found.
     chief : (n, b, 2)
         Centres of the azimuths.
-    radius : (n, b, k, m)
-        Where the stop alone limits the beam, at m equidistant azimuths; NaN for other stars.
+    radius : (n, b, picked nodes, m)
+        As the stop alone makes them, at m equidistant azimuths.
     clear, cut : (n,)
         Stars limited by the stop alone; stars for which other apertures count too. Others have no outline.
     """
 
     lens: AimedLens
-    kernel: StarKernel
-    wavelength_nm: FloatArray
+    picks: NodePicks
     chief: FloatArray
     radius: FloatArray
     clear: NDArray[np.bool_]
@@ -95,7 +157,7 @@ class Outlines:
     def points(self, order: tuple[int, int], stars: IndexArray) -> OutlinePoints:
         """Quadrature points of so many rings and azimuths inside smooth outlines."""
         count, arms = order
-        turn = GOLDEN * np.arange(self.wavelength_nm.shape[1])[:, None] + np.repeat([0.0, 0.5], arms)
+        turn = GOLDEN * np.arange(self.picks.nodes)[:, None] + np.repeat([0.0, 0.5], arms)
         azimuth = 2.0 * np.pi / arms * (np.tile(np.arange(arms), 2) + turn % 1.0)
         radius = self._at(azimuth, stars)
         ring, weight = rings(count)
@@ -110,10 +172,10 @@ class Outlines:
             ring_weight=np.repeat(weight, arms),
         )
 
-    def bounding(self, nodes: IndexArray, stars: IndexArray) -> OutlinePoints:
-        """Points of some nodes that bound the landing points: the rim, and fewer inside."""
+    def bounding(self, stars: IndexArray) -> OutlinePoints:
+        """Points that bound the landing points at the wavelengths of `NodePicks.ends`: the rim, and fewer inside."""
         azimuth = 2.0 * np.pi * np.arange(ARMS) / ARMS
-        radius = self.radius[stars][:, :, nodes]
+        radius = self.radius[stars][:, :, self.picks.ends()[0]]
         every, half = np.arange(ARMS), np.arange(0, ARMS, 2)
         arm = np.concatenate([every, half, half + 1, half])
         ring = np.repeat([1.0 - 1e-6, 0.8, 0.5, 0.2], [ARMS, *3 * (ARMS // 2,)])
@@ -125,40 +187,27 @@ class Outlines:
         order = np.arange(ARMS // 2 + 1)[:, None]
         waves = np.concatenate([np.cos(order * azimuth[:, None]), np.sin(order * azimuth[:, None])], axis=1)
         matrix = np.swapaxes(waves, 1, 2) @ _series(ARMS)  # (k, a, m)
-        return np.asarray((matrix @ self.radius[stars][..., None])[..., 0])
+        return np.asarray((matrix @ self.picks.spread(self.radius[stars], stars)[..., None])[..., 0])
 
 
-def find_outlines(lens: AimedLens, kernel: StarKernel, chiefs: Chiefs, wavelength_nm: FloatArray) -> Outlines:
+def find_outlines(lens: AimedLens, picks: NodePicks, chiefs: Chiefs) -> Outlines:
     """Outlines of all stars of a kernel; what kind each of them is.
 
     Parameters
     ----------
     lens : AimedLens
         The lens.
-    kernel : StarKernel
-        Holds the n stars.
+    picks : NodePicks
+        Where outlines are found.
     chiefs : Chiefs
         Chief rays at one wavelength of each band.
-    wavelength_nm : (b, k)
-        Nodes.
     """
     aimed = np.asarray(np.isfinite(chiefs.points).all((1, 2)))
     centre = np.where(aimed[:, None, None], chiefs.points, 0.0)
-    picks, factors = _picks(wavelength_nm)
-    azimuth = np.tile(2.0 * np.pi * np.arange(ARMS) / ARMS, (len(picks), 1))
-    rims = find_stop_rims(lens, kernel, centre, np.ascontiguousarray(wavelength_nm[:, picks]), azimuth)
+    azimuth = np.tile(2.0 * np.pi * np.arange(ARMS) / ARMS, (picks.count, 1))
+    rims = find_stop_rims(lens, picks.kernel, centre, picks.wavelength_nm, azimuth)
     clear = aimed & _only_the_stop(rims)
-    every = len(picks) == wavelength_nm.shape[1]
-    radius = rims.radius if every else np.einsum("bkj,nbjm->nbkm", factors, rims.radius)
-    return Outlines(
-        lens=lens,
-        kernel=kernel,
-        wavelength_nm=wavelength_nm,
-        chief=centre,
-        radius=np.where(clear[:, None, None, None], radius, np.nan),
-        clear=clear,
-        cut=aimed & ~clear,
-    )
+    return Outlines(lens=lens, picks=picks, chief=centre, radius=rims.radius, clear=clear, cut=aimed & ~clear)
 
 
 def _only_the_stop(rims: Rims) -> NDArray[np.bool_]:

@@ -23,7 +23,6 @@ __all__ = [
     "Group",
     "Light",
     "Passes",
-    "end_nodes",
     "find_bounds",
 ]
 
@@ -38,13 +37,17 @@ BOUND_RAYS = 1 << 20
 MARGIN_PX = 0.75
 """Room around the bounding rays of a stamp; doubled when a ray falls outside all the same."""
 STAMP_LIMIT_PX = 1024
+DISTORTION = 0.05
+"""Part of the way of an image by which a lens may lead it beside where an ideal one does; more is found by redoing."""
+TABLE_POINTS = 1 << 21
+"""Azimuths of all nodes of all stars of one pass of outlines."""
 LIGHT = 1e-12
 """Share of a star's light below which none is lost (rounding of the sums)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """A star field as the tracer sees it: wavelengths (b, k), shares of nodes (n, b, k), electrons sent in (n, b)."""
+    """A star field as the tracer sees it: wavelengths (b, k), shares of nodes (n, b, t k), electrons sent in (n, b)."""
 
     wavelength_nm: FloatArray
     share: FloatArray
@@ -65,6 +68,13 @@ class Bounds:
         shape = (stars, bands, 2)
         return cls(np.full(shape, np.inf), np.full(shape, -np.inf), np.zeros(stars, bool))
 
+    def moved(self, shift_px: FloatArray) -> Bounds:
+        """With room for offsets (n, 2, 2), the lowest and the highest, that an ideal lens makes of a motion."""
+        room = DISTORTION * np.abs(shift_px).max(1, initial=0.0)
+        return Bounds(
+            self.low + (shift_px[:, 0] - room)[:, None], self.high + (shift_px[:, 1] + room)[:, None], self.clear
+        )
+
     def box(self, stars: IndexArray, margin: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Boxes with a margin; a unit box at the origin where no ray arrives."""
         low, high = self.low[stars], self.high[stars]
@@ -80,11 +90,6 @@ class Group:
     plan: PupilPlan
     members: IndexArray
     points: Points
-
-
-def end_nodes(nodes: int) -> IndexArray:
-    """First, middle and last of so many nodes."""
-    return np.array([0, nodes // 2, nodes - 1])
 
 
 def find_bounds(
@@ -196,11 +201,13 @@ class Passes:
         per_pixel = 16 * len(self.light.wavelength_nm)
         strips = 2 * strips_per_pixel(self.camera.charge_diffusion_px)
         rays = self.light.share[0].size * plan.rays_per_node
+        azimuths = 2 * self.light.share[0].size * plan.order[1]
         passes, start = [], 0
         while start < len(order):
             ahead = size[order[start:]]
             count = np.arange(1, len(ahead) + 1)
             fits = (count * per_pixel * ahead * (ahead + strips) <= PASS_BYTES) & (count * rays <= PASS_RAYS)
+            fits &= (count * azimuths <= TABLE_POINTS) | (plan.pupil is not None)
             stop = start + max(1, int(np.count_nonzero(fits & (ahead <= 1.6 * ahead[0] + 4))))
             passes.append((order[start:stop], int(size[order[stop - 1]])))
             start = stop
@@ -214,5 +221,6 @@ class Passes:
             worst = int(np.argmax(touches))
             raise DomainError(
                 f"the image of star {stars[worst]} is {(high - low)[worst].max():.0f} px wide; at most "
-                f"{STAMP_LIMIT_PX} px can be rendered; check the focus (defocus_mm = {self.camera.defocus_mm:g} mm)"
+                f"{STAMP_LIMIT_PX} px can be rendered; check the focus (defocus_mm = {self.camera.defocus_mm:g} mm) "
+                "and the motion during the exposure"
             )

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.aimed_pupil import AimedLens, find_rims
-from render.outlines import GOLDEN, rings
+from render.outlines import GOLDEN, NodePicks, rings
 from render.pupil_points import OutlinePoints
-from render.star_kernel import StarKernel
 
 __all__ = ["ARC_LADDER", "Arcs", "find_arcs"]
 
@@ -41,23 +40,22 @@ class Arcs:
 
     Attributes
     ----------
-    lens, kernel
-        What they are found with.
-    wavelength_nm : (b, k)
-        Nodes.
+    lens : AimedLens
+        The lens.
+    picks : NodePicks
+        Where they are found.
     stars : (s,)
         Which of the kernel's stars, ascending.
     centre : (s, b, 2)
         Of the azimuths, in radii of the launch disk.
-    radius : (s, b, k, `COARSE`)
+    radius : (s, b, picked nodes, `COARSE`)
         Coarse outline.
-    start, length : (s, b, k, `MOST_ARCS`)
+    start, length : (s, b, picked nodes, `MOST_ARCS`)
         Arcs [rad]; length 0 for none, one of 2 pi where there is no kink.
     """
 
     lens: AimedLens
-    kernel: StarKernel
-    wavelength_nm: FloatArray
+    picks: NodePicks
     stars: IndexArray
     centre: FloatArray
     radius: FloatArray
@@ -67,9 +65,11 @@ class Arcs:
     def points(self, order: tuple[int, int], stars: IndexArray) -> OutlinePoints:
         """Quadrature points of so many rings and azimuths for some of the stars."""
         at = np.searchsorted(self.stars, stars)
-        azimuth, share = _rule(self.start[at], self.length[at], order[1])
-        rims = find_rims(self.lens, self.kernel, self.centre[at], self.wavelength_nm, azimuth, stars)
-        radius = np.where(rims.good, rims.radius, np.nan)  # its rays are lost, and with them the star is found out
+        picks = self.picks
+        azimuth, share = _rule(self.start[at], self.length[at], order[1], alike=not picks.every)
+        rims = find_rims(self.lens, picks.kernel, self.centre[at], picks.wavelength_nm, azimuth, stars)
+        found = np.where(rims.good, rims.radius, np.nan)  # its rays are lost, and with them the star is found out
+        azimuth, radius, share = (picks.spread(v, stars) for v in (azimuth, found, share))
         ring, weight = rings(order[0])
         return OutlinePoints(
             centre=self.centre[at],
@@ -81,10 +81,10 @@ class Arcs:
             ring_weight=np.repeat(weight, order[1]),
         )
 
-    def bounding(self, nodes: IndexArray, stars: IndexArray) -> OutlinePoints:
-        """Points of some nodes that bound the landing points: the rim, and fewer inside."""
+    def bounding(self, stars: IndexArray) -> OutlinePoints:
+        """Points that bound the landing points at the wavelengths of `NodePicks.ends`: the rim, and fewer inside."""
         at = np.searchsorted(self.stars, stars)
-        radius = self.radius[at][:, :, nodes]
+        radius = self.radius[at][:, :, self.picks.ends()[0]]
         arms = [np.arange(0, COARSE, 2), *(np.arange(i, COARSE, 6) for i in range(3))]
         ring = np.repeat([1.0 - 1e-6, 0.8, 0.5, 0.2], [len(arm) for arm in arms])
         flat = np.full(len(ring), 1.0 / len(ring))
@@ -107,10 +107,14 @@ def _gauss_tables(most: int) -> tuple[FloatArray, FloatArray]:
     return nodes, weights
 
 
-def _rule(start: FloatArray, length: FloatArray, arms: int) -> tuple[FloatArray, FloatArray]:
-    """Azimuths and weights (s, b, k, arms), sum 1: as many on every arc as its length asks for, two at least."""
+def _rule(start: FloatArray, length: FloatArray, arms: int, alike: bool) -> tuple[FloatArray, FloatArray]:
+    """Azimuths and weights (s, b, k, arms), sum 1: as many on every arc as its length asks for, two at least.
+
+    ``alike``: the same for all nodes of a star, which all have as many arcs, so that they can be interpolated.
+    """
     real = length > 0.0
-    quota = (arms - LEAST_IN_ARC * real.sum(-1, keepdims=True)) * length / (2.0 * np.pi)
+    typical = np.broadcast_to(length.mean(2, keepdims=True), length.shape) if alike else length
+    quota = (arms - LEAST_IN_ARC * real.sum(-1, keepdims=True)) * typical / (2.0 * np.pi)
     count = np.where(real, LEAST_IN_ARC + np.floor(quota), 0).astype(int)
     rank = np.argsort(np.argsort(-np.where(real, quota - np.floor(quota), -1.0), axis=-1, kind="stable"), axis=-1)
     count += rank < (arms - count.sum(-1, keepdims=True))
@@ -123,7 +127,7 @@ def _rule(start: FloatArray, length: FloatArray, arms: int) -> tuple[FloatArray,
     azimuth = first + span * nodes[size, inside]
     share = span / (2.0 * np.pi) * weights[size, inside]
     smooth = real.sum(-1) == 1  # no kink: equidistant azimuths
-    turn = GOLDEN * np.arange(start.shape[2])[:, None] % 1.0
+    turn = 0.0 if alike else GOLDEN * np.arange(start.shape[2])[:, None] % 1.0
     even = np.broadcast_to(2.0 * np.pi / arms * (number + turn), azimuth.shape)
     return np.where(smooth[..., None], even, azimuth), np.where(smooth[..., None], 1.0 / arms, share)
 
@@ -148,6 +152,12 @@ class _Kinks:
         """Where they are by linear interpolation."""
         part = self.at_low / (self.at_low - self.at_high)
         return np.asarray(self.low + part * (self.high - self.low))
+
+    def alike(self) -> NDArray[np.bool_]:
+        """Nodes (s, b, k) whose kinks are between the same apertures as at the first node."""
+        same = [self.used == self.used[:, :, :1]]
+        same += [~self.used | (v == v[:, :, :1]) for v in (self.before, self.after)]
+        return np.asarray(np.logical_and.reduce(same).all(-1))
 
     def narrowed(self, azimuth: FloatArray, height: FloatArray) -> _Kinks:
         """With the heights (a, ...) of rays at an azimuth of every kink."""
@@ -198,37 +208,36 @@ def _between(kinks: _Kinks) -> tuple[FloatArray, FloatArray]:
     return start, length
 
 
-def find_arcs(
-    lens: AimedLens, kernel: StarKernel, centre: FloatArray, wavelength_nm: FloatArray, stars: IndexArray
-) -> Arcs:
-    """Outlines of stars whose beams are cut; those that have none, or too many kinks, are left out.
+def find_arcs(lens: AimedLens, picks: NodePicks, centre: FloatArray, stars: IndexArray) -> Arcs:
+    """Outlines of stars whose beams are cut.
+
+    Left out are those that have none, or too many kinks, or where nodes are interpolated between such with other kinks.
 
     Parameters
     ----------
     lens : AimedLens
         The lens.
-    kernel : StarKernel
-        Holds all stars.
+    picks : NodePicks
+        Where outlines are found.
     centre : (n, b, 2)
         Launch points of the chief rays of all stars.
-    wavelength_nm : (b, k)
-        Nodes.
     stars : (s,)
         Which stars, ascending.
     """
-    azimuth = np.tile(_coarse_azimuth(), (wavelength_nm.shape[1], 1))
-    rims = find_rims(lens, kernel, centre[stars], wavelength_nm, azimuth, stars)
-    kinks, few = _coarse_kinks(rims.height)
+    azimuth = np.tile(_coarse_azimuth(), (picks.count, 1))
+    rims = find_rims(lens, picks.kernel, centre[stars], picks.wavelength_nm, azimuth, stars)
+    kinks, good = _coarse_kinks(rims.height)
     for _ in range(NARROWINGS):
-        azimuth = kinks.azimuth()
-        again = find_rims(lens, kernel, centre[stars], wavelength_nm, azimuth, stars)
-        kinks = kinks.narrowed(azimuth, again.height)
+        narrower = kinks.azimuth()
+        again = find_rims(lens, picks.kernel, centre[stars], picks.wavelength_nm, narrower, stars)
+        kinks = kinks.narrowed(narrower, again.height)
     start, length = _between(kinks)
-    good = rims.good.all((1, 2, 3)) & few.all((1, 2))
+    if not picks.every:
+        good = good & kinks.alike()
+    good = np.asarray(good.all((1, 2)) & rims.good.all((1, 2, 3)))
     return Arcs(
         lens=lens,
-        kernel=kernel,
-        wavelength_nm=wavelength_nm,
+        picks=picks,
         stars=stars[good],
         centre=centre[stars[good]],
         radius=rims.radius[good],

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optics.pupil import gauss_disk
+from render.damping import TOLERANCE, damped_frequencies, transfer
 from render.outlines import GOLDEN
 from render.pupil_points import PupilPoints, SobolPoints, TablePoints
 
@@ -71,10 +72,6 @@ OUTLINE_LADDER = (
 )
 """The same for outlines, where the rings' azimuths are staggered."""
 
-TOLERANCE = 3e-5
-HIGHEST_FREQUENCY = 8.0
-"""Cycles per pixel beyond which a spot is not followed; diffusion below 0.09 px lets more through: Sobol points."""
-
 PROBE_NODES = 6
 """Wavelength nodes per band on which the quadrature order is tried."""
 
@@ -106,12 +103,25 @@ class PupilPlan:
 
 @dataclass(frozen=True, slots=True)
 class Landed:
-    """Where the rays of stars land: columns, rows [px] and arrival (n, b, k, m), and weights that broadcast to it."""
+    """Where the rays of stars land.
+
+    Attributes
+    ----------
+    x, y : (n, b, k, m)
+        Columns and rows [px].
+    arrived : (n, b, k, m)
+        Whether they do.
+    weight : array
+        Weights of the rays of a node; broadcasts to these.
+    node_weight : (k,), optional
+        Weights of the nodes, sum 1; equal if left out.
+    """
 
     x: FloatArray
     y: FloatArray
     arrived: NDArray[np.bool_]
     weight: FloatArray
+    node_weight: FloatArray | None = None
 
 
 def bounding_points() -> FloatArray:
@@ -143,28 +153,12 @@ def staggered(order: tuple[int, int], nodes: int) -> TablePoints:
     return TablePoints(np.stack([x, y], axis=-1), np.asarray(pupil.weight))
 
 
-def _frequencies(diffusion_px: float, tolerance: float) -> tuple[FloatArray, FloatArray] | None:
-    """Frequencies (f, 2) [cycles/px] at which spots are compared, and the transfer of diffusion and pixel (f,) there.
-
-    None where diffusion lets more than `HIGHEST_FREQUENCY` through.
-    """
-    if diffusion_px <= 0.0:
-        return None
-    highest = math.sqrt(0.5 * math.log(1.0 / tolerance)) / (math.pi * diffusion_px)
-    if highest > HIGHEST_FREQUENCY:
-        return None
-    radii = np.arange(1, math.ceil(2 * highest) + 1) * 0.5
-    along = np.array([(1.0, 0.0), (0.0, 1.0), (np.sqrt(0.5), np.sqrt(0.5)), (np.sqrt(0.5), -np.sqrt(0.5))])
-    frequency = (radii[:, None, None] * along).reshape(-1, 2)
-    pixel = np.minimum(1.0, 1.0 / (np.pi * np.maximum(np.abs(frequency), 1e-9))).prod(1)
-    return frequency, pixel * np.exp(-2 * (np.pi * diffusion_px) ** 2 * (frequency**2).sum(1))
-
-
-def _spectrum(landed: Landed, frequency: FloatArray, transfer: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+def _spectrum(landed: Landed, frequency: FloatArray, left: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Damped characteristic function, light and mean of the landing points (n, b, 2 f + 3); which stars are clear."""
     x, y = landed.x, landed.y
     origin_x, origin_y = x.mean((2, 3), keepdims=True), y.mean((2, 3), keepdims=True)
-    weight = np.broadcast_to(landed.weight / x.shape[2], x.shape)
+    shares = landed.weight / x.shape[2] if landed.node_weight is None else landed.weight * landed.node_weight[:, None]
+    weight = np.broadcast_to(shares, x.shape)
     half_x, half_y = (np.exp(1j * np.pi * value) for value in (x, y))  # half a cycle per pixel; powers of it follow
     diagonal = np.sqrt(0.5)
     base = {
@@ -178,7 +172,7 @@ def _spectrum(landed: Landed, frequency: FloatArray, transfer: FloatArray) -> tu
     for at in range(0, len(frequency), 4):
         for offset, key in enumerate(base):
             powers[key] = powers[key] * base[key]
-            columns.append(transfer[at + offset] * (weight * powers[key]).sum((2, 3)))
+            columns.append(left[at + offset] * (weight * powers[key]).sum((2, 3)))
     rows = [part for column in columns for part in (column.real, column.imag)]
     light = weight.sum((2, 3))
     rows += [light, *((weight * (v - o)).sum((2, 3)) / light + o[..., 0, 0] for v, o in ((x, origin_x), (y, origin_y)))]
@@ -212,9 +206,10 @@ def converged_order(
     ladder : tuple of (int, int)
         Rings and azimuths that are tried, in this order.
     """
-    grid = _frequencies(diffusion_px, tolerance)
-    if grid is None:
+    frequency = damped_frequencies(diffusion_px, tolerance)
+    if frequency is None:
         return None
+    grid = frequency, transfer(frequency, diffusion_px)
     previous, _ = _spectrum(land(ladder[0]), *grid)
     for order, following in itertools.pairwise(ladder):
         current, clear = _spectrum(land(following), *grid)

@@ -10,6 +10,10 @@ photon_rate : TensorXf64 (n, b, k)
     Photons per second and mm^2 per node, filter included (`render.records.StarField`).
 band : str, optional
     Names of the bands, separated by commas.
+rotation : TensorXf64 (3, 3), optional
+    ``v_cam = rotation @ v_world`` for the stars, in place of the attitude of the sensor they are seen by.
+motion : str, optional
+    Handle of the camera's motion during the exposure (`render.exposure_motion.share_motion`), in place of an attitude.
 
 Each tensor may have a leading axis of size one: Mitsuba's property parser takes a tensor whose first axis has three
 entries for a colour, and nanobind says so on the error stream before it falls back to the tensor.
@@ -24,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from optics.errors import ConfigError
+from render.exposure_motion import shared_motion
 from render.records import StarField
 
 __all__ = ["define"]
@@ -46,6 +51,8 @@ def define(mi: Any, dr: Any) -> type:
                 str(props.get("band", "")).split(",") if props.get("band", "") else [f"band {i}" for i in range(bands)]
             )
             self.stars = StarField(band=tuple(names), **arrays)
+            self.rotation = np.array(props["rotation"], float).reshape(3, 3) if "rotation" in props else None
+            self.motion = shared_motion(str(props["motion"])) if "motion" in props else None
             self.m_flags = mi.EmitterFlags.DeltaDirection | mi.EmitterFlags.Infinite
 
         def eval(self, si: Any, active: Any = True) -> Any:

@@ -113,12 +113,23 @@ class StarKernel:
         From `optics.program.compile_lens`.
     geometry : Geometry
         Camera.
-    direction : (n, 3)
-        Unit vectors towards the stars, in cam.
+    direction : (n, 3) or (n, t, 3)
+        Unit vectors towards the stars, in cam; with three axes, at each of t time nodes.
+    shear : (n, t, 3), optional
+        Rolling shutter: a row, and by how many columns and rows the image moves per line time; see
+        `render.exposure_motion`.
+
+    Nodes of a call are all wavelengths of the first time, then all of the second, ...
     """
 
     def __init__(
-        self, mi: Any, program: LensProgram, theta: FloatArray, geometry: Geometry, direction: FloatArray
+        self,
+        mi: Any,
+        program: LensProgram,
+        theta: FloatArray,
+        geometry: Geometry,
+        direction: FloatArray,
+        shear: FloatArray | None = None,
     ) -> None:
         self.types = mi
         self.F, self.U, self.I, self.U64 = mi.Float64, mi.UInt32, mi.Int32, mi.UInt64
@@ -128,9 +139,13 @@ class StarKernel:
         self.numbers = self.xp.parameters(
             [geometry.pitch_mm, *geometry.centre_px, *geometry.pupil_mm, geometry.pupil_radius_mm]
         )
-        light = light_direction(direction)
+        self.direction = direction[:, None] if direction.ndim == 2 else direction
+        self.count, self.times = self.direction.shape[:2]
+        light = light_direction(self.direction).reshape(-1, 3)
         self.light = [self.F(np.ascontiguousarray(light[:, i])) for i in range(3)]
-        self.direction, self.count = direction, len(direction)
+        self.shear = None
+        if shear is not None:
+            self.shear = [self.F(np.ascontiguousarray(shear[..., i].ravel())) for i in range(3)]
 
     def rays(self, star: Any, px: Any, py: Any, wavelength_nm: Any) -> Rays:
         """Rays of stars through points of the launch disk."""
@@ -151,10 +166,15 @@ class StarKernel:
         )
 
     def launch(self, star: Any, px: Any, py: Any, wavelength_nm: Any) -> tuple[Any, Any, Any]:
-        """Column, row [px] and status of rays through points of the launch disk."""
+        """Column, row [px] and status of rays through points of the launch disk; ``star`` counts times too."""
         pitch, cx, cy = self.numbers[:3]
         out = trace_program(self.program, self.theta, self.rays(star, px, py, wavelength_nm), self.xp)
-        return cx + out.x / pitch, cy - out.y / pitch, out.status
+        x, y = cx + out.x / pitch, cy - out.y / pitch
+        if self.shear is not None:
+            row, along_x, along_y = (dr.gather(self.F, values, star) for values in self.shear)
+            below = (y - row) / (1.0 - along_y)
+            x, y = x + along_x * below, row + below
+        return x, y, out.status
 
     def numbered(self, total: int, *sizes: int) -> list[Any]:
         """Indices of lane 0 ... total-1 along axes of the given sizes, last axis first, and what is left over."""
@@ -183,30 +203,31 @@ class StarKernel:
 
         Returns
         -------
-        x_px, y_px : (s, b, k, m)
+        x_px, y_px : (s, b, t k, m)
             Column and row.
-        arrived : (s, b, k, m)
+        arrived : (s, b, t k, m)
             Whether the ray reaches the image plane.
         """
-        bands, nodes = wavelength_nm.shape
+        bands, nodes = len(wavelength_nm), wavelength_nm.shape[1] * self.times
         shape = (self.count if stars is None else len(stars), bands, nodes, pupil.count)
         point, node, slot = self.numbered(math.prod(shape), nodes, pupil.count)
-        star, wavelength = self._light_of(slot, node, wavelength_nm, stars)
+        star, wavelength = self.light_of(slot, node, wavelength_nm, stars)
         px, py, _ = pupil.sample(self.types, slot, node, point)
         x, y, status = self.launch(star, px, py, wavelength)
         ok = status == OK
         dr.eval(x, y, ok)
         return x.numpy().reshape(shape), y.numpy().reshape(shape), ok.numpy().astype(bool).reshape(shape)
 
-    def _light_of(
+    def light_of(
         self, slot: Any, node: Any, wavelength_nm: FloatArray, stars: NDArray[np.uint32] | None
     ) -> tuple[Any, Any]:
-        """Star and wavelength of a slot's node."""
+        """Star (with its time) and wavelength of a slot's node."""
         F, U = self.F, self.U
-        bands, nodes = (dr.opaque(U, size) for size in wavelength_nm.shape)
-        position = slot // bands
-        wavelength = dr.gather(F, F(wavelength_nm.ravel()), (slot - position * bands) * nodes + node)
-        return position if stars is None else dr.gather(U, U(stars), position), wavelength
+        bands, colours = (dr.opaque(U, size) for size in wavelength_nm.shape)
+        position, time = slot // bands, node // colours
+        colour = (slot - position * bands) * colours + (node - time * colours)
+        star = position if stars is None else dr.gather(U, U(stars), position)
+        return star * dr.opaque(U, self.times) + time, dr.gather(F, F(wavelength_nm.ravel()), colour)
 
     def _shares(self, position_px: Any, per_pixel: int, reach: float) -> tuple[Any, list[Any]]:
         """First cell and share of each along one axis, for ``per_pixel`` cells per pixel from the stamp's corner."""
@@ -257,7 +278,7 @@ class StarKernel:
             Points of the launch disk for each node, in slots of the ``stars``.
         wavelength_nm : (b, k)
             Wavelengths.
-        node_share : (s, b, k)
+        node_share : (s, b, t k)
             Share of each wavelength node in the star's light, sum 1.
         corner_px : (s, b, 2)
             Outer corner of the stamp's first pixel (column, row).
@@ -267,11 +288,11 @@ class StarKernel:
             With more than 1 the stamp's pixels are cells of that fraction of a pixel, and strips are left out.
         """
         F, U = self.F, self.U
-        bands, nodes = wavelength_nm.shape
+        bands, nodes = len(wavelength_nm), wavelength_nm.shape[1] * self.times
         point, node, slot = self.numbered(len(stars) * bands * nodes * pupil.count, nodes, pupil.count)
         px, py, weight = pupil.sample(self.types, slot, node, point)
         weight = weight * dr.gather(F, F(node_share.ravel()), slot * dr.opaque(U, nodes) + node) * _SCALE
-        star, wavelength = self._light_of(slot, node, wavelength_nm, stars)
+        star, wavelength = self.light_of(slot, node, wavelength_nm, stars)
         x, y, status = self.launch(star, px, py, wavelength)
         x = x - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 0].ravel())), slot)
         y = y - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 1].ravel())), slot)

@@ -58,7 +58,12 @@ def define(mi: Any, dr: Any, emitter_class: Any, camera_class: Any) -> type:
                     self._tracers.pop(next(iter(self._tracers)))
                 tracer = Tracer(mi, camera.camera, sobol_log2_rays=self.sobol_log2_rays, sobol_seed=number)
                 self._tracers[key] = (camera, tracer)
-            self.traced = self._tracers[key][1].render(fields[0].stars, exposure_s=camera.exposure_s)
+            self.traced = self._tracers[key][1].render(
+                fields[0].stars,
+                exposure_s=camera.exposure_s,
+                rotation_cam_from_world=fields[0].rotation,
+                motion=fields[0].motion,
+            )
             return mi.TensorXf(self.traced.electrons)
 
         def sample(self, scene: Any, sensor: Any, sampler: Any, block: Any, sample_scale: Any) -> None:

@@ -14,7 +14,7 @@ from optics.surface import Plane
 from optics.trace import OK, VIGNETTED, Rays, trace, trace_path
 from render.aimed_pupil import aimed_lens, find_chiefs, find_rims, find_stop_rims
 from render.arrays import DrJitArrays
-from render.outlines import find_outlines
+from render.outlines import find_outlines, node_picks
 from render.pupil_arcs import find_arcs
 from render.star_kernel import Geometry, StarKernel
 from render.tracer import Tracer
@@ -26,26 +26,26 @@ def aimed(mi, bench, name, x, y):
     """A built-in lens ready for aiming at stars near some pixels of its detector, and where it was made."""
     camera = bench.camera_of(name, film=False)
     tracer = Tracer(mi, camera)
-    kernel = tracer._kernel(tracer._in_cam(bench.stars_at(camera, x, y), None))
-    return camera, tracer, kernel, find_chiefs(tracer._aim, kernel, WAVELENGTH_NM.mean(1))
+    seen = tracer.planner.seen(tracer._in_cam(bench.stars_at(camera, x, y), None), WAVELENGTH_NM)
+    return camera, tracer.planner, seen, tracer.planner.chiefs(seen.mid, WAVELENGTH_NM)
 
 
-def launched(tracer, kernel, star, points, wavelength_nm):
+def launched(planner, kernel, star, points, wavelength_nm):
     """NumPy rays of a star through points (..., 2) of the launch disk."""
-    disk = tracer.pupil
+    disk = planner.pupil
     return Rays.create(
         x_mm=disk.x_mm + disk.radius_mm * points[..., 0],
         y_mm=disk.y_mm + disk.radius_mm * points[..., 1],
         z_mm=disk.z_mm,
-        direction=light_direction(kernel.direction[star]),
+        direction=light_direction(kernel.direction[star, 0]),
         wavelength_nm=wavelength_nm,
     )
 
 
 def test_chief_rays_meet_the_centre_of_the_stop(mi, bench):
-    camera, tracer, kernel, chiefs = aimed(mi, bench, "star_tracker_26mm", [511.5, 700.2, 20.1], [511.5, 33.3, 40.4])
+    camera, planner, seen, chiefs = aimed(mi, bench, "star_tracker_26mm", [511.5, 700.2, 20.1], [511.5, 33.3, 40.4])
     for star, point in enumerate(chiefs.points[:, 0]):
-        at_stop = trace_path(camera.lens, launched(tracer, kernel, star, point, 656.666666666666666))
+        at_stop = trace_path(camera.lens, launched(planner, seen.mid, star, point, 656.666666666666666))
         assert np.hypot(*at_stop[camera.lens.stop_index + 1][..., :2]) < 1e-9
 
 
@@ -54,13 +54,13 @@ def test_rays_inside_the_outline_pass_and_those_outside_do_not(mi, bench, name, 
     x, y = {"star_tracker_26mm": ([511.5, 700.2, 20.1], [511.5, 333.3, 40.4])}.get(
         name, ([1023.5, 1400.2, 300.1], [1023.5, 900.7, 400.2])
     )
-    camera, tracer, kernel, chiefs = aimed(mi, bench, name, x, y)
-    outlines = find_outlines(tracer._aim, kernel, chiefs, WAVELENGTH_NM)
+    camera, planner, seen, chiefs = aimed(mi, bench, name, x, y)
+    outlines = find_outlines(planner._aim, seen.picks, chiefs)
     assert (outlines.cut == np.array(cut, bool)).all()
     assert (outlines.clear != outlines.cut).all()
     azimuth = np.tile(np.linspace(0.0, 6.0, 40), (3, 1))
-    rims = find_rims(tracer._aim, kernel, chiefs.points, WAVELENGTH_NM, azimuth)
-    alone = find_stop_rims(tracer._aim, kernel, chiefs.points, WAVELENGTH_NM, azimuth)
+    rims = find_rims(planner._aim, seen.mid, chiefs.points, WAVELENGTH_NM, azimuth)
+    alone = find_stop_rims(planner._aim, seen.mid, chiefs.points, WAVELENGTH_NM, azimuth)
     assert rims.good.all()
     along = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
     for star in range(3):
@@ -68,7 +68,7 @@ def test_rays_inside_the_outline_pass_and_those_outside_do_not(mi, bench, name, 
             radius = rims.radius[star, 0, node][:, None]
             for factor, passes in ((1 - 1e-8, True), (1 + 1e-8, False)):
                 points = chiefs.points[star, 0] + factor * radius * along[node]
-                out = trace(camera.lens, launched(tracer, kernel, star, points, wavelength))
+                out = trace(camera.lens, launched(planner, seen.mid, star, points, wavelength))
                 inside = np.hypot(*points.T) < 1.0  # of the launch disk, which is a limit too
                 assert inside.mean() > 0.9
                 assert (out.status[inside] == (OK if passes else VIGNETTED)).all()
@@ -110,7 +110,7 @@ def test_area_of_two_apertures(mi, tangent):
         part_a = a**2 * np.arccos((d**2 + a**2 - b**2) / (2 * d * a))
         part_b = b**2 * np.arccos((d**2 + b**2 - a**2) / (2 * d * b))
         expected = part_a + part_b - 0.5 * np.sqrt((a + b - d) * (d + a - b) * (d - a + b) * (d + a + b))
-    arcs = find_arcs(lens, kernel, chiefs.points, WAVELENGTH_NM, np.array([0]))
+    arcs = find_arcs(lens, node_picks(kernel, WAVELENGTH_NM), chiefs.points, np.array([0]))
     assert ((arcs.length > 0).sum(-1) == (1 if d < a - b else 2)).all()
     error = [
         np.abs(arcs.points((8, arms), arcs.stars).inside * np.pi * 1.5**2 - expected).max() for arms in (22, 40, 90)
@@ -120,14 +120,14 @@ def test_area_of_two_apertures(mi, tangent):
 
 
 def test_quadrature_inside_an_outline_converges_exponentially(mi, bench):
-    _, tracer, kernel, chiefs = aimed(mi, bench, "star_tracker_26mm", [600.3, 800.7], [500.1, 300.9])
-    outlines = find_outlines(tracer._aim, kernel, chiefs, WAVELENGTH_NM)
+    _, planner, seen, chiefs = aimed(mi, bench, "star_tracker_26mm", [600.3, 800.7], [500.1, 300.9])
+    outlines = find_outlines(planner._aim, seen.picks, chiefs)
     stars = np.flatnonzero(outlines.clear)
     assert len(stars) == 2
 
     def stamps(order):
         pupil = outlines.points(order, stars)
-        x, y, ok = kernel.land(pupil, WAVELENGTH_NM)
+        x, y, ok = seen.nodes.land(pupil, WAVELENGTH_NM)
         assert ok.all()
         weight = np.broadcast_to(pupil.weight / 3, x.shape)
         corner = np.floor(x.mean((1, 2, 3))) - 10, np.floor(y.mean((1, 2, 3))) - 10

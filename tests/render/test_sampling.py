@@ -12,9 +12,9 @@ from scipy.stats import qmc
 
 from optics.prescription import load_lens
 from render import pupil_points
-from render.compose import TruthSums
+from render.damping import TOLERANCE
 from render.pupil_points import SobolPoints
-from render.sampling import LADDER, TOLERANCE, bounding_points, probe_fields, sobol_plan, staggered
+from render.sampling import LADDER, bounding_points, probe_fields, sobol_plan, staggered
 from render.tracer import Tracer
 
 
@@ -67,10 +67,10 @@ def test_sobol_points_fill_the_disk_evenly(mi):
 
 def stamps(tracer, stars, pupil, size=14):
     """Pixels of stars on the image through a given set of pupil points."""
-    direction = tracer._in_cam(stars, None)
-    light = tracer._light(stars, direction, 1.0)
+    paths = tracer._in_cam(stars, None)
+    light = tracer._light(stars, paths, 1.0)
     corner = np.floor(tracer.bundle_means(stars)) - size // 2 - 0.5
-    return tracer._kernel(direction).splat(
+    return tracer.planner.kernel(paths.mid).splat(
         stars=np.arange(len(stars), dtype=np.uint32),
         pupil=pupil,
         wavelength_nm=light.wavelength_nm,
@@ -102,8 +102,9 @@ def test_chosen_order_keeps_its_tolerance(mi, bench, diffusion_px, defocus_mm):
     rng = np.random.default_rng(3)
     stars = bench.stars_at(camera, rng.uniform(10, 4085, 12), rng.uniform(10, 2037, 12))
     tracer = Tracer(mi, camera)
-    kernel = tracer._kernel(tracer._in_cam(stars, None))
-    (group, rest), _ = tracer._groups(kernel, stars.wavelength_nm, TruthSums.empty(12, 1))
+    planner = tracer.planner
+    seen = planner.seen(tracer._in_cam(stars, None), stars.wavelength_nm)
+    (group, rest), _ = planner.groups(seen, stars.wavelength_nm, planner.chiefs(seen.mid, stars.wavelength_nm))
     plan = group.plan
     assert len(group.members) == 12
     assert len(rest.members) == 0

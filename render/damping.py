@@ -1,0 +1,41 @@
+"""Frequencies that a pixel value can hold, and how much of each is left of it: what sums over rays are judged by."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["HIGHEST_FREQUENCY", "TOLERANCE", "damped_frequencies", "transfer"]
+
+FloatArray = NDArray[np.float64]
+
+TOLERANCE = 3e-5
+"""Largest change of a damped characteristic function that counts as converged."""
+HIGHEST_FREQUENCY = 8.0
+"""Cycles per pixel beyond which a spot is not followed; diffusion below 0.09 px lets more through."""
+
+
+def damped_frequencies(diffusion_px: float, tolerance: float) -> FloatArray | None:
+    """Frequencies (f, 2) [cycles/px] up to the one at which diffusion leaves less than the tolerance.
+
+    They lie half a cycle apart on four lines through the origin. None where diffusion lets more than
+    `HIGHEST_FREQUENCY` through.
+    """
+    if diffusion_px <= 0.0:
+        return None
+    highest = math.sqrt(0.5 * math.log(1.0 / tolerance)) / (math.pi * diffusion_px)
+    return None if highest > HIGHEST_FREQUENCY else _grid(highest)
+
+
+def _grid(highest: float) -> FloatArray:
+    radii = np.arange(1, math.ceil(2 * highest) + 1) * 0.5
+    along = np.array([(1.0, 0.0), (0.0, 1.0), (np.sqrt(0.5), np.sqrt(0.5)), (np.sqrt(0.5), -np.sqrt(0.5))])
+    return np.asarray((radii[:, None, None] * along).reshape(-1, 2))
+
+
+def transfer(frequency: FloatArray, diffusion_px: float) -> FloatArray:
+    """What the pixel (its envelope) and the Gaussian of diffusion leave at frequencies (f, 2), (f,)."""
+    pixel = np.minimum(1.0, 1.0 / (np.pi * np.maximum(np.abs(frequency), 1e-9))).prod(1)
+    return np.asarray(pixel * np.exp(-2 * (np.pi * diffusion_px) ** 2 * (frequency**2).sum(1)))
