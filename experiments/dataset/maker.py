@@ -9,15 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.dataset.plan import FramePlan, plan_frame
-from experiments.dataset.points import points_of
+from experiments.dataset.points import Points, points_of, smear_px
 from experiments.dataset.scene import Scene
 from experiments.dataset.sky_light import diffuse_light, resolved_light
 from experiments.dataset.truth import FLAGS, StarLightOnChip, pixel_flags, star_rows
+from render.catalogue_temperature import TYPICAL_TEMPERATURE_K
 from render.cosmic_rays import CosmicRayHits, cosmic_ray_hits
 from render.random import Streams
 from render.readout import expose
-from render.records import Frame
-from render.tracer import Tracer
+from render.records import Frame, StarField
+from render.tracer import TracedStars, Tracer
 
 __all__ = ["FrameMaker", "MadeFrame"]
 
@@ -75,17 +76,14 @@ class FrameMaker:
         self.backend = str(mi.variant()).split("_", maxsplit=1)[0]
         self._tracer = Tracer(mi, scene.instrument.camera, tolerance=scene.config.camera.pupil_tolerance)
         self._streams: Streams = scene.plan.streams.child("detector")
+        self._axis_share = self._share_on_axis()
 
     def make(self, frame: int) -> MadeFrame:
         """Frame number ``frame``, 0 to 2^32 - 1."""
         scene, config = self.scene, self.scene.config
         plan = plan_frame(scene.plan, frame)
         seen = points_of(scene, plan)
-        traced = self._tracer.render(
-            seen.light,
-            exposure_s=config.camera.exposure_s,
-            rotation_cam_from_world=plan.attitude.as_matrix(),
-        )
+        traced = self._traced(seen, plan)
         electrons = traced.electrons[:, :, 0]
         sky_e = self._add_sky(electrons, plan)
         hits = self._hits(frame)
@@ -111,7 +109,8 @@ class FrameMaker:
             on_chip=StarLightOnChip(
                 background_e=sky_e + self._dark_e(),
                 pixel_flags=pixel_flags(read.saturated, read.defect, None if hits is None else _struck(hits)),
-                smear_px=np.zeros((len(seen), 2)),
+                smear_px=smear_px(scene, seen, plan, traced.truth.chief_y_px[:, 0]),
+                axis_share=self._axis_share,
             ),
         )
         return MadeFrame(
@@ -121,6 +120,35 @@ class FrameMaker:
             background_e=sky_e,
             saturated_px=int(np.count_nonzero(read.saturated)),
         )
+
+    def _share_on_axis(self) -> float:
+        """Part of the light of a star on the axis that the lens lets through."""
+        light = self.scene.light
+        star = StarField(
+            direction=np.array([[0.0, 0.0, 1.0]]),
+            wavelength_nm=light.wavelength_nm,
+            photon_rate=light.photon_rate(np.zeros(1), np.array([TYPICAL_TEMPERATURE_K])),
+            band=light.band,
+        )
+        truth = self._tracer.render(star, exposure_s=1.0, rotation_cam_from_world=np.eye(3)).truth
+        return float(1.0 - truth.electrons_vignetted[0, 0] / truth.electrons_in[0, 0])
+
+    def _traced(self, seen: Points, plan: FramePlan) -> TracedStars:
+        camera = self.scene.config.camera
+        if plan.trajectory is None:
+            attitude = plan.attitude.as_matrix()
+            return self._tracer.render(seen.light, exposure_s=camera.exposure_s, rotation_cam_from_world=attitude)
+        from render.exposure_motion import exposure_motion
+
+        motion = exposure_motion(
+            plan.trajectory,
+            start_s=plan.start_s,
+            exposure_s=camera.exposure_s,
+            camera=self.scene.instrument.camera,
+            line_time_s=camera.line_time_us * 1e-6,
+            tolerance=camera.pupil_tolerance,
+        )
+        return self._tracer.render(seen.light, exposure_s=camera.exposure_s, motion=motion)
 
     def _add_sky(self, electrons: NDArray[np.float32], plan: FramePlan) -> float:
         """Add the light of the sky to the stars', except what is the same everywhere; mean of all sky light [e-]."""
@@ -132,7 +160,14 @@ class FrameMaker:
             diffuse *= np.float32(exposure_s)
             electrons += diffuse
             mean += float(diffuse.mean())
-        disks = resolved_light(scene.sky_light, scene.instrument.camera, scene.view, plan, config)
+        disks = resolved_light(
+            scene.sky_light,
+            scene.instrument.camera,
+            scene.view,
+            plan,
+            config,
+            duration_s=scene.plan.duration_s,
+        )
         if disks is not None:
             electrons += disks
         return mean

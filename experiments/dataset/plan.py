@@ -32,7 +32,6 @@ __all__ = [
     "FramePlan",
     "Plan",
     "build_plan",
-    "duration_s",
     "fastest_rad_per_s",
     "plan_frame",
     "split_of",
@@ -56,6 +55,8 @@ class Plan:
         The configuration.
     streams : Streams
         Root of the randomness of this dataset.
+    duration_s : float
+        From the start of the exposure of the first row to the end of that of the last.
     attitudes : Rotation or None
         Of a list.
     path : Trajectory or None
@@ -66,6 +67,7 @@ class Plan:
 
     config: Config
     streams: Streams
+    duration_s: float
     attitudes: Rotation | None
     path: Trajectory | None
     to_sun: FloatArray | None
@@ -99,13 +101,15 @@ class FramePlan:
     trajectory: Trajectory | None
 
 
-def duration_s(config: Config) -> float:
-    """From the start of the exposure of the first row to the end of that of the last."""
-    return config.camera.exposure_s
-
-
-def build_plan(config: Config) -> Plan:
+def build_plan(config: Config, height_px: int | None = None) -> Plan:
     """Read what has to be read, and refuse what cannot be.
+
+    Parameters
+    ----------
+    config : Config
+        The configuration.
+    height_px : int, optional
+        Rows of the detector; those of the configuration if left out.
 
     Raises
     ------
@@ -115,6 +119,8 @@ def build_plan(config: Config) -> Plan:
         An attitude that is not normalised, a motion shorter than the frames need.
     """
     pointing = config.pointing
+    rows = config.camera.height_px if height_px is None else height_px
+    duration_s = config.camera.exposure_s + max(0, rows - 1) * config.camera.line_time_us * 1e-6
     attitudes: Rotation | None = None
     path: Trajectory | None = None
     if isinstance(pointing, ListPointing):
@@ -127,14 +133,14 @@ def build_plan(config: Config) -> Plan:
     elif isinstance(pointing, ScanPointing):
         if not (isinstance(config.rate, FixedRate) and not any(config.rate.rate_deg_per_s)):
             raise ConfigError("rate: the motion of a scan is that of pointing; leave rate out")
-        path = _scan(pointing, config)
+        path = _scan(pointing, config, duration_s)
     to_sun = None
     if isinstance(pointing, SkyPointing | ConePointing) and pointing.sun_exclusion_deg > 0:
         to_sun = sun_direction(config.sky.epoch_year)
         if isinstance(pointing, ConePointing):
             _check_cone(pointing, to_sun)
     streams = Streams(config.seed).child("dataset")
-    return Plan(config=config, streams=streams, attitudes=attitudes, path=path, to_sun=to_sun)
+    return Plan(config=config, streams=streams, duration_s=duration_s, attitudes=attitudes, path=path, to_sun=to_sun)
 
 
 def sun_direction(epoch_year: float) -> FloatArray:
@@ -155,13 +161,13 @@ def _check_cone(pointing: ConePointing, to_sun: FloatArray) -> None:
         )
 
 
-def _scan(pointing: ScanPointing, config: Config) -> Trajectory:
-    last_s = (config.frames - 1) / pointing.frame_rate_hz + duration_s(config)
+def _scan(pointing: ScanPointing, config: Config, duration_s: float) -> Trajectory:
+    last_s = (config.frames - 1) / pointing.frame_rate_hz + duration_s
     if pointing.file:
         times, attitudes = read_motion(pointing.file, "pointing.file")
         path = SampledAttitude(samples_s=times, attitudes=attitudes)
         if path.end_s - path.start_s < last_s:
-            most = int((path.end_s - path.start_s - duration_s(config)) * pointing.frame_rate_hz) + 1
+            most = int((path.end_s - path.start_s - duration_s) * pointing.frame_rate_hz) + 1
             raise DomainError(
                 f"pointing.file: {pointing.file} lasts {path.end_s - path.start_s:g} s, {config.frames} frames at "
                 f"{pointing.frame_rate_hz:g} Hz need {last_s:g} s; set frames to at most {max(most, 0)}"
@@ -170,13 +176,13 @@ def _scan(pointing: ScanPointing, config: Config) -> Trajectory:
     return ConstantRate(
         initial=attitude_from_angles(pointing.ra_deg, pointing.dec_deg, pointing.roll_deg),
         rate_rad_per_s=np.array(pointing.rate_deg_per_s) * DEG_RAD,
-        end_s=1e7 / pointing.frame_rate_hz + duration_s(config),  # more than the most frames there can be
+        end_s=1e7 / pointing.frame_rate_hz + duration_s,  # more than the most frames there can be
     )
 
 
 def plan_frame(plan: Plan, frame: int) -> FramePlan:
     """What frame number ``frame`` is."""
-    config, half_s = plan.config, duration_s(plan.config) / 2.0
+    config, half_s = plan.config, plan.duration_s / 2.0
     split = split_of(config.splits, plan.streams, frame)
     if plan.path is not None:
         assert isinstance(config.pointing, ScanPointing)
@@ -237,17 +243,18 @@ def _rate(plan: Plan, frame: int) -> FloatArray:
     return np.asarray(axis / np.linalg.norm(axis) * size * DEG_RAD)
 
 
-def fastest_rad_per_s(plan: Plan) -> float:
-    """Largest angular velocity across the boresight that a frame may have [rad/s]."""
+def fastest_rad_per_s(plan: Plan) -> tuple[float, float]:
+    """Largest angular velocities that a frame may have, across the boresight and about it [rad/s]."""
     config = plan.config
     if plan.path is not None:
         assert isinstance(config.pointing, ScanPointing)
-        end_s = plan.path.start_s + (config.frames - 1) / config.pointing.frame_rate_hz + duration_s(config)
+        end_s = plan.path.start_s + (config.frames - 1) / config.pointing.frame_rate_hz + plan.duration_s
         rate = plan.path.rate(np.linspace(plan.path.start_s, end_s, RATE_SAMPLES))
-        return float(np.hypot(rate[:, 0], rate[:, 1]).max())
+        return float(np.hypot(rate[:, 0], rate[:, 1]).max()), float(np.abs(rate[:, 2]).max())
     if isinstance(config.rate, RandomRate):
-        return config.rate.highest_deg_per_s * DEG_RAD
-    return float(np.hypot(*config.rate.rate_deg_per_s[:2])) * DEG_RAD
+        return config.rate.highest_deg_per_s * DEG_RAD, config.rate.highest_deg_per_s * DEG_RAD
+    x, y, z = config.rate.rate_deg_per_s
+    return float(np.hypot(x, y)) * DEG_RAD, abs(z) * DEG_RAD
 
 
 def split_of(splits: SplitsConfig, streams: Streams, frame: int) -> str:

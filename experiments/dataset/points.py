@@ -14,7 +14,7 @@ from optics.records import freeze
 from render.records import StarField
 from render.solar_system import joined
 
-__all__ = ["Points", "points_of"]
+__all__ = ["Points", "points_of", "smear_px"]
 
 FloatArray = NDArray[np.float64]
 
@@ -79,6 +79,38 @@ def points_of(scene: Scene, plan: FramePlan) -> Points:
     )
     planets = _planets(scene, plan)
     return stars if planets is None else _together(stars, planets)
+
+
+def smear_px(scene: Scene, seen: Points, plan: FramePlan, row_px: FloatArray) -> FloatArray:
+    """Motion (n, 2) of chief rays at the design wavelength from the start to the end of their row's exposure [px].
+
+    Parameters
+    ----------
+    scene : Scene
+        Camera.
+    seen : Points
+        n points.
+    plan : FramePlan
+        Motion.
+    row_px : (n,)
+        Row of every point in the middle of its exposure; NaN where none of its light arrives.
+
+    Returns
+    -------
+    (n, 2)
+        Columns and rows; NaN for what is outside of the field at one of the two times.
+    """
+    if plan.trajectory is None or not len(seen):
+        return np.zeros((len(seen), 2))
+    camera = scene.config.camera
+    last = scene.instrument.camera.height_px - 1.0
+    starts = plan.start_s + np.clip(np.nan_to_num(row_px), 0.0, last) * (camera.line_time_us * 1e-6)
+    direction = np.array(seen.direction)
+    ends = [
+        scene.view.pixel_of(plan.trajectory.attitude(times).apply(direction))
+        for times in (starts, starts + camera.exposure_s)
+    ]
+    return np.asarray(ends[1] - ends[0])
 
 
 def _planets(scene: Scene, plan: FramePlan) -> Points | None:

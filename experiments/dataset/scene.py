@@ -90,7 +90,7 @@ def build_scene(config: Config) -> Scene:
     """
     instrument = _aged(windowed_instrument(config.camera), config)
     band = passband(config.camera, instrument)
-    plan = build_plan(config)
+    plan = build_plan(config, instrument.detector.height_px)
     whole = load_catalogue(config.sky)
     bright = np.flatnonzero(whole.magnitude <= config.sky.faintest_mag)
     if not len(bright):
@@ -105,7 +105,7 @@ def build_scene(config: Config) -> Scene:
         catalogue=build_index(catalogue),
         row=bright,
         temperature_k=_temperatures(catalogue, config.sky),
-        view=field_of_view(instrument.camera, margin_px=MARGIN_PX),
+        view=field_of_view(instrument.camera, margin_px=MARGIN_PX + _path_px(plan, instrument)),
         light=light,
         plan=plan,
         observer=observer,
@@ -113,7 +113,6 @@ def build_scene(config: Config) -> Scene:
         sky_light=build_sky_light(config, instrument.camera, band, pixel_rad=pixel_rad, observer=observer),
     )
     _check_light(scene)
-    _check_rate(scene)
     _check_stars(scene)
     if config.background.zodiacal:
         to_sun = sun_direction(config.sky.epoch_year)
@@ -205,17 +204,27 @@ def _check_light(scene: Scene) -> None:
             raise DomainError(f"catalogue {scene.catalogue.catalog.name}, star {number}: {error}") from None
 
 
-def _check_rate(scene: Scene) -> None:
-    """Refuse a motion that carries the stars out of the frame during the exposure."""
-    across = fastest_rad_per_s(scene.plan)
-    exposure_s = scene.config.camera.exposure_s
-    smallest = 2.0 * float(np.arctan(scene.view.half_width.min()))
-    if across * exposure_s > 0.5 * smallest:
+def _path_px(plan: Plan, instrument: Instrument) -> float:
+    """How far a star may be from where it is in the middle of the exposure [px].
+
+    Raises
+    ------
+    DomainError
+        So far that stars leave the frame during the exposure.
+    """
+    across, about = fastest_rad_per_s(plan)
+    camera = instrument.camera
+    pixel_rad = instrument.pixel_arcsec * ARCSEC_RAD
+    smallest_px = min(camera.width_px, camera.height_px)
+    exposure_s = plan.config.camera.exposure_s
+    if across * exposure_s / pixel_rad > 0.5 * smallest_px:
         raise DomainError(
-            f"rate: at {np.degrees(across):g} deg/s stars move by {np.degrees(across * exposure_s):.3g} deg in "
-            f"camera.exposure_s = {exposure_s:g} s and leave the field of {np.degrees(smallest):.3g} deg; at most "
-            f"{0.5 * np.degrees(smallest) / exposure_s:.3g} deg/s is possible"
+            f"at {np.degrees(across):g} deg/s stars move by {across * exposure_s / pixel_rad:.0f} px in "
+            f"camera.exposure_s = {exposure_s:g} s and leave the frame of {camera.width_px} x {camera.height_px} px; "
+            f"at most {np.degrees(0.5 * smallest_px * pixel_rad / exposure_s):.3g} deg/s is possible"
         )
+    corner_px = 0.5 * float(np.hypot(camera.width_px, camera.height_px))
+    return 0.5 * plan.duration_s * (across / pixel_rad + about * corner_px)
 
 
 def _check_stars(scene: Scene) -> None:

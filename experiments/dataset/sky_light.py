@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from experiments.dataset.plan import FramePlan, Plan, duration_s, plan_frame
+from experiments.dataset.plan import FramePlan, Plan, plan_frame
 from experiments.dataset.settings import BackgroundConfig, Config, SkyPointing
 from optics.band import Band
 from optics.errors import ConfigError, DomainError
@@ -131,7 +131,7 @@ def diffuse_light(sky: SkyLight, attitude: Rotation, config: Config) -> NDArray[
 
 
 def resolved_light(
-    sky: SkyLight, camera: Camera, view: FieldOfView, plan: FramePlan, config: Config
+    sky: SkyLight, camera: Camera, view: FieldOfView, plan: FramePlan, config: Config, *, duration_s: float
 ) -> NDArray[np.float32] | None:
     """Expected electrons (h, w) of the disks that a frame sees; None where it sees none."""
     if sky.disks is None:
@@ -140,7 +140,7 @@ def resolved_light(
 
     matrix = plan.attitude.as_matrix()
     image: NDArray[np.float32] | None = None
-    turn = float(np.linalg.norm(plan.rate_rad_per_s)) * duration_s(config)
+    turn = float(np.linalg.norm(plan.rate_rad_per_s)) * duration_s
     reach = view.radius_rad + 0.5 * sky.disks.angular_diameter_rad + turn
     seen = sky.disks.direction @ matrix[2] > np.cos(np.minimum(reach, np.pi))
     for name in np.array(sky.disks.name)[seen]:
@@ -153,6 +153,7 @@ def resolved_light(
             seed=plan.frame,
             trajectory=plan.trajectory,
             start_s=plan.start_s,
+            line_time_s=config.camera.line_time_us * 1e-6,
             view=view,
         ).electrons[:, :, 0]
         image = body if image is None else image + body

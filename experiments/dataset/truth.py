@@ -33,9 +33,7 @@ class Column:
 
 COLUMNS = (
     Column("frame", "int32", "", "number of the frame"),
-    Column(
-        "star_id", "int64", "", "id in the catalogue (Gaia DR3 source_id, or -HIP); planets: -10^6 - NAIF number"
-    ),
+    Column("star_id", "int64", "", "id in the catalogue (Gaia DR3 source_id, or -HIP); planets: -10^6 - NAIF number"),
     Column("catalogue_row", "int64", "", "row of the catalogue; -1 for planets"),
     Column("band", "str", "", "pass band"),
     Column("ra_deg", "float64", "deg", "right ascension of the direction in which the star is seen, icrs"),
@@ -66,15 +64,17 @@ FLAGS = {
     "blended": (4, "its footprint meets that of a star with at least 1 % of its electrons"),
     "defect": (8, "a pixel of its footprint is defective"),
     "cosmic_ray": (16, "a cosmic ray left charge in its footprint"),
-    "vignetted": (32, "more than 0.1 % of its light is lost in the lens"),
+    "vignetted": (32, "the lens lets at least 1 % less of its light through than on the axis"),
     "no_light": (64, "none of its light reaches the detector"),
 }
 """Name -> (bit, meaning). The footprint of a star reaches 3 standard deviations of its spot and half a pixel from its
 photon centroid; the variance of the spot is that of the rays, of the charge diffusion and of a pixel (1/12)."""
 
 SHARE_LOST = 1e-3
+VIGNETTED_SHARE = 0.01
 BLEND_SHARE = 0.01
 DARK_SHARE = 1e-6
+BESIDE_PX = 16.0
 FOOTPRINT_SIGMA = 3.0
 LARGEST_FOOTPRINT_PX = 512.0
 
@@ -91,11 +91,14 @@ class StarLightOnChip:
         Bits of `FLAGS` for single pixels: saturated, defect, cosmic_ray.
     smear_px : (n, 2)
         Motion of every star during the exposure.
+    axis_share : float
+        Part of the light of a star on the axis that the lens lets through.
     """
 
     background_e: float
     pixel_flags: NDArray[np.uint8]
     smear_px: FloatArray
+    axis_share: float
 
 
 def pixel_flags(
@@ -138,7 +141,7 @@ def star_rows(
     Returns
     -------
     dict
-        `COLUMNS` in their order, (n,) each.
+        `COLUMNS` in their order, one entry per star that lights the detector or passes beside it.
     """
     x, y, z = seen.direction.T
     values = {name: getattr(truth, name)[:, 0] for name in type(truth).__dataclass_fields__}
@@ -160,10 +163,22 @@ def star_rows(
         "snr": flux_snr(electrons, *sigma, noise_e2=noise),
         "smear_x_px": on_chip.smear_px[:, 0],
         "smear_y_px": on_chip.smear_px[:, 1],
-        "flags": _flags(values, footprint_px(*rays, detector.diffusion_sigma_px), on_chip.pixel_flags),
+        "flags": _flags(values, footprint_px(*rays, detector.diffusion_sigma_px), on_chip),
         **{name: value for name, value in values.items() if name != "electrons_image"},
     }
-    return {column.name: columns[column.name] for column in COLUMNS}
+    kept = _worth_a_row(values, on_chip.pixel_flags.shape)
+    return {
+        column.name: columns[column.name] if column.type == "str" else np.asarray(columns[column.name])[kept]
+        for column in COLUMNS
+    }
+
+
+def _worth_a_row(values: dict[str, FloatArray], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Stars (n,) that give light to the detector or should: those whose chief ray passes far beside it are left out."""
+    x, y = values["chief_x_px"], values["chief_y_px"]
+    near = (x >= -0.5 - BESIDE_PX) & (x <= shape[1] - 0.5 + BESIDE_PX)
+    near &= (y >= -0.5 - BESIDE_PX) & (y <= shape[0] - 0.5 + BESIDE_PX)
+    return near | (values["electrons_image"] > DARK_SHARE * values["electrons_in"])
 
 
 def flux_snr(electrons: FloatArray, sigma_x_px: FloatArray, sigma_y_px: FloatArray, *, noise_e2: float) -> FloatArray:
@@ -196,17 +211,18 @@ def _spot_sigma(rays_px2: FloatArray, diffusion_px: float) -> FloatArray:
     return np.asarray(np.sqrt(known + diffusion_px**2 + 1.0 / 12.0))
 
 
-def _flags(values: dict[str, FloatArray], half: FloatArray, bits: NDArray[np.uint8]) -> NDArray[np.int32]:
+def _flags(values: dict[str, FloatArray], half: FloatArray, on_chip: StarLightOnChip) -> NDArray[np.int32]:
     sent, arrived = values["electrons_in"], values["electrons_image"]
     lost = values["electrons_off_edge"] + arrived
     flags = np.zeros(len(sent), np.int32)
     flags[values["electrons_off_edge"] > SHARE_LOST * lost] |= FLAGS["off_edge"][0]
-    flags[values["electrons_vignetted"] > SHARE_LOST * sent] |= FLAGS["vignetted"][0]
+    through = sent - values["electrons_vignetted"]
+    flags[through < (1.0 - VIGNETTED_SHARE) * on_chip.axis_share * sent] |= FLAGS["vignetted"][0]
     dark = ~(arrived > DARK_SHARE * sent)
     flags[dark] |= FLAGS["no_light"][0]
     centre = np.stack([values["photon_x_px"], values["photon_y_px"]])
     lit = np.flatnonzero(~dark & np.isfinite(centre).all(0))
-    flags[lit] |= _footprint_bits(centre[:, lit], half[:, lit], bits)
+    flags[lit] |= _footprint_bits(centre[:, lit], half[:, lit], on_chip.pixel_flags)
     flags[lit[_blended(centre[:, lit], half[:, lit], arrived[lit])]] |= FLAGS["blended"][0]
     return flags
 

@@ -127,7 +127,7 @@ def test_no_light_at_all(mi):
     [
         ({"sky": CatalogueConfig(faintest_mag=-2.0)}, "the brightest star"),
         ({"sky": CatalogueConfig(faintest_mag=1.0)}, "no frame sees a star"),
-        ({"rate": FixedRate(rate_deg_per_s=(0.0, 5.0, 0.0))}, "leave the field"),
+        ({"rate": FixedRate(rate_deg_per_s=(0.0, 5.0, 0.0))}, "leave the frame"),
         ({"camera": CameraConfig(width_px=4096)}, "set it to at most that"),
         ({"camera": CameraConfig(width_px=0, height_px=0)}, "made for 16.5 deg"),
         ({"camera": CameraConfig(passband_nm=(300.0, 700.0))}, "known for 400"),
