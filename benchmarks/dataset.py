@@ -40,7 +40,9 @@ MAGNITUDE_OF_SIDE = {256: 9.6, 512: 8.1, 1024: 6.6, 1536: 5.8}
 
 def rate(settings: list[str], frames: int, workers: int) -> dict[str, Any]:
     """Results of one run of the command."""
-    options = [part for setting in (*settings, "verify.frames=0") for part in ("--set", setting)]
+    options = [
+        part for setting in (*settings, "verify.frames=0", "verify.resume_frames=0") for part in ("--set", setting)
+    ]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "dataset"

@@ -76,7 +76,11 @@ def _attitudes(result: Result) -> str:
     fastest = max(math.hypot(*one.rate_deg_per_s) for one in result.facts)
     moving = f", turning by up to {fastest:.3g} deg/s" if fastest else ", at rest"
     shutter = f", rolling shutter of {config.camera.line_time_us:g} us per row" if config.camera.line_time_us else ""
-    return f"{words}{moving}{shutter}"
+    jitter = ""
+    if result.scene.plan.jitter is not None:
+        rms = ", ".join(f"{value:.3g}" for value in result.scene.plan.jitter.rms_arcsec)
+        jitter = f", jitter of {rms} arcsec RMS about x, y, z"
+    return f"{words}{moving}{jitter}{shutter}"
 
 
 def _other_light(result: Result) -> str:

@@ -15,6 +15,7 @@ from experiments.dataset.settings import (
     ConePointing,
     Config,
     FixedRate,
+    JitterConfig,
     ListPointing,
     RandomRate,
     ScanPointing,
@@ -24,6 +25,7 @@ from experiments.dataset.settings import (
 from optics.errors import ConfigError, DomainError
 from optics.units import DEG_RAD
 from render.catalogue_motion import earth_observer
+from render.jitter import JitterSpectrum, jittered
 from render.random import Streams
 from render.trajectory import ConstantRate, SampledAttitude, Trajectory
 
@@ -63,6 +65,8 @@ class Plan:
         Of a scan.
     to_sun : (3,) or None
         Towards the Sun along icrs, where attitudes have to keep away from it.
+    jitter : JitterSpectrum or None
+        Random motion on top; the path of a scan has it already.
     """
 
     config: Config
@@ -71,6 +75,7 @@ class Plan:
     attitudes: Rotation | None
     path: Trajectory | None
     to_sun: FloatArray | None
+    jitter: JitterSpectrum | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,6 +126,7 @@ def build_plan(config: Config, height_px: int | None = None) -> Plan:
     pointing = config.pointing
     rows = config.camera.height_px if height_px is None else height_px
     duration_s = config.camera.exposure_s + max(0, rows - 1) * config.camera.line_time_us * 1e-6
+    streams, jitter = Streams(config.seed).child("dataset"), _spectrum(config.jitter)
     attitudes: Rotation | None = None
     path: Trajectory | None = None
     if isinstance(pointing, ListPointing):
@@ -134,13 +140,40 @@ def build_plan(config: Config, height_px: int | None = None) -> Plan:
         if not (isinstance(config.rate, FixedRate) and not any(config.rate.rate_deg_per_s)):
             raise ConfigError("rate: the motion of a scan is that of pointing; leave rate out")
         path = _scan(pointing, config, duration_s)
+        if jitter is not None:
+            path = jittered(path, jitter, streams=streams)  # one motion for all frames
     to_sun = None
     if isinstance(pointing, SkyPointing | ConePointing) and pointing.sun_exclusion_deg > 0:
         to_sun = sun_direction(config.sky.epoch_year)
         if isinstance(pointing, ConePointing):
             _check_cone(pointing, to_sun)
-    streams = Streams(config.seed).child("dataset")
-    return Plan(config=config, streams=streams, duration_s=duration_s, attitudes=attitudes, path=path, to_sun=to_sun)
+    return Plan(
+        config=config,
+        streams=streams,
+        duration_s=duration_s,
+        attitudes=attitudes,
+        path=path,
+        to_sun=to_sun,
+        jitter=jitter,
+    )
+
+
+def _spectrum(config: JitterConfig) -> JitterSpectrum | None:
+    """The configured power spectra.
+
+    Raises
+    ------
+    DomainError
+        Frequencies that do not increase, or densities that are negative or zero in places.
+    """
+    count = len(config.frequency_hz)
+    densities = (config.psd_x_arcsec2_per_hz, config.psd_y_arcsec2_per_hz, config.psd_z_arcsec2_per_hz)
+    if not count or not any(densities):
+        return None
+    return JitterSpectrum(
+        frequency_hz=np.array(config.frequency_hz),
+        psd_arcsec2_per_hz=np.array([values or (0.0,) * count for values in densities]),
+    )
 
 
 def sun_direction(epoch_year: float) -> FloatArray:
@@ -187,20 +220,23 @@ def plan_frame(plan: Plan, frame: int) -> FramePlan:
     if plan.path is not None:
         assert isinstance(config.pointing, ScanPointing)
         start = plan.path.start_s + frame / config.pointing.frame_rate_hz
-        rate = plan.path.rate(start + half_s)
+        at_rest = isinstance(plan.path, ConstantRate) and not plan.path.rate_rad_per_s.any()
         return FramePlan(
             frame=frame,
             split=split,
             attitude=plan.path.attitude(start + half_s),
-            rate_rad_per_s=rate,
+            rate_rad_per_s=plan.path.rate(start + half_s),
             start_s=start,
-            trajectory=plan.path if np.any(rate) else None,
+            trajectory=None if at_rest else plan.path,
         )
     attitude, rate = _attitude(plan, frame), _rate(plan, frame)
-    path = None
-    if rate.any():
+    path: Trajectory | None = None
+    if rate.any() or plan.jitter is not None:
         initial = Rotation.from_rotvec(rate * half_s) * attitude  # half an exposure earlier
         path = ConstantRate(initial=initial, rate_rad_per_s=rate, end_s=2.0 * half_s)
+    if path is not None and plan.jitter is not None:
+        path = jittered(path, plan.jitter, streams=plan.streams, frame=frame)
+        attitude, rate = path.attitude(half_s), path.rate(half_s)
     return FramePlan(frame=frame, split=split, attitude=attitude, rate_rad_per_s=rate, start_s=0.0, trajectory=path)
 
 

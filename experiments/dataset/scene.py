@@ -31,6 +31,7 @@ FloatArray = NDArray[np.float64]
 
 MARGIN_PX = 16.0
 SEARCHED_FRAMES = 10_000
+JITTER_SIGMA = 5.0
 LONGEST_ANNEALED_S = 5e6
 """A dose that comes over years has annealed all the while: the end of the published curve (`render.radiation`)."""
 
@@ -224,7 +225,11 @@ def _path_px(plan: Plan, instrument: Instrument) -> float:
             f"at most {np.degrees(0.5 * smallest_px * pixel_rad / exposure_s):.3g} deg/s is possible"
         )
     corner_px = 0.5 * float(np.hypot(camera.width_px, camera.height_px))
-    return 0.5 * plan.duration_s * (across / pixel_rad + about * corner_px)
+    steady_px = 0.5 * plan.duration_s * (across / pixel_rad + about * corner_px)
+    if plan.jitter is None:
+        return steady_px
+    x, y, z = plan.jitter.rms_arcsec * ARCSEC_RAD * JITTER_SIGMA
+    return steady_px + float(np.hypot(x, y)) / pixel_rad + float(z) * corner_px
 
 
 def _check_stars(scene: Scene) -> None:

@@ -17,6 +17,7 @@ __all__ = [
     "Config",
     "FilesConfig",
     "FixedRate",
+    "JitterConfig",
     "ListPointing",
     "Pointing",
     "RadiationConfig",
@@ -154,6 +155,27 @@ class RandomRate(StrictModel):
         return self
 
 
+class JitterConfig(StrictModel):
+    """Random motion about the camera's axes, as one-sided power spectra; power laws between the frequencies."""
+
+    frequency_hz: tuple[float, ...] = Field(default=(), description="at least two, increasing; none: no jitter")
+    psd_x_arcsec2_per_hz: tuple[float, ...] = Field(
+        default=(), description="about x at these frequencies; none: at rest"
+    )
+    psd_y_arcsec2_per_hz: tuple[float, ...] = Field(default=(), description="about y")
+    psd_z_arcsec2_per_hz: tuple[float, ...] = Field(default=(), description="about the boresight")
+
+    @model_validator(mode="after")
+    def _as_many(self) -> JitterConfig:
+        for axis in "xyz":
+            count = len(getattr(self, f"psd_{axis}_arcsec2_per_hz"))
+            if count not in (0, len(self.frequency_hz)):
+                raise ValueError(
+                    f"psd_{axis}_arcsec2_per_hz has {count} values for {len(self.frequency_hz)} frequencies"
+                )
+        return self
+
+
 Pointing = SkyPointing | ConePointing | ListPointing | ScanPointing
 Rate = FixedRate | RandomRate
 
@@ -239,6 +261,7 @@ class Config(ExperimentConfig):
     sky: CatalogueConfig = CatalogueConfig()
     pointing: Pointing = Field(default=SkyPointing(), discriminator="kind", description="where the camera looks")
     rate: Rate = Field(default=FixedRate(), discriminator="kind", description="how it turns during the exposure")
+    jitter: JitterConfig = JitterConfig()
     background: BackgroundConfig = BackgroundConfig()
     radiation: RadiationConfig = RadiationConfig()
     splits: SplitsConfig = SplitsConfig()

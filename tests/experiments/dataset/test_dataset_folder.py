@@ -22,6 +22,7 @@ from experiments.dataset.work import Job, make_frame
 SMALL = [
     *("--set", "camera.lens=star_camera_206mm", "--set", "camera.width_px=192", "--set", "camera.height_px=128"),
     *("--set", "camera.nodes=3", "--set", "sky.faintest_mag=10", "--set", "verify.frames=0"),
+    *("--set", "verify.resume_frames=0"),
     *("--set", "pointing.kind=cone", "--set", "pointing.ra_deg=56.75", "--set", "pointing.dec_deg=24.12"),
     *("--set", "pointing.radius_deg=0.1", "--workers", "1"),
 ]

@@ -15,6 +15,7 @@ from experiments.dataset.settings import (
     ConePointing,
     Config,
     FixedRate,
+    JitterConfig,
     ListPointing,
     RandomRate,
     ScanPointing,
@@ -82,6 +83,20 @@ def test_rates():
     size = np.degrees([np.linalg.norm(one.rate_rad_per_s) for one in frames_of(rate=random)])
     assert 0.01 <= size.min() <= size.max() <= 1.0
     assert abs(np.log10(size).mean() + 1.0) < 4 * 2 / np.sqrt(12 * N)
+
+
+def test_jitter():
+    """Attitudes scatter about those without it by what the spectrum says; frames of a scan share one motion."""
+    jitter = JitterConfig(frequency_hz=(0.5, 50.0), psd_x_arcsec2_per_hz=(4.0, 4.0), psd_z_arcsec2_per_hz=(16.0, 16.0))
+    still, moved = frames_of(), frames_of(jitter=jitter)
+    off = np.array([(b.attitude * a.attitude.inv()).as_rotvec() for a, b in zip(still, moved, strict=True)])
+    rms = np.degrees(np.sqrt((off**2).mean(0))) * 3600
+    wanted = np.sqrt(np.array([4.0, 0.0, 16.0]) * 49.5)
+    assert rms == pytest.approx(wanted, rel=4 / np.sqrt(2 * N), abs=1e-6)
+    assert moved[3].rate_rad_per_s.any()
+    assert moved[3].trajectory is not None
+    scan = frames_of(pointing=ScanPointing(), jitter=jitter)
+    assert scan[5].trajectory is scan[6].trajectory
 
 
 def test_splits_are_shared_out_in_blocks():
