@@ -22,7 +22,7 @@ def chief_px(scene, direction, attitude, wavelength_nm):
     return np.stack(camera.to_pixel(*chief_ray_points(camera.focused_lens, *angles, wavelength_nm)), axis=1)
 
 
-@pytest.mark.parametrize(("scanned", "line_time_us"), [(True, 0.0), (False, 200.0)])
+@pytest.mark.parametrize(("scanned", "line_time_us"), [(False, 200.0), pytest.param(True, 0.0, marks=pytest.mark.slow)])
 def test_smear_and_place(mi, scanned, line_time_us):
     camera = CameraConfig(lens="star_camera_206mm", width_px=256, height_px=192, nodes=3, line_time_us=line_time_us)
     pleiades = {"ra_deg": 56.75, "dec_deg": 24.12, "roll_deg": 20.0}

@@ -26,9 +26,9 @@ from optics.errors import ConfigError, DomainError, StarbenchError
 N = 500
 
 
-def frames_of(**settings):
-    plan = build_plan(Config(frames=N, **settings))
-    return [plan_frame(plan, frame) for frame in range(N)]
+def frames_of(count=N, **settings):
+    plan = build_plan(Config(frames=count, **settings))
+    return [plan_frame(plan, frame) for frame in range(count)]
 
 
 def test_random_attitudes_are_uniform():
@@ -65,7 +65,7 @@ def test_roll_is_the_position_angle_of_up(ra, dec, roll):
 def test_a_scan_is_one_motion():
     rate = np.radians([0.2, -0.5, 0.1])
     scan = ScanPointing(rate_deg_per_s=tuple(np.degrees(rate)), frame_rate_hz=4.0)
-    first, second = frames_of(pointing=scan)[7:9]
+    first, second = frames_of(9, pointing=scan)[7:9]
     assert (second.attitude * first.attitude.inv()).as_rotvec() == pytest.approx(-rate / 4.0, abs=1e-12)
     assert first.trajectory is second.trajectory
     middle = first.trajectory.attitude(first.start_s + Config().camera.exposure_s / 2)
@@ -73,10 +73,10 @@ def test_a_scan_is_one_motion():
 
 
 def test_rates():
-    fixed = frames_of(rate=FixedRate(rate_deg_per_s=(0.0, 1.0, 0.0)))[3]
+    fixed = frames_of(4, rate=FixedRate(rate_deg_per_s=(0.0, 1.0, 0.0)))[3]
     middle = fixed.trajectory.attitude(Config().camera.exposure_s / 2)
     assert (middle * fixed.attitude.inv()).magnitude() < 1e-12
-    free = frames_of()[3]
+    free = frames_of(4)[3]
     assert free.trajectory is None
     assert (free.attitude * fixed.attitude.inv()).magnitude() < 1e-12  # the rate changes no attitude
     random = RandomRate(distribution="log_uniform", lowest_deg_per_s=0.01, highest_deg_per_s=1.0)
@@ -88,14 +88,14 @@ def test_rates():
 def test_jitter():
     """Attitudes scatter about those without it by what the spectrum says; frames of a scan share one motion."""
     jitter = JitterConfig(frequency_hz=(0.5, 50.0), psd_x_arcsec2_per_hz=(4.0, 4.0), psd_z_arcsec2_per_hz=(16.0, 16.0))
-    still, moved = frames_of(), frames_of(jitter=jitter)
+    still, moved = frames_of(150), frames_of(150, jitter=jitter)
     off = np.array([(b.attitude * a.attitude.inv()).as_rotvec() for a, b in zip(still, moved, strict=True)])
     rms = np.degrees(np.sqrt((off**2).mean(0))) * 3600
     wanted = np.sqrt(np.array([4.0, 0.0, 16.0]) * 49.5)
-    assert rms == pytest.approx(wanted, rel=4 / np.sqrt(2 * N), abs=1e-6)
+    assert rms == pytest.approx(wanted, rel=4 / np.sqrt(2 * 150), abs=1e-6)
     assert moved[3].rate_rad_per_s.any()
     assert moved[3].trajectory is not None
-    scan = frames_of(pointing=ScanPointing(), jitter=jitter)
+    scan = frames_of(7, pointing=ScanPointing(), jitter=jitter)
     assert scan[5].trajectory is scan[6].trajectory
 
 
