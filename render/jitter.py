@@ -141,7 +141,7 @@ class Jittered:
         return Rotation.from_rotvec(-self.offset_rad(time_s)) * base
 
     def rate(self, time_s: ArrayLike) -> FloatArray:
-        """Angular velocity in body axes [rad/s]: that of the base, turned, and the left Jacobian of -delta on its own."""
+        """Angular velocity in body axes [rad/s]: that of the base, turned, and its own (left Jacobian of -delta)."""
         base, delta = self.base.rate(time_s), self.offset_rad(time_s)
         speed = -self._sum(time_s, np.sin, 2.0 * np.pi * self.frequency_hz * self.amplitude_rad)
         angle2 = (delta**2).sum(-1, keepdims=True)

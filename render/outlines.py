@@ -19,12 +19,13 @@ from render.aimed_pupil import AimedLens, Chiefs, Rims, find_stop_rims
 from render.pupil_points import OutlinePoints
 from render.star_kernel import StarKernel
 
-__all__ = ["GOLDEN", "NodePicks", "Outlines", "find_outlines", "node_picks", "rings"]
+__all__ = ["GOLDEN", "NodePicks", "Outlines", "find_outlines", "node_picks", "node_turns", "rings"]
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 GOLDEN = 0.6180339887498949
+PLASTIC = 1.324717957244746
 ARMS = 10
 """Azimuths at which the stop's outline is found; its harmonics fall by a factor of five or more each."""
 HARMONIC_LEFT = 1e-6
@@ -121,6 +122,17 @@ def node_picks(kernel: StarKernel, wavelength_nm: FloatArray, times: FloatArray 
     return NodePicks(kernel, np.ascontiguousarray(wavelength_nm[:, picks]), factors, one, every)
 
 
+def node_turns(colours: int, times: int = 1) -> FloatArray:
+    """By which part of their spacing azimuths are turned at every node (times x colours,).
+
+    Golden-ratio steps from wavelength to wavelength fill each other's gaps; with times the two steps are those of the
+    plastic number (M. Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
+    """
+    if times == 1:
+        return np.asarray(GOLDEN * np.arange(colours) % 1.0)
+    return np.asarray((PLASTIC**-1 * np.arange(times)[:, None] + PLASTIC**-2 * np.arange(colours)).ravel() % 1.0)
+
+
 @cache
 def _series(arms: int) -> FloatArray:
     """Matrix (h, m) from m = ``arms`` equidistant samples to cosine and sine amplitudes, one after the other."""
@@ -157,7 +169,7 @@ class Outlines:
     def points(self, order: tuple[int, int], stars: IndexArray) -> OutlinePoints:
         """Quadrature points of so many rings and azimuths inside smooth outlines."""
         count, arms = order
-        turn = GOLDEN * np.arange(self.picks.nodes)[:, None] + np.repeat([0.0, 0.5], arms)
+        turn = node_turns(self.picks.colours.shape[1], self.picks.times.shape[1])[:, None] + np.repeat([0.0, 0.5], arms)
         azimuth = 2.0 * np.pi / arms * (np.tile(np.arange(arms), 2) + turn % 1.0)
         radius = self._at(azimuth, stars)
         ring, weight = rings(count)

@@ -17,6 +17,7 @@ from optics.pupil import EntrancePupil
 from render.aimed_pupil import AimedLens, Chiefs, aimed_lens, find_chiefs
 from render.arrays import DrJitArrays
 from render.camera import Camera, launch_disk
+from render.damping import MOTION_TOLERANCE, TOLERANCE
 from render.ideal_lens import IdealLens
 from render.outlines import NodePicks, Outlines, find_outlines, node_picks
 from render.passes import Bounds, Group, find_bounds
@@ -28,6 +29,7 @@ from render.sampling import (
     Landed,
     PupilPlan,
     converged_order,
+    lowest_order,
     probe_fields,
     probe_nodes,
     sobol_plan,
@@ -42,9 +44,9 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 Ladder = tuple[tuple[int, int], ...]
 
-FIRST_ORDERS = ((1, 3), (2, 4), (3, 5), (4, 6), (5, 7))
-"""Orders that are tried before the others where several time nodes fill each other's gaps."""
-FIRST_ARC_ORDERS = ((2, 20), (4, 21))
+MOTION_FIELDS = (0, 1, 6, 9, 12, 15)
+"""Probe fields that judge under motion."""
+LEAST_ORDER, LEAST_ARC_ORDER = (2, 3), (2, 20)
 SHORTEST_PX = 0.25
 """Path below which the order is that of a star at rest."""
 
@@ -195,38 +197,54 @@ class PupilPlanner:
         length = 2.0 ** (0.5 * math.floor(2.0 * math.log2(length))) if length > SHORTEST_PX else 0.0
         key = (mode, wavelength_nm.tobytes(), steps, seen.nodes.times, length)
         if key not in self._plans:
-            self._plans[key] = self._try(mode, wavelength_nm, min(steps * step, 1.5), seen.nodes.times, length)
+            reach = min(steps * step, 1.5)
+            still = (mode, wavelength_nm.tobytes(), steps, 1, 0.0)
+            if still not in self._plans:
+                self._plans[still] = self._try(mode, wavelength_nm, reach, 1, 0.0, None)
+            if key != still:
+                self._plans[key] = self._try(mode, wavelength_nm, reach, *key[3:], self._plans[still])
         return self._plans[key]
 
     def _try(
-        self, mode: str, wavelength_nm: FloatArray, reach_rad: float, times: int, length_px: float
+        self,
+        mode: str,
+        wavelength_nm: FloatArray,
+        reach_rad: float,
+        times: int,
+        length_px: float,
+        still: PupilPlan | None,
     ) -> PupilPlan | None:
-        """Lowest order that is converged for probe stars."""
+        """Lowest order that is converged for probe stars; under motion at most that of a camera at rest."""
+        if times > 1 and still is None:
+            return None
         few = np.ascontiguousarray(wavelength_nm[:, probe_nodes(wavelength_nm.shape[1])])
-        angle_rad = length_px / IdealLens.of(self.camera).focal_px
-        paths = uniform_paths(probe_fields(reach_rad), times, angle_rad)
+        fields = probe_fields(reach_rad) if times == 1 else probe_fields(reach_rad)[list(MOTION_FIELDS)]
+        paths = uniform_paths(fields, times, length_px / IdealLens.of(self.camera).focal_px)
         seen = self.seen(paths, few, length_px)
-        nodes = few.shape[1] * times
         probes = np.arange(len(paths.mid))
         ladder: Ladder = LADDER
-        points: Callable[[tuple[int, int]], PupilPoints] = partial(staggered, nodes=nodes)
+        points: Callable[[tuple[int, int]], PupilPoints] = partial(staggered, nodes=few.shape[1], times=times)
         if not self.pupil.exact:
             shapes = [s for s in self.shapes(seen, self.chiefs(seen.mid, few)) if s[0] == mode]
             if not shapes:
-                return None
+                return still
             probes, points = shapes[0][1], partial(shapes[0][2].points, stars=shapes[0][1])
             ladder = OUTLINE_LADDER if mode == "quadrature" else ARC_LADDER
-        if times > 1:
-            ladder = (*(FIRST_ARC_ORDERS if mode == "arcs" else FIRST_ORDERS), *ladder[1:])
         node_weight = None if times == 1 else np.repeat(paths.weight[0] / few.shape[1], few.shape[1])
 
         def land(order: tuple[int, int]) -> Landed:
             pupil = points(order)
             return Landed(*seen.nodes.land(pupil, few, probes.astype(np.uint32)), pupil.weight, node_weight)
 
-        converged = converged_order(land, self.camera.charge_diffusion_px, self.tolerance, ladder)
-        if converged is None:
+        found: tuple[tuple[int, int], float] | None
+        if still is not None:
+            least = LEAST_ARC_ORDER if mode == "arcs" else LEAST_ORDER
+            tolerance = self.tolerance * (MOTION_TOLERANCE / TOLERANCE)
+            found = lowest_order(land, self.camera.charge_diffusion_px, tolerance, still.order, least)
+        else:
+            found = converged_order(land, self.camera.charge_diffusion_px, self.tolerance, ladder)
+        if found is None:
             return None
-        order, error = converged
-        pupil = staggered(order, wavelength_nm.shape[1] * times) if self.pupil.exact else None
+        order, error = found
+        pupil = staggered(order, wavelength_nm.shape[1], times) if self.pupil.exact else None
         return PupilPlan(mode, order[0] * order[1], error, pupil, order)

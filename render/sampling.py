@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from optics.pupil import gauss_disk
 from render.damping import TOLERANCE, damped_frequencies, transfer
-from render.outlines import GOLDEN
+from render.outlines import node_turns
 from render.pupil_points import PupilPoints, SobolPoints, TablePoints
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
     "PupilPlan",
     "bounding_points",
     "converged_order",
+    "lowest_order",
     "probe_fields",
     "probe_nodes",
     "sobol_plan",
@@ -144,10 +145,10 @@ def probe_fields(reach_rad: float) -> FloatArray:
     return np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=1)
 
 
-def staggered(order: tuple[int, int], nodes: int) -> TablePoints:
-    """Gauss x trapezoid points, turned from wavelength node to wavelength node."""
+def staggered(order: tuple[int, int], nodes: int, times: int = 1) -> TablePoints:
+    """Gauss x trapezoid points, turned from wavelength node to wavelength node, and from time to time."""
     pupil = gauss_disk(*order)
-    turn = 2 * np.pi / order[1] * (GOLDEN * np.arange(nodes) % 1.0)[:, None]
+    turn = 2 * np.pi / order[1] * node_turns(nodes, times)[:, None]
     x = np.cos(turn) * pupil.x - np.sin(turn) * pupil.y
     y = np.sin(turn) * pupil.x + np.cos(turn) * pupil.y
     return TablePoints(np.stack([x, y], axis=-1), np.asarray(pupil.weight))
@@ -220,6 +221,50 @@ def converged_order(
             return order, error
         previous = current
     return None
+
+
+def lowest_order(
+    land: Callable[[tuple[int, int]], Landed],
+    diffusion_px: float,
+    tolerance: float,
+    start: tuple[int, int],
+    least: tuple[int, int],
+) -> tuple[tuple[int, int], float]:
+    """Order with as few azimuths, then as few rings, as agree with a higher one than ``start`` to the tolerance.
+
+    For stars in motion, where the time nodes fill gaps in the pupil.
+
+    Parameters
+    ----------
+    land, diffusion_px, tolerance
+        As `converged_order`.
+    start : (int, int)
+        Order that is high enough.
+    least : (int, int)
+        Lowest order to try.
+    """
+    frequency = damped_frequencies(diffusion_px, tolerance)
+    assert frequency is not None
+    grid = frequency, transfer(frequency, diffusion_px)
+    exact, clear = _spectrum(land((start[0] + 2, start[1] + 4)), *grid)
+    errors: dict[tuple[int, int], float] = {}
+
+    def error(order: tuple[int, int]) -> float:
+        if order not in errors:
+            errors[order] = float(np.abs(_spectrum(land(order), *grid)[0] - exact)[clear].max(initial=0.0))
+        return errors[order]
+
+    rings, arms = start
+    for axis, share in ((1, 0.7), (0, 1.0)):
+        low, high = least[axis], start[axis]
+        while low < high:  # the lowest that is good enough; errors fall with the order
+            middle = (low + high) // 2
+            if error((rings, middle) if axis else (middle, arms)) < share * tolerance:
+                high = middle
+            else:
+                low = middle + 1
+        rings, arms = (rings, high) if axis else (high, arms)
+    return (rings, arms), error((rings, arms))
 
 
 def sobol_plan(nodes: int, seed: int, log2_rays: int) -> PupilPlan:

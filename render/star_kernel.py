@@ -245,6 +245,17 @@ class StarKernel:
             below = up_to
         return self.I(first), shares
 
+    def _strip_centre(self, position_px: Any) -> Any:
+        """First moment over strips of a Gaussian around a position: the first term of their alias (`strips_per_pixel`).
+
+        floor(u) + 1/2 = u + sum_k sin(2 pi k u) / (pi k), and a Gaussian damps the k-th wave.
+        """
+        m, sigma = self.geometry.strips, self.geometry.diffusion_px
+        if sigma * m < 0.5:
+            return (dr.floor(position_px * m) + 0.5) / m
+        alias = math.exp(-2.0 * (math.pi * m * sigma) ** 2) / (math.pi * m)
+        return position_px + alias * dr.sin(2.0 * math.pi * m * position_px)
+
     def _add(
         self, target: Any, value: Any, index: Any, active: Any, mode: dr.ReduceMode = dr.ReduceMode.Direct
     ) -> None:
@@ -305,7 +316,8 @@ class StarKernel:
         F, U, slots = self.F, self.U, math.prod(shape)
         size, strips = stamp_px * cells_per_px, stamp_px * self.geometry.strips
         cells = [self._shares(v, cells_per_px, PIXEL_REACH) for v in (x, y)]
-        marginals = [self._shares(v, self.geometry.strips, STRIP_REACH) for v in (x, y)] if cells_per_px == 1 else []
+        by_strips = cells_per_px == 1 and self.times == 1
+        marginals = [self._shares(v, self.geometry.strips, STRIP_REACH) for v in (x, y)] if by_strips else []
         inside = ok
         for limit, parts in ((size, cells), (strips, marginals)):
             for first, shares in parts:  # not &=, which would change ``ok`` too
@@ -321,6 +333,8 @@ class StarKernel:
             for s, share in enumerate(shares[1:], 1):
                 centre = centre + s * share
             centres.append(centre / dr.opaque(F, strips))
+        if cells_per_px == 1 and not by_strips:  # what strips make of it, in closed form
+            centres = [self._strip_centre(v) / dr.opaque(F, stamp_px) for v in (x, y)]
         for k, value in enumerate((u, v, u * u, v * v, *centres)):
             self._add(moments, weight * value, base + (3 + k), inside, dr.ReduceMode.Local)
         (column, along_x), (row, along_y) = cells
