@@ -14,7 +14,7 @@ from calib.crlb import fisher_information
 from calib.epsf import draw_epsf
 from calib.flags import StarFlag, has_flag
 from calib.records import NoiseModel
-from experiments.dataset.measure import UNFIT, MeasuredFrame
+from experiments.dataset.measure import SMEAR_PX, UNFIT, MeasuredFrame
 from experiments.dataset.truth import FLAGS
 from optics.records import freeze
 from render.records import EffectivePsf
@@ -50,6 +50,8 @@ class FoundStars:
         Whether that detection is flagged ``BLEND``.
     error_px : (n, 2)
         Centroid minus centroid of the noiseless light; NaN where there is no centroid.
+    smear_px : (n,)
+        Length of its trail.
     position_px : (n, 2)
         Centroid of its noiseless light.
     radius_px : (n,)
@@ -70,6 +72,7 @@ class FoundStars:
     fit: NDArray[np.bool_]
     blend_seen: NDArray[np.bool_]
     error_px: FloatArray
+    smear_px: FloatArray
     position_px: FloatArray
     radius_px: FloatArray
     false: NDArray[np.int64]
@@ -78,7 +81,7 @@ class FoundStars:
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        for name in ("magnitude", "snr", "electrons", "radius_px"):
+        for name in ("magnitude", "snr", "electrons", "smear_px", "radius_px"):
             freeze(self, name, shape=("n",), sizes=sizes)
         for name, kind in (("flags", np.int32), ("found", np.bool_), ("fit", np.bool_), ("blend_seen", np.bool_)):
             freeze(self, name, shape=("n",), dtype=kind, sizes=sizes)
@@ -93,8 +96,8 @@ class FoundStars:
 
     @property
     def clean(self) -> NDArray[np.bool_]:
-        """Stars that nothing disturbs: no flag of the truth but a vignetted pupil."""
-        return np.asarray((self.flags & ~np.int32(FLAGS["vignetted"][0])) == 0)
+        """Stars at rest that nothing disturbs: no flag of the truth but a vignetted pupil."""
+        return np.asarray(((self.flags & ~np.int32(FLAGS["vignetted"][0])) == 0) & (self.smear_px <= SMEAR_PX))
 
 
 def compare_frame(
@@ -117,6 +120,7 @@ def compare_frame(
     star = np.column_stack([truth["photon_x_px"], truth["photon_y_px"]])[lit]
     detected = measured.detected_px
     n = len(star)
+    smear = np.nan_to_num(np.hypot(truth["smear_x_px"], truth["smear_y_px"]))[lit]
     partner = np.full(n, -1)
     lonely = np.ones(len(detected), bool)
     if n and len(detected):
@@ -124,7 +128,7 @@ def compare_frame(
         back_distance, back = cKDTree(star).query(detected)
         mutual = (back[nearest] == np.arange(n)) & (distance <= MATCH_PX)
         partner[mutual] = nearest[mutual]
-        lonely = back_distance > NEAR_PX
+        lonely = back_distance > NEAR_PX + smear[back] / 2.0  # a faint trail may break up
     found = partner >= 0
     error = np.full((n, 2), np.nan)
     error[found] = measured.pixel_px[partner[found]] - star[found]
@@ -140,6 +144,7 @@ def compare_frame(
         fit=found & ((flags & np.uint32(int(UNFIT))) == 0),
         blend_seen=has_flag(flags, StarFlag.BLEND),
         error_px=error,
+        smear_px=smear,
         position_px=star,
         radius_px=np.hypot(*(star - middle).T) if n else np.zeros(0),
         false=np.full(np.count_nonzero(lonely), frame),

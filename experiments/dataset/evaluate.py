@@ -149,11 +149,13 @@ def evaluate(
         frame = read_frame(folder / one.file)
         table = read_table(folder / one.truth)
         truth = {name: np.asarray(table[name]) for name in table.colnames}
-        measured = measure_frame(frame, reduction)
+        smear = np.hypot(truth["smear_x_px"], truth["smear_y_px"])
+        measured = measure_frame(frame, reduction, smear_px=float(np.nanmax(smear, initial=0.0)))
         stars.append(compare_frame(one.frame, measured, truth, **size))
-        misses.append(wcs_misses_px(folder / one.file, truth, **size))
+        if not (scene.config.camera.line_time_us and any(one.rate_deg_per_s)):  # else every row has its own attitude
+            misses.append(wcs_misses_px(folder / one.file, truth, **size))
         if solver.database is not None:
-            solved.append(solver.solve(one, measured))
+            solved.append(solver.solve(one, measured.at_once(solver.turned(one, measured))))
         if example is None and one.stars:
             light = (frame.dn - dark) / np.float32(frame.gain_dn_per_e)
             example = Example(frame=one.frame, electrons=light, measured=measured, truth=truth)
@@ -197,6 +199,21 @@ class _Solver:
             direction=direction,
             by_id=dict(zip(catalogue.id.tolist(), direction, strict=True)) if known else None,
         )
+
+    def turned(self, facts: FrameFacts, measured: MeasuredFrame) -> FloatArray:
+        """Centroids (n, 2) carried to the middle of the exposure of the middle row, by the rate that a gyro tells."""
+        camera, model, pixel = self.scene.config.camera, self.calibration.model, measured.pixel_px
+        if not (camera.line_time_us and any(facts.rate_deg_per_s)):
+            return pixel
+        middle = (self.scene.instrument.camera.height_px - 1) / 2.0
+        later_s = (np.nan_to_num(pixel[:, 1], nan=middle) - middle) * camera.line_time_us * 1e-6
+        rate = self.calibration.rotation.apply(np.radians(facts.rate_deg_per_s))
+        # R(t + dt) = exp(-rate dt) R(t): what is seen later is turned back
+        turn = Rotation.from_rotvec(later_s[:, None] * rate)
+        known = np.isfinite(pixel).all(axis=1)
+        carried = np.full_like(pixel, np.nan)
+        carried[known] = model.project(turn[known].apply(model.unproject(pixel[known])))
+        return carried
 
     def solve(self, facts: FrameFacts, measured: MeasuredFrame) -> SolvedFrame:
         """One frame."""

@@ -20,6 +20,7 @@ from experiments.dataset.identity import for_workers, identity
 from experiments.dataset.settings import Config
 from experiments.progress import Progress
 from experiments.summary import Criterion
+from optics.errors import ConfigError
 
 if TYPE_CHECKING:
     from experiments.dataset.evaluate import Evaluation
@@ -69,6 +70,7 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
         if "webdataset" in config.exports:
             check_webdataset()
         scene = build_scene(config)
+        _check_window(config, scene)
     backend = str(mi.variant()).split("_", maxsplit=1)[0]
     output.open(software(backend))
     try:
@@ -99,6 +101,17 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
     except BaseException:
         output.close()
         raise
+
+
+def _check_window(config: Config, scene: Scene) -> None:
+    """Refuse a detector that is too small to look at its frames, before they are made."""
+    camera = scene.instrument.camera
+    if config.verify.frames and min(camera.width_px, camera.height_px) < config.verify.window_px:
+        raise ConfigError(
+            f"verify.window_px = {config.verify.window_px} px; the window does not fit the detector of "
+            f"{camera.width_px} x {camera.height_px} px: take a larger camera.height_px or camera.width_px, or set "
+            "verify.frames = 0"
+        )
 
 
 def _look(config: Config, output: DatasetFolder, progress: Progress) -> dict[int, FrameFacts]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from calib.flags import StarFlag, has_flag
 from calib.frames import image_from_frame
 from calib.records import SensorImage, StarTable
 from calib.stamps import extract_stamps
+from optics.errors import DomainError
 from optics.records import freeze
 from render.readout import expose
 
@@ -25,12 +27,14 @@ if TYPE_CHECKING:
     from render.random import Streams
     from render.records import Frame
 
-__all__ = ["FWHM_PX", "MeasuredFrame", "Reduction", "empty_frame", "master_dark", "measure_frame", "reduction_of"]
+__all__ = ["SMEAR_PX", "MeasuredFrame", "Reduction", "empty_frame", "master_dark", "measure_frame", "reduction_of"]
 
 FloatArray = NDArray[np.float64]
 
 FWHM_PX = 1.8
 """Of the detection filter: a spot of sigma 0.7 px on the pixels."""
+SMEAR_PX = 0.25
+"""Trails up to this length are measured like stars at rest."""
 BACKGROUND_STEP_PX = 4
 """The sky is flat over hundreds of pixels; every 16th pixel gives its level to a fraction of an electron."""
 UNFIT = (
@@ -91,6 +95,10 @@ class MeasuredFrame:
     fit: NDArray[np.bool_]
     detected_px: FloatArray
 
+    def at_once(self, pixel_px: FloatArray) -> MeasuredFrame:
+        """The same stars at other positions (n, 2)."""
+        return replace(self, stars=replace(self.stars, x_px=pixel_px[:, 0], y_px=pixel_px[:, 1]))
+
     @property
     def sharp(self) -> NDArray[np.bool_]:
         """Detections (n,) that are sharper than a star or sit on a pixel that is known to be bad."""
@@ -132,8 +140,11 @@ def dark_subtracted(frame: Frame, dark_dn: NDArray[np.float32]) -> SensorImage:
     return replace(image, dn=image.dn - dark_dn + frame.offset_dn)
 
 
-def measure_frame(frame: Frame, reduction: Reduction) -> MeasuredFrame:
+def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) -> MeasuredFrame:
     """Detect and centroid the stars of a frame.
+
+    A PSF at rest does not fit a trail: where the camera turned, as its rate tells, positions are first moments under a
+    Gaussian window (`calib.moments.WindowedCentroid`), in a window that holds the trail.
 
     Parameters
     ----------
@@ -141,27 +152,35 @@ def measure_frame(frame: Frame, reduction: Reduction) -> MeasuredFrame:
         Raw readout.
     reduction : Reduction
         Dark and methods.
+    smear_px : float
+        Longest trail of a star during the exposure.
 
     Returns
     -------
     MeasuredFrame
-        Empty if nothing was found.
+        Empty if nothing was found, or no pixel is usable.
     """
     image = dark_subtracted(frame, reduction.dark_dn)
-    background = estimate_background(image, step_px=BACKGROUND_STEP_PX)
+    try:
+        background = estimate_background(image, step_px=BACKGROUND_STEP_PX)
+    except DomainError:  # saturated all over
+        return MeasuredFrame(stars=StarTable.empty(), fit=np.zeros(0, np.bool_), detected_px=np.zeros((0, 2)))
     found = detect(image, background, threshold_sigma=reduction.threshold_sigma, fwhm_px=FWHM_PX)
-    psfs = reduction.psfs
+    moving = smear_px > SMEAR_PX
+    psfs = None if moving else reduction.psfs
+    window_px = reduction.window_px + (2 * math.ceil(smear_px / 2.0) if moving else 0)
     stamps = extract_stamps(
         image,
         found.x_px,
         found.y_px,
         background=background,
-        size_px=reduction.window_px,
+        size_px=min(window_px, (min(frame.dn.shape) - 1) // 2 * 2 + 1),
         flags=found.flags,
         psf_index=None if psfs is None else psfs.nearest(found.x_px, found.y_px),
     )
     options = {} if psfs is None else {"epsf": psfs.psfs}
-    stars = get_centroider(reduction.centroid, **options).measure(stamps, image.noise) if len(stamps) else found
+    method = "windowed" if moving else reduction.centroid
+    stars = get_centroider(method, **options).measure(stamps, image.noise) if len(stamps) else found
     known = np.isfinite(stars.covariance).all(axis=(1, 2)) & np.isfinite(stars.x_px) & np.isfinite(stars.y_px)
     return MeasuredFrame(
         stars=stars,

@@ -32,7 +32,7 @@ def build_report(result: Result) -> Report:
     sections = [_made(result)]
     if evaluation is not None and len(evaluation.stars.magnitude):
         tables = all_tables(result)
-        if evaluation.solved:
+        if any(one.solved for one in evaluation.solved):
             sections.append(_solved(evaluation, tables["solver"]))
         sections += [_detected(evaluation, tables), _centroided(evaluation, tables["centroids"])]
     sections.append(Section(title="What is left out", blocks=(Text(_limits()),)))
@@ -65,6 +65,8 @@ def _verdict(result: Result) -> str:
     if not evaluation.solved:
         return f"The frames were not solved: {evaluation.without_solver}."
     found = solver(evaluation.solved)
+    if not found.solved:
+        return f"tetra3rs solves none of {found.attempted} frames: {evaluation.solved[0].message}."
     return (
         f"tetra3rs solves {found.solved} of {found.attempted} frames blind; the boresight is off by "
         f"{cell_text(found.median_arcsec, '.2f')}″ in the median, {found.mirrored} frames mirrored."
@@ -72,14 +74,14 @@ def _verdict(result: Result) -> str:
 
 
 def _key_numbers(result: Result) -> tuple[KeyNumber, ...]:
-    shown = [KeyNumber(value=Measured(value=float(len(result.facts))), label="frames")]
+    shown = [KeyNumber(value=len(result.facts), label="frames")]
     if np.isfinite(result.frames_per_s):
         shown.append(KeyNumber(value=Measured(value=result.frames_per_s), label="frames per second"))
     evaluation = result.evaluation
-    if evaluation is not None and evaluation.solved:
+    if evaluation is not None and any(one.solved for one in evaluation.solved):
         found = solver(evaluation.solved)
         shown += [
-            KeyNumber(value=Measured(value=found.solved / found.attempted * 100.0, unit="%"), label="solved blind"),
+            KeyNumber(value=f"{found.solved} of {found.attempted}", label="solved blind"),
             KeyNumber(
                 value=Measured(value=found.median_arcsec, unit="arcsec", uncertainty=found.median_error_arcsec),
                 label="median boresight error",
@@ -167,7 +169,8 @@ def _detected(evaluation: Evaluation, tables: object) -> Section:
                 f"{len(stars.false)} detections in {stars.frames} frames belong to no rendered star; {unflagged} of "
                 f"them carry no flag, {unflagged / stars.frames:.2f} a frame; in frames without stars there are "
                 f"{evaluation.empty_detections / evaluation.empty_frames:.2f}. "
-                "Those with a flag are hot pixels and cosmic rays, sharper than any star."
+                "Those with a flag are hot pixels and cosmic rays sharper than any star; a cosmic ray that crosses "
+                "several pixels looks like a star to the detection."
             ),
         ),
     )

@@ -252,6 +252,13 @@ class VerifyConfig(StrictModel):
     window_px: int = Field(default=7, ge=5, le=31, description="window of the centroider")
     threshold_sigma: float = Field(default=5.0, gt=0, le=100, description="detection limit")
 
+    @field_validator("window_px")
+    @classmethod
+    def _odd(cls, value: int) -> int:
+        if value % 2 == 0:
+            raise ValueError(f"{value} px is even; a window has a middle pixel: 5, 7, 9 ... 31")
+        return value
+
 
 class Config(ExperimentConfig):
     """Two hundred frames of the real sky in random attitudes."""

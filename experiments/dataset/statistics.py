@@ -37,6 +37,8 @@ class Solver:
         Median of the absolute roll error.
     equal_median_arcsec : float
         Median boresight error with equal weights.
+    sigma_arcsec : float
+        Median of the predicted length of the boresight error.
     pull : (3,)
         Root mean square of error over predicted sigma.
     """
@@ -51,6 +53,7 @@ class Solver:
     largest_arcsec: float
     roll_median_arcsec: float
     equal_median_arcsec: float
+    sigma_arcsec: float
     pull: FloatArray
 
     @property
@@ -79,6 +82,7 @@ def solver(frames: tuple[SolvedFrame, ...]) -> Solver:
         largest_arcsec=float(off.max()) if len(off) else nothing,
         roll_median_arcsec=float(np.median(np.abs(error[:, 2]))) if len(off) else nothing,
         equal_median_arcsec=float(np.median(np.hypot(equal[:, 0], equal[:, 1]))) if len(off) else nothing,
+        sigma_arcsec=float(np.median(np.hypot(sigma[:, 0], sigma[:, 1]))) if len(off) else nothing,
         pull=np.sqrt(np.mean((error / sigma) ** 2, axis=0)) if len(off) else np.full(3, nothing),
     )
 

@@ -47,7 +47,7 @@ def _solver(evaluation: Evaluation) -> Table:
         ("mirrored, wrong", f"{found.mirrored}, {found.wrong}"),
     ]
     return Table(
-        columns=("", "found"),
+        columns=("Quantity", "Found"),
         rows=rows,
         caption="Frames solved blind by tetra3rs, attitudes against the truth.",
     )

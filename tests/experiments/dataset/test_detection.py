@@ -46,6 +46,8 @@ def truth(x, y, flags=0):
         "magnitude": np.linspace(3, 8, n),
         "snr": np.full(n, 20.0),
         "electrons": np.full(n, 1e3),
+        "smear_x_px": np.zeros(n),
+        "smear_y_px": np.zeros(n),
         "flags": np.broadcast_to(np.int32(flags), n).copy(),
     }
 
