@@ -46,6 +46,9 @@ class Camera:
         ``v_cam = rotation_cam_from_world @ v_world``, float64.
     response : Response or None
         Electrons per photon against wavelength: quantum efficiency times lens transmission; None is 1.
+    blind_columns_px : tuple of (int, int)
+        First and last columns of strips that take no light, such as the gaps between chips; stars lose it there as over
+        the edge.
     """
 
     lens: LensSystem
@@ -57,6 +60,7 @@ class Camera:
     charge_diffusion_px: float = 0.0
     rotation_cam_from_world: FloatArray = field(default_factory=lambda: np.eye(3))
     response: Response | None = None
+    blind_columns_px: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("width_px", "height_px"):
@@ -76,6 +80,23 @@ class Camera:
             raise DomainError(
                 "Camera.rotation_cam_from_world is not a proper rotation (a mirrored sky has determinant -1)"
             )
+
+        for first, last in self.blind_columns_px:
+            if not 0 <= first <= last < self.width_px:
+                raise DomainError(
+                    f"Camera.blind_columns_px: columns {first} to {last} of an image of {self.width_px} columns; first "
+                    "and last column inside the image are needed"
+                )
+
+    @property
+    def sensitive_columns(self) -> NDArray[np.bool_] | None:
+        """Which columns (w,) take light; None for all of them."""
+        if not self.blind_columns_px:
+            return None
+        columns = np.ones(self.width_px, np.bool_)
+        for first, last in self.blind_columns_px:
+            columns[first : last + 1] = False
+        return columns
 
     @property
     def focused_lens(self) -> LensSystem:
@@ -176,4 +197,5 @@ def build_camera(
         charge_diffusion_px=detector.diffusion_sigma_px,
         rotation_cam_from_world=np.eye(3) if rotation_cam_from_world is None else rotation_cam_from_world,
         response=response,
+        blind_columns_px=detector.gap_columns_px,
     )

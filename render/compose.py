@@ -16,7 +16,11 @@ FloatArray = NDArray[np.float64]
 
 
 def add_stamps(
-    image: NDArray[np.float32], pixels: FloatArray, corner_px: FloatArray, electrons: FloatArray
+    image: NDArray[np.float32],
+    pixels: FloatArray,
+    corner_px: FloatArray,
+    electrons: FloatArray,
+    sensitive: NDArray[np.bool_] | None = None,
 ) -> FloatArray:
     """Add stamps to the image, in the order of the stars.
 
@@ -30,6 +34,8 @@ def add_stamps(
         Outer corner of the stamps (half-integers).
     electrons : (s, b)
         Light of each star and band [e-].
+    sensitive : (w,) bool, optional
+        Columns that take light; all if left out.
 
     Returns
     -------
@@ -41,6 +47,8 @@ def add_stamps(
     column = np.rint(corner_px[..., 0] + 0.5).astype(np.int64)[..., None] + np.arange(size)
     row = np.rint(corner_px[..., 1] + 0.5).astype(np.int64)[..., None] + np.arange(size)
     on_row, on_column = (row >= 0) & (row < height), (column >= 0) & (column < width)
+    if sensitive is not None and width:
+        on_column &= sensitive[np.clip(column, 0, width - 1)]
     lit = (on_row[..., :, None] & on_column[..., None, :]) & (pixels > 0)
     star, band, r, c = np.nonzero(lit)
     share = pixels[star, band, r, c]

@@ -191,6 +191,19 @@ class Detector:
         return self.chip_height_px
 
     @property
+    def gap_columns_px(self) -> tuple[tuple[int, int], ...]:
+        """First and last columns of the gaps between chips."""
+        if not self.gap_px:
+            return ()
+        starts = [(k + 1) * self.chip_width_px + k * self.gap_px for k in range(self.chips - 1)]
+        return tuple((start, start + self.gap_px - 1) for start in starts)
+
+    @property
+    def mean_dark_e_per_s(self) -> float:
+        """Mean dark current at the reference, radiation damage included, hot pixels of the maker's left out [e-/s]."""
+        return self.dark_current_e_per_s + self.damage_centres_per_px * self.damage_dark_e_per_s
+
+    @property
     def shape(self) -> tuple[int, int]:
         """(rows, columns) of the image."""
         return self.height_px, self.width_px

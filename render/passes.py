@@ -170,7 +170,9 @@ class Passes:
                 keep = ~(outside | lost)
                 if not keep.all():
                     stars, corner, collected = stars[keep], corner[keep], collected.take(keep)
-                on_image = add_stamps(self.image, collected.pixels, corner, light.electrons[stars])
+                on_image = add_stamps(
+                    self.image, collected.pixels, corner, light.electrons[stars], self.camera.sensitive_columns
+                )
                 self.sums.store(stars, collected, corner, light.electrons[stars], on_image)
             todo = np.concatenate(redo)
             margin[todo] = 2 * margin[todo] + 2.0

@@ -231,7 +231,7 @@ class _Solver:
 
 def _dark_e(scene: Scene) -> float:
     camera, detector = scene.config.camera, scene.instrument.detector
-    return detector.dark_current_e_per_s * detector.dark_factor(camera.chip_temperature_c) * camera.exposure_s
+    return detector.mean_dark_e_per_s * detector.dark_factor(camera.chip_temperature_c) * camera.exposure_s
 
 
 def _in_empty_frames(scene: Scene, reduction: Reduction, sky_e: float, streams: Streams, backend: str) -> int:

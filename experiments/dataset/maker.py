@@ -186,9 +186,9 @@ class FrameMaker:
         )
 
     def _dark_e(self) -> float:
-        """Mean dark charge of a normal pixel [e-]."""
+        """Mean dark charge of a pixel, radiation damage included [e-]."""
         camera, detector = self.scene.config.camera, self.scene.instrument.detector
-        return detector.dark_current_e_per_s * detector.dark_factor(camera.chip_temperature_c) * camera.exposure_s
+        return detector.mean_dark_e_per_s * detector.dark_factor(camera.chip_temperature_c) * camera.exposure_s
 
 
 def _struck(hits: CosmicRayHits) -> NDArray[np.bool_]:
