@@ -1,13 +1,18 @@
 """Noiseless star frames of 4096 x 2048 pixels: time against stars, memory against rays, beside GalSim.
 
-Run from the repository root: ``python benchmarks/frame.py`` (about a minute); ``--figure`` also draws
-docs/pictures/frame_cost.png.
+Run from the repository root: ``python benchmarks/frame.py`` (about two minutes); ``--figure`` also draws
+docs/pictures/frame_cost.png, ``--only tracker`` leaves all but the star tracker's lens out.
 
 starbench: `StarRenderer.render`, from a `StarField` to an `ExpectedImage` with its truth, through ``mi.load_dict`` and
 ``mi.render``: the built-in 206 mm lens, one 100 nm band with 5 wavelength nodes, diffusion of the shipped detector, all
 cores; median after two warm-up frames of each size. GalSim (if installed): the same number of stars of 10^5 photons of
 one Airy disk, the same everywhere in the field and in one colour, shot photon by photon, or drawn with its Fourier
 method, into the same image; one core, its way of working. The two alternate, so that both see the same machine.
+
+Star tracker: the built-in 26 mm lens, whose stop lies inside, on 1024 x 1024 pixels of 5.5 um (12 deg), on one thread;
+at rest, smeared over so many pixels with a global and a rolling shutter, and as it was before outlines of beams were
+known (2^16 Sobol rays a star), beside the 206 mm lens on as many pixels; how far image and truth of each way are from
+2^20 Sobol rays.
 """
 
 from __future__ import annotations
@@ -18,6 +23,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +45,12 @@ RAYS_LOG2 = (12, 15, 18, 21)
 MEMORY_STARS = 20
 PHOTONS = 1e5
 GALSIM_STARS = {"photon shooting": 100, "Fourier": 300}
+NOTHING_MEETS = 1e-300
+"""Tolerance that leaves Sobol points."""
+TRACKER_STARS = 200
+TRACKER_TARGET_S = 0.04
+TRAILS_PX = (0.2, 1.0, 2.0, 5.0, 10.0)
+EXPOSURE_S = 0.2
 FIGURE = ROOT / "docs" / "pictures" / "frame_cost.png"
 
 
@@ -110,16 +122,96 @@ def cost(renderer: Any, camera: Camera, repeat: int) -> dict[int, tuple[float, f
     return result
 
 
+def small_camera(lens: str) -> Camera:
+    """Lens in front of the middle of a 5.5 um detector."""
+    detector = replace(load_detector("cmv4000"), chip_width_px=1024, chip_height_px=1024)
+    return build_camera(load_lens(lens), detector, absorption=False)
+
+
+def trail(camera: Camera, length_px: float, line_time_s: float = 0.0) -> Any:
+    """Uniform motion along a trail of that length about the attitude at rest."""
+    from scipy.spatial.transform import Rotation
+
+    from render.exposure_motion import exposure_motion
+    from render.trajectory import ConstantRate
+
+    focal = float(axial_paraxial(camera.lens, camera.lens.design_wavelength_nm).efl_mm)
+    rate = np.array([0.6, 0.8, 0.0]) * length_px * camera.pixel_pitch_mm / focal / EXPOSURE_S
+    path = ConstantRate(initial=Rotation.from_rotvec(0.5 * EXPOSURE_S * rate), rate_rad_per_s=rate, end_s=1.0)
+    return exposure_motion(path, start_s=0.0, exposure_s=EXPOSURE_S, camera=camera, line_time_s=line_time_s)
+
+
+def best(run: Callable[[], Any], repeat: int) -> tuple[float, float]:
+    """Median and best wall time [s] after two for warming up."""
+    for _ in range(2):
+        run()
+    wall = [timed(run)[0] for _ in range(repeat)]
+    return statistics.median(wall), min(wall)
+
+
+def difference(traced: Any, reference: Any) -> str:
+    """How far an image and its truth are from another."""
+    light = float(reference.truth.electrons_in.min())
+    worst = {"pixel": np.abs(traced.electrons - reference.electrons).max() / light}
+    for label, name in (("bundle [px]", "bundle_x_px"), ("variance [px2]", "variance_x_px2")):
+        worst[label] = np.abs(getattr(traced.truth, name) - getattr(reference.truth, name)).max()
+    worst["vignetted"] = np.abs(traced.truth.electrons_vignetted - reference.truth.electrons_vignetted).max() / light
+    return ", ".join(f"{label} {value:.1e}" for label, value in worst.items())
+
+
+def tracker(mi: Any, repeat: int) -> None:
+    """Measure and print the star tracker's lens."""
+    import drjit as dr
+
+    from render.tracer import Tracer
+
+    threads = dr.thread_count()
+    dr.set_thread_count(1)
+    print(f"1024 x 1024 px, {TRACKER_STARS} stars, one thread; median and best of {repeat}")
+
+    def line(label: str, run: Callable[[], Any], note: str = "") -> None:
+        median, least = best(run, repeat)
+        sampling = ", ".join(f"{mode}: {n} stars, {rays} rays each" for mode, (n, rays) in run().sampling.items())
+        print(f"{label:44s} {1e3 * median:7.1f} ms {1e3 * least:7.1f} ms   {sampling}{note}")
+
+    try:
+        for lens in ("star_tracker_26mm", "star_camera_206mm"):
+            camera = small_camera(lens)
+            tracer, stars = Tracer(mi, camera), make_stars(camera, TRACKER_STARS)
+            demand = f"   demanded {1e3 * TRACKER_TARGET_S:.0f} ms" if lens == "star_tracker_26mm" else ""
+            line(f"{lens} at rest", lambda t=tracer, s=stars: t.render(s, exposure_s=EXPOSURE_S), demand)
+            for length in TRAILS_PX:
+                for shutter, line_time_s in (("", 0.0), (", rolling shutter", 1e-5)):
+                    motion = trail(camera, length, line_time_s)
+                    line(
+                        f"{lens}, {length:g} px{shutter}",
+                        lambda t=tracer, s=stars, m=motion: t.render(s, exposure_s=EXPOSURE_S, motion=m),
+                        f"   {len(motion.weight)} times",
+                    )
+        camera = small_camera("star_tracker_26mm")
+        stars = make_stars(camera, TRACKER_STARS)
+        few = replace(stars, direction=stars.direction[:20], photon_rate=stars.photon_rate[:20])
+        at_rest = Tracer(mi, camera).render(few, exposure_s=EXPOSURE_S)
+        sobol = {n: Tracer(mi, camera, sobol_log2_rays=n, tolerance=NOTHING_MEETS) for n in (16, 20)}
+        line("star_tracker_26mm by 2^16 Sobol rays", lambda: sobol[16].render(stars, exposure_s=EXPOSURE_S))
+        dense, usual = (sobol[n].render(few, exposure_s=EXPOSURE_S) for n in (20, 16))
+        print(f"from 2^20 Sobol rays, 20 stars: outlines   {difference(at_rest, dense)}")
+        print(f"                                2^16 Sobol {difference(usual, dense)}")
+    finally:
+        dr.set_thread_count(threads)
+
+
 def peak_memory_mb(backend: str, log2_rays: int) -> float:
     """Peak memory of a process of its own that renders `MEMORY_STARS` stars with 2^log2_rays rays each."""
     program = f"""
-import resource, sys
+import dataclasses, resource, sys
 sys.path.insert(0, {str(ROOT)!r})
 from benchmarks.frame import make_camera, make_stars
 from render.forward import StarRenderer
 from render.variant import use_backend
 use_backend({backend!r})
 camera = make_camera("star_tracker_26mm")
+camera = dataclasses.replace(camera, charge_diffusion_px=0.0)  # which leaves Sobol points
 StarRenderer(camera, sobol_log2_rays={log2_rays}).render(make_stars(camera, {MEMORY_STARS}))
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """
@@ -162,12 +254,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeat", type=int, default=7, help="timed repetitions (default 7)")
     parser.add_argument("--backend", default="auto", choices=("auto", "llvm", "cuda"))
+    parser.add_argument("--only", choices=("tracker",), help="measure this part alone")
     parser.add_argument("--figure", action="store_true", help=f"draw {FIGURE.relative_to(ROOT)}")
     arguments = parser.parse_args()
     from render.forward import StarRenderer
     from render.variant import use_backend
 
-    print(f"{use_backend(arguments.backend)}, 4096 x 2048 px, one band, median of {arguments.repeat} after warm-up")
+    variant = use_backend(arguments.backend)
+    import mitsuba as mi
+
+    tracker(mi, arguments.repeat)
+    if arguments.only == "tracker":
+        return
+    print(f"{variant}, 4096 x 2048 px, one band, median of {arguments.repeat} after warm-up")
     camera = make_camera()
     renderer = StarRenderer(camera, exposure_s=0.1)
     measured = cost(renderer, camera, arguments.repeat)

@@ -3,7 +3,8 @@
 One ray is one lane of a fused kernel; nothing per ray is kept. Its light, a Gaussian of the charge-diffusion width
 around the landing point, is integrated exactly over pixels, so a stamp is the pixel integral of (ray density convolved
 with the diffusion kernel), with no other blur. The same light is also integrated over narrow strips along columns and
-along rows, fine enough that their first moment, which is all that is kept of them, is the centroid of the light.
+along rows, fine enough that their first moment, which is all that is kept of them, is the centroid of the light. Inside
+outlines and under motion that moment is taken in closed form.
 
 Sums are 64-bit integers (2^-50 of the star's light): their order does not matter, so the result is the same to the last
 bit whatever the number of threads. Counts that change from call to call reach the kernel from memory, so that one
@@ -24,7 +25,7 @@ from optics.frames import light_direction
 from optics.program import LensProgram
 from optics.trace import OK, Rays, trace_program
 from render.arrays import DrJitArrays
-from render.pupil_points import PupilPoints
+from render.pupil_points import OutlinePoints, PupilPoints
 
 __all__ = ["Geometry", "StampSums", "StarKernel", "reach_px", "strips_per_pixel"]
 
@@ -256,10 +257,13 @@ class StarKernel:
         alias = math.exp(-2.0 * (math.pi * m * sigma) ** 2) / (math.pi * m)
         return position_px + alias * dr.sin(2.0 * math.pi * m * position_px)
 
-    def _add(
-        self, target: Any, value: Any, index: Any, active: Any, mode: dr.ReduceMode = dr.ReduceMode.Direct
-    ) -> None:
-        """Fixed-point accumulation; ``value`` is already scaled to 2^50."""
+    def _add(self, target: Any, value: Any, index: Any, active: Any, together: bool = False) -> None:
+        """Fixed-point accumulation; ``value`` is already scaled to 2^50.
+
+        ``together``: neighbouring rays add to the same place, and on the processor are first added up among themselves.
+        """
+        llvm = dr.backend_v(self.F) == dr.JitBackend.LLVM
+        mode = dr.ReduceMode.Local if together and llvm else dr.ReduceMode.Direct
         fixed = dr.reinterpret_array(self.U64, value + _MAGIC) & self.U64(_MASK)
         dr.scatter_add(target, fixed, index, active, mode=mode)
 
@@ -307,16 +311,26 @@ class StarKernel:
         x, y, status = self.launch(star, px, py, wavelength)
         x = x - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 0].ravel())), slot)
         y = y - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 1].ravel())), slot)
-        return self._collect(x, y, status == OK, weight, slot, (len(stars), bands), stamp_px, cells_per_px)
+        strips = cells_per_px == 1 and self.times == 1 and not isinstance(pupil, OutlinePoints)
+        shape = (len(stars), bands)
+        return self._collect(x, y, status == OK, weight, slot, shape, stamp_px, cells_per_px, strips)
 
     def _collect(
-        self, x: Any, y: Any, ok: Any, weight: Any, slot: Any, shape: tuple[int, int], stamp_px: int, cells_per_px: int
+        self,
+        x: Any,
+        y: Any,
+        ok: Any,
+        weight: Any,
+        slot: Any,
+        shape: tuple[int, int],
+        stamp_px: int,
+        cells_per_px: int,
+        by_strips: bool,
     ) -> StampSums:
         """Add the light of every ray to its star's pixels (or cells) and moments."""
         F, U, slots = self.F, self.U, math.prod(shape)
         size, strips = stamp_px * cells_per_px, stamp_px * self.geometry.strips
         cells = [self._shares(v, cells_per_px, PIXEL_REACH) for v in (x, y)]
-        by_strips = cells_per_px == 1 and self.times == 1
         marginals = [self._shares(v, self.geometry.strips, STRIP_REACH) for v in (x, y)] if by_strips else []
         inside = ok
         for limit, parts in ((size, cells), (strips, marginals)):
@@ -325,7 +339,7 @@ class StarKernel:
         moments = dr.zeros(self.U64, slots * _MOMENTS)
         base = slot * _MOMENTS
         kind = dr.select(inside, U(0), dr.select(ok, U(2), U(1)))
-        self._add(moments, weight, base + kind, dr.mask_t(F)(True), dr.ReduceMode.Local)
+        self._add(moments, weight, base + kind, dr.mask_t(F)(True), together=True)
         u, v = x / dr.opaque(F, stamp_px), y / dr.opaque(F, stamp_px)
         centres = []
         for first, shares in marginals:  # the strips' sum is taken ray by ray
@@ -336,7 +350,7 @@ class StarKernel:
         if cells_per_px == 1 and not by_strips:  # what strips make of it, in closed form
             centres = [self._strip_centre(v) / dr.opaque(F, stamp_px) for v in (x, y)]
         for k, value in enumerate((u, v, u * u, v * v, *centres)):
-            self._add(moments, weight * value, base + (3 + k), inside, dr.ReduceMode.Local)
+            self._add(moments, weight * value, base + (3 + k), inside, together=True)
         (column, along_x), (row, along_y) = cells
         pixels, edge = dr.zeros(self.U64, slots * size**2), dr.opaque(U, size)
         origin = (slot * edge + U(row)) * edge + U(column)

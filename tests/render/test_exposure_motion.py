@@ -44,7 +44,9 @@ def images_at(tracer, stars, trajectory, times):
     return np.stack([r.electrons[..., 0].astype(float) for r in renders]), renders[0].truth.electrons_in.max()
 
 
-@pytest.mark.parametrize(("name", "px"), [("star_tracker_26mm", 3.0), ("star_camera_206mm", 2.0)])
+@pytest.mark.parametrize(
+    ("name", "px"), [("star_tracker_26mm", 3.0), pytest.param("star_camera_206mm", 2.0, marks=pytest.mark.slow)]
+)
 def test_image_is_the_mean_of_images_at_rest(mi, bench, name, px):
     camera, whole = small(bench, name)
     stars = bench.stars_at(whole, [699.3, 707.2], [301.4, 290.9], nodes=2, rate=[100.0, 30.0])
@@ -117,7 +119,7 @@ def test_hardly_any_motion_is_none(mi, bench):
 
 def test_rolling_shutter_row_by_row(mi, bench):
     """Every row is the mean of images at rest over its own time."""
-    camera, whole = small(bench, "star_tracker_26mm", size=28)
+    camera, whole = small(bench, "star_camera_206mm", size=28)
     stars = bench.stars_at(whole, [699.3], [301.4], nodes=1)
     speed, line_time_s = 3.0 / EXPOSURE_S, 5e-4
     trajectory = turning(whole, speed, angle=1.0)
@@ -137,6 +139,7 @@ def test_rolling_shutter_row_by_row(mi, bench):
     assert traced.electrons.sum(dtype=float) / rows.sum() == pytest.approx(1.0, abs=3e-5)
 
 
+@pytest.mark.slow
 def test_skew_of_a_rolling_shutter(mi, bench):
     """Stars are where the camera points when their row is exposed: y line times later than the first row."""
     camera = bench.camera_of("star_camera_206mm", film=False)

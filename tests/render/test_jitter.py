@@ -36,8 +36,9 @@ def test_power_is_the_integral_of_the_spectrum():
     assert SPECTRUM.rms_arcsec[2] == 0.0
 
 
+@pytest.mark.slow
 def test_spectrum_of_the_motion():
-    """Welch's estimate in octaves; 400 s in segments of 20 s: N = 39 overlapping ones, 15 % for two-octave bands."""
+    """Welch's estimate in bands of two octaves; 400 s in overlapping segments of 20 s: N = 39, 10 % at the lowest."""
     motion = jittered(BASE, SPECTRUM, streams=Streams(8))
     offset = motion.offset_rad(np.arange(8000) * 0.05) / ARCSEC
     frequency, power = welch(offset, fs=20.0, nperseg=400, axis=0, detrend=False)

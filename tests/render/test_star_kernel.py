@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from optics.errors import DomainError
-from render import passes
+from render import passes, star_kernel
 from render.star_kernel import reach_px, strips_per_pixel
 from render.tracer import Tracer
 
@@ -140,6 +140,17 @@ def test_first_moment_over_native_pixels_aliases_as_predicted(mi, bench, diffusi
             assert moment - weight @ values / weight.sum() == pytest.approx(predicted, abs=2e-5)
             seen.append(abs(predicted))
     assert max(seen) > (2e-3 if diffusion_px < 0.2 else 5e-5)  # so the formula was put to the test
+
+
+def test_closed_form_of_the_strips(mi, bench, monkeypatch):
+    camera = bench.camera_of("star_tracker_26mm", film=False)
+    stars = bench.stars_at(camera, [511.6, 700.3, 300.1], [511.4, 303.9, 600.8])
+    closed = Tracer(mi, camera).render(stars, exposure_s=1.0).truth
+    monkeypatch.setattr(star_kernel, "OutlinePoints", type(None))  # as if nothing followed an outline
+    summed = Tracer(mi, camera).render(stars, exposure_s=1.0).truth
+    for name in ("photon_x_px", "photon_y_px"):
+        assert 0 < np.abs(getattr(closed, name) - getattr(summed, name)).max() < 1e-6
+    assert np.array_equal(closed.bundle_x_px, summed.bundle_x_px)
 
 
 def test_stamp_that_is_too_small_is_done_again(mi, bench, monkeypatch):
