@@ -119,7 +119,7 @@ def test_hardly_any_motion_is_none(mi, bench):
 
 def test_rolling_shutter_row_by_row(mi, bench):
     """Every row is the mean of images at rest over its own time."""
-    camera, whole = small(bench, "star_camera_206mm", size=28)
+    camera, whole = small(bench, "star_tracker_26mm", size=28)
     stars = bench.stars_at(whole, [699.3], [301.4], nodes=1)
     speed, line_time_s = 3.0 / EXPOSURE_S, 5e-4
     trajectory = turning(whole, speed, angle=1.0)
