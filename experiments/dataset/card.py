@@ -54,7 +54,7 @@ def _head(result: Result) -> str:
         f"| detector | {chip.name}, {chip.gain_dn_per_e:g} DN per electron, read noise {chip.read_noise_e:g} e-, full "
         f"well {chip.full_well_e:g} e-, {chip.adc_bits} bit |",
         f"| exposure | {settings.exposure_s:g} s, band {band}, chip at {settings.chip_temperature_c:g} C |",
-        f"| stars | {result.scene.catalogue.catalog.name} to {result.config.sky.faintest_mag:g} mag "
+        f"| stars | {result.scene.catalogue.catalog.name} to {result.scene.faintest_mag:g} mag "
         f"({result.scene.catalogue.catalog.magnitude_system}), epoch {result.config.sky.epoch_year:g}, "
         f"observer: {result.config.sky.observer} |",
         f"| attitudes | {_attitudes(result)} |",
@@ -89,7 +89,14 @@ def _other_light(result: Result) -> str:
     parts += ["zodiacal light"] if background.zodiacal else []
     if background.uniform_mag_per_arcsec2 is not None:
         parts.append(f"a uniform sky of V = {background.uniform_mag_per_arcsec2:g} mag/arcsec2")
-    parts += ["Moon and planets"] if background.moon_planets else []
+    parts += (
+        [
+            "Moon and planets (a disk larger than a pixel has no row in the truth; the Sun is never rendered, keep it out by "
+            "pointing.sun_exclusion_deg)"
+        ]
+        if background.moon_planets
+        else []
+    )
     return ", ".join(parts) or "none"
 
 

@@ -31,7 +31,7 @@ def header_cards(scene: Scene, made: MadeFrame) -> list[Card]:
         *((f"RATE_{axis}", value, "[deg/s] angular velocity in cam") for axis, value in rate),
         ("JYEAR", config.sky.epoch_year, "[yr] Julian year of the exposure"),
         ("OBSERVER", config.sky.observer, "earth: with parallax and aberration"),
-        ("MAGLIMIT", config.sky.faintest_mag, "[mag] faintest stars rendered"),
+        ("MAGLIMIT", scene.faintest_mag, "[mag] faintest stars rendered"),
         ("SKYLIGHT", made.background_e, "[e-] mean expected sky light per pixel"),
         *scene.wcs.header(attitude.as_matrix()),
     ]

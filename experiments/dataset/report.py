@@ -52,7 +52,7 @@ def _lead(result: Result) -> str:
     stars = sum(one.stars for one in result.facts)
     return (
         f"{len(result.facts)} frames of the real sky ({scene.catalogue.catalog.name}, to "
-        f"{result.config.sky.faintest_mag:g} mag) through the lens {camera.lens.name}, {wide:.1f}° × {high:.1f}° on "
+        f"{result.scene.faintest_mag:g} mag) through the lens {camera.lens.name}, {wide:.1f}° × {high:.1f}° on "
         f"{camera.width_px} × {camera.height_px} px: {stars} star images, each with its chief ray, its bundle, the "
         "centroid of its light, its electrons and what disturbs it."
     )

@@ -15,7 +15,7 @@ from experiments.dataset.plan import Plan, build_plan, fastest_rad_per_s, plan_f
 from experiments.dataset.settings import CatalogueConfig, Config, SkyPointing
 from experiments.dataset.sky_light import SkyLight, build_sky_light, check_sun
 from experiments.instrument import Instrument
-from optics.errors import DomainError
+from optics.errors import ConfigError, DomainError
 from optics.units import ARCSEC_RAD
 from render.catalogue import StarCatalog
 from render.catalogue_motion import Observer, earth_observer
@@ -77,6 +77,11 @@ class Scene:
     observer: Observer | None
     wcs: LensWcs
     sky_light: SkyLight
+
+    @property
+    def faintest_mag(self) -> float:
+        """Faintest star that is rendered: what was asked for, or where the catalogue ends."""
+        return min(self.config.sky.faintest_mag, float(np.ceil(100.0 * self.catalogue.catalog.magnitude.max()) / 100.0))
 
 
 def build_scene(config: Config) -> Scene:
@@ -148,7 +153,15 @@ def load_catalogue(config: CatalogueConfig) -> StarCatalog:
         return _gaia()
     from render.catalogue_read import read_catalog
 
-    return read_catalog(Path(config.catalogue), config.preset)
+    system = None if config.magnitude_system == "preset" else config.magnitude_system
+    try:
+        return read_catalog(Path(config.catalogue), config.preset, magnitude_system=system)
+    except ConfigError as error:
+        if "magnitude_system=" not in str(error):
+            raise
+        raise ConfigError(
+            f"sky.preset = {config.preset!r} tells no scale of magnitudes; set sky.magnitude_system to V or G"
+        ) from None
 
 
 @cache

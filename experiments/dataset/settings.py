@@ -75,6 +75,9 @@ class CatalogueConfig(StrictModel):
         default="plain",
         description="columns of the file: hipparcos, gaia, bright_star, open_bright_star or plain",
     )
+    magnitude_system: Literal["preset", "V", "G"] = Field(
+        default="preset", description="scale of the magnitudes of a file; preset: what the preset says"
+    )
     faintest_mag: float = Field(default=8.0, ge=-2, le=30, description="faintest stars rendered")
     epoch_year: float = Field(default=2016.0, ge=1900, le=2100, description="Julian year of the exposures")
     observer: Literal["none", "earth"] = Field(

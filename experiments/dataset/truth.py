@@ -46,10 +46,17 @@ COLUMNS = (
     Column("bundle_y_px", "float64", "pix", "its row"),
     Column("photon_x_px", "float64", "pix", "column of the centroid of the noiseless light, after charge diffusion"),
     Column("photon_y_px", "float64", "pix", "its row"),
-    Column("electrons_in", "float64", "electron", "electrons if all light of the entrance aperture arrived"),
+    Column(
+        "electrons_in", "float64", "electron", "electrons of a disk that encloses the entrance pupil, if all arrived"
+    ),
     Column("electrons", "float64", "electron", "expected electrons on the detector"),
-    Column("electrons_vignetted", "float64", "electron", "expected electrons lost in the lens"),
-    Column("electrons_off_edge", "float64", "electron", "expected electrons that fall beside the detector"),
+    Column(
+        "electrons_vignetted",
+        "float64",
+        "electron",
+        "those of the disk that do not pass the lens",
+    ),
+    Column("electrons_off_edge", "float64", "electron", "expected electrons beside the detector or between chips"),
     Column("variance_x_px2", "float64", "pix2", "second central moment of the ray bundle along the columns"),
     Column("variance_y_px2", "float64", "pix2", "along the rows"),
     Column("snr", "float64", "", "signal-to-noise ratio of the flux by optimal weights, a Gaussian spot"),
@@ -60,7 +67,7 @@ COLUMNS = (
 
 FLAGS = {
     "saturated": (1, "a pixel of its footprint is saturated"),
-    "off_edge": (2, "more than 0.1 % of its light falls beside the detector"),
+    "off_edge": (2, "more than 0.1 % of its light falls beside the detector or between chips"),
     "blended": (4, "its footprint meets that of a star with at least 1 % of its electrons"),
     "defect": (8, "a pixel of its footprint is defective"),
     "cosmic_ray": (16, "a cosmic ray left charge in its footprint"),
