@@ -89,14 +89,8 @@ def _other_light(result: Result) -> str:
     parts += ["zodiacal light"] if background.zodiacal else []
     if background.uniform_mag_per_arcsec2 is not None:
         parts.append(f"a uniform sky of V = {background.uniform_mag_per_arcsec2:g} mag/arcsec2")
-    parts += (
-        [
-            "Moon and planets (a disk larger than a pixel has no row in the truth; the Sun is never rendered, keep it out by "
-            "pointing.sun_exclusion_deg)"
-        ]
-        if background.moon_planets
-        else []
-    )
+    if background.moon_planets:
+        parts.append("Moon and planets (a disk larger than a pixel has no row in the truth; the Sun is never rendered)")
     return ", ".join(parts) or "none"
 
 
