@@ -9,10 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from render.camera import Camera
+from render.exposure_motion import exposure_motion
 from render.forward import StarRenderer
 from render.lens_camera import share_camera
+from render.trajectory import ConstantRate
 
 ROOT = Path(__file__).parents[2]
 FILM = {
@@ -276,10 +279,10 @@ def test_registration_needs_a_vectorised_variant(variant):
     assert "use_backend" in done.stdout
 
 
-def test_code_of_the_documentation(mi):
-    """docs/rendering.md is run as it stands."""
+def test_code_of_the_documentation(mi, bench):
+    """docs/rendering.md is run as it stands: the scene, and the lines about motion with a camera of ours."""
     text = (ROOT / "docs" / "rendering.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    code, moving = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
     assert len([line for line in code.splitlines() if line.strip()]) <= 20
     names = {}
     exec(compile(code, "rendering.md", "exec"), names)
@@ -289,3 +292,13 @@ def test_code_of_the_documentation(mi):
     assert np.unravel_index(electrons.argmax(), (480, 640)) in {(239, 319), (239, 320), (240, 319), (240, 320)}
     column = (irradiance[..., 0].sum(0) @ np.arange(640)) / irradiance.sum()
     assert column == pytest.approx(319.5 - 8 / 2000 * 206.2 / 5.5e-3, abs=2.0)  # +X is to the left, as in Mitsuba
+    camera = bench.window(bench.camera_of(), 60, 2000, 1000)
+    names = {
+        "camera": camera,
+        "stars": bench.stars_at(camera, 29.5, 29.5, nodes=1),
+        "trajectory": ConstantRate(initial=Rotation.identity(), rate_rad_per_s=np.full(3, 1e-5), end_s=1.0),
+        "exposure_motion": exposure_motion,
+        "StarRenderer": StarRenderer,
+    }
+    exec(compile(moving, "rendering.md", "exec"), names)
+    assert names["image"].electrons.sum() == pytest.approx(names["image"].truth.electrons_image.sum(), rel=1e-6)
