@@ -31,34 +31,11 @@ __all__ = ["NODE_LADDER", "ExposureMotion", "exposure_motion", "gauss_times", "s
 
 FloatArray = NDArray[np.float64]
 
+PANEL = 24
+"""Nodes of each of the rules that large numbers of nodes are made of."""
 NODE_LADDER = (
-    1,
-    2,
-    3,
-    4,
-    5,
-    6,
-    8,
-    10,
-    12,
-    15,
-    18,
-    22,
-    27,
-    33,
-    40,
-    49,
-    59,
-    72,
-    88,
-    107,
-    131,
-    160,
-    195,
-    238,
-    290,
-    354,
-    432,
+    *(1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 18, 22, 27, 33, 40, 49, 59, 72, 88, 107, 131, 160, 195, 238, 290),
+    *(PANEL * panels for panels in (15, 18, 22, 27, 33, 40, 49, 59, 72, 88)),
 )
 """Numbers of time nodes that are tried, in this order; the last one is only compared with."""
 PATH_ERROR_PX = 1e-4
@@ -112,9 +89,11 @@ class ExposureMotion:
 
 @cache
 def gauss_times(count: int) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Legendre nodes and weights on (0, 1)."""
-    node, weight = np.polynomial.legendre.leggauss(count)
-    return 0.5 * (1.0 + node), 0.5 * weight
+    """Gauss-Legendre nodes and weights on (0, 1); above 300 nodes in panels of `PANEL`."""
+    panels = count // PANEL if count > 300 else 1
+    node, weight = np.polynomial.legendre.leggauss(count // panels)
+    places = (np.arange(panels)[:, None] + 0.5 * (1.0 + node)).ravel() / panels
+    return places, np.tile(0.5 * weight / panels, panels)
 
 
 def _probes(camera: Camera, ideal: IdealLens) -> FloatArray:

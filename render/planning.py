@@ -46,6 +46,8 @@ Ladder = tuple[tuple[int, int], ...]
 
 MOTION_FIELDS = (0, 1, 6, 9, 12, 15)
 """Probe fields that judge under motion."""
+MOST_TRIAL_TIMES = 72
+"""Time nodes of a trial; a longer trail is judged by a part of it."""
 LEAST_ORDER, LEAST_ARC_ORDER = (2, 3), (2, 20)
 SHORTEST_PX = 0.25
 """Path below which the order is that of a star at rest."""
@@ -219,11 +221,13 @@ class PupilPlanner:
             return None
         few = np.ascontiguousarray(wavelength_nm[:, probe_nodes(wavelength_nm.shape[1])])
         fields = probe_fields(reach_rad) if times == 1 else probe_fields(reach_rad)[list(MOTION_FIELDS)]
-        paths = uniform_paths(fields, times, length_px / IdealLens.of(self.camera).focal_px)
-        seen = self.seen(paths, few, length_px)
+        tried = min(times, MOST_TRIAL_TIMES)
+        part_px = length_px * tried / times
+        paths = uniform_paths(fields, tried, part_px / IdealLens.of(self.camera).focal_px)
+        seen = self.seen(paths, few, part_px)
         probes = np.arange(len(paths.mid))
         ladder: Ladder = LADDER
-        points: Callable[[tuple[int, int]], PupilPoints] = partial(staggered, nodes=few.shape[1], times=times)
+        points: Callable[[tuple[int, int]], PupilPoints] = partial(staggered, nodes=few.shape[1], times=tried)
         if not self.pupil.exact:
             shapes = [s for s in self.shapes(seen, self.chiefs(seen.mid, few)) if s[0] == mode]
             if not shapes:

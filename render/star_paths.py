@@ -34,7 +34,7 @@ FloatArray = NDArray[np.float64]
 
 FASTEST_SHEAR = 0.2
 """Rows per line time beyond which the image outruns a rolling shutter."""
-STILL_RAD, SHORT_RAD = 1e-9, 5e-3
+STILL_RAD, SHORT_RAD = 1e-9, 2e-3
 """Paths along which the outlines of beams are constant, or linear."""
 
 
