@@ -24,7 +24,8 @@ __all__ = ["CentroidBound", "FoundStars", "centroid_bound", "compare_frame", "jo
 FloatArray = NDArray[np.float64]
 
 MATCH_PX = 2.0
-"""A detection this near to the light of a star is that star; both must be each other's nearest."""
+"""A detection this near to the light of a star is that star; both must be each other's nearest. Saturated stars:
+`NEAR_PX`."""
 NEAR_PX = 4.0
 """A detection farther than this from every rendered star is false."""
 PHASES = 8
@@ -126,7 +127,8 @@ def compare_frame(
     if n and len(detected):
         distance, nearest = cKDTree(detected).query(star)
         back_distance, back = cKDTree(star).query(detected)
-        mutual = (back[nearest] == np.arange(n)) & (distance <= MATCH_PX)
+        burnt = (np.asarray(truth["flags"])[lit] & FLAGS["saturated"][0]) != 0  # the top of a plateau is anywhere on it
+        mutual = (back[nearest] == np.arange(n)) & (distance <= np.where(burnt, NEAR_PX, MATCH_PX))
         partner[mutual] = nearest[mutual]
         lonely = back_distance > NEAR_PX + smear[back] / 2.0  # a faint trail may break up
     found = partner >= 0
