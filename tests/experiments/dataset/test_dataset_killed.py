@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -107,7 +108,7 @@ def test_a_worker_killed_in_the_middle(dataset, tmp_path):
 def workers_of(parent):
     """Worker processes below a process: those that Python's multiprocessing spawned with a pipe."""
     found = subprocess.run(
-        ["ps", "-o", "pid=,args=", "--ppid", str(parent)], capture_output=True, text=True, check=True
+        ["ps", "-ww", "-o", "pid=,args=", "--ppid", str(parent)], capture_output=True, text=True, check=True
     )
     lines = [line.split(None, 1) for line in found.stdout.splitlines()]
     return [int(pid) for pid, arguments in lines if "spawn_main" in arguments]
@@ -200,7 +201,8 @@ def test_a_scheduler_elsewhere(dataset, tmp_path):
             "--no-dashboard",
         ]
         workers = [subprocess.Popen([*one, "--local-directory", str(tmp_path)], **quiet) for _ in range(2)]
-        time.sleep(4)
+        wait = f"from distributed import Client; Client({address!r}).wait_for_workers(2, timeout=60)"
+        subprocess.run([sys.executable, "-c", wait], check=True, timeout=90, **quiet)
         folder = tmp_path / "remote"
         process = start(folder, "--scheduler", address)
         out, error = process.communicate(timeout=120)
@@ -212,7 +214,10 @@ def test_a_scheduler_elsewhere(dataset, tmp_path):
         for process in (*workers, scheduler):
             process.terminate()
         for process in (*workers, scheduler):
-            process.wait(20)
+            with contextlib.suppress(subprocess.TimeoutExpired):  # a worker may look for its scheduler first
+                process.wait(5)
+            process.kill()
+            process.wait()
     begun = time.monotonic()
     process = start(tmp_path / "nobody", "--scheduler", address)
     _, error = process.communicate(timeout=60)
