@@ -159,5 +159,6 @@ def _ecsv(columns: tuple[Column, ...], rows: Mapping[str, Any], metadata: Mappin
     if "flags" in rows:
         table.meta["flags"] = {name: f"{bit}: {about}" for name, (bit, about) in FLAGS.items()}
     text = io.StringIO()
-    table.write(text, format="ascii.ecsv", delimiter=",")
+    with np.printoptions(legacy=False):  # colour-science leaves a style behind that cuts digits off
+        table.write(text, format="ascii.ecsv", delimiter=",")
     return text.getvalue().encode()

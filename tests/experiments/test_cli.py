@@ -142,6 +142,7 @@ def test_failed_criterion_is_exit_1_and_still_written(shot_noise, tmp_path, caps
     assert json.loads((out / "summary.json").read_text())["criteria"][0]["passed"] is False
 
 
+@pytest.mark.slow
 def test_quick_yields_to_the_user(shot_noise, tmp_path):
     assert shot_noise.main(["--quick", "--out", str(tmp_path / "a")]) in (0, 1)
     assert shot_noise.main(["--quick", "--out", str(tmp_path / "b"), "--set", "samples=3000"]) in (0, 1)

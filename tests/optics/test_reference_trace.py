@@ -136,6 +136,7 @@ def number(value) -> float:
     return float(np.ravel(value)[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list_lenses())
 @pytest.mark.parametrize("wavelength", [500.0, 600.0, 800.0])
 def test_focal_lengths_agree_with_optiland(name, wavelength):

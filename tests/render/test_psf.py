@@ -38,6 +38,7 @@ def test_samples_are_pixel_integrals_around_the_bundle_mean(mi, bench, name):
             assert values[half + dy, half + dx] == pytest.approx(expected, abs=2e-4)
 
 
+@pytest.mark.slow
 def test_predicts_the_image_of_a_star(mi, bench):
     """At a quarter-pixel phase the ePSF's samples are the pixels of the rendered image."""
     whole = bench.camera_of(defocus_mm=0.01)

@@ -113,6 +113,7 @@ def test_chosen_order_keeps_its_tolerance(mi, bench, diffusion_px, defocus_mm):
     assert np.abs(stamps(tracer, stars, plan.pupil, size=22).pixels - fine).max() < TOLERANCE
 
 
+@pytest.mark.slow
 def test_rule_is_chosen_by_the_pupil(mi, bench):
     """Clear: quadrature. Cut before or behind a stop inside the lens: arcs. Anything else: Sobol."""
 

@@ -52,6 +52,7 @@ def test_pixels_against_brute_force(mi, bench, defocus_mm, diffusion_px):
     assert worst_pixel(bench, camera, stars, traced) < 3e-5
 
 
+@pytest.mark.slow
 def test_pixels_of_a_cut_bundle_against_brute_force(mi, bench):
     """Stop inside the lens and vignetting: smooth outlines, outlines with kinks, and 2^16 Sobol rays."""
     camera = bench.camera_of("star_tracker_26mm")

@@ -202,7 +202,8 @@ def test_ecsv_says_the_same(dataset, tmp_path):
     table, facts = pq.read_table(parquet), read_facts(parquet)
     rows = {name: table.column(name).to_numpy() for name in table.column_names}
     path = tmp_path / "frame_000000.ecsv"
-    path.write_bytes(truth_bytes(rows, facts, "ecsv"))
+    with np.printoptions(legacy="1.13"):  # as colour-science leaves it
+        path.write_bytes(truth_bytes(rows, facts, "ecsv"))
     text = Table.read(path, format="ascii.ecsv")
     assert text.colnames == table.column_names
     for name, values in rows.items():
