@@ -67,6 +67,7 @@ def _found(evaluation: Evaluation) -> dict[str, Any]:
             "undisturbed": float(stars.found[undisturbed].mean()) if undisturbed.any() else float("nan"),
             "magnitude_of_half": _magnitude_of_half(evaluation),
         },
+        "blends": _blends(evaluation),
         "false_detections_per_frame": {
             "all": len(stars.false) / stars.frames,
             "not_flagged": int((~stars.false_spike).sum()) / stars.frames,
@@ -96,6 +97,21 @@ def _found(evaluation: Evaluation) -> dict[str, Any]:
     else:
         found["solver"] = {"attempted": 0, "why": evaluation.without_solver}
     return found
+
+
+def _blends(evaluation: Evaluation) -> dict[str, Any]:
+    """Blended stars: how many there are, which part is found, and which part of those the measurement calls blends."""
+    stars = evaluation.stars
+    blended = stars.has("blended")
+    found = blended & stars.found
+    return {
+        "stars": int(blended.sum()),
+        "found_share": float(stars.found[blended].mean()) if blended.any() else None,
+        "flagged_share_of_found": float(stars.blend_seen[found].mean()) if found.any() else None,
+        "flagged_share_of_single": float(stars.blend_seen[~blended & stars.found].mean())
+        if (~blended & stars.found).any()
+        else None,
+    }
 
 
 def _false_excess(evaluation: Evaluation) -> float:

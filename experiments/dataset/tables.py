@@ -139,7 +139,8 @@ def _flags(evaluation: Evaluation) -> Table:
         if count:
             share = float(stars.found[mine].mean())
             fit = float(stars.fit[mine].mean())
-            rows.append((name, about, count, share, fit))
+            blend = float(stars.blend_seen[mine & stars.found].mean()) if (mine & stars.found).any() else None
+            rows.append((name, about, count, share, fit, blend))
     rows.append(("none", "undisturbed", int(stars.clean.sum()), *_shares(evaluation)))
     return Table(
         columns=(
@@ -148,15 +149,21 @@ def _flags(evaluation: Evaluation) -> Table:
             Column(name="Stars", key="stars"),
             Column(name="Found", key="share_found", format=".3f"),
             Column(name="And fit", key="share_fit", format=".3f"),
+            Column(name="Seen as blend", key="share_blend", format=".3f"),
         ),
         rows=rows,
         caption="What the truth says of the stars, and what the detection made of them.",
-        note="Fit: the measurement sees nothing wrong with it, so that it counts in an attitude.",
+        note="Fit: the measurement sees nothing wrong with it, so that it counts in an attitude. Seen as blend: of "
+        "those found.",
     )
 
 
-def _shares(evaluation: Evaluation) -> tuple[Cell, Cell]:
+def _shares(evaluation: Evaluation) -> tuple[Cell, Cell, Cell]:
     stars = evaluation.stars
-    if not stars.clean.any():
-        return None, None
-    return float(stars.found[stars.clean].mean()), float(stars.fit[stars.clean].mean())
+    if not (stars.clean & stars.found).any():
+        return None, None, None
+    return (
+        float(stars.found[stars.clean].mean()),
+        float(stars.fit[stars.clean].mean()),
+        float(stars.blend_seen[stars.clean & stars.found].mean()),
+    )
