@@ -106,10 +106,16 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
     location: Location = fault["loc"]
-    key = ".".join(str(step) for step in location) or "(whole table)"
+    key = ".".join(str(step) for step in _without_tags(model_class, location)) or "(whole table)"
     kind = fault["type"]
     if kind == "extra_forbidden":
-        known = sorted({name for owner in _owners(model_class, location[:-1]) for name in owner.model_fields})
+        table = location[:-1]
+        known = sorted({name for owner in _owners(model_class, table) for name in owner.model_fields})
+        if table and _is_tag(_owners(model_class, table[:-1]), table[-1]):
+            for other in _owners(model_class, table[:-1]):
+                if location[-1] in other.model_fields:
+                    chosen = key.removesuffix(f".{location[-1]}")
+                    return f"key {key!r} goes with {chosen}.kind = {other.model_fields['kind'].default!r}; set that too"
         near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
         return f"unknown key {key!r}; {hint}"
@@ -134,13 +140,26 @@ def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def _owners(model_class: type[BaseModel], location: Location) -> list[type[BaseModel]]:
-    """Models that the table at ``location`` may stand for; list indices and union tags lead nowhere deeper."""
+    """Models that the table at ``location`` may stand for; a union's tag chooses one, list indices lead nowhere."""
     owners = [model_class]
     for step in location:
         fields = [owner.model_fields[step] for owner in owners if step in owner.model_fields]
         if fields:
             owners = [model for field in fields for model in _models_in(field.annotation)]
+        elif _is_tag(owners, step):
+            owners = [owner for owner in owners if owner.model_fields["kind"].default == step]
     return owners
+
+
+def _is_tag(owners: list[type[BaseModel]], step: int | str) -> bool:
+    """Whether a step of a location is the ``kind`` of one of several models, which is no key."""
+    kinds = [owner.model_fields["kind"].default for owner in owners if "kind" in owner.model_fields]
+    return len(owners) > 1 and step in kinds
+
+
+def _without_tags(model_class: type[BaseModel], location: Location) -> list[int | str]:
+    """The location as a user writes it."""
+    return [step for at, step in enumerate(location) if not _is_tag(_owners(model_class, location[:at]), step)]
 
 
 def _field(model_class: type[BaseModel], location: Location) -> FieldInfo | None:

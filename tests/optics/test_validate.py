@@ -85,3 +85,38 @@ def test_toml_faults(tmp_path: Path) -> None:
         parse_toml(Camera, tmp_path)
     broken.write_text("exposure_s = 3\n")
     assert parse_toml(Camera, broken).exposure_s == 3.0
+
+
+class Sky(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    kind: Literal["sky"] = "sky"
+
+
+class Cone(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    kind: Literal["cone"] = "cone"
+    radius_deg: float = Field(default=1.0, le=180)
+
+
+class Scan(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    pointing: Sky | Cone = Field(default=Sky(), discriminator="kind")
+
+
+@pytest.mark.parametrize(
+    ("pointing", "said"),
+    [
+        (
+            {"kind": "sky", "radius_deg": 3.0},
+            "key 'pointing.radius_deg' goes with pointing.kind = 'cone'; set that too",
+        ),
+        ({"kind": "cone", "radus_deg": 3.0}, "unknown key 'pointing.radus_deg'; did you mean 'radius_deg'"),
+        ({"kind": "cone", "radius_deg": 200.0}, "pointing.radius_deg = 200.0"),
+    ],
+)
+def test_the_kind_of_a_table_is_no_part_of_its_keys(pointing, said):
+    with pytest.raises(ConfigError) as caught:
+        parse_model(Scan, {"pointing": pointing}, "f.toml")
+    assert said in str(caught.value)
+    assert ".cone." not in str(caught.value)
+    assert ".sky." not in str(caught.value)
