@@ -116,7 +116,12 @@ def read_attitudes(name: str, key: str) -> Rotation:
 def read_motion(name: str, key: str) -> tuple[FloatArray, Rotation]:
     """Times [s] and attitudes of a file with a column ``time_s``; errors as `read_attitudes`."""
     table = _table(name, key)
-    return _column(table, "time_s", "s", name), _attitudes(table, name)
+    time_s = _column(table, "time_s", "s", name)
+    late = np.flatnonzero(np.diff(time_s) <= 0)
+    if len(late):
+        row = int(late[0]) + 1
+        raise DomainError(f"{name}: time_s of row {row} is {time_s[row]:g} s, not later than the row before")
+    return time_s, _attitudes(table, name)
 
 
 def _table(name: str, key: str) -> Any:
@@ -150,6 +155,9 @@ def _attitudes(table: Any, name: str) -> Rotation:
     stated = any(table[column].unit is not None or str(column).endswith("_deg") for column in found)
     if not stated and len(ra) >= _FEWEST_TO_JUDGE and max(np.ptp(ra), 2 * np.abs(dec).max()) <= 2 * np.pi:
         raise DomainError(f"{name}: no angle is above 2 pi; are they radians? State the unit or name the columns _deg")
+    beyond = np.flatnonzero(np.abs(dec) > 90.0)
+    if len(beyond):
+        raise DomainError(f"{name}: declination of row {beyond[0]} is {dec[beyond[0]]:g} deg; -90 to 90 deg is allowed")
     return attitude_from_angles(ra, dec, roll)
 
 
