@@ -130,7 +130,7 @@ def test_attitudes_from_files(tmp_path):
     [
         ({"quat_x": [0.0], "quat_y": [0.0], "quat_z": [0.1], "quat_w": [0.9]}, DomainError, "normalised"),
         ({"ra": np.linspace(0, 6, 30), "dec": np.linspace(-1, 1, 30), "roll": np.zeros(30)}, DomainError, "radians"),
-        ({"ra_deg": [1.0], "dec_deg": [95.0], "roll_deg": [0.0]}, DomainError, "beyond the pole"),
+        ({"ra_deg": [1.0], "dec_deg": [95.0], "roll_deg": [0.0]}, DomainError, "declination of row 0 is 95 deg"),
         ({"ra_deg": [1.0], "dec_deg": [np.nan], "roll_deg": [0.0]}, DomainError, "not finite"),
         ({"ra_deg": [1.0], "dec_deg": [5.0]}, ConfigError, "roll_deg"),
         ({"ra_deg": [1.0] * units.m, "dec_deg": [5.0], "roll_deg": [0.0]}, ConfigError, "its unit must be deg"),
