@@ -357,12 +357,7 @@ def star_field(
     if np.isnan(kelvin).any():
         at = int(np.argmax(np.isnan(kelvin)))
         raise DomainError(f"star {field.stars.id[at]} has no colour, so no temperature; give typical_temperature_k")
-    return StarField(
-        direction=field.direction,
-        wavelength_nm=light.wavelength_nm,
-        photon_rate=light.photon_rate(field.stars.magnitude, kelvin),
-        band=light.band,
-    )
+    return light.stars(field.direction, field.stars.magnitude, kelvin)
 
 
 def pointed(camera: Camera, field: SkyField) -> Camera:

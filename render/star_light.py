@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from optics.band import Band, band_nodes
 from optics.errors import DomainError
 from optics.photometry import photon_rate
 from optics.records import freeze
 from optics.spectrum import Blackbody, Sed
+from render.records import StarField
 
 __all__ = ["StarLight", "star_light"]
 
@@ -70,6 +71,22 @@ class StarLight:
                 at = int(np.argmin(good))
                 raise DomainError(f"{what} of star {at} is {values[at]:g}{unit}; {advice}")
         return np.asarray(np.exp(self.spline(np.log(t)) - (0.4 * math.log(10.0)) * m[:, None, None]))
+
+    def stars(self, direction: FloatArray, magnitude: ArrayLike, temperature_k: ArrayLike) -> StarField:
+        """Stars of given magnitudes and temperatures, each (n,) or one for all, seen at directions (n, 3).
+
+        Raises
+        ------
+        DomainError
+            As `photon_rate`, or directions that are not of unit length.
+        """
+        m, t = (np.broadcast_to(np.asarray(value, float), len(direction)) for value in (magnitude, temperature_k))
+        return StarField(
+            direction=direction,
+            wavelength_nm=self.wavelength_nm,
+            photon_rate=self.photon_rate(m, t),
+            band=self.band,
+        )
 
 
 def star_light(

@@ -21,7 +21,7 @@ from typing import Any
 
 from optics.errors import BackendError
 
-__all__ = ["BACKENDS", "check_llvm", "choose_backend", "find_llvm", "llvm_version", "use_backend"]
+__all__ = ["BACKENDS", "active_backend", "check_llvm", "choose_backend", "find_llvm", "llvm_version", "use_backend"]
 
 BACKENDS = ("auto", "llvm", "cuda")
 
@@ -83,6 +83,13 @@ def use_backend(backend: str = "auto", *, suffix: str = "ad_mono") -> str:
     if mi.variant() != variant:
         mi.set_variant(variant)
     return variant
+
+
+def active_backend() -> str:
+    """Backend, "llvm" or "cuda", of the variant that `use_backend` has set."""
+    import mitsuba as mi
+
+    return str(mi.variant()).split("_", maxsplit=1)[0]
 
 
 def choose_backend(backend: str = "auto") -> str:

@@ -53,8 +53,9 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.provenance import peak_memory_mb, process_seconds
     from experiments.target import corner_directions
     from render.random import Streams
+    from render.variant import active_backend
 
-    backend = str(mi.variant()).split("_", maxsplit=1)[0]
+    backend = active_backend()
     lab = build_laboratory(config)
     check_light(lab.filtered, lab.instrument, corner_directions(config.target, lab.instrument))
     check_full_well(lab)

@@ -59,8 +59,9 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.provenance import peak_memory_mb, process_seconds
     from experiments.target import CORNERS
     from render.random import Streams
+    from render.variant import active_backend
 
-    backend = str(mi.variant()).split("_")[0]
+    backend = active_backend()
     instrument = build_instrument(config.instrument)
     bench, pairs, direction = _prepare(config, instrument)
     paraxial_px = paraxial_prediction(bench, instrument, direction)
@@ -211,11 +212,10 @@ def report(result: Result) -> Report:
 
 def files(result: Result, folder: Any) -> None:
     """One frame as FITS: the first position behind the reference filter, the whole detector."""
-    import mitsuba as mi
-
     from render.fits import write_frame
     from render.random import Streams
     from render.readout import expose
+    from render.variant import active_backend
 
     example = result.centred.measurement.example
     frame = expose(
@@ -224,7 +224,7 @@ def files(result: Result, folder: Any) -> None:
         streams=Streams(result.config.seed).child("chromatic", "centred", "example"),
         temperature_c=result.config.instrument.chip_temperature_c,
         band=example.band[result.config.filters.centres_nm.index(result.config.filters.reference_nm)],
-        backend=str(mi.variant()).split("_")[0],
+        backend=active_backend(),
     )
     write_frame(frame, folder / "frame_upper_left.fits")
 

@@ -21,6 +21,7 @@ from render.bench_scene import FACES, BenchGeometry, CubePose, bench_scene, plac
 from render.bench_sensor import MaskSensor
 from render.detector import Detector, load_detector
 from render.random import Streams
+from render.variant import active_backend
 
 __all__ = ["FACE_ANGLES_DEG", "Case", "Laboratory", "Truth", "build_laboratory", "draw_truths", "geometry_of"]
 
@@ -238,7 +239,7 @@ def build_laboratory(mi: Any, config: Config) -> Laboratory:
         sensor=sensor,
         aperture_e=diffuse(light * electrons_per_radiance(config), detector.diffusion_sigma_px),
         streams=Streams(config.seed).child("cube"),
-        backend=str(mi.variant()).split("_")[0],
+        backend=active_backend(),
     )
 
 

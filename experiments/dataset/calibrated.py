@@ -11,7 +11,6 @@ from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.fit import MapFit, fit_to_map
 from calib.cameras.polynomial import Polynomial
 from optics.errors import ConvergenceError
-from render.records import StarField
 
 if TYPE_CHECKING:
     from experiments.dataset.scene import Scene
@@ -52,13 +51,7 @@ def calibrated_camera(scene: Scene, tracer: Tracer, *, temperature_k: float) -> 
     half = REACH * np.array([camera.width_px, camera.height_px]) / 2
     x, y = np.meshgrid(*(np.linspace(-h, h, GRID) for h in half))
     direction = camera.nominal_direction((x + camera.centre_px[0]).ravel(), (y + camera.centre_px[1]).ravel(), focal_mm)
-    stars = StarField(
-        direction=direction,
-        wavelength_nm=scene.light.wavelength_nm,
-        photon_rate=scene.light.photon_rate(np.full(GRID**2, 5.0), np.full(GRID**2, temperature_k)),
-        band=scene.light.band,
-    )
-    pixel = tracer.bundle_means(stars)[:, 0]
+    pixel = tracer.bundle_means(scene.light.stars(direction, 5.0, temperature_k))[:, 0]
     seen = np.isfinite(pixel).all(axis=1)
     if np.count_nonzero(seen) < GRID**2 // 2:
         raise ConvergenceError(

@@ -25,6 +25,7 @@ from experiments.dataset.wcs_check import wcs_misses_px
 from render.catalogue_motion import directions_at
 from render.fits import read_frame
 from render.tracer import Tracer
+from render.variant import active_backend
 
 if TYPE_CHECKING:
     from calib.cameras.fit import MapFit
@@ -134,7 +135,7 @@ def evaluate(
         Unknown centroider; no light on most of the detector.
     """
     verify, camera = scene.config.verify, scene.instrument.camera
-    backend = str(mi.variant()).split("_", maxsplit=1)[0]
+    backend = active_backend()
     streams = scene.plan.streams.child("verify")
     dark = master_dark(scene, frames=verify.dark_frames, streams=streams, backend=backend)
     temperature_k = float(np.median(scene.temperature_k))
@@ -161,7 +162,7 @@ def evaluate(
             example = Example(frame=one.frame, electrons=light, measured=measured, truth=truth)
         advance()
     sky_e = float(np.mean([one.background_e for one in facts]))
-    background_e = sky_e + _dark_e(scene)
+    background_e = sky_e + scene.dark_e
     return Evaluation(
         frames=len(facts),
         temperature_k=temperature_k,
@@ -229,11 +230,6 @@ class _Solver:
         )
 
 
-def _dark_e(scene: Scene) -> float:
-    camera, detector = scene.config.camera, scene.instrument.detector
-    return detector.mean_dark_e_per_s * detector.dark_factor(camera.chip_temperature_c) * camera.exposure_s
-
-
 def _in_empty_frames(scene: Scene, reduction: Reduction, sky_e: float, streams: Streams, backend: str) -> int:
     """Detections without a flag in frames of an even background: what noise alone makes."""
     count = 0
@@ -250,7 +246,7 @@ def _bound(scene: Scene, psfs: PsfGrid, background_e: float) -> CentroidBound:
     chosen = [int(np.abs(distance - part * distance.max()).argmin()) for part in BOUND_RADII]
     floor = detector.read_noise_e**2
     noise = NoiseModel(
-        read_noise_e=float(np.sqrt(floor + (floor + _dark_e(scene)) / verify.dark_frames)),
+        read_noise_e=float(np.sqrt(floor + (floor + scene.dark_e) / verify.dark_frames)),
         gain_dn_per_e=detector.gain_dn_per_e,
         offset_dn=detector.offset_dn,
         quantised=True,

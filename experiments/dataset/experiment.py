@@ -65,13 +65,14 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
     from experiments.dataset.schedule import software
     from experiments.dataset.shards import check_webdataset
     from experiments.provenance import peak_memory_mb, process_seconds
+    from render.variant import active_backend
 
     with progress.stage("prepare"):
         if "webdataset" in config.exports:
             check_webdataset()
         scene = build_scene(config)
         _check_window(config, scene)
-    backend = str(mi.variant()).split("_", maxsplit=1)[0]
+    backend = active_backend()
     output.open(software(backend))
     try:
         facts = _look(config, output, progress)

@@ -17,8 +17,9 @@ from render.catalogue_temperature import TYPICAL_TEMPERATURE_K
 from render.cosmic_rays import CosmicRayHits, cosmic_ray_hits
 from render.random import Streams
 from render.readout import expose
-from render.records import Frame, StarField
+from render.records import Frame
 from render.tracer import TracedStars, Tracer
+from render.variant import active_backend
 
 __all__ = ["FrameMaker", "MadeFrame"]
 
@@ -73,7 +74,7 @@ class FrameMaker:
 
     def __init__(self, mi: Any, scene: Scene) -> None:
         self.scene = scene
-        self.backend = str(mi.variant()).split("_", maxsplit=1)[0]
+        self.backend = active_backend()
         self._tracer = Tracer(mi, scene.instrument.camera, tolerance=scene.config.camera.pupil_tolerance)
         self._streams: Streams = scene.plan.streams.child("detector")
         self._axis_share = self._share_on_axis()
@@ -107,7 +108,7 @@ class FrameMaker:
             frame=frame,
             band=band,
             on_chip=StarLightOnChip(
-                background_e=sky_e + self._dark_e(),
+                background_e=sky_e + scene.dark_e,
                 pixel_flags=pixel_flags(read.saturated, read.defect, None if hits is None else _struck(hits)),
                 smear_px=smear_px(scene, seen, plan, traced.truth.chief_y_px[:, 0]),
                 axis_share=self._axis_share,
@@ -123,13 +124,7 @@ class FrameMaker:
 
     def _share_on_axis(self) -> float:
         """Part of the light of a star on the axis that the lens lets through."""
-        light = self.scene.light
-        star = StarField(
-            direction=np.array([[0.0, 0.0, 1.0]]),
-            wavelength_nm=light.wavelength_nm,
-            photon_rate=light.photon_rate(np.zeros(1), np.array([TYPICAL_TEMPERATURE_K])),
-            band=light.band,
-        )
+        star = self.scene.light.stars(np.array([[0.0, 0.0, 1.0]]), 0.0, TYPICAL_TEMPERATURE_K)
         truth = self._tracer.render(star, exposure_s=1.0, rotation_cam_from_world=np.eye(3)).truth
         return float(1.0 - truth.electrons_vignetted[0, 0] / truth.electrons_in[0, 0])
 
@@ -184,11 +179,6 @@ class FrameMaker:
             exposure_s=self.scene.config.camera.exposure_s,
             depth_um=radiation.depth_um,
         )
-
-    def _dark_e(self) -> float:
-        """Mean dark charge of a pixel, radiation damage included [e-]."""
-        camera, detector = self.scene.config.camera, self.scene.instrument.detector
-        return detector.mean_dark_e_per_s * detector.dark_factor(camera.chip_temperature_c) * camera.exposure_s
 
 
 def _struck(hits: CosmicRayHits) -> NDArray[np.bool_]:

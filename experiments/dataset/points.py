@@ -64,14 +64,8 @@ def points_of(scene: Scene, plan: FramePlan) -> Points:
             shown &= field.direction @ direction <= np.cos(0.5 * diameter)
     row, kelvin = field.row[shown], scene.temperature_k[field.row[shown]]
     magnitude = field.stars.magnitude[shown]
-    light = StarField(
-        direction=field.direction[shown],
-        wavelength_nm=scene.light.wavelength_nm,
-        photon_rate=scene.light.photon_rate(magnitude, kelvin),
-        band=scene.light.band,
-    )
     stars = Points(
-        light=light,
+        light=scene.light.stars(field.direction[shown], magnitude, kelvin),
         star_id=field.stars.id[shown],
         catalogue_row=scene.row[row],
         magnitude=magnitude,

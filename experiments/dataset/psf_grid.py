@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.psf import epsf_tracer, render_epsf
-from render.records import EffectivePsf, StarField
+from render.records import EffectivePsf
 
 if TYPE_CHECKING:
     from experiments.dataset.scene import Scene
@@ -70,12 +70,7 @@ def render_psf_grid(mi: Any, scene: Scene, *, temperature_k: float, window_px: i
     columns, rows = np.maximum(3, np.rint(LONG_SIDE * size / size.max()).astype(int) // 2 * 2 + 1)
     x, y = (INSET * n / 2 * np.linspace(-1.0, 1.0, count) for n, count in zip(size, (columns, rows), strict=True))
     place = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) + camera.centre_px
-    n = len(place)
-    stars = StarField(
-        direction=camera.nominal_direction(place[:, 0], place[:, 1], scene.instrument.focal_length_mm),
-        wavelength_nm=scene.light.wavelength_nm,
-        photon_rate=scene.light.photon_rate(np.full(n, 5.0), np.full(n, temperature_k)),
-        band=scene.light.band,
-    )
+    direction = camera.nominal_direction(place[:, 0], place[:, 1], scene.instrument.focal_length_mm)
+    stars = scene.light.stars(direction, 5.0, temperature_k)
     rendered = render_epsf(epsf_tracer(mi, camera), stars, oversampling=OVERSAMPLING, half_size_px=window_px // 2 + 2)
     return PsfGrid(psfs=tuple(row[0] for row in rendered), place_px=place)

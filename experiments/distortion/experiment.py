@@ -39,8 +39,6 @@ def run(config: Config, *, progress: Progress) -> Result:
         On anything the user can mend: unknown lens or detector, target off the detector, points not detected or
         saturated, too few points for the polynomial, light beyond the range of the data.
     """
-    import mitsuba as mi
-
     from experiments.distortion.result import Result, correction_maps, forecasts
     from experiments.instrument import build_instrument
     from experiments.laboratory.distortion_error import dense_grid, measure_distortion, traced_bundles
@@ -51,6 +49,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.provenance import peak_memory_mb, process_seconds
     from experiments.settings import TargetConfig
     from render.random import Streams
+    from render.variant import active_backend
 
     instrument = build_instrument(config.instrument)
     bench = make_bench(config, TargetConfig())  # a multi-star target that this test does not use
@@ -59,7 +58,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     direction = grid_directions(target, instrument, streams.generator("target"))
     check_bench(bench, instrument, direction[None])
     with progress.stage("prepare"):
-        scene = point_scene(bench, instrument, str(mi.variant()).split("_", maxsplit=1)[0])
+        scene = point_scene(bench, instrument, active_backend())
     with progress.stage("frames", total=2) as stage:
         measured = measure_distortion(
             bench,

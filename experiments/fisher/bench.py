@@ -62,6 +62,7 @@ from optics.units import RAD_ARCSEC
 from render.forward import StarRenderer
 from render.psf import epsf_tracer
 from render.random import Streams
+from render.variant import active_backend
 
 __all__ = ["BenchRun", "Case", "SameData", "run_bench"]
 
@@ -177,7 +178,7 @@ def run_bench(mi: Any, config: Config, instrument: Instrument, progress: Progres
     StarbenchError
         If the star is lost, or the calibration does not converge.
     """
-    streams, backend = Streams(config.seed).child("fisher"), str(mi.variant()).split("_")[0]
+    streams, backend = Streams(config.seed).child("fisher"), active_backend()
     bench_config = turntable_config(config)
     with progress.stage("calibration (S100)", total=5) as stage:
         measurement = measure(

@@ -39,8 +39,6 @@ def run(config: Config, *, progress: Progress) -> Result:
         On anything the user can mend: unknown lens or detector, target off the detector, a step larger than the window,
         points not detected or saturated, light beyond the range of the data.
     """
-    import mitsuba as mi
-
     from experiments.hsfe.result import Result, geometry_study, s_curves
     from experiments.instrument import build_instrument
     from experiments.laboratory.hexapod import Hexapod, turned
@@ -52,6 +50,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.provenance import peak_memory_mb, process_seconds
     from render.random import Streams
     from render.sensor_maps import sensor_maps
+    from render.variant import active_backend
 
     instrument = build_instrument(config.instrument)
     bench = make_bench(config, config.target)
@@ -62,7 +61,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     path = plan.path(instrument, hexapod, streams.generator("hexapod"))
     check_bench(bench, instrument, turned(rest, path.true_rad))
     with progress.stage("prepare"):
-        backend = str(mi.variant()).split("_", maxsplit=1)[0]
+        backend = active_backend()
         scene = point_scene(bench, instrument, backend)
         psf = scene.psfs(rest)
         defect = sensor_maps(instrument.detector, backend=backend).defect

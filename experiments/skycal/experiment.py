@@ -60,8 +60,9 @@ def _camera(scene: Any, config: Config, streams: Any, progress: Progress) -> Cam
     from experiments.skycal.match import match_frames
     from experiments.skycal.measure import record
     from experiments.skycal.result import CameraResult
+    from render.variant import active_backend
 
-    backend = str(mi.variant()).split("_")[0]
+    backend = active_backend()
     with progress.stage(f"{scene.name}: frames", total=scene.frames) as stage:
         recording = record(mi, scene, config, streams, backend=backend, advance=stage.advance)
     with progress.stage(f"{scene.name}: matches"):

@@ -181,11 +181,4 @@ def in_light(light: StarLight, direction: FloatArray, magnitude: ArrayLike, temp
     magnitude, temperature_k : (n,) or float
         Gaia G and colour temperature; the latter is held to what the light is prepared for.
     """
-    count = len(direction)
-    kelvin = np.clip(np.broadcast_to(np.asarray(temperature_k, float), count), *TEMPERATURE_RANGE_K)
-    return StarField(
-        direction=direction,
-        wavelength_nm=light.wavelength_nm,
-        photon_rate=light.photon_rate(np.broadcast_to(np.asarray(magnitude, float), count), kelvin),
-        band=light.band,
-    )
+    return light.stars(direction, magnitude, np.clip(np.asarray(temperature_k, float), *TEMPERATURE_RANGE_K))

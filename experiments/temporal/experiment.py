@@ -39,8 +39,6 @@ def run(config: Config, *, progress: Progress) -> Result:
         On anything the user can mend: unknown lens or detector, target off the detector, points not detected or
         saturated, light beyond the range of the data.
     """
-    import mitsuba as mi
-
     from experiments.instrument import build_instrument
     from experiments.laboratory.brightness import BrightnessControl
     from experiments.laboratory.point_scene import point_scene
@@ -49,6 +47,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.provenance import peak_memory_mb, process_seconds
     from experiments.temporal.result import Result, level_for
     from render.random import Streams
+    from render.variant import active_backend
 
     instrument = build_instrument(config.instrument)
     bench = make_bench(config, config.target)
@@ -64,7 +63,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     wanted = control.levels_e(brightness.levels)
     reached = control.reached_e(wanted, streams.generator("brightness"))
     with progress.stage("prepare"):
-        scene = point_scene(bench, instrument, str(mi.variant()).split("_", maxsplit=1)[0])
+        scene = point_scene(bench, instrument, active_backend())
         psf = scene.psfs(direction)
     with progress.stage("frames", total=len(reached) + 1) as stage:
         measured, nominal = (

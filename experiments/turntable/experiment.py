@@ -146,8 +146,9 @@ def _case(
     from experiments.turntable.reduce import start_model
     from experiments.turntable.result import Case
     from experiments.turntable.study import Coordinates, monte_carlo
+    from render.variant import active_backend
 
-    backend = str(mi.variant()).split("_")[0]
+    backend = active_backend()
     own = streams.child(name)
     with progress.stage(f"{name} table", total=5) as stage:
         measurement = measure(mi, config, instrument, table, own, backend=backend, advance=stage.advance)
