@@ -7,9 +7,9 @@ with Brown-Conrady distortion and measured with normal noise; every method gets 
 star each of them is. Each field is run with the principal point 14 px off the centre and tangential distortion, as in
 ACF17, and once more centred, with radial distortion alone, which is all that tetra3rs's models are made for. The figure
 of merit is the map error: RMS over the detector of the angle between where a pixel looks by the calibrated camera and
-where it looks in truth, after the best rotation was removed (`calib.line_of_sight`), in arcsec; it stands beside the
-Cramer-Rao bound of a free attitude in every frame. RMS over the trials; SciPy and OpenCV get only the first 3 of them
-(dense SciPy 1), so that their error is a sample. Times are medians over the trials, of the calibration alone.
+where it looks in truth, after the best rotation was removed (`calib.cameras.line_of_sight`), in arcsec; it stands
+beside the Cramer-Rao bound of a free attitude in every frame. RMS over the trials; SciPy and OpenCV get only the first
+3 of them (dense SciPy 1), so that their error is a sample. Times are medians over the trials, of the calibration alone.
 
 * ours: "free" is `calibrate_free_attitude`, "ACC" gets the turns of a perfect gyro besides, "interstar" knows no
   attitude. All start from 20 mm, no distortion, and nothing known of the attitudes.
@@ -47,16 +47,16 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from calib.attitude_correlated import calibrate_attitude_correlated
-from calib.attitude_link import link_attitudes
-from calib.bound import bound_free_attitude
-from calib.calibration_fit import start_attitudes
+from calib.attitude.link import link_attitudes
+from calib.calibrate.attitude_correlated import calibrate_attitude_correlated
+from calib.calibrate.bounds import bound_free_attitude
+from calib.calibrate.fit import start_attitudes
+from calib.calibrate.free_attitude import calibrate_free_attitude
+from calib.calibrate.interstar import calibrate_interstar
+from calib.calibrate.observations import Observations
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
-from calib.free_attitude import calibrate_free_attitude
-from calib.interstar import calibrate_interstar
-from calib.line_of_sight import best_rotation, line_of_sight_map
-from calib.observations import Observations
+from calib.cameras.line_of_sight import best_rotation, line_of_sight_map
 from optics.frames import pixel_to_tetra3rs
 from optics.units import RAD_ARCSEC
 
@@ -121,7 +121,7 @@ def bright_stars(fov_deg: float, stars: int, rng: np.random.Generator) -> tuple[
     """Directions, brightest first, of more stars than wanted, and the database of tetra3rs or None."""
     wanted = int(4 * stars * 4 * np.pi / np.deg2rad(fov_deg) ** 2)
     try:
-        from calib.identify import build_database
+        from calib.attitude.identify import build_database
 
         database = build_database(min_fov_deg=fov_deg, max_fov_deg=fov_deg)
     except Exception:  # not installed, or without its catalogue

@@ -2,11 +2,12 @@
 
     python benchmarks/centroid.py [--psf NAME] [--stars N] [--peer-stars N] [--seed N]
 
-For every PSF source: RMS position error over the bound at matched-filter SNR 20, 50, 100 and 500 (`calib.crlb`),
-S-curve (largest position error against sub-pixel phase without noise, constant offset removed) and time per star, the
-slowest of the four SNRs, best of three; CPU time is summed over the cores and depends less on what else is running. The
-bound is for known background, which all methods are told. A constant offset (an asymmetric PSF has no obvious centre)
-is taken from the noiseless S-curve and removed, for all methods alike; what depends on the phase stays in the RMS.
+For every PSF source: RMS position error over the bound at matched-filter SNR 20, 50, 100 and 500
+(`calib.measure.crlb`), S-curve (largest position error against sub-pixel phase without noise, constant offset removed)
+and time per star, the slowest of the four SNRs, best of three; CPU time is summed over the cores and depends less on
+what else is running. The bound is for known background, which all methods are told. A constant offset (an asymmetric
+PSF has no obvious centre) is taken from the noiseless S-curve and removed, for all methods alike; what depends on the
+phase stays in the RMS.
 
 A PSF source is a function without arguments that returns a `PsfSource`; put your own into `SOURCES`, or hand a finely
 sampled `EffectivePsf` (for instance a rendered one) to `source_from_fine`.
@@ -30,13 +31,13 @@ from scipy.special import ndtr
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from calib.centroid import get_centroider
-from calib.crlb import fisher_information, flux_for_snr
-from calib.epsf import draw_epsf
-from calib.epsf_build import build_epsf
-from calib.gaussian_ml import draw_gaussian
+from calib.measure.centroid import get_centroider
+from calib.measure.crlb import fisher_information, flux_for_snr
+from calib.measure.epsf import draw_epsf
+from calib.measure.epsf_build import build_epsf
+from calib.measure.gaussian import draw_gaussian
+from calib.measure.stamps import coarse_position
 from calib.records import NoiseModel, Stamps
-from calib.stamps import coarse_position
 from render.records import EffectivePsf
 
 SIZE = 11
@@ -108,14 +109,14 @@ def comatic_epsf(
 
 def lens_source(name: str, x_px: float, y_px: float, defocus_mm: float = 0.01) -> PsfSource:
     """Our 206 mm lens on its detector, 550 to 650 nm, rendered near pixel (x_px, y_px)."""
-    from optics.band import TopHat, band_nodes
-    from optics.paraxial import axial_paraxial
-    from optics.prescription import load_lens
+    from optics.lens.prescription import load_lens
+    from optics.light.band import TopHat, band_nodes
+    from optics.rays.paraxial import axial_paraxial
     from render.camera import build_camera
-    from render.detector import load_detector
-    from render.psf import epsf_tracer, render_epsf
+    from render.detector.spec import load_detector
+    from render.engine.variant import use_backend
     from render.records import StarField
-    from render.variant import use_backend
+    from render.tracing.psf import epsf_tracer, render_epsf
 
     use_backend()
     import mitsuba as mi

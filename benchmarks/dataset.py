@@ -66,9 +66,9 @@ def rate(settings: list[str], frames: int, workers: int) -> dict[str, Any]:
 
 def parts(settings: list[str], frames: int) -> dict[str, float]:
     """Milliseconds of the parts of a frame, in this process on one thread."""
-    from experiments.config import load_config
     from experiments.dataset.settings import Config
-    from render.variant import use_backend
+    from experiments.harness.config import load_config
+    from render.engine.variant import use_backend
 
     use_backend("llvm")
     import drjit as dr
@@ -78,7 +78,7 @@ def parts(settings: list[str], frames: int) -> dict[str, float]:
     from experiments.dataset.maker import FrameMaker
     from experiments.dataset.points import points_of
     from experiments.dataset.scene import build_scene
-    from render import readout
+    from render.detector import readout
 
     dr.set_thread_count(1)
     maker = FrameMaker(mi, build_scene(load_config(Config, settings=settings)))
@@ -165,7 +165,7 @@ def _print(name: str, workers: int, found: dict[str, Any]) -> None:
 
 def draw(series: dict[str, list[tuple[float, dict[str, Any]]]]) -> None:
     """Three panels: frames per second against stars, megapixels and workers."""
-    from experiments.plotting import PALETTE, figure_png, house_style, new_figure
+    from experiments.harness.plotting import PALETTE, figure_png, house_style, new_figure
 
     with house_style():
         figure, axes = new_figure(1, 3, aspect_ratio=0.36)

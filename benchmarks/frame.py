@@ -31,11 +31,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from optics.band import TopHat, band_nodes
-from optics.paraxial import axial_paraxial
-from optics.prescription import load_lens
+from optics.lens.prescription import load_lens
+from optics.light.band import TopHat, band_nodes
+from optics.rays.paraxial import axial_paraxial
 from render.camera import Camera, build_camera
-from render.detector import load_detector
+from render.detector.spec import load_detector
 from render.records import StarField
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -132,8 +132,8 @@ def trail(camera: Camera, length_px: float, line_time_s: float = 0.0) -> Any:
     """Uniform motion along a trail of that length about the attitude at rest."""
     from scipy.spatial.transform import Rotation
 
-    from render.exposure_motion import exposure_motion
-    from render.trajectory import ConstantRate
+    from render.motion.trajectory import ConstantRate
+    from render.tracing.motion import exposure_motion
 
     focal = float(axial_paraxial(camera.lens, camera.lens.design_wavelength_nm).efl_mm)
     rate = np.array([0.6, 0.8, 0.0]) * length_px * camera.pixel_pitch_mm / focal / EXPOSURE_S
@@ -163,7 +163,7 @@ def tracker(mi: Any, repeat: int) -> None:
     """Measure and print the star tracker's lens."""
     import drjit as dr
 
-    from render.tracer import Tracer
+    from render.tracing.tracer import Tracer
 
     threads = dr.thread_count()
     dr.set_thread_count(1)
@@ -208,7 +208,7 @@ import dataclasses, resource, sys
 sys.path.insert(0, {str(ROOT)!r})
 from benchmarks.frame import make_camera, make_stars
 from render.forward import StarRenderer
-from render.variant import use_backend
+from render.engine.variant import use_backend
 use_backend({backend!r})
 camera = make_camera("star_tracker_26mm")
 camera = dataclasses.replace(camera, charge_diffusion_px=0.0)  # which leaves Sobol points
@@ -257,8 +257,8 @@ def main() -> None:
     parser.add_argument("--only", choices=("tracker",), help="measure this part alone")
     parser.add_argument("--figure", action="store_true", help=f"draw {FIGURE.relative_to(ROOT)}")
     arguments = parser.parse_args()
+    from render.engine.variant import use_backend
     from render.forward import StarRenderer
-    from render.variant import use_backend
 
     variant = use_backend(arguments.backend)
     import mitsuba as mi

@@ -23,13 +23,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from scipy.spatial.transform import Rotation
 
-from optics.band import TopHat
-from optics.prescription import load_lens
+from optics.lens.prescription import load_lens
+from optics.light.band import TopHat
 from render.camera import Camera
-from render.catalogue_gaia import load_gaia
-from render.catalogue_motion import directions_at, earth_observer, propagate
-from render.sky_field import field_of, field_of_view, star_field, star_light
-from render.sky_index import SkyIndex, build_index
+from render.catalogue.gaia import load_gaia
+from render.catalogue.index import SkyIndex, build_index
+from render.catalogue.motion import directions_at, earth_observer, propagate
+from render.sky.field import field_of, field_of_view, star_field, star_light
 
 RADIUS_RAD = float(np.radians(8.5))
 EPOCH_YEAR = 2026.5

@@ -27,15 +27,15 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from optics.frames import field_direction
-from optics.lens import AMBIENT, LensSystem
-from optics.perturb import decentre
-from optics.prescription import load_lens
-from optics.program import compile_lens
-from optics.pupil import entrance_pupil, sobol_disk, star_rays
-from optics.surface import Plane
-from optics.trace import Rays, trace
-from render.arrays import DrJitArrays
-from render.backend import array_types
+from optics.lens.perturb import decentre
+from optics.lens.prescription import load_lens
+from optics.lens.surface import Plane
+from optics.lens.system import AMBIENT, LensSystem
+from optics.rays.program import compile_lens
+from optics.rays.pupil import entrance_pupil, sobol_disk, star_rays
+from optics.rays.trace import Rays, trace
+from render.engine.arrays import DrJitArrays
+from render.engine.backend import array_types
 
 LENS = "double_gauss_50mm"
 FIELD_DEG = (3.0, 2.0)
@@ -63,7 +63,7 @@ def on_drjit(lens: LensSystem, rays: Rays, threads: int, *, perturb: bool = Fals
     program, theta = compile_lens(lens, general=perturb)
     numbers = arrays.parameters(theta.tolist())
 
-    from optics.trace import trace_program
+    from optics.rays.trace import trace_program
 
     def run(repetition: int) -> Rays:
         dr.set_thread_count(threads)

@@ -11,12 +11,11 @@ from astropy import units
 from astropy.table import Table
 from numpy.typing import NDArray
 
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
 __all__ = ["NoiseModel", "SensorImage", "Stamps", "StarTable"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,7 @@ import sys
 
 import numpy as np
 
-from optics.spectrum import Blackbody
+from optics.light.spectrum import Blackbody
 
 ZERO_POINT_BP, ZERO_POINT_RP = 25.3385422158, 24.7478955012  # VEGAMAG, zeropt.dat of the same table
 COLDEST_K, HOTTEST_K, ROWS = 1000.0, 60000.0, 96

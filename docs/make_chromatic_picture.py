@@ -16,10 +16,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from experiments.chromatic.experiment import Config, run
 from experiments.chromatic.figures import arrow_panels
 from experiments.chromatic.tables import moved_label
-from experiments.plotting import figure_png, house_style
-from experiments.progress import Progress
+from experiments.harness.plotting import figure_png, house_style
+from experiments.harness.progress import Progress
 from optics.figures import draw_lens
-from render.variant import use_backend
+from render.engine.variant import use_backend
 
 WIDTH_PX = 1500
 TARGET = Path(__file__).with_name("pictures") / "chromatic.png"

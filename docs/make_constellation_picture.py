@@ -7,7 +7,7 @@ photographers of constellations use (stars grow with their brightness and show t
 the noise of the CMV4000 in a long and a short exposure, and dark-subtracted. From there as with a multispectral camera:
 electrons to CIE XYZ by a matrix fitted to black bodies (colour-science), brightness compressed, hue kept, to sRGB.
 
-Stars: Gaia DR3 and Hipparcos (`render.catalogue_gaia.ATTRIBUTION`), zodiacal light after Leinert et al. 1998.
+Stars: Gaia DR3 and Hipparcos (`render.catalogue.gaia.ATTRIBUTION`), zodiacal light after Leinert et al. 1998.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from optics.band import TopHat, band_nodes
-from optics.prescription import load_lens
-from optics.spectrum import Blackbody
-from optics.transmission import QuarterWave
+from optics.lens.prescription import load_lens
+from optics.light.band import TopHat, band_nodes
+from optics.light.spectrum import Blackbody
+from optics.light.transmission import QuarterWave
 from render.camera import Camera, build_camera
-from render.catalogue import StarCatalog, direction_from_angles
-from render.catalogue_gaia import load_gaia
-from render.catalogue_motion import earth_observer
-from render.detector import Detector, load_detector
+from render.catalogue.gaia import load_gaia
+from render.catalogue.index import build_index
+from render.catalogue.motion import earth_observer
+from render.catalogue.record import StarCatalog, direction_from_angles
+from render.detector.readout import expose
+from render.detector.spec import Detector, load_detector
+from render.engine.random import Streams
+from render.engine.variant import use_backend
 from render.forward import StarRenderer
-from render.random import Streams
-from render.readout import expose
-from render.sky_background import background_map, sky_background
-from render.sky_field import field_of, field_of_view, star_field, star_light
-from render.sky_index import build_index
-from render.variant import use_backend
+from render.sky.background import background_map, sky_background
+from render.sky.field import field_of, field_of_view, star_field, star_light
 
 TARGET = Path(__file__).with_name("pictures") / "orion.png"
 CENTRE_DEG = (83.6, 0.3)

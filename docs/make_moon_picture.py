@@ -26,19 +26,19 @@ from PIL import Image
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from docs.moon_model import MOON_RADIUS_KM, moon_scene
-from optics.band import BandNodes, TopHat, band_nodes
-from optics.paraxial import axial_paraxial
-from optics.photometry import photon_rate
-from optics.prescription import load_lens
-from optics.spectrum import Blackbody
-from optics.transmission import QuarterWave
+from optics.lens.prescription import load_lens
+from optics.light.band import BandNodes, TopHat, band_nodes
+from optics.light.photometry import photon_rate
+from optics.light.spectrum import Blackbody
+from optics.light.transmission import QuarterWave
+from optics.rays.paraxial import axial_paraxial
 from render.camera import Camera, build_camera
-from render.detector import Detector, load_detector
-from render.diffusion import diffuse
+from render.detector.diffusion import diffuse
+from render.detector.readout import expose
+from render.detector.spec import Detector, load_detector
+from render.engine.random import Streams
 from render.forward import StarRenderer
-from render.lens_camera import share_camera
-from render.random import Streams
-from render.readout import expose
+from render.plugins.lens_camera import share_camera
 from render.records import ExpectedImage, StarField
 
 TARGET = Path(__file__).with_name("pictures") / "moon_through_the_lens.png"
@@ -224,7 +224,7 @@ def draw_star(axes: Any, long: np.ndarray, stars: ExpectedImage) -> str:
 
 def main() -> None:
     """Render, read out, draw."""
-    from render.variant import use_backend
+    from render.engine.variant import use_backend
 
     use_backend("auto")
     import mitsuba as mi

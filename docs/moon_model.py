@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from render.lunar_surface import lommel_seeliger_phase
+from render.plugins.lunar_surface import lommel_seeliger_phase
 
 __all__ = ["MOON_RADIUS_KM", "moon_scene"]
 

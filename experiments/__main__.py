@@ -43,7 +43,7 @@ def main(argv: list[str]) -> int:
     """List the experiments; with ``--names`` the bare names, one per line; with ``--all`` run them all."""
     found = experiments()
     if "--all" in argv:
-        from experiments.together import run_all
+        from experiments.harness.together import run_all
 
         return run_all([word for word in argv if word != "--all"], found)
     if argv == ["--names"]:

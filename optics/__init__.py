@@ -1,29 +1,21 @@
 """The lens and light: surfaces, glass, prescriptions, sequential trace, paraxial optics, perturbations, spectra.
 
-A lens is data (`load_lens` reads it, the functions of `optics.perturb` return changed copies), rays are data
-(`star_rays` launches them, `optics.trace.trace` carries them to the image plane), and what they mean is computed by
-plain functions (`optics.analysis`, `optics.chief`, `optics.paraxial`). One source of the trace runs on NumPy and on
-Dr.Jit arrays (`optics.trace.trace_program`). No Mitsuba and no randomness here.
+A lens is data (`load_lens` reads it, the functions of `optics.lens.perturb` return changed copies), rays are data
+(`star_rays` launches them, `optics.rays.trace.trace` carries them to the image plane), and what they mean is computed
+by plain functions (`optics.rays.spots`, `optics.rays.chief`, `optics.rays.paraxial`). One source of the trace runs on
+NumPy and on Dr.Jit arrays (`optics.rays.trace.trace_program`). No Mitsuba and no randomness here.
 
 The names below are loaded when they are first used, so that importing one small module stays cheap; everything else is
 imported from its module (also `trace` and `paraxial`, which are called like their modules):
 
-========================  ==============================================================================================
-optics.prescription       lens files
-optics.surface, .lens     shapes, surfaces, the lens record
-optics.glass, .air        catalogue glass, refractive index of air
-optics.media              absolute indices on any array library, surroundings
-optics.program, .trace    compiled lens, sequential trace
-optics.pupil              launch disk and its sampling
-optics.frames             frames and pixel conventions
-optics.paraxial           ABCD quantities
-optics.chief, .analysis   chief rays, distortion; spots, lateral colour, vignetting, best focus
-optics.perturb, .reverse  tilt, decentre, temperature ...; light going the other way
-optics.figures            lens drawing, spot diagrams, distortion grid
-optics.spectrum, .band    spectral energy distributions, filter bands
-optics.photometry         photon rates from magnitudes
-optics.transmission       coatings and internal transmittance
-========================  ==============================================================================================
+==============  ========================================================================================================
+optics.lens     surface shapes, the lens record, lens files, tilt, decentre, temperature ...
+optics.glass    catalogue glass, refractive index of air, absolute indices on any array library, surroundings
+optics.rays     compiled lens, sequential trace, launch disk, chief rays, spots, ABCD quantities, light going the other
+way optics.light    spectral energy distributions, filter bands, photon rates from magnitudes, coatings and
+transmittance optics.frames   frames and pixel conventions
+optics.figures  lens drawing, spot diagrams, distortion grid
+==============  ========================================================================================================
 """
 
 from __future__ import annotations
@@ -32,15 +24,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from optics.analysis import lateral_colour, spot_moments
     from optics.errors import StarbenchError
-    from optics.glass import Glass, get_glass
-    from optics.lens import LensSystem, Surface
-    from optics.media import CATALOGUE_AIR, VACUUM, Environment
-    from optics.prescription import list_lenses, load_lens
-    from optics.program import compile_lens
-    from optics.pupil import entrance_pupil, star_rays
-    from optics.trace import Rays, trace_program
+    from optics.glass.catalogue import Glass, get_glass
+    from optics.glass.media import CATALOGUE_AIR, VACUUM, Environment
+    from optics.lens.prescription import list_lenses, load_lens
+    from optics.lens.system import LensSystem, Surface
+    from optics.rays.program import compile_lens
+    from optics.rays.pupil import entrance_pupil, star_rays
+    from optics.rays.spots import lateral_colour, spot_moments
+    from optics.rays.trace import Rays, trace_program
 
 __all__ = [
     "CATALOGUE_AIR",
@@ -63,23 +55,23 @@ __all__ = [
 ]
 
 _HOME = {
-    "CATALOGUE_AIR": "media",
-    "VACUUM": "media",
-    "Environment": "media",
-    "Glass": "glass",
-    "LensSystem": "lens",
-    "Rays": "trace",
+    "CATALOGUE_AIR": "glass.media",
+    "VACUUM": "glass.media",
+    "Environment": "glass.media",
+    "Glass": "glass.catalogue",
+    "LensSystem": "lens.system",
+    "Rays": "rays.trace",
     "StarbenchError": "errors",
-    "Surface": "lens",
-    "compile_lens": "program",
-    "entrance_pupil": "pupil",
-    "get_glass": "glass",
-    "lateral_colour": "analysis",
-    "list_lenses": "prescription",
-    "load_lens": "prescription",
-    "spot_moments": "analysis",
-    "star_rays": "pupil",
-    "trace_program": "trace",
+    "Surface": "lens.system",
+    "compile_lens": "rays.program",
+    "entrance_pupil": "rays.pupil",
+    "get_glass": "glass.catalogue",
+    "lateral_colour": "rays.spots",
+    "list_lenses": "lens.prescription",
+    "load_lens": "lens.prescription",
+    "spot_moments": "rays.spots",
+    "star_rays": "rays.pupil",
+    "trace_program": "rays.trace",
 }
 
 

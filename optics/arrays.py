@@ -1,7 +1,7 @@
-"""The few array operations the ray trace needs, so that one source runs on NumPy and on Dr.Jit.
+"""Array types, and the few array operations the ray trace needs so that one source runs on NumPy and on Dr.Jit.
 
 Arithmetic, comparison and mask operators are shared by both libraries; only what follows differs. The Dr.Jit
-counterpart is `render.arrays.DrJitArrays`; nothing here imports it.
+counterpart is `render.engine.arrays.DrJitArrays`; nothing here imports it.
 """
 
 from __future__ import annotations
@@ -10,8 +10,13 @@ from collections.abc import Iterable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["NUMPY", "ArrayNamespace", "NumpyArrays"]
+__all__ = ["NUMPY", "ArrayNamespace", "BoolArray", "FloatArray", "IntArray", "NumpyArrays"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 
 class ArrayNamespace(Protocol):

@@ -11,19 +11,18 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from optics.analysis import trace_spots
-from optics.chief import distortion_map
+from optics.arrays import FloatArray
 from optics.frames import field_direction, light_direction
-from optics.lens import AMBIENT, LensSystem
-from optics.pupil import PupilSamples, entrance_pupil, gauss_disk
-from optics.surface import sag
-from optics.trace import Rays, trace_path
+from optics.lens.surface import sag
+from optics.lens.system import AMBIENT, LensSystem
+from optics.rays.chief import distortion_map
+from optics.rays.pupil import PupilSamples, entrance_pupil, gauss_disk
+from optics.rays.spots import trace_spots
+from optics.rays.trace import Rays, trace_path
 
 __all__ = ["draw_distortion", "draw_lens", "draw_spots", "wavelength_colour"]
 
-FloatArray = NDArray[np.float64]
 
 FIELD_COLOURS = ("#1f5fa8", "#2a8c4a", "#c0392b", "#8e44ad", "#d68910", "#117a8b")
 GLASS_EDGE, GLASS_TINTS = "#34495e", ("#cfe3f5", "#d9ecd2", "#fbe3c6", "#e6d9f0", "#f6d5d5")

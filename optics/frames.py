@@ -11,8 +11,9 @@ larger column, a star towards +Y_cam at a larger row.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import DEG_RAD, RAD_DEG
 
@@ -33,7 +34,6 @@ __all__ = [
     "star_direction",
 ]
 
-FloatArray = NDArray[np.float64]
 Pair = tuple[FloatArray, FloatArray]
 
 

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.records import freeze
 
 __all__ = ["Response", "check_table", "checked_wavelength"]
 
-FloatArray = NDArray[np.float64]
 ROUNDING = 1e-12
 
 

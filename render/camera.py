@@ -8,18 +8,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.lens import LensSystem
-from optics.paraxial import axial_paraxial
-from optics.pupil import EntrancePupil, entrance_pupil
+from optics.lens.system import LensSystem
+from optics.light.transmission import Coating, lens_transmission
+from optics.rays.paraxial import axial_paraxial
+from optics.rays.pupil import EntrancePupil, entrance_pupil
 from optics.records import freeze
 from optics.response import Response
-from optics.transmission import Coating, lens_transmission
-from render.detector import Detector
+from render.detector.spec import Detector
 
 __all__ = ["Camera", "build_camera", "launch_disk"]
 
-FloatArray = NDArray[np.float64]
 
 RESPONSE_STEP_NM = 5.0
 

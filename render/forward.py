@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from optics.errors import DomainError, StarbenchError
 from render.camera import Camera
-from render.exposure_motion import ExposureMotion, share_motion
-from render.lens_camera import share_camera
-from render.plugins import register_plugins
+from render.plugins.lens_camera import share_camera
+from render.plugins.register import register_plugins
 from render.records import ExpectedImage, StarField
-from render.tracer import TracedStars
+from render.tracing.motion import ExposureMotion, share_motion
+from render.tracing.tracer import TracedStars
 
 __all__ = ["StarRenderer", "render_stars"]
 
@@ -25,7 +25,7 @@ class StarRenderer:
     Parameters
     ----------
     camera : Camera
-        The camera. `render.variant.use_backend` must have been called.
+        The camera. `render.engine.variant.use_backend` must have been called.
     exposure_s : float
         Exposure time.
     sobol_log2_rays : int
@@ -86,7 +86,7 @@ class StarRenderer:
         rotation_cam_from_world : (3, 3), optional
             Attitude; the camera's own if left out.
         motion : ExposureMotion, optional
-            Attitudes during the exposure, in place of one (`render.exposure_motion.exposure_motion`).
+            Attitudes during the exposure, in place of one (`render.tracing.motion.exposure_motion`).
 
         Raises
         ------

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
 __all__ = ["EffectivePsf", "ExpectedImage", "Frame", "StarField", "Truth", "WindowStack"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,7 +23,7 @@ class StarField:
     direction : (n, 3)
         Unit vectors *towards* the stars, in the frame the camera's attitude refers to.
     wavelength_nm : (b, k)
-        Wavelength nodes of each band (`optics.band.band_nodes`).
+        Wavelength nodes of each band (`optics.light.band.band_nodes`).
     photon_rate : (n, b, k)
         Photons per second and mm^2 of area normal to the beam that each node stands for: spectral photon irradiance
         times filter transmission times node weight.

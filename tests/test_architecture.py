@@ -93,11 +93,11 @@ def test_imports_stay_in_bounds(path):
         ("from render.records import Frame", "calib", []),
         ("from render import records", "calib", []),
         ("import render.records", "calib", []),
-        ("from render.variant import use_backend", "calib", ["render.variant.use_backend"]),
+        ("from render.engine.variant import use_backend", "calib", ["render.engine.variant.use_backend"]),
         ("from render import records, detector", "calib", ["render.detector"]),
         ("from .render import sky", "calib", []),  # calib.render would be calib's own
         ("import importlib; importlib.import_module('calib.fit')", "render", ["calib.fit"]),
-        ("from experiments.cli import command", "render", ["experiments.cli.command"]),
+        ("from experiments.harness.cli import command", "render", ["experiments.harness.cli.command"]),
         ("from optics import trace\nfrom .records import Frame", "render", []),
     ],
 )
@@ -107,7 +107,7 @@ def test_the_rule_sees_what_it_should(source, room, expected):
 
 def test_only_one_module_sets_the_variant():
     found = [label(path) for path in FILES if calls_set_variant(path.read_text(encoding="utf-8"))]
-    assert found == ["render/variant.py"]
+    assert found == ["render/engine/variant.py"]
     assert calls_set_variant("import mitsuba as mi\nmi.set_variant('llvm_ad_rgb')")
     assert calls_set_variant("from mitsuba import set_variant")
     assert not calls_set_variant("'''call set_variant'''  # set_variant")

@@ -22,12 +22,11 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
 from optics.records import freeze
 
 __all__ = ["CameraModel", "Projection", "SensorGeometry", "Unprojection", "unproject_jacobian"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -30,15 +30,15 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from calib.cameras.base import CameraModel, Projection, SensorGeometry, checked_vectors
 from calib.cameras.distortion import COEFFICIENTS, distort, distort_jacobian, undistort
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 __all__ = ["BrownConrady"]
 
-FloatArray = NDArray[np.float64]
 
 CHUNK = 2048
 """Directions handled together: their arrays stay in the processor's cache."""

@@ -21,13 +21,12 @@ and the distortion is one-to-one within the radius at which this reaches 1.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.cameras.inversion import PlaneMap, invert_plane
+from optics.arrays import FloatArray
 
 __all__ = ["COEFFICIENTS", "distort", "distort_jacobian", "one_to_one_radius_mm", "undistort"]
 
-FloatArray = NDArray[np.float64]
 
 COEFFICIENTS = ("q1_per_mm2", "q2_per_mm4", "q3_per_mm6", "p1_per_mm", "p2_per_mm")
 

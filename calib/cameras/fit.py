@@ -16,18 +16,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from calib.cameras.base import CameraModel, checked_vectors
-from calib.least_squares import DenseProblem, solve
-from calib.line_of_sight import LineOfSightMap, line_of_sight_map
-from calib.solution import Solution
+from calib.cameras.line_of_sight import LineOfSightMap, line_of_sight_map
+from calib.fitting.least_squares import DenseProblem, solve
+from calib.fitting.solution import Solution
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 __all__ = ["MapFit", "fit_to_map"]
 
-FloatArray = NDArray[np.float64]
 
 TURN_NAMES = ("turn_x_rad", "turn_y_rad", "turn_z_rad")
 

@@ -16,9 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from optics.arrays import FloatArray
+
 __all__ = ["PlaneMap", "invert_plane"]
 
-FloatArray = NDArray[np.float64]
 
 NEWTON_STEPS = 25
 PATH_STEPS = 16

@@ -26,11 +26,10 @@ from numpy.typing import ArrayLike, NDArray
 from calib.cameras.base import CameraModel, Projection, SensorGeometry, checked_vectors
 from calib.cameras.brown_conrady import BrownConrady, edge_scales
 from calib.cameras.distortion import COEFFICIENTS
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 __all__ = ["PerBand"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -36,17 +36,17 @@ from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from calib.cameras.base import CameraModel, Projection, SensorGeometry, checked_vectors
 from calib.cameras.brown_conrady import from_image, ideal_image
 from calib.cameras.inversion import PlaneMap, invert_plane
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
 __all__ = ["Polynomial"]
 
-FloatArray = NDArray[np.float64]
 
 CHUNK = 512
 """Directions handled together: their arrays stay in the processor's cache."""

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.acf.forecast import Covariances
 from experiments.acf.plan import COMPARED, Outcome
@@ -14,6 +13,7 @@ from experiments.acf.predict import sight_arcsec
 from experiments.acf.published import FIG4_LARGEST_PX, FIG4_RMS_PX
 from experiments.acf.result import Result
 from experiments.acf.tasks import field_of
+from optics.arrays import FloatArray
 
 __all__ = [
     "Comparison",
@@ -35,7 +35,6 @@ __all__ = [
     "table2_runs",
 ]
 
-FloatArray = NDArray[np.float64]
 
 DRAWS = 400
 """Of the predicted errors, for the expected largest residual distortion."""
@@ -248,7 +247,7 @@ def _expected_sight(result: Result, covariances: Sequence[FloatArray]) -> FloatA
 
 def _expected_distortion(result: Result, covariances: Sequence[FloatArray]) -> FloatArray:
     """Expected largest residual distortion: the mean over draws of the coefficients' errors."""
-    from render.random import Streams
+    from render.engine.random import Streams
 
     camera, grid = result.scene.camera, field_of(result.config, None)
     by_coefficient = camera.project_jacobian(grid.direction).by_parameter[:, :, 3:]

@@ -13,15 +13,15 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from experiments.acf.settings import Config
-from experiments.cli import command
-from experiments.progress import Progress
+from experiments.harness.cli import command
+from experiments.harness.progress import Progress
 
 if TYPE_CHECKING:
     from experiments.acf.result import Result
-    from experiments.report import Report
+    from experiments.harness.report import Report
+    from experiments.harness.summary import Criterion
+    from experiments.harness.tables import Table
     from experiments.skycal.result import Result as Rendered
-    from experiments.summary import Criterion
-    from experiments.tables import Table
 
 __all__ = ["Config", "main", "report", "run", "summary", "tables"]
 
@@ -48,7 +48,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.acf.result import Result
     from experiments.acf.simulate import build_scene
     from experiments.acf.tasks import sky_of
-    from experiments.provenance import peak_memory_mb, process_seconds
+    from experiments.harness.provenance import peak_memory_mb, process_seconds
 
     scene = build_scene(config)
     check_design(config)

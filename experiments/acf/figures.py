@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from experiments.acf.evaluate import Comparison, Runs, comparison, counts, fig3, fig4
 from experiments.acf.published import FIG4_LARGEST_PX, FIG4_RMS_PX
-from experiments.plotting import MARKERS, PALETTE, new_figure
+from experiments.harness.plotting import MARKERS, PALETTE, new_figure
+from optics.arrays import FloatArray
 
 if TYPE_CHECKING:
     from experiments.acf.result import Result
@@ -27,7 +27,6 @@ __all__ = [
     "star_tracks",
 ]
 
-FloatArray = NDArray[np.float64]
 
 FAINT = "#8a9099"
 PUBLISHED = PALETTE[1]

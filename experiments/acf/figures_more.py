@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from experiments.acf.evaluate import distortion_rms, gains, map_expected, map_rms, pulls, table2_runs
 from experiments.acf.figures import density_of
@@ -16,7 +15,7 @@ from experiments.acf.published import (
     TABLE2_CALIBRATED,
     TABLE2_TRUE,
 )
-from experiments.plotting import INK, MARKERS, PALETTE, new_figure
+from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
 
 if TYPE_CHECKING:
     from experiments.acf.result import Result
@@ -32,7 +31,6 @@ __all__ = [
     "table2_sizes",
 ]
 
-FloatArray = NDArray[np.float64]
 
 FAINT = "#8a9099"
 PUBLISHED = PALETTE[1]

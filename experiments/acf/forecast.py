@@ -6,20 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.attitude_link import angles_of_rotation, increment_per_angle
+from calib.attitude.link import angles_of_rotation, increment_per_angle
 from experiments.acf.plan import Plan
 from experiments.acf.predict import Design, Reprojection, correlated, free, linked, reprojection, reprojections
 from experiments.acf.published import FIG4_RMS_PX
 from experiments.acf.settings import Config
 from experiments.acf.simulate import Scene, build_scene
 from experiments.acf.tasks import Point, gyro_error, sky_of
+from optics.arrays import FloatArray
 from optics.records import freeze
 
 __all__ = ["Covariances", "Forecast", "StarCount", "forecast", "stars_for_published"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,20 +12,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.attitude_link import increment_per_angle, rotation_of_angles
+from calib.attitude.link import increment_per_angle, rotation_of_angles
 from experiments.acf.predict import Design, correlated
 from experiments.acf.published import TABLE2_CALIBRATED, TABLE2_ROUNDING, TABLE2_TRUE
 from experiments.acf.settings import Config
 from experiments.acf.simulate import build_scene
 from experiments.acf.tasks import gyro_error
+from optics.arrays import FloatArray
 from optics.records import freeze
 from optics.units import DEG_RAD
 
 __all__ = ["Inference", "infer"]
 
-FloatArray = NDArray[np.float64]
 
 CAMERA, FIRST = 8, 11
 """Unknowns of the camera; those and the angles of the first frame."""

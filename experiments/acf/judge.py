@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
 from experiments.acf.evaluate import (
@@ -25,11 +24,11 @@ from experiments.acf.evaluate import (
 from experiments.acf.pixels import pixel_criteria, pixel_results
 from experiments.acf.published import FIG4_RMS_PX, RUNS, TABLE2_CALIBRATED, TABLE2_NAMES, TABLE2_TRUE, TABLE2_UNITS
 from experiments.acf.result import Result
-from experiments.summary import Criterion, Measured
+from experiments.harness.summary import Criterion, Measured
+from optics.arrays import FloatArray
 
 __all__ = ["criteria", "degrees_of", "own_misses", "results", "worse_by"]
 
-FloatArray = NDArray[np.float64]
 
 PULL_LIMIT = 0.10
 CAMERA, EVERY = slice(0, 8), slice(0, 14)

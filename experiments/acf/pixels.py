@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from experiments.acf.result import Result
-from experiments.report import Figure, Section, Text
-from experiments.summary import Criterion
-from experiments.tables import cell_text
+from experiments.harness.report import Figure, Section, Text
+from experiments.harness.summary import Criterion
+from experiments.harness.tables import cell_text
 
 if TYPE_CHECKING:
     from experiments.skycal.calibrate import Judged

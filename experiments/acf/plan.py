@@ -6,15 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.acf.settings import Config
 from experiments.acf.tasks import Method, Point, Task, work
 from experiments.acf.workers import run_tasks
+from optics.arrays import FloatArray
 
 __all__ = ["Outcome", "Plan", "make_plan", "perform"]
 
-FloatArray = NDArray[np.float64]
 
 COMPARED: tuple[Method, ...] = ("acc", "linked", "free", "iac", "iac_full")
 CHUNK = 25

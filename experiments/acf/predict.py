@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.cameras.base import unproject_jacobian
+from optics.arrays import FloatArray, IntArray
 from optics.records import freeze
 from optics.units import ARCSEC_RAD
 
@@ -42,9 +43,6 @@ __all__ = [
     "sight_arcsec",
     "sight_operator",
 ]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from optics.arrays import FloatArray
 
 __all__ = [
     "FIG4_LARGEST_PX",
@@ -16,8 +17,6 @@ __all__ = [
     "TABLE2_TRUE",
     "TABLE2_UNITS",
 ]
-
-FloatArray = NDArray[np.float64]
 
 
 def _locked(*values: float) -> FloatArray:

@@ -23,9 +23,9 @@ from experiments.acf.judge import degrees_of, own_misses, worse_by
 from experiments.acf.pixels import pixel_sections
 from experiments.acf.published import RUNS, TABLE2_CALIBRATED, TABLE2_TRUE
 from experiments.acf.tables import all_tables, fig3_at_a_glance
-from experiments.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
-from experiments.summary import Measured
-from experiments.tables import Table, cell_text
+from experiments.harness.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Table, cell_text
 
 if TYPE_CHECKING:
     from experiments.acf.result import Result

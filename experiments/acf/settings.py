@@ -8,7 +8,7 @@ from typing import Literal, TypeVar
 
 from pydantic import Field, field_validator, model_validator
 
-from experiments.config import ExperimentConfig, StrictModel
+from experiments.harness.config import ExperimentConfig, StrictModel
 
 __all__ = ["CameraConfig", "Config", "GyroConfig", "SkyConfig", "StartConfig", "SweepConfig"]
 

@@ -9,17 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.attitude_link import rotation_of_angles
+from calib.attitude.gyro_attitude import integrate_rates_many
+from calib.attitude.link import rotation_of_angles
+from calib.calibrate.observations import Observations
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
-from calib.gyro_attitude import integrate_rates_many
-from calib.observations import Observations
 from experiments.acf.settings import Config
+from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from optics.records import freeze
 from optics.units import ARCSEC_RAD, DEG_RAD
-from render.gyro import Gyro, simulate_gyro_runs
-from render.random import Streams
+from render.engine.random import Streams
+from render.motion.gyro import Gyro, simulate_gyro_runs
 
 __all__ = [
     "HOUR_S",
@@ -35,8 +36,6 @@ __all__ = [
     "start_camera",
 ]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 HOUR_S = 3600.0
 TILT = float(np.arctan(np.sqrt(0.5)))

@@ -11,8 +11,8 @@ from experiments.acf.evaluate import COMPARED, comparison, fig3, fig4, gains, pu
 from experiments.acf.figures import METHOD_LABELS
 from experiments.acf.judge import degrees_of
 from experiments.acf.published import FIG4_RMS_PX, TABLE2_CALIBRATED, TABLE2_NAMES, TABLE2_TRUE, TABLE2_UNITS
-from experiments.summary import Measured
-from experiments.tables import Cell, Column, Table
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Cell, Column, Table
 
 if TYPE_CHECKING:
     from experiments.acf.result import Result

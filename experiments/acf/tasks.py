@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.attitude_correlated import calibrate_attitude_correlated
-from calib.attitude_link import angles_of_rotation, link_attitudes
+from calib.attitude.link import angles_of_rotation, link_attitudes
+from calib.calibrate.attitude_correlated import calibrate_attitude_correlated
+from calib.calibrate.calibration import Calibration
+from calib.calibrate.free_attitude import calibrate_free_attitude
+from calib.calibrate.gyro_linked import GyroNoise, calibrate_gyro_linked
+from calib.calibrate.interstar import calibrate_interstar
+from calib.calibrate.observations import Observations
 from calib.cameras.brown_conrady import BrownConrady
-from calib.free_attitude import calibrate_free_attitude
-from calib.gyro_linked import GyroNoise, calibrate_gyro_linked
-from calib.interstar import calibrate_interstar
-from calib.line_of_sight import line_of_sight_map
-from calib.observations import Observations
-from calib.solution import Calibration
+from calib.cameras.line_of_sight import line_of_sight_map
 from experiments.acf.predict import Design, GyroError, correlated, free, linked, sight_arcsec, sight_operator
 from experiments.acf.settings import Config
 from experiments.acf.simulate import (
@@ -33,12 +33,12 @@ from experiments.acf.simulate import (
     observe,
     start_camera,
 )
+from optics.arrays import FloatArray
 from optics.units import DEG_RAD
-from render.random import Streams
+from render.engine.random import Streams
 
 __all__ = ["Point", "Task", "work"]
 
-FloatArray = NDArray[np.float64]
 Method = Literal["acc", "linked", "free", "iac", "iac_full"]
 
 LINKED = ("acc", "linked")

@@ -21,16 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.attitude import attitude_error_arcsec, solve_wahba_many
+from calib.attitude.solve import attitude_error_arcsec, solve_wahba_many
 from experiments.budget.combine import Budget
 from experiments.budget.settings import AttitudeConfig
-from experiments.instrument import Instrument
+from experiments.laboratory.instrument import Instrument
+from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
-from render.random import Streams
+from render.engine.random import Streams
 
 __all__ = ["LAYOUTS", "READINGS", "AttitudeStudy", "StarErrors", "attitude_study"]
 
-FloatArray = NDArray[np.float64]
 
 READINGS = ("independent", "as it is", "common")
 LAYOUTS = ("whole field", "left half", "upper quarter band", "one corner")

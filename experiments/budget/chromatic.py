@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.budget.combine import Value
 from experiments.budget.laboratory import Laboratory
@@ -17,14 +16,14 @@ from experiments.chromatic.model import band_pairs, bundle_prediction, rms, shif
 from experiments.laboratory.bench import point_field
 from experiments.laboratory.point_frames import centroiders
 from experiments.laboratory.point_noise import PixelNoise, drawn_positions, expected_windows
-from experiments.target import corner_directions
-from render.psf import epsf_tracer, render_epsf
-from render.random import Streams
+from experiments.laboratory.target import corner_directions
+from optics.arrays import FloatArray
+from render.engine.random import Streams
 from render.records import EffectivePsf
+from render.tracing.psf import epsf_tracer, render_epsf
 
 __all__ = ["ChromaticTerm", "TracedTarget", "measure_chromatic", "predict_chromatic", "trace_target"]
 
-FloatArray = NDArray[np.float64]
 
 ROUNDING_PX = 1e-6
 """Below this a traced mean is rounding, and the statistic is zero."""

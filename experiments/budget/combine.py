@@ -14,13 +14,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from optics.arrays import FloatArray
 from optics.records import freeze
 
 __all__ = ["ECSS", "PRINTED", "PUBLISHED", "TERMS", "Budget", "Value", "combine", "published"]
 
-FloatArray = NDArray[np.float64]
 
 TERMS = ("TE", "HSFE", "LSFE-S", "LSFE-C1", "LSFE-C2")
 ECSS = {

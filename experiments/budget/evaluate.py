@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from experiments.budget.combine import ECSS, PRINTED, TERMS, Budget, Value
 from experiments.budget.result import Result
-from experiments.summary import Criterion, Measured
+from experiments.harness.summary import Criterion, Measured
 
 __all__ = ["criteria", "results"]
 

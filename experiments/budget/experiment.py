@@ -11,14 +11,14 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from experiments.budget.settings import Config
-from experiments.cli import command
-from experiments.progress import Progress
-from experiments.summary import Criterion
+from experiments.harness.cli import command
+from experiments.harness.progress import Progress
+from experiments.harness.summary import Criterion
 
 if TYPE_CHECKING:
     from experiments.budget.result import Result
-    from experiments.report import Report
-    from experiments.tables import Table
+    from experiments.harness.report import Report
+    from experiments.harness.tables import Table
 
 __all__ = ["Config", "main", "report", "run", "summary", "tables"]
 
@@ -50,10 +50,10 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.budget.tolerances import tolerance_study
     from experiments.budget.tune import differences
     from experiments.chromatic.checks import check_light
-    from experiments.provenance import peak_memory_mb, process_seconds
-    from experiments.target import corner_directions
-    from render.random import Streams
-    from render.variant import active_backend
+    from experiments.harness.provenance import peak_memory_mb, process_seconds
+    from experiments.laboratory.target import corner_directions
+    from render.engine.random import Streams
+    from render.engine.variant import active_backend
 
     backend = active_backend()
     lab = build_laboratory(config)

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 
 from experiments.budget.combine import PRINTED, TERMS
 from experiments.budget.result import Result
-from experiments.plotting import INK, MARKERS, PALETTE, new_figure
+from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
 
 __all__ = ["attitude_curves", "budget_bars", "cause_bars", "layout_bars", "share_bars"]
 

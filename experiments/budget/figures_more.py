@@ -13,7 +13,7 @@ from experiments.budget.figures import TERM_COLOURS
 from experiments.budget.range import value_at
 from experiments.budget.result import Result
 from experiments.budget.tolerances import MOVES
-from experiments.plotting import INK, MARKERS, PALETTE, new_figure
+from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
 
 __all__ = ["element_map", "sweep_curves", "tolerance_histograms", "tornado_chart"]
 

@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from experiments.budget.settings import Config, DetectorConfig, MovedConfig
-from experiments.instrument import Instrument, build_instrument
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.filter_wheel import open_wheel
-from optics.band import TopHat
-from optics.lens import LensSystem
-from optics.perturb import decentre, despace, tilt
-from optics.prescription import load_lens
-from optics.spectrum import Blackbody
+from experiments.laboratory.instrument import Instrument, build_instrument
+from optics.lens.perturb import decentre, despace, tilt
+from optics.lens.prescription import load_lens
+from optics.lens.system import LensSystem
+from optics.light.band import TopHat
+from optics.light.spectrum import Blackbody
 from optics.units import UM_MM
-from render.detector import Detector, load_detector
+from render.detector.spec import Detector, load_detector
 
 __all__ = ["Laboratory", "build_laboratory", "moved_lens", "overridden"]
 

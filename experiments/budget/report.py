@@ -13,7 +13,7 @@ from experiments.budget.figures_more import element_map, sweep_curves, tolerance
 from experiments.budget.result import Result
 from experiments.budget.tables import all_tables, sweep_in_short
 from experiments.budget.tolerances import MOVES
-from experiments.report import Equation, Figure, KeyNumber, Report, Row, Section, Table, Text
+from experiments.harness.report import Equation, Figure, KeyNumber, Report, Row, Section, Table, Text
 
 __all__ = ["build_report"]
 

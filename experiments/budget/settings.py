@@ -9,11 +9,11 @@ from pydantic import Field, model_validator
 
 from experiments.budget.range import SweepRange, check_range, leaf_keys, parse_sweep
 from experiments.chromatic.settings import FilterConfig
-from experiments.config import ExperimentConfig, StrictModel
 from experiments.distortion import settings as distortion_settings
+from experiments.harness.config import ExperimentConfig, StrictModel
 from experiments.hsfe import settings as hsfe_settings
-from experiments.point_settings import SourceConfig
-from experiments.settings import InstrumentConfig, TargetConfig
+from experiments.laboratory.point_settings import SourceConfig
+from experiments.laboratory.settings import InstrumentConfig, TargetConfig
 
 __all__ = [
     "AttitudeConfig",
@@ -31,7 +31,7 @@ _HIGHEST = 1e7
 
 
 class DetectorConfig(StrictModel):
-    """What differs from the detector's data file (`render.detector`); a key that is left out stays as it is there."""
+    """What differs from the detector's data file (`render.detector.spec`); a key left out stays as it is there."""
 
     dimensionless: ClassVar[frozenset[str]] = frozenset(
         {"prnu", "crosstalk_horizontal", "crosstalk_vertical", "crosstalk_diagonal", "read_noise_spread"}

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.budget.combine import Budget, Value, combine
 from experiments.budget.laboratory import Laboratory, build_laboratory
@@ -22,14 +21,14 @@ from experiments.budget.range import SweepRange, value_at, with_value
 from experiments.budget.settings import Config
 from experiments.budget.terms import Measurement, Psfs, measure_terms, predict_terms
 from experiments.chromatic.model import expected_spots
-from experiments.target import corner_directions
+from experiments.laboratory.target import corner_directions
+from optics.arrays import FloatArray
 from optics.errors import StarbenchError
-from render.detector import load_detector
-from render.random import Streams
+from render.detector.spec import load_detector
+from render.engine.random import Streams
 
 __all__ = ["Setting", "Sweep", "Swing", "Tornado", "coarse_budget", "predict_sweep", "predict_tornado", "widened"]
 
-FloatArray = NDArray[np.float64]
 
 POINTS = 3
 POSITIONS = 6

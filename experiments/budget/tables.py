@@ -10,8 +10,8 @@ import numpy as np
 from experiments.budget.combine import ECSS, PRINTED, TERMS
 from experiments.budget.evaluate import as_measured
 from experiments.budget.result import Result
-from experiments.summary import Measured
-from experiments.tables import Cell, Column, Table
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Cell, Column, Table
 
 __all__ = ["all_tables", "sweep_in_short"]
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.budget.chromatic import ChromaticTerm, measure_chromatic, predict_chromatic, trace_target
 from experiments.budget.combine import Budget, Value, combine
@@ -26,12 +25,12 @@ from experiments.laboratory.high_frequency_model import predict_high_frequency
 from experiments.laboratory.point_scene import PointScene, point_scene
 from experiments.laboratory.targets import GridTarget, grid_directions
 from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
-from render.random import Streams
+from optics.arrays import FloatArray
+from render.engine.random import Streams
 from render.records import EffectivePsf
 
 __all__ = ["Measurement", "PredictedTerms", "Psfs", "measure_terms", "predict_terms"]
 
-FloatArray = NDArray[np.float64]
 
 STEP_NOISE_DRAWS = 60
 """Noisy copies of each window of the step test: their mean is then good to an eighth of the noise of a frame."""

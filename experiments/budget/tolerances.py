@@ -15,23 +15,22 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.budget.laboratory import Laboratory
 from experiments.budget.settings import ToleranceConfig
 from experiments.chromatic.model import band_pairs, shifts, table1
 from experiments.laboratory.bench import point_field
-from experiments.target import corner_directions
+from experiments.laboratory.target import corner_directions
+from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
-from optics.lens import LensSystem
-from optics.perturb import decentre, despace, tilt
+from optics.lens.perturb import decentre, despace, tilt
+from optics.lens.system import LensSystem
 from optics.units import UM_MM
-from render.random import Streams
-from render.tracer import Tracer
+from render.engine.random import Streams
+from render.tracing.tracer import Tracer
 
 __all__ = ["MOVES", "ToleranceStudy", "cubic_basis", "tolerance_study"]
 
-FloatArray = NDArray[np.float64]
 
 MOVES = ("decentre x", "decentre y", "tilt x", "tilt y", "despace")
 GRID = (9, 5)

@@ -19,18 +19,17 @@ from typing import Any
 
 import click
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.budget.combine import PRINTED, PUBLISHED, Budget
 from experiments.budget.range import value_at, with_value
 from experiments.budget.settings import Config
-from experiments.cli import configuration_file
-from experiments.config import load_config
+from experiments.harness.cli import configuration_file
+from experiments.harness.config import load_config
+from optics.arrays import FloatArray
 from optics.errors import StarbenchError
 
 __all__ = ["Tuned", "differences", "tune"]
 
-FloatArray = NDArray[np.float64]
 
 _AIM = ("TE", "HSFE", "LSFE-S", "total")
 ROUNDS, STEPS, DRAWS = 2, 3, 60
@@ -193,7 +192,7 @@ def as_toml(config: Config, heading: Sequence[str]) -> str:
 @click.option("--prnu", is_flag=True, help="Free the response non-uniformity too.")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="TOML file to write.")
 def _command(file: str | None, settings: tuple[str, ...], prnu: bool, out: Path) -> None:
-    from render.variant import use_backend
+    from render.engine.variant import use_backend
 
     start = load_config(Config, file=configuration_file(file), settings=settings)
     use_backend("auto")

@@ -5,20 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.chromatic.model import Solution, expected_spots
-from experiments.instrument import Instrument
 from experiments.laboratory.bench import Bench
+from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.points import SEARCH_MARGIN_PX
-from optics.analysis import best_focus_shift_mm
-from optics.band import Band
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.frames import field_angles_deg
+from optics.light.band import Band
+from optics.rays.spots import best_focus_shift_mm
 
 __all__ = ["check_light", "check_motion", "check_wavelengths"]
-
-FloatArray = NDArray[np.float64]
 
 
 def check_wavelengths(instrument: Instrument, bands: Sequence[tuple[str, Band]]) -> None:

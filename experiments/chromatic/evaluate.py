@@ -6,20 +6,19 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
 from experiments.chromatic.measure import Measurement
 from experiments.chromatic.model import after_calibration, bundle_prediction, rms, shifts, table1
 from experiments.chromatic.result import Evaluation, Result
-from experiments.instrument import Instrument
+from experiments.harness.summary import Criterion, Measured
 from experiments.laboratory.bench import Bench
-from experiments.summary import Criterion, Measured
-from optics.pupil import entrance_pupil
+from experiments.laboratory.instrument import Instrument
+from optics.arrays import FloatArray
+from optics.rays.pupil import entrance_pupil
 
 __all__ = ["criteria", "evaluate", "lsfe_arcsec", "results", "rule_of_third"]
 
-FloatArray = NDArray[np.float64]
 
 SIGMA_LIMIT = 3.0
 

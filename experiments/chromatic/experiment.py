@@ -12,24 +12,22 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.chromatic.settings import Config
-from experiments.cli import command
-from experiments.progress import Progress
-from experiments.summary import Criterion
+from experiments.harness.cli import command
+from experiments.harness.progress import Progress
+from experiments.harness.summary import Criterion
+from optics.arrays import FloatArray
 
 if TYPE_CHECKING:
     from experiments.chromatic.model import Solution
     from experiments.chromatic.result import Result
-    from experiments.instrument import Instrument
+    from experiments.harness.report import Report
+    from experiments.harness.tables import Table
     from experiments.laboratory.bench import Bench
-    from experiments.report import Report
-    from experiments.tables import Table
+    from experiments.laboratory.instrument import Instrument
 
 __all__ = ["Config", "main", "report", "run", "summary", "tables"]
-
-FloatArray = NDArray[np.float64]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
@@ -55,11 +53,11 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.chromatic.model import bundle_prediction, paraxial_prediction, shifts
     from experiments.chromatic.result import Result
     from experiments.chromatic.stars import electrons_of_star, stellar_shift
-    from experiments.instrument import build_instrument
-    from experiments.provenance import peak_memory_mb, process_seconds
-    from experiments.target import CORNERS
-    from render.random import Streams
-    from render.variant import active_backend
+    from experiments.harness.provenance import peak_memory_mb, process_seconds
+    from experiments.laboratory.instrument import build_instrument
+    from experiments.laboratory.target import CORNERS
+    from render.engine.random import Streams
+    from render.engine.variant import active_backend
 
     backend = active_backend()
     instrument = build_instrument(config.instrument)
@@ -102,10 +100,10 @@ def _prepare(config: Config, instrument: Instrument) -> tuple[Bench, Sequence[tu
     from experiments.chromatic.model import band_pairs
     from experiments.chromatic.stars import passband
     from experiments.laboratory.bench import Bench
-    from experiments.target import corner_directions
-    from optics.band import TopHat
+    from experiments.laboratory.target import corner_directions
     from optics.errors import unknown_name
-    from optics.spectrum import Blackbody
+    from optics.light.band import TopHat
+    from optics.light.spectrum import Blackbody
 
     filters = config.filters
     reference = filters.centres_nm.index(filters.reference_nm)
@@ -160,7 +158,7 @@ def _solve(
 
 def _moved(config: Config, instrument: Instrument, chosen: Solution) -> Instrument:
     """The camera with the chosen element moved."""
-    from experiments.instrument import build_instrument
+    from experiments.laboratory.instrument import build_instrument
 
     return build_instrument(config.instrument, chosen.apply(instrument.camera.lens, "xy".index(config.decentre.axis)))
 
@@ -212,10 +210,10 @@ def report(result: Result) -> Report:
 
 def files(result: Result, folder: Any) -> None:
     """One frame as FITS: the first position behind the reference filter, the whole detector."""
-    from render.fits import write_frame
-    from render.random import Streams
-    from render.readout import expose
-    from render.variant import active_backend
+    from render.detector.readout import expose
+    from render.engine.random import Streams
+    from render.engine.variant import active_backend
+    from render.fits.files import write_frame
 
     example = result.centred.measurement.example
     frame = expose(

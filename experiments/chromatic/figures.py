@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
-from experiments.plotting import INK, MARKERS, PALETTE, band_colours, new_figure
+from experiments.harness.plotting import INK, MARKERS, PALETTE, band_colours, new_figure
+from optics.arrays import FloatArray
 
 if TYPE_CHECKING:
     from experiments.chromatic.measure import Measurement
@@ -26,8 +26,6 @@ __all__ = [
     "star_shifts",
     "target_image",
 ]
-
-FloatArray = NDArray[np.float64]
 
 
 def spot_gallery(result: Result, evaluation: Evaluation) -> Figure:

@@ -9,18 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.instrument import Instrument
 from experiments.laboratory.bench import Bench, point_field
+from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.points import PointMeasurement, PointReadout
-from experiments.target import CORNERS, corner_directions
+from experiments.laboratory.target import CORNERS, corner_directions
+from optics.arrays import FloatArray
+from render.engine.random import Streams
 from render.forward import StarRenderer
-from render.psf import epsf_tracer
-from render.random import Streams
 from render.records import ExpectedImage, WindowStack
+from render.tracing.psf import epsf_tracer
 
 __all__ = ["Measurement", "measure"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,20 +7,20 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from experiments.instrument import Instrument
 from experiments.laboratory.bench import Bench, point_field
-from optics.analysis import spot_moments
-from optics.band import band_nodes
+from experiments.laboratory.instrument import Instrument
+from optics.arrays import FloatArray
 from optics.errors import ConvergenceError
 from optics.frames import field_angles_deg
-from optics.lens import LensSystem
-from optics.paraxial import lateral_colour_mm
-from optics.perturb import decentre, tilt
-from optics.pupil import PupilSamples, entrance_pupil, gauss_disk, sobol_disk
-from render.tracer import Tracer
+from optics.lens.perturb import decentre, tilt
+from optics.lens.system import LensSystem
+from optics.light.band import band_nodes
+from optics.rays.paraxial import lateral_colour_mm
+from optics.rays.pupil import PupilSamples, entrance_pupil, gauss_disk, sobol_disk
+from optics.rays.spots import spot_moments
+from render.tracing.tracer import Tracer
 
 __all__ = [
     "CALIBRATIONS",
@@ -38,7 +38,6 @@ __all__ = [
     "table1",
 ]
 
-FloatArray = NDArray[np.float64]
 
 PUBLISHED_TABLE1_PX = {"600-500": (-1e-4, 5e-3), "800-600": (0.12, 7e-3)}
 """ACC18 Table 1, (X, Y)."""

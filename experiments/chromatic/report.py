@@ -19,9 +19,9 @@ from experiments.chromatic.figures import (
 )
 from experiments.chromatic.model import PUBLISHED_TABLE1_PX
 from experiments.chromatic.tables import all_tables, moved_label
-from experiments.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
-from experiments.summary import Measured
-from experiments.tables import Table, cell_text
+from experiments.harness.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Table, cell_text
 
 if TYPE_CHECKING:
     from experiments.chromatic.result import Result

@@ -5,18 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from experiments.chromatic.measure import Measurement
 from experiments.chromatic.model import Solution
 from experiments.chromatic.settings import Config
 from experiments.chromatic.stars import StellarShift
-from experiments.instrument import Instrument
+from experiments.laboratory.instrument import Instrument
+from optics.arrays import FloatArray
 
 __all__ = ["Evaluation", "Result"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

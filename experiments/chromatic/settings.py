@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from experiments.config import ExperimentConfig, StrictModel
-from experiments.settings import InstrumentConfig, StarsConfig, TargetConfig
+from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.laboratory.settings import InstrumentConfig, StarsConfig, TargetConfig
 
 __all__ = ["Config", "DecentreConfig", "FilterConfig"]
 

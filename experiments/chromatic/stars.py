@@ -6,20 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from experiments.instrument import Instrument
-from experiments.settings import StarsConfig
-from optics.band import Band, TopHat, band_nodes
-from optics.photometry import photon_rate
-from optics.pupil import entrance_pupil
-from optics.spectrum import Blackbody
+from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.settings import StarsConfig
+from optics.arrays import FloatArray
+from optics.light.band import Band, TopHat, band_nodes
+from optics.light.photometry import photon_rate
+from optics.light.spectrum import Blackbody
+from optics.rays.pupil import entrance_pupil
 from render.forward import StarRenderer
 from render.records import StarField
 
 __all__ = ["StellarShift", "electrons_of_star", "passband", "stellar_shift"]
 
-FloatArray = NDArray[np.float64]
 
 NODES = 48
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments.chromatic.model import PUBLISHED_TABLE1_PX
-from experiments.summary import Measured
-from experiments.tables import Cell, Column, Table
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Cell, Column, Table
 
 if TYPE_CHECKING:
     from experiments.chromatic.result import Result

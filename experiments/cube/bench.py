@@ -12,20 +12,20 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
-from calib.cube_mirror import normal_of_offset, triad
+from calib.calibrate.cube_mirror import normal_of_offset, triad
 from experiments.cube.settings import Config
 from experiments.laboratory.turntable import Turntable, build_turntable
+from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, DEG_RAD
-from render.bench_camera import BenchCamera
-from render.bench_scene import FACES, BenchGeometry, CubePose, bench_scene, place_cube
-from render.bench_sensor import MaskSensor
-from render.detector import Detector, load_detector
-from render.random import Streams
-from render.variant import active_backend
+from render.bench.camera import BenchCamera
+from render.bench.scene import FACES, BenchGeometry, CubePose, bench_scene, place_cube
+from render.bench.sensor import MaskSensor
+from render.detector.spec import Detector, load_detector
+from render.engine.random import Streams
+from render.engine.variant import active_backend
 
 __all__ = ["FACE_ANGLES_DEG", "Case", "Laboratory", "Truth", "build_laboratory", "draw_truths", "geometry_of"]
 
-FloatArray = NDArray[np.float64]
 
 DATA = Path(__file__).parents[1] / "data"
 FACE_ANGLES_DEG = {"+Z": (0.0, 180.0), "+X": (0.0, 90.0), "-X": (0.0, 270.0)}
@@ -48,7 +48,7 @@ class Truth:
     table_from_cube : (3, 3)
         Of the cube's body.
     normal : (6, 3)
-        Normals in the body's frame, in the order of `render.bench_scene.FACES`.
+        Normals in the body's frame, in the order of `render.bench.scene.FACES`.
     sensor_from_table : (3, 3)
         R_sr.
     sensor : MaskSensor
@@ -213,8 +213,8 @@ def build_laboratory(mi: Any, config: Config) -> Laboratory:
         What `experiments.cube.checks` finds, or a detector file that is wrong.
     """
     from experiments.cube.checks import check_bench, check_light_levels
-    from render.bench_trace import trace_screen
-    from render.diffusion import diffuse
+    from render.bench.trace import trace_screen
+    from render.detector.diffusion import diffuse
 
     geometry = geometry_of(config)
     detector = load_detector(config.camera.detector or DATA / "cube_ccd.toml")

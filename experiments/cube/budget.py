@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.cube_mirror import cube_from_table, normal_in_table, pixel_angle_rad, rotation_error_rad
+from calib.calibrate.cube_mirror import cube_from_table, normal_in_table, pixel_angle_rad, rotation_error_rad
 from experiments.cube.bench import (
     NOMINAL_CUBE,
     SQUARE,
@@ -40,9 +40,10 @@ from experiments.cube.reduce import measured_normal
 from experiments.cube.sensor import field_angles, fit_sensor
 from experiments.cube.settings import Config
 from experiments.cube.verify import Repeatability
+from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, DEG_RAD, RAD_ARCSEC, RAD_DEG
-from render.bench_sensor import MaskSensor
-from render.random import Streams
+from render.bench.sensor import MaskSensor
+from render.engine.random import Streams
 
 __all__ = [
     "PUBLISHED_ARCSEC",
@@ -55,7 +56,6 @@ __all__ = [
     "play_trim",
 ]
 
-FloatArray = NDArray[np.float64]
 
 PUBLISHED_ARCSEC = {"pixel": 2.34, "square": 2.0, "mounting": 2.0, "reading": 0.4, "all": 3.69}
 """CUBE09 as printed; its 2.34 comes from 65000 um for 650 mm and should be 2.38."""

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from experiments.cube.settings import Config
+from optics.arrays import FloatArray
 from optics.errors import DomainError
-from render.bench_camera import BenchCamera
-from render.bench_scene import BenchGeometry, CubePose
-from render.detector import Detector
+from render.bench.camera import BenchCamera
+from render.bench.scene import BenchGeometry, CubePose
+from render.detector.spec import Detector
 
 __all__ = ["check_bench", "check_landing", "check_light_levels", "reflected_spot_mm", "spot_profile"]
 
-FloatArray = NDArray[np.float64]
 
 RIM_PX = 8.0
 """Rim of the spot that must show around the aperture."""

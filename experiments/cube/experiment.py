@@ -12,15 +12,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from experiments.cli import command
 from experiments.cube.settings import Config
-from experiments.progress import Progress
+from experiments.harness.cli import command
+from experiments.harness.progress import Progress
 
 if TYPE_CHECKING:
     from experiments.cube.result import Result
-    from experiments.report import Report
-    from experiments.summary import Criterion
-    from experiments.tables import Table
+    from experiments.harness.report import Report
+    from experiments.harness.summary import Criterion
+    from experiments.harness.tables import Table
 
 __all__ = ["Config", "main", "report", "run", "summary", "tables"]
 
@@ -50,7 +50,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.cube.montecarlo import CASES, SensorCache, run_bench, run_cases
     from experiments.cube.result import Result
     from experiments.cube.verify import check_light, repeatability
-    from experiments.provenance import peak_memory_mb, process_seconds
+    from experiments.harness.provenance import peak_memory_mb, process_seconds
 
     with progress.stage("bench"):
         laboratory = build_laboratory(mi, config)
@@ -96,8 +96,8 @@ def run(config: Config, *, progress: Progress) -> Result:
 def _views(mi: Any, config: Config, laboratory: Any, truth: Any) -> list[Any]:
     """The bench from afar and the cube from near, the first face trimmed."""
     from experiments.cube.bench import Case, build_table, concentric_angles
-    from render.bench_scene import CubePose
-    from render.bench_view import overview_scene, overview_sensor, render_overview
+    from render.bench.scene import CubePose
+    from render.bench.view import overview_scene, overview_sensor, render_overview
 
     geometry, face = laboratory.geometry, config.cube.faces[0]
     table = build_table(config, truth, Case(name="", label=""))

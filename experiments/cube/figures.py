@@ -7,18 +7,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from numpy.typing import NDArray
 
-from calib.circle_fit import CircleFit
+from calib.measure.circle_fit import CircleFit
 from experiments.cube.trim import Picture
-from experiments.plotting import INK, MARKERS, PALETTE, new_figure
+from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
+from optics.arrays import FloatArray
 
 if TYPE_CHECKING:
     from experiments.cube.result import Result
 
 __all__ = ["budget_bars", "error_dots", "pictures", "spot_edge", "sun_sensor", "trim_paths", "view"]
 
-FloatArray = NDArray[np.float64]
 
 AXES = "xyz"
 BEAM = np.array([1.0, 0.58, 0.08])

@@ -6,18 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.cube.bench import Case, Laboratory, Truth, build_table
 from experiments.cube.reduce import BenchResult, reduce_bench
 from experiments.cube.sensor import SensorCalibration, SensorRun, calibrate_sensor, observe_spots
 from experiments.cube.trim import FaceTrim, trim_face
+from experiments.harness.progress import Progress
 from experiments.laboratory.turntable import Turntable
-from experiments.progress import Progress
+from optics.arrays import FloatArray
 
 __all__ = ["CASES", "CaseResult", "SensorCache", "run_bench", "run_cases"]
 
-FloatArray = NDArray[np.float64]
 
 CASES = (
     Case(name="pixel", label="one pixel (eq. 13)", aim_px=1.0),

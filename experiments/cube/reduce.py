@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.cube_mirror import (
+from calib.calibrate.cube_mirror import (
     MirrorSolution,
     cube_from_table,
     normal_of_offset,
@@ -21,11 +20,10 @@ from experiments.cube.sensor import SensorCalibration
 from experiments.cube.settings import Config
 from experiments.cube.trim import FaceTrim
 from experiments.laboratory.turntable import Turntable
+from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
 
 __all__ = ["BenchResult", "measured_normal", "reduce_bench"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

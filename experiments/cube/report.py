@@ -10,9 +10,9 @@ from experiments.cube.budget import PUBLISHED_ARCSEC, face_angles_deg
 from experiments.cube.figures import budget_bars, error_dots, pictures, spot_edge, sun_sensor, trim_paths, view
 from experiments.cube.result import Result, eq14_arcsec, sigma1_arcsec
 from experiments.cube.tables import LEAST_MOVE_DEG, PUBLISHED_TRIMS, all_tables, published_rates
-from experiments.report import Equation, Figure, KeyNumber, Report, Section, Text
-from experiments.summary import Measured
-from experiments.tables import Table, cell_text
+from experiments.harness.report import Equation, Figure, KeyNumber, Report, Section, Text
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Table, cell_text
 from optics.units import DEG_RAD, RAD_ARCSEC, RAD_DEG
 
 __all__ = ["build_report"]

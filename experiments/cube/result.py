@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.cube_mirror import pixel_angle_rad
+from calib.calibrate.cube_mirror import pixel_angle_rad
 from experiments.cube.bench import Laboratory, Truth, build_table
 from experiments.cube.budget import PUBLISHED_ARCSEC, BudgetRow, face_angles_deg
 from experiments.cube.checks import reflected_spot_mm
@@ -20,13 +20,13 @@ from experiments.cube.sensor import SensorRun
 from experiments.cube.settings import Config
 from experiments.cube.trim import TrimRow
 from experiments.cube.verify import LightCheck, Repeatability
-from experiments.summary import Criterion, Measured
+from experiments.harness.summary import Criterion, Measured
+from optics.arrays import FloatArray
 from optics.units import DEG_RAD, RAD_ARCSEC, RAD_DEG
-from render.bench_scene import CubePose
+from render.bench.scene import CubePose
 
 __all__ = ["Result", "criteria", "results"]
 
-FloatArray = NDArray[np.float64]
 
 CHECK_DEG = 90.0121
 """Angle between the faces that the angles of Table 1 give with the corrected eq. 8."""

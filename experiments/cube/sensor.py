@@ -1,9 +1,9 @@
 """Step 1: the sun sensor against the table, R_sr, by turning the table over the sensor's field (CUBE09, step 1).
 
-The method of patent 200510112553.7 as `calib.turntable` has it: hole against detector, mask distance, sensor against
-table, direction of the beam and, if wanted, the table's axes are fitted together to the spots of all positions. As
-published, the simulator is taken as aligned: its beam lies along the Z axis of the table at zero. It is held there by
-conditioning the solution on it, the best estimate given that two of the unknowns are known.
+The method of patent 200510112553.7 as `calib.calibrate.turntable` has it: hole against detector, mask distance, sensor
+against table, direction of the beam and, if wanted, the table's axes are fitted together to the spots of all
+positions. As published, the simulator is taken as aligned: its beam lies along the Z axis of the table at zero. It is
+held there by conditioning the solution on it, the best estimate given that two of the unknowns are known.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.attitude_link import increment_per_angle, rotation_of_angles
+from calib.attitude.link import increment_per_angle, rotation_of_angles
+from calib.calibrate.observations import Observations
+from calib.calibrate.turntable import INSTALLATION_NAMES, STAR_NAMES, TableErrors, calibrate_turntable
 from calib.cameras import BrownConrady, SensorGeometry
-from calib.observations import Observations
-from calib.solution import Solution
-from calib.turntable import INSTALLATION_NAMES, STAR_NAMES, TableErrors, calibrate_turntable
+from calib.fitting.solution import Solution
 from experiments.cube.bench import Laboratory, Truth
 from experiments.cube.settings import Config
 from experiments.laboratory.turntable import Turntable
+from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.units import DEG_RAD
-from render.bench_sensor import MaskSensor, mask_scene, trace_mask
-from render.detector import Detector
-from render.random import Streams
+from render.bench.sensor import MaskSensor, mask_scene, trace_mask
+from render.detector.spec import Detector
+from render.engine.random import Streams
 
 __all__ = ["SensorCalibration", "SensorRun", "calibrate_sensor", "field_angles", "fit_sensor", "observe_spots"]
 
-FloatArray = NDArray[np.float64]
 
 FREE = ("x0_px", "y0_px", "focal_length_mm")
 LEAN_NAME = "lean_rad"
@@ -114,7 +114,7 @@ def observe_spots(laboratory: Laboratory, truth: Truth, table: Turntable, stream
     DomainError
         A spot leaves the detector.
     """
-    from render.readout import expose_windows
+    from render.detector.readout import expose_windows
 
     config, mi = laboratory.config.sensor, laboratory.mi
     detector = own_detector(laboratory, truth)
@@ -158,10 +158,10 @@ def own_detector(laboratory: Laboratory, truth: Truth) -> Detector:
 
 
 def diffused(windows: NDArray[np.float32], sigma_px: float) -> FloatArray:
-    """Charge diffusion on all windows (n, h, w) at once; what `render.diffusion.diffuse` does to one image."""
+    """Charge diffusion on all windows (n, h, w) at once; what `render.detector.diffusion.diffuse` does to one image."""
     from scipy.ndimage import correlate1d
 
-    from render.diffusion import diffusion_kernel
+    from render.detector.diffusion import diffusion_kernel
 
     kernel = diffusion_kernel(sigma_px)
     rows = correlate1d(windows.astype(np.float64), kernel, axis=1, mode="reflect")

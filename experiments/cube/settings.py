@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from experiments.config import ExperimentConfig, StrictModel
+from experiments.harness.config import ExperimentConfig, StrictModel
 
 __all__ = ["Config", "FaceName", "TrimConfig"]
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from experiments.cube.budget import PUBLISHED_ARCSEC
 from experiments.cube.result import eq14_arcsec, sensor_error_arcsec, sigma1_arcsec
-from experiments.summary import Measured
-from experiments.tables import Cell, Column, Table
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Cell, Column, Table
 from optics.units import RAD_ARCSEC
 
 if TYPE_CHECKING:

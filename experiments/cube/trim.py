@@ -18,21 +18,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.circle_edge import EdgePoints, edge_crossings, sample_spokes, smoothed
-from calib.circle_fit import CircleFit, fit_circle
+from calib.measure.circle_edge import EdgePoints, edge_crossings, sample_spokes, smoothed
+from calib.measure.circle_fit import CircleFit, fit_circle
 from experiments.cube.bench import Case, Laboratory, Truth, electrons_per_radiance, put_cube, start_angles
 from experiments.cube.checks import check_landing, reflected_spot_mm
 from experiments.cube.settings import Config
 from experiments.laboratory.turntable import Turntable
+from optics.arrays import FloatArray
 from optics.errors import ConvergenceError
 from optics.units import ARCSEC_RAD, RAD_DEG
-from render.bench_camera import BenchCamera
-from render.bench_scene import CubePose
-from render.random import Streams
+from render.bench.camera import BenchCamera
+from render.bench.scene import CubePose
+from render.engine.random import Streams
 
 __all__ = ["FaceTrim", "Offset", "Picture", "TrimRow", "measure_offset", "take_aperture", "take_spot", "trim_face"]
 
-FloatArray = NDArray[np.float64]
 
 RIM_LEVEL = 0.3
 """Contour of the spot, as part of the brightest rim."""
@@ -132,7 +132,7 @@ class FaceTrim:
 
 
 def _exposed(laboratory: Laboratory, electrons: NDArray[np.float32], streams: Streams) -> Picture:
-    from render.readout import expose
+    from render.detector.readout import expose
 
     frame = expose(
         electrons,
@@ -159,8 +159,8 @@ def take_spot(
     inner_mm: float = 0.0,
 ) -> Picture:
     """Picture of the spot, with the cube of the scene where it is."""
-    from render.bench_trace import trace_screen
-    from render.diffusion import diffuse
+    from render.bench.trace import trace_screen
+    from render.detector.diffusion import diffuse
 
     light = trace_screen(
         laboratory.mi,

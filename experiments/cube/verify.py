@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from experiments.cube.bench import NOMINAL_CUBE, SQUARE, Laboratory
@@ -19,12 +18,12 @@ from experiments.cube.trim import (
     take_aperture,
     take_spot,
 )
-from render.bench_scene import CubePose, place_cube
-from render.bench_trace import land
+from optics.arrays import FloatArray
+from render.bench.scene import CubePose, place_cube
+from render.bench.trace import land
 
 __all__ = ["LightCheck", "Repeatability", "check_light", "repeatability"]
 
-FloatArray = NDArray[np.float64]
 
 TILTS_ARCSEC = (700.0, 800.0, 1000.0, 1300.0)
 LOG2_PARTICLES = 20

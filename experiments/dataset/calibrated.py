@@ -14,7 +14,7 @@ from optics.errors import ConvergenceError
 
 if TYPE_CHECKING:
     from experiments.dataset.scene import Scene
-    from render.tracer import Tracer
+    from render.tracing.tracer import Tracer
 
 __all__ = ["calibrated_camera"]
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.dataset.settings import CameraConfig
-from experiments.instrument import Instrument, build_instrument
-from optics.band import TopHat
+from experiments.laboratory.instrument import Instrument, build_instrument
 from optics.errors import DomainError
+from optics.light.band import TopHat
 
 __all__ = ["known_range_nm", "passband", "windowed_instrument"]
 

@@ -10,7 +10,7 @@ from optics.units import RAD_DEG
 if TYPE_CHECKING:
     from experiments.dataset.maker import MadeFrame
     from experiments.dataset.scene import Scene
-    from render.fits_header import Card
+    from render.fits.headers import Card
 
 __all__ = ["header_cards"]
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.dataset.statistics import centroid_bins, completeness, solver
-from experiments.summary import Criterion
+from experiments.harness.summary import Criterion
 
 if TYPE_CHECKING:
     from experiments.dataset.evaluate import Evaluation

@@ -89,7 +89,7 @@ def _image(folder: Path, root: Path, one: FrameFacts, bits: int) -> dict[str, An
 
     from PIL import Image
 
-    from render.fits import read_frame
+    from render.fits.files import read_frame
 
     name = f"frame_{one.frame:06d}.png"
     path = root / "images" / name

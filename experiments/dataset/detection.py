@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-from calib.crlb import fisher_information
-from calib.epsf import draw_epsf
-from calib.flags import StarFlag, has_flag
+from calib.measure.crlb import fisher_information
+from calib.measure.epsf import draw_epsf
+from calib.measure.flags import StarFlag, has_flag
 from calib.records import NoiseModel
 from experiments.dataset.measure import SMEAR_PX, UNFIT, MeasuredFrame
 from experiments.dataset.truth import FLAGS
+from optics.arrays import FloatArray
 from optics.records import freeze
 from render.records import EffectivePsf
 
 __all__ = ["CentroidBound", "FoundStars", "centroid_bound", "compare_frame", "joined"]
 
-FloatArray = NDArray[np.float64]
 
 MATCH_PX = 2.0
 """A detection this near to the light of a star is that star; both must be each other's nearest. Saturated stars:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.identify import build_database
+from calib.attitude.identify import build_database
 from calib.records import NoiseModel
 from experiments.dataset.calibrated import calibrated_camera
 from experiments.dataset.detection import CentroidBound, FoundStars, centroid_bound, compare_frame, joined
@@ -22,19 +22,19 @@ from experiments.dataset.psf_grid import PsfGrid, render_psf_grid
 from experiments.dataset.solve import SkyMap, SolvedFrame, solve_frame
 from experiments.dataset.truth_file import read_table
 from experiments.dataset.wcs_check import wcs_misses_px
-from render.catalogue_motion import directions_at
-from render.fits import read_frame
-from render.tracer import Tracer
-from render.variant import active_backend
+from optics.arrays import FloatArray
+from render.catalogue.motion import directions_at
+from render.engine.variant import active_backend
+from render.fits.files import read_frame
+from render.tracing.tracer import Tracer
 
 if TYPE_CHECKING:
     from calib.cameras.fit import MapFit
     from experiments.dataset.scene import Scene
-    from render.random import Streams
+    from render.engine.random import Streams
 
 __all__ = ["Evaluation", "Example", "evaluate"]
 
-FloatArray = NDArray[np.float64]
 
 FIELD_MARGIN = 0.06
 """The database of patterns is made for fields this much narrower and wider than the camera's."""

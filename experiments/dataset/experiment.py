@@ -14,12 +14,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.cli import command
 from experiments.dataset.folder import DatasetFolder
 from experiments.dataset.identity import for_workers, identity
 from experiments.dataset.settings import Config
-from experiments.progress import Progress
-from experiments.summary import Criterion
+from experiments.harness.cli import command
+from experiments.harness.progress import Progress
+from experiments.harness.summary import Criterion
 from optics.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from experiments.dataset.result import Result
     from experiments.dataset.resume_test import ResumeTest
     from experiments.dataset.scene import Scene
-    from experiments.report import Report
-    from experiments.tables import Table
+    from experiments.harness.report import Report
+    from experiments.harness.tables import Table
 
 __all__ = ["Config", "main", "report", "run", "summary"]
 
@@ -64,8 +64,8 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
     from experiments.dataset.scene import build_scene
     from experiments.dataset.schedule import software
     from experiments.dataset.shards import check_webdataset
-    from experiments.provenance import peak_memory_mb, process_seconds
-    from render.variant import active_backend
+    from experiments.harness.provenance import peak_memory_mb, process_seconds
+    from render.engine.variant import active_backend
 
     with progress.stage("prepare"):
         if "webdataset" in config.exports:

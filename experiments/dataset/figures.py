@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from experiments.dataset.statistics import centroid_bins, completeness, solver
-from experiments.plotting import INK, PALETTE, new_figure
+from experiments.harness.plotting import INK, PALETTE, new_figure
 
 if TYPE_CHECKING:
     from experiments.dataset.evaluate import Evaluation

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from experiments.dataset.facts import FrameFacts
-from experiments.progress import Progress
+from experiments.harness.progress import Progress
 
 if TYPE_CHECKING:
     from experiments.dataset.result import Result

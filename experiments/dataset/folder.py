@@ -24,7 +24,7 @@ from typing import Any
 
 from experiments.dataset.facts import FrameFacts
 from experiments.dataset.truth_file import read_facts
-from experiments.summary import dumps
+from experiments.harness.summary import dumps
 from optics.errors import ConfigError
 
 __all__ = [

@@ -13,17 +13,15 @@ from experiments.dataset.points import Points, points_of, smear_px
 from experiments.dataset.scene import Scene
 from experiments.dataset.sky_light import diffuse_light, resolved_light
 from experiments.dataset.truth import FLAGS, StarLightOnChip, pixel_flags, star_rows
-from render.catalogue_temperature import TYPICAL_TEMPERATURE_K
-from render.cosmic_rays import CosmicRayHits, cosmic_ray_hits
-from render.random import Streams
-from render.readout import expose
+from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
+from render.detector.cosmic_rays import CosmicRayHits, cosmic_ray_hits
+from render.detector.readout import expose
+from render.engine.random import Streams
+from render.engine.variant import active_backend
 from render.records import Frame
-from render.tracer import TracedStars, Tracer
-from render.variant import active_backend
+from render.tracing.tracer import TracedStars, Tracer
 
 __all__ = ["FrameMaker", "MadeFrame"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,7 +131,7 @@ class FrameMaker:
         if plan.trajectory is None:
             attitude = plan.attitude.as_matrix()
             return self._tracer.render(seen.light, exposure_s=camera.exposure_s, rotation_cam_from_world=attitude)
-        from render.exposure_motion import exposure_motion
+        from render.tracing.motion import exposure_motion
 
         motion = exposure_motion(
             plan.trajectory,

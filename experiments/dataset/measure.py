@@ -9,27 +9,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.background import estimate_background
-from calib.centroid import get_centroider
-from calib.detection import detect
-from calib.flags import StarFlag, has_flag
-from calib.frames import image_from_frame
+from calib.measure.background import estimate_background
+from calib.measure.centroid import get_centroider
+from calib.measure.detection import detect
+from calib.measure.flags import StarFlag, has_flag
+from calib.measure.image import image_from_frame
+from calib.measure.stamps import extract_stamps
 from calib.records import SensorImage, StarTable
-from calib.stamps import extract_stamps
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
-from render.readout import expose
+from render.detector.readout import expose
 
 if TYPE_CHECKING:
     from experiments.dataset.psf_grid import PsfGrid
     from experiments.dataset.scene import Scene
     from experiments.dataset.settings import VerifyConfig
-    from render.random import Streams
+    from render.engine.random import Streams
     from render.records import Frame
 
 __all__ = ["SMEAR_PX", "MeasuredFrame", "Reduction", "empty_frame", "master_dark", "measure_frame", "reduction_of"]
 
-FloatArray = NDArray[np.float64]
 
 FWHM_PX = 1.8
 """Of the detection filter: a spot of sigma 0.7 px on the pixels."""
@@ -144,7 +144,7 @@ def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) 
     """Detect and centroid the stars of a frame.
 
     A PSF at rest does not fit a trail: where the camera turned, as its rate tells, positions are first moments under a
-    Gaussian window (`calib.moments.WindowedCentroid`), in a window that holds the trail.
+    Gaussian window (`calib.measure.moments.WindowedCentroid`), in a window that holds the trail.
 
     Parameters
     ----------

@@ -7,7 +7,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from experiments.dataset.pointing import attitude_from_angles, read_attitudes, read_motion
@@ -22,12 +21,13 @@ from experiments.dataset.settings import (
     SkyPointing,
     SplitsConfig,
 )
+from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.units import DEG_RAD
-from render.catalogue_motion import earth_observer
-from render.jitter import JitterSpectrum, jittered
-from render.random import Streams
-from render.trajectory import ConstantRate, SampledAttitude, Trajectory
+from render.catalogue.motion import earth_observer
+from render.engine.random import Streams
+from render.motion.jitter import JitterSpectrum, jittered
+from render.motion.trajectory import ConstantRate, SampledAttitude, Trajectory
 
 __all__ = [
     "SPLITS",
@@ -40,7 +40,6 @@ __all__ = [
     "sun_direction",
 ]
 
-FloatArray = NDArray[np.float64]
 
 SPLITS = ("train", "validation", "test")
 SPLIT_BLOCK = 100

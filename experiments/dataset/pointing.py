@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.units import DEG_RAD, RAD_DEG
 
 __all__ = ["angles_of", "attitude_from_angles", "file_digest", "quat_xyzw", "read_attitudes", "read_motion"]
 
-FloatArray = NDArray[np.float64]
 
 NORM_TOLERANCE = 1e-6
 """A quaternion written with seven digits is this near to unit length; farther off it is something else."""

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 from experiments.dataset.plan import FramePlan
 from experiments.dataset.scene import Scene, seen_at
 from experiments.dataset.sky_light import PLANET_IDS
+from optics.arrays import FloatArray
 from optics.records import freeze
+from render.bodies.solar_system import joined
 from render.records import StarField
-from render.solar_system import joined
 
 __all__ = ["Points", "points_of", "smear_px"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

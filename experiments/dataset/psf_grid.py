@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from render.psf import epsf_tracer, render_epsf
+from optics.arrays import FloatArray
 from render.records import EffectivePsf
+from render.tracing.psf import epsf_tracer, render_epsf
 
 if TYPE_CHECKING:
     from experiments.dataset.scene import Scene
 
 __all__ = ["PsfGrid", "render_psf_grid"]
 
-FloatArray = NDArray[np.float64]
 
 LONG_SIDE = 9
 """PSFs along the longer side. Between neighbours a PSF changes its shape by so little that the nearest one serves."""

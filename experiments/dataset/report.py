@@ -15,9 +15,9 @@ from experiments.dataset.figures import (
 )
 from experiments.dataset.statistics import solver
 from experiments.dataset.tables import all_tables
-from experiments.report import Equation, Figure, KeyNumber, Report, Section, Text
-from experiments.summary import Measured
-from experiments.tables import cell_text
+from experiments.harness.report import Equation, Figure, KeyNumber, Report, Section, Text
+from experiments.harness.summary import Measured
+from experiments.harness.tables import cell_text
 
 if TYPE_CHECKING:
     from experiments.dataset.evaluate import Evaluation

@@ -14,26 +14,26 @@ from experiments.dataset.camera import passband, windowed_instrument
 from experiments.dataset.plan import Plan, build_plan, fastest_rad_per_s, plan_frame, sun_direction
 from experiments.dataset.settings import CatalogueConfig, Config, SkyPointing
 from experiments.dataset.sky_light import SkyLight, build_sky_light, check_sun
-from experiments.instrument import Instrument
+from experiments.laboratory.instrument import Instrument
+from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.units import ARCSEC_RAD
-from render.catalogue import StarCatalog
-from render.catalogue_motion import Observer, earth_observer
-from render.catalogue_temperature import TYPICAL_TEMPERATURE_K, colour_temperature
-from render.radiation import aged
-from render.sky_field import FieldOfView, SkyField, StarLight, field_of, field_of_view, star_light
-from render.sky_index import SkyIndex, build_index
-from render.wcs import LensWcs, lens_wcs
+from render.catalogue.index import SkyIndex, build_index
+from render.catalogue.motion import Observer, earth_observer
+from render.catalogue.record import StarCatalog
+from render.catalogue.temperature import TYPICAL_TEMPERATURE_K, colour_temperature
+from render.detector.radiation import aged
+from render.fits.wcs import LensWcs, lens_wcs
+from render.sky.field import FieldOfView, SkyField, StarLight, field_of, field_of_view, star_light
 
 __all__ = ["Scene", "build_scene", "load_catalogue", "seen_at", "stars_of"]
 
-FloatArray = NDArray[np.float64]
 
 MARGIN_PX = 16.0
 SEARCHED_FRAMES = 10_000
 JITTER_SIGMA = 5.0
 LONGEST_ANNEALED_S = 5e6
-"""A dose that comes over years has annealed all the while: the end of the published curve (`render.radiation`)."""
+"""A dose that comes over years has annealed all along: the end of the published curve (`render.detector.radiation`)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,7 +157,7 @@ def load_catalogue(config: CatalogueConfig) -> StarCatalog:
     """
     if config.catalogue == "gaia":
         return _gaia()
-    from render.catalogue_read import read_catalog
+    from render.catalogue.read import read_catalog
 
     system = None if config.magnitude_system == "preset" else config.magnitude_system
     try:
@@ -172,7 +172,7 @@ def load_catalogue(config: CatalogueConfig) -> StarCatalog:
 
 @cache
 def _gaia() -> StarCatalog:
-    from render.catalogue_gaia import load_gaia
+    from render.catalogue.gaia import load_gaia
 
     return load_gaia()
 

@@ -6,8 +6,8 @@ from typing import ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from experiments.config import ExperimentConfig, StrictModel
-from experiments.settings import InstrumentConfig
+from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.laboratory.settings import InstrumentConfig
 
 __all__ = [
     "BackgroundConfig",

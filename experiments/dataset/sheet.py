@@ -75,7 +75,7 @@ def contact_sheet(folder: Path, facts: Sequence[FrameFacts]) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from render.fits import read_frame
+    from render.fits.files import read_frame
 
     shown = chosen(facts)
     columns = min(COLUMNS, len(shown))

@@ -10,19 +10,19 @@ from scipy.spatial.transform import Rotation
 
 from experiments.dataset.plan import FramePlan, Plan, plan_frame
 from experiments.dataset.settings import BackgroundConfig, Config, SkyPointing
-from optics.band import Band
+from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
+from optics.light.band import Band
+from render.bodies.solar_system import SolarSystem, planet_field, solar_system
 from render.camera import Camera
-from render.catalogue_motion import Observer
+from render.catalogue.motion import Observer
 from render.records import StarField
-from render.sky_background import BackgroundMap, UniformSky, background_map, sky_background
-from render.sky_field import FieldOfView
-from render.solar_system import SolarSystem, planet_field, solar_system
-from render.zodiacal import CLOSEST_DEG
+from render.sky.background import BackgroundMap, UniformSky, background_map, sky_background
+from render.sky.field import FieldOfView
+from render.sky.zodiacal import CLOSEST_DEG
 
 __all__ = ["PLANET_IDS", "SkyLight", "build_sky_light", "check_sun", "diffuse_light", "resolved_light"]
 
-FloatArray = NDArray[np.float64]
 
 PLANET_IDS = {
     "mercury": -1000199,
@@ -136,7 +136,7 @@ def resolved_light(
     """Expected electrons (h, w) of the disks that a frame sees; None where it sees none."""
     if sky.disks is None:
         return None
-    from render.sunlit_body import planet_body, render_body
+    from render.bodies.sunlit_body import planet_body, render_body
 
     matrix = plan.attitude.as_matrix()
     image: NDArray[np.float32] | None = None

@@ -14,21 +14,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from calib.association import associate
-from calib.attitude import attitude_error_arcsec, solve_wahba
+from calib.attitude.association import associate
+from calib.attitude.identify import Identification, identify
+from calib.attitude.solve import attitude_error_arcsec, solve_wahba
 from calib.cameras.base import CameraModel
-from calib.identify import Identification, identify
 from experiments.dataset.measure import MeasuredFrame
+from optics.arrays import FloatArray
 from optics.records import freeze
 from optics.units import RAD_ARCSEC
 
 __all__ = ["SkyMap", "SolvedFrame", "solve_frame"]
 
-FloatArray = NDArray[np.float64]
 
 MATCH_PX = 1.0
 LARGEST_COMMON_PX = 0.5
@@ -65,7 +64,7 @@ class SolvedFrame:
     frame : int
         Its number.
     status, message : str
-        Of `calib.identify.identify`; ``"wrong"`` for an attitude that is off by more than a pixel.
+        Of `calib.attitude.identify.identify`; ``"wrong"`` for an attitude that is off by more than a pixel.
     detected, fit, identified, used : int
         Detections, those without a flag, those that tetra3rs matched, those in the weighted attitude.
     error_arcsec : (3,)

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from experiments.dataset.detection import FoundStars
 from experiments.dataset.evaluate import Evaluation
 from experiments.dataset.solve import SolvedFrame
+from optics.arrays import FloatArray
 
 __all__ = ["CentroidBins", "Completeness", "Solver", "centroid_bins", "completeness", "solver"]
 
-FloatArray = NDArray[np.float64]
 
 FEWEST_IN_BIN = 8
 ROBUST_SIGMA = 1.4826

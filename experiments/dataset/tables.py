@@ -9,8 +9,8 @@ import numpy as np
 
 from experiments.dataset.statistics import centroid_bins, completeness, solver
 from experiments.dataset.truth import FLAGS
-from experiments.summary import Measured
-from experiments.tables import Cell, Column, Table
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Cell, Column, Table
 
 if TYPE_CHECKING:
     from experiments.dataset.evaluate import Evaluation

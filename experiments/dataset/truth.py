@@ -9,16 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from optics.arrays import FloatArray
 from optics.units import RAD_DEG
 
 if TYPE_CHECKING:
     from experiments.dataset.points import Points
-    from render.detector import Detector
+    from render.detector.spec import Detector
     from render.records import Truth
 
 __all__ = ["COLUMNS", "FLAGS", "Column", "StarLightOnChip", "flux_snr", "footprint_px", "pixel_flags", "star_rows"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.dataset.truth import FLAGS
+from optics.arrays import FloatArray
 from optics.frames import pixel_from_fits
 
 __all__ = ["wcs_misses_px"]
-
-FloatArray = NDArray[np.float64]
 
 
 def wcs_misses_px(path: str | Path, truth: dict[str, Any], *, width_px: int, height_px: int) -> FloatArray:

@@ -57,7 +57,7 @@ def prepare(job: Job, threads: int | None = None) -> FrameMaker:
     """
     key = (job.config, job.backend)
     if key not in _MAKERS:
-        from render.variant import use_backend
+        from render.engine.variant import use_backend
 
         use_backend(job.backend)
         import drjit as dr
@@ -110,7 +110,7 @@ def _write(maker: FrameMaker, folder: Path, frame: int) -> FrameFacts:
 
 
 def _write_fits(maker: FrameMaker, made: MadeFrame, path: Path) -> None:
-    from render.fits import write_frame
+    from render.fits.files import write_frame
 
     files = maker.scene.config.files
     compression = None if files.compression == "none" else files.compression

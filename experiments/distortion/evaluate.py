@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.distortion.result import MARKING_ARCSEC, PUBLISHED_ARCSEC, Result
+from experiments.harness.summary import Criterion
 from experiments.laboratory.distortion_model import MapForecast
 from experiments.laboratory.distortion_statistics import REFERENCES, Reference
-from experiments.summary import Criterion
+from optics.arrays import FloatArray
 
 __all__ = [
     "STATISTICS",
@@ -22,7 +22,6 @@ __all__ = [
     "results",
 ]
 
-FloatArray = NDArray[np.float64]
 
 STATISTICS = ("sigma_d", "sigma_left", "sigma_c1")
 """Found, left, removed."""

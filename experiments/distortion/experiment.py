@@ -11,14 +11,14 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from experiments.distortion.settings import Config
-from experiments.point_command import point_command
-from experiments.progress import Progress
-from experiments.summary import Criterion
+from experiments.harness.progress import Progress
+from experiments.harness.summary import Criterion
+from experiments.laboratory.point_command import point_command
 
 if TYPE_CHECKING:
     from experiments.distortion.result import Result
-    from experiments.report import Report
-    from experiments.tables import Table
+    from experiments.harness.report import Report
+    from experiments.harness.tables import Table
 
 __all__ = ["Config", "main", "report", "run", "summary", "tables"]
 
@@ -40,16 +40,16 @@ def run(config: Config, *, progress: Progress) -> Result:
         saturated, too few points for the polynomial, light beyond the range of the data.
     """
     from experiments.distortion.result import Result, correction_maps, forecasts
-    from experiments.instrument import build_instrument
+    from experiments.harness.provenance import peak_memory_mb, process_seconds
     from experiments.laboratory.distortion_error import dense_grid, measure_distortion, traced_bundles
     from experiments.laboratory.distortion_model import predict_distortion
+    from experiments.laboratory.instrument import build_instrument
     from experiments.laboratory.point_scene import point_scene
+    from experiments.laboratory.point_settings import check_bench, make_bench
+    from experiments.laboratory.settings import TargetConfig
     from experiments.laboratory.targets import GridTarget, grid_directions
-    from experiments.point_settings import check_bench, make_bench
-    from experiments.provenance import peak_memory_mb, process_seconds
-    from experiments.settings import TargetConfig
-    from render.random import Streams
-    from render.variant import active_backend
+    from render.engine.random import Streams
+    from render.engine.variant import active_backend
 
     instrument = build_instrument(config.instrument)
     bench = make_bench(config, TargetConfig())  # a multi-star target that this test does not use

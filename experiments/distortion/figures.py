@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from experiments.distortion.evaluate import noise_removed_arcsec
 from experiments.distortion.result import PUBLISHED_ARCSEC
-from experiments.plotting import INK, MARKERS, PALETTE, new_figure
+from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
 
 if TYPE_CHECKING:
     from experiments.distortion.result import Result

@@ -10,8 +10,8 @@ from experiments.distortion.evaluate import expected_forecast, noise_removed_arc
 from experiments.distortion.figures import forecast_plot, map_panels, point_arrows, survey_histogram
 from experiments.distortion.result import MARKING_ARCSEC, PUBLISHED_ARCSEC
 from experiments.distortion.tables import all_tables
-from experiments.point_settings import METHOD_NAMES
-from experiments.report import Equation, Figure, KeyNumber, Report, Section, Text
+from experiments.harness.report import Equation, Figure, KeyNumber, Report, Section, Text
+from experiments.laboratory.point_settings import METHOD_NAMES
 
 if TYPE_CHECKING:
     from experiments.distortion.result import Result

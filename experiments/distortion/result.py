@@ -6,19 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.distortion.settings import Config
-from experiments.instrument import Instrument
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.distortion_error import DenseMap, DistortionMeasurement, dense_map
 from experiments.laboratory.distortion_model import DistortionPrediction, MapForecast, forecast_map
 from experiments.laboratory.distortion_statistics import REFERENCES, Reference
+from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.targets import GridTarget
+from optics.arrays import FloatArray
 
 __all__ = ["MARKING_ARCSEC", "PUBLISHED_ARCSEC", "CorrectionMap", "Result", "correction_maps", "forecasts"]
 
-FloatArray = NDArray[np.float64]
 
 PUBLISHED_ARCSEC = (0.29, 0.41)
 """ACC18 section 2.3.2: sigma_LSFE-C1, x and y, 3 sigma."""

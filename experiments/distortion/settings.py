@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from experiments.config import StrictModel
-from experiments.point_settings import Method, PointConfig
+from experiments.harness.config import StrictModel
+from experiments.laboratory.point_settings import Method, PointConfig
 
 __all__ = ["Config", "GridConfig", "StudyConfig"]
 

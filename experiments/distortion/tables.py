@@ -9,10 +9,10 @@ import numpy as np
 
 from experiments.distortion.evaluate import one_survey, over_surveys
 from experiments.distortion.result import PUBLISHED_ARCSEC
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Cell, Column, Table
 from experiments.laboratory.distortion_statistics import REFERENCES
-from experiments.point_settings import METHOD_NAMES
-from experiments.summary import Measured
-from experiments.tables import Cell, Column, Table
+from experiments.laboratory.point_settings import METHOD_NAMES
 
 if TYPE_CHECKING:
     from experiments.distortion.result import Result

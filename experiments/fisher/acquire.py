@@ -18,23 +18,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.centroid import get_centroider
-from calib.flags import StarFlag, has_flag
+from calib.measure.centroid import get_centroider
+from calib.measure.flags import StarFlag, has_flag
+from calib.measure.stamps import stamps_from_windows
 from calib.records import NoiseModel, Stamps
-from calib.stamps import stamps_from_windows
-from experiments.instrument import Instrument
 from experiments.laboratory.collimator import SingleStar
+from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.windows import linear_response
 from experiments.turntable.bench import Bench, aim
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 from optics.units import ARCSEC_RAD, DEG_RAD
+from render.detector.readout import expose_windows
+from render.engine.random import Streams
 from render.forward import StarRenderer
-from render.psf import render_epsf
-from render.random import Streams
-from render.readout import expose_windows
 from render.records import EffectivePsf, StarField, WindowStack
-from render.tracer import Tracer
+from render.tracing.psf import render_epsf
+from render.tracing.tracer import Tracer
 
 __all__ = [
     "Acquisition",
@@ -49,7 +50,6 @@ __all__ = [
     "visit_once",
 ]
 
-FloatArray = NDArray[np.float64]
 
 CHUNK = 32
 """Places whose response is found at once; bounds the memory."""
@@ -207,7 +207,7 @@ def merged_nodes(stars: StarField) -> StarField:
 
 
 def place_psfs(tracer: Tracer, star: SingleStar, seen: FloatArray, instrument: Instrument, half_px: int) -> FloatArray:
-    """PSFs (n, m, m) at directions (n, 3); the oversampling is that of `render.psf.render_epsf`."""
+    """PSFs (n, m, m) at directions (n, 3); the oversampling is that of `render.tracing.psf.render_epsf`."""
     light = merged_nodes(star.seen(seen, instrument))
     return np.stack([row[0].values for row in render_epsf(tracer, light, half_size_px=half_px)])
 

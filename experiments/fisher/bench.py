@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.attitude.star_vectors import initial_frame_vectors
+from calib.calibrate.calibration import Calibration
 from calib.cameras.base import CameraModel
-from calib.solution import Calibration
-from calib.star_vectors import initial_frame_vectors
 from experiments.fisher.acquire import (
     Acquisition,
     Motion,
@@ -36,10 +35,10 @@ from experiments.fisher.predict import (
 from experiments.fisher.prepare import evaluation_px, turntable_config
 from experiments.fisher.reduce import Evaluation, calibrated_bench, evaluate, expected_px
 from experiments.fisher.settings import Config
-from experiments.instrument import Instrument
+from experiments.harness.progress import Progress
 from experiments.laboratory.collimator import SingleStar, star_direction
+from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.turntable import Turntable
-from experiments.progress import Progress
 from experiments.turntable.bench import Bench
 from experiments.turntable.bound import reading_covariance_px2
 from experiments.turntable.measure import (
@@ -57,16 +56,16 @@ from experiments.turntable.reduce import (
     reduce_data,
     start_model,
 )
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import RAD_ARCSEC
+from render.engine.random import Streams
+from render.engine.variant import active_backend
 from render.forward import StarRenderer
-from render.psf import epsf_tracer
-from render.random import Streams
-from render.variant import active_backend
+from render.tracing.psf import epsf_tracer
 
 __all__ = ["BenchRun", "Case", "SameData", "run_bench"]
 
-FloatArray = NDArray[np.float64]
 
 PATH_PER_PX = 4
 """Instants per pixel of the streak by which a PSF is smeared."""

@@ -6,17 +6,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from calib.fisher import mean_and_chords, sample_fisher, tangent_basis
+from calib.directional.fisher import mean_and_chords, sample_fisher, tangent_basis
 from experiments.fisher.settings import CoverageConfig
+from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
-from render.random import Streams
+from render.engine.random import Streams
 
 __all__ = ["KINDS", "LEVELS", "CoveragePoint", "coverage", "true_sigma"]
 
-FloatArray = NDArray[np.float64]
 
 LEVELS = (0.6827, 0.95)
 SIGMA_ARCSEC = 0.5
@@ -48,7 +47,8 @@ class CoveragePoint:
     error : tuple of float
         Standard deviation of that share by the number of runs, at the nominal level.
     covered_effective : tuple of float
-        The same with the degrees of freedom that the vectors themselves show (`calib.fisher_checks.effective_degrees`).
+        The same with the degrees of freedom that the vectors themselves show
+        (`calib.directional.fisher_checks.effective_degrees`).
     bias : float
         Mean of the estimated variance over the true one, minus 1.
     bias_error : float

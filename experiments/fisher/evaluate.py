@@ -14,7 +14,7 @@ from experiments.fisher.field import Ratio, baseline_over_sphere, closed_form, o
 from experiments.fisher.predict import table_covariance_px2
 from experiments.fisher.result import Result
 from experiments.fisher.same import Mean
-from experiments.summary import Criterion, Measured
+from experiments.harness.summary import Criterion, Measured
 
 __all__ = ["LEVEL", "baseline_expected", "criteria", "results", "vectors_needed"]
 

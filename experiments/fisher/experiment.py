@@ -13,15 +13,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from experiments.cli import command
 from experiments.fisher.settings import Config
-from experiments.progress import Progress
-from experiments.summary import Criterion
+from experiments.harness.cli import command
+from experiments.harness.progress import Progress
+from experiments.harness.summary import Criterion
 
 if TYPE_CHECKING:
     from experiments.fisher.result import Result
-    from experiments.report import Report
-    from experiments.tables import Table
+    from experiments.harness.report import Report
+    from experiments.harness.tables import Table
 
 __all__ = ["Config", "main", "report", "run", "summary", "tables"]
 
@@ -52,8 +52,8 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.fisher.prepare import prepare
     from experiments.fisher.result import Result
     from experiments.fisher.same import same_data_sweep
-    from experiments.provenance import peak_memory_mb, process_seconds
-    from render.random import Streams
+    from experiments.harness.provenance import peak_memory_mb, process_seconds
+    from render.engine.random import Streams
 
     instrument = prepare(config)
     streams = Streams(config.seed).child("fisher")

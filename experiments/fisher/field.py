@@ -25,18 +25,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.cameras.base import CameraModel, unproject_jacobian
-from calib.fisher import mean_and_chords, sample_fisher
+from calib.directional.fisher import mean_and_chords, sample_fisher
 from experiments.fisher.settings import FieldConfig
+from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, DEG_RAD
-from render.random import Streams
+from render.engine.random import Streams
 
 __all__ = ["FieldPoint", "Ratio", "baseline_over_sphere", "closed_form", "field_sweep", "ideal_camera", "opposite_form"]
 
-FloatArray = NDArray[np.float64]
 
 SWEEP_PX, SWEEP_PITCH_MM = 2048, 0.0055
 NODES = 64

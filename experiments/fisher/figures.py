@@ -7,18 +7,17 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Annulus, Circle, Ellipse
-from numpy.typing import NDArray
 
-from calib.fisher import tangent_basis, tangent_plane
+from calib.directional.fisher import tangent_basis, tangent_plane
 from experiments.fisher.bench import Case
 from experiments.fisher.evaluate import LEVEL
 from experiments.fisher.result import Result
-from experiments.plotting import INK, PALETTE, new_figure
+from experiments.harness.plotting import INK, PALETTE, new_figure
+from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC
 
 __all__ = ["cause_bars", "error_arrows", "quantile_plots", "star_windows", "vector_scatter"]
 
-FloatArray = NDArray[np.float64]
 
 _FAINT = "#9aa1a9"
 _HELD = float(np.sqrt(-2.0 * np.log(1.0 - LEVEL)))

@@ -7,18 +7,17 @@ from dataclasses import dataclass, replace
 from decimal import Decimal, localcontext
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.attitude.star_vectors import initial_frame_vectors
 from calib.cameras.base import CameraModel
-from calib.fisher import fit_fisher, sample_fisher
-from calib.star_vectors import initial_frame_vectors
+from calib.directional.fisher import fit_fisher, sample_fisher
 from experiments.turntable.bench import Bench
+from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
-from render.random import Streams
+from render.engine.random import Streams
 
 __all__ = ["DigitsPoint", "TablePoint", "digits_sweep", "table_sweep"]
 
-FloatArray = NDArray[np.float64]
 
 MEAN = np.array([0.48, -0.6, 0.64])
 VECTORS = 400

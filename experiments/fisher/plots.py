@@ -9,7 +9,7 @@ from experiments.fisher.coverage import KINDS, LEVELS
 from experiments.fisher.evaluate import vectors_needed
 from experiments.fisher.field import closed_form, opposite_form
 from experiments.fisher.result import Result
-from experiments.plotting import INK, MARKERS, PALETTE, new_figure
+from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
 
 __all__ = ["coverage_plot", "digits_plot", "field_bias", "same_data_plot", "table_plot"]
 

@@ -20,14 +20,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from calib.cameras.base import CameraModel, unproject_jacobian
-from calib.fisher import tangent_basis
+from calib.directional.fisher import tangent_basis
 from experiments.fisher.acquire import Motion
 from experiments.turntable.bench import Bench, angle_effect
 from experiments.turntable.bound import design, reading_covariance_px2
+from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC
 
 __all__ = [
@@ -41,7 +41,6 @@ __all__ = [
     "tangent_maps",
 ]
 
-FloatArray = NDArray[np.float64]
 
 STAR_COLUMNS = 2
 

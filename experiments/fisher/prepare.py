@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from experiments.fisher.acquire import motion_of, smear_px
 from experiments.fisher.settings import Config
-from experiments.instrument import Instrument
+from experiments.laboratory.instrument import Instrument
 from experiments.turntable.measure import build_star, build_table, camera_under_test, check_table, grid_px
 from experiments.turntable.reduce import check_count
 from experiments.turntable.settings import Config as TurntableConfig
 from experiments.turntable.settings import GridConfig
+from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 
 __all__ = ["evaluation_px", "prepare", "turntable_config"]
 
-FloatArray = NDArray[np.float64]
 
 LONGEST_SMEAR_PX = 40.0
 

@@ -13,9 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from calib.attitude.star_vectors import initial_frame_vectors
+from calib.calibrate.calibration import Calibration
+from calib.calibrate.turntable import star_direction
 from calib.cameras.base import CameraModel
-from calib.fisher import FisherFit, fit_fisher
-from calib.fisher_checks import (
+from calib.directional.fisher import FisherFit, fit_fisher
+from calib.directional.fisher_checks import (
     Exponential,
     Isotropy,
     effective_degrees,
@@ -23,17 +26,13 @@ from calib.fisher_checks import (
     fisher_outliers,
     isotropy_check,
 )
-from calib.solution import Calibration
-from calib.star_vectors import initial_frame_vectors
-from calib.turntable import star_direction
 from experiments.laboratory.turntable import Turntable
 from experiments.turntable.bench import Bench
+from optics.arrays import FloatArray
 from optics.records import freeze
 from optics.units import RAD_ARCSEC
 
 __all__ = ["Evaluation", "baseline_px", "calibrated_bench", "evaluate", "expected_px"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,7 +143,7 @@ def evaluate(
     outlier_probability : float, optional
         Level of the outlier test; None: no test.
     degrees_of_freedom : float, optional
-        As `calib.fisher.fit_fisher`; of the sample before outliers are taken out, each of which costs two.
+        As `calib.directional.fisher.fit_fisher`; of the sample before outliers are taken out, each of which costs two.
 
     Raises
     ------

@@ -12,9 +12,9 @@ from experiments.fisher.figures import cause_bars, error_arrows, quantile_plots,
 from experiments.fisher.plots import coverage_plot, digits_plot, field_bias, needed_text, same_data_plot, table_plot
 from experiments.fisher.result import Result
 from experiments.fisher.tables import all_tables
-from experiments.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
-from experiments.summary import Measured
-from experiments.tables import Table
+from experiments.harness.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Table
 from experiments.turntable.sketch import bench_sketch
 
 __all__ = ["build_report"]

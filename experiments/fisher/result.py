@@ -11,7 +11,7 @@ from experiments.fisher.field import FieldPoint
 from experiments.fisher.limits import DigitsPoint, TablePoint
 from experiments.fisher.same import SamePoint
 from experiments.fisher.settings import Config
-from experiments.instrument import Instrument
+from experiments.laboratory.instrument import Instrument
 
 __all__ = ["Result"]
 

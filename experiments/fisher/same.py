@@ -12,11 +12,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.attitude.star_vectors import initial_frame_vectors
 from calib.cameras.base import CameraModel
-from calib.fisher import mean_and_chords
-from calib.star_vectors import initial_frame_vectors
+from calib.directional.fisher import mean_and_chords
 from experiments.fisher.acquire import Motion
 from experiments.fisher.predict import (
     calibration_of_rows,
@@ -28,11 +27,11 @@ from experiments.fisher.predict import (
 from experiments.fisher.reduce import calibrated_bench
 from experiments.turntable.bench import Bench, aim
 from experiments.turntable.reduce import Data, reduce_data
-from render.random import Streams
+from optics.arrays import FloatArray
+from render.engine.random import Streams
 
 __all__ = ["Mean", "SamePoint", "same_data_sweep"]
 
-FloatArray = NDArray[np.float64]
 
 INSET = 0.03
 """Distance of the outermost places from the edge, as a part of the side."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field, field_validator, model_validator
 
-from experiments.config import ExperimentConfig, StrictModel
-from experiments.settings import InstrumentConfig
+from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.laboratory.settings import InstrumentConfig
 from experiments.turntable.settings import GridConfig, StarConfig, TableConfig
 
 __all__ = ["Config", "CoverageConfig", "DynamicConfig", "EvaluationConfig", "FieldConfig", "SameDataConfig"]

@@ -12,8 +12,8 @@ from experiments.fisher.evaluate import LEVEL, baseline_expected, vectors_needed
 from experiments.fisher.field import Ratio, closed_form, opposite_form
 from experiments.fisher.result import Result
 from experiments.fisher.same import Mean
-from experiments.summary import Measured
-from experiments.tables import Column, Table
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Column, Table
 from optics.units import RAD_ARCSEC
 
 __all__ = ["all_tables"]

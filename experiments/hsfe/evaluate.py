@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from experiments.harness.summary import Criterion, Measured
 from experiments.hsfe.result import PUBLISHED_ARCSEC, Result
 from experiments.laboratory.high_frequency import CAUSES
-from experiments.summary import Criterion, Measured
+from optics.arrays import FloatArray
 
 __all__ = ["criteria", "ratio", "results", "three_sigma"]
 
-FloatArray = NDArray[np.float64]
 
 SIGMA_LIMIT = 4.0
 """Of two axes, two predictions and several methods the largest deviation counts."""

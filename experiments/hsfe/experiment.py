@@ -10,15 +10,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from experiments.harness.progress import Progress
+from experiments.harness.summary import Criterion
 from experiments.hsfe.settings import Config
-from experiments.point_command import point_command
-from experiments.progress import Progress
-from experiments.summary import Criterion
+from experiments.laboratory.point_command import point_command
 
 if TYPE_CHECKING:
+    from experiments.harness.report import Report
+    from experiments.harness.tables import Table
     from experiments.hsfe.result import Result
-    from experiments.report import Report
-    from experiments.tables import Table
 
 __all__ = ["Config", "main", "report", "run", "summary", "tables"]
 
@@ -39,18 +39,18 @@ def run(config: Config, *, progress: Progress) -> Result:
         On anything the user can mend: unknown lens or detector, target off the detector, a step larger than the window,
         points not detected or saturated, light beyond the range of the data.
     """
+    from experiments.harness.provenance import peak_memory_mb, process_seconds
     from experiments.hsfe.result import Result, geometry_study, s_curves
-    from experiments.instrument import build_instrument
     from experiments.laboratory.hexapod import Hexapod, turned
     from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
     from experiments.laboratory.high_frequency_model import predict_high_frequency
+    from experiments.laboratory.instrument import build_instrument
     from experiments.laboratory.point_scene import point_scene
+    from experiments.laboratory.point_settings import check_bench, make_bench
     from experiments.laboratory.temporal_error import target_place
-    from experiments.point_settings import check_bench, make_bench
-    from experiments.provenance import peak_memory_mb, process_seconds
-    from render.random import Streams
-    from render.sensor_maps import sensor_maps
-    from render.variant import active_backend
+    from render.detector.maps import sensor_maps
+    from render.engine.random import Streams
+    from render.engine.variant import active_backend
 
     instrument = build_instrument(config.instrument)
     bench = make_bench(config, config.target)

@@ -8,13 +8,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
 from experiments.hsfe.evaluate import three_sigma
 from experiments.hsfe.result import PUBLISHED_ARCSEC
 from experiments.hsfe.tables import CAUSE_NAMES
 from experiments.laboratory.high_frequency import CAUSES
+from experiments.laboratory.point_settings import METHOD_NAMES
 from experiments.laboratory.step_statistics import common_removed, step_residual_px
-from experiments.plotting import INK, MARKERS, PALETTE, new_figure
-from experiments.point_settings import METHOD_NAMES
 
 if TYPE_CHECKING:
     from experiments.hsfe.result import Result

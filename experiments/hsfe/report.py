@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from experiments.harness.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
+from experiments.harness.tables import Table
 from experiments.hsfe.evaluate import ratio, three_sigma
 from experiments.hsfe.figures import cause_bars, error_tracks, residual_cloud, s_curve_plot, step_path_plot
 from experiments.hsfe.result import PUBLISHED_ARCSEC
 from experiments.hsfe.tables import CAUSE_NAMES, all_tables
 from experiments.laboratory.high_frequency import CAUSES
-from experiments.point_settings import METHOD_NAMES
-from experiments.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
-from experiments.tables import Table
+from experiments.laboratory.point_settings import METHOD_NAMES
 
 if TYPE_CHECKING:
     from experiments.hsfe.result import Result

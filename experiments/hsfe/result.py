@@ -6,25 +6,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.epsf import draw_epsf
+from calib.measure.epsf import draw_epsf
 from experiments.chromatic.model import bundle_prediction
 from experiments.hsfe.settings import Config
-from experiments.instrument import Instrument
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import HighFrequencyMeasurement, StepPlan
 from experiments.laboratory.high_frequency_model import HighFrequencyPrediction
+from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_frames import centroiders, noiseless_positions
 from experiments.laboratory.point_noise import nominal_noise
 from experiments.laboratory.step_statistics import document_rms_px
-from render.random import Streams
+from optics.arrays import FloatArray
+from render.engine.random import Streams
 from render.records import EffectivePsf
 
 __all__ = ["PUBLISHED_ARCSEC", "Geometry", "Result", "SCurve", "geometry_study", "s_curves"]
 
-FloatArray = NDArray[np.float64]
 
 PUBLISHED_ARCSEC = (1.08, 1.01)
 """ACC18 section 2.2: HSFE, x and y, 3 sigma."""

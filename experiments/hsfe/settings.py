@@ -6,9 +6,9 @@ from typing import Literal
 
 from pydantic import Field
 
-from experiments.config import StrictModel
-from experiments.point_settings import PointConfig
-from experiments.settings import TargetConfig
+from experiments.harness.config import StrictModel
+from experiments.laboratory.point_settings import PointConfig
+from experiments.laboratory.settings import TargetConfig
 
 __all__ = ["Config", "HexapodConfig", "StepConfig"]
 

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Cell, Column, Table
 from experiments.hsfe.evaluate import ratio, three_sigma
 from experiments.hsfe.result import PUBLISHED_ARCSEC
 from experiments.laboratory.high_frequency import CAUSES
+from experiments.laboratory.point_settings import METHOD_NAMES
 from experiments.laboratory.step_statistics import step_residual_px
-from experiments.point_settings import METHOD_NAMES
-from experiments.summary import Measured
-from experiments.tables import Cell, Column, Table
 
 if TYPE_CHECKING:
     from experiments.hsfe.result import Result

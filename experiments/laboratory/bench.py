@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-from experiments.instrument import Instrument
-from experiments.settings import TargetConfig
-from optics.band import TopHat, band_nodes
-from optics.pupil import entrance_pupil
-from optics.spectrum import Sed
+from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.settings import TargetConfig
+from optics.arrays import FloatArray
+from optics.light.band import TopHat, band_nodes
+from optics.light.spectrum import Sed
+from optics.rays.pupil import entrance_pupil
 from render.records import StarField
 
 __all__ = ["Bench", "point_field"]
 
-FloatArray = NDArray[np.float64]
 
 NODES = 16
 """Wavelength nodes per filter."""

@@ -5,19 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from experiments.instrument import Instrument
-from optics.band import Band, band_nodes
+from experiments.laboratory.instrument import Instrument
+from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.pupil import entrance_pupil
-from optics.spectrum import Sed
+from optics.light.band import Band, band_nodes
+from optics.light.spectrum import Sed
+from optics.rays.pupil import entrance_pupil
 from optics.units import DEG_RAD, RAD_DEG
 from render.records import StarField
 
 __all__ = ["SingleStar", "star_angles_deg", "star_direction"]
 
-FloatArray = NDArray[np.float64]
 
 NODES = 16
 

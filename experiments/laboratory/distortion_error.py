@@ -6,10 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.chromatic.model import bundle_prediction
-from experiments.instrument import Instrument
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.distortion_statistics import (
     DistortionStatistics,
@@ -20,12 +18,14 @@ from experiments.laboratory.distortion_statistics import (
     polynomial_terms,
     without_pointing,
 )
+from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_frames import read_points
 from experiments.laboratory.point_scene import PointLight, PointScene, one_filter, scene_of
 from experiments.laboratory.points import nominal_px
 from experiments.laboratory.targets import GridTarget, grid_directions, survey
+from optics.arrays import FloatArray
 from optics.records import freeze
-from render.random import Streams
+from render.engine.random import Streams
 
 __all__ = [
     "DenseMap",
@@ -37,7 +37,6 @@ __all__ = [
     "residual_px",
 ]
 
-FloatArray = NDArray[np.float64]
 SESSIONS = ("earlier", "test")
 """The camera model of "calibrated" comes from the earlier session."""
 

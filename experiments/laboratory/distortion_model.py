@@ -12,9 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from experiments.instrument import Instrument
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.distortion_error import (
     camera_place,
@@ -29,16 +27,16 @@ from experiments.laboratory.distortion_statistics import (
     polynomial_terms,
     without_pointing,
 )
+from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_frames import centroiders
 from experiments.laboratory.point_noise import PixelNoise, drawn_positions, expected_windows, influence
 from experiments.laboratory.point_scene import one_filter
 from experiments.laboratory.targets import GridTarget, grid_directions, survey
-from render.random import Streams
+from optics.arrays import FloatArray
+from render.engine.random import Streams
 from render.records import EffectivePsf
 
 __all__ = ["DistortionPrediction", "MapForecast", "forecast_map", "predict_distortion"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -28,8 +28,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 __all__ = [
@@ -44,7 +44,6 @@ __all__ = [
     "without_pointing",
 ]
 
-FloatArray = NDArray[np.float64]
 Reference = Literal["nominal", "aligned", "calibrated"]
 
 REFERENCES: Mapping[Reference, str] = {

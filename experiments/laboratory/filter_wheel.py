@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from optics.band import TopHat
 from optics.errors import DomainError, unknown_name
+from optics.light.band import TopHat
 
 __all__ = ["FilterWheel", "open_wheel"]
 

@@ -25,21 +25,21 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from calib.background import estimate_background
-from calib.detection import detect
-from calib.flags import StarFlag, has_flag
-from calib.frames import sensor_image
-from experiments.config import StrictModel
+from calib.measure.background import estimate_background
+from calib.measure.detection import detect
+from calib.measure.flags import StarFlag, has_flag
+from calib.measure.image import sensor_image
+from experiments.harness.config import StrictModel
 from experiments.laboratory.points import common_shift
+from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.units import ARCSEC_RAD
 from optics.validate import parse_model, read_toml
-from render.fits import read_frame
+from render.fits.files import read_frame
 from render.records import Frame, WindowStack
 
 __all__ = ["SETTINGS_FILE", "FolderSettings", "FrameFolder", "FrameSeries", "SeriesSettings", "read_folder"]
 
-FloatArray = NDArray[np.float64]
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 SETTINGS_FILE = "frames.toml"

@@ -9,11 +9,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.centroid import get_centroider
-from calib.flags import StarFlag, has_flag
+from calib.measure.centroid import get_centroider
+from calib.measure.flags import StarFlag, has_flag
 from calib.records import NoiseModel, Stamps
+from experiments.harness.summary import Measured
 from experiments.laboratory.distortion_error import grid_residual_px
 from experiments.laboratory.distortion_statistics import DistortionStatistics, Reference, distortion_statistics
 from experiments.laboratory.frame_folder import FrameFolder, FrameSeries
@@ -22,7 +22,7 @@ from experiments.laboratory.points import dark_subtracted
 from experiments.laboratory.step_statistics import document_rms_px, halved_px, jackknife_px
 from experiments.laboratory.temporal_error import temporal_error_arcsec
 from experiments.laboratory.windows import linear_response
-from experiments.summary import Measured
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 __all__ = [
@@ -34,8 +34,6 @@ __all__ = [
     "hsfe_from_frames",
     "temporal_from_frames",
 ]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,16 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 from optics.units import ARCSEC_RAD, DEG_RAD
 
 __all__ = ["Hexapod", "HexapodPath", "step_path", "turned"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

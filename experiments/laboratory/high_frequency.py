@@ -12,11 +12,11 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from experiments.instrument import Instrument
+from experiments.harness.summary import Measured
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.hexapod import Hexapod, HexapodPath, step_path, turned
+from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_frames import Subtraction, centroiders, noiseless_positions, read_points
 from experiments.laboratory.point_noise import nominal_noise
 from experiments.laboratory.point_scene import PointLight, PointScene, scene_of
@@ -28,15 +28,14 @@ from experiments.laboratory.step_statistics import (
     single_rms_px,
 )
 from experiments.laboratory.temporal_error import target_place
-from experiments.summary import Measured
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD
-from render.detector import Detector
-from render.random import Streams
+from render.detector.spec import Detector
+from render.engine.random import Streams
 
 __all__ = ["CAUSES", "SWITCHES", "HighFrequencyMeasurement", "StepPlan", "measure_high_frequency", "switched"]
 
-FloatArray = NDArray[np.float64]
 
 SWITCHES: Mapping[str, Mapping[str, float]] = {
     "prnu": {"prnu": 0.0},

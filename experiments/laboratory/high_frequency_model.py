@@ -20,11 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.centroid import Centroider
-from experiments.instrument import Instrument
+from calib.measure.centroid import Centroider
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import CAUSES, StepPlan
+from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_frames import Subtraction, centroiders, noiseless_positions
 from experiments.laboratory.point_noise import (
     ExpectedWindows,
@@ -37,13 +37,13 @@ from experiments.laboratory.point_noise import (
 from experiments.laboratory.point_scene import one_filter
 from experiments.laboratory.step_statistics import document_rms_px, single_rms_px
 from experiments.laboratory.temporal_error import target_place
+from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
-from render.random import Streams
+from render.engine.random import Streams
 from render.records import EffectivePsf
 
 __all__ = ["HighFrequencyPrediction", "MethodPrediction", "predict_high_frequency"]
 
-FloatArray = NDArray[np.float64]
 
 PATHS = 24
 """Drawn paths of a hexapod with errors, for the S-curve; roll is small enough to leave that as it is."""

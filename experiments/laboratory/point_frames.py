@@ -9,18 +9,19 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.centroid import Centroider, get_centroider
-from calib.flags import StarFlag, has_flag
+from calib.measure.centroid import Centroider, get_centroider
+from calib.measure.flags import StarFlag, has_flag
+from calib.measure.stamps import ring_background, stamps_from_windows
 from calib.records import NoiseModel, Stamps
-from calib.stamps import ring_background, stamps_from_windows
-from experiments.instrument import Instrument
 from experiments.laboratory.bench import Bench
+from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_scene import PointLight
 from experiments.laboratory.points import dark_subtracted
+from optics.arrays import FloatArray
 from optics.errors import DomainError
-from render.detector import Detector
-from render.random import Streams
-from render.readout import expose_windows
+from render.detector.readout import expose_windows
+from render.detector.spec import Detector
+from render.engine.random import Streams
 from render.records import EffectivePsf, WindowStack
 
 __all__ = [
@@ -34,7 +35,6 @@ __all__ = [
     "reduce_windows",
 ]
 
-FloatArray = NDArray[np.float64]
 Subtraction = Literal["dark", "raw"]
 
 SUBTRACTIONS: tuple[Subtraction, ...] = ("dark", "raw")

@@ -20,17 +20,18 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.centroid import Centroider
-from calib.crlb import fisher_information
-from calib.epsf import EpsfBank, EpsfModel
+from calib.measure.centroid import Centroider
+from calib.measure.crlb import fisher_information
+from calib.measure.epsf import EpsfBank, EpsfModel
 from calib.records import NoiseModel, Stamps
 from experiments.chromatic.model import bundle_prediction
-from experiments.instrument import Instrument
 from experiments.laboratory.bench import Bench
+from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_frames import measured_positions, noiseless_positions
 from experiments.laboratory.windows import linear_response
+from optics.arrays import FloatArray
 from optics.records import freeze
-from render.detector import Detector
+from render.detector.spec import Detector
 from render.records import EffectivePsf
 
 __all__ = [
@@ -44,8 +45,6 @@ __all__ = [
     "nominal_noise",
     "sampled_px",
 ]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,19 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.instrument import Instrument
 from experiments.laboratory.bench import Bench, point_field
+from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.points import PointReadout, nominal_px
+from optics.arrays import FloatArray
 from optics.records import freeze
+from render.engine.random import Streams
 from render.forward import StarRenderer
-from render.psf import epsf_tracer, render_epsf
-from render.random import Streams
 from render.records import EffectivePsf
-from render.tracer import Tracer
+from render.tracing.psf import epsf_tracer, render_epsf
+from render.tracing.tracer import Tracer
 
 __all__ = ["PointLight", "PointScene", "one_filter", "point_scene", "scene_of"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,7 +153,7 @@ def point_scene(bench: Bench, instrument: Instrument, backend: str) -> PointScen
     bench, instrument
         The laboratory.
     backend : str
-        Where the detector runs; `render.variant.use_backend` must have been called.
+        Where the detector runs; `render.engine.variant.use_backend` must have been called.
     """
     import mitsuba as mi
 

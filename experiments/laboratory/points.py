@@ -9,21 +9,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.background import estimate_background
-from calib.centroid import get_centroider
-from calib.detection import detect
-from calib.flags import StarFlag, has_flag
-from calib.frames import sensor_image
+from calib.measure.background import estimate_background
+from calib.measure.centroid import get_centroider
+from calib.measure.detection import detect
+from calib.measure.flags import StarFlag, has_flag
+from calib.measure.image import sensor_image
+from calib.measure.stamps import stamps_from_windows
 from calib.records import NoiseModel, Stamps, StarTable
-from calib.stamps import stamps_from_windows
-from experiments.instrument import Instrument
 from experiments.laboratory.bench import Bench
+from experiments.laboratory.instrument import Instrument
+from optics.arrays import FloatArray
 from optics.errors import DomainError
-from render.psf import render_epsf
-from render.random import Streams
-from render.readout import expose_windows
+from render.detector.readout import expose_windows
+from render.engine.random import Streams
 from render.records import EffectivePsf, ExpectedImage, StarField, WindowStack
-from render.tracer import Tracer
+from render.tracing.psf import render_epsf
+from render.tracing.tracer import Tracer
 
 __all__ = [
     "SEARCH_MARGIN_PX",
@@ -35,7 +36,6 @@ __all__ = [
     "pattern_effect",
 ]
 
-FloatArray = NDArray[np.float64]
 
 MATCH_PX = 4.0
 """A detection this close to a target point's nominal place is that point."""
@@ -91,7 +91,7 @@ class PointReadout:
     Attributes
     ----------
     tracer : Tracer
-        Traces the PSFs (`render.psf.epsf_tracer`).
+        Traces the PSFs (`render.tracing.psf.epsf_tracer`).
     bench, instrument
         The laboratory.
     streams : Streams

@@ -8,13 +8,11 @@ errors of two neighbouring positions are. With independent errors the factor is 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 __all__ = ["common_removed", "document_rms_px", "halved_px", "jackknife_px", "single_rms_px", "step_residual_px"]
-
-FloatArray = NDArray[np.float64]
 
 
 def common_removed(values_px: FloatArray) -> FloatArray:

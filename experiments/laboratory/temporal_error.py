@@ -6,17 +6,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from experiments.instrument import Instrument
+from experiments.harness.summary import Measured
 from experiments.laboratory.bench import Bench
+from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_frames import SUBTRACTIONS, Subtraction, centroiders, read_points
 from experiments.laboratory.point_noise import PixelNoise, bound_px, expected_windows, influence, sampled_px
 from experiments.laboratory.point_scene import PointLight, PointScene, one_filter, scene_of
-from experiments.summary import Measured
-from experiments.target import target_directions
-from render.random import Streams
+from experiments.laboratory.target import target_directions
+from optics.arrays import FloatArray
+from render.engine.random import Streams
 from render.records import EffectivePsf, WindowStack
 
 __all__ = [
@@ -28,8 +28,6 @@ __all__ = [
     "target_place",
     "temporal_error_arcsec",
 ]
-
-FloatArray = NDArray[np.float64]
 
 
 def small_sample_factor(frames: int) -> float:

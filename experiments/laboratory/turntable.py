@@ -19,17 +19,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.records import freeze
 from optics.units import ARCSEC_RAD, DEG_RAD
-from render.random import Streams
+from render.engine.random import Streams
 
 __all__ = ["Turntable", "axis_directions", "build_turntable"]
 
-FloatArray = NDArray[np.float64]
 
 _LETTERS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _NAMES = {2: ("outer", "inner"), 3: ("outer", "middle", "inner")}

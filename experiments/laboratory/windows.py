@@ -16,20 +16,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.centroid import Centroider, get_centroider
-from calib.flags import StarFlag, has_flag
+from calib.measure.centroid import Centroider, get_centroider
+from calib.measure.flags import StarFlag, has_flag
+from calib.measure.stamps import coarse_position, stamps_from_windows
 from calib.records import NoiseModel, Stamps
-from calib.stamps import coarse_position, stamps_from_windows
-from experiments.instrument import Instrument
+from experiments.laboratory.instrument import Instrument
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
-from render.random import Streams
-from render.readout import expose_windows
+from render.detector.readout import expose_windows
+from render.engine.random import Streams
 from render.records import EffectivePsf, ExpectedImage, WindowStack
 
 __all__ = ["SEARCH_PX", "StarReadings", "WindowPlan", "linear_response", "read_windows"]
 
-FloatArray = NDArray[np.float64]
 
 SEARCH_PX = 48
 """Side of the window in which the star is looked for."""

@@ -10,17 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from calib.attitude_correlated import calibrate_attitude_correlated
+from calib.calibrate.attitude_correlated import calibrate_attitude_correlated
+from calib.calibrate.calibration import Calibration
+from calib.calibrate.free_attitude import calibrate_free_attitude
+from calib.calibrate.gyro_linked import GyroNoise, calibrate_gyro_linked
+from calib.calibrate.observations import Observations
 from calib.cameras import BrownConrady, Polynomial
 from calib.cameras.base import CameraModel, unproject_jacobian
-from calib.free_attitude import calibrate_free_attitude
-from calib.gyro_linked import GyroNoise, calibrate_gyro_linked
-from calib.line_of_sight import line_of_sight_map
-from calib.observations import Observations
-from calib.solution import Calibration
+from calib.cameras.line_of_sight import line_of_sight_map
 from experiments.skycal.light import Chart
 from experiments.skycal.match import Matched, geometry_of
 from experiments.skycal.settings import parse_model_name
+from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC
 
 if TYPE_CHECKING:
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = ["LOSS", "METHODS", "Bench", "Judged", "chance_of", "rms", "start_camera"]
 
-FloatArray = NDArray[np.float64]
 
 METHODS = {
     "free": "free attitudes",

@@ -5,10 +5,10 @@ from __future__ import annotations
 from itertools import combinations
 from typing import Any
 
+from experiments.harness.summary import Criterion, Measured
 from experiments.skycal.calibrate import METHODS, Judged, rms
 from experiments.skycal.evaluate import PARTS
 from experiments.skycal.result import CameraResult, Result
-from experiments.summary import Criterion, Measured
 
 __all__ = ["criteria", "results"]
 

@@ -25,17 +25,17 @@ from experiments.skycal.calibrate import Bench, Judged, rms
 from experiments.skycal.light import Chart, own_colour_centroids, trace_chart, trace_colour
 from experiments.skycal.match import Matched
 from experiments.skycal.wrong import WrongRun, wrong_runs
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 if TYPE_CHECKING:
     from experiments.skycal.measure import Recording
     from experiments.skycal.scene import Scene
     from experiments.skycal.settings import Config
-    from render.random import Streams
+    from render.engine.random import Streams
 
 __all__ = ["PARTS", "STEPS", "Evaluation", "evaluate"]
 
-FloatArray = NDArray[np.float64]
 
 STEPS = ("reference", "light", "own", "measured")
 """Kinds of positions, one more error in each."""

@@ -12,15 +12,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from experiments.cli import command
-from experiments.progress import Progress
+from experiments.harness.cli import command
+from experiments.harness.progress import Progress
+from experiments.harness.summary import Criterion
 from experiments.skycal.settings import Config
-from experiments.summary import Criterion
 
 if TYPE_CHECKING:
-    from experiments.report import Report
+    from experiments.harness.report import Report
+    from experiments.harness.tables import Table
     from experiments.skycal.result import CameraResult, Result
-    from experiments.tables import Table
 
 __all__ = ["Config", "main", "report", "run", "summary", "tables"]
 
@@ -41,10 +41,10 @@ def run(config: Config, *, progress: Progress) -> Result:
         On anything the user can mend: unknown lens or detector, a detector larger than the field of the lens, a glass
         without transmittance, no stars in the field, stars saturated, too few matched.
     """
-    from experiments.provenance import peak_memory_mb, process_seconds
+    from experiments.harness.provenance import peak_memory_mb, process_seconds
     from experiments.skycal.result import Result
     from experiments.skycal.scene import build_scene
-    from render.random import Streams
+    from render.engine.random import Streams
 
     root = Streams(config.seed).child("skycal")
     scenes = {name: build_scene(name, config, root.child(name)) for name in config.cameras}
@@ -60,7 +60,7 @@ def _camera(scene: Any, config: Config, streams: Any, progress: Progress) -> Cam
     from experiments.skycal.match import match_frames
     from experiments.skycal.measure import record
     from experiments.skycal.result import CameraResult
-    from render.variant import active_backend
+    from render.engine.variant import active_backend
 
     backend = active_backend()
     with progress.stage(f"{scene.name}: frames", total=scene.frames) as stage:
@@ -95,7 +95,7 @@ def report(result: Result) -> Report:
 
 def files(result: Result, folder: Any) -> None:
     """One frame of each camera as FITS."""
-    from render.fits import write_frame
+    from render.fits.files import write_frame
 
     for name, camera in result.cameras.items():
         write_frame(camera.recording.example, folder / f"frame_{name}.fits")

@@ -10,13 +10,14 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from calib.flags import StarFlag, has_flag
-from experiments.plotting import INK, MARKERS, PALETTE, new_figure
+from calib.measure.flags import StarFlag, has_flag
+from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
+from experiments.harness.tables import cell_text
 from experiments.skycal.calibrate import METHODS, rms
 from experiments.skycal.evaluate import PARTS
 from experiments.skycal.result import CameraResult
 from experiments.skycal.settings import parse_model_name
-from experiments.tables import cell_text
+from optics.arrays import FloatArray
 
 __all__ = [
     "centroid_errors",
@@ -30,7 +31,6 @@ __all__ = [
     "star_cover",
 ]
 
-FloatArray = NDArray[np.float64]
 
 PART_COLOURS = dict(zip(PARTS, (PALETTE[2], PALETTE[4], PALETTE[0], PALETTE[3]), strict=True))
 STAR_COLOURS = (

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.centroid import get_centroider
+from calib.measure.centroid import get_centroider
 from calib.records import NoiseModel, Stamps, StarTable
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
-from render.psf import TOLERANCE, render_epsf
 from render.records import EffectivePsf
-from render.tracer import Tracer
+from render.tracing.psf import TOLERANCE, render_epsf
+from render.tracing.tracer import Tracer
 
 if TYPE_CHECKING:
     from experiments.skycal.match import Matched
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
 __all__ = ["BankRenderer", "Chart", "PsfBank", "colour_classes", "own_colour_centroids", "trace_chart", "trace_colour"]
 
-FloatArray = NDArray[np.float64]
 
 TRACE_AT_ONCE = 2000
 EDGE_FRACTION = 0.012
@@ -249,7 +249,7 @@ def own_colour_centroids(mi: Any, scene: Scene, recording: Recording, matched: M
     The origin of a PSF is the mean of the rays of its own colour, so that these positions estimate where the star's own
     light fell. NaN where the fit does not converge.
     """
-    from calib.flags import StarFlag, has_flag
+    from calib.measure.flags import StarFlag, has_flag
 
     renderer = BankRenderer(mi, scene, config)
     colour, member = colour_classes(scene.sky.temperature_k[matched.star])

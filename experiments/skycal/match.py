@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.association import associate, match_stars
+from calib.attitude.association import associate, match_stars
+from calib.calibrate.free_attitude import calibrate_free_attitude
+from calib.calibrate.observations import Observations
 from calib.cameras import BrownConrady
 from calib.cameras.base import CameraModel, SensorGeometry
-from calib.flags import StarFlag, has_flag
-from calib.free_attitude import calibrate_free_attitude
-from calib.observations import Observations
+from calib.measure.flags import StarFlag, has_flag
+from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from optics.records import freeze
 
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Matched", "geometry_of", "match_frames", "sheet_camera"]
 
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 BRIGHTEST = 40
 """Detections and catalogue stars that the first matching looks at."""
@@ -73,9 +72,9 @@ class Matched:
         Frames matched from the camera of the data sheet.
     """
 
-    frame: IndexArray
-    star: IndexArray
-    row: IndexArray
+    frame: IntArray
+    star: IntArray
+    row: IntArray
     direction: FloatArray
     pixel_px: FloatArray
     covariance_px2: FloatArray
@@ -196,7 +195,7 @@ def _first_match(
     )
 
 
-def _brightest_near(scene: Scene, attitude: Rotation) -> IndexArray:
+def _brightest_near(scene: Scene, attitude: Rotation) -> IntArray:
     """Rows of the brightest catalogue stars around a boresight: about as many as detections are looked at."""
     width, height = scene.field_deg
     reach = np.radians(0.5 * np.hypot(width, height) + 0.2)
@@ -252,7 +251,7 @@ class _Close:
             first_matched=0,
         )
 
-    def _faults(self, snr: FloatArray, matched: IndexArray) -> IndexArray:
+    def _faults(self, snr: FloatArray, matched: IntArray) -> IntArray:
         """Per detection: 0 for those that take part, otherwise the first reason of `_FATE` that holds."""
         flags = self.stars.found.flags
         unmatched = np.ones(len(flags), bool)
@@ -271,7 +270,7 @@ class _Close:
             fault[reasons[code - 1]] = code
         return fault
 
-    def _truth(self, star: IndexArray) -> tuple[FloatArray, FloatArray]:
+    def _truth(self, star: IntArray) -> tuple[FloatArray, FloatArray]:
         """Centroid of the light (n, 2) and direction in cam (n, 3) of stars; NaN for one that was not rendered."""
         order = np.argsort(self.stars.star)
         at = np.clip(np.searchsorted(self.stars.star, star, sorter=order), 0, max(len(order) - 1, 0))

@@ -10,25 +10,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.background import estimate_background
-from calib.centroid import get_centroider
-from calib.detection import detect
+from calib.measure.background import estimate_background
+from calib.measure.centroid import get_centroider
+from calib.measure.detection import detect
+from calib.measure.stamps import extract_stamps
 from calib.records import NoiseModel, SensorImage, Stamps, StarTable
-from calib.stamps import extract_stamps
 from experiments.skycal.light import BankRenderer
+from optics.arrays import FloatArray
 from optics.records import freeze
+from render.detector.readout import expose
 from render.forward import StarRenderer
-from render.readout import expose
 
 if TYPE_CHECKING:
     from experiments.skycal.scene import Scene
     from experiments.skycal.settings import Config
-    from render.random import Streams
+    from render.engine.random import Streams
     from render.records import Frame, Truth
 
 __all__ = ["FrameStars", "Recording", "record"]
 
-FloatArray = NDArray[np.float64]
 
 BACKGROUND_BOX_PX = 256
 BACKGROUND_STEP_PX = 4

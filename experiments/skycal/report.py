@@ -6,7 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from experiments.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
+from experiments.harness.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Table, cell_text
 from experiments.skycal.calibrate import METHODS
 from experiments.skycal.evaluate import PARTS
 from experiments.skycal.figures import (
@@ -23,8 +25,6 @@ from experiments.skycal.figures import (
 from experiments.skycal.result import CameraResult, Result
 from experiments.skycal.settings import model_label
 from experiments.skycal.tables import all_tables
-from experiments.summary import Measured
-from experiments.tables import Table, cell_text
 
 __all__ = ["build_report"]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.skycal.calibrate import Judged, chance_of, rms
 from experiments.skycal.evaluate import Evaluation
@@ -13,10 +12,9 @@ from experiments.skycal.match import Matched
 from experiments.skycal.measure import Recording
 from experiments.skycal.scene import Scene
 from experiments.skycal.settings import Config
+from optics.arrays import FloatArray
 
 __all__ = ["CameraResult", "Result"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,21 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from experiments.instrument import Instrument, build_instrument
+from experiments.laboratory.instrument import Instrument, build_instrument
 from experiments.skycal.sky import Sky, in_light, load_sky, passband
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD, DEG_RAD
 
 if TYPE_CHECKING:
     from experiments.skycal.settings import CameraConfig, Config, MotionConfig, SkyConfig
-    from render.random import Streams
+    from render.engine.random import Streams
+    from render.motion.trajectory import SampledAttitude
     from render.records import StarField
-    from render.sky_field import StarLight
-    from render.trajectory import SampledAttitude
+    from render.sky.field import StarLight
 
 __all__ = ["Scene", "build_scene", "pointing"]
 
-FloatArray = NDArray[np.float64]
 
 STEPS_PER_FRAME = 20
 """Of the integration that makes the trajectory; a spline through the result is the truth."""
@@ -138,11 +138,11 @@ def build_scene(name: str, config: Config, streams: Streams) -> Scene:
         Unknown lens or detector, glass without transmittance, window larger than the detector, a lens that does not
         reach the corners, a field without stars.
     """
-    from calib.attitude_link import rotation_of_angles
-    from calib.gyro_attitude import integrate_rates
-    from render.gyro import Gyro, simulate_gyro
-    from render.sky_field import star_light
-    from render.trajectory import mounted
+    from calib.attitude.gyro_attitude import integrate_rates
+    from calib.attitude.link import rotation_of_angles
+    from render.motion.gyro import Gyro, simulate_gyro
+    from render.motion.trajectory import mounted
+    from render.sky.field import star_light
 
     chosen = config.cameras[name]
     instrument = _windowed(name, chosen)
@@ -181,7 +181,7 @@ def build_scene(name: str, config: Config, streams: Streams) -> Scene:
 
 def _trajectory(sky: SkyConfig, motion: MotionConfig, frames: int) -> SampledAttitude:
     """Camera from icrs until one interval after the last frame: constant speed, the axis turns in the camera."""
-    from render.trajectory import SampledAttitude
+    from render.motion.trajectory import SampledAttitude
 
     steps = frames * STEPS_PER_FRAME
     end_s = frames / motion.frame_rate_hz

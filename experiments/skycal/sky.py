@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optics.band import Band, TopHat
+from optics.arrays import FloatArray
 from optics.errors import DomainError
+from optics.light.band import Band, TopHat
 from optics.records import freeze
 from render.records import StarField
 
 if TYPE_CHECKING:
     from experiments.skycal.settings import SkyConfig
-    from render.sky_field import StarLight
+    from render.sky.field import StarLight
 
 __all__ = ["Sky", "in_light", "load_sky", "passband", "random_sky"]
 
-FloatArray = NDArray[np.float64]
 
 CUMULATIVE_COUNT = {
     1.0: 18,
@@ -117,7 +117,7 @@ def random_sky(faintest_mag: float, rng: np.random.Generator) -> Sky:
     DomainError
         Magnitude beyond 1 ... 10.
     """
-    from render.catalogue_temperature import colour_temperature
+    from render.catalogue.temperature import colour_temperature
 
     limits = list(CUMULATIVE_COUNT)
     if not limits[0] <= faintest_mag <= limits[-1]:
@@ -144,8 +144,8 @@ def random_sky(faintest_mag: float, rng: np.random.Generator) -> Sky:
 
 def _gaia_sky(faintest_mag: float) -> Sky:
     """Stars of Gaia DR3 and Hipparcos; those without a colour get a typical one."""
-    from render.catalogue_gaia import load_gaia
-    from render.catalogue_temperature import TYPICAL_TEMPERATURE_K, colour_temperature
+    from render.catalogue.gaia import load_gaia
+    from render.catalogue.temperature import TYPICAL_TEMPERATURE_K, colour_temperature
 
     catalog = load_gaia()
     limit = float(np.nanmax(catalog.magnitude))

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Cell, Column, Table
 from experiments.skycal.calibrate import METHODS, Judged
 from experiments.skycal.evaluate import PARTS
 from experiments.skycal.result import CameraResult, Result
 from experiments.skycal.settings import model_label
-from experiments.summary import Measured
-from experiments.tables import Cell, Column, Table
 
 __all__ = ["all_tables"]
 

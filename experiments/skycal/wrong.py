@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.free_attitude import calibrate_free_attitude
+from calib.calibrate.free_attitude import calibrate_free_attitude
 from experiments.skycal.calibrate import LOSS, Bench, Judged, rms, start_camera
 
 if TYPE_CHECKING:
-    from render.random import Streams
+    from render.engine.random import Streams
 
 __all__ = ["TOO_MANY", "WrongRun", "wrong_runs"]
 

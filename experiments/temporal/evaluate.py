@@ -5,20 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
+from experiments.harness.summary import Criterion, Measured
 from experiments.laboratory.temporal_error import (
     TemporalMeasurement,
     TemporalPrediction,
     small_sample_factor,
 )
-from experiments.summary import Criterion, Measured
 from experiments.temporal.result import PUBLISHED_ARCSEC, Result
+from optics.arrays import FloatArray
 
 __all__ = ["bound_ratio", "criteria", "ratio", "results"]
-
-FloatArray = NDArray[np.float64]
 
 
 def ratio(

@@ -10,14 +10,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from experiments.point_command import point_command
-from experiments.progress import Progress
-from experiments.summary import Criterion
+from experiments.harness.progress import Progress
+from experiments.harness.summary import Criterion
+from experiments.laboratory.point_command import point_command
 from experiments.temporal.settings import Config
 
 if TYPE_CHECKING:
-    from experiments.report import Report
-    from experiments.tables import Table
+    from experiments.harness.report import Report
+    from experiments.harness.tables import Table
     from experiments.temporal.result import Result
 
 __all__ = ["Config", "main", "report", "run", "summary", "tables"]
@@ -39,15 +39,15 @@ def run(config: Config, *, progress: Progress) -> Result:
         On anything the user can mend: unknown lens or detector, target off the detector, points not detected or
         saturated, light beyond the range of the data.
     """
-    from experiments.instrument import build_instrument
+    from experiments.harness.provenance import peak_memory_mb, process_seconds
     from experiments.laboratory.brightness import BrightnessControl
+    from experiments.laboratory.instrument import build_instrument
     from experiments.laboratory.point_scene import point_scene
+    from experiments.laboratory.point_settings import check_bench, make_bench
     from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
-    from experiments.point_settings import check_bench, make_bench
-    from experiments.provenance import peak_memory_mb, process_seconds
     from experiments.temporal.result import Result, level_for
-    from render.random import Streams
-    from render.variant import active_backend
+    from render.engine.random import Streams
+    from render.engine.variant import active_backend
 
     instrument = build_instrument(config.instrument)
     bench = make_bench(config, config.target)

@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
+from experiments.laboratory.point_settings import METHOD_NAMES
 from experiments.laboratory.temporal_error import small_sample_factor
-from experiments.plotting import INK, MARKERS, PALETTE, new_figure
-from experiments.point_settings import METHOD_NAMES
 from experiments.temporal.evaluate import ratio
 from experiments.temporal.result import PUBLISHED_ARCSEC
 

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from experiments.point_settings import METHOD_NAMES
-from experiments.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
-from experiments.summary import Measured
-from experiments.tables import cell_text
+from experiments.harness.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
+from experiments.harness.summary import Measured
+from experiments.harness.tables import cell_text
+from experiments.laboratory.point_settings import METHOD_NAMES
 from experiments.temporal.evaluate import ratio
 from experiments.temporal.figures import frame_cloud, level_curves, ratio_plot, star_scatter, target_frame
 from experiments.temporal.result import PUBLISHED_ARCSEC

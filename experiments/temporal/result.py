@@ -6,17 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from experiments.instrument import Instrument
 from experiments.laboratory.bench import Bench
+from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.temporal_error import TemporalMeasurement, TemporalPrediction, predict_temporal
 from experiments.temporal.settings import Config
+from optics.arrays import FloatArray
 from render.records import EffectivePsf
 
 __all__ = ["PUBLISHED_ARCSEC", "Result", "level_for"]
 
-FloatArray = NDArray[np.float64]
 
 PUBLISHED_ARCSEC = (1.14, 1.23)
 """ACC18 section 2.1: TE, x and y, 3 sigma."""

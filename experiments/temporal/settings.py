@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from experiments.config import StrictModel
-from experiments.point_settings import PointConfig
-from experiments.settings import TargetConfig
+from experiments.harness.config import StrictModel
+from experiments.laboratory.point_settings import PointConfig
+from experiments.laboratory.settings import TargetConfig
 
 __all__ = ["BrightnessConfig", "Config"]
 

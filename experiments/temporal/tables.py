@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from experiments.point_settings import METHOD_NAMES
-from experiments.summary import Measured
-from experiments.tables import Cell, Column, Table
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Cell, Column, Table
+from experiments.laboratory.point_settings import METHOD_NAMES
 from experiments.temporal.evaluate import ratio
 from experiments.temporal.result import PUBLISHED_ARCSEC
 

@@ -11,17 +11,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from experiments.laboratory.turntable import Turntable
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
-from render.random import Streams
+from render.engine.random import Streams
 
 __all__ = ["Bench", "Visits", "aim", "angle_effect", "lean_effect", "visit"]
 
-FloatArray = NDArray[np.float64]
 
 AIM_STEPS = 60
 AIM_TOLERANCE_RAD = 1e-12

@@ -10,16 +10,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.attitude_link import angles_of_rotation, increment_per_angle
+from calib.attitude.link import angles_of_rotation, increment_per_angle
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.cameras.base import CameraModel
-from calib.line_of_sight import line_of_sight_map
+from calib.cameras.line_of_sight import line_of_sight_map
 from experiments.laboratory.collimator import star_angles_deg
 from experiments.laboratory.turntable import build_turntable
 from experiments.turntable.bench import Bench, aim, angle_effect, lean_effect
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD, DEG_RAD, RAD_ARCSEC
 
@@ -34,7 +34,6 @@ __all__ = [
     "reading_covariance_px2",
 ]
 
-FloatArray = NDArray[np.float64]
 
 SWEEP_PX, SWEEP_PITCH_MM = 2048, 0.0055
 SWEEP_SIDE = 13
@@ -49,7 +48,7 @@ class Bound:
     Attributes
     ----------
     names : tuple of str
-        Unknowns as `calib.turntable` names them: camera parameters, star, installation, leans.
+        Unknowns as `calib.calibrate.turntable` names them: camera parameters, star, installation, leans.
     covariance : (q, q)
         Of the unknowns; rows of camera parameters that are held are zero.
     alone : (q,)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from calib.star_vectors import initial_frame_vectors
-from experiments.summary import Criterion, Measured
+from calib.attitude.star_vectors import initial_frame_vectors
+from experiments.harness.summary import Criterion, Measured
 from experiments.turntable.bound import closed_form_px
 from experiments.turntable.result import Case, Result
+from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC
 
 __all__ = [
@@ -27,7 +27,6 @@ __all__ = [
     "vector_scatter_arcsec",
 ]
 
-FloatArray = NDArray[np.float64]
 
 PULL_TOLERANCE = 0.10
 ENOUGH_RUNS = 300

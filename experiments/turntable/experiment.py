@@ -15,20 +15,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from experiments.cli import command
-from experiments.progress import Progress
-from experiments.summary import Criterion
+from experiments.harness.cli import command
+from experiments.harness.progress import Progress
+from experiments.harness.summary import Criterion
 from experiments.turntable.settings import Config, TableConfig
 from optics.errors import ConfigError, DomainError
 
 if TYPE_CHECKING:
-    from experiments.instrument import Instrument
-    from experiments.report import Report
-    from experiments.tables import Table
+    from experiments.harness.report import Report
+    from experiments.harness.tables import Table
+    from experiments.laboratory.instrument import Instrument
     from experiments.turntable.measure import Measurement, TracedMap
     from experiments.turntable.reduce import Reduction
     from experiments.turntable.result import Case, Result
-    from render.random import Streams
+    from render.engine.random import Streams
 
 __all__ = ["Config", "main", "report", "run", "summary", "tables"]
 
@@ -55,13 +55,13 @@ def run(config: Config, *, progress: Progress) -> Result:
     """
     import mitsuba as mi
 
-    from experiments.provenance import peak_memory_mb, process_seconds
+    from experiments.harness.provenance import peak_memory_mb, process_seconds
     from experiments.turntable.bound import field_sweep
     from experiments.turntable.lenses import lens_points
     from experiments.turntable.measure import traced_map
     from experiments.turntable.result import Result
     from experiments.turntable.study import lean_sweep, reading_sweep
-    from render.random import Streams
+    from render.engine.random import Streams
 
     instrument = _prepare(config)
     streams = Streams(config.seed).child("turntable")
@@ -146,7 +146,7 @@ def _case(
     from experiments.turntable.reduce import start_model
     from experiments.turntable.result import Case
     from experiments.turntable.study import Coordinates, monte_carlo
-    from render.variant import active_backend
+    from render.engine.variant import active_backend
 
     backend = active_backend()
     own = streams.child(name)

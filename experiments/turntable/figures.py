@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from experiments.plotting import INK, PALETTE, new_figure
+from experiments.harness.plotting import INK, PALETTE, new_figure
 from experiments.turntable.result import Case, Result
 
 __all__ = ["error_maps", "residual_arrows", "star_windows", "visited_places"]
 
-FloatArray = NDArray[np.float64]
 
 _FAINT = "#c3c8ce"
 

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from calib.free_attitude import calibrate_free_attitude
-from calib.line_of_sight import line_of_sight_map
-from calib.observations import Observations
-from experiments.instrument import Instrument, build_instrument
-from experiments.settings import InstrumentConfig
+from calib.calibrate.free_attitude import calibrate_free_attitude
+from calib.calibrate.observations import Observations
+from calib.cameras.line_of_sight import line_of_sight_map
+from experiments.laboratory.instrument import Instrument, build_instrument
+from experiments.laboratory.settings import InstrumentConfig
 from experiments.turntable.measure import TracedMap, traced_map
 from experiments.turntable.reduce import start_model
 from experiments.turntable.settings import Config
-from optics.perturb import decentre
+from optics.lens.perturb import decentre
 
 __all__ = ["LensPoint", "lens_points"]
 

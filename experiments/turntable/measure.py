@@ -8,25 +8,25 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from experiments.instrument import Instrument, build_instrument
 from experiments.laboratory.collimator import SingleStar
+from experiments.laboratory.instrument import Instrument, build_instrument
 from experiments.laboratory.turntable import Turntable, axis_directions, build_turntable
 from experiments.laboratory.windows import SEARCH_PX, StarReadings, WindowPlan, read_windows
 from experiments.turntable.bench import Bench, Visits, visit
 from experiments.turntable.settings import Config, TableConfig
-from optics.band import TopHat
+from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.frames import field_angles_deg
+from optics.light.band import TopHat
+from optics.light.spectrum import Blackbody
 from optics.records import freeze
-from optics.spectrum import Blackbody
 from optics.units import DEG_RAD
+from render.engine.random import Streams
 from render.forward import StarRenderer
-from render.psf import epsf_tracer, render_epsf
-from render.random import Streams
-from render.tracer import Tracer
+from render.tracing.psf import epsf_tracer, render_epsf
+from render.tracing.tracer import Tracer
 
 __all__ = [
     "Measurement",
@@ -42,7 +42,6 @@ __all__ = [
     "traced_map",
 ]
 
-FloatArray = NDArray[np.float64]
 
 MAP_COLUMNS, MAP_ROWS = 33, 17
 """Points of the truth over the detector."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.plotting import INK, MARKERS, PALETTE, new_figure
+from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
 from experiments.turntable.bound import closed_form_px
 from experiments.turntable.result import Case, Result
 

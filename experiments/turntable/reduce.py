@@ -9,22 +9,21 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.calibrate.calibration import Calibration
+from calib.calibrate.observations import Observations
+from calib.calibrate.turntable import TableErrors, calibrate_turntable, star_direction
 from calib.cameras import BrownConrady, CameraModel, SensorGeometry
-from calib.line_of_sight import LineOfSightMap, line_of_sight_map
-from calib.observations import Observations
-from calib.solution import Calibration
-from calib.turntable import TableErrors, calibrate_turntable, star_direction
-from experiments.instrument import Instrument
+from calib.cameras.line_of_sight import LineOfSightMap, line_of_sight_map
+from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.turntable import Turntable
 from experiments.turntable.measure import TracedMap
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
 
 __all__ = ["Data", "Reduction", "check_count", "check_fit", "check_parity", "judge", "reduce_data", "start_model"]
 
-FloatArray = NDArray[np.float64]
 
 START_ROUNDING = 0.05
 """A start focal length is the paraxial one rounded to this part of it."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from experiments.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
-from experiments.summary import Measured
-from experiments.tables import Table, cell_text
+from experiments.harness.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Table, cell_text
 from experiments.turntable.evaluate import crossover_arcsec, point_over_line, principal_point_arcsec
 from experiments.turntable.figures import error_maps, residual_arrows, star_windows, visited_places
 from experiments.turntable.plots import correlation_matrix, field_curves, lean_curves, pull_bars, reading_curves

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from experiments.instrument import Instrument
+from experiments.laboratory.instrument import Instrument
 from experiments.turntable.bound import Bound, FieldPoint
 from experiments.turntable.lenses import LensPoint
 from experiments.turntable.measure import Measurement, TracedMap

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field, field_validator, model_validator
 
-from experiments.config import ExperimentConfig, StrictModel
-from experiments.settings import InstrumentConfig
+from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.laboratory.settings import InstrumentConfig
 
 __all__ = ["Config", "GridConfig", "ReductionConfig", "StarConfig", "StudyConfig", "TableConfig"]
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle, FancyArrowPatch, FancyBboxPatch, Polygon, Rectangle
 
-from experiments.plotting import INK, PALETTE, new_figure
+from experiments.harness.plotting import INK, PALETTE, new_figure
 
 __all__ = ["bench_sketch"]
 

@@ -7,22 +7,20 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.attitude_link import angles_of_rotation
+from calib.attitude.link import angles_of_rotation
+from calib.calibrate.calibration import Calibration
 from calib.cameras import CameraModel
-from calib.solution import Calibration
 from experiments.laboratory.collimator import star_angles_deg
 from experiments.turntable.bench import Bench
 from experiments.turntable.bound import bound, reading_covariance_px2
 from experiments.turntable.measure import TracedMap
 from experiments.turntable.reduce import Data, judge, reduce_data
+from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, DEG_RAD
-from render.random import Streams
+from render.engine.random import Streams
 
 __all__ = ["Coordinates", "LeanPoint", "MonteCarlo", "ReadingPoint", "lean_sweep", "monte_carlo", "reading_sweep"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

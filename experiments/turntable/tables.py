@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from experiments.summary import Measured
-from experiments.tables import Column, Table
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Column, Table
 from experiments.turntable.evaluate import vector_scatter_arcsec
 from experiments.turntable.result import Case, Result
 from optics.units import RAD_ARCSEC

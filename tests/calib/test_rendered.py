@@ -5,23 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.epsf import EpsfCentroider
+from calib.measure.epsf import EpsfCentroider
+from calib.measure.stamps import extract_stamps
 from calib.records import NoiseModel, SensorImage
-from calib.stamps import extract_stamps
 
 
 @pytest.fixture(scope="module")
 def rendered():
     """Noiseless image of 36 stars all over the field of the 206 mm lens, its truth and an ePSF for every star."""
-    from optics.band import TopHat, band_nodes
-    from optics.paraxial import axial_paraxial
-    from optics.prescription import load_lens
+    from optics.lens.prescription import load_lens
+    from optics.light.band import TopHat, band_nodes
+    from optics.rays.paraxial import axial_paraxial
     from render.camera import build_camera
-    from render.detector import load_detector
+    from render.detector.spec import load_detector
+    from render.engine.variant import use_backend
     from render.forward import render_stars
-    from render.psf import epsf_tracer, render_epsf
     from render.records import StarField
-    from render.variant import use_backend
+    from render.tracing.psf import epsf_tracer, render_epsf
 
     use_backend()
     import mitsuba as mi

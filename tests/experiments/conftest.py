@@ -23,7 +23,7 @@ def shot_noise():
 @pytest.fixture(scope="session")
 def mi():
     """Mitsuba on the processor."""
-    from render.variant import use_backend
+    from render.engine.variant import use_backend
 
     use_backend("llvm")
     import mitsuba
@@ -34,8 +34,8 @@ def mi():
 @pytest.fixture(scope="session")
 def star_camera():
     """The default instrument of the experiments."""
-    from experiments.instrument import build_instrument
-    from experiments.settings import InstrumentConfig
+    from experiments.laboratory.instrument import build_instrument
+    from experiments.laboratory.settings import InstrumentConfig
 
     return build_instrument(InstrumentConfig())
 
@@ -44,9 +44,9 @@ def star_camera():
 def bench_of():
     """A laboratory with three filters; keywords change it."""
     from experiments.laboratory.bench import Bench
-    from experiments.settings import TargetConfig
-    from optics.band import TopHat
-    from optics.spectrum import Blackbody
+    from experiments.laboratory.settings import TargetConfig
+    from optics.light.band import TopHat
+    from optics.light.spectrum import Blackbody
 
     def make(rows=2, columns=2, centres_nm=(500.0, 600.0, 800.0), reference=1, edge_px=150.0, **changes):
         settings = {
@@ -76,7 +76,7 @@ def small_detector(tmp_path_factory):
 @pytest.fixture(scope="session")
 def small_camera(small_detector):
     """The default lens in front of the small detector."""
-    from experiments.instrument import build_instrument
-    from experiments.settings import InstrumentConfig
+    from experiments.laboratory.instrument import build_instrument
+    from experiments.laboratory.settings import InstrumentConfig
 
     return build_instrument(InstrumentConfig(detector=str(small_detector)))

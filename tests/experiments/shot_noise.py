@@ -13,12 +13,12 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from experiments.cli import command
-from experiments.config import ExperimentConfig, StrictModel
-from experiments.plotting import band_colours, new_figure
-from experiments.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
-from experiments.summary import Criterion, Measured
-from experiments.tables import Column, Table
+from experiments.harness.cli import command
+from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.harness.plotting import band_colours, new_figure
+from experiments.harness.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
+from experiments.harness.summary import Criterion, Measured
+from experiments.harness.tables import Column, Table
 from optics.errors import DomainError
 
 

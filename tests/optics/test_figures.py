@@ -4,11 +4,11 @@ import matplotlib.pyplot
 import numpy as np
 import pytest
 
-from optics.analysis import spot_moments
 from optics.figures import draw_distortion, draw_lens, draw_spots, wavelength_colour
-from optics.lens import AMBIENT
-from optics.perturb import tilt
-from optics.prescription import list_lenses, load_lens
+from optics.lens.perturb import tilt
+from optics.lens.prescription import list_lenses, load_lens
+from optics.lens.system import AMBIENT
+from optics.rays.spots import spot_moments
 
 
 @pytest.mark.parametrize("name", list_lenses())

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from optics import frames
-from optics.analysis import spot_moments
 from optics.errors import DomainError
-from optics.prescription import list_lenses, load_lens
+from optics.lens.prescription import list_lenses, load_lens
+from optics.rays.spots import spot_moments
 
 SIZE = (4096, 2048)
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from optics.band import TopHat, band_nodes
-from optics.paraxial import axial_paraxial
-from optics.prescription import load_lens
-from optics.trace import Rays, trace
+from optics.lens.prescription import load_lens
+from optics.light.band import TopHat, band_nodes
+from optics.rays.paraxial import axial_paraxial
+from optics.rays.trace import Rays, trace
 from render.camera import Camera, launch_disk
 from render.records import StarField
 
@@ -130,7 +130,7 @@ def bench():
 def mi(request):
     """Mitsuba on the processor, and on a GPU where there is one."""
     from optics.errors import BackendError
-    from render.variant import use_backend
+    from render.engine.variant import use_backend
 
     try:
         use_backend(request.param)
@@ -140,7 +140,7 @@ def mi(request):
         raise
     import mitsuba
 
-    from render.plugins import register_plugins
+    from render.plugins.register import register_plugins
 
     register_plugins()
     return mitsuba

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from optics.errors import ConvergenceError, DomainError
-from optics.perturb import decentre, tilt_image
-from optics.prescription import load_lens
+from optics.lens.perturb import decentre, tilt_image
+from optics.lens.prescription import load_lens
+from optics.light.transmission import QuarterWave, lens_transmission
+from optics.rays.trace import Rays, trace
 from optics.response import Response
-from optics.trace import Rays, trace
-from optics.transmission import QuarterWave, lens_transmission
 from render.camera import Camera, build_camera, launch_disk
-from render.detector import load_detector
+from render.detector.spec import load_detector
 
 SETTINGS = {"width_px": 40, "height_px": 30, "pixel_pitch_mm": 0.01}
 

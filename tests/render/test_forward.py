@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from optics.errors import ConvergenceError, DomainError
-from optics.prescription import load_lens
+from optics.lens.prescription import load_lens
 from render.forward import StarRenderer, render_stars
-from render.tracer import Tracer
+from render.tracing.tracer import Tracer
 
 
 @pytest.fixture

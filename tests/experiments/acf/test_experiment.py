@@ -25,7 +25,7 @@ from experiments.acf.plan import make_plan
 from experiments.acf.published import TABLE2_CALIBRATED, TABLE2_ROUNDING, TABLE2_START, TABLE2_TRUE
 from experiments.acf.settings import RenderedConfig, SkyConfig, SweepConfig
 from experiments.acf.tasks import Point, Task, work
-from experiments.progress import Progress
+from experiments.harness.progress import Progress
 
 ROOT = Path(__file__).parents[3]
 SMALL = Config(
@@ -70,7 +70,7 @@ def found(result):
 
 
 def json_of(value):
-    from experiments.summary import to_json
+    from experiments.harness.summary import to_json
 
     return to_json(value)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.attitude_link import link_attitudes
-from calib.line_of_sight import line_of_sight_map
+from calib.attitude.link import link_attitudes
+from calib.cameras.line_of_sight import line_of_sight_map
 from experiments.acf.predict import (
     Design,
     GyroError,
@@ -19,7 +19,7 @@ from experiments.acf.predict import (
 from experiments.acf.settings import Config, SweepConfig
 from experiments.acf.simulate import build_scene, choose_frames, draw_stars, gyro_rotations
 from optics.units import DEG_RAD
-from render.random import Streams
+from render.engine.random import Streams
 
 CONFIG = Config(frames=12, sweep=SweepConfig(stars=(4, 8)))
 SIGMA = 0.1

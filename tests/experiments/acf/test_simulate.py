@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.attitude_link import angles_of_rotation, link_attitudes
+from calib.attitude.link import angles_of_rotation, link_attitudes
 from experiments.acf.published import TABLE2_TRUE
 from experiments.acf.settings import Config
 from experiments.acf.simulate import TurningAxis, build_scene, choose_frames, draw_stars, gyro_rotations, observe
-from render.random import Streams
+from render.engine.random import Streams
 
 CONFIG = Config()
 

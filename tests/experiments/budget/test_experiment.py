@@ -16,8 +16,8 @@ from experiments.budget.settings import Config
 from experiments.budget.sweep import coarse_budget, widened
 from experiments.budget.terms import Psfs, predict_terms
 from experiments.budget.tolerances import tolerance_study
-from experiments.config import load_config
-from render.random import Streams
+from experiments.harness.config import load_config
+from render.engine.random import Streams
 
 ROOT = Path(__file__).parents[3]
 SMALL = ["target.rows=2", "target.columns=2", "steps.positions=3", "grid.rows=4", "grid.columns=5", "grid.surveys=40"]

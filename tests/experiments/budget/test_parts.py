@@ -10,13 +10,13 @@ from experiments.budget.range import leaf_keys, parse_sweep, value_at, with_valu
 from experiments.budget.settings import AttitudeConfig, Config, DetectorConfig, MovedConfig
 from experiments.budget.tolerances import cubic_basis
 from experiments.budget.tune import as_toml, differences
-from experiments.cli import configuration_file
-from experiments.config import load_config
+from experiments.harness.cli import configuration_file
+from experiments.harness.config import load_config
 from optics.errors import ConfigError
-from optics.paraxial import axial_paraxial
-from optics.prescription import load_lens
-from render.detector import load_detector
-from render.random import Streams
+from optics.lens.prescription import load_lens
+from optics.rays.paraxial import axial_paraxial
+from render.detector.spec import load_detector
+from render.engine.random import Streams
 
 
 def test_printed_terms_give_the_printed_sums_but_for_the_slip():
@@ -100,7 +100,7 @@ def test_override_reaches_camera_and_readout():
 
 def test_moved_element_shifts_the_image_as_its_power_says(star_camera):
     """A decentre towards increasing row moves the image along the row axis only, the same way from both sides."""
-    from optics.chief import chief_ray_points
+    from optics.rays.chief import chief_ray_points
 
     lens = load_lens("star_camera_206mm")
     assert moved_lens(lens, MovedConfig()) is lens

@@ -13,16 +13,16 @@ import pytest
 from astropy.io import fits
 from astropy.table import Table
 
-from calib.stamps import stamps_from_windows
+from calib.measure.stamps import stamps_from_windows
 from experiments.chromatic.evaluate import evaluate
 from experiments.chromatic.experiment import Config, main
 from experiments.chromatic.measure import measure
 from experiments.chromatic.model import band_pairs, bundle_prediction, shifts, table1
-from experiments.instrument import build_instrument
+from experiments.laboratory.instrument import build_instrument
 from experiments.laboratory.points import common_shift, pattern_effect
-from experiments.target import corner_directions
-from optics.perturb import decentre
-from render.random import Streams
+from experiments.laboratory.target import corner_directions
+from optics.lens.perturb import decentre
+from render.engine.random import Streams
 
 ROOT = Path(__file__).parents[3]
 SMALL = {

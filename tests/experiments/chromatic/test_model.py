@@ -19,10 +19,10 @@ from experiments.chromatic.model import (
     solve_perturbation,
     table1,
 )
-from experiments.target import corner_directions
-from optics.glass import Glass
-from optics.lens import LensSystem, Surface
-from optics.surface import Plane, Sphere
+from experiments.laboratory.target import corner_directions
+from optics.glass.catalogue import Glass
+from optics.lens.surface import Plane, Sphere
+from optics.lens.system import LensSystem, Surface
 from render.camera import Camera
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from experiments.chromatic.stars import electrons_of_star, passband, stellar_shift
-from experiments.settings import StarsConfig
+from experiments.laboratory.settings import StarsConfig
 from optics.errors import DomainError
-from optics.perturb import decentre
+from optics.lens.perturb import decentre
 
 TEMPERATURES_K = (3000.0, 4500.0, 5800.0, 9000.0, 30000.0)
 

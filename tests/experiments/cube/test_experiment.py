@@ -16,9 +16,9 @@ from experiments.cube.budget import beam_rates, geometric_error, lean_rates, lef
 from experiments.cube.checks import reflected_spot_mm, spot_profile
 from experiments.cube.settings import Config
 from experiments.cube.tables import PUBLISHED_TRIMS, published_rates
-from render.bench_scene import CubePose
-from render.bench_sensor import MaskSensor
-from render.random import Streams
+from render.bench.scene import CubePose
+from render.bench.sensor import MaskSensor
+from render.engine.random import Streams
 
 ARCSEC = np.pi / 180 / 3600
 

@@ -19,7 +19,7 @@ from experiments.dataset.sheet import preview
 from experiments.dataset.truth_file import read_table
 from experiments.dataset.work import Job, make_frame
 from optics.errors import ConfigError
-from render.fits import read_frame
+from render.fits.files import read_frame
 
 
 @pytest.fixture(scope="module")

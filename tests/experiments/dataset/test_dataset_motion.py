@@ -9,8 +9,8 @@ from astropy.coordinates import SkyCoord
 from experiments.dataset.maker import FrameMaker
 from experiments.dataset.scene import build_scene
 from experiments.dataset.settings import CameraConfig, CatalogueConfig, ConePointing, Config, FixedRate, ScanPointing
-from optics.chief import chief_ray_points
 from optics.frames import field_angles_deg
+from optics.rays.chief import chief_ray_points
 
 RATE_DEG_PER_S = (0.01, -0.015, 0.05)
 

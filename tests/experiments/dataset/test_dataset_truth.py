@@ -21,9 +21,9 @@ from experiments.dataset.settings import (
 )
 from experiments.dataset.truth import FLAGS, flux_snr, footprint_px
 from experiments.dataset.work import _facts
-from optics.chief import chief_ray_points
 from optics.errors import DomainError, StarbenchError
 from optics.frames import field_angles_deg
+from optics.rays.chief import chief_ray_points
 
 SMALL = {
     "camera": CameraConfig(lens="star_camera_206mm", width_px=256, height_px=192, nodes=3),

@@ -6,14 +6,14 @@ from scipy.spatial.transform import Rotation
 
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
-from calib.flags import StarFlag
+from calib.measure.flags import StarFlag
 from calib.records import StarTable
 from experiments.dataset.measure import MeasuredFrame
 from experiments.dataset.solve import SkyMap, SolvedFrame, solve_frame
 from experiments.dataset.statistics import solver
 from optics.units import RAD_ARCSEC
-from render.catalogue_gaia import load_gaia
-from render.sky_index import build_index
+from render.catalogue.gaia import load_gaia
+from render.catalogue.index import build_index
 
 pytestmark = pytest.mark.reference
 
@@ -25,7 +25,7 @@ NOISE_PX = 0.05
 @pytest.fixture(scope="module")
 def database():
     pytest.importorskip("tetra3rs")
-    from calib.identify import build_database
+    from calib.attitude.identify import build_database
 
     return build_database(min_fov_deg=11.5, max_fov_deg=13.0)
 

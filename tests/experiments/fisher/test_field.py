@@ -14,7 +14,7 @@ from experiments.fisher.coverage import KINDS, LEVELS, coverage, true_sigma
 from experiments.fisher.evaluate import vectors_needed
 from experiments.fisher.field import baseline_over_sphere, closed_form, field_sweep, ideal_camera, opposite_form
 from experiments.fisher.settings import CoverageConfig, FieldConfig
-from render.random import Streams
+from render.engine.random import Streams
 
 
 @pytest.mark.parametrize("field_deg", [3.0, 12.0, 20.0, 40.0])

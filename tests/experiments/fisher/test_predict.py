@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.attitude.star_vectors import initial_frame_vectors
 from calib.cameras import BrownConrady, SensorGeometry
-from calib.fisher import mean_and_chords
-from calib.star_vectors import initial_frame_vectors
+from calib.directional.fisher import mean_and_chords
 from experiments.fisher.acquire import Motion, visit_once
 from experiments.fisher.limits import digits_sweep, table_share, table_sweep
 from experiments.fisher.predict import (
@@ -30,7 +30,7 @@ from experiments.laboratory.collimator import star_direction
 from experiments.laboratory.turntable import build_turntable
 from experiments.turntable.bench import Bench, aim
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
-from render.random import Streams
+from render.engine.random import Streams
 
 SIGMA_PX = 0.02
 

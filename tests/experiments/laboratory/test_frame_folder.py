@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.instrument import build_instrument
 from experiments.laboratory.bench import point_field
 from experiments.laboratory.distortion_error import measure_distortion
 from experiments.laboratory.frame_folder import read_folder
@@ -18,15 +17,16 @@ from experiments.laboratory.frame_reduction import (
 )
 from experiments.laboratory.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
+from experiments.laboratory.instrument import build_instrument
 from experiments.laboratory.point_scene import point_scene
 from experiments.laboratory.points import nominal_px
+from experiments.laboratory.settings import InstrumentConfig
 from experiments.laboratory.targets import GridTarget
 from experiments.laboratory.temporal_error import measure_temporal, target_place
-from experiments.settings import InstrumentConfig
 from optics.errors import ConfigError, DomainError
-from render.fits import write_frame
-from render.random import Streams
-from render.readout import expose
+from render.detector.readout import expose
+from render.engine.random import Streams
+from render.fits.files import write_frame
 from render.records import Frame
 
 METHODS = ("cog", "gaussian")

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.centroid import get_centroider
-from calib.crlb import cramer_rao
-from calib.epsf import draw_epsf
-from calib.gaussian_ml import draw_gaussian
+from calib.measure.centroid import get_centroider
+from calib.measure.crlb import cramer_rao
+from calib.measure.epsf import draw_epsf
+from calib.measure.gaussian import draw_gaussian
 from calib.records import NoiseModel
 from experiments.laboratory.point_noise import ExpectedWindows, PixelNoise, bound_px, influence, sampled_px
 from render.records import EffectivePsf

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from experiments.laboratory.turntable import Turntable, build_turntable
 from optics.errors import ConfigError, DomainError
 from optics.units import ARCSEC_RAD
-from render.random import Streams
+from render.engine.random import Streams
 
 
 def test_outer_axis_stays_and_inner_one_is_carried() -> None:

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from calib.centroid import get_centroider
+from calib.measure.centroid import get_centroider
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.windows import WindowPlan, linear_response, read_windows
 from optics.errors import DomainError
-from render.random import Streams
+from render.engine.random import Streams
 from render.records import ExpectedImage
 
 
@@ -44,10 +44,10 @@ def test_response_of_the_centre_of_gravity_is_its_formula() -> None:
 def visited(mi, small_camera):
     """A star of 12000 e- at 8 x 8 places of the small camera, with its PSFs."""
     from experiments.laboratory.collimator import SingleStar
-    from optics.band import TopHat
-    from optics.spectrum import Blackbody
+    from optics.light.band import TopHat
+    from optics.light.spectrum import Blackbody
     from render.forward import StarRenderer
-    from render.psf import epsf_tracer, render_epsf
+    from render.tracing.psf import epsf_tracer, render_epsf
 
     camera = small_camera.camera
     x, y = np.meshgrid(np.linspace(100, 2970.3, 8), np.linspace(100.4, 1430, 8))

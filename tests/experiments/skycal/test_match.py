@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from calib.cameras import BrownConrady
-from calib.flags import StarFlag
+from calib.measure.flags import StarFlag
 from calib.records import NoiseModel, Stamps, StarTable
 from experiments.skycal.calibrate import chance_of, rms
 from experiments.skycal.light import PsfBank, colour_classes
@@ -16,7 +16,7 @@ from experiments.skycal.measure import FrameStars
 from experiments.skycal.scene import build_scene
 from experiments.skycal.settings import Config
 from optics.errors import DomainError
-from render.random import Streams
+from render.engine.random import Streams
 from render.records import EffectivePsf
 
 NOISE_PX = 0.05

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.attitude_link import link_attitudes
+from calib.attitude.link import link_attitudes
 from experiments.skycal.experiment import main
 from experiments.skycal.scene import build_scene, pointing
 from experiments.skycal.settings import Config, model_label, parse_model_name
 from experiments.skycal.sky import CUMULATIVE_COUNT, in_light, random_sky
 from optics.errors import DomainError
-from optics.photometry import photon_rate
-from optics.spectrum import Blackbody
-from render.random import Streams
+from optics.light.photometry import photon_rate
+from optics.light.spectrum import Blackbody
+from render.engine.random import Streams
 
 
 @pytest.fixture(scope="module")

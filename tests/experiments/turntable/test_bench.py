@@ -10,7 +10,7 @@ from experiments.turntable.bench import Bench, aim, angle_effect, lean_effect, v
 from optics.errors import DomainError
 from optics.frames import field_direction
 from optics.units import ARCSEC_RAD
-from render.random import Streams
+from render.engine.random import Streams
 
 
 def _bench(axes: str = "xy", lean: float = 0.0, **options: float) -> Bench:

@@ -20,7 +20,7 @@ from experiments.turntable.bound import (
 from experiments.turntable.reduce import Data, reduce_data
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD
-from render.random import Streams
+from render.engine.random import Streams
 
 SENSOR = SensorGeometry(width_px=2048, height_px=2048, pixel_pitch_mm=0.0055)
 MODEL = BrownConrady.create(SENSOR, focal_length_mm=40.0, x0_px=5.0, y0_px=-3.0, q1_per_mm2=1e-4, p1_per_mm=1e-5)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from calib.cameras import BrownConrady, SensorGeometry
-from experiments.config import load_config
+from experiments.harness.config import load_config
 from experiments.laboratory.collimator import star_direction
 from experiments.laboratory.turntable import build_turntable
 from experiments.turntable.bench import Bench, aim
@@ -19,7 +19,7 @@ from experiments.turntable.measure import TracedMap, averaged, build_table, chec
 from experiments.turntable.reduce import Data, check_count, check_fit, check_parity, judge, reduce_data
 from experiments.turntable.study import Coordinates, monte_carlo
 from optics.errors import ConfigError, DomainError
-from render.random import Streams
+from render.engine.random import Streams
 
 SENSOR = SensorGeometry(width_px=2048, height_px=2048, pixel_pitch_mm=0.0055)
 MODEL = BrownConrady.create(SENSOR, focal_length_mm=40.0, x0_px=5.0, y0_px=-3.0, q1_per_mm2=1e-5, p2_per_mm=1e-6)

@@ -1,0 +1,412 @@
+"""Which detection is which catalogue star, when the attitude is known roughly.
+
+`associate` trusts the attitude: the catalogue is projected, every detection with exactly one catalogue star within the
+radius, which has no other detection within it, is a match. Whatever has two candidates is ambiguous and left out: a
+wrong match costs a calibration more than a missing one.
+
+`match_stars` does not trust it. All pairs within a wide radius are candidates; two of them whose angle in the camera
+equals that in the catalogue propose an attitude (Fischler and Bolles 1981, Commun. ACM 24, 381; all pairs or an even
+selection of them, no random draw), and the one that explains most detections wins. `associate` and Wahba's problem are
+then iterated until the matches stay. The result is accepted if chance would not give as many matches: with p the
+probability that a detection falls within the tolerance of some catalogue star, the binomial probability of the matches
+beyond the two that fixed the attitude, times the number of proposals. Otherwise the same is tried with the image
+flipped, to tell a mirrored sky from an empty one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+from scipy.special import bdtrc
+
+from calib.attitude.solve import AttitudeSolution, solve_wahba, solve_wahba_many
+from calib.cameras.base import CameraModel
+from optics.arrays import FloatArray, IntArray
+from optics.errors import DomainError
+from optics.records import freeze
+
+__all__ = ["Association", "StarMatch", "associate", "match_stars"]
+
+
+MAX_CANDIDATES = 600  # candidates from which proposals are made
+MAX_PROPOSALS = 2000  # attitudes that are tried
+CHANCE_LIMIT = 1e-6  # probability of as many matches by chance above which nothing is claimed
+MAX_ROUNDS = 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Association:
+    """Matches of one frame, one to one.
+
+    Attributes
+    ----------
+    detected, catalogue : (k,) int64
+        Row of the detection and of the catalogue star of each match, in the order of the detections.
+    distance_px : (k,)
+        From the detection to the projected star [px].
+    ambiguous : (a,) int64
+        Detections with more than one possible star, or with a star that has more than one detection.
+    in_field : int
+        Catalogue stars that are projected onto the detector.
+    """
+
+    detected: IntArray
+    catalogue: IntArray
+    distance_px: FloatArray
+    ambiguous: IntArray
+    in_field: int
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "detected", shape=("k",), dtype=np.int64, sizes=sizes)
+        freeze(self, "catalogue", shape=("k",), dtype=np.int64, sizes=sizes)
+        freeze(self, "distance_px", shape=("k",), sizes=sizes)
+        freeze(self, "ambiguous", shape=("a",), dtype=np.int64)
+
+    def __len__(self) -> int:
+        return len(self.detected)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StarMatch:
+    """What `match_stars` found.
+
+    Attributes
+    ----------
+    status : str
+        ``"matched"``; ``"too_few"``: fewer than three detections or catalogue stars to work with; ``"no_match"``;
+        ``"mirrored"``: no attitude fits, but one does after an axis of the image was flipped.
+    message : str
+        One line on what happened.
+    association : Association
+        The matches; empty unless matched.
+    attitude : AttitudeSolution or None
+        Attitude from the matches (all weighing the same, sigma estimated); None unless matched.
+    chance : float
+        Probability of as many matches by chance.
+    """
+
+    status: str
+    message: str
+    association: Association
+    attitude: AttitudeSolution | None
+    chance: float
+
+    @property
+    def ok(self) -> bool:
+        """Whether the stars were matched."""
+        return self.status == "matched"
+
+
+class _Pairs(NamedTuple):
+    """Detections and catalogue stars closer than a radius: rows of both, distance [px], and stars on the detector."""
+
+    detected: IntArray
+    catalogue: IntArray
+    distance_px: FloatArray
+    in_field: int
+
+
+def associate(
+    pixel_px: ArrayLike,
+    catalogue_direction: ArrayLike,
+    attitude: Rotation,
+    model: CameraModel,
+    *,
+    radius_px: float,
+    band: int = 0,
+) -> Association:
+    """Match detections to catalogue stars by a known attitude and camera.
+
+    Parameters
+    ----------
+    pixel_px : (n, 2)
+        Positions (column, row) of the detections [px]; rows that are not finite are never matched.
+    catalogue_direction : (m, 3)
+        Unit vectors of the catalogue in the reference frame; all of the sky is fine.
+    attitude : Rotation
+        cam from reference.
+    model : CameraModel
+        The camera.
+    radius_px : float
+        Largest distance of a match [px]. Two candidates within it make a detection ambiguous, so that it should not be
+        much larger than attitude and model require.
+    band : int
+        Band of the frame, for models that depend on it.
+
+    Returns
+    -------
+    Association
+
+    Raises
+    ------
+    DomainError
+        On wrong shapes, directions that are not unit vectors, or a radius that is not positive.
+    """
+    pixel, direction = _checked(pixel_px, catalogue_direction, attitude, radius_px)
+    pairs = _pairs_within(pixel, direction, attitude, model, radius_px, band)
+    return _one_to_one(pairs, len(pixel), len(direction))
+
+
+def match_stars(
+    pixel_px: ArrayLike,
+    catalogue_direction: ArrayLike,
+    attitude: Rotation,
+    model: CameraModel,
+    *,
+    radius_px: float,
+    tolerance_px: float = 2.0,
+    band: int = 0,
+) -> StarMatch:
+    """Match detections to catalogue stars by a rough attitude, and refine it.
+
+    Parameters
+    ----------
+    pixel_px : (n, 2)
+        Positions (column, row) of the detections [px]; false ones among them are tolerated, rows that are not finite
+        are left out.
+    catalogue_direction : (m, 3)
+        Unit vectors of the catalogue in the reference frame; about as deep as the detections, or chance matches abound.
+    attitude : Rotation
+        cam from reference, roughly.
+    model : CameraModel
+        The camera, good to ``tolerance_px`` apart from the attitude.
+    radius_px : float
+        How far from its place the rough attitude may put a star [px].
+    tolerance_px : float
+        How far from its place the right attitude may put it [px]: centroid and camera model.
+    band : int
+        Band of the frame.
+
+    Returns
+    -------
+    StarMatch
+
+    Raises
+    ------
+    DomainError
+        As `associate`.
+    """
+    pixel, direction = _checked(pixel_px, catalogue_direction, attitude, radius_px)
+    if not (np.isfinite(tolerance_px) and 0 < tolerance_px <= radius_px):
+        raise DomainError(
+            f"tolerance_px = {tolerance_px} px; it must be positive and at most radius_px = {radius_px} px"
+        )
+    found = _match(pixel, direction, attitude, model, radius_px, tolerance_px, band)
+    if found.status != "no_match":
+        return found
+    width, height = model.geometry.width_px, model.geometry.height_px
+    flips = {
+        "columns run backwards": np.column_stack([width - 1 - pixel[:, 0], pixel[:, 1]]),
+        "rows run backwards": np.column_stack([pixel[:, 0], height - 1 - pixel[:, 1]]),
+        "columns and rows are exchanged": pixel[:, ::-1],
+    }
+    for what, flipped in flips.items():
+        other = _match(flipped, direction, attitude, model, radius_px, tolerance_px, band)
+        if other.ok:
+            return StarMatch(
+                status="mirrored",
+                message=f"mirrored sky: {len(other.association)} stars match if {what}; correct the axes of the image",
+                association=found.association,
+                attitude=None,
+                chance=found.chance,
+            )
+    return found
+
+
+def _checked(
+    pixel_px: ArrayLike, catalogue_direction: ArrayLike, attitude: Rotation, radius_px: float
+) -> tuple[FloatArray, FloatArray]:
+    pixel, direction = np.asarray(pixel_px, float), np.asarray(catalogue_direction, float)
+    if pixel.ndim != 2 or pixel.shape[1] != 2:
+        raise DomainError(f"pixel_px has shape {pixel.shape}; positions (column, row) of shape (n, 2) are needed")
+    if direction.ndim != 2 or direction.shape[1] != 3:
+        raise DomainError(f"catalogue_direction has shape {direction.shape}; unit vectors of shape (m, 3) are needed")
+    length = np.sqrt(np.einsum("mi,mi->m", direction, direction))
+    if not (np.abs(length - 1) < 1e-6).all():
+        row = int(np.flatnonzero(~(np.abs(length - 1) < 1e-6))[0])
+        raise DomainError(f"catalogue_direction: row {row} has length {length[row]:.6g}; unit vectors are needed")
+    if not isinstance(attitude, Rotation) or not attitude.single:
+        raise DomainError("attitude: one scipy Rotation, cam from reference, is needed")
+    if not (np.isfinite(radius_px) and radius_px > 0):
+        raise DomainError(f"radius_px = {radius_px} px; it must be finite and positive")
+    return pixel, direction
+
+
+def _pixel_angle_rad(model: CameraModel) -> float:
+    """Angle of a pixel in the middle of the detector [rad]."""
+    middle = model.geometry.centre_px
+    ray = model.unproject(middle + np.array([[-0.5, 0.0], [0.5, 0.0]]))
+    return float(np.linalg.norm(ray[1] - ray[0]))
+
+
+def _pairs_within(
+    pixel: FloatArray, direction: FloatArray, attitude: Rotation, model: CameraModel, radius_px: float, band: int
+) -> _Pairs:
+    corners = model.unproject(model.geometry.corners_px)
+    axis_cosine = np.nanmin(np.append(corners[:, 2], 1.0))
+    # A little more than the field, so that the exact question is asked of few stars only.
+    reach = 1.2 * np.arccos(np.clip(axis_cosine, -1.0, 1.0)) + radius_px * _pixel_angle_rad(model)
+    boresight = attitude.inv().apply([0.0, 0.0, 1.0])
+    near = np.flatnonzero(direction @ boresight >= np.cos(min(reach, np.pi)))
+    v_cam = attitude.apply(direction[near]) if len(near) else np.empty((0, 3))
+    kept = model.visible(v_cam, band, margin_px=radius_px)
+    near, place = near[kept], model.project(v_cam[kept], band)
+    on_detector = int(np.count_nonzero(model.geometry.contains(place)))
+    usable = np.flatnonzero(np.isfinite(pixel).all(axis=1))
+    if not len(near) or not len(usable):
+        return _Pairs(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), on_detector)
+    close = cKDTree(pixel[usable]).sparse_distance_matrix(cKDTree(place), radius_px, output_type="ndarray")
+    order = np.lexsort((close["j"], close["i"]))
+    return _Pairs(usable[close["i"][order]], near[close["j"][order]], close["v"][order], on_detector)
+
+
+def _one_to_one(pairs: _Pairs, detections: int, stars: int) -> Association:
+    alone = np.bincount(pairs.detected, minlength=detections)[pairs.detected] == 1
+    alone &= np.bincount(pairs.catalogue, minlength=stars)[pairs.catalogue] == 1
+    return Association(
+        detected=pairs.detected[alone],
+        catalogue=pairs.catalogue[alone],
+        distance_px=pairs.distance_px[alone],
+        ambiguous=np.unique(pairs.detected[~alone]),
+        in_field=pairs.in_field,
+    )
+
+
+def _match(
+    pixel: FloatArray,
+    direction: FloatArray,
+    attitude: Rotation,
+    model: CameraModel,
+    radius_px: float,
+    tolerance_px: float,
+    band: int,
+) -> StarMatch:
+    v_cam = _unprojected(pixel, model, band)
+    known = np.asarray(np.isfinite(v_cam).all(axis=1))
+    pixel, usable = np.where(known[:, None], pixel, np.nan), int(np.count_nonzero(known))
+    pairs = _pairs_within(pixel, direction, attitude, model, radius_px, band)
+    stars = len(np.unique(pairs.catalogue))
+    if usable < 3 or min(stars, len(np.unique(pairs.detected))) < 3:
+        return _unmatched(
+            "too_few",
+            f"{usable} usable detections and {stars} catalogue stars within {radius_px:g} px of one of them: at least "
+            "3 of both are needed",
+        )
+    tolerance_rad = tolerance_px * _pixel_angle_rad(model)
+    best, tried = _best_proposal(v_cam[pairs.detected], direction[pairs.catalogue], pairs, tolerance_rad)
+    association, solution = _refined(pixel, v_cam, direction, best, model, tolerance_px, band)
+    area = model.geometry.width_px * model.geometry.height_px
+    chance_each = min(1.0, association.in_field * np.pi * tolerance_px**2 / area)
+    chance = _chance(len(association), usable, chance_each, tried)
+    if solution is None or chance > CHANCE_LIMIT or solution.status == "degenerate":
+        return _unmatched(
+            "no_match",
+            f"no attitude near the given one explains the {usable} detections: {len(association)} match, which chance "
+            f"gives with probability {chance:.2g}; a wider radius_px, a better camera model or attitude is needed",
+            chance,
+        )
+    return StarMatch(
+        status="matched",
+        message=f"{len(association)} of {usable} detections matched, {len(association.ambiguous)} ambiguous",
+        association=association,
+        attitude=solution,
+        chance=chance,
+    )
+
+
+_NOTHING = Association(
+    detected=np.empty(0, np.int64),
+    catalogue=np.empty(0, np.int64),
+    distance_px=np.empty(0),
+    ambiguous=np.empty(0, np.int64),
+    in_field=0,
+)
+
+
+def _unmatched(status: str, message: str, chance: float = 1.0) -> StarMatch:
+    return StarMatch(status=status, message=message, association=_NOTHING, attitude=None, chance=chance)
+
+
+def _unprojected(pixel: FloatArray, model: CameraModel, band: int) -> FloatArray:
+    """Directions (n, 3) of the detections, NaN where there is none."""
+    v_cam = np.full((len(pixel), 3), np.nan)
+    finite = np.isfinite(pixel).all(axis=1)
+    v_cam[finite] = model.unproject(pixel[finite], band)
+    return v_cam
+
+
+def _refined(
+    pixel: FloatArray,
+    v_cam: FloatArray,
+    direction: FloatArray,
+    attitude: Rotation | None,
+    model: CameraModel,
+    tolerance_px: float,
+    band: int,
+) -> tuple[Association, AttitudeSolution | None]:
+    """Association and attitude in turn, until the matches stay; no attitude from fewer than three."""
+    association: Association = _NOTHING
+    solution: AttitudeSolution | None = None
+    for _ in range(MAX_ROUNDS if attitude is not None else 0):
+        assert attitude is not None
+        pairs = _pairs_within(pixel, direction, attitude, model, tolerance_px, band)
+        previous, association = association, _one_to_one(pairs, len(pixel), len(direction))
+        if len(association) < 3:
+            return association, None
+        solution = solve_wahba(v_cam[association.detected], direction[association.catalogue])
+        attitude = solution.rotation
+        if np.array_equal(previous.detected, association.detected) and np.array_equal(
+            previous.catalogue, association.catalogue
+        ):
+            break
+    return association, solution
+
+
+def _chance(matches: int, detections: int, each: float, tried: int) -> float:
+    """Probability that chance matches so many beyond the two that fix the attitude, in as many trials."""
+    if matches < 3:
+        return 1.0
+    return float(min(1.0, max(tried, 1) * bdtrc(matches - 3, detections - 2, each)))
+
+
+def _best_proposal(
+    v_cam: FloatArray, v_ref: FloatArray, pairs: _Pairs, tolerance_rad: float
+) -> tuple[Rotation | None, int]:
+    """The attitude, proposed by two of the candidates (c, 3), that explains most detections, and their number."""
+    some = _evenly(len(v_cam), MAX_CANDIDATES)
+    first, second = np.triu_indices(len(some), 1)
+    first, second = some[first], some[second]
+    different = (pairs.detected[first] != pairs.detected[second]) & (pairs.catalogue[first] != pairs.catalogue[second])
+    first, second = first[different], second[different]
+    in_camera = np.linalg.norm(v_cam[first] - v_cam[second], axis=1)
+    in_catalogue = np.linalg.norm(v_ref[first] - v_ref[second], axis=1)
+    # Both ends may be off by the tolerance. Short baselines say too little about the roll.
+    equal = (np.abs(in_camera - in_catalogue) < 2 * tolerance_rad) & (in_camera > 20 * tolerance_rad)
+    first, second = first[equal], second[equal]
+    chosen = _evenly(len(first), MAX_PROPOSALS)
+    if not len(chosen):
+        return None, 0
+    rows = np.stack([first[chosen], second[chosen]], axis=1).ravel()
+    solved = solve_wahba_many(v_cam[rows], v_ref[rows], np.repeat(np.arange(len(chosen)), 2))
+    matrix = solved.rotation.as_matrix()
+    # |v_cam - R v_ref|^2 = 2 - 2 v_cam . R v_ref, as one product of (proposals, 9) and (9, candidates).
+    outer = (v_cam[:, :, None] * v_ref[:, None, :]).reshape(-1, 9)
+    miss2 = np.maximum(2.0 - 2.0 * matrix.reshape(-1, 9) @ outer.T, 0.0)
+    # Twice the tolerance: the two stars that made a proposal carry their own errors across the field.
+    score = np.maximum(1.0 - miss2 / (2 * tolerance_rad) ** 2, 0.0)
+    starts = np.flatnonzero(np.diff(pairs.detected, prepend=-1))
+    total = np.maximum.reduceat(score, starts, axis=1).sum(axis=1)
+    return Rotation.from_matrix(matrix[int(np.argmax(total))]), len(chosen)
+
+
+def _evenly(count: int, limit: int) -> IntArray:
+    """At most ``limit`` of the numbers 0 to count - 1, evenly spread."""
+    if count <= limit:
+        return np.arange(count)
+    return np.asarray(np.linspace(0, count - 1, limit).round(), np.int64)

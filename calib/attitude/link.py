@@ -1,0 +1,130 @@
+"""Attitude angles of ACF17, and the link of the frames through a gyro.
+
+Angles (eq. 1-2). An attitude C from frame i to frame S, ``v_S = C v_i``, is
+
+    C = R_y(a2) R_x(a1) R_z(a3),
+
+    R_x(a) = [[1, 0, 0], [0, cos a, sin a], [0, -sin a, cos a]]
+    R_y(a) = [[cos a, 0, -sin a], [0, 1, 0], [sin a, 0, cos a]]
+    R_z(a) = [[cos a, sin a, 0], [-sin a, cos a, 0], [0, 0, 1]]
+
+which turn the frame, not the vector. At a1 = +-90 deg only a3 -+ a2 is defined. The initial attitude has the angles
+phi, the installation (camera from gyro body, C_b_to_S) the angles theta.
+
+Link (eq. 6). The gyro tells how its body turned, G_k = C_b1_to_bk; with the installation A and the attitude R_1 of the
+camera in the first frame,
+
+    R_k = (A G_k A^T) R_1.
+
+The printed text of ACF17 calls C_i_to_S the matrix "from S to i"; eq. 1 says what is meant.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+
+__all__ = [
+    "angles_of_rotation",
+    "exponential",
+    "increment_per_angle",
+    "link_attitudes",
+    "right_jacobian",
+    "rotation_of_angles",
+    "skew",
+]
+
+
+def rotation_of_angles(angle_rad: ArrayLike) -> Rotation:
+    """Rotation R_y(a2) R_x(a1) R_z(a3) of angles (3,) or (n, 3) [rad].
+
+    Raises
+    ------
+    DomainError
+        On a wrong shape or values that are not finite.
+    """
+    angle = np.asarray(angle_rad, dtype=np.float64)
+    if angle.ndim not in (1, 2) or angle.shape[-1] != 3 or not np.all(np.isfinite(angle)):
+        raise DomainError(f"attitude angles of shape {angle.shape}: three finite angles [rad] are needed")
+    # the matrices turn frames: R_x(a) is the rotation of vectors by -a
+    return Rotation.from_euler("YXZ", -angle[..., [1, 0, 2]])
+
+
+def angles_of_rotation(rotation: Rotation) -> FloatArray:
+    """Angles (3,) or (n, 3) [rad] of a rotation: a1 in [-90, 90] deg, a2 and a3 in (-180, 180] deg.
+
+    At a1 = +-90 deg, where only their sum or difference is defined, a3 is what is left when a2 = 0.
+    """
+    c = rotation.as_matrix()
+    a1 = np.arcsin(np.clip(c[..., 1, 2], -1.0, 1.0))
+    locked = np.hypot(c[..., 1, 0], c[..., 1, 1]) < 1e-12
+    a2 = np.where(locked, 0.0, np.arctan2(-c[..., 0, 2], c[..., 2, 2]))
+    a3 = np.where(locked, np.arctan2(c[..., 0, 1], c[..., 0, 0]), np.arctan2(-c[..., 1, 0], c[..., 1, 1]))
+    return np.stack([a1, a2, a3], axis=-1)
+
+
+def increment_per_angle(angle_rad: ArrayLike) -> FloatArray:
+    """Rotation vector, in the turned frame, per change of each angle: (3, 3), ``w = J @ d_angle``.
+
+    C(a + da) = exp([w]x) C(a); a frame rotation by da2 about y is the vector rotation -da2 e_y, the one by da1 about x
+    comes after R_y, and so on.
+    """
+    angle = np.asarray(angle_rad, dtype=np.float64)
+    y = rotation_of_angles([0.0, angle[1], 0.0])
+    yx = rotation_of_angles([angle[0], angle[1], 0.0])
+    return -np.column_stack([y.apply([1.0, 0.0, 0.0]), [0.0, 1.0, 0.0], yx.apply([0.0, 0.0, 1.0])])
+
+
+def link_attitudes(first: Rotation, installation: Rotation, gyro_rotation: Rotation) -> Rotation:
+    """Attitudes of all frames from the first one (eq. 6): ``R_k = A G_k A^T R_1``.
+
+    Parameters
+    ----------
+    first : Rotation
+        Camera from reference in the first frame.
+    installation : Rotation
+        Camera from gyro body.
+    gyro_rotation : Rotation
+        f rotations, gyro body at frame k from gyro body at the first frame.
+    """
+    return installation * gyro_rotation * installation.inv() * first
+
+
+def skew(v: FloatArray) -> FloatArray:
+    """Matrices (..., 3, 3) with ``skew(v) @ w = v x w``."""
+    out = np.zeros((*v.shape, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    return out
+
+
+def exponential(vector: FloatArray) -> FloatArray:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]; Rodrigues' formula, for the hot path."""
+    cross = skew(vector)
+    angle2 = np.einsum("...i,...i->...", vector, vector)
+    first, second, _ = _series(angle2)
+    return np.asarray(np.eye(3) + first[..., None, None] * cross + second[..., None, None] * (cross @ cross))
+
+
+def right_jacobian(vector: FloatArray) -> FloatArray:
+    """Matrices J (..., 3, 3) with ``exp(v + dv) = exp(v) exp(J dv)`` to first order (Chirikjian 2012, eq. 10.86)."""
+    cross = skew(vector)
+    angle2 = np.einsum("...i,...i->...", vector, vector)
+    _, second, third = _series(angle2)
+    return np.asarray(np.eye(3) - second[..., None, None] * cross + third[..., None, None] * (cross @ cross))
+
+
+def _series(angle2: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """sin a / a, (1 - cos a) / a^2, (a - sin a) / a^3 of squared angles."""
+    small = angle2 < 1e-4
+    a2 = np.where(small, 1.0, angle2)
+    a = np.sqrt(a2)
+    return (
+        np.where(small, 1.0 - angle2 / 6.0 + angle2**2 / 120.0, np.sin(a) / a),
+        np.where(small, 0.5 - angle2 / 24.0 + angle2**2 / 720.0, (1.0 - np.cos(a)) / a2),
+        np.where(small, 1.0 / 6.0 - angle2 / 120.0 + angle2**2 / 5040.0, (a - np.sin(a)) / (a * a2)),
+    )

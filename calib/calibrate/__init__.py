@@ -1,0 +1,1 @@
+"""Calibrations of a camera: observations, estimators, bounds; turntable and cube mirror."""

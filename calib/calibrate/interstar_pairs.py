@@ -1,0 +1,388 @@
+"""Angles between the stars of a frame, as least-squares problems; the mathematics of `calib.calibrate.interstar`.
+
+Frames are padded to the longest one, a missing star being the zero vector: every product with it vanishes, so that no
+mask is needed. With u_i the direction of the measured star i by the present camera and r_i its catalogue direction, the
+misclosure of a pair is
+
+    y_ij = u_i . u_j - r_i . r_j.
+
+Errors e_i of the positions, in units of their sigma, enter it as y_ij = P_ij . e_i + P_ji . e_j with P_ij = T_i^T u_j,
+T_i = d u_i / d pixel times the root of the covariance. In short y = G e: pairs that share a star are correlated, and of
+the n (n - 1) / 2 pairs of a frame only 2 n - 3 are independent.
+
+Full weighting. The covariance G G^T of all pairs is singular; the weighted sum of squares is that of its
+pseudo-inverse,
+
+    y^T (G G^T)^+ y = |z|^2,     z = G^+ y = (G^T G)^+ G^T y,
+
+with one 2-vector z_i per star: the smallest position errors that explain all misclosures. The null vectors of G^T G are
+the three turns of the frame as a whole, N: z = (G^T G + c N N^T)^-1 G^T y. With M the sum of u u^T over the frame,
+
+    (G^T G)_ii = T_i^T M T_i,     (G^T G)_ij = T_i^T u_j u_i^T T_j = A_i S A_j^T,
+
+A_i the nine products of T_i and u_i, and S the exchange of their two factors: two-by-two blocks D plus F K F^T of rank
+12, F = [A, N], whose inverse is Woodbury's, D^-1 - D^-1 F (K^-1 + F^T D^-1 F)^-1 F^T D^-1. The full weighting of all
+pairs costs one (12, 12) system per frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calib.calibrate.observations import Observations
+from calib.cameras.base import CameraModel, unproject_jacobian
+from calib.fitting.arrow import ArrowSystem, Step
+from optics.arrays import BoolArray, FloatArray, IntArray
+from optics.errors import DomainError
+
+__all__ = ["PairProblem", "Pairs", "StarFrames", "WeightedPairProblem", "pair_covariance"]
+
+Pairs = Literal["all", "consecutive"]
+
+LARGEST_TABLE = 30_000_000  # entries of frames x stars x stars
+SWAP = np.arange(9).reshape(3, 3).T.ravel()  # (k, l) -> (l, k)
+FLOOR = 1e-10  # of the mean eigenvalue: what is flatter than this is no angle but a line of stars
+
+
+@dataclass(frozen=True, slots=True)
+class Directions:
+    """Padded directions by one camera: u (f, n, 3), by parameter (f, n, q, 3), by unit error (f, n, 2, 3)."""
+
+    unit: FloatArray
+    by_parameter: FloatArray
+    by_error: FloatArray
+
+
+class StarFrames:
+    """Stars of frames in padded tables.
+
+    Parameters
+    ----------
+    observations : Observations
+        Measured stars.
+    pairs : {"all", "consecutive"}
+        All pairs of a frame, or each star with the next one of the frame (in the order of the list).
+
+    Raises
+    ------
+    DomainError
+        If the tables would be too large.
+    """
+
+    def __init__(self, observations: Observations, pairs: Pairs) -> None:
+        count = np.bincount(observations.frame, minlength=observations.frames)
+        seen = np.flatnonzero(count)
+        self.observations = observations
+        self.frames, self.longest = len(seen), int(count.max(initial=0))
+        if self.frames * self.longest**2 > LARGEST_TABLE:
+            raise DomainError(
+                f"{self.frames} frames of up to {self.longest} stars are too many pairs at once; keep the brightest "
+                f"{int(np.sqrt(LARGEST_TABLE / self.frames))} stars of each frame"
+            )
+        order = np.argsort(observations.frame, kind="stable")
+        first = np.concatenate([[0], np.cumsum(count)[:-1]])
+        self.rank = np.empty(len(order), dtype=np.int64)
+        self.rank[order] = np.arange(len(order)) - first[observations.frame[order]]
+        self.table = np.searchsorted(seen, observations.frame)
+        self.error_root = np.linalg.cholesky(observations.covariance_px2)
+        reference = self.padded(observations.direction)
+        self.cosine = reference @ reference.swapaxes(1, 2)
+        size = count[seen]
+        self.every = pairs == "all"
+        i, j = np.triu_indices(self.longest, 1)
+        if pairs == "all":
+            frame, which = np.nonzero(j[None, :] < size[:, None])
+            self.pair = (frame, i[which], j[which])
+        else:
+            place = np.arange(self.longest)
+            frame, one = np.nonzero((place < np.where(size > 2, size, 1)[:, None]) & (size > 1)[:, None])
+            self.pair = (frame, one, (one + 1) % size[frame])
+
+    def padded(self, values: FloatArray) -> FloatArray:
+        """Values (m, ...) of the stars in a table (f, n, ...), zero where there is no star."""
+        out = np.zeros((self.frames, self.longest, *values.shape[1:]))
+        out[self.table, self.rank] = values
+        return out
+
+    def directions(self, model: CameraModel, free: BoolArray) -> Directions | None:
+        """Directions by a camera, with derivatives; None where a pixel has no direction."""
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # a camera on its way may fold the image
+            seen = unproject_jacobian(model, self.observations.pixel_px, self.observations.band)
+        if not (np.isfinite(seen.direction).all() and np.isfinite(seen.by_parameter).all()):
+            return None
+        return Directions(
+            self.padded(seen.direction),
+            self.padded(seen.by_parameter[:, :, free].swapaxes(1, 2)),
+            self.padded((seen.by_pixel @ self.error_root).swapaxes(1, 2)),
+        )
+
+    def misclosure(self, unit: FloatArray) -> FloatArray:
+        """y (f, n, n)."""
+        return unit @ unit.swapaxes(1, 2) - self.cosine
+
+    def weight_table(self, weight: FloatArray) -> FloatArray | None:
+        """Symmetric weights (f, n, n) of the chosen pairs from theirs (m,); None where all pairs count the same."""
+        if self.every and bool(np.all(weight == 1.0)):
+            return None
+        f, i, j = self.pair
+        table = np.zeros((self.frames, self.longest, self.longest))
+        table[f, i, j] += weight
+        table[f, j, i] += weight
+        return table
+
+    def pair_rows(self, seen: Directions) -> FloatArray:
+        """Derivatives of the misclosures of the chosen pairs by the parameters (m, q)."""
+        f, i, j = self.pair
+        first, second = f * self.longest + i, f * self.longest + j
+        q = seen.by_parameter.shape[2]
+        out = np.zeros((len(f), q))
+        for k in range(3):
+            moved = np.ascontiguousarray(seen.by_parameter[..., k]).reshape(-1, q)
+            unit = np.ascontiguousarray(seen.unit[..., k]).ravel()
+            out += moved[first] * unit[second, None]
+            out += moved[second] * unit[first, None]
+        return out
+
+    def normal_equations(self, seen: Directions, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """J^T W J (q, q) and J^T W y (q,) of the chosen pairs with weights (m,).
+
+        With X_ijq = (d u_i / d q) . u_j, the row of a pair is X_ijq + X_jiq, and the sum over all pairs is that of
+        X_ijq (X_ijr + X_jir) over all (i, j). With equal weights the sums over j are (3, 3) matrices.
+        """
+        y = self.misclosure(seen.unit)
+        if not (self.every and bool(np.all(weight == 1.0))):
+            rows = self.pair_rows(seen)
+            weighted = rows * weight[:, None]
+            return rows.T @ weighted, weighted.T @ y[self.pair]
+        frames, n, q, _ = seen.by_parameter.shape
+        square = seen.unit.swapaxes(1, 2) @ seen.unit
+        onto = (seen.by_parameter.reshape(frames, n * q, 3) @ square).reshape(frames, n, q, 3)
+        cross = _crossed(seen)
+        normal = np.tensordot(seen.by_parameter, onto, axes=([0, 1, 3], [0, 1, 3]))
+        normal += np.tensordot(cross, cross, axes=([0, 2, 3], [0, 3, 2]))
+        return normal, np.tensordot(seen.by_parameter, y @ seen.unit, axes=([0, 1, 3], [0, 1, 2]))
+
+    def reach(self, seen: Directions, table: FloatArray | None) -> FloatArray:
+        """J^T W G (q, 2 f n): how unit position errors move the gradient."""
+        frames, n, q, _ = seen.by_parameter.shape
+        if table is None:
+            square = seen.unit.swapaxes(1, 2) @ seen.unit
+            own = (seen.by_parameter.reshape(frames, n * q, 3) @ square).reshape(frames, n, q, 3)
+            own = own + np.einsum("fqkl,fil->fiqk", _crossed(seen).swapaxes(2, 3), seen.unit)
+        else:
+            half = seen.by_parameter.reshape(frames, n * q, 3) @ seen.unit.swapaxes(1, 2)
+            half = half.reshape(frames, n, q, n)
+            both = (half + half.transpose(0, 3, 2, 1)) * table[:, :, None, :]
+            own = (both.reshape(frames, n * q, n) @ seen.unit).reshape(frames, n, q, 3)
+        moved = own @ seen.by_error.swapaxes(2, 3)  # (f, n, q, 2)
+        return np.asarray(moved.transpose(2, 0, 1, 3).reshape(q, -1))
+
+
+def _crossed(seen: Directions) -> FloatArray:
+    """K (f, q, 3, 3), the sum over stars of (d u / d q) u^T."""
+    frames, n, q, _ = seen.by_parameter.shape
+    flat = seen.by_parameter.reshape(frames, n, 3 * q).swapaxes(1, 2) @ seen.unit
+    return np.asarray(flat.reshape(frames, q, 3, 3))
+
+
+def _inverse2(matrix: FloatArray) -> FloatArray:
+    """Inverses of (..., 2, 2)."""
+    a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
+    determinant = a * d - b * c
+    out = np.empty_like(matrix)
+    out[..., 0, 0], out[..., 0, 1], out[..., 1, 0], out[..., 1, 1] = d, -b, -c, a
+    return np.asarray(out / determinant[..., None, None])
+
+
+@dataclass(frozen=True, slots=True)
+class PairEvaluation:
+    """Residuals with what the normal equations need."""
+
+    residual: FloatArray
+    seen: Directions | None
+    penalty: float = 0.0
+
+
+class PairProblem:
+    """Misclosures of pairs with equal weights; the state of the least-squares problem is the camera parameters.
+
+    Parameters
+    ----------
+    stars : StarFrames
+        Stars and pairs.
+    model : CameraModel
+        Layout of the camera.
+    free : (p,) bool
+        Parameters that move.
+    sigma : float
+        Typical standard deviation of a misclosure, the same for all: it scales residuals, not weights.
+    """
+
+    def __init__(self, stars: StarFrames, model: CameraModel, free: BoolArray, sigma: float) -> None:
+        self.stars, self.model, self.free, self.sigma = stars, model, free, sigma
+        self.names = tuple(n for n, moves in zip(model.parameter_names, free, strict=True) if moves)
+        self.unknowns, self.prior_terms = len(self.names), 0
+
+    def evaluate(self, state: FloatArray) -> PairEvaluation:
+        """Misclosures over the typical sigma (m, 1)."""
+        seen = self.stars.directions(self.model.with_parameters(state), self.free) if np.isfinite(state).all() else None
+        if seen is None:
+            return PairEvaluation(np.full((len(self.stars.pair[0]), 1), np.nan), None)
+        return PairEvaluation(self.stars.misclosure(seen.unit)[self.stars.pair][:, None] / self.sigma, seen)
+
+    def system(self, evaluation: PairEvaluation, weight: FloatArray) -> ArrowSystem:
+        """Normal equations."""
+        assert evaluation.seen is not None
+        normal, gradient = self.stars.normal_equations(evaluation.seen, weight)
+        return ArrowSystem(common=normal / self.sigma**2, gradient=gradient / self.sigma**2)
+
+    def move(self, state: FloatArray, step: Step) -> FloatArray:
+        """Parameters after a step."""
+        out = state.copy()
+        out[self.free] += step.common
+        return out
+
+    def reported(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The free parameters."""
+        return state[self.free], np.eye(self.unknowns)
+
+
+def typical_sigma(stars: StarFrames, seen: Directions) -> float:
+    """Root mean variance of the misclosures of the chosen pairs, from the position errors."""
+    f, i, j = stars.pair
+    if stars.every:  # the sum over partners is a (3, 3) matrix
+        square = seen.unit.swapaxes(1, 2) @ seen.unit
+        variance = float(np.sum((seen.by_error @ square[:, None]) * seen.by_error)) / len(f)
+        return float(np.sqrt(variance)) if variance > 0 else 1.0
+    one = np.einsum("mak,mk->ma", seen.by_error[f, i], seen.unit[f, j])
+    other = np.einsum("mak,mk->ma", seen.by_error[f, j], seen.unit[f, i])
+    return float(np.sqrt(np.mean(np.sum(one**2 + other**2, axis=1)))) or 1.0
+
+
+def pair_covariance(problem: PairProblem, evaluation: PairEvaluation, weight: FloatArray) -> FloatArray:
+    """Covariance of the parameters from equally weighted pairs, correlations between pairs included.
+
+    The estimate is (J^T W J)^-1 J^T W y, and y = G e with unit e, so that its covariance is S S^T with S = (J^T W J)^-1
+    J^T W G. Equal weights are not the right ones; the inverse normal matrix alone would be too small, since it counts
+    every pair as new information.
+
+    Returns
+    -------
+    (q, q)
+        Covariance; infinite diagonal where the normal matrix is singular.
+    """
+    seen = evaluation.seen
+    assert seen is not None
+    table = problem.stars.weight_table(weight)
+    reach = problem.stars.reach(seen, table)
+    normal, _ = problem.stars.normal_equations(seen, weight)
+    scale = np.sqrt(np.maximum(np.diagonal(normal), 0.0))
+    if not np.all(scale > 0):
+        return np.diag(np.full(problem.unknowns, np.inf))
+    value, vector = np.linalg.eigh(normal / np.outer(scale, scale))
+    if not value[0] > 1e-13 * value[-1]:
+        return np.diag(np.full(problem.unknowns, np.inf))
+    inverse = (vector / value) @ vector.T / np.outer(scale, scale)
+    root = inverse @ reach
+    return np.asarray(root @ root.T)
+
+
+class WeightedPairProblem:
+    """All pairs of every frame, weighted by the pseudo-inverse of their covariance, taken at one camera and kept.
+
+    Parameters
+    ----------
+    stars : StarFrames
+        Stars.
+    model : CameraModel
+        Camera at which the weights are taken.
+    free : (p,) bool
+        Parameters that move.
+    """
+
+    def __init__(self, stars: StarFrames, model: CameraModel, free: BoolArray) -> None:
+        self.stars, self.model, self.free = stars, model, free
+        self.names = tuple(n for n, moves in zip(model.parameter_names, free, strict=True) if moves)
+        seen = stars.directions(model, free)
+        if seen is None:
+            raise DomainError("weights of interstar angles: a pixel has no direction by this camera")
+        frames = len(seen.unit)
+        size = np.bincount(stars.table, minlength=frames)
+        # turns of the frames are unknowns in disguise: a frame of n stars gives 2 n - 3 measurements
+        self.unknowns, self.prior_terms = len(self.names) + 3 * frames, 0
+        self._frozen = seen
+        self._blocks, self._low, self._core = self._weights(seen, size)
+
+    def _weights(self, seen: Directions, size: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """D^-1 (f, n, 2, 2), D^-1 F (f, 2n, 12) and (K^-1 + F^T D^-1 F)^-1 (f, 12, 12)."""
+        frames, n, _ = seen.unit.shape
+        tangent = seen.by_error
+        square = seen.unit.swapaxes(1, 2) @ seen.unit
+        blocks = tangent @ square[:, None] @ tangent.swapaxes(2, 3)
+        mean = np.einsum("fiaa->f", blocks) / np.maximum(2 * size, 1)
+        lonely = np.arange(n)[None, :] >= size[:, None]
+        blocks = blocks + np.where(lonely, 1.0, FLOOR * mean[:, None])[:, :, None, None] * np.eye(2)
+        metric = tangent @ tangent.swapaxes(2, 3)
+        metric[lonely] = np.eye(2)
+        # null vectors: the position errors that look like a turn w, e = T^+ (w x u)
+        turn = np.cross(np.eye(3)[None, None], seen.unit[:, :, None, :])
+        null = _inverse2(metric) @ (tangent @ turn.swapaxes(2, 3))
+        product = (tangent[:, :, :, :, None] * seen.unit[:, :, None, None, :]).reshape(frames, n, 2, 9)  # A
+        factor = np.concatenate([product, null], axis=3)
+        inverse = _inverse2(blocks)
+        low = (inverse @ factor).reshape(frames, 2 * n, 12)
+        core = factor.reshape(frames, 2 * n, 12).swapaxes(1, 2) @ low
+        core[:, np.arange(9), SWAP] += 1.0
+        flat = null.reshape(frames, 2 * n, 3)
+        core[:, 9:, 9:] += flat.swapaxes(1, 2) @ flat / mean[:, None, None]
+        return inverse, low, np.asarray(np.linalg.inv(core), np.float64)
+
+    def _weighted(self, right: FloatArray) -> FloatArray:
+        """(G^T G + c N N^T)^-1 times ``right`` (f, n, 2, m), as (f, 2n, m)."""
+        frames, n, _, columns = right.shape
+        pulled = self._low.swapaxes(1, 2) @ right.reshape(frames, 2 * n, columns)
+        own = (self._blocks @ right).reshape(frames, 2 * n, columns)
+        return np.asarray(own - self._low @ (self._core @ pulled))
+
+    def evaluate(self, state: FloatArray) -> PairEvaluation:
+        """z (m, 2), one row per star."""
+        stars = self.stars
+        seen = stars.directions(self.model.with_parameters(state), self.free) if np.isfinite(state).all() else None
+        if seen is None:
+            return PairEvaluation(np.full((len(stars.table), 2), np.nan), None)
+        across = stars.misclosure(seen.unit) @ self._frozen.unit  # misclosures themselves: no digits are lost
+        pulled = self._frozen.by_error @ across[:, :, :, None]
+        z = self._weighted(pulled).reshape(stars.frames, stars.longest, 2)
+        return PairEvaluation(z[stars.table, stars.rank], seen)
+
+    def rows(self, seen: Directions) -> FloatArray:
+        """Derivatives of z by the parameters (f, 2n, q)."""
+        frames, n, q, _ = seen.by_parameter.shape
+        unit = self._frozen.unit
+        own = seen.by_parameter.reshape(frames, n * q, 3) @ (seen.unit.swapaxes(1, 2) @ unit)
+        others = seen.by_parameter.reshape(frames, n, 3 * q).swapaxes(1, 2) @ unit  # sum over j of (d u_j) u_j^T
+        others = seen.unit @ others.reshape(frames, q, 3, 3).transpose(0, 2, 1, 3).reshape(frames, 3, 3 * q)
+        across = own.reshape(frames, n, q, 3) + others.reshape(frames, n, q, 3)
+        return self._weighted(self._frozen.by_error @ across.swapaxes(2, 3))
+
+    def system(self, evaluation: PairEvaluation, weight: FloatArray) -> ArrowSystem:
+        """Normal equations."""
+        assert evaluation.seen is not None
+        stars = self.stars
+        rows = self.rows(evaluation.seen).reshape(-1, self.free.sum())
+        residual = stars.padded(evaluation.residual).reshape(-1)
+        weighted = rows * np.repeat(stars.padded(weight).reshape(-1), 2)[:, None]
+        return ArrowSystem(common=rows.T @ weighted, gradient=weighted.T @ residual)
+
+    def move(self, state: FloatArray, step: Step) -> FloatArray:
+        """Parameters after a step."""
+        out = state.copy()
+        out[self.free] += step.common
+        return out
+
+    def reported(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The free parameters."""
+        return state[self.free], np.eye(len(self.names))

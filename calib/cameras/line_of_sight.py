@@ -1,0 +1,188 @@
+"""How well a calibrated camera knows where its pixels look: the map error, and the map its covariance predicts.
+
+A camera and its attitude can be turned against one another without any star moving; parameters that differ by such a
+turn are equally good. So the map is compared with the truth t_i (unit vectors of the same pixels) after the best
+rotation was removed (Kabsch 1976, Acta Crystallographica A32, 922): with d_i the model's directions,
+
+    R = argmin sum |R d_i - t_i|^2,   e_i = R d_i - t_i.
+
+The same turn is taken out of the prediction. Parameter errors dtheta with covariance C move the directions by
+J_i dtheta (J_i perpendicular to d_i); the small rotation w that fits these movements best, w x d_i = -[d_i] w, is
+
+    w = M^-1 sum [d_i] J_i dtheta,   M = sum of (1 - d_i d_i^T),   [d] v = d x v,
+
+and what remains is K_i dtheta with K_i = J_i + [d_i] M^-1 sum [d_j] J_j. The predicted covariance of e_i is
+K_i C K_i^T. Whatever combination of parameters acts as a rotation drops out of both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from calib.cameras.base import CameraModel, checked_vectors, unproject_jacobian
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.records import freeze
+from optics.units import RAD_ARCSEC
+
+__all__ = ["LineOfSightMap", "best_rotation", "line_of_sight_map"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineOfSightMap:
+    """Errors of the directions of pixels, the best rotation removed.
+
+    Attributes
+    ----------
+    pixel_px : (n, 2)
+        Pixels, (column, row).
+    error_arcsec : (n, 2)
+        Model minus truth, towards increasing column and increasing row, as angles on the sky; NaN where the model has
+        no direction.
+    predicted_sigma_arcsec : (n, 2)
+        Standard deviations of the same from the covariance of the parameters; NaN without a covariance, infinite if it
+        is not finite.
+    rotation : Rotation
+        The rotation that was removed: applied to the model's directions, it brings them closest to the truth.
+    """
+
+    pixel_px: FloatArray
+    error_arcsec: FloatArray
+    predicted_sigma_arcsec: FloatArray
+    rotation: Rotation
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "pixel_px", shape=("n", 2), sizes=sizes)
+        freeze(self, "error_arcsec", shape=("n", 2), finite=False, sizes=sizes)
+        freeze(self, "predicted_sigma_arcsec", shape=("n", 2), finite=False, sizes=sizes)
+
+    @property
+    def rms_arcsec(self) -> float:
+        """Root mean square length of the error, both axes together; NaN if a pixel has no direction."""
+        return float(np.sqrt(np.mean(np.sum(self.error_arcsec**2, axis=1))))
+
+    @property
+    def rms_axis_arcsec(self) -> FloatArray:
+        """Root mean square error towards increasing column and row (2,)."""
+        return np.asarray(np.sqrt(np.mean(self.error_arcsec**2, axis=0)))
+
+    @property
+    def max_arcsec(self) -> float:
+        """Largest length of the error; NaN if a pixel has no direction."""
+        return float(np.max(np.hypot(self.error_arcsec[:, 0], self.error_arcsec[:, 1])))
+
+    @property
+    def predicted_rms_arcsec(self) -> float:
+        """Root of the expected mean square length of the error; compare with `rms_arcsec`."""
+        return float(np.sqrt(np.mean(np.sum(self.predicted_sigma_arcsec**2, axis=1))))
+
+
+def best_rotation(direction: ArrayLike, reference: ArrayLike) -> Rotation:
+    """Rotation that brings unit vectors (n, 3) closest to others in the sense of least squares.
+
+    Raises
+    ------
+    DomainError
+        On fewer than two directions, wrong shapes, or values that are not finite.
+    """
+    a, b = checked_vectors(direction, 3, "direction"), checked_vectors(reference, 3, "reference direction")
+    if len(a) != len(b) or len(a) < 2:
+        raise DomainError(
+            f"{len(a)} directions and {len(b)} references; two or more pairs are needed to fit a rotation"
+        )
+    u, _, vt = np.linalg.svd(b.T @ a)
+    u[:, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))
+    return Rotation.from_matrix(u @ vt)
+
+
+def line_of_sight_map(
+    model: CameraModel,
+    reference_direction: ArrayLike,
+    pixel_px: ArrayLike,
+    *,
+    covariance: ArrayLike | None = None,
+    band: ArrayLike | None = None,
+) -> LineOfSightMap:
+    """Compare the directions of a calibrated camera with true ones, the best rotation removed.
+
+    Parameters
+    ----------
+    model : CameraModel
+        The calibrated camera.
+    reference_direction : (n, 3)
+        True unit vectors of the pixels, in cam or in any frame turned against it.
+    pixel_px : (n, 2)
+        Pixels, (column, row); they also say over what the rotation is fitted and the means are taken, so spread them
+        evenly over the detector (`SensorGeometry.grid_px`).
+    covariance : (p, p), optional
+        Covariance of ``model.parameters``, e.g. ``Calibration.covariance``.
+    band : int or (n,) int, optional
+        Bands, for models that know them.
+
+    Returns
+    -------
+    LineOfSightMap
+        Errors and predicted standard deviations.
+
+    Raises
+    ------
+    DomainError
+        On reference directions that are not unit vectors, wrong shapes, values that are not finite, fewer than two
+        pixels to which the model gives a direction.
+    """
+    pixel = checked_vectors(pixel_px, 2, "pixel_px")
+    truth = checked_vectors(reference_direction, 3, "reference_direction")
+    if len(truth) != len(pixel):
+        raise DomainError(f"{len(truth)} reference directions for {len(pixel)} pixels; one per pixel is needed")
+    length = np.linalg.norm(truth, axis=1)
+    if np.any(np.abs(length - 1.0) > 1e-9):
+        raise DomainError(f"reference_direction: row {np.argmax(np.abs(length - 1.0))} is not a unit vector")
+    if covariance is None:
+        direction, jacobian = model.unproject(pixel, band), None
+    else:
+        direction, _, jacobian = unproject_jacobian(model, pixel, band)
+    known = np.asarray(np.isfinite(direction).all(axis=1))
+    rotation = best_rotation(direction[known], truth[known])
+    # taken in cam, at the model's directions, so that the frame of the truth does not matter
+    axes = _tangent_axes(direction)
+    error = np.einsum("nai,ni->na", axes, direction - truth @ rotation.as_matrix())
+    sigma = np.full(pixel.shape, np.nan)
+    if covariance is not None and jacobian is not None:
+        sigma[known] = _predicted_sigma(direction[known], axes[known], jacobian[known], covariance)
+    return LineOfSightMap(
+        pixel_px=pixel,
+        error_arcsec=error * RAD_ARCSEC,
+        predicted_sigma_arcsec=sigma * RAD_ARCSEC,
+        rotation=rotation,
+    )
+
+
+def _tangent_axes(direction: FloatArray) -> FloatArray:
+    """Unit vectors (n, 2, 3) perpendicular to directions: towards +X as far as possible, and Z cross that."""
+    along = np.array([1.0, 0.0, 0.0]) - direction * direction[:, :1]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return np.stack([along, np.cross(direction, along)], axis=1)
+
+
+def _predicted_sigma(
+    direction: FloatArray, axes: FloatArray, jacobian: FloatArray, covariance: ArrayLike
+) -> FloatArray:
+    """Standard deviations [rad] (n, 2) along the axes, the fitted rotation removed."""
+    spread = np.asarray(covariance, dtype=np.float64)
+    count = jacobian.shape[2]
+    if spread.shape != (count, count):
+        raise DomainError(f"covariance of shape {spread.shape} for a camera with {count} parameters")
+    if not np.all(np.isfinite(spread)):
+        return np.full((len(direction), 2), np.inf)
+    turning = np.cross(direction[:, :, None], jacobian, axis=1)
+    moment = len(direction) * np.eye(3) - direction.T @ direction
+    rotation = np.linalg.solve(moment, turning.sum(axis=0))
+    remaining = jacobian + np.cross(direction[:, :, None], rotation[None, :, :], axis=1)
+    along = np.einsum("nai,nip->nap", axes, remaining)
+    variance = np.einsum("nap,pq,naq->na", along, spread, along, optimize=True)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))

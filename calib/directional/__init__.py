@@ -1,0 +1,1 @@
+"""Directional statistics: the Fisher distribution and whether data follow it."""

@@ -1,0 +1,112 @@
+"""What a fit gives back: values, status, covariance, statistics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optics.arrays import FloatArray
+from optics.errors import DomainError, unknown_name
+from optics.records import freeze
+
+__all__ = ["STATUSES", "Solution"]
+
+
+STATUSES = ("converged", "stalled", "iteration_limit", "singular", "refused")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Solution:
+    """Outcome of a least-squares fit; a fit that failed says so here and raises nothing.
+
+    Attributes
+    ----------
+    value : (p,)
+        Unknowns, in their own units.
+    names : tuple of str
+        Their names, each ending in its unit.
+    covariance : (p, p)
+        Covariance from the noise the data state; infinite on the diagonal for what the data do not determine.
+    status : str
+        "converged"; "stalled" (no step lowers the cost, the gradient is not zero); "iteration_limit"; "singular"
+        (unknowns that the data do not determine); "refused" (nothing was fitted, the message says why).
+    message : str
+        One line on the status.
+    iterations : int
+        Steps tried.
+    chi2 : float
+        Sum of squared whitened residuals.
+    degrees_of_freedom : int
+        Measurements minus unknowns.
+    condition : float
+        Condition number of the scaled Jacobian.
+    residual_pulls : (m,)
+        Residuals over their standard deviations.
+    robust_weight : (k,)
+        Weight, 0 .. 1, that the loss left to each group of residuals (to each star); ones for the linear loss.
+    """
+
+    value: FloatArray
+    names: tuple[str, ...]
+    covariance: FloatArray
+    status: str
+    message: str
+    iterations: int
+    chi2: float
+    degrees_of_freedom: int
+    condition: float
+    residual_pulls: FloatArray
+    robust_weight: FloatArray
+
+    def __post_init__(self) -> None:
+        if self.status not in STATUSES:
+            raise unknown_name("status", self.status, STATUSES)
+        sizes = {"p": len(self.names)}
+        freeze(self, "value", shape=("p",), finite=False, sizes=sizes)
+        freeze(self, "covariance", shape=("p", "p"), finite=False, sizes=sizes)
+        freeze(self, "residual_pulls", shape=("m",), finite=False, sizes=sizes)
+        freeze(self, "robust_weight", shape=("k",), finite=False, sizes=sizes)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the values may be used."""
+        return self.status == "converged"
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Standard deviations (p,)."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance)))
+
+    @property
+    def reduced_chi2(self) -> float:
+        """chi2 per degree of freedom; NaN without any."""
+        return self.chi2 / self.degrees_of_freedom if self.degrees_of_freedom > 0 else float("nan")
+
+    def index(self, name: str) -> int:
+        """Position of an unknown.
+
+        Raises
+        ------
+        ConfigError
+            On an unknown name.
+        """
+        if name not in self.names:
+            raise unknown_name("unknown", name, self.names)
+        return self.names.index(name)
+
+    def pulls(self, truth: ArrayLike) -> FloatArray:
+        """Errors over their predicted standard deviations (p,), NaN for what was held or is not determined.
+
+        Raises
+        ------
+        DomainError
+            On a truth of another length.
+        """
+        true = np.asarray(truth, dtype=np.float64)
+        if true.shape != self.value.shape:
+            raise DomainError(f"truth of shape {true.shape} for {len(self.names)} unknowns")
+        sigma = self.sigma
+        known = (sigma > 0) & np.isfinite(sigma)
+        return np.divide(self.value - true, sigma, out=np.full(true.shape, np.nan), where=known)

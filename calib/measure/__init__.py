@@ -1,0 +1,1 @@
+"""From pixels to stars: background, detection, stamps, centroiders, their bound, circles."""

@@ -1,0 +1,257 @@
+"""Edge of a round spot to a fraction of a pixel: crossings of one brightness along spokes from a rough centre.
+
+Every point of a contour of equal brightness counts, so a spot with a soft edge is located as well as a sharp one: a
+blurred disk that is round has round contours about its own centre. Each spoke is the mean of several rays; around the
+crossing a straight line is fitted to brightness against radius, which uses all pixels there, gives a standard error,
+and leaves the same small error of curvature at every angle, where it changes the radius and not the centre.
+
+Points are measured in a plane (mm on a screen, say); a mapping takes them to pixels, so that a picture taken at an
+angle is measured in the plane and not in its projection, whose ellipses have their centres elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates, uniform_filter1d
+
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.records import freeze
+
+__all__ = ["EdgePoints", "Spokes", "edge_crossings", "sample_spokes", "smoothed"]
+
+
+INTERPOLATED = 2.25
+"""Variance of pixel noise over the mean variance (2/3)^2 that bilinear interpolation leaves of it: samples scatter less
+than pixels, and those closer than a pixel are not independent. Sums over samples scatter as the pixels do."""
+
+POOL = 15
+"""Spokes that share an estimate of the noise."""
+
+Mapping = Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spokes:
+    """Brightness along rays from a centre.
+
+    Attributes
+    ----------
+    centre : (2,)
+        Where they start, in the plane.
+    angle_rad : (k,)
+        Direction of each spoke, the mean of its rays.
+    radius : (m,)
+        Sampled distances.
+    value : (k, m)
+        Mean brightness of a spoke's rays; NaN outside the image.
+    step_px : float
+        Spacing of the samples along a ray in pixels.
+    """
+
+    centre: FloatArray
+    angle_rad: FloatArray
+    radius: FloatArray
+    value: FloatArray
+    step_px: float
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "centre", shape=(2,))
+        freeze(self, "angle_rad", shape=("k",), sizes=sizes)
+        freeze(self, "radius", shape=("m",), sizes=sizes)
+        freeze(self, "value", shape=("k", "m"), finite=False, sizes=sizes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EdgePoints:
+    """Crossings.
+
+    Attributes
+    ----------
+    point : (n, 2)
+        In the plane.
+    sigma : (n,)
+        Standard error across the edge.
+    level : float
+        Brightness of the contour.
+    """
+
+    point: FloatArray
+    sigma: FloatArray
+    level: float
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "point", shape=("n", 2), sizes=sizes)
+        freeze(self, "sigma", shape=("n",), sizes=sizes)
+
+    def __len__(self) -> int:
+        return len(self.point)
+
+    def outside(self, centre: ArrayLike, radius: float) -> EdgePoints:
+        """The points farther than ``radius`` from ``centre``."""
+        keep = np.hypot(*(self.point - np.asarray(centre, float)).T) > radius
+        return EdgePoints(point=self.point[keep], sigma=self.sigma[keep], level=self.level)
+
+
+def sample_spokes(
+    image: ArrayLike,
+    centre: ArrayLike,
+    radius: ArrayLike,
+    *,
+    to_pixel: Mapping | None = None,
+    spokes: int = 120,
+    rays: int = 5,
+) -> Spokes:
+    """Brightness along spokes.
+
+    Parameters
+    ----------
+    image : (h, w)
+        Any brightness.
+    centre : (2,)
+        Where the spokes start, in the plane.
+    radius : (m,)
+        Distances to sample, increasing, in the plane.
+    to_pixel : callable, optional
+        (n, 2) points of the plane -> (n, 2) pixels (column, row); the plane is the image without it.
+    spokes, rays : int
+        Number of spokes, and of rays averaged in each.
+
+    Returns
+    -------
+    Spokes
+
+    Raises
+    ------
+    DomainError
+        On fewer than 8 spokes or radii that do not increase.
+    """
+    brightness = np.asarray(image, np.float64)
+    distance = np.asarray(radius, np.float64)
+    middle = np.asarray(centre, np.float64)
+    if spokes < 8 or rays < 1 or brightness.ndim != 2:
+        raise DomainError(f"spokes = {spokes}, rays = {rays}: at least 8 spokes of 1 ray in an image (h, w) are needed")
+    if distance.ndim != 1 or len(distance) < 5 or not np.all(np.diff(distance) > 0):
+        raise DomainError("at least 5 increasing radii are needed to find an edge")
+    angle = 2 * np.pi * (np.arange(spokes * rays) + 0.5) / (spokes * rays)
+    along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    point = middle + distance[None, :, None] * along[:, None, :]
+    flat = point.reshape(-1, 2)
+    pixel = flat if to_pixel is None else to_pixel(flat)
+    value = map_coordinates(brightness, pixel[:, ::-1].T, order=1, mode="constant", cval=np.nan)
+    return Spokes(
+        centre=middle,
+        angle_rad=angle.reshape(spokes, rays).mean(1),
+        radius=distance,
+        value=value.reshape(spokes, rays, -1).mean(1),
+        step_px=_step_px(pixel.reshape(len(angle), len(distance), 2)),
+    )
+
+
+def _step_px(pixel: FloatArray) -> float:
+    """Mean distance in pixels of neighbouring samples of a ray, for pixels (rays, samples, 2)."""
+    return float(np.mean(np.hypot(*np.moveaxis(np.diff(pixel, axis=1), -1, 0))))
+
+
+def edge_crossings(spokes: Spokes, level: ArrayLike, *, rising: bool, half_width: float) -> EdgePoints:
+    """Where the brightness crosses a level, one point per spoke at most.
+
+    Parameters
+    ----------
+    spokes : Spokes
+        Profiles.
+    level : float or (k,)
+        Brightness sought; one value for a contour, or a value for each spoke.
+    rising : bool
+        False: the outermost crossing where the brightness falls outwards. True: the innermost where it rises.
+    half_width : float
+        A line is fitted to the samples within this distance of the crossing.
+
+    Returns
+    -------
+    EdgePoints
+        Spokes without a crossing, or whose fit window leaves the profile, are left out.
+    """
+    value, radius = spokes.value, spokes.radius
+    wanted = np.broadcast_to(np.asarray(level, float), (len(value),))
+    guess = _first_crossing(smoothed(spokes, half_width), radius, wanted, rising=rising)
+    found, error = np.full(len(value), np.nan), np.full(len(value), np.nan)
+    for _ in range(2):
+        found, error = _line_crossing(value, radius, wanted, guess, half_width)
+        guess = found
+    error = error * np.sqrt(INTERPOLATED / min(spokes.step_px, 1.0))
+    good = np.isfinite(found) & np.isfinite(error) & (error > 0)
+    along = np.stack([np.cos(spokes.angle_rad), np.sin(spokes.angle_rad)], axis=1)
+    return EdgePoints(
+        point=(spokes.centre + found[:, None] * along)[good], sigma=error[good], level=float(np.mean(wanted))
+    )
+
+
+def smoothed(spokes: Spokes, half_width: float) -> FloatArray:
+    """Running means (k, m) of the profiles over ``half_width``; NaN stays NaN."""
+    step = float(np.median(np.diff(spokes.radius)))
+    size = max(round(half_width / step), 1)
+    known = np.isfinite(spokes.value)
+    weight = uniform_filter1d(known.astype(float), size, axis=1, mode="nearest")
+    mean = uniform_filter1d(np.where(known, spokes.value, 0.0), size, axis=1, mode="nearest")
+    return np.where(known, mean / np.maximum(weight, 1e-9), np.nan)
+
+
+def _first_crossing(value: FloatArray, radius: FloatArray, level: FloatArray, *, rising: bool) -> FloatArray:
+    above = value > level[:, None]
+    change = (~above[:, :-1] & above[:, 1:]) if rising else (above[:, :-1] & ~above[:, 1:])
+    change &= np.isfinite(value[:, :-1]) & np.isfinite(value[:, 1:])
+    last = change.shape[1] - 1
+    at = np.argmax(change, axis=1) if rising else last - np.argmax(change[:, ::-1], axis=1)
+    rows = np.arange(len(value))
+    low, high = value[rows, at], value[rows, at + 1]
+    gap = np.where(high != low, high - low, 1.0)
+    place = radius[at] + (level - low) / gap * (radius[at + 1] - radius[at])
+    return np.where(change.any(axis=1), place, np.nan)
+
+
+def _pooled(squares: FloatArray, freedom: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:
+    """Variance about the lines, from each spoke and its neighbours: one alone has too few samples to be weighted by."""
+    size = min(POOL, len(squares))
+    total = uniform_filter1d(np.where(usable, squares, 0.0), size, mode="wrap")
+    known = uniform_filter1d(np.where(usable, freedom, 0.0), size, mode="wrap")
+    return np.asarray(np.maximum(total, 0.0) / np.maximum(known, 1e-9))
+
+
+def _line_crossing(
+    value: FloatArray, radius: FloatArray, level: FloatArray, guess: FloatArray, half_width: float
+) -> tuple[FloatArray, FloatArray]:
+    """Crossing of a line fitted around ``guess``, and its standard error from the scatter about the lines.
+
+    Samples are weighted by ``1 - (offset / half_width)^2``: with a window that ends abruptly, which samples fall into
+    it would move the crossing from spoke to spoke.
+    """
+    offset = radius[None, :] - guess[:, None]
+    inside = (np.abs(offset) < half_width) & np.isfinite(value)
+    complete = (guess - half_width >= radius[0]) & (guess + half_width <= radius[-1])
+    safe = np.where(inside, offset, 0.0)
+    filled = np.where(inside, value, 0.0)
+    weight = np.where(inside, 1.0 - (safe / half_width) ** 2, 0.0)
+    count, total = inside.sum(1), np.maximum(weight.sum(1), 1e-12)
+    mean_x, mean_y = (weight * safe).sum(1) / total, (weight * filled).sum(1) / total
+    dx, dy = np.where(inside, safe - mean_x[:, None], 0.0), np.where(inside, filled - mean_y[:, None], 0.0)
+    spread = (weight * dx**2).sum(1)
+    known = np.where(spread > 0, spread, 1.0)
+    slope = (weight * dx * dy).sum(1) / known
+    usable = complete & (count >= 4) & (spread > 0) & (np.abs(slope) > 0)
+    divisor = np.where(usable, slope, 1.0)
+    arm = (level - mean_y) / divisor
+    scatter = np.where(inside, dy - slope[:, None] * dx, 0.0)
+    variance = _pooled((scatter**2).sum(1), np.maximum(count - 2, 0), usable)
+    of_mean = (weight**2).sum(1) / total**2
+    of_slope = (weight**2 * dx**2).sum(1) / known**2
+    error = np.sqrt(variance * (of_mean + arm**2 * of_slope)) / np.abs(divisor)
+    shift = mean_x + arm
+    usable &= np.abs(shift) <= half_width
+    return np.where(usable, guess + shift, np.nan), np.where(usable, error, np.nan)

@@ -1,0 +1,195 @@
+"""Effective-PSF maximum likelihood: the star is a known pixel-integrated PSF, shifted and scaled.
+
+Between its samples the PSF is a cubic B-spline. All pixels of a window sit at the same fraction of a sample, because
+the pixel pitch is a whole number of samples; the 16 spline weights are therefore common to the window, and signal and
+derivatives are one small matrix product, (3 x 16) times (16 x pixels), per star and step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy.ndimage import spline_filter
+
+from calib.measure.scoring import fit_stamps
+from calib.records import NoiseModel, Stamps, StarTable
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from render.records import EffectivePsf
+
+__all__ = ["EpsfBank", "EpsfCentroider", "cubic_weights", "draw_epsf"]
+
+
+class EpsfBank:
+    """Spline coefficients of one or several effective PSFs of equal oversampling, laid out for fast lookup.
+
+    Parameters
+    ----------
+    psfs : sequence of EffectivePsf
+        The PSFs; smaller ones are padded with zeros, larger ones cut to what the window can see.
+    window : tuple of int
+        Rows and columns of the stamps.
+
+    Raises
+    ------
+    DomainError
+        If there is none, or the oversamplings differ.
+    """
+
+    def __init__(self, psfs: Sequence[EffectivePsf], window: tuple[int, int]) -> None:
+        if not psfs:
+            raise DomainError("no EffectivePsf given; at least one is needed")
+        factors = {psf.oversampling for psf in psfs}
+        if len(factors) != 1:
+            raise DomainError(f"EffectivePsf oversamplings {sorted(factors)} differ; one value for all is needed")
+        self.oversampling = factors.pop()
+        self.window = window
+        step = self.oversampling
+        # whole pixels, for the phases: a star may lie three pixels beyond any edge of the window
+        self.origin = (max(window) + 4) * step
+        length = 2 * self.origin + step
+        coefficients = np.zeros((len(psfs), length, length))
+        for row, psf in enumerate(psfs):
+            margin = 12  # the spline's prefilter decays as 0.27^k: 1e-7 at the seam
+            padded = np.pad(psf.values, margin)
+            first = self.origin - len(psf.values) // 2 - margin
+            low = max(0, -first)
+            inner = spline_filter(padded, order=3, mode="mirror")
+            inner = inner[low : len(padded) - low, low : len(padded) - low]
+            coefficients[row, first + low :, first + low :][: len(inner), : len(inner)] = inner
+        pixels = length // step
+        phases = coefficients.reshape(len(psfs), pixels, step, pixels, step).transpose(0, 2, 4, 1, 3)
+        self._patches = sliding_window_view(np.ascontiguousarray(phases), window, axis=(3, 4))
+        self._last = np.array(self._patches.shape[3:5]) * step - 4
+
+    def __len__(self) -> int:
+        return len(self._patches)
+
+    def locate(self, x: FloatArray, y: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+        """First spline coefficient (n, 2) as (row, column) and fraction of a sample (n, 2) for stars in the window."""
+        place = self.origin - np.column_stack([y, x]) * self.oversampling
+        cell = np.clip(np.floor(np.nan_to_num(place)).astype(np.int64), 1, self._last)
+        return cell, place - cell  # beyond the table the fraction leaves 0 ... 1
+
+    def tables(self, psf_index: NDArray[np.int64], cell: NDArray[np.int64]) -> FloatArray:
+        """The 16 coefficients of every pixel of the window, (n, 16, pixels)."""
+        taps = cell[:, :, None] + np.arange(-1, 3)
+        whole, phase = np.divmod(taps, self.oversampling)
+        patch = self._patches[
+            psf_index[:, None, None],
+            phase[:, 0, :, None],
+            phase[:, 1, None, :],
+            whole[:, 0, :, None],
+            whole[:, 1, None, :],
+        ]
+        return patch.reshape(len(cell), 16, self.window[0] * self.window[1])
+
+    def weights(self, fraction: FloatArray) -> FloatArray:
+        """Weights (n, 3, 16) that turn a table into d/dx, d/dy and value of the PSF; zero for stars beyond it."""
+        inside = np.all((fraction >= 0.0) & (fraction <= 1.0), axis=1)
+        value, slope = cubic_weights(np.where(inside[:, None], fraction, 0.0))
+        value *= inside[:, None, None]
+        slope *= -self.oversampling  # the star moves right, the sample under a pixel moves left
+        out = np.empty((len(fraction), 3, 4, 4))
+        np.multiply(value[:, 0, :, None], slope[:, 1, None, :], out=out[:, 0])
+        np.multiply(slope[:, 0, :, None], value[:, 1, None, :], out=out[:, 1])
+        np.multiply(value[:, 0, :, None], value[:, 1, None, :], out=out[:, 2])
+        return out.reshape(len(fraction), 3, 16)
+
+
+def cubic_weights(t: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Cubic B-spline weights of the four neighbours at fraction ``t`` (...), and their derivatives, (..., 4)."""
+    s = 1.0 - t
+    value = np.stack([s**3, 3 * t**3 - 6 * t**2 + 4, 3 * s**3 - 6 * s**2 + 4, t**3], axis=-1)
+    slope = np.stack([-(s**2), 3 * t**2 - 4 * t, 4 * s - 3 * s**2, t**2], axis=-1)
+    return value / 6.0, slope / 2.0
+
+
+class EpsfModel:
+    """`scoring.PixelModel` of known effective PSFs; keeps each star's coefficients while it stays in its cell."""
+
+    def __init__(self, bank: EpsfBank, psf_index: NDArray[np.int64]) -> None:
+        self.bank = bank
+        self.max_step = np.array([0.5, 0.5, np.inf])
+        self._psf = psf_index
+        self._cell = np.full((len(psf_index), 2), -1)
+        self._table = np.empty((len(psf_index), 16, bank.window[0] * bank.window[1]))
+
+    def evaluate(self, parameters: FloatArray, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+        """Signal and derivatives, see `scoring.PixelModel`."""
+        cell, fraction = self.bank.locate(parameters[:, 0], parameters[:, 1])
+        new = np.flatnonzero(np.any(cell != self._cell[rows], axis=1))
+        if new.size:
+            self._table[rows[new]] = self.bank.tables(self._psf[rows[new]], cell[new])
+            self._cell[rows[new]] = cell[new]
+        table = self._table if len(rows) == len(self._table) else self._table[rows]
+        jacobian = self.bank.weights(fraction) @ table
+        flux = parameters[:, 2, None]
+        jacobian[:, :2] *= flux[:, :, None]
+        return jacobian[:, 2] * flux, jacobian
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpsfCentroider:
+    """Effective-PSF maximum likelihood of x, y and flux (and background), see `calib.measure.scoring`.
+
+    Positions refer to the origin of the `EffectivePsf`; its scale defines the flux.
+
+    Attributes
+    ----------
+    epsf : EffectivePsf or sequence of EffectivePsf
+        The PSF; of several, ``Stamps.psf_index`` picks each star's own.
+    fit_background : bool
+        Fit a constant per star too, instead of trusting ``Stamps.background_e``.
+    max_shift_px : float
+        Farthest plausible distance from the start position; beyond it the star is flagged ``NOT_CONVERGED``.
+    tolerance : float
+        Last step in units of the standard deviation.
+    max_iterations : int
+        Most steps taken.
+    """
+
+    name: ClassVar[str] = "epsf"
+    epsf: EffectivePsf | Sequence[EffectivePsf]
+    fit_background: bool = False
+    max_shift_px: float = 2.0
+    tolerance: float = 0.01
+    max_iterations: int = 30
+
+    def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
+        """Position, flux and covariance of every stamp.
+
+        Raises
+        ------
+        DomainError
+            If ``psf_index`` points beyond the given PSFs.
+        """
+        psfs = (self.epsf,) if isinstance(self.epsf, EffectivePsf) else tuple(self.epsf)
+        bank = EpsfBank(psfs, (stamps.electrons.shape[1], stamps.electrons.shape[2]))
+        if len(stamps) and not (stamps.psf_index.min() >= 0 and stamps.psf_index.max() < len(psfs)):
+            raise DomainError(
+                f"Stamps.psf_index spans {stamps.psf_index.min()} to {stamps.psf_index.max()}; "
+                f"{len(psfs)} PSF(s) are given, indices 0 to {len(psfs) - 1}"
+            )
+        return fit_stamps(
+            stamps,
+            noise,
+            lambda part, rows: EpsfModel(bank, part.psf_index[rows]),
+            np.empty(0),
+            fit_background=self.fit_background,
+            max_shift_px=self.max_shift_px,
+            tolerance=self.tolerance,
+            max_iterations=self.max_iterations,
+        )
+
+
+def draw_epsf(epsf: EffectivePsf, x_px: FloatArray, y_px: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """Images (n, h, w) of unit stars at columns ``x_px`` and rows ``y_px`` (n,) of windows of ``shape`` = (h, w)."""
+    model = EpsfModel(EpsfBank((epsf,), shape), np.zeros(len(x_px), np.int64))
+    theta = np.column_stack([x_px, y_px, np.ones(len(x_px))])
+    return model.evaluate(theta, np.arange(len(x_px)))[0].reshape(len(x_px), *shape)

@@ -1,0 +1,249 @@
+"""Images from elsewhere: our own frames, and FITS files that nobody here made."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from astropy.io import fits
+from astropy.utils.exceptions import AstropyWarning
+from numpy.typing import NDArray
+
+from calib.measure.background import estimate_background
+from calib.records import NoiseModel, SensorImage
+from optics.errors import ConfigError, DomainError
+from render.records import Frame
+
+__all__ = ["image_from_frame", "read_image", "sensor_image"]
+
+_GAIN_KEYS = ("EGAIN", "CCDGAIN", "GAIN")  # electrons per DN
+_READ_NOISE_KEYS = ("RDNOISE", "READNOIS", "ENOISE", "RON")  # electrons
+_SATURATION_KEYS = ("SATURATE", "SATLEVEL", "DATAMAX")  # DN
+_OFFSET_KEY = "OFFSET"  # DN, if the comment says so; elsewhere it is a camera setting
+_EXPOSURE_KEYS = ("EXPTIME", "EXPOSURE")  # s
+
+
+def image_from_frame(frame: Frame) -> SensorImage:
+    """A rendered frame as the inverse model sees it: pixels, masks and the nominal noise model."""
+    return SensorImage(
+        dn=frame.dn.astype(np.float64),
+        valid=~frame.defect,
+        saturated=frame.saturated,
+        noise=NoiseModel(
+            read_noise_e=frame.read_noise_e,
+            gain_dn_per_e=frame.gain_dn_per_e,
+            offset_dn=frame.offset_dn,
+            quantised=True,
+        ),
+        exposure_s=frame.exposure_s,
+        source=f"frame {frame.index}, band {frame.band}",
+    )
+
+
+def sensor_image(
+    dn: NDArray[Any],
+    *,
+    gain_dn_per_e: float | None = None,
+    offset_dn: float | None = None,
+    read_noise_e: float | None = None,
+    saturation_dn: float | None = None,
+    defect: NDArray[np.bool_] | None = None,
+    quantised: bool | None = None,
+    exposure_s: float | None = None,
+    source: str = "array",
+) -> SensorImage:
+    """An array of digital numbers as a `SensorImage`, with what is not known taken from the image itself.
+
+    Unknown gain: 1 DN/e-. Unknown read noise: the noise of the background, less the shot noise of the background if
+    the offset is known. Unknown offset: placed so that background and read noise together give the noise that the
+    background shows. Names of such values are listed in ``assumed``.
+
+    Parameters
+    ----------
+    dn : (h, w)
+        Digital numbers; NaN and infinity mark unusable pixels.
+    gain_dn_per_e, offset_dn, read_noise_e : float, optional
+        Noise model, where known.
+    saturation_dn : float, optional
+        DN from which a pixel counts as saturated; for unsigned integers the largest number there is, if not given.
+    defect : (h, w) bool, optional
+        Known defective pixels.
+    quantised : bool, optional
+        Whether rounding noise counts; if not given, whether all numbers are whole.
+    exposure_s : float, optional
+        Exposure time.
+    source : str
+        Name for messages.
+
+    Raises
+    ------
+    DomainError
+        If the array is not two-dimensional, is empty, holds no finite number or a value is out of range.
+    """
+    array = np.asarray(dn)
+    if array.ndim != 2 or array.size == 0:
+        raise DomainError(f"image {source!r} has shape {array.shape}; two dimensions and at least one pixel are needed")
+    if saturation_dn is None and array.dtype.kind == "u":
+        saturation_dn = float(np.iinfo(array.dtype).max)
+    values = array.astype(np.float64)
+    finite = np.isfinite(values)
+    if not finite.any():
+        raise DomainError(f"image {source!r} holds no finite number; nothing can be measured on it")
+    values = np.where(finite, values, 0.0)
+    saturated = np.zeros(values.shape, bool) if saturation_dn is None else finite & (values >= saturation_dn)
+    valid = finite.copy()
+    if defect is not None:
+        if np.shape(defect) != values.shape:
+            raise DomainError(f"defect has shape {np.shape(defect)}, the image {values.shape}; they must agree")
+        valid &= ~np.asarray(defect, dtype=bool)
+    if quantised is None:
+        quantised = bool(np.all(values == np.rint(values)))
+    stated = {"gain_dn_per_e": gain_dn_per_e, "offset_dn": offset_dn, "read_noise_e": read_noise_e}
+    assumed = tuple(name for name, value in stated.items() if value is None)
+    gain = 1.0 if gain_dn_per_e is None else float(gain_dn_per_e)
+    offset, read_noise = offset_dn, read_noise_e
+    if offset is None or read_noise is None:
+        plain = NoiseModel(read_noise_e=0.0, gain_dn_per_e=gain, offset_dn=offset or 0.0)
+        sky = estimate_background(SensorImage(dn=values, valid=valid, saturated=saturated, noise=plain, source=source))
+        level, sigma = float(np.median(sky.level_e)), float(np.median(sky.sigma_e))
+        if read_noise is None:
+            shot = max(level, 0.0) if offset is not None else 0.0
+            read_noise = float(np.sqrt(max(sigma**2 - shot, 0.0)))
+        if offset is None:
+            offset = gain * (level - max(sigma**2 - read_noise**2, 0.0))
+    noise = NoiseModel(read_noise_e=read_noise, gain_dn_per_e=gain, offset_dn=offset, quantised=quantised)
+    return SensorImage(
+        dn=values,
+        valid=valid,
+        saturated=saturated,
+        noise=noise,
+        assumed=assumed,
+        exposure_s=exposure_s,
+        source=source,
+    )
+
+
+def read_image(
+    path: str | Path,
+    *,
+    hdu: int | str | None = None,
+    plane: int | None = None,
+    gain_dn_per_e: float | None = None,
+    offset_dn: float | None = None,
+    read_noise_e: float | None = None,
+    saturation_dn: float | None = None,
+    defect: NDArray[np.bool_] | None = None,
+) -> SensorImage:
+    """A FITS image of any origin; header keywords are used where they exist and needed nowhere.
+
+    Used keywords: EGAIN or CCDGAIN, or GAIN if its comment speaks of electrons (elsewhere it is a camera setting)
+    [e-/DN]; OFFSET if its comment gives the unit [DN]; RDNOISE, READNOIS, ENOISE or RON [e-]; SATURATE, SATLEVEL or
+    DATAMAX [DN]; EXPTIME or EXPOSURE [s]. BSCALE, BZERO, BLANK and tile compression are undone by astropy. Arguments go
+    before keywords; what neither states is estimated as `sensor_image` says.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    hdu : int or str, optional
+        Extension; the first one that holds an image if not given.
+    plane : int, optional
+        Which image of a cube.
+    gain_dn_per_e, offset_dn, read_noise_e, saturation_dn, defect : optional
+        As in `sensor_image`.
+
+    Returns
+    -------
+    SensorImage
+        Row 0 is the first row of the file; (x, y) = FITS pixel - 1.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing, broken, or holds no image.
+    DomainError
+        If the image holds no finite number.
+    """
+    path = Path(path)
+    data, header = _load(path, hdu)
+    if data.ndim > 2:
+        data = data.reshape(-1, *data.shape[-2:])
+        if plane is None and len(data) > 1:
+            raise ConfigError(f"{path}: holds a cube of {len(data)} images; choose one with plane=0..{len(data) - 1}")
+        if plane is not None and not 0 <= plane < len(data):
+            raise ConfigError(f"{path}: plane {plane} of {len(data)}; choose 0 to {len(data) - 1}")
+        data = data[plane or 0]
+    if data.ndim != 2 or data.size == 0:
+        raise ConfigError(f"{path}: image has shape {data.shape}; two dimensions and at least one pixel are needed")
+    if gain_dn_per_e is None:
+        electrons_per_dn = _gain_keyword(header)
+        gain_dn_per_e = None if electrons_per_dn is None else 1.0 / electrons_per_dn
+    if offset_dn is None and _OFFSET_KEY in header and "[dn]" in str(header.comments[_OFFSET_KEY]).lower():
+        offset_dn = _number(header, (_OFFSET_KEY,))
+    if read_noise_e is None:
+        read_noise_e = _number(header, _READ_NOISE_KEYS)
+    if saturation_dn is None:
+        saturation_dn = _number(header, _SATURATION_KEYS, positive=True)
+    return sensor_image(
+        data,
+        gain_dn_per_e=gain_dn_per_e,
+        offset_dn=offset_dn,
+        read_noise_e=read_noise_e,
+        saturation_dn=saturation_dn,
+        defect=defect,
+        exposure_s=_number(header, _EXPOSURE_KEYS, positive=True),
+        source=path.name,
+    )
+
+
+def _load(path: Path, hdu: int | str | None) -> tuple[NDArray[Any], Any]:
+    """Data and header of an image extension; every failure is one ConfigError line."""
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such FITS file")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AstropyWarning)  # odd headers are not this reader's business
+            warnings.simplefilter("ignore", UserWarning)
+            with fits.open(path, memmap=False) as file:
+                if hdu is not None:
+                    chosen = file[hdu]
+                else:
+                    images = [item for item in file if item.is_image and item.header.get("NAXIS", 0) >= 2]
+                    if not images:
+                        raise ConfigError(f"{path}: holds no image; {len(file)} extension(s) without image data")
+                    chosen = images[0]
+                data = chosen.data
+                header = chosen.header.copy()
+    except ConfigError:
+        raise
+    except Exception as error:  # astropy raises a dozen kinds for broken files
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ConfigError(f"{path}: not a readable FITS image ({reason[:160]})") from None
+    if data is None or not isinstance(data, np.ndarray) or data.dtype.kind not in "iuf":
+        raise ConfigError(f"{path}: extension {hdu if hdu is not None else 0} holds no image")
+    return data, header
+
+
+def _number(header: Any, keys: tuple[str, ...], positive: bool = False) -> float | None:
+    """First usable number among ``keys``; text and nonsense count as absent."""
+    for key in keys:
+        try:
+            value = float(header.get(key))
+        except (TypeError, ValueError, fits.VerifyError):
+            continue
+        if np.isfinite(value) and (value > 0 or (value == 0 and not positive)):
+            return value
+    return None
+
+
+def _gain_keyword(header: Any) -> float | None:
+    for key in _GAIN_KEYS:
+        value = _number(header, (key,), positive=True)
+        if value is None:
+            continue
+        comment = str(header.comments[key]).lower()
+        if key != "GAIN" or "electron" in comment or "e-" in comment or "e/" in comment:
+            return value
+    return None

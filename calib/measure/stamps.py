@@ -1,0 +1,236 @@
+"""Cutting windows around stars, out of an image or out of a windowed readout."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import correlate1d
+from scipy.spatial import cKDTree
+
+from calib.measure.background import Background
+from calib.measure.flags import StarFlag
+from calib.records import NoiseModel, SensorImage, Stamps
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from render.records import WindowStack
+
+__all__ = ["coarse_position", "extract_stamps", "parabola_peak", "ring_background", "stamps_from_windows"]
+
+
+def parabola_peak(before: FloatArray, peak: FloatArray, after: FloatArray) -> FloatArray:
+    """Offset (within +-0.5) of the vertex of the parabola through three equidistant samples, the middle one highest."""
+    curvature = before - 2.0 * peak + after
+    offset = np.divide(0.5 * (before - after), curvature, out=np.zeros_like(peak), where=curvature < 0)
+    return np.clip(offset, -0.5, 0.5)
+
+
+def coarse_position(light: FloatArray, valid: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    """Position of the highest point of each smoothed window, good to about 0.1 px for a star well above the noise.
+
+    Parameters
+    ----------
+    light : (n, h, w)
+        Electrons without background.
+    valid : (n, h, w) bool
+        Pixels that may be used.
+
+    Returns
+    -------
+    x_px, y_px : (n,)
+        Column and row within the window.
+    """
+    kernel = np.array([0.25, 0.5, 0.25])
+    smooth = np.where(valid, light, 0.0)
+    for axis in (1, 2):
+        smooth = correlate1d(smooth, kernel, axis=axis, mode="constant")
+    n, height, width = smooth.shape
+    rows = np.arange(n)
+    top = smooth.reshape(n, -1).argmax(axis=1) if n else np.empty(0, np.int64)
+    y, x = np.divmod(top, width)
+    peak = smooth[rows, y, x]
+    dx = parabola_peak(smooth[rows, y, np.maximum(x - 1, 0)], peak, smooth[rows, y, np.minimum(x + 1, width - 1)])
+    dy = parabola_peak(smooth[rows, np.maximum(y - 1, 0), x], peak, smooth[rows, np.minimum(y + 1, height - 1), x])
+    return x + dx, y + dy
+
+
+def ring_background(electrons: FloatArray, valid: NDArray[np.bool_]) -> FloatArray:
+    """Background of each window [e-] from its outermost ring of pixels: mean after clipping at 3 sigma (MAD).
+
+    The wings of the star raise it; where that matters, hand in a better value or fit the background.
+    """
+    edge = np.ones(electrons.shape[1:], dtype=bool)
+    edge[1:-1, 1:-1] = False
+    ring, usable = electrons[:, edge], valid[:, edge]
+    out = np.zeros(len(electrons))
+    some = usable.any(axis=1)
+    values = np.where(usable, ring, np.nan)[some]
+    median = np.nanmedian(values, axis=1, keepdims=True)
+    spread = 1.4826 * np.nanmedian(np.abs(values - median), axis=1, keepdims=True)
+    keep = np.abs(values - median) <= np.maximum(3.0 * spread, 1e-9)
+    out[some] = np.nanmean(np.where(keep, values, np.nan), axis=1)
+    return out
+
+
+def extract_stamps(
+    image: SensorImage,
+    x_px: ArrayLike,
+    y_px: ArrayLike,
+    *,
+    background: Background | ArrayLike,
+    size_px: int = 11,
+    flags: ArrayLike | None = None,
+    psf_index: ArrayLike | None = None,
+) -> Stamps:
+    """Square windows around given positions.
+
+    A window always has its full size; what lies beyond the image is invalid and sets ``EDGE``. A second position
+    within the window sets ``BLEND`` on both.
+
+    Parameters
+    ----------
+    image : SensorImage
+        The image.
+    x_px, y_px : (n,)
+        Columns and rows, e.g. of `detect`, or predicted ones.
+    background : Background, float or (n,)
+        Expected electrons per pixel without the stars.
+    size_px : int
+        Side of the window, odd, 3 px or more and not larger than the image.
+    flags : (n,) uint32, optional
+        Flags to hand on.
+    psf_index : (n,) int, optional
+        Which PSF belongs to which star.
+
+    Returns
+    -------
+    Stamps
+        n windows, in the given order.
+
+    Raises
+    ------
+    DomainError
+        On a window that is even, too small or larger than the image, and on positions that are not finite.
+    """
+    height, width = image.dn.shape
+    _check_size(size_px, height, width)
+    x, y = (np.atleast_1d(np.asarray(value, dtype=np.float64)) for value in (x_px, y_px))
+    if x.shape != y.shape or x.ndim != 1:
+        raise DomainError(f"x_px and y_px have shapes {x.shape} and {y.shape}; two arrays of equal length are needed")
+    if not np.all(np.isfinite(x) & np.isfinite(y)):
+        bad = int(np.argmin(np.isfinite(x) & np.isfinite(y)))
+        raise DomainError(f"position of star {bad} is ({x[bad]}, {y[bad]}) px; finite values are needed")
+    half = size_px // 2
+    centre = np.rint(np.clip(np.column_stack([x, y]), -1e9, 1e9)).astype(np.int64)
+    columns = centre[:, 0, None] - half + np.arange(size_px)
+    rows = centre[:, 1, None] - half + np.arange(size_px)
+    inside = ((rows >= 0) & (rows < height))[:, :, None] & ((columns >= 0) & (columns < width))[:, None, :]
+    at = (np.clip(rows, 0, height - 1)[:, :, None], np.clip(columns, 0, width - 1)[:, None, :])
+    saturated = image.saturated[at] & inside
+    defect = ~image.valid[at] & inside
+    valid = inside & ~saturated & ~defect
+    electrons = np.where(valid, image.noise.to_electrons(image.dn[at]), 0.0)
+    if isinstance(background, Background):
+        level = background.level_at(x, y)
+    else:
+        level = np.broadcast_to(np.asarray(background, dtype=np.float64), x.shape)
+    found = _window_flags(inside, saturated, defect, valid)
+    found[_crowded(x, y, size_px)] |= int(StarFlag.BLEND)
+    if flags is not None:
+        found |= np.asarray(flags, dtype=np.uint32)
+    return Stamps(
+        electrons=electrons,
+        valid=valid,
+        corner_px=centre - half,
+        background_e=level,
+        start_px=np.column_stack([x, y]),
+        flags=found,
+        psf_index=np.zeros(len(x), np.int64) if psf_index is None else np.asarray(psf_index),
+    )
+
+
+def stamps_from_windows(
+    stack: WindowStack,
+    *,
+    background_e: ArrayLike | None = None,
+    start_px: ArrayLike | None = None,
+    psf_index: ArrayLike | None = None,
+) -> tuple[Stamps, NoiseModel]:
+    """Stamps of a windowed readout of m frames and n windows, frame by frame (row ``frame * n + window``).
+
+    Parameters
+    ----------
+    stack : WindowStack
+        The readout.
+    background_e : float or (n,), optional
+        Expected electrons per pixel without the star; without it, the clipped mean of each window's outermost ring.
+    start_px : (n, 2), optional
+        (column, row) in the full image where to start; without it, the highest point of the smoothed window.
+    psf_index : (n,) int, optional
+        Which PSF belongs to which window.
+
+    Returns
+    -------
+    Stamps, NoiseModel
+        m * n stamps, and the noise model the readout states.
+    """
+    noise = NoiseModel(
+        read_noise_e=stack.read_noise_e,
+        gain_dn_per_e=stack.gain_dn_per_e,
+        offset_dn=stack.offset_dn,
+        quantised=True,
+    )
+    frames, windows, height, width = stack.dn.shape
+    total = frames * windows
+    saturated = stack.saturated.reshape(total, height, width)
+    defect = np.broadcast_to(stack.defect, stack.dn.shape).reshape(total, height, width)
+    valid = ~(saturated | defect)
+    electrons = np.where(valid, noise.to_electrons(stack.dn).reshape(total, height, width), 0.0)
+    corner = np.tile(stack.corner_px, (frames, 1))
+
+    def per_window(values: Any, dtype: type) -> NDArray[Any]:
+        return np.tile(np.broadcast_to(np.asarray(values, dtype=dtype), (windows,)), frames)
+
+    level = ring_background(electrons, valid) if background_e is None else per_window(background_e, float)
+    if start_px is None:
+        x, y = coarse_position(electrons - level[:, None, None], valid)
+        start = np.column_stack([x, y]) + corner
+    else:
+        start = np.tile(np.asarray(start_px, dtype=np.float64), (frames, 1))
+    stamps = Stamps(
+        electrons=electrons,
+        valid=valid,
+        corner_px=corner,
+        background_e=level,
+        start_px=start,
+        flags=_window_flags(np.ones_like(valid), saturated, defect, valid),
+        psf_index=np.zeros(total, np.int64) if psf_index is None else per_window(psf_index, int),
+    )
+    return stamps, noise
+
+
+def _check_size(size_px: int, height: int, width: int) -> None:
+    if size_px < 3 or size_px % 2 == 0:
+        raise DomainError(f"size_px = {size_px} px; a window needs an odd size of at least 3 px")
+    if size_px > min(height, width):
+        raise DomainError(f"size_px = {size_px} px is larger than the image ({width} x {height} px); choose less")
+
+
+def _window_flags(
+    inside: NDArray[np.bool_], saturated: NDArray[np.bool_], defect: NDArray[np.bool_], valid: NDArray[np.bool_]
+) -> NDArray[np.uint32]:
+    flags = np.zeros(len(inside), np.uint32)
+    flags[~inside.all(axis=(1, 2))] |= int(StarFlag.EDGE)
+    flags[saturated.any(axis=(1, 2))] |= int(StarFlag.SATURATED)
+    flags[defect.any(axis=(1, 2))] |= int(StarFlag.DEFECT)
+    flags[~valid.any(axis=(1, 2))] |= int(StarFlag.NO_DATA)
+    return flags
+
+
+def _crowded(x: FloatArray, y: FloatArray, size_px: int) -> NDArray[np.int64]:
+    """Stars that have another one inside their window."""
+    if len(x) < 2:
+        return np.empty(0, np.int64)
+    pairs = cKDTree(np.column_stack([x, y])).query_pairs(0.5 * size_px, p=np.inf, output_type="ndarray")
+    return np.unique(pairs)

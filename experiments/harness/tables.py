@@ -1,0 +1,257 @@
+"""Result tables: one record that becomes a terminal table, a table of the report, or an ECSV file."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from experiments.harness.summary import Measured
+from optics.errors import DomainError
+
+if TYPE_CHECKING:
+    import astropy.table
+    import rich.table
+
+__all__ = ["Column", "Table", "cell_text", "to_astropy", "to_rich", "write_ecsv"]
+
+Cell = str | bool | int | float | Measured | None
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+# How readers see a unit -> how astropy spells it.
+_UNIT_NAMES = {
+    "px": "pix",
+    "px²": "pix2",
+    "e⁻": "electron",
+    "e-": "electron",
+    "DN": "adu",
+    "″": "arcsec",
+    '"': "arcsec",
+    "°": "deg",
+    "µm": "um",
+    "μm": "um",
+    "σ": "",
+    "sigma": "",
+    "%": "percent",
+}
+_MINUS = "\N{MINUS SIGN}"
+_NOTHING = "\N{EN DASH}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """A column of a `Table`.
+
+    Attributes
+    ----------
+    name : str
+        Heading for readers.
+    unit : str
+        Shown under the heading; "" for none.
+    key : str
+        Column name in the ECSV file; made from name and unit if left empty.
+    format : str
+        Format of plain floats, e.g. ".3f"; "" shows four significant digits. `Measured` values follow their
+        uncertainty.
+    """
+
+    name: str
+    unit: str = ""
+    key: str = ""
+    format: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """Rows under headed columns.
+
+    Attributes
+    ----------
+    columns : sequence of Column or str
+        A bare string is a column without unit.
+    rows : sequence of sequence
+        Cells: text, number, bool, `Measured` (value ± uncertainty), or None for an empty cell.
+    caption : str
+        What the table shows.
+    note : str
+        Small print beneath it: what the uncertainties are, the N behind them.
+
+    Raises
+    ------
+    DomainError
+        When a row has not one cell per column.
+    """
+
+    columns: Sequence[Column | str]
+    rows: Sequence[Sequence[Cell]]
+    caption: str = ""
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        columns = tuple(Column(name=column) if isinstance(column, str) else column for column in self.columns)
+        object.__setattr__(self, "columns", columns)
+        object.__setattr__(self, "rows", tuple(tuple(row) for row in self.rows))
+        for number, row in enumerate(self.rows):
+            if len(row) != len(columns):
+                raise DomainError(
+                    f"Table {self.caption!r}: row {number} has {len(row)} cells where {len(columns)} are needed"
+                )
+
+    @property
+    def heads(self) -> tuple[Column, ...]:
+        """The columns, all as `Column`."""
+        return tuple(column for column in self.columns if isinstance(column, Column))
+
+    def numeric(self, index: int) -> bool:
+        """Whether column ``index`` holds numbers only, and is set flush right."""
+        cells = [row[index] for row in self.rows if row[index] is not None]
+        return bool(cells) and not any(isinstance(cell, (str, bool, np.bool_)) for cell in cells)
+
+
+def cell_text(cell: Any, format_spec: str = "") -> str:  # noqa: PLR0911  # one return per type
+    """A cell as text for people: real minus signs, powers of ten, value ± uncertainty, a dash for nothing.
+
+    Parameters
+    ----------
+    cell : str, bool, number, Measured or None
+        Its value; NaN is shown as a dash.
+    format_spec : str
+        Format of plain floats.
+
+    Returns
+    -------
+    str
+        Text.
+    """
+    match cell:
+        case None:
+            return ""
+        case str():
+            return cell
+        case bool() | np.bool_():
+            return "yes" if cell else "no"
+        case Measured():
+            return _measured(cell)
+        case int() | np.integer():
+            return f"{int(cell):,}".replace(",", "\N{THIN SPACE}").replace("-", _MINUS)
+    value = float(cell)
+    if not math.isfinite(value):
+        return _NOTHING if math.isnan(value) else ("∞" if value > 0 else f"{_MINUS}∞")
+    return _typeset(format(value, format_spec)) if format_spec else _significant(value, 4)
+
+
+def to_astropy(table: Table, meta: dict[str, Any] | None = None) -> astropy.table.Table:
+    """The table for machines: full precision, units, one more column ``KEY_error`` where cells carry an uncertainty.
+
+    Parameters
+    ----------
+    table : Table
+        Its `Measured` cells are split into value and uncertainty.
+    meta : dict, optional
+        Written into the header.
+
+    Returns
+    -------
+    astropy.table.Table
+        A new table.
+    """
+    from astropy.table import Column as AstropyColumn
+    from astropy.table import Table as AstropyTable
+
+    result = AstropyTable(meta={"caption": table.caption, "note": table.note, **(meta or {})})
+    for index, column in enumerate(table.heads):
+        cells = [row[index] for row in table.rows]
+        key = column.key or "_".join(re.findall(r"[a-z0-9]+", f"{column.name} {column.unit}".lower()))
+        unit = _machine_unit(column.unit)
+        values = [cell.value if isinstance(cell, Measured) else cell for cell in cells]
+        if table.numeric(index):
+            values = [math.nan if value is None else value for value in values]
+        else:
+            values = ["" if value is None else value for value in values]
+        result[key] = AstropyColumn(values, unit=unit)
+        if any(isinstance(cell, Measured) and cell.uncertainty is not None for cell in cells):
+            errors = [cell.uncertainty if isinstance(cell, Measured) else None for cell in cells]
+            filled = [math.nan if error is None else error for error in errors]
+            result[f"{key}_error"] = AstropyColumn(filled, unit=unit, description="1 sigma")
+    return result
+
+
+def write_ecsv(table: Table | astropy.table.Table, path: Path) -> None:
+    """Write an ECSV file, which astropy, TOPCAT and any CSV reader that skips ``#`` can read.
+
+    Parameters
+    ----------
+    table : Table or astropy.table.Table
+        What to write.
+    path : pathlib.Path
+        File to create.
+    """
+    made = to_astropy(table) if isinstance(table, Table) else table
+    # Importing colour-science switches NumPy's printing to its 1.13 style, 12 digits, which astropy then writes.
+    with np.printoptions(legacy=False):
+        made.write(path, format="ascii.ecsv", delimiter=",")
+
+
+def to_rich(table: Table) -> rich.table.Table:
+    """The table for a terminal."""
+    from rich import box
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    made = RichTable(
+        title=Text(table.caption), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False
+    )
+    for index, column in enumerate(table.heads):
+        head = f"{column.name} [{column.unit}]" if column.unit else column.name
+        made.add_column(Text(head), justify="right" if table.numeric(index) else "left")
+    for row in table.rows:
+        made.add_row(*(Text(cell_text(cell, column.format)) for cell, column in zip(row, table.heads, strict=True)))
+    return made
+
+
+def _machine_unit(shown: str) -> Any:
+    """astropy's unit for one written for readers; an unknown one is kept as text."""
+    from astropy.units import Unit
+
+    return Unit(_UNIT_NAMES.get(shown, shown), parse_strict="silent") if shown else None
+
+
+def _typeset(text: str) -> str:
+    """Real minus signs and powers of ten; no minus before a number that was rounded to zero."""
+    text = re.sub(r"-(?=0(\.0*)?(?![\d.]))", "", text)
+    mantissa, power, exponent = text.partition("e")
+    if power:
+        return f"{mantissa}×10{str(int(exponent)).translate(_SUPERSCRIPT)}".replace("-", _MINUS)
+    return text.replace("-", _MINUS)
+
+
+def _significant(value: float, digits: int) -> str:
+    if value == 0:
+        return "0"
+    exponent = math.floor(math.log10(abs(value)))
+    if -4 <= exponent < 6:
+        return _typeset(f"{value:.{max(0, digits - 1 - exponent)}f}")
+    return _typeset(f"{value:.{digits - 1}e}")
+
+
+def _measured(cell: Measured) -> str:
+    error = cell.uncertainty
+    if not math.isfinite(cell.value):
+        return _NOTHING
+    if error is None or not math.isfinite(error) or error <= 0:
+        return _significant(cell.value, 4)
+    last = math.floor(math.log10(error)) - 1  # two significant digits of the uncertainty
+    if float(f"{error:.1e}") >= 10.0 ** (last + 2):
+        last += 1
+    leading = math.floor(math.log10(max(abs(cell.value), error)))
+    if -4 <= leading < 6 and last <= 0:
+        return _typeset(f"{cell.value:.{-last}f} ± {error:.{-last}f}")
+    scale = 10.0**leading
+    places = max(0, leading - last)
+    power = f"×10{str(leading).translate(_SUPERSCRIPT)}"
+    return _typeset(f"({cell.value / scale:.{places}f} ± {error / scale:.{places}f})") + power

@@ -1,0 +1,1 @@
+"""Refractive index and absorption: the glass catalogue, air, media on any array library."""

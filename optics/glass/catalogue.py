@@ -1,0 +1,494 @@
+r"""Optical glass: one record, a catalogue of published coefficients, and what they say about index and absorption.
+
+Catalogue indices follow Sellmeier's formula and are relative to air at the reference temperature :math:`T_0` of the
+maker (20 C; OHARA 25 C) and 1013.25 hPa:
+
+.. math:: n_{rel}^2(\lambda) = 1 + \sum_j \frac{B_j \lambda^2}{\lambda^2 - C_j}
+
+Against vacuum and at another temperature (SCHOTT TIE-19, *Temperature coefficient of the refractive index*):
+
+.. math:: n_{abs}(\lambda, T) = n_{rel}(\lambda)\, n_{air}(\lambda, T_0) + \frac{n_{rel}^2 - 1}{2 n_{rel}}
+          \left(D_0 \Delta T + D_1 \Delta T^2 + D_2 \Delta T^3
+          + \frac{E_0 \Delta T + E_1 \Delta T^2}{\lambda^2 - \lambda_{TK}^2}\right)
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optics.arrays import FloatArray
+from optics.errors import ConfigError, DomainError, unknown_name
+from optics.glass.air import STANDARD_PRESSURE_HPA, AirFormula, air_index
+from optics.response import Response, checked_wavelength
+
+__all__ = [
+    "Glass",
+    "ThermalDispersion",
+    "get_glass",
+    "glass_from_table",
+    "list_glasses",
+    "sellmeier",
+    "sellmeier_squared",
+    "thermal_change",
+]
+
+
+def sellmeier_squared(wavelength_nm: Any, B: Sequence[Any], C: Sequence[Any]) -> Any:
+    """Squared index by Sellmeier's formula, on any array type with arithmetic.
+
+    Parameters
+    ----------
+    wavelength_nm : array
+        Wavelengths [nm].
+    B : sequence
+        Strengths, one per term.
+    C : sequence
+        Squared resonance wavelengths [um^2].
+
+    Returns
+    -------
+    array
+        Squared index, type and shape of ``wavelength_nm``.
+    """
+    l2 = (wavelength_nm * 1e-3) * (wavelength_nm * 1e-3)
+    n2: Any = 1.0
+    for strength, resonance in zip(B, C, strict=True):
+        n2 = n2 + strength * l2 / (l2 - resonance)
+    return n2
+
+
+def sellmeier(wavelength_nm: ArrayLike, B: Sequence[float], C: Sequence[float]) -> FloatArray:
+    """Index by Sellmeier's formula on NumPy arrays: the root of `sellmeier_squared`, same arguments."""
+    return np.asarray(np.sqrt(sellmeier_squared(np.asarray(wavelength_nm, dtype=np.float64), B, C)))
+
+
+def thermal_change(wavelength_nm: Any, index: Any, volume: Any, strength: Any, resonance: Any) -> Any:
+    """Change of the absolute index by SCHOTT's formula, on any array type; numbers from `ThermalDispersion.terms`."""
+    l2 = (wavelength_nm * 1e-3) * (wavelength_nm * 1e-3)
+    return (index * index - 1.0) / (2.0 * index) * (volume + strength / (l2 - resonance))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThermalDispersion:
+    """Constants of SCHOTT's dn/dT formula.
+
+    Attributes
+    ----------
+    D0, D1, D2 : float
+        [1/K], [1/K^2], [1/K^3].
+    E0, E1 : float
+        [um^2/K], [um^2/K^2].
+    lambda_tk_um : float
+        Mean resonance wavelength [um].
+    range_c : (float, float)
+        Temperatures for which the maker states them [C].
+    """
+
+    D0: float
+    D1: float
+    D2: float
+    E0: float
+    E1: float
+    lambda_tk_um: float
+    range_c: tuple[float, float] = (-100.0, 140.0)
+
+    def __post_init__(self) -> None:
+        values = (self.D0, self.D1, self.D2, self.E0, self.E1, self.lambda_tk_um, *self.range_c)
+        if not np.isfinite(values).all():
+            raise DomainError(f"dn/dT constants {values} hold a value that is not finite")
+
+    def index_change(self, wavelength_nm: ArrayLike, index: ArrayLike, kelvin: float) -> FloatArray:
+        """Change of the absolute index when the glass warms by ``kelvin`` [K]; ``index`` is that at the reference."""
+        wavelength, n = np.asarray(wavelength_nm, dtype=np.float64), np.asarray(index, dtype=np.float64)
+        return np.asarray(thermal_change(wavelength, n, *self.terms(kelvin)))
+
+    def terms(self, kelvin: float) -> tuple[float, float, float]:
+        """The formula's numbers for one temperature step: volume, resonance strength [um^2], resonance [um^2]."""
+        volume = self.D0 * kelvin + self.D1 * kelvin**2 + self.D2 * kelvin**3
+        return volume, self.E0 * kelvin + self.E1 * kelvin**2, self.lambda_tk_um**2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Glass:
+    """An optical material.
+
+    Attributes
+    ----------
+    name, maker, source : str
+        Name in the catalogue, who makes it, where the numbers come from.
+    B, C : tuple of float
+        Sellmeier strengths and squared resonance wavelengths [um^2], one per term.
+    range_nm : (float, float)
+        Wavelengths for which the formula holds [nm].
+    reference_temperature_c : float
+        Temperature of the catalogue index [C].
+    dndt : ThermalDispersion, optional
+        How the absolute index changes with temperature.
+    cte_per_k : float, optional
+        Linear expansion between -30 and +70 C [1/K].
+    density_g_cm3 : float, optional
+        Density.
+    nd, vd : float, optional
+        Printed index at 587.5618 nm and Abbe number; for checks and lists, never used to compute.
+    transmittance : Response, optional
+        Internal transmittance of a plate ``transmittance_mm`` thick.
+    transmittance_mm : float, optional
+        Thickness of that plate [mm].
+
+    Raises
+    ------
+    DomainError
+        B and C of unequal length, a value that is not finite, a resonance inside the range, n^2 below 1.
+    ConfigError
+        No source.
+    """
+
+    name: str
+    source: str
+    B: tuple[float, ...]
+    C: tuple[float, ...]
+    range_nm: tuple[float, float]
+    maker: str = "generic"
+    formula: Literal["sellmeier"] = "sellmeier"
+    reference_temperature_c: float = 20.0
+    dndt: ThermalDispersion | None = None
+    cte_per_k: float | None = None
+    density_g_cm3: float | None = None
+    nd: float | None = None
+    vd: float | None = None
+    transmittance: Response | None = None
+    transmittance_mm: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("B", "C", "range_nm"):
+            object.__setattr__(self, name, _floats(getattr(self, name), f"glass {self.name}: {name}"))
+        if not self.source:
+            raise ConfigError(f"glass {self.name}: a source is missing; say where its coefficients come from")
+        if self.formula != "sellmeier":
+            raise ConfigError(f"glass {self.name}: unknown formula {self.formula!r}; only 'sellmeier' is known")
+        if not self.B or len(self.B) != len(self.C):
+            raise DomainError(f"glass {self.name}: {len(self.B)} B and {len(self.C)} C; both need one value per term")
+        if len(self.range_nm) != 2 or not 0.0 < self.range_nm[0] < self.range_nm[1]:
+            raise DomainError(f"glass {self.name}: range_nm {self.range_nm} is not a range of wavelengths [nm]")
+        low, high = self.range_nm
+        for resonance in self.C:
+            if resonance > 0.0 and low <= 1e3 * resonance**0.5 <= high:
+                raise DomainError(
+                    f"glass {self.name}: C = {resonance:g} um^2 is a resonance at {1e3 * resonance**0.5:g} nm, inside "
+                    f"its range {low:g} ... {high:g} nm"
+                )
+        l2 = (np.geomspace(low, high, 64) * 1e-3) ** 2
+        n2 = np.ones_like(l2)
+        for strength, resonance in zip(self.B, self.C, strict=True):
+            n2 += strength * l2 / (l2 - resonance)
+        if not (n2 >= 1.0).all():
+            raise DomainError(f"glass {self.name}: n^2 falls to {n2.min():g} inside {low:g} ... {high:g} nm")
+        if (self.transmittance is None) != (self.transmittance_mm is None):
+            raise ConfigError(f"glass {self.name}: transmittance and transmittance_mm belong together")
+        if self.transmittance_mm is not None and not self.transmittance_mm > 0.0:
+            raise DomainError(
+                f"glass {self.name}: transmittance_mm = {self.transmittance_mm:g} mm; it must be positive"
+            )
+
+    def _inside(self, wavelength_nm: ArrayLike) -> FloatArray:
+        return checked_wavelength(
+            wavelength_nm, self.range_nm, f"glass {self.name}", "its dispersion formula holds nowhere else"
+        )
+
+    def index(self, wavelength_nm: ArrayLike) -> FloatArray:
+        """Catalogue index, relative to air at ``reference_temperature_c`` and 1013.25 hPa.
+
+        Parameters
+        ----------
+        wavelength_nm : array_like
+            Wavelengths [nm], any shape. The testbed passes vacuum wavelengths (docs/conventions.md).
+
+        Returns
+        -------
+        numpy.ndarray
+            Index, the same shape.
+
+        Raises
+        ------
+        DomainError
+            Outside ``range_nm``, naming glass, value and range.
+        """
+        return sellmeier(self._inside(wavelength_nm), self.B, self.C)
+
+    def absolute_index(
+        self,
+        wavelength_nm: ArrayLike,
+        *,
+        temperature_c: float | None = None,
+        air_formula: AirFormula = "kohlrausch",
+    ) -> FloatArray:
+        """Index against vacuum.
+
+        Parameters
+        ----------
+        wavelength_nm : array_like
+            Wavelengths [nm], any shape.
+        temperature_c : float, optional
+            Temperature of the glass [C]; the reference temperature if left out.
+        air_formula : {"kohlrausch", "ciddor"}
+            Air of the catalogue measurement.
+
+        Returns
+        -------
+        numpy.ndarray
+            Index, the same shape.
+
+        Raises
+        ------
+        DomainError
+            Wavelength or temperature outside its range, or no dn/dT data for another temperature.
+        """
+        relative = self.index(wavelength_nm)
+        reference = self.reference_temperature_c
+        absolute = relative * air_index(wavelength_nm, reference, STANDARD_PRESSURE_HPA, formula=air_formula)
+        if temperature_c is None or temperature_c == reference:
+            return np.asarray(absolute)
+        if self.dndt is None:
+            raise DomainError(
+                f"glass {self.name} has no dn/dT data, so {temperature_c:g} C cannot be computed; use {reference:g} C"
+            )
+        low, high = self.dndt.range_c
+        if not low <= temperature_c <= high:
+            raise DomainError(
+                f"glass {self.name}: temperature {temperature_c:g} C is outside {low:g} ... {high:g} C, its dn/dT range"
+            )
+        return np.asarray(absolute + self.dndt.index_change(wavelength_nm, relative, temperature_c - reference))
+
+    def relative_index(
+        self,
+        wavelength_nm: ArrayLike,
+        *,
+        temperature_c: float | None = None,
+        pressure_hpa: float = STANDARD_PRESSURE_HPA,
+        medium: Literal["air", "vacuum"] = "air",
+        air_formula: AirFormula = "kohlrausch",
+    ) -> FloatArray:
+        """Index relative to the surroundings, which have the temperature of the glass.
+
+        Parameters
+        ----------
+        wavelength_nm, temperature_c, air_formula
+            As in `absolute_index`.
+        pressure_hpa : float
+            Pressure of the air [hPa].
+        medium : {"air", "vacuum"}
+            The surroundings.
+
+        Returns
+        -------
+        numpy.ndarray
+            Index, the shape of ``wavelength_nm``.
+
+        Raises
+        ------
+        DomainError
+            As in `absolute_index`, or a pressure outside its range.
+        ConfigError
+            Unknown medium.
+        """
+        if medium not in ("air", "vacuum"):
+            raise unknown_name("medium", medium, ("air", "vacuum"))
+        absolute = self.absolute_index(wavelength_nm, temperature_c=temperature_c, air_formula=air_formula)
+        if medium == "vacuum":
+            return absolute
+        celsius = self.reference_temperature_c if temperature_c is None else temperature_c
+        return absolute / air_index(wavelength_nm, celsius, pressure_hpa, formula=air_formula)
+
+    def internal_transmittance(self, wavelength_nm: ArrayLike, path_mm: ArrayLike) -> FloatArray:
+        """Fraction of light left after a path through the glass, reflections apart (Beer-Lambert).
+
+        Parameters
+        ----------
+        wavelength_nm, path_mm : array_like
+            Wavelengths [nm] and path lengths [mm], of shapes that broadcast.
+
+        Returns
+        -------
+        numpy.ndarray
+            ``tau ** (path / thickness)`` with the maker's tau interpolated linearly.
+
+        Raises
+        ------
+        DomainError
+            No table, wavelength outside it, or a negative path.
+        """
+        if self.transmittance is None or self.transmittance_mm is None:
+            raise DomainError(
+                f"glass {self.name} has no internal transmittance table; set absorption = false or take another"
+            )
+        path = np.asarray(path_mm, dtype=np.float64)
+        if not (path >= 0.0).all():
+            raise DomainError(f"glass {self.name}: path {path[~(path >= 0.0)].flat[0]:g} mm through it is negative")
+        return np.asarray(self.transmittance.interpolate(wavelength_nm) ** (path / self.transmittance_mm))
+
+
+def _floats(values: Any, what: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(v) for v in values)
+    except (TypeError, ValueError):
+        raise DomainError(f"{what} = {values!r} is not a list of numbers") from None
+    if not np.isfinite(numbers).all():
+        raise DomainError(f"{what} = {numbers} holds a value that is not finite")
+    return numbers
+
+
+_KEYS = (
+    "B",
+    "C",
+    "range_nm",
+    "nd",
+    "vd",
+    "dndt",
+    "dndt_range_c",
+    "cte_per_k",
+    "density_g_cm3",
+    "reference_temperature_c",
+    "maker",
+    "source",
+    "transmittance_mm",
+    "transmittance_nm",
+    "transmittance",
+)
+
+
+def glass_from_table(name: str, table: Mapping[str, Any], *, source: str = "") -> Glass:
+    """Glass from a table of keys, as in ``[glass.NAME]`` of a lens file.
+
+    Parameters
+    ----------
+    name : str
+        Name of the glass.
+    table : mapping
+        ``B``, ``C`` [um^2] and ``range_nm`` are needed; ``dndt`` (six numbers), ``dndt_range_c``, ``cte_per_k``,
+        ``density_g_cm3``, ``nd``, ``vd``, ``reference_temperature_c``, ``maker``, ``source`` and ``transmittance_mm`` /
+        ``_nm`` / ``transmittance`` may follow.
+    source : str
+        Used when the table has none.
+
+    Returns
+    -------
+    Glass
+        The checked record.
+
+    Raises
+    ------
+    ConfigError
+        Unknown key (nearest named), a needed one missing, no source.
+    DomainError
+        Values that make no glass.
+    """
+    if not isinstance(table, Mapping):
+        raise ConfigError(f"glass {name}: a table with B and C is needed, got {table!r}")
+    for key in table:
+        if key not in _KEYS:
+            raise unknown_name(f"key of glass {name}:", key, _KEYS)
+    for key in ("B", "C", "range_nm"):
+        if key not in table:
+            raise ConfigError(
+                f"glass {name}: key {key!r} is missing; B, C [um^2] and range_nm make a Sellmeier formula"
+            )
+    source = str(table.get("source", source))
+    b, c = (_floats(table[key], f"glass {name}: {key}") for key in ("B", "C"))
+    curve, thickness = _transmittance(name, table, source)
+    scalars = ("nd", "vd", "cte_per_k", "density_g_cm3", "reference_temperature_c")
+    return Glass(
+        name=name,
+        maker=str(table.get("maker", "generic")),
+        source=source,
+        B=b,
+        C=c,
+        range_nm=table["range_nm"],  # its length is checked by the record
+        dndt=_thermal(name, table),
+        transmittance=curve,
+        transmittance_mm=thickness,
+        **{key: _floats([table[key]], f"glass {name}: {key}")[0] for key in scalars if key in table},  # type: ignore[arg-type]
+    )
+
+
+def _thermal(name: str, table: Mapping[str, Any]) -> ThermalDispersion | None:
+    if "dndt" not in table:
+        return None
+    constants = _floats(table["dndt"], f"glass {name}: dndt")
+    if len(constants) != 6:
+        raise ConfigError(f"glass {name}: dndt has {len(constants)} numbers; D0 D1 D2 E0 E1 lambda_TK are needed")
+    d0, d1, d2, e0, e1, resonance = constants
+    dndt = ThermalDispersion(D0=d0, D1=d1, D2=d2, E0=e0, E1=e1, lambda_tk_um=resonance)
+    if "dndt_range_c" not in table:
+        return dndt
+    low, high = _floats(table["dndt_range_c"], f"glass {name}: dndt_range_c")
+    return replace(dndt, range_c=(low, high))
+
+
+def _transmittance(name: str, table: Mapping[str, Any], source: str) -> tuple[Response | None, float | None]:
+    present = [key for key in ("transmittance_mm", "transmittance_nm", "transmittance") if key in table]
+    if not present:
+        return None, None
+    if len(present) < 3:
+        raise ConfigError(f"glass {name}: transmittance_mm, transmittance_nm and transmittance belong together")
+    curve = Response(
+        name=f"internal transmittance of {name}",
+        source=source,
+        wavelength_nm=table["transmittance_nm"],
+        value=table["transmittance"],
+    )
+    return curve, float(table["transmittance_mm"])
+
+
+@cache
+def _catalogue() -> dict[str, Any]:
+    return tomllib.loads(files("optics").joinpath("data", "glasses.toml").read_text(encoding="utf-8"))
+
+
+def list_glasses(maker: str | None = None) -> tuple[str, ...]:
+    """Names in the catalogue, sorted; of one maker if given (SCHOTT, OHARA, CDGM, generic)."""
+    catalogue = _catalogue()
+    makers = {source["maker"] for source in catalogue["source"].values()}
+    if maker is not None and maker not in makers:
+        raise unknown_name("glass maker", maker, makers)
+    found = (n for n, g in catalogue["glass"].items() if maker in (None, catalogue["source"][g["source"]]["maker"]))
+    return tuple(sorted(found))
+
+
+@cache
+def get_glass(name: str) -> Glass:
+    """Glass from the catalogue (``optics/data/glasses.toml``).
+
+    Parameters
+    ----------
+    name : str
+        Catalogue name, for example ``"N-BK7"``, ``"S-FPL53"``, ``"H-K9L"``, ``"CaF2"``, ``"fused-silica"``.
+
+    Returns
+    -------
+    Glass
+        Always the same object for the same name.
+
+    Raises
+    ------
+    ConfigError
+        Unknown name, with the nearest ones.
+    """
+    catalogue = _catalogue()
+    if name not in catalogue["glass"]:
+        raise unknown_name("glass", name, catalogue["glass"])
+    entry = dict(catalogue["glass"][name])
+    origin = catalogue["source"][entry.pop("source")]
+    entry["maker"] = origin["maker"]
+    entry["source"] = origin["text"]
+    entry["reference_temperature_c"] = origin["reference_temperature_c"]
+    if "dndt" in entry:
+        entry["dndt_range_c"] = origin["dndt_range_c"]
+    return glass_from_table(name, entry)

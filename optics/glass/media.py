@@ -1,0 +1,119 @@
+r"""Refractive index along the ray path, on any array library.
+
+Catalogue indices are relative to air at the maker's reference temperature and 1013.25 hPa. A ray sees absolute ones:
+
+.. math:: n_{abs}(\lambda, T) = n_{rel}(\lambda) \, n_{air}(\lambda, T_0) + \Delta n_{abs}(\lambda, T - T_0) + \delta
+
+with the formulas of `optics.glass.catalogue` and `optics.glass.air`, and :math:`\delta` a perturbation (melt
+tolerance).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from optics.arrays import ArrayNamespace
+from optics.errors import DomainError
+from optics.glass.air import STANDARD_PRESSURE_HPA, kohlrausch_density, kohlrausch_refractivity
+from optics.glass.catalogue import Glass, sellmeier_squared, thermal_change
+
+__all__ = ["CATALOGUE_AIR", "VACUUM", "Environment", "IndexFormula", "index_parameters"]
+
+UNKNOWN_DNDT_K = 5.0
+"""How far from its catalogue temperature a glass of unknown dn/dT may be used; 5 K change an index by about 1e-5."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Environment:
+    """Surroundings of the lens.
+
+    Attributes
+    ----------
+    temperature_c : float
+        Temperature of glass and air.
+    pressure_hpa : float
+        Air pressure; 0 is vacuum.
+    """
+
+    temperature_c: float = 20.0
+    pressure_hpa: float = STANDARD_PRESSURE_HPA
+
+    def __post_init__(self) -> None:
+        if not -100.0 <= self.temperature_c <= 140.0:
+            raise DomainError(
+                f"temperature {self.temperature_c} C is outside -100 ... 140 C, the range of the catalogues' dn/dT"
+            )
+        if not 0.0 <= self.pressure_hpa <= 2000.0:
+            raise DomainError(f"air pressure {self.pressure_hpa} hPa is outside 0 ... 2000 hPa")
+
+    @property
+    def air_density(self) -> float:
+        """Density of the air relative to 15 C and 1013.25 hPa."""
+        return kohlrausch_density(self.temperature_c, self.pressure_hpa)
+
+
+CATALOGUE_AIR = Environment()
+VACUUM = Environment(pressure_hpa=0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IndexFormula:
+    """How one medium of a compiled lens gets its index from its slice of the parameter vector.
+
+    ``terms`` Sellmeier terms (0: the surroundings), ``thermal`` whether the temperature differs from the catalogue's.
+    Parameters: air density; then for glass: perturbation, B..., C..., and for ``thermal``: three SCHOTT numbers. The
+    air density is that of the surroundings, for glass that of the maker's measurement.
+    """
+
+    at: int
+    terms: int
+    thermal: bool
+
+    def index(self, theta: Sequence[Any], wavelength_nm: Any, xp: ArrayNamespace) -> Any:
+        """Absolute refractive index at each wavelength."""
+        air = 1.0 + theta[self.at] * kohlrausch_refractivity(wavelength_nm)
+        if self.terms == 0:
+            return air
+        at_b, at_c, end = (self.at + 2 + i * self.terms for i in range(3))
+        relative = xp.sqrt(sellmeier_squared(wavelength_nm, theta[at_b:at_c], theta[at_c:end]))
+        absolute = relative * air + theta[self.at + 1]
+        if self.thermal:
+            absolute = absolute + thermal_change(wavelength_nm, relative, *theta[end : end + 3])
+        return absolute
+
+
+def index_parameters(
+    glass: Glass | None, environment: Environment, perturbation: float
+) -> tuple[list[float], int, bool]:
+    """Parameter slice, number of Sellmeier terms and thermal switch of one medium; ``None`` is the surroundings.
+
+    A glass without dn/dT data keeps its catalogue index within `UNKNOWN_DNDT_K` of the catalogue's temperature.
+
+    Raises
+    ------
+    DomainError
+        If the glass has no dn/dT data and the temperature is further away, or if its data do not reach that far.
+    """
+    if glass is None:
+        return [environment.air_density], 0, False
+    reference = glass.reference_temperature_c
+    density = kohlrausch_density(reference, STANDARD_PRESSURE_HPA)
+    parameters = [density, perturbation, *glass.B, *glass.C]
+    kelvin = environment.temperature_c - reference
+    if math.isclose(kelvin, 0.0, abs_tol=1e-12) or (glass.dndt is None and abs(kelvin) <= UNKNOWN_DNDT_K):
+        return parameters, len(glass.B), False
+    if glass.dndt is None:
+        raise DomainError(
+            f"glass {glass.name} has no dn/dT data; the lens cannot be used at {environment.temperature_c:g} C, "
+            f"more than {UNKNOWN_DNDT_K:g} K from the catalogue's {reference:g} C"
+        )
+    low, high = glass.dndt.range_c
+    if not low <= environment.temperature_c <= high:
+        raise DomainError(
+            f"glass {glass.name}: temperature {environment.temperature_c:g} C is outside {low:g} ... {high:g} C "
+            "of its dn/dT data"
+        )
+    return [*parameters, *glass.dndt.terms(kelvin)], len(glass.B), True

@@ -1,0 +1,310 @@
+"""Perturbations: each returns a new lens.
+
+What moves is named by ``what``: an element's name, the index of a surface, a sequence of indices, `ALL_SURFACES` (the
+lens against its detector) or `EVERYTHING` (surfaces and image plane). What is not named stays where it is, except where
+a function says so. Rotations are rotation vectors in the lens frame [deg], so that opposite ones cancel exactly; poses
+add up in the lens frame, in the order of the calls.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from optics.arrays import FloatArray
+from optics.errors import ConfigError, DomainError
+from optics.glass.media import Environment
+from optics.lens.surface import Conic, EvenAsphere, Plane, Shape, Sphere
+from optics.lens.system import AMBIENT, LensSystem, Surface
+
+__all__ = [
+    "ALL_SURFACES",
+    "EVERYTHING",
+    "change_conic",
+    "change_index",
+    "change_radius",
+    "change_temperature",
+    "decentre",
+    "despace",
+    "refocus",
+    "tilt",
+    "tilt_image",
+]
+
+What = str | int | Sequence[int]
+
+ALL_SURFACES = "@surfaces"
+EVERYTHING = "@everything"
+
+
+def _selected(lens: LensSystem, what: What) -> tuple[tuple[int, ...], bool]:
+    """Indices of the surfaces that move, and whether the image plane does."""
+    if isinstance(what, str):
+        if what in (ALL_SURFACES, EVERYTHING):
+            return tuple(range(len(lens.surfaces))), what == EVERYTHING
+        return lens.indices_of(what), False
+    indices = (what,) if isinstance(what, int) else tuple(what)
+    for index in indices:
+        if not 0 <= index < len(lens.surfaces):
+            raise ConfigError(f"surface {index}; lens {lens.name!r} has surfaces 0 ... {len(lens.surfaces) - 1}")
+    if not indices:
+        raise ConfigError(f"no surface of lens {lens.name!r} is named")
+    return tuple(sorted(set(indices))), False
+
+
+def _finite(what: str, *values: float) -> None:
+    if not all(math.isfinite(v) for v in values):
+        raise DomainError(f"{what} {values}; finite numbers are needed")
+
+
+def _moved(lens: LensSystem, what: What, rotation: FloatArray, pivot: FloatArray, shift: FloatArray) -> LensSystem:
+    """Rigid motion x -> rotation (x - pivot) + pivot + shift of the named surfaces (and image plane)."""
+    indices, image = _selected(lens, what)
+
+    def place(position: FloatArray) -> FloatArray:
+        return np.asarray(rotation @ (position - pivot) + pivot + shift)
+
+    changed = {
+        i: replace(
+            lens.surfaces[i],
+            position_mm=place(lens.surfaces[i].position_mm),
+            rotation=rotation @ lens.surfaces[i].rotation,
+        )
+        for i in indices
+    }
+    moved = lens.with_surfaces(changed)
+    if image:
+        moved = replace(
+            moved,
+            image_position_mm=place(lens.image_position_mm),
+            image_rotation=rotation @ lens.image_rotation,
+        )
+    return moved
+
+
+def decentre(lens: LensSystem, what: What, x_mm: float = 0.0, y_mm: float = 0.0) -> LensSystem:
+    """Shift across the axis.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    what
+        See the module.
+    x_mm, y_mm : float
+        Shift in the lens frame [mm].
+    """
+    _finite("decentre [mm]", x_mm, y_mm)
+    return _moved(lens, what, np.eye(3), np.zeros(3), np.array([x_mm, y_mm, 0.0]))
+
+
+def tilt(
+    lens: LensSystem, what: What, x_deg: float = 0.0, y_deg: float = 0.0, *, pivot_mm: Sequence[float] | None = None
+) -> LensSystem:
+    """Rotate as one rigid body.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    what
+        See the module.
+    x_deg, y_deg : float
+        Rotation vector about the axes of the lens frame [deg].
+    pivot_mm : (3,), optional
+        Point that stays; the vertex of the first named surface if left out.
+    """
+    _finite("tilt [deg]", x_deg, y_deg)
+    first = lens.surfaces[_selected(lens, what)[0][0]].position_mm
+    pivot = np.array(first if pivot_mm is None else pivot_mm, float)
+    if pivot.shape != (3,) or not np.all(np.isfinite(pivot)):
+        raise DomainError(f"pivot_mm = {pivot_mm}; three finite numbers are needed")
+    rotation = Rotation.from_rotvec([x_deg, y_deg, 0.0], degrees=True).as_matrix()
+    return _moved(lens, what, rotation, pivot, np.zeros(3))
+
+
+def despace(lens: LensSystem, what: What, z_mm: float, *, following: bool = False) -> LensSystem:
+    """Shift along the axis.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    what
+        See the module.
+    z_mm : float
+        Shift [mm].
+    following : bool
+        False: the gap before grows and the gap after shrinks. True: all later surfaces and the image plane move too (a
+        thicker spacer in front of the named surfaces).
+    """
+    _finite("despace [mm]", z_mm)
+    shift = np.array([0.0, 0.0, z_mm])
+    indices, image = _selected(lens, what)
+    if following:
+        indices, image = tuple(range(indices[0], len(lens.surfaces))), True
+    moved = _moved(lens, indices, np.eye(3), np.zeros(3), shift)
+    return replace(moved, image_position_mm=lens.image_position_mm + shift) if image else moved
+
+
+def _with_shape(lens: LensSystem, surface: int, shape: Shape) -> LensSystem:
+    return lens.with_surfaces({surface: replace(lens.surfaces[surface], shape=shape)})
+
+
+def _shape_of(lens: LensSystem, surface: int) -> Shape:
+    return lens.surfaces[_selected(lens, surface)[0][0]].shape
+
+
+def change_radius(lens: LensSystem, surface: int, by_mm: float) -> LensSystem:
+    """Add to the radius of curvature of one surface.
+
+    Raises
+    ------
+    DomainError
+        If the surface is a plane, or the radius would become 0 or change its sign.
+    """
+    shape = _shape_of(lens, surface)
+    if isinstance(shape, Plane) or math.isinf(shape.radius_mm):
+        raise DomainError(f"surface {surface} of lens {lens.name!r} is a plane; it has no radius to change")
+    if not shape.radius_mm * (shape.radius_mm + by_mm) > 0:
+        raise DomainError(
+            f"surface {surface} of lens {lens.name!r}: radius {shape.radius_mm} mm changed by {by_mm} mm has its "
+            "centre on the other side; take a smaller step"
+        )
+    return _with_shape(lens, surface, replace(shape, radius_mm=shape.radius_mm + by_mm))
+
+
+def change_conic(lens: LensSystem, surface: int, by: float) -> LensSystem:
+    """Add to the conic constant of one surface; a sphere becomes a conic.
+
+    Raises
+    ------
+    DomainError
+        If the surface is a plane.
+    """
+    shape = _shape_of(lens, surface)
+    match shape:
+        case Plane():
+            raise DomainError(f"surface {surface} of lens {lens.name!r} is a plane; it has no conic constant")
+        case Sphere(radius_mm=radius):
+            return _with_shape(lens, surface, Conic(radius_mm=radius, conic=by))
+        case Conic() | EvenAsphere():
+            return _with_shape(lens, surface, replace(shape, conic=shape.conic + by))
+
+
+def change_index(lens: LensSystem, what: What, by: float) -> LensSystem:
+    """Add to the refractive index of the glass (all glasses) of what is named, at every wavelength alike.
+
+    Raises
+    ------
+    DomainError
+        If nothing named is followed by glass.
+    """
+    _finite("index change", by)
+    changed = {
+        i: replace(lens.surfaces[i], index_offset=lens.surfaces[i].index_offset + by)
+        for i in _selected(lens, what)[0]
+        if lens.surfaces[i].medium != AMBIENT
+    }
+    if not changed:
+        raise DomainError(f"lens {lens.name!r}: no glass follows {what!r}; name the surface in front of the glass")
+    return lens.with_surfaces(changed)
+
+
+def refocus(lens: LensSystem, z_mm: float) -> LensSystem:
+    """Shift the image plane along its own normal; positive: away from the lens."""
+    _finite("focus shift [mm]", z_mm)
+    return replace(lens, image_position_mm=lens.image_position_mm + z_mm * lens.image_rotation[:, 2])
+
+
+def tilt_image(lens: LensSystem, x_deg: float = 0.0, y_deg: float = 0.0) -> LensSystem:
+    """Rotate the image plane about its own origin; rotation vector about the axes of the lens frame [deg]."""
+    _finite("image tilt [deg]", x_deg, y_deg)
+    rotation = Rotation.from_rotvec([x_deg, y_deg, 0.0], degrees=True).as_matrix()
+    return replace(lens, image_rotation=rotation @ lens.image_rotation)
+
+
+def _scaled(shape: Shape, factor: float) -> Shape:
+    """Uniform expansion: z'(r) = factor z(r / factor)."""
+    match shape:
+        case Plane():
+            return shape
+        case Sphere() | Conic():
+            return replace(shape, radius_mm=shape.radius_mm * factor)
+        case EvenAsphere():
+            scaled = tuple(a * factor ** -(3 + 2 * j) for j, a in enumerate(shape.coefficients))
+            return replace(shape, radius_mm=shape.radius_mm * factor, coefficients=scaled)
+
+
+def _expansion(lens: LensSystem, medium: str) -> float:
+    cte = lens.glasses[medium].cte_per_k
+    if cte is None:
+        raise DomainError(
+            f"glass {medium} in lens {lens.name!r} has no expansion coefficient; give cte_per_k in the lens file"
+        )
+    return cte
+
+
+def _warmed_surface(lens: LensSystem, index: int, z_mm: float, kelvin: float, housing: float) -> Surface:
+    """Surface at its new vertex distance, its shape expanded with the glass it belongs to."""
+    surface = lens.surfaces[index]
+    before = lens.surfaces[index - 1].medium if index else AMBIENT
+    ctes = [_expansion(lens, m) for m in (before, surface.medium) if m != AMBIENT]
+    shape_cte = sum(ctes) / len(ctes) if ctes else housing
+    x, y = surface.position_mm[:2] * math.exp(housing * kelvin)
+    growth = math.exp(shape_cte * kelvin)
+    return replace(
+        surface,
+        shape=_scaled(surface.shape, growth),
+        position_mm=np.array([x, y, z_mm]),
+        semi_diameter_mm=surface.semi_diameter_mm * growth,
+        inner_semi_diameter_mm=surface.inner_semi_diameter_mm * growth,
+    )
+
+
+def change_temperature(
+    lens: LensSystem, temperature_c: float, *, housing_cte_per_k: float, pressure_hpa: float | None = None
+) -> LensSystem:
+    """Bring the whole lens to another uniform temperature; its dimensions are taken to hold at its present one.
+
+    Glass: index by the maker's dn/dT, radii and centre thicknesses by its expansion (a cemented surface takes the mean
+    of the two glasses). Air gaps, stop and the distance to the image plane follow the housing, along the axis: that
+    spacers touch the lenses at the rim, at another z than the vertex, is left out. A length L becomes L exp(cte dT), so
+    going back cancels exactly.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    temperature_c : float
+        New temperature [C].
+    housing_cte_per_k : float
+        Linear expansion of the housing [1/K], e.g. 23.6e-6 aluminium 6061, 8.6e-6 titanium Ti-6Al-4V.
+    pressure_hpa : float, optional
+        New air pressure; unchanged if left out.
+
+    Raises
+    ------
+    DomainError
+        If a glass has no expansion or dn/dT data, or the temperature is out of range.
+    """
+    _finite("expansion of the housing [1/K]", housing_cte_per_k)
+    environment = Environment(
+        temperature_c=temperature_c,
+        pressure_hpa=lens.environment.pressure_hpa if pressure_hpa is None else pressure_hpa,
+    )
+    kelvin = temperature_c - lens.environment.temperature_c
+    old = [float(s.position_mm[2]) for s in lens.surfaces] + [float(lens.image_position_mm[2])]
+    z = [old[0] * math.exp(housing_cte_per_k * kelvin)]
+    for surface, start, end in zip(lens.surfaces, old[:-1], old[1:], strict=True):
+        cte = housing_cte_per_k if surface.medium == AMBIENT else _expansion(lens, surface.medium)
+        z.append(z[-1] + (end - start) * math.exp(cte * kelvin))
+    surfaces = tuple(_warmed_surface(lens, i, z[i], kelvin, housing_cte_per_k) for i in range(len(lens.surfaces)))
+    x, y = lens.image_position_mm[:2] * math.exp(housing_cte_per_k * kelvin)
+    warmed = replace(lens, surfaces=surfaces, image_position_mm=np.array([x, y, z[-1]]), environment=environment)
+    warmed.indices(lens.design_wavelength_nm)  # refuses glasses without dn/dT now, not at the first trace
+    return warmed

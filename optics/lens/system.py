@@ -1,0 +1,207 @@
+"""A lens as data: surfaces with their poses in the lens frame (light travels towards +z), media, stop, image plane."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from optics.arrays import NUMPY, FloatArray
+from optics.errors import ConfigError, DomainError, unknown_name
+from optics.glass.catalogue import Glass
+from optics.glass.media import CATALOGUE_AIR, Environment, IndexFormula, index_parameters
+from optics.lens.surface import Plane, Shape
+from optics.records import freeze
+
+__all__ = ["AMBIENT", "LensSystem", "Surface"]
+
+
+AMBIENT = "air"
+"""Name of the medium that fills the surroundings, whatever its pressure (vacuum included)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surface:
+    """One surface.
+
+    Attributes
+    ----------
+    shape : Shape
+        Plane, sphere, conic or even asphere.
+    position_mm : (3,)
+        Vertex in the lens frame.
+    rotation : (3, 3)
+        Columns are the surface's axes in the lens frame; identity for a centred surface.
+    medium : str
+        What follows the surface: a glass name or ``"air"``.
+    semi_diameter_mm : float
+        Clear aperture measured in the vertex plane; infinite means unlimited.
+    inner_semi_diameter_mm : float
+        Radius of a central obscuration, 0 for none.
+    element : str
+        Name of the element (group) that moves as one.
+    is_stop : bool
+        Whether this is the aperture stop.
+    index_offset : float
+        Added to the index of what follows (melt tolerance).
+    """
+
+    shape: Shape
+    position_mm: FloatArray
+    rotation: FloatArray = field(default_factory=lambda: np.eye(3))
+    medium: str = AMBIENT
+    semi_diameter_mm: float = math.inf
+    inner_semi_diameter_mm: float = 0.0
+    element: str = ""
+    is_stop: bool = False
+    index_offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze(self, "position_mm", shape=(3,))
+        rotation = freeze(self, "rotation", shape=(3, 3))
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-12) or np.linalg.det(rotation) < 0:
+            raise DomainError("Surface.rotation is not a proper rotation matrix")
+        if not self.semi_diameter_mm > 0:
+            raise DomainError(f"Surface.semi_diameter_mm = {self.semi_diameter_mm} mm; it must be positive")
+        if not 0 <= self.inner_semi_diameter_mm < self.semi_diameter_mm:
+            raise DomainError(
+                f"Surface.inner_semi_diameter_mm = {self.inner_semi_diameter_mm} mm; it must lie between 0 and the "
+                f"semi-diameter {self.semi_diameter_mm} mm"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class LensSystem:
+    """A lens prescription, ready to be traced, perturbed or drawn.
+
+    Attributes
+    ----------
+    name, source : str
+        What it is and where its numbers come from.
+    surfaces : tuple of Surface
+        In the order light meets them; the stop is one of them (a plane without refraction when it stands alone).
+    glasses : dict of str to Glass
+        Every glass the surfaces name.
+    image_position_mm : (3,)
+        Origin of the image plane in the lens frame.
+    image_rotation : (3, 3)
+        Axes of the image plane.
+    design_wavelength_nm : float
+        Reference wavelength for chief rays and paraxial quantities.
+    max_field_deg : float
+        Half field angle the lens is meant for.
+    environment : Environment
+        Temperature and pressure.
+    """
+
+    name: str
+    source: str
+    surfaces: tuple[Surface, ...]
+    glasses: dict[str, Glass]
+    image_position_mm: FloatArray
+    image_rotation: FloatArray = field(default_factory=lambda: np.eye(3))
+    design_wavelength_nm: float
+    max_field_deg: float
+    environment: Environment = CATALOGUE_AIR
+
+    def __post_init__(self) -> None:
+        freeze(self, "image_position_mm", shape=(3,))
+        freeze(self, "image_rotation", shape=(3, 3))
+        if not self.surfaces:
+            raise ConfigError(f"lens {self.name!r} has no surfaces")
+        stops = sum(surface.is_stop for surface in self.surfaces)
+        if stops != 1:
+            raise ConfigError(f"lens {self.name!r} has {stops} stops; exactly one is needed")
+        for surface in self.surfaces:
+            if surface.medium != AMBIENT and surface.medium not in self.glasses:
+                raise unknown_name("glass", surface.medium, self.glasses)
+        if not 0 < self.max_field_deg < 90:
+            raise DomainError(f"lens {self.name!r}: max_field_deg = {self.max_field_deg} deg is outside 0 ... 90 deg")
+
+    def __repr__(self) -> str:
+        return (
+            f"LensSystem({self.name!r}, {len(self.surfaces)} surfaces, elements {' '.join(self.elements)}, "
+            f"half field {self.max_field_deg:g} deg, {self.environment})"
+        )
+
+    @property
+    def stop_index(self) -> int:
+        """Index of the aperture stop in ``surfaces``."""
+        return next(i for i, surface in enumerate(self.surfaces) if surface.is_stop)
+
+    @property
+    def elements(self) -> tuple[str, ...]:
+        """Names of the elements, in the order light meets them."""
+        return tuple(dict.fromkeys(surface.element for surface in self.surfaces if surface.element))
+
+    @property
+    def wavelength_range_nm(self) -> tuple[float, float]:
+        """Range in which every glass formula holds."""
+        ranges = [self.glasses[s.medium].range_nm for s in self.surfaces if s.medium != AMBIENT]
+        return max((r[0] for r in ranges), default=200.0), min((r[1] for r in ranges), default=2500.0)
+
+    @property
+    def stop_in_front(self) -> bool:
+        """Whether nothing refracts before the stop, so that the stop itself is the entrance pupil."""
+        before = self.surfaces[: self.stop_index]
+        return all(isinstance(s.shape, Plane) and s.medium == AMBIENT for s in before) and (
+            self.surfaces[self.stop_index].medium == AMBIENT and isinstance(self.surfaces[self.stop_index].shape, Plane)
+        )
+
+    def indices(self, wavelength_nm: FloatArray | float) -> FloatArray:
+        """Absolute refractive index before the first surface and after each one.
+
+        Parameters
+        ----------
+        wavelength_nm : array
+            Vacuum wavelengths [nm], any shape.
+
+        Returns
+        -------
+        (surfaces + 1, ...)
+            Indices.
+
+        Raises
+        ------
+        DomainError
+            If a wavelength is outside the range of one of the glasses.
+        """
+        self.check_wavelength(wavelength_nm)
+        wavelength = np.asarray(wavelength_nm, float)
+        keys = [(AMBIENT, 0.0)] + [(s.medium, s.index_offset) for s in self.surfaces]
+        known = {}
+        for name, offset in dict.fromkeys(keys):
+            glass = None if name == AMBIENT else self.glasses[name]
+            numbers, terms, thermal = index_parameters(glass, self.environment, offset)
+            known[name, offset] = IndexFormula(at=0, terms=terms, thermal=thermal).index(numbers, wavelength, NUMPY)
+        return np.stack([known[key] for key in keys])
+
+    def check_wavelength(self, wavelength_nm: FloatArray | float) -> None:
+        """Raise DomainError if a wavelength is outside the range of one of the glasses."""
+        values = np.atleast_1d(np.asarray(wavelength_nm, float))
+        for name in dict.fromkeys(s.medium for s in self.surfaces if s.medium != AMBIENT):
+            low, high = self.glasses[name].range_nm
+            bad = ~((values >= low) & (values <= high))
+            if bad.any():
+                raise DomainError(
+                    f"wavelength {values[bad].flat[0]:g} nm is outside {low:g} ... {high:g} nm, "
+                    f"the range of glass {name} in lens {self.name!r}"
+                )
+
+    def indices_of(self, element: str) -> tuple[int, ...]:
+        """Indices of the surfaces that belong to an element.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such element.
+        """
+        found = tuple(i for i, surface in enumerate(self.surfaces) if surface.element == element)
+        if not found:
+            raise unknown_name("element", element, self.elements)
+        return found
+
+    def with_surfaces(self, changed: dict[int, Surface]) -> LensSystem:
+        """Copy with some surfaces replaced."""
+        return replace(self, surfaces=tuple(changed.get(i, surface) for i, surface in enumerate(self.surfaces)))

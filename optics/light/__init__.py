@@ -1,0 +1,1 @@
+"""Light and how much of it: spectra, filter bands, photometry, transmission of a lens."""

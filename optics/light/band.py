@@ -1,0 +1,301 @@
+"""Filter bands and the wavelengths at which to sample them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optics.arrays import FloatArray
+from optics.errors import ConfigError, DomainError
+from optics.records import freeze
+from optics.response import check_table
+
+__all__ = ["Band", "BandNodes", "TabulatedBand", "TopHat", "band_nodes", "piecewise_nodes"]
+
+
+@runtime_checkable
+class Band(Protocol):
+    """A filter: transmission over wavelength, zero outside its breakpoints."""
+
+    @property
+    def name(self) -> str:
+        """What to call it in tables and messages."""
+        ...
+
+    @property
+    def breakpoints_nm(self) -> FloatArray:
+        """Wavelengths between which the transmission is smooth [nm], increasing; the first and last end the band."""
+        ...
+
+    def transmission(self, wavelength_nm: ArrayLike) -> FloatArray:
+        """Fraction let through at each wavelength [nm]."""
+        ...
+
+
+def _finite_wavelength(wavelength_nm: ArrayLike, name: str) -> FloatArray:
+    wave = np.asarray(wavelength_nm, dtype=np.float64)
+    if np.isnan(wave).any():
+        raise DomainError(f"band {name!r}: a wavelength is NaN; wavelengths in nm are needed")
+    return wave
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TopHat:
+    """Flat top with straight edges (a trapezoid).
+
+    Attributes
+    ----------
+    centre_nm : float
+        Middle of the band [nm].
+    width_nm : float
+        Full width at half maximum [nm].
+    edge_nm : float
+        Length of each edge, from no transmission to the top [nm]; 0.8 of it lies between 10 % and 90 %, the way makers
+        state an edge. 0 is a step.
+    peak : float
+        Transmission of the top, above 0, at most 1.
+    name : str
+        Left out, it is made of centre and width.
+
+    Raises
+    ------
+    DomainError
+        Width not positive, edge negative or longer than the width, peak outside 0 ... 1, band reaching 0 nm, NaN.
+    """
+
+    centre_nm: float
+    width_nm: float
+    edge_nm: float = 0.0
+    peak: float = 1.0
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            object.__setattr__(self, "name", f"{self.centre_nm:g}/{self.width_nm:g}")
+        what = f"band {self.name!r}"
+        if not (math.isfinite(self.centre_nm) and math.isfinite(self.width_nm) and self.width_nm > 0.0):
+            raise DomainError(
+                f"{what}: centre {self.centre_nm:g} nm, width {self.width_nm:g} nm; a positive width is needed"
+            )
+        if not 0.0 <= self.edge_nm <= self.width_nm:
+            raise DomainError(f"{what}: edge {self.edge_nm:g} nm is outside 0 ... {self.width_nm:g} nm, its width")
+        if not 0.0 < self.peak <= 1.0:
+            raise DomainError(f"{what}: peak transmission {self.peak:g} is outside 0 ... 1 (0 excluded)")
+        if not self.centre_nm - 0.5 * (self.width_nm + self.edge_nm) > 0.0:
+            raise DomainError(f"{what}: it reaches below 0 nm; raise the centre or narrow the band")
+
+    @property
+    def breakpoints_nm(self) -> FloatArray:
+        """Feet and shoulders of the trapezoid [nm]."""
+        half, edge = 0.5 * self.width_nm, 0.5 * self.edge_nm
+        corners = self.centre_nm + np.array([-half - edge, -half + edge, half - edge, half + edge])
+        return np.unique(corners)
+
+    def transmission(self, wavelength_nm: ArrayLike) -> FloatArray:
+        """Fraction let through; a step counts as inside.
+
+        Parameters
+        ----------
+        wavelength_nm : array_like
+            Wavelengths [nm], any shape.
+
+        Returns
+        -------
+        numpy.ndarray
+            The same shape.
+
+        Raises
+        ------
+        DomainError
+            NaN.
+        """
+        inside = 0.5 * self.width_nm - np.abs(_finite_wavelength(wavelength_nm, self.name) - self.centre_nm)
+        if self.edge_nm == 0.0:
+            return np.where(inside >= 0.0, self.peak, 0.0)
+        return self.peak * np.clip(inside / self.edge_nm + 0.5, 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TabulatedBand:
+    """A measured filter curve, linear between its points and zero outside them.
+
+    Attributes
+    ----------
+    name, source : str
+        What it is and where it comes from.
+    wavelength_nm : (n,)
+        Increasing wavelengths [nm].
+    value : (n,)
+        Transmission, 0 ... 1.
+
+    Raises
+    ------
+    DomainError
+        Unequal lengths, NaN, wavelengths not increasing, values outside 0 ... 1, opaque everywhere.
+    ConfigError
+        No source.
+    """
+
+    name: str
+    source: str
+    wavelength_nm: FloatArray
+    value: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        wave = freeze(self, "wavelength_nm", shape=("n",), sizes=sizes)
+        value = freeze(self, "value", shape=("n",), sizes=sizes)
+        check_table(wave, value, f"band {self.name!r}", upper=1.0)
+        if not value.any():
+            raise DomainError(f"band {self.name!r} is opaque everywhere")
+        if not self.source:
+            raise ConfigError(f"band {self.name!r} needs a source; say where its numbers come from")
+
+    @property
+    def breakpoints_nm(self) -> FloatArray:
+        """The tabulated wavelengths, without points on either side that only repeat zero."""
+        lit = np.flatnonzero(self.value)
+        return self.wavelength_nm[max(lit[0] - 1, 0) : lit[-1] + 2]
+
+    def transmission(self, wavelength_nm: ArrayLike) -> FloatArray:
+        """Fraction let through.
+
+        Parameters
+        ----------
+        wavelength_nm : array_like
+            Wavelengths [nm], any shape.
+
+        Returns
+        -------
+        numpy.ndarray
+            The same shape.
+
+        Raises
+        ------
+        DomainError
+            NaN.
+        """
+        wave = _finite_wavelength(wavelength_nm, self.name)
+        return np.asarray(np.interp(wave, self.wavelength_nm, self.value, left=0.0, right=0.0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BandNodes:
+    """Quadrature over several bands: ``f`` times a filter integrates to ``sum(f(wavelength) * weight * transmission)``.
+
+    Attributes
+    ----------
+    name : tuple of str, (b,)
+        Bands.
+    wavelength_nm : (b, k)
+        Nodes [nm].
+    weight_nm : (b, k)
+        Weights [nm], without the transmission of the filter.
+    transmission : (b, k)
+        Transmission of the filter at the nodes.
+    """
+
+    name: tuple[str, ...]
+    wavelength_nm: FloatArray
+    weight_nm: FloatArray
+    transmission: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes = {"b": len(self.name)}
+        for field in ("wavelength_nm", "weight_nm", "transmission"):
+            freeze(self, field, shape=("b", "k"), sizes=sizes)
+
+    def integrate(self, values: ArrayLike) -> FloatArray:
+        """Integral over each band of what was evaluated at the nodes.
+
+        Parameters
+        ----------
+        values : array_like, (..., b, k)
+            Integrand at ``wavelength_nm``.
+
+        Returns
+        -------
+        numpy.ndarray, (..., b)
+            Integral times nm.
+        """
+        return np.asarray((np.asarray(values) * self.weight_nm * self.transmission).sum(axis=-1))
+
+
+def band_nodes(bands: Sequence[Band], count: int) -> BandNodes:
+    """Wavelengths and weights that integrate smooth functions over bands.
+
+    Each band gets the Gaussian rule that has its own transmission as weight function, so that polynomials of degree
+    ``2 count - 1`` times the band are integrated exactly, edges included. For a step band that is Gauss-Legendre;
+    otherwise the rule comes from the discrete Stieltjes procedure (Gautschi, *Orthogonal Polynomials*, 2004, sec. 2.2)
+    on Gauss-Legendre pieces between the breakpoints.
+
+    Parameters
+    ----------
+    bands : sequence of Band
+        At least one.
+    count : int
+        Nodes per band, k.
+
+    Returns
+    -------
+    BandNodes
+        b bands, k nodes each, increasing in wavelength.
+
+    Raises
+    ------
+    ConfigError
+        No band.
+    DomainError
+        Less than one node, or a band with a gap into which a node falls.
+    """
+    if not bands:
+        raise ConfigError("no band; give at least one filter")
+    if count < 1:
+        raise DomainError(f"{count} nodes per band; at least 1 is needed")
+    rules = [_gauss_of_curve(band, count) for band in bands]
+    return BandNodes(
+        name=tuple(band.name for band in bands),
+        wavelength_nm=np.stack([wave for wave, _ in rules]),
+        weight_nm=np.stack([weight for _, weight in rules]),
+        transmission=np.stack([band.transmission(wave) for band, (wave, _) in zip(bands, rules, strict=True)]),
+    )
+
+
+def piecewise_nodes(edges_nm: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
+    """Gauss-Legendre nodes and weights [nm], ``order`` of them on every piece between increasing ``edges_nm``."""
+    x, w = np.polynomial.legendre.leggauss(order)
+    middle, half = 0.5 * (edges_nm[1:] + edges_nm[:-1]), 0.5 * np.diff(edges_nm)
+    return (middle[:, None] + half[:, None] * x).ravel(), (half[:, None] * w).ravel()
+
+
+def _gauss_of_curve(band: Band, count: int) -> tuple[FloatArray, FloatArray]:
+    """Gaussian rule whose weight function is the transmission; the weights handed back are divided by it."""
+    edges = band.breakpoints_nm
+    # the curve is linear on a piece, so `count + 1` points make the discrete measure exact for degree 2 count
+    wave, weight = piecewise_nodes(edges, count + 1)
+    mass = weight * band.transmission(wave)
+    centre, half = 0.5 * (edges[0] + edges[-1]), 0.5 * (edges[-1] - edges[0])
+    x = (wave - centre) / half
+    alpha, beta = np.zeros(count), np.zeros(count)
+    before, now, norm_before = np.zeros_like(x), np.ones_like(x), 1.0
+    for j in range(count):
+        norm = float(mass @ (now * now))
+        alpha[j] = float(mass @ (x * now * now)) / norm
+        beta[j] = norm / norm_before if j else norm
+        before, now = now, (x - alpha[j]) * now - (beta[j] if j else 0.0) * before
+        norm_before = norm
+    jacobi = np.diag(alpha) + np.diag(np.sqrt(beta[1:]), 1) + np.diag(np.sqrt(beta[1:]), -1)
+    nodes, vectors = np.linalg.eigh(jacobi)
+    at = centre + half * nodes
+    transmission = band.transmission(at)
+    if not (transmission > 0.0).all():
+        gap = at[np.argmin(transmission)]
+        raise DomainError(
+            f"band {band.name!r} is opaque at {gap:g} nm, where one of {count} nodes falls; split it in two bands"
+        )
+    return at, mass.sum() * vectors[0] ** 2 / transmission

@@ -1,0 +1,246 @@
+"""Spectral energy distributions: how many photons a source sends out per nanometre.
+
+Only the shape matters where a magnitude sets the scale (`optics.light.photometry`), but both kinds carry a unit:
+photons s^-1 mm^-2 nm^-1, emitted by a blackbody's surface or as tabulated.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import constants
+
+from optics.arrays import FloatArray
+from optics.errors import ConfigError, DomainError
+from optics.records import freeze
+from optics.response import check_table, checked_wavelength
+
+__all__ = ["PHOTON_J_NM", "Blackbody", "Sed", "TabulatedSed", "sed_from_astropy", "sed_from_colour"]
+
+
+PHOTON_J_NM = constants.h * constants.c * 1e9
+"""Energy of a photon times its wavelength in vacuum [J nm] (CODATA)."""
+
+_SECOND_RADIATION_NM_K = constants.h * constants.c / constants.k * 1e9
+
+
+@runtime_checkable
+class Sed(Protocol):
+    """A source: photons s^-1 mm^-2 nm^-1 over wavelength."""
+
+    @property
+    def range_nm(self) -> tuple[float, float]:
+        """Wavelengths for which it is known [nm]."""
+        ...
+
+    @property
+    def breakpoints_nm(self) -> FloatArray:
+        """Wavelengths at which it is not smooth [nm], increasing; may be empty."""
+        ...
+
+    def photon_density(self, wavelength_nm: ArrayLike) -> FloatArray:
+        """Photons s^-1 mm^-2 nm^-1 at each wavelength [nm]."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Blackbody:
+    r"""A black body, the usual stand-in for a star of that effective temperature.
+
+    .. math:: N(\lambda) = \frac{2 \pi c}{\lambda^4} \frac{1}{e^{h c / \lambda k T} - 1}
+
+    Attributes
+    ----------
+    temperature_k : float
+        Effective temperature [K].
+
+    Raises
+    ------
+    DomainError
+        Temperature not positive or not finite.
+    """
+
+    temperature_k: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.temperature_k) and self.temperature_k > 0.0):
+            raise DomainError(f"blackbody temperature {self.temperature_k:g} K; it must be positive and finite")
+
+    @property
+    def range_nm(self) -> tuple[float, float]:
+        """Any wavelength from 1 nm to 1 cm."""
+        return 1.0, 1e7
+
+    @property
+    def breakpoints_nm(self) -> FloatArray:
+        """None: Planck's law is smooth."""
+        return np.empty(0)
+
+    def photon_density(self, wavelength_nm: ArrayLike) -> FloatArray:
+        """Photons leaving the surface.
+
+        Parameters
+        ----------
+        wavelength_nm : array_like
+            Wavelengths [nm], any shape.
+
+        Returns
+        -------
+        numpy.ndarray
+            Photons s^-1 mm^-2 nm^-1, the same shape.
+
+        Raises
+        ------
+        DomainError
+            Wavelength not positive, NaN or beyond 1 cm.
+        """
+        wave = checked_wavelength(wavelength_nm, self.range_nm, f"blackbody of {self.temperature_k:g} K")
+        # exp(-x) / (1 - exp(-x)) instead of 1 / (exp(x) - 1): no overflow for cold bodies in the blue
+        decay = -_SECOND_RADIATION_NM_K / (wave * self.temperature_k)
+        per_m3_s = 2.0 * math.pi * constants.c / (wave * 1e-9) ** 4 * np.exp(decay) / -np.expm1(decay)
+        return np.asarray(per_m3_s * 1e-15)  # m^-2 m^-1 -> mm^-2 nm^-1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TabulatedSed:
+    """A measured or modelled spectrum, interpolated linearly in the quantity that was tabulated.
+
+    Attributes
+    ----------
+    name, source : str
+        What it is and where it comes from.
+    wavelength_nm : (n,)
+        Increasing wavelengths [nm].
+    value : (n,)
+        Photons s^-1 mm^-2 nm^-1 or W mm^-2 nm^-1, or anything proportional where a magnitude sets the scale.
+    quantity : {"photon", "power"}
+        Which of the two.
+
+    Raises
+    ------
+    DomainError
+        Unequal lengths, NaN, wavelengths not increasing, a negative value, all values zero.
+    ConfigError
+        Unknown quantity, no source.
+    """
+
+    name: str
+    source: str
+    wavelength_nm: FloatArray
+    value: FloatArray
+    quantity: Literal["photon", "power"]
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        wave = freeze(self, "wavelength_nm", shape=("n",), sizes=sizes)
+        value = freeze(self, "value", shape=("n",), sizes=sizes)
+        check_table(wave, value, f"spectrum {self.name!r}")
+        if not value.any():
+            raise DomainError(f"spectrum {self.name!r} is zero everywhere")
+        if self.quantity not in ("photon", "power"):
+            raise ConfigError(f"spectrum {self.name!r}: quantity {self.quantity!r} is neither 'photon' nor 'power'")
+        if not self.source:
+            raise ConfigError(f"spectrum {self.name!r} needs a source; say where its numbers come from")
+
+    @property
+    def range_nm(self) -> tuple[float, float]:
+        """First and last wavelength [nm]."""
+        return float(self.wavelength_nm[0]), float(self.wavelength_nm[-1])
+
+    @property
+    def breakpoints_nm(self) -> FloatArray:
+        """The tabulated wavelengths."""
+        return self.wavelength_nm
+
+    def photon_density(self, wavelength_nm: ArrayLike) -> FloatArray:
+        """Photons s^-1 mm^-2 nm^-1, or proportional to it.
+
+        Parameters
+        ----------
+        wavelength_nm : array_like
+            Wavelengths [nm], any shape.
+
+        Returns
+        -------
+        numpy.ndarray
+            The same shape.
+
+        Raises
+        ------
+        DomainError
+            Outside the table; a spectrum is never extrapolated.
+        """
+        wave = checked_wavelength(wavelength_nm, self.range_nm, f"spectrum {self.name!r}", "the table ends there")
+        value = np.interp(wave, self.wavelength_nm, self.value)
+        return np.asarray(value if self.quantity == "photon" else value * wave / PHOTON_J_NM)
+
+
+def sed_from_colour(distribution: Any, *, quantity: Literal["photon", "power"] = "power") -> TabulatedSed:
+    """Spectrum from a ``colour.SpectralDistribution``, for example an illuminant.
+
+    Parameters
+    ----------
+    distribution : colour.SpectralDistribution
+        Wavelengths [nm] and values; colour-science tabulates relative power.
+    quantity : {"power", "photon"}
+        What its values stand for.
+
+    Returns
+    -------
+    TabulatedSed
+        Its table.
+
+    Raises
+    ------
+    ConfigError
+        Not a spectral distribution.
+    DomainError
+        Values that make no spectrum.
+    """
+    try:
+        wave, value, name = distribution.wavelengths, distribution.values, str(distribution.name)
+    except AttributeError:
+        raise ConfigError(f"a colour.SpectralDistribution is needed, got {type(distribution).__name__}") from None
+    return TabulatedSed(name=name, source=f"colour-science: {name}", wavelength_nm=wave, value=value, quantity=quantity)
+
+
+def sed_from_astropy(wavelength: Any, flux: Any, *, name: str, source: str) -> TabulatedSed:
+    """Spectrum from astropy quantities in any unit of spectral flux density.
+
+    Parameters
+    ----------
+    wavelength : astropy.units.Quantity, (n,)
+        Wavelength, frequency or photon energy, in any order.
+    flux : astropy.units.Quantity, (n,)
+        Power or photons per wavelength or frequency and area.
+    name, source : str
+        What it is and where it comes from.
+
+    Returns
+    -------
+    TabulatedSed
+        Photons s^-1 mm^-2 nm^-1, ordered by wavelength.
+
+    Raises
+    ------
+    ConfigError
+        Units that do not fit.
+    DomainError
+        Values that make no spectrum.
+    """
+    from astropy import units
+
+    photons = units.photon / (units.s * units.mm**2 * units.nm)
+    try:
+        wave = wavelength.to_value(units.nm, units.spectral())
+        value = flux.to_value(photons, units.spectral_density(wavelength))
+    except (AttributeError, units.UnitConversionError) as error:
+        raise ConfigError(
+            f"spectrum {name!r}: wavelength and spectral flux density with units are needed ({error})"
+        ) from None
+    order = np.argsort(wave)
+    return TabulatedSed(name=name, source=source, wavelength_nm=wave[order], value=value[order], quantity="photon")

@@ -1,0 +1,194 @@
+"""Chief rays, plate scale and distortion, by real rays; also for perturbed lenses.
+
+Fields are angles of the star in cam (`optics.frames.field_direction`), positions are millimetres in the image plane
+(lens frame axes: x along increasing column, y against increasing row).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optics.arrays import FloatArray
+from optics.errors import ConvergenceError, DomainError
+from optics.frames import field_direction, light_direction
+from optics.lens.system import LensSystem
+from optics.rays.paraxial import axial_paraxial
+from optics.rays.trace import OK, VIGNETTED, Rays, trace
+from optics.records import freeze
+from optics.units import DEG_RAD
+
+__all__ = ["DistortionMap", "chief_ray_points", "distortion_map", "plate_scale_mm"]
+
+
+AIM_STEPS = 12
+AIM_TOLERANCE_MM = 1e-10
+AIM_DIFFERENCE_MM = 1e-4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DistortionMap:
+    """Chief-ray positions against the ideal f tan(field) on a grid of fields.
+
+    Attributes
+    ----------
+    field_x_deg, field_y_deg : (n, n)
+        Fields.
+    ideal_x_mm, ideal_y_mm : (n, n)
+        Ideal positions, from the chief ray of field 0.
+    x_mm, y_mm : (n, n)
+        Real positions.
+    focal_length_mm : float
+        f of the ideal positions.
+    """
+
+    field_x_deg: FloatArray
+    field_y_deg: FloatArray
+    ideal_x_mm: FloatArray
+    ideal_y_mm: FloatArray
+    x_mm: FloatArray
+    y_mm: FloatArray
+    focal_length_mm: float
+
+    def __post_init__(self) -> None:
+        for name in ("field_x_deg", "field_y_deg", "ideal_x_mm", "ideal_y_mm", "x_mm", "y_mm"):
+            freeze(self, name, shape=("n", "m"), sizes={})
+
+    @property
+    def relative(self) -> FloatArray:
+        """Radial distortion: displacement along the radius over the ideal radius, (n, n); 0 at the centre."""
+        x = self.focal_length_mm * np.tan(self.field_x_deg * DEG_RAD)
+        y = -self.focal_length_mm * np.tan(self.field_y_deg * DEG_RAD)
+        r2 = x * x + y * y
+        along = (self.x_mm - self.ideal_x_mm) * x + (self.y_mm - self.ideal_y_mm) * y
+        return np.divide(along, r2, out=np.zeros_like(r2), where=r2 > 0)
+
+
+def _to_stop(lens: LensSystem) -> LensSystem:
+    """The front part of the lens, with its image plane in the vertex plane of the stop."""
+    at = lens.stop_index
+    stop = lens.surfaces[at]
+    return replace(
+        lens,
+        surfaces=lens.surfaces[: at + 1],
+        image_position_mm=stop.position_mm,
+        image_rotation=stop.rotation,
+    )
+
+
+def chief_ray_points(
+    lens: LensSystem, field_x_deg: ArrayLike, field_y_deg: ArrayLike, wavelength_nm: ArrayLike | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Where the chief rays (through the centre of the stop) meet the image plane.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    field_x_deg, field_y_deg, wavelength_nm : array
+        Broadcastable field angles [deg] and wavelengths [nm] (design wavelength if left out).
+
+    Returns
+    -------
+    x_mm, y_mm : array
+        Points of the image plane [mm].
+
+    Raises
+    ------
+    ConvergenceError
+        If the rays cannot be aimed at the stop's centre, or do not reach the image plane.
+    """
+    wave = lens.design_wavelength_nm if wavelength_nm is None else wavelength_nm
+    fx, fy, wave = np.broadcast_arrays(*(np.asarray(v, float) for v in (field_x_deg, field_y_deg, wave)))
+    direction = light_direction(field_direction(fx, fy))
+    front, z = _to_stop(lens), _aim_plane_mm(lens)
+
+    def through(target: LensSystem, x: FloatArray, y: FloatArray) -> Rays:
+        rays = trace(target, Rays.create(x_mm=x, y_mm=y, z_mm=z, direction=direction, wavelength_nm=wave))
+        if not np.all((rays.status == OK) | (rays.status == VIGNETTED)):
+            raise ConvergenceError(f"lens {lens.name!r}: a chief ray misses a surface or is totally reflected")
+        return rays
+
+    x, y = np.zeros(fx.shape), np.zeros(fx.shape)
+    h = AIM_DIFFERENCE_MM
+    for _ in range(AIM_STEPS):
+        at, right, up = through(front, x, y), through(front, x + h, y), through(front, x, y + h)
+        if np.hypot(at.x, at.y).max() < AIM_TOLERANCE_MM:
+            arrived = through(lens, x, y)
+            return arrived.x, arrived.y
+        a, b, c, d = (right.x - at.x) / h, (up.x - at.x) / h, (right.y - at.y) / h, (up.y - at.y) / h
+        determinant = a * d - b * c
+        x = x - (d * at.x - b * at.y) / determinant
+        y = y - (a * at.y - c * at.x) / determinant
+    raise ConvergenceError(
+        f"lens {lens.name!r}: chief rays come within {np.hypot(at.x, at.y).max():.1e} mm of the stop's centre, not "
+        f"{AIM_TOLERANCE_MM:.0e} mm, after {AIM_STEPS} steps"
+    )
+
+
+def _aim_plane_mm(lens: LensSystem) -> float:
+    """z of the plane in which chief rays are aimed: the paraxial entrance pupil, or the first vertex if that is far."""
+    pupil_z = axial_paraxial(lens, lens.design_wavelength_nm).entrance_pupil_z_mm
+    return pupil_z if np.isfinite(pupil_z) else float(lens.surfaces[0].position_mm[2])
+
+
+def plate_scale_mm(lens: LensSystem, wavelength_nm: float | None = None) -> float:
+    """Focal length as the image shows it: chief-ray displacement per tan(field) around field 0, mean of x and y [mm].
+
+    Equal to the paraxial focal length only if the image plane is the paraxial focal plane.
+    """
+    step = lens.max_field_deg / 100.0
+    x, y = chief_ray_points(lens, [step, -step, 0.0, 0.0], [0.0, 0.0, step, -step], wavelength_nm)
+    return float((x[0] - x[1] - y[2] + y[3]) / (4.0 * np.tan(step * DEG_RAD)))
+
+
+def distortion_map(
+    lens: LensSystem,
+    *,
+    count: int = 11,
+    max_field_deg: float | None = None,
+    wavelength_nm: float | None = None,
+    focal_length_mm: float | None = None,
+) -> DistortionMap:
+    """Distortion on a square grid of fields, regular in tan(field).
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    count : int
+        Points per side.
+    max_field_deg : float, optional
+        Field angle at the corners of the grid; the lens's own if left out.
+    wavelength_nm : float, optional
+        Wavelength; the design wavelength if left out.
+    focal_length_mm : float, optional
+        f of the ideal lens; the plate scale at that wavelength (`plate_scale_mm`) if left out.
+
+    Raises
+    ------
+    DomainError
+        If ``count`` is below 2.
+    ConvergenceError
+        If chief rays cannot be found.
+    """
+    if count < 2:
+        raise DomainError(f"distortion grid of {count} x {count} points; at least 2 x 2 is needed")
+    focal = plate_scale_mm(lens, wavelength_nm) if focal_length_mm is None else focal_length_mm
+    corner = lens.max_field_deg if max_field_deg is None else max_field_deg
+    side = np.linspace(-1.0, 1.0, count) * np.tan(corner * DEG_RAD) / np.sqrt(2.0)
+    tx, ty = np.meshgrid(side, side)
+    fx, fy = np.degrees(np.arctan(tx)), np.degrees(np.arctan(ty))
+    x, y = chief_ray_points(lens, fx, fy, wavelength_nm)
+    x0, y0 = chief_ray_points(lens, 0.0, 0.0, wavelength_nm)
+    return DistortionMap(
+        field_x_deg=fx,
+        field_y_deg=fy,
+        ideal_x_mm=x0 + focal * tx,
+        ideal_y_mm=y0 - focal * ty,
+        x_mm=x,
+        y_mm=y,
+        focal_length_mm=focal,
+    )

@@ -1,0 +1,223 @@
+r"""Paraxial (Gaussian) optics by ABCD matrices; an oracle that shares no code with the ray trace.
+
+A ray is :math:`(y, \nu)` with :math:`\nu = n u`. Refraction: :math:`\nu' = \nu - (n' - n) c\, y`; transfer over a
+distance t: :math:`y' = y + (t / n) \nu` (Kloos 2007, *Matrix Methods for Optical Layout*, SPIE TT77). With the matrix
+[[A, B], [C, D]] from the first to the last refracting vertex and the surroundings' index n: f = -n/C, back focus
+-n A/C, front focus n D/C.
+
+Indices are absolute, so a lens in air has the focal length it has in air, in vacuum the one in vacuum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.lens.system import LensSystem
+from optics.units import DEG_RAD
+
+__all__ = ["ParaxialLens", "axial_colour_mm", "chief_ray", "image_of", "lateral_colour_mm", "paraxial"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParaxialLens:
+    """First-order quantities at one wavelength; ``*_z_mm`` are positions in the lens frame.
+
+    Attributes
+    ----------
+    wavelength_nm : float
+        Wavelength [nm].
+    efl_mm : float
+        Effective focal length (rear principal plane to rear focus).
+    bfl_mm : float
+        From the last refracting vertex to the rear focus.
+    ffl_mm : float
+        From the first refracting vertex to the front focus (usually negative).
+    front_focus_z_mm, rear_focus_z_mm, front_principal_z_mm, rear_principal_z_mm : float
+        Cardinal planes.
+    entrance_pupil_z_mm, entrance_pupil_radius_mm, exit_pupil_z_mm, exit_pupil_radius_mm : float
+        Images of the stop; infinite for a telecentric lens.
+    f_number : float
+        efl / (2 entrance pupil radius).
+    """
+
+    wavelength_nm: float
+    efl_mm: float
+    bfl_mm: float
+    ffl_mm: float
+    front_focus_z_mm: float
+    rear_focus_z_mm: float
+    front_principal_z_mm: float
+    rear_principal_z_mm: float
+    entrance_pupil_z_mm: float
+    entrance_pupil_radius_mm: float
+    exit_pupil_z_mm: float
+    exit_pupil_radius_mm: float
+    f_number: float
+
+
+def _require_centred(lens: LensSystem) -> None:
+    poses = [(s.position_mm, s.rotation, f"surface {i}") for i, s in enumerate(lens.surfaces)]
+    for position, rotation, what in [*poses, (lens.image_position_mm, lens.image_rotation, "image plane")]:
+        if np.any(position[:2] != 0.0) or not np.array_equal(rotation[:, 2], [0.0, 0.0, 1.0]):
+            raise DomainError(
+                f"lens {lens.name!r}: {what} is tilted or decentred; paraxial quantities exist for centred lenses only"
+            )
+
+
+def _transfer(distance: float, index: float) -> FloatArray:
+    return np.array([[1.0, distance / index], [0.0, 1.0]])
+
+
+def _through(lens: LensSystem, n: FloatArray, start_z: float, first: int, last: int) -> tuple[FloatArray, float]:
+    """Matrix from the plane ``start_z`` through surfaces ``first`` ... ``last - 1``, and z of the last vertex."""
+    matrix, z = np.eye(2), start_z
+    for i in range(first, last):
+        surface = lens.surfaces[i]
+        vertex = float(surface.position_mm[2])
+        refraction = np.array([[1.0, 0.0], [-(n[i + 1] - n[i]) * surface.shape.curvature, 1.0]])
+        matrix, z = refraction @ _transfer(vertex - z, n[i]) @ matrix, vertex
+    return matrix, z
+
+
+def _refracting(lens: LensSystem, n: FloatArray) -> tuple[int, int]:
+    """First and last surface that refract."""
+    found = [i for i in range(len(lens.surfaces)) if n[i] != n[i + 1]]
+    if not found:
+        raise DomainError(f"lens {lens.name!r} has no refracting surface; it has no focal length")
+    return found[0], found[-1]
+
+
+def axial_paraxial(lens: LensSystem, wavelength_nm: float) -> ParaxialLens:
+    """As `paraxial`, but tilts and decentres are ignored instead of refused (a starting point for real rays)."""
+    n = lens.indices(float(wavelength_nm))
+    first, last = _refracting(lens, n)
+    z_first, z_last = float(lens.surfaces[first].position_mm[2]), float(lens.surfaces[last].position_mm[2])
+    (a, _), (c, d) = _through(lens, n, z_first, first, last + 1)[0]
+    if c == 0.0:
+        raise DomainError(f"lens {lens.name!r} is afocal at {wavelength_nm:g} nm; it has no focal length")
+    n_in, n_out = float(n[0]), float(n[-1])
+    efl, bfl, ffl = -n_out / c, -n_out * a / c, n_in * d / c
+    stop = lens.surfaces[lens.stop_index]
+    z_stop = float(stop.position_mm[2])
+    before, z = _through(lens, n, z_first, 0, lens.stop_index)
+    before = _transfer(z_stop - z, float(n[lens.stop_index])) @ before
+    after, z_end = _through(lens, n, z_stop, lens.stop_index, len(lens.surfaces))
+    with np.errstate(divide="ignore"):
+        entrance_z = z_first + n_in * np.divide(before[0, 1], before[0, 0])
+        exit_z = z_end - n_out * np.divide(after[0, 1], after[1, 1])
+        entrance_radius = np.abs(np.divide(stop.semi_diameter_mm, before[0, 0]))
+        exit_radius = np.abs(np.divide(stop.semi_diameter_mm, after[1, 1]))
+        f_number = np.divide(abs(efl), 2.0 * entrance_radius)
+    return ParaxialLens(
+        wavelength_nm=float(wavelength_nm),
+        efl_mm=float(efl),
+        bfl_mm=float(bfl),
+        ffl_mm=float(ffl),
+        front_focus_z_mm=float(z_first + ffl),
+        rear_focus_z_mm=float(z_last + bfl),
+        front_principal_z_mm=float(z_first + ffl + efl * n_in / n_out),
+        rear_principal_z_mm=float(z_last + bfl - efl),
+        entrance_pupil_z_mm=float(entrance_z),
+        entrance_pupil_radius_mm=float(entrance_radius),
+        exit_pupil_z_mm=float(exit_z),
+        exit_pupil_radius_mm=float(exit_radius),
+        f_number=float(f_number),
+    )
+
+
+def paraxial(lens: LensSystem, wavelength_nm: float | None = None) -> ParaxialLens:
+    """First-order quantities of a centred lens.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        A centred lens.
+    wavelength_nm : float, optional
+        Wavelength; the design wavelength if left out.
+
+    Raises
+    ------
+    DomainError
+        If the lens is tilted or decentred, afocal, or the wavelength is outside the range of its glasses.
+    """
+    _require_centred(lens)
+    return axial_paraxial(lens, lens.design_wavelength_nm if wavelength_nm is None else wavelength_nm)
+
+
+def image_of(lens: LensSystem, object_z_mm: float, wavelength_nm: float | None = None) -> tuple[float, float]:
+    """Position [mm, lens frame] and transverse magnification of the image of an axial object plane.
+
+    Raises
+    ------
+    DomainError
+        As `paraxial`; also for an object in the front focal plane.
+    """
+    p = paraxial(lens, wavelength_nm)
+    # Newton: x x' = -f f', with f' / f = n' / n, equal here because both sides are the surroundings
+    x = object_z_mm - p.front_focus_z_mm
+    if x == 0.0:
+        raise DomainError(f"object at z = {object_z_mm} mm stands in the front focal plane; its image is at infinity")
+    return p.rear_focus_z_mm - p.efl_mm**2 / x, p.efl_mm / x
+
+
+def chief_ray(lens: LensSystem, field_deg: float, wavelength_nm: float | None = None) -> tuple[FloatArray, FloatArray]:
+    """Paraxial chief ray of a star at ``field_deg``, in the meridional plane.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        A centred lens.
+    field_deg : float
+        Field angle [deg]; the ray's slope in object space is tan(field).
+    wavelength_nm : float, optional
+        Wavelength; the design wavelength if left out.
+
+    Returns
+    -------
+    height_mm : (surfaces + 1,)
+        Height at each vertex plane and at the image plane.
+    slope : (surfaces + 1,)
+        Slope after each surface; the last repeats the one before.
+    """
+    p = paraxial(lens, wavelength_nm)
+    n = lens.indices(p.wavelength_nm)
+    slope = float(np.tan(field_deg * DEG_RAD))
+    z = float(lens.surfaces[0].position_mm[2])
+    ray = np.array([(z - p.entrance_pupil_z_mm) * slope, n[0] * slope])
+    heights, slopes = [], []
+    for i, surface in enumerate(lens.surfaces):
+        vertex = float(surface.position_mm[2])
+        ray = _transfer(vertex - z, n[i]) @ ray
+        ray[1] -= (n[i + 1] - n[i]) * surface.shape.curvature * ray[0]
+        z = vertex
+        heights.append(ray[0])
+        slopes.append(ray[1] / n[i + 1])
+    heights.append(heights[-1] + (float(lens.image_position_mm[2]) - z) * slopes[-1])
+    return np.array(heights), np.array([*slopes, slopes[-1]])
+
+
+def axial_colour_mm(lens: LensSystem, wavelength_nm: ArrayLike, reference_nm: float | None = None) -> FloatArray:
+    """Shift of the rear focus [mm] against the reference wavelength (design wavelength if left out)."""
+    reference = paraxial(lens, reference_nm).rear_focus_z_mm
+    values = np.asarray(wavelength_nm, float)
+    return np.array([paraxial(lens, w).rear_focus_z_mm - reference for w in values.ravel()]).reshape(values.shape)
+
+
+def lateral_colour_mm(
+    lens: LensSystem, field_deg: float, wavelength_nm: ArrayLike, reference_nm: float | None = None
+) -> FloatArray:
+    """Chief-ray height in the image plane [mm] against that of the reference wavelength."""
+    reference = chief_ray(lens, field_deg, reference_nm)[0][-1]
+    values = np.asarray(wavelength_nm, float)
+    return np.array([chief_ray(lens, field_deg, w)[0][-1] - reference for w in values.ravel()]).reshape(values.shape)
+
+
+def refocused(lens: LensSystem, wavelength_nm: float | None = None) -> LensSystem:
+    """The lens with its image plane moved to the paraxial focus."""
+    z = paraxial(lens, wavelength_nm).rear_focus_z_mm
+    return replace(lens, image_position_mm=np.array([0.0, 0.0, z]))

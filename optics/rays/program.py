@@ -1,0 +1,140 @@
+"""A lens compiled for tracing: a structure (which steps) and one flat vector of numbers (which values).
+
+The structure decides what code runs, the vector what it computes. Two lenses of the same structure (a perturbed copy,
+another temperature) differ only in the vector, so a just-in-time compiled trace is compiled once for both, and the
+gradient with respect to every number of the prescription is one vector.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from optics.arrays import FloatArray
+from optics.glass.media import IndexFormula, index_parameters
+from optics.lens.surface import Plane, Shape
+from optics.lens.system import AMBIENT, LensSystem
+from optics.records import locked
+
+__all__ = ["LensProgram", "Step", "compile_lens"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """One surface as the trace sees it; ``*_at`` are offsets into the parameter vector.
+
+    Attributes
+    ----------
+    shape : type
+        Shape class whose ``intersect`` is called.
+    shape_at, shape_size : int
+        Its parameters.
+    shift_at : int
+        Three numbers: the previous vertex seen from this one, added after the rotation.
+    lateral : bool
+        Whether the shift has x and y components.
+    rotation_at : int
+        Nine numbers (row-major) that turn the previous frame into this one; -1 when the axes are parallel.
+    aperture_at : int
+        Squared outer and inner radius; -1 without a clear aperture.
+    annular : bool
+        Whether the inner radius counts.
+    before, after : int
+        Media; equal for a surface that does not refract.
+    """
+
+    shape: type[Shape]
+    shape_at: int
+    shape_size: int
+    shift_at: int
+    lateral: bool
+    rotation_at: int
+    aperture_at: int
+    annular: bool
+    before: int
+    after: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LensProgram:
+    """Structure of a compiled lens; hashable, so that kernels can be cached by it."""
+
+    steps: tuple[Step, ...]
+    media: tuple[IndexFormula, ...]
+    size: int
+
+
+class _Vector:
+    """Parameter vector under construction."""
+
+    def __init__(self) -> None:
+        self.values: list[float] = []
+
+    def add(self, numbers: Iterable[float]) -> int:
+        at = len(self.values)
+        self.values.extend(float(number) for number in numbers)
+        return at
+
+
+def _media(lens: LensSystem, vector: _Vector) -> tuple[list[IndexFormula], list[int]]:
+    """Index formulas of the distinct media, and for each surface the number of the medium that follows it."""
+    keys = [(AMBIENT, 0.0)] + [(s.medium, s.index_offset) for s in lens.surfaces]
+    distinct = list(dict.fromkeys(keys))
+    formulas = []
+    for name, offset in distinct:
+        glass = None if name == AMBIENT else lens.glasses[name]
+        numbers, terms, thermal = index_parameters(glass, lens.environment, offset)
+        formulas.append(IndexFormula(at=vector.add(numbers), terms=terms, thermal=thermal))
+    return formulas, [distinct.index(key) for key in keys]
+
+
+def compile_lens(lens: LensSystem, *, general: bool = False) -> tuple[LensProgram, FloatArray]:
+    """Structure and parameter vector of a lens; the image plane is the last step.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    general : bool
+        Keep every pose general even if it is centred, so that all perturbations of the lens share one structure.
+
+    Returns
+    -------
+    program : LensProgram
+        The structure.
+    theta : (size,)
+        The numbers [mm, 1/mm, 1].
+    """
+    vector = _Vector()
+    media, medium_of = _media(lens, vector)
+    poses = [(s.position_mm, s.rotation) for s in lens.surfaces] + [(lens.image_position_mm, lens.image_rotation)]
+    steps = []
+    position, rotation = np.zeros(3), np.eye(3)
+    for i, (new_position, new_rotation) in enumerate(poses):
+        surface = lens.surfaces[i] if i < len(lens.surfaces) else None
+        turn = new_rotation.T @ rotation
+        shift = new_rotation.T @ (position - new_position)
+        turned = general or not np.array_equal(new_rotation, rotation)
+        shape: Shape = Plane() if surface is None else surface.shape
+        limited = surface is not None and (np.isfinite(surface.semi_diameter_mm) or surface.inner_semi_diameter_mm > 0)
+        steps.append(
+            Step(
+                shape=type(shape),
+                shape_at=vector.add(shape.parameters()),
+                shape_size=len(shape.parameters()),
+                shift_at=vector.add(shift),
+                lateral=general or bool(np.any(shift[:2] != 0.0)),
+                rotation_at=vector.add(turn.ravel()) if turned else -1,
+                aperture_at=vector.add([surface.semi_diameter_mm**2, surface.inner_semi_diameter_mm**2])
+                if limited and surface is not None
+                else -1,
+                annular=surface is not None and surface.inner_semi_diameter_mm > 0,
+                before=medium_of[min(i, len(lens.surfaces))],
+                after=medium_of[min(i + 1, len(lens.surfaces))],
+            )
+        )
+        position, rotation = new_position, new_rotation
+    theta = locked(vector.values)
+    return LensProgram(steps=tuple(steps), media=tuple(media), size=len(theta)), theta

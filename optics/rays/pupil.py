@@ -1,0 +1,251 @@
+"""Where starlight enters a lens, and at which points of that disk it is sampled."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import qmc
+
+from optics.arrays import FloatArray
+from optics.errors import ConvergenceError, DomainError
+from optics.frames import field_direction, light_direction
+from optics.lens.system import LensSystem
+from optics.rays.paraxial import axial_paraxial
+from optics.rays.trace import Rays, trace
+from optics.records import freeze
+
+__all__ = [
+    "EntrancePupil",
+    "PupilSamples",
+    "disk_from_square",
+    "entrance_pupil",
+    "gauss_disk",
+    "sobol_disk",
+    "star_rays",
+]
+
+
+SEARCH_RINGS, SEARCH_ARMS, SEARCH_DOUBLINGS = 32, 48, 5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PupilSamples:
+    """Points of the unit disk with weights that sum to 1.
+
+    Attributes
+    ----------
+    x, y : (n,)
+        Points.
+    weight : (n,)
+        Weights; equal for Sobol points.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    weight: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        for name in ("x", "y", "weight"):
+            freeze(self, name, shape=("n",), sizes=sizes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EntrancePupil:
+    """Disk in a plane z = const of object space from which rays are launched.
+
+    Attributes
+    ----------
+    z_mm, x_mm, y_mm : float
+        Centre in the lens frame.
+    radius_mm : float
+        Radius.
+    exact : bool
+        Whether the disk is the clear stop itself, so that every ray in it passes the stop and none outside does.
+        If not, the disk only contains the pupil, and the trace decides.
+    """
+
+    z_mm: float
+    radius_mm: float
+    exact: bool
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of the disk; times cos(field) it is the cross-section of the launched beam [mm^2]."""
+        return math.pi * self.radius_mm**2
+
+
+def gauss_disk(rings: int, arms: int) -> PupilSamples:
+    """Gauss-Legendre in r^2 times trapezoid in phi.
+
+    Exact for polynomials in (x, y) of degree min(4 rings - 1, arms - 1) (Stroud 1971, *Approximate Calculation of
+    Multiple Integrals*, sec. 2.6): the trapezoid removes every angular order below ``arms``, what is left is a
+    polynomial in r^2 that Gauss-Legendre integrates up to degree 2 rings - 1. For ``arms`` divisible by 4 the points
+    are symmetric about both axes.
+
+    Parameters
+    ----------
+    rings, arms : int
+        Number of radii and of azimuths.
+
+    Raises
+    ------
+    DomainError
+        If either is below 1.
+    """
+    if rings < 1 or arms < 1:
+        raise DomainError(f"pupil sampling of {rings} rings x {arms} arms; at least 1 x 1 is needed")
+    node, weight = np.polynomial.legendre.leggauss(rings)
+    r, phi = np.sqrt(0.5 * (1.0 + node)), 2.0 * np.pi * (np.arange(arms) + 0.5) / arms
+    return PupilSamples(
+        x=np.outer(r, np.cos(phi)).ravel(),
+        y=np.outer(r, np.sin(phi)).ravel(),
+        weight=np.repeat(0.5 * weight / arms, arms),
+    )
+
+
+def disk_from_square(u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Area-preserving map of the unit square to the unit disk: r = sqrt(u), phi = 2 pi v."""
+    r, phi = np.sqrt(np.asarray(u, float)), 2.0 * np.pi * np.asarray(v, float)
+    return r * np.cos(phi), r * np.sin(phi)
+
+
+def sobol_disk(count: int, *, seed: int) -> PupilSamples:
+    """Scrambled Sobol points in the unit disk.
+
+    Parameters
+    ----------
+    count : int
+        Number of points, a power of two (what the balance of a Sobol set needs).
+    seed : int
+        Seed of the scrambling.
+
+    Raises
+    ------
+    DomainError
+        If ``count`` is not a power of two from 1 to 2^30.
+    """
+    if not (0 < count <= 1 << 30) or count & (count - 1):
+        raise DomainError(f"{count} Sobol points; a power of two from 1 to 2^30 is needed")
+    square = qmc.Sobol(2, scramble=True, rng=np.random.default_rng(seed)).random_base2(count.bit_length() - 1)
+    x, y = disk_from_square(square[:, 0], square[:, 1])
+    return PupilSamples(x=x, y=y, weight=np.full(count, 1.0 / count))
+
+
+def star_rays(
+    pupil: EntrancePupil,
+    samples: PupilSamples,
+    v_cam: ArrayLike,
+    wavelength_nm: ArrayLike,
+    *,
+    ambient_index: float | FloatArray = 1.0,
+) -> Rays:
+    """Rays of stars from the sampled launch disk.
+
+    Parameters
+    ----------
+    pupil : EntrancePupil
+        Launch disk.
+    samples : PupilSamples
+        Points of the unit disk, n of them.
+    v_cam : (..., 3)
+        Unit vectors towards the stars in cam.
+    wavelength_nm : (...)
+        Wavelengths, broadcastable with the stars.
+    ambient_index : float or (...)
+        Index of the surroundings; scales the initial optical path.
+
+    Returns
+    -------
+    Rays
+        Shape (..., n). ``opl_mm`` starts as the distance to the plane wavefront through the lens frame's origin, so
+        that differences at the end are wavefront errors.
+    """
+    d = light_direction(v_cam)[..., None, :]
+    x, y = pupil.x_mm + pupil.radius_mm * samples.x, pupil.y_mm + pupil.radius_mm * samples.y
+    rays = Rays.create(
+        x_mm=x, y_mm=y, z_mm=pupil.z_mm, direction=d, wavelength_nm=np.asarray(wavelength_nm, float)[..., None]
+    )
+    start = rays.x * rays.dx + rays.y * rays.dy + rays.z * rays.dz
+    rays.opl_mm[...] = np.asarray(ambient_index, float)[..., None] * start
+    return rays
+
+
+def entrance_pupil(
+    lens: LensSystem, *, max_field_deg: float | None = None, wavelength_nm: Sequence[float] | None = None
+) -> EntrancePupil:
+    """Launch disk of a lens.
+
+    If a clear, untilted stop stands in front of all glass it is that stop, exactly. Otherwise it is the paraxial
+    entrance pupil, resized by real rays: the smallest disk around it that holds every ray that reaches the image plane
+    from anywhere in the field, plus twice the step of the search (less than 1 % of its radius in all).
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens; may be perturbed.
+    max_field_deg : float, optional
+        Half field angle that has to be covered (circular field); the lens's own if left out.
+    wavelength_nm : sequence of float, optional
+        Wavelengths that have to be covered; if left out, the design wavelength, 0.75 and 1.4 times that (as far as the
+        glasses are known there).
+
+    Raises
+    ------
+    ConvergenceError
+        If no ray at all reaches the image plane.
+    """
+    stop = lens.surfaces[lens.stop_index]
+    upright = np.array_equal(stop.rotation[:, 2], [0.0, 0.0, 1.0])
+    if lens.stop_in_front and upright and stop.inner_semi_diameter_mm == 0.0:
+        x, y, z = (float(v) for v in stop.position_mm)
+        return EntrancePupil(x_mm=x, y_mm=y, z_mm=z, radius_mm=float(stop.semi_diameter_mm), exact=True)
+    guess = axial_paraxial(lens, lens.design_wavelength_nm)
+    if not (math.isfinite(guess.entrance_pupil_z_mm) and math.isfinite(guess.entrance_pupil_radius_mm)):
+        raise DomainError(f"lens {lens.name!r}: the entrance pupil is at infinity; rays cannot be launched from it")
+    field = lens.max_field_deg if max_field_deg is None else max_field_deg
+    spread = np.clip(lens.design_wavelength_nm * np.array([0.75, 1.0, 1.4]), *lens.wavelength_range_nm)
+    wavelengths = spread if wavelength_nm is None else np.array(wavelength_nm, float)
+    z, outer = guess.entrance_pupil_z_mm, 1.5 * guess.entrance_pupil_radius_mm
+    needed = 0.0
+    for _ in range(SEARCH_DOUBLINGS):
+        needed, step = _reach(lens, z, (0.0, outer), field, wavelengths), outer / SEARCH_RINGS
+        if 0.0 < needed < outer - 1.5 * step:
+            band = (max(needed - step, 0.0), needed + 2.0 * step)  # once more, where it ends
+            needed = max(needed, _reach(lens, z, band, field, wavelengths))
+            between_arms = needed * (1.0 / math.cos(math.pi / SEARCH_ARMS) - 1.0)
+            margin = 2.0 * (band[1] - band[0]) / SEARCH_RINGS + between_arms
+            return EntrancePupil(z_mm=z, radius_mm=needed + margin, exact=False)
+        outer *= 2.0
+    if needed == 0.0:
+        raise ConvergenceError(f"lens {lens.name!r}: no ray of any field reaches the image plane")
+    raise ConvergenceError(
+        f"lens {lens.name!r}: rays pass even {needed:.1f} mm from the axis; neither stop nor apertures limit the beam"
+    )
+
+
+def _reach(
+    lens: LensSystem, z_mm: float, band_mm: tuple[float, float], field_deg: float, wavelength_nm: FloatArray
+) -> float:
+    """Largest radius within the band at which a ray of any field still reaches the image plane [mm], 0 for none."""
+    inner, outer = band_mm
+    r = inner + (outer - inner) * (np.arange(SEARCH_RINGS) + 1.0) / SEARCH_RINGS
+    phi = 2.0 * np.pi * np.arange(SEARCH_ARMS) / SEARCH_ARMS
+    x, y = np.outer(r, np.cos(phi)).ravel(), np.outer(r, np.sin(phi)).ravel()
+    turn = 2.0 * np.pi * np.arange(8) / 8
+    part = np.array([0.0, *np.repeat([0.5, 0.8, 1.0], 8)]) * field_deg
+    azimuth = np.array([0.0, *np.tile(turn, 3)])
+    direction = light_direction(field_direction(part * np.cos(azimuth), part * np.sin(azimuth)))
+    largest = 0.0
+    for wavelength in wavelength_nm:
+        rays = Rays.create(x_mm=x, y_mm=y, z_mm=z_mm, direction=direction[:, None, :], wavelength_nm=wavelength)
+        arrived = trace(lens, rays).ok.any(axis=0).reshape(SEARCH_RINGS, SEARCH_ARMS).any(axis=1)
+        if arrived.any():
+            largest = max(largest, float(r[arrived].max()))
+    return largest

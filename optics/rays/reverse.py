@@ -1,0 +1,101 @@
+"""The same lens for light that goes the other way, from the image plane to the sky.
+
+The reversed lens has its own lens frame: its origin is the image plane's origin of the original lens, and the axes are
+turned half a turn about y, so that light travels towards +z again: (x, y, z) -> (-x, y, z_image - z). Its image plane
+is the plane z = 0 of the original lens.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from optics.errors import DomainError
+from optics.lens.surface import Conic, EvenAsphere, Plane, Shape, Sphere
+from optics.lens.system import AMBIENT, LensSystem
+from optics.rays.trace import OK, Rays
+
+__all__ = ["retraced", "reverse"]
+
+HALF_TURN = np.diag([-1.0, 1.0, -1.0])
+
+
+def _flipped(shape: Shape) -> Shape:
+    """The shape seen from behind: the sag changes sign."""
+    match shape:
+        case Plane():
+            return shape
+        case Sphere(radius_mm=radius):
+            return Sphere(radius_mm=-radius)
+        case Conic(radius_mm=radius, conic=conic):
+            return Conic(radius_mm=-radius, conic=conic)
+        case EvenAsphere(radius_mm=radius, conic=conic, coefficients=coefficients):
+            return EvenAsphere(radius_mm=-radius, conic=conic, coefficients=tuple(-a for a in coefficients))
+
+
+def reverse(lens: LensSystem) -> LensSystem:
+    """Lens for light from the image side.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+
+    Returns
+    -------
+    LensSystem
+        Surfaces in reverse order; see the module for its frame. Reversing twice gives back a lens whose image plane is
+        untilted and which is otherwise the same.
+    """
+    before = [(AMBIENT, 0.0)] + [(s.medium, s.index_offset) for s in lens.surfaces[:-1]]
+    surfaces = tuple(
+        replace(
+            surface,
+            shape=_flipped(surface.shape),
+            position_mm=HALF_TURN @ (surface.position_mm - lens.image_position_mm),
+            rotation=HALF_TURN @ surface.rotation @ HALF_TURN,
+            medium=medium,
+            index_offset=offset,
+        )
+        for surface, (medium, offset) in zip(reversed(lens.surfaces), reversed(before), strict=True)
+    )
+    return replace(
+        lens,
+        surfaces=surfaces,
+        image_position_mm=-HALF_TURN @ lens.image_position_mm,
+        image_rotation=np.eye(3),
+    )
+
+
+def retraced(lens: LensSystem, arrived: Rays) -> Rays:
+    """Rays that start where traced rays ended and go back, in the frame of ``reverse(lens)``.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The original lens.
+    arrived : Rays
+        What `optics.rays.trace.trace` returned for it (NumPy).
+
+    Raises
+    ------
+    DomainError
+        If some rays did not arrive.
+    """
+    if np.any(arrived.status != OK):
+        raise DomainError(
+            f"{int(np.sum(arrived.status != OK))} rays did not reach the image plane; retrace those that did"
+        )
+    turn = HALF_TURN @ lens.image_rotation
+    point = turn @ np.stack([np.ravel(v) for v in (arrived.x, arrived.y, arrived.z)])
+    direction = -turn @ np.stack([np.ravel(v) for v in (arrived.dx, arrived.dy, arrived.dz)])
+    shape = np.shape(arrived.x)
+    x, y, z = (v.reshape(shape) for v in point)
+    return Rays.create(
+        x_mm=x,
+        y_mm=y,
+        z_mm=z,
+        direction=np.moveaxis(direction.reshape(3, *shape), 0, -1),
+        wavelength_nm=arrived.wavelength_nm,
+    )

@@ -1,0 +1,244 @@
+"""Spots of starlight by real rays: moments, lateral colour, vignetting, best focus; also for perturbed lenses.
+
+Fields are angles of the star in cam (`optics.frames.field_direction`), positions are millimetres in the image plane
+(lens frame axes: x along increasing column, y against increasing row).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optics.arrays import FloatArray
+from optics.errors import ConvergenceError, DomainError
+from optics.frames import field_direction
+from optics.lens.system import LensSystem
+from optics.rays.chief import chief_ray_points
+from optics.rays.pupil import EntrancePupil, PupilSamples, entrance_pupil, gauss_disk, sobol_disk, star_rays
+from optics.rays.trace import Rays, trace
+from optics.records import freeze
+from optics.units import RAD_DEG
+
+__all__ = ["SpotMoments", "Spots", "best_focus_shift_mm", "lateral_colour", "spot_moments", "trace_spots", "vignetting"]
+
+
+QUADRATURE_RINGS, QUADRATURE_ARMS = 12, 32
+SOBOL_POINTS, SOBOL_SEED = 4096, 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpotMoments:
+    """Moments of the light in the image plane, per field (f) and wavelength (w).
+
+    Attributes
+    ----------
+    x_mm, y_mm : (f, w)
+        Mean of the ray bundle.
+    xx_mm2, xy_mm2, yy_mm2 : (f, w)
+        Covariance.
+    transmitted_mm2 : (f, w)
+        Area of the launch disk whose rays arrive; the flux is that times irradiance times cosine of the field angle.
+    """
+
+    x_mm: FloatArray
+    y_mm: FloatArray
+    xx_mm2: FloatArray
+    xy_mm2: FloatArray
+    yy_mm2: FloatArray
+    transmitted_mm2: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        for name in ("x_mm", "y_mm", "xx_mm2", "xy_mm2", "yy_mm2", "transmitted_mm2"):
+            freeze(self, name, shape=("f", "w"), finite=False, sizes=sizes)
+
+    @property
+    def rms_radius_mm(self) -> FloatArray:
+        """Root mean square distance from the mean, (f, w) [mm]."""
+        return np.sqrt(self.xx_mm2 + self.yy_mm2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spots:
+    """Traced rays of every field and wavelength.
+
+    Attributes
+    ----------
+    rays : Rays
+        Shape (f, w, n), in the frame of the image plane.
+    weight : (f, w, n)
+        Quadrature weights of the rays that arrive, 0 for lost rays; they sum to the fraction of the launch disk that
+        arrives.
+    pupil : EntrancePupil
+        Launch disk.
+    """
+
+    rays: Rays
+    weight: FloatArray
+    pupil: EntrancePupil
+
+    def __post_init__(self) -> None:
+        freeze(self, "weight", shape=("f", "w", "n"), sizes={})
+
+
+def trace_spots(
+    lens: LensSystem,
+    field_x_deg: ArrayLike,
+    field_y_deg: ArrayLike,
+    wavelength_nm: ArrayLike,
+    *,
+    samples: PupilSamples | None = None,
+) -> Spots:
+    """Trace the ray bundles of stars.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    field_x_deg, field_y_deg : (f,)
+        Field angles [deg].
+    wavelength_nm : (w,)
+        Wavelengths [nm].
+    samples : PupilSamples, optional
+        Points of the launch disk. If left out: Gauss quadrature where the pupil is an exact disk that nothing cuts,
+        otherwise 4096 scrambled Sobol points.
+
+    Raises
+    ------
+    DomainError
+        Field angles or wavelengths out of range or not one-dimensional.
+    ConvergenceError
+        If no ray of any field arrives.
+    """
+    stars = field_direction(np.atleast_1d(field_x_deg), np.atleast_1d(field_y_deg))
+    waves = np.atleast_1d(np.asarray(wavelength_nm, float))
+    if stars.ndim != 2 or waves.ndim != 1:
+        raise DomainError(
+            f"fields of shape {stars.shape[:-1]}, wavelengths {waves.shape}; one-dimensional lists are needed"
+        )
+    reach = max(float(np.arccos(stars[:, 2].min())) * RAD_DEG, 1e-3)
+    pupil = entrance_pupil(lens, max_field_deg=reach, wavelength_nm=[waves.min(), waves.max()])
+    grid = np.broadcast_to(waves, (len(stars), waves.size))
+    quadrature = samples is None and pupil.exact
+    chosen = gauss_disk(QUADRATURE_RINGS, QUADRATURE_ARMS) if quadrature else samples
+    if chosen is None:
+        chosen = sobol_disk(SOBOL_POINTS, seed=SOBOL_SEED)
+    rays = trace(lens, star_rays(pupil, chosen, stars[:, None, :], grid))
+    if quadrature and not np.all(rays.ok):
+        chosen = sobol_disk(SOBOL_POINTS, seed=SOBOL_SEED)
+        rays = trace(lens, star_rays(pupil, chosen, stars[:, None, :], grid))
+    if not np.any(rays.ok):
+        raise ConvergenceError(f"lens {lens.name!r}: no ray of any field reaches the image plane")
+    return Spots(rays=rays, weight=np.where(rays.ok, chosen.weight, 0.0), pupil=pupil)
+
+
+def spot_moments(
+    lens: LensSystem,
+    field_x_deg: ArrayLike,
+    field_y_deg: ArrayLike,
+    wavelength_nm: ArrayLike,
+    *,
+    samples: PupilSamples | None = None,
+) -> SpotMoments:
+    """Mean, covariance and transmitted area of the ray bundles of stars; parameters and errors as `trace_spots`.
+
+    A field from which no ray arrives has NaN moments and transmits 0.
+    """
+    spots = trace_spots(lens, field_x_deg, field_y_deg, wavelength_nm, samples=samples)
+    total = spots.weight.sum(axis=-1)
+    weight = np.divide(
+        spots.weight, total[..., None], out=np.full_like(spots.weight, np.nan), where=total[..., None] > 0
+    )
+    x, y = (np.where(spots.rays.ok, v, 0.0) for v in (spots.rays.x, spots.rays.y))
+    mean_x, mean_y = (weight * x).sum(-1), (weight * y).sum(-1)
+    dx, dy = x - mean_x[..., None], y - mean_y[..., None]
+    xx, xy, yy = ((weight * product).sum(-1) for product in (dx * dx, dx * dy, dy * dy))
+    return SpotMoments(
+        x_mm=mean_x,
+        y_mm=mean_y,
+        xx_mm2=xx,
+        xy_mm2=xy,
+        yy_mm2=yy,
+        transmitted_mm2=total * spots.pupil.area_mm2,
+    )
+
+
+def lateral_colour(
+    lens: LensSystem,
+    field_x_deg: ArrayLike,
+    field_y_deg: ArrayLike,
+    wavelength_nm: ArrayLike,
+    *,
+    reference_nm: float | None = None,
+    of: Literal["bundle", "chief"] = "bundle",
+) -> tuple[FloatArray, FloatArray]:
+    """Shift of the image with wavelength.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    field_x_deg, field_y_deg : (f,)
+        Field angles [deg].
+    wavelength_nm : (w,)
+        Wavelengths [nm].
+    reference_nm : float, optional
+        Wavelength of zero shift; the design wavelength if left out.
+    of : {"bundle", "chief"}
+        Mean of the ray bundle, or chief ray.
+
+    Returns
+    -------
+    dx_mm, dy_mm : (f, w)
+        Shift in the image plane [mm].
+    """
+    reference = lens.design_wavelength_nm if reference_nm is None else reference_nm
+    waves = np.append(np.atleast_1d(np.asarray(wavelength_nm, float)), reference)
+    if of == "chief":
+        fx, fy = (np.atleast_1d(np.asarray(v, float))[:, None] for v in (field_x_deg, field_y_deg))
+        x, y = chief_ray_points(lens, fx, fy, waves)
+    elif of == "bundle":
+        moments = spot_moments(lens, field_x_deg, field_y_deg, waves)
+        x, y = moments.x_mm, moments.y_mm
+    else:
+        raise DomainError(f"lateral colour of {of!r}; 'bundle' or 'chief' is needed")
+    return x[:, :-1] - x[:, -1:], y[:, :-1] - y[:, -1:]
+
+
+def vignetting(
+    lens: LensSystem, field_x_deg: ArrayLike, field_y_deg: ArrayLike, wavelength_nm: float | None = None
+) -> FloatArray:
+    """Transmitted area of the beam relative to field 0, (f,); the cosine of the field angle is not part of it."""
+    fx, fy = np.broadcast_arrays(np.atleast_1d(field_x_deg), np.atleast_1d(field_y_deg))
+    wave = lens.design_wavelength_nm if wavelength_nm is None else wavelength_nm
+    area = spot_moments(lens, np.append(fx, 0.0), np.append(fy, 0.0), wave).transmitted_mm2[:, 0]
+    if not area[-1] > 0:
+        raise ConvergenceError(f"lens {lens.name!r}: no ray of field 0 reaches the image plane")
+    return np.asarray(area[:-1] / area[-1])
+
+
+def best_focus_shift_mm(
+    lens: LensSystem, field_x_deg: ArrayLike, field_y_deg: ArrayLike, wavelength_nm: ArrayLike
+) -> float:
+    """Shift of the image plane [mm] that makes the white spots smallest.
+
+    Minimises the sum over fields of the mean square distance from the spot's mean over all wavelengths, fields and
+    wavelengths alike; ray heights are linear in the shift, so the minimum is a closed form. Apply it with
+    `optics.lens.perturb.refocus`. Parameters and errors as `trace_spots`.
+    """
+    spots = trace_spots(lens, field_x_deg, field_y_deg, wavelength_nm)
+    rays = spots.rays
+    per_field = spots.weight.sum(axis=(1, 2), keepdims=True)
+    weight = np.divide(spots.weight, per_field, out=np.zeros_like(spots.weight), where=per_field > 0)
+    cross = square = 0.0
+    for position, component in ((rays.x, rays.dx), (rays.y, rays.dy)):
+        height = np.where(rays.ok, position, 0.0)
+        slope = np.where(rays.ok, component / np.where(rays.ok, rays.dz, 1.0), 0.0)
+        height = height - (weight * height).sum(axis=(1, 2), keepdims=True)
+        slope = slope - (weight * slope).sum(axis=(1, 2), keepdims=True)
+        cross += float((weight * height * slope).sum())
+        square += float((weight * slope * slope).sum())
+    return -cross / square

@@ -1,0 +1,266 @@
+"""Sequential ray trace, written once for NumPy and Dr.Jit arrays.
+
+Each surface: into its vertex frame, to the vertex plane, to the surface, aperture, Snell's law in vector form. Points
+are kept relative to the current vertex, which keeps rounding at 1e-14 mm however long the lens.
+Rays that fail are carried on with numbers that mean nothing; ``status`` and ``failed_at`` tell the first thing that
+happened to them: the intersection is checked first, then the clear aperture, then refraction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from optics.arrays import NUMPY, ArrayNamespace
+from optics.errors import DomainError
+from optics.lens.system import LensSystem
+from optics.rays.program import LensProgram, Step, compile_lens
+
+__all__ = [
+    "MISSED",
+    "OK",
+    "STATUS_NAMES",
+    "TOTAL_REFLECTION",
+    "VIGNETTED",
+    "Rays",
+    "trace",
+    "trace_path",
+    "trace_program",
+]
+
+OK, MISSED, TOTAL_REFLECTION, VIGNETTED = 0, 1, 2, 3
+STATUS_NAMES = ("ok", "missed", "total reflection", "vignetted")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rays:
+    """A bundle of rays; every field is an array of one library and one size.
+
+    Attributes
+    ----------
+    x, y, z : array
+        Points [mm]: in the lens frame before, in the image plane's frame after the trace (there z = 0).
+    dx, dy, dz : array
+        Unit direction of travel.
+    wavelength_nm : array
+        Vacuum wavelength [nm].
+    opl_mm : array
+        Optical path length from the start [mm].
+    status : array of int
+        `OK`, `MISSED`, `TOTAL_REFLECTION`, `VIGNETTED`.
+    failed_at : array of int
+        Index of the surface where the status changed, -1 for none.
+    """
+
+    x: Any
+    y: Any
+    z: Any
+    dx: Any
+    dy: Any
+    dz: Any
+    wavelength_nm: Any
+    opl_mm: Any
+    status: Any
+    failed_at: Any
+
+    @staticmethod
+    def create(
+        *, x_mm: ArrayLike, y_mm: ArrayLike, z_mm: ArrayLike = 0.0, direction: ArrayLike, wavelength_nm: ArrayLike
+    ) -> Rays:
+        """NumPy rays from broadcastable points, directions and wavelengths.
+
+        Parameters
+        ----------
+        x_mm, y_mm, z_mm : array
+            Start points in the lens frame.
+        direction : (..., 3)
+            Directions of travel; normalised here.
+        wavelength_nm : array
+            Vacuum wavelengths [nm].
+
+        Raises
+        ------
+        DomainError
+            On NaN, zero directions or rays that do not travel towards the lens.
+        """
+        d = np.asarray(direction, float)
+        if d.shape[-1:] != (3,):
+            raise DomainError(f"ray direction has shape {d.shape}; (..., 3) is needed")
+        x, y, z, dx, dy, dz, wavelength = np.broadcast_arrays(
+            *(np.asarray(v, float) for v in (x_mm, y_mm, z_mm)),
+            d[..., 0],
+            d[..., 1],
+            d[..., 2],
+            np.asarray(wavelength_nm, float),
+        )
+        norm = np.sqrt(dx * dx + dy * dy + dz * dz)
+        if not (np.all(np.isfinite(x + y + z + wavelength)) and np.all(np.isfinite(norm))):
+            raise DomainError("ray start, direction or wavelength is not finite")
+        if np.any(norm == 0) or np.any(dz <= 0):
+            raise DomainError("a ray does not travel towards the lens: direction z must be positive (light travels +z)")
+        return Rays(
+            x=x.copy(),
+            y=y.copy(),
+            z=z.copy(),
+            dx=dx / norm,
+            dy=dy / norm,
+            dz=dz / norm,
+            wavelength_nm=wavelength.copy(),
+            opl_mm=np.zeros(x.shape),
+            status=np.zeros(x.shape, np.int32),
+            failed_at=np.full(x.shape, -1, np.int32),
+        )
+
+    @property
+    def ok(self) -> Any:
+        """Mask of the rays that arrived."""
+        return self.status == OK
+
+
+def _into_frame(step: Step, theta: Any, p: tuple[Any, Any, Any], d: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+    """Point and direction in the step's vertex frame."""
+    x, y, z = p
+    dx, dy, dz = d
+    if step.rotation_at >= 0:
+        m = theta[step.rotation_at : step.rotation_at + 9]
+        x, y, z = m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z
+        dx, dy, dz = (
+            m[0] * dx + m[1] * dy + m[2] * dz,
+            m[3] * dx + m[4] * dy + m[5] * dz,
+            m[6] * dx + m[7] * dy + m[8] * dz,
+        )
+    if step.lateral:
+        x, y = x + theta[step.shift_at], y + theta[step.shift_at + 1]
+    return (x, y, z + theta[step.shift_at + 2]), (dx, dy, dz)
+
+
+def _cross(number: int, step: Step, theta: Any, index: Sequence[Any], rays: Rays, xp: ArrayNamespace) -> Rays:
+    """Rays at the next surface, in its vertex frame, after refraction."""
+    (x, y, z), d = _into_frame(step, theta, (rays.x, rays.y, rays.z), (rays.dx, rays.dy, rays.dz))
+    status, failed_at = rays.status, rays.failed_at
+    to_plane = -z / d[2]
+    x, y = x + to_plane * d[0], y + to_plane * d[1]
+    hit = step.shape.intersect(theta[step.shape_at : step.shape_at + step.shape_size], x, y, d, xp)
+    n1 = index[step.before]
+    opl = rays.opl_mm + n1 * (to_plane + hit.path)
+    valid = d[2] > 0.0 if hit.valid is None else hit.valid & (d[2] > 0.0)
+    missed = (status == OK) & ~valid
+    status = xp.where(missed, MISSED, status)
+    failed_at = xp.where(missed, number, failed_at)
+    if step.aperture_at >= 0:
+        r2 = hit.x * hit.x + hit.y * hit.y
+        outside = r2 > theta[step.aperture_at]
+        if step.annular:
+            outside = outside | (r2 < theta[step.aperture_at + 1])
+        lost = (status == OK) & outside
+        status = xp.where(lost, VIGNETTED, status)
+        failed_at = xp.where(lost, number, failed_at)
+    if step.before != step.after:
+        eta = n1 / index[step.after]
+        k = 1.0 - eta * eta * (1.0 - hit.cos_i * hit.cos_i)
+        reflected = (status == OK) & (k < 0.0)
+        status = xp.where(reflected, TOTAL_REFLECTION, status)
+        failed_at = xp.where(reflected, number, failed_at)
+        bend = xp.sqrt(xp.maximum(k, 0.0)) - eta * hit.cos_i
+        d = (eta * d[0] + bend * hit.nx, eta * d[1] + bend * hit.ny, eta * d[2] + bend * hit.nz)
+    return Rays(
+        x=hit.x, y=hit.y, z=hit.z, dx=d[0], dy=d[1], dz=d[2],
+        wavelength_nm=rays.wavelength_nm, opl_mm=opl, status=status, failed_at=failed_at,
+    )  # fmt: skip
+
+
+def trace_program(
+    program: LensProgram,
+    theta: Any,
+    rays: Rays,
+    xp: ArrayNamespace,
+    visit: Callable[[int, Rays], None] | None = None,
+) -> Rays:
+    """Trace rays through a compiled lens to its image plane.
+
+    Parameters
+    ----------
+    program, theta
+        From `optics.rays.program.compile_lens`; ``theta`` in the form of ``xp.parameters``.
+    rays : Rays
+        In the lens frame.
+    xp : ArrayNamespace
+        Array library of the rays.
+    visit : callable, optional
+        Called with the number of every surface and the rays on it, in its vertex frame.
+
+    Returns
+    -------
+    Rays
+        In the frame of the image plane.
+    """
+    index = [medium.index(theta, rays.wavelength_nm, xp) for medium in program.media]
+    for number, step in enumerate(program.steps):
+        rays = _cross(number, step, theta, index, rays, xp)
+        if visit is not None:
+            visit(number, rays)
+    return replace(rays, z=rays.z + 0.0 * rays.x)  # a plane leaves z as the number 0
+
+
+def trace(lens: LensSystem, rays: Rays) -> Rays:
+    """Trace NumPy rays through a lens to its image plane.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    rays : Rays
+        In the lens frame (`Rays.create`).
+
+    Returns
+    -------
+    Rays
+        In the frame of the image plane.
+
+    Raises
+    ------
+    DomainError
+        If a wavelength is outside the range of one of the glasses.
+    """
+    lens.check_wavelength(rays.wavelength_nm)
+    program, theta = compile_lens(lens)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        return trace_program(program, NUMPY.parameters(theta), rays, NUMPY)
+
+
+def trace_path(lens: LensSystem, rays: Rays) -> NDArray[np.float64]:
+    """Points where NumPy rays meet every surface and the image plane, in the lens frame; for drawings.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    rays : Rays
+        In the lens frame (`Rays.create`).
+
+    Returns
+    -------
+    (surfaces + 2, ..., 3)
+        Start points, points on the surfaces, points in the image plane [mm]; NaN from where a ray is lost on.
+
+    Raises
+    ------
+    DomainError
+        If a wavelength is outside the range of one of the glasses.
+    """
+    lens.check_wavelength(rays.wavelength_nm)
+    program, theta = compile_lens(lens)
+    values = NUMPY.parameters(theta)
+    poses = [(s.position_mm, s.rotation) for s in lens.surfaces] + [(lens.image_position_mm, lens.image_rotation)]
+    points = [np.stack([rays.x, rays.y, rays.z], axis=-1)]
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        index = [medium.index(values, rays.wavelength_nm, NUMPY) for medium in program.media]
+        for number, (step, (position, rotation)) in enumerate(zip(program.steps, poses, strict=True)):
+            rays = _cross(number, step, values, index, rays, NUMPY)
+            local = np.stack(np.broadcast_arrays(rays.x, rays.y, rays.z), axis=-1)
+            points.append(np.where((rays.status == OK)[..., None], local @ rotation.T + position, np.nan))
+    return np.stack(points)

@@ -1,0 +1,1 @@
+"""The cube-mirror bench as a Mitsuba scene (CUBE09)."""

@@ -1,0 +1,302 @@
+"""The cube-mirror bench as Mitsuba shapes: sun simulator, screen with its aperture, cube mirror, camera (CUBE09).
+
+Laboratory frame, mm: origin in the centre of the aperture, +Z towards the sun simulator, so that its light travels
+along -Z; +Y up. The two axes of the turntable cross on the Z axis at ``(0, 0, -(distance + cube/2))``: a face of a cube
+centred there stands ``distance`` from the aperture whichever face is turned to the light.
+
+The aperture is a hole in a mesh, a polygon of `HOLE_SIDES` sides; everything that reflects is an analytic rectangle,
+whose normal comes from its transformation and not from differences of float32 vertices. With the origin in the
+aperture, the screen has the finest float32 numbers where it matters: spots land to 1e-4 mm (tests).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.records import freeze
+
+__all__ = ["FACES", "BenchGeometry", "CubePose", "bench_scene", "place_cube", "plate_mesh"]
+
+
+FACES: dict[str, tuple[int, int]] = {
+    "+X": (0, 1),
+    "-X": (0, -1),
+    "+Y": (1, 1),
+    "-Y": (1, -1),
+    "+Z": (2, 1),
+    "-Z": (2, -1),
+}
+"""Faces of the cube: name -> (axis, sign) of the outward normal."""
+
+HOLE_SIDES = 180
+COVER_GAP_MM = 5e-4  # what lies in front of the screen is seen displaced by gap tan(angle of the camera)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BenchGeometry:
+    """Sizes and places of what stands on the bench.
+
+    Attributes
+    ----------
+    distance_mm : float
+        Aperture to cube face (CUBE09: about 650 mm).
+    aperture_mm : float
+        Diameter of the aperture (CUBE09: 2.5 mm).
+    screen_mm : float
+        Side of the square screen.
+    simulator_mm : float
+        Diameter of the simulator's beam.
+    simulator_gap_mm : float
+        Simulator to screen (CUBE09: about 20 mm).
+    source_arcmin : float
+        Angular diameter of the simulated sun, uniformly bright; 0 for perfectly collimated light.
+    cube_mm : float
+        Side of the cube mirror.
+    chamfer_mm : float
+        Width by which the polished faces end before the edges of the cube.
+    cube_offset_mm : (3,)
+        Centre of the cube in the table frame; the axes of the table cross at the origin.
+    screen_reflectance : float
+        Diffuse reflectance of the screen and transmittance of the sheet that covers the aperture.
+    metal : str
+        Metal of the faces, a name that Mitsuba's ``conductor`` knows.
+
+    Raises
+    ------
+    DomainError
+        On a length that is not positive, an aperture wider than the beam or the screen, or a chamfer that leaves no
+        face.
+    """
+
+    distance_mm: float = 650.0
+    aperture_mm: float = 2.5
+    screen_mm: float = 200.0
+    simulator_mm: float = 60.0
+    simulator_gap_mm: float = 20.0
+    source_arcmin: float = 3.0
+    cube_mm: float = 20.0
+    chamfer_mm: float = 0.5
+    cube_offset_mm: FloatArray
+    screen_reflectance: float = 0.8
+    metal: str = "Al"
+
+    def __post_init__(self) -> None:
+        freeze(self, "cube_offset_mm", shape=(3,))
+        for name in ("distance_mm", "aperture_mm", "screen_mm", "simulator_mm", "simulator_gap_mm", "cube_mm"):
+            value = getattr(self, name)
+            if not 0.0 < value < 1e5:
+                raise DomainError(f"BenchGeometry.{name} = {value:g} mm; it must be above 0 and below 1e5 mm")
+        if not 0.0 <= self.source_arcmin <= 120.0:
+            raise DomainError(f"BenchGeometry.source_arcmin = {self.source_arcmin:g} arcmin; it must be 0 to 120")
+        widest = min(self.simulator_mm - 2 * self.blur_mm(self.simulator_gap_mm), self.screen_mm)
+        if self.aperture_mm >= widest:
+            raise DomainError(
+                f"aperture of {self.aperture_mm:g} mm; it must be smaller than the beam and the screen, below "
+                f"{widest:.3g} mm here"
+            )
+        if not 0.0 <= self.chamfer_mm < self.cube_mm / 2:
+            raise DomainError(
+                f"BenchGeometry.chamfer_mm = {self.chamfer_mm:g} mm; it must be 0 to below half the cube, "
+                f"{self.cube_mm / 2:g} mm"
+            )
+
+    @property
+    def half_angle_rad(self) -> float:
+        """Angular radius of the simulated sun [rad]."""
+        return float(np.radians(self.source_arcmin / 120.0))
+
+    @property
+    def path_mm(self) -> float:
+        """From the aperture to the face and back."""
+        return 2.0 * self.distance_mm
+
+    @property
+    def crossing_mm(self) -> FloatArray:
+        """Where the axes of the table cross (3,)."""
+        return np.array([0.0, 0.0, -(self.distance_mm + self.cube_mm / 2)])
+
+    @property
+    def face_mm(self) -> float:
+        """Side of a polished face."""
+        return self.cube_mm - 2 * self.chamfer_mm
+
+    def blur_mm(self, path_mm: float) -> float:
+        """Radius of the simulated sun's image after a path from a point."""
+        return float(path_mm * np.tan(self.half_angle_rad))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CubePose:
+    """How a cube stands in the laboratory.
+
+    Attributes
+    ----------
+    rotation : (3, 3)
+        Laboratory from the cube's frame.
+    centre_mm : (3,)
+        Centre of the cube in the laboratory.
+    normal : (6, 3)
+        Outward normals of the faces in the cube's frame, in the order of `FACES`: unit vectors, near the axes.
+    """
+
+    rotation: FloatArray
+    centre_mm: FloatArray
+    normal: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze(self, "rotation", shape=(3, 3))
+        freeze(self, "centre_mm", shape=(3,))
+        freeze(self, "normal", shape=(6, 3))
+
+    @classmethod
+    def of_table(
+        cls, geometry: BenchGeometry, lab_from_table: ArrayLike, table_from_cube: ArrayLike, normal: ArrayLike
+    ) -> CubePose:
+        """Pose of a cube on a table that stands at ``lab_from_table`` (3, 3)."""
+        table = np.asarray(lab_from_table, float)
+        return cls(
+            rotation=table @ np.asarray(table_from_cube, float),
+            centre_mm=geometry.crossing_mm + table @ geometry.cube_offset_mm,
+            normal=np.asarray(normal, float),
+        )
+
+    def face(self, name: str, geometry: BenchGeometry) -> tuple[FloatArray, FloatArray]:
+        """Centre [mm] and outward normal of a face in the laboratory."""
+        axis, sign = FACES[name]
+        outward = np.zeros(3)
+        outward[axis] = sign
+        centre = self.centre_mm + self.rotation @ outward * geometry.cube_mm / 2
+        return centre, self.rotation @ self.normal[list(FACES).index(name)]
+
+
+def frame_around(normal: FloatArray, along: FloatArray) -> FloatArray:
+    """Rotation matrix with columns (u, v, normal); u is ``along`` made square to the normal."""
+    u = along - (along @ normal) * normal
+    u = u / np.linalg.norm(u)
+    return np.column_stack([u, np.cross(normal, u), normal])
+
+
+def rectangle_at(centre: FloatArray, frame: FloatArray, half_width: float, half_height: float) -> FloatArray:
+    """Matrix (4, 4) that puts Mitsuba's unit ``rectangle`` (or ``disk``) somewhere."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = frame * np.array([half_width, half_height, 1.0])
+    matrix[:3, 3] = centre
+    return matrix
+
+
+def face_matrices(geometry: BenchGeometry, pose: CubePose) -> dict[str, FloatArray]:
+    """Where the rectangles of the six faces go: name -> (4, 4)."""
+    half = geometry.face_mm / 2
+    matrices = {}
+    for name, (axis, _) in FACES.items():
+        centre, normal = pose.face(name, geometry)
+        along = pose.rotation[:, (axis + 1) % 3]
+        matrices[name] = rectangle_at(centre, frame_around(normal / np.linalg.norm(normal), along), half, half)
+    return matrices
+
+
+def plate_mesh(mi: Any, hole_mm: float, half_mm: float, *, sides: int = HOLE_SIDES, material: Any) -> Any:
+    """A square plate in the plane z = 0 with a round hole in its middle, both in mm.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with its variant set.
+    hole_mm : float
+        Diameter of the hole. The polygon has the area of the circle.
+    half_mm : float
+        Half the side of the plate.
+    sides : int
+        Sides of the polygon; 180 are within 1e-4 of the radius.
+    material : dict
+        BSDF.
+
+    Returns
+    -------
+    mitsuba.Mesh
+    """
+    angle = np.arange(sides) * 2 * np.pi / sides
+    unit = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sides)])
+    radius = hole_mm / 2 * np.sqrt(2 * np.pi / sides / np.sin(2 * np.pi / sides))
+    radii = [radius]
+    while radii[-1] * 2.5 < half_mm:
+        radii.append(radii[-1] * 2.5)
+    square = half_mm / np.abs(unit[:, :2]).max(1)
+    rings = [*(r * unit for r in radii), square[:, None] * unit]
+    here = np.arange(sides)
+    beside = (here + 1) % sides
+    faces = [
+        np.concatenate([np.stack([k + here, k + beside, k + sides + here], 1),
+                        np.stack([k + beside, k + sides + beside, k + sides + here], 1)])
+        for k in sides * np.arange(len(rings) - 1)
+    ]  # fmt: skip
+    vertex, face = np.concatenate(rings), np.concatenate(faces)
+    properties = mi.Properties()
+    properties["plate_bsdf"] = mi.load_dict(material)
+    mesh = mi.Mesh("plate", len(vertex), len(face), props=properties)
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = vertex.astype(np.float32).ravel()
+    parameters["faces"] = face.astype(np.uint32).ravel()
+    parameters.update()
+    return mesh
+
+
+def bench_scene(mi: Any, geometry: BenchGeometry, pose: CubePose, *, covered: bool) -> Any:
+    """The scene that the light of the simulator meets.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with its variant set.
+    geometry : BenchGeometry
+        The bench.
+    pose : CubePose
+        The cube; `place_cube` moves it.
+    covered : bool
+        Whether a translucent sheet lies over the aperture: then no light reaches the cube, and the aperture glows.
+
+    Returns
+    -------
+    mitsuba.Scene
+    """
+    white = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": geometry.screen_reflectance}}
+    content: dict[str, Any] = {
+        "type": "scene",
+        "screen": plate_mesh(mi, geometry.aperture_mm, geometry.screen_mm / 2, material=white),
+    }
+    if covered:
+        sheet = rectangle_at(np.array([0, 0, -COVER_GAP_MM]), np.diag([1.0, -1.0, -1.0]), 5.0, 5.0)
+        sheet[:3, :2] *= geometry.aperture_mm / 5.0
+        content["cover"] = {"type": "disk", "to_world": mi.ScalarTransform4f(sheet), "bsdf": _sheet(geometry)}
+    for name, matrix in face_matrices(geometry, pose).items():
+        content[f"face{name}"] = {
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f(matrix),
+            "bsdf": {"type": "conductor", "material": geometry.metal},
+        }
+    return mi.load_dict(content, optimize=False)  # merging turns the rectangles into a mesh of float32 vertices
+
+
+def place_cube(mi: Any, scene: Any, geometry: BenchGeometry, pose: CubePose) -> None:
+    """Move the cube of a scene from `bench_scene`; the scene is changed."""
+    parameters = mi.traverse(scene)
+    for name, matrix in face_matrices(geometry, pose).items():
+        parameters[f"face{name}.to_world"] = mi.Transform4f(matrix)
+    parameters.update()
+
+
+def _sheet(geometry: BenchGeometry) -> dict[str, Any]:
+    """Tracing paper: scatters what falls on it diffusely to both sides."""
+    return {
+        "type": "principledthin",
+        "base_color": geometry.screen_reflectance,
+        "diff_trans": 1.0,
+        "roughness": 1.0,
+        "eta": 1.0001,
+    }

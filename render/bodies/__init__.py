@@ -1,0 +1,1 @@
+"""Extended bodies: the Moon, planets and sunlit meshes, where they are and how bright."""

@@ -1,0 +1,254 @@
+"""The Moon and the planets for an epoch and an observer: where they are seen, how large, how bright.
+
+Places: astropy's built-in ephemeris, offline (ERFA: ``epv00`` for Earth and Sun, ``plan94`` for the planets,
+``moon98`` for the Moon). Against JPL's ephemerides they err by some arcseconds for Mercury to Mars and the Moon, by up
+to 10" for Neptune, 80" for Jupiter, Saturn and Uranus (J. L. Simon et al., A&A 282, 663 (1994), 1900 ... 2100).
+Directions are those at which the light arrives: the place of the body one light time before, and the aberration of
+`render.catalogue.motion`. Deflection by the Sun, below 0.1" outside five degrees from it, is left out.
+
+A body smaller than about a pixel joins the stars (`planet_field`, `joined`); a larger one is rendered
+(`render.bodies.sunlit_body`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import constants
+
+from optics.arrays import FloatArray
+from optics.errors import ConfigError, DomainError, unknown_name
+from optics.light.band import Band, band_nodes
+from optics.light.photometry import band_photon_rate, photon_rate
+from optics.records import freeze
+from render.bodies.brightness import planet_spectrum, planet_v
+from render.catalogue.motion import Observer, aberrated, earth_observer
+from render.records import StarField
+
+__all__ = ["BODIES", "RADIUS_KM", "SolarSystem", "joined", "planet_field", "solar_system"]
+
+
+RADIUS_KM = {
+    "mercury": 2439.4, "venus": 6051.8, "earth": 6371.0084, "moon": 1737.4, "mars": 3389.50,
+    "jupiter": 69911.0, "saturn": 58232.0, "uranus": 25362.0, "neptune": 24622.0,
+}  # fmt: skip
+"""Mean radii: B. A. Archinal et al., Celestial Mechanics and Dynamical Astronomy 130, 22 (2018), tables 4 and 5."""
+
+BODIES = ("mercury", "venus", "moon", "mars", "jupiter", "saturn", "uranus", "neptune")
+"""What is looked up if nothing else is asked for; an observer off the Earth may add ``"earth"``."""
+
+_LIGHT_DAYS_PER_AU = constants.au / constants.c / 86400.0
+_LIGHT_STEPS = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SolarSystem:
+    """Bodies as one observer sees them at one time.
+
+    Attributes
+    ----------
+    name : tuple of str
+        The n bodies.
+    direction : (n, 3)
+        Where they are seen: unit vectors along icrs, light time and aberration included.
+    to_sun_au, to_observer_au : (n, 3)
+        From the body (when the light left) to the Sun and to the observer, along icrs [au].
+    radius_km : (n,)
+        Mean radius.
+    magnitude_v : (n,)
+        V; NaN where no published equation holds (`render.bodies.brightness`).
+    """
+
+    name: tuple[str, ...]
+    direction: FloatArray
+    to_sun_au: FloatArray
+    to_observer_au: FloatArray
+    radius_km: FloatArray
+    magnitude_v: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes = {"n": len(self.name)}
+        for field in ("direction", "to_sun_au", "to_observer_au"):
+            freeze(self, field, shape=("n", 3), sizes=sizes)
+        freeze(self, "radius_km", shape=("n",), sizes=sizes)
+        freeze(self, "magnitude_v", shape=("n",), sizes=sizes, finite=False)
+
+    def __len__(self) -> int:
+        return len(self.name)
+
+    @property
+    def distance_au(self) -> FloatArray:
+        """Distance from the observer (n,) [au]."""
+        return np.asarray(np.linalg.norm(self.to_observer_au, axis=1))
+
+    @property
+    def sun_distance_au(self) -> FloatArray:
+        """Distance from the Sun (n,) [au]."""
+        return np.asarray(np.linalg.norm(self.to_sun_au, axis=1))
+
+    @property
+    def phase_rad(self) -> FloatArray:
+        """Angle Sun - body - observer (n,)."""
+        return np.asarray(
+            np.arctan2(
+                np.linalg.norm(np.cross(self.to_sun_au, self.to_observer_au), axis=1),
+                np.einsum("ij,ij->i", self.to_sun_au, self.to_observer_au),
+            )
+        )
+
+    @property
+    def angular_diameter_rad(self) -> FloatArray:
+        """Diameter of the disk (n,)."""
+        return np.asarray(2.0 * np.arcsin(self.radius_km * 1e3 / constants.au / self.distance_au))
+
+    def select(self, rows: ArrayLike) -> SolarSystem:
+        """Some of the bodies, by mask or index (m,)."""
+        chosen = np.arange(len(self))[np.asarray(rows)]
+        return SolarSystem(
+            name=tuple(self.name[i] for i in chosen),
+            direction=self.direction[chosen],
+            to_sun_au=self.to_sun_au[chosen],
+            to_observer_au=self.to_observer_au[chosen],
+            radius_km=self.radius_km[chosen],
+            magnitude_v=self.magnitude_v[chosen],
+        )
+
+
+def solar_system(epoch_year: float, *, observer: Observer | None = None, bodies: Sequence[str] = BODIES) -> SolarSystem:
+    """Look up the Moon and the planets.
+
+    Parameters
+    ----------
+    epoch_year : float
+        Julian year (TDB).
+    observer : Observer, optional
+        Place and velocity; the centre of the Earth if left out.
+    bodies : sequence of str
+        Which of them.
+
+    Returns
+    -------
+    SolarSystem
+        In the order of ``bodies``.
+
+    Raises
+    ------
+    ConfigError
+        Unknown body.
+    DomainError
+        Epoch before 1900 or after 2100; an observer inside a body.
+    """
+    for name in bodies:
+        if name not in RADIUS_KM:
+            raise unknown_name("body of the solar system", name, RADIUS_KM)
+    if not 1900.0 <= epoch_year <= 2100.0:
+        raise DomainError(f"epoch_year = {epoch_year:g}; the places of the planets are known for 1900 ... 2100")
+    seen_by = earth_observer(epoch_year) if observer is None else observer
+    place = np.array([_seen_from(name, epoch_year, seen_by.position_au) for name in bodies]).reshape(-1, 3)
+    towards = place - seen_by.position_au
+    to_sun = _place("sun", epoch_year, 0.0) - place
+    radius = np.array([RADIUS_KM[name] for name in bodies])
+    distance_km = np.linalg.norm(towards, axis=1) * constants.au / 1e3
+    if (distance_km <= radius).any():
+        inside = int(np.argmax(distance_km <= radius))
+        raise DomainError(
+            f"the observer is {distance_km[inside]:.0f} km from the centre of {bodies[inside]}, whose radius is "
+            f"{radius[inside]:.0f} km; leave it out or give an observer outside"
+        )
+    magnitude = [
+        planet_v(name, to_sun_au=s, to_observer_au=-v, epoch_year=epoch_year)
+        for name, s, v in zip(bodies, to_sun, towards, strict=True)
+    ]
+    unit = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+    return SolarSystem(
+        name=tuple(bodies),
+        direction=aberrated(unit, seen_by.velocity_km_per_s),
+        to_sun_au=to_sun,
+        to_observer_au=-towards,
+        radius_km=radius,
+        magnitude_v=np.array(magnitude),
+    )
+
+
+def _place(name: str, epoch_year: float, days_before: float) -> FloatArray:
+    """Place from the barycentre [au], along icrs."""
+    from astropy import units
+    from astropy.coordinates import get_body_barycentric
+    from astropy.time import Time
+
+    time = Time(epoch_year, format="jyear", scale="tdb") - days_before * units.day
+    return np.asarray(get_body_barycentric(name, time, ephemeris="builtin").xyz.to_value(units.au))
+
+
+def _seen_from(name: str, epoch_year: float, observer_au: FloatArray) -> FloatArray:
+    """Place of a body when the light left that arrives now."""
+    days = 0.0
+    for _ in range(_LIGHT_STEPS):
+        place = _place(name, epoch_year, days)
+        days = float(np.linalg.norm(place - observer_au)) * _LIGHT_DAYS_PER_AU
+    return _place(name, epoch_year, days)
+
+
+def planet_field(system: SolarSystem, bands: Sequence[Band], *, nodes: int = 5) -> StarField:
+    """Bodies as points of light.
+
+    Parameters
+    ----------
+    system : SolarSystem
+        n bodies, each smaller than about a pixel.
+    bands : sequence of Band
+        b filters.
+    nodes : int
+        Wavelength nodes per band, as for the stars that they are to join.
+
+    Returns
+    -------
+    StarField
+        Directions along icrs.
+
+    Raises
+    ------
+    DomainError
+        A body without a magnitude.
+    """
+    rule = band_nodes(bands, nodes)
+    unknown = np.isnan(system.magnitude_v)
+    if unknown.any():
+        first = int(np.argmax(unknown))
+        raise DomainError(
+            f"{system.name[first]} has no published magnitude at a phase of {np.degrees(system.phase_rad[first]):.1f} "
+            "deg; leave it out (SolarSystem.select) or render it"
+        )
+    rates = np.zeros((len(system), *rule.wavelength_nm.shape))
+    for i, name in enumerate(system.name):
+        spectrum, v = planet_spectrum(name), float(system.magnitude_v[i])
+        rate = photon_rate(spectrum, v, wavelength_nm=rule.wavelength_nm) * rule.weight_nm * rule.transmission
+        # a few nodes miss some 0.1 % of a spectrum as rough as the Sun's: they share the integral over all its pieces
+        rates[i] = rate * (band_photon_rate(spectrum, v, bands) / rate.sum(1))[:, None]
+    return StarField(direction=system.direction, wavelength_nm=rule.wavelength_nm, photon_rate=rates, band=rule.name)
+
+
+def joined(first: StarField, *others: StarField) -> StarField:
+    """One star field of several that have the same bands and wavelengths.
+
+    Raises
+    ------
+    ConfigError
+        Bands or wavelengths differ.
+    """
+    for other in others:
+        if other.band != first.band or not np.array_equal(other.wavelength_nm, first.wavelength_nm):
+            raise ConfigError(
+                f"star fields of bands {', '.join(first.band)} and {', '.join(other.band)} do not share wavelengths; "
+                "make both with the same bands and number of nodes"
+            )
+    parts = (first, *others)
+    return StarField(
+        direction=np.concatenate([part.direction for part in parts]),
+        wavelength_nm=first.wavelength_nm,
+        photon_rate=np.concatenate([part.photon_rate for part in parts]),
+        band=first.band,
+    )

@@ -1,0 +1,89 @@
+"""Charge of cosmic rays on the backend, in the pixel order of a frame or of windows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optics.errors import DomainError
+from render.detector.cosmic_rays import CosmicRayHits
+from render.detector.spec import Detector
+
+__all__ = ["frame_deposit", "window_deposit"]
+
+
+def frame_deposit(types: Any, hits: CosmicRayHits, detector: Detector) -> Any:
+    """Charge in every pixel of the detector (h w,) [e-], or None without hits.
+
+    Raises
+    ------
+    DomainError
+        Hits of a detector of another size.
+    """
+    _same_size(hits, detector)
+    if not len(hits.row):
+        return None
+    index = hits.row * detector.width_px + hits.column
+    return _scattered(types, detector.width_px * detector.height_px, index, hits.charge_e)
+
+
+def window_deposit(
+    types: Any,
+    hits: Sequence[CosmicRayHits],
+    detector: Detector,
+    column: NDArray[np.int64],
+    row: NDArray[np.int64],
+) -> Any:
+    """Charge in every pixel of windows, frame after frame (m n h w,) [e-], or None without hits.
+
+    Parameters
+    ----------
+    types : module
+        ``drjit.llvm`` or ``drjit.cuda``.
+    hits : sequence of CosmicRayHits
+        One per frame, m in all.
+    detector : Detector
+        Whose.
+    column, row : (n, w), (n, h)
+        Detector columns and rows of the windows; they may lie outside.
+
+    Raises
+    ------
+    DomainError
+        Hits of a detector of another size.
+    """
+    inside = ((row >= 0) & (row < detector.height_px))[:, :, None]
+    inside = inside & ((column >= 0) & (column < detector.width_px))[:, None, :]
+    pixel = np.where(inside, row[:, :, None] * detector.width_px + column[:, None, :], -1).ravel()
+    order = np.argsort(pixel, kind="stable")
+    places: list[NDArray[np.int64]] = []
+    charges: list[NDArray[np.float64]] = []
+    for frame, held in enumerate(hits):
+        _same_size(held, detector)
+        wanted = held.row * detector.width_px + held.column
+        first, last = (np.searchsorted(pixel, wanted, side, sorter=order) for side in ("left", "right"))
+        count = last - first  # windows may overlap: a pixel can stand in several
+        start = np.repeat(first - np.concatenate([[0], np.cumsum(count)[:-1]]), count) if count.size else first
+        places.append(frame * pixel.size + order[start + np.arange(count.sum())])
+        charges.append(np.repeat(held.charge_e, count))
+    place = np.concatenate(places)
+    return _scattered(types, len(hits) * pixel.size, place, np.concatenate(charges)) if place.size else None
+
+
+def _scattered(types: Any, size: int, place: NDArray[np.int64], charge: NDArray[np.float64]) -> Any:
+    import drjit as dr
+
+    deposit = dr.zeros(types.Float32, size)
+    dr.scatter(deposit, types.Float32(charge.astype(np.float32)), types.UInt32(place.astype(np.uint32)))
+    return deposit
+
+
+def _same_size(hits: CosmicRayHits, detector: Detector) -> None:
+    if tuple(hits.shape) != detector.shape:
+        raise DomainError(
+            f"hits are of a detector of shape {tuple(hits.shape)}, detector {detector.name!r} is {detector.shape}; "
+            "make them for this detector"
+        )

@@ -1,0 +1,266 @@
+"""What is particular to one chip: its patterns, as a function of the detector's ``sensor_seed`` and the pixel.
+
+Every map is a pure function of (sensor seed, map name, pixel index in the whole detector), so a window computes only
+its own pixels and gets the values of the full map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optics.records import freeze
+from render.detector.spec import Detector
+from render.engine.backend import array_types
+from render.engine.random import Streams
+
+__all__ = ["SensorMaps", "sensor_maps"]
+
+DISPLACEMENTS = tuple((dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dx or dy)
+_WHOLE = ("width_px", "height_px", "chip_width_px", "gap_px")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SensorMaps:
+    """The patterns of one detector, for calibration frames and comparisons.
+
+    Attributes
+    ----------
+    response : (h, w) float32
+        Response over its mean: 1 + PRNU; 0 for dead pixels and in gaps.
+    dark_current_e_per_s : (h, w) float32
+        Dark current at the reference temperature [e-/s], hot pixels included.
+    read_noise_e : (h, w) float32
+        Temporal dark noise [e-].
+    offset_dn : (h, w) float32
+        Offset with pixel and column pattern [DN].
+    defect : (h, w) bool
+        Hot, dead, or in a gap.
+    """
+
+    response: NDArray[np.float32]
+    dark_current_e_per_s: NDArray[np.float32]
+    read_noise_e: NDArray[np.float32]
+    offset_dn: NDArray[np.float32]
+    defect: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        for field in fields(self):
+            dtype = np.bool_ if field.name == "defect" else np.float32
+            freeze(self, field.name, shape=("h", "w"), dtype=dtype, sizes=sizes)
+
+
+class PixelMaps(NamedTuple):
+    """The same on the backend, flat, for the pixels of a frame or of windows (n,)."""
+
+    response: Any
+    dark_rate: Any
+    read_noise: Any
+    offset: Any
+    defect: Any
+    pixel: Any  # index in the whole detector, the counter of all streams
+
+
+class _Layout(NamedTuple):
+    """Where one chip ends and the next begins."""
+
+    chip_width_px: int
+    gap_px: int
+    chips: int
+    height_px: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Recipe:
+    """What the maps depend on; hashable, so that maps are made once."""
+
+    sensor_seed: int
+    width_px: int
+    height_px: int
+    chip_width_px: int
+    gap_px: int
+    prnu: float
+    dark_current_e_per_s: float
+    dark_spread_e_per_s: float
+    hot_fraction: float
+    hot_dark_e_per_s: float
+    dead_fraction: float
+    read_noise_e: float
+    read_noise_spread: float
+    gain_dn_per_e: float
+    offset_dn: float
+    dsnu_e: float
+    column_pattern_e: float
+    damage_centres_per_px: float
+    damage_dark_e_per_s: float
+    damage_known_e_per_s: float
+
+
+def sensor_maps(detector: Detector, *, backend: str = "llvm") -> SensorMaps:
+    """Patterns of the whole detector.
+
+    Parameters
+    ----------
+    detector : Detector
+        Which one; its ``sensor_seed`` makes the individual.
+    backend : {"auto", "llvm", "cuda"}
+        Where to compute.
+
+    Returns
+    -------
+    SensorMaps
+        NumPy arrays.
+    """
+    maps = full_maps(detector, array_types(backend))
+    held = [np.array(value).reshape(detector.shape) for value in maps[:5]]
+    return SensorMaps(
+        response=held[0], dark_current_e_per_s=held[1], read_noise_e=held[2], offset_dn=held[3], defect=held[4]
+    )
+
+
+def full_maps(detector: Detector, types: Any) -> PixelMaps:
+    """Maps of all pixels, row by row; made once per detector and backend."""
+    return _full_maps(_recipe(detector), types)
+
+
+def window_maps(detector: Detector, types: Any, column: NDArray[np.int64], row: NDArray[np.int64]) -> PixelMaps:
+    """Maps of windows, flat, from their columns (n, w) and rows (n, h); pixels outside get those of the edge."""
+    column = np.clip(column, 0, detector.width_px - 1).astype(np.uint32)
+    row = np.clip(row, 0, detector.height_px - 1).astype(np.uint32)
+    shape = (len(column), row.shape[1], column.shape[1])
+    columns, rows = (np.broadcast_to(part, shape).ravel() for part in (column[:, None, :], row[:, :, None]))
+    return _maps(_recipe(detector), types, types.UInt32(columns), types.UInt32(rows))
+
+
+def neighbour_bits(detector: Detector, column: NDArray[np.int64], row: NDArray[np.int64]) -> NDArray[np.uint32]:
+    """Bit i is set where the neighbour at ``DISPLACEMENTS[i]`` is in the window and on the same chip.
+
+    Parameters
+    ----------
+    column : (n, w)
+        Detector columns of n windows.
+    row : (n, h)
+        Detector rows.
+
+    Returns
+    -------
+    (n, h, w) uint32
+    """
+    return _neighbour_bits(_layout(detector), column, row)
+
+
+def full_neighbours(detector: Detector, types: Any) -> Any:
+    """`neighbour_bits` of the whole detector on the backend, flat; made once."""
+    return _full_neighbours(_layout(detector), types)
+
+
+def _recipe(detector: Detector) -> _Recipe:
+    return _Recipe(*(getattr(detector, field.name) for field in fields(_Recipe)))
+
+
+@lru_cache(maxsize=2)
+def _full_maps(recipe: _Recipe, types: Any) -> PixelMaps:
+    import drjit as dr
+
+    index = dr.arange(types.UInt32, recipe.width_px * recipe.height_px)
+    row = index // recipe.width_px
+    return _maps(recipe, types, index - row * recipe.width_px, row)
+
+
+def _maps(recipe: _Recipe, types: Any, column: Any, row: Any) -> PixelMaps:
+    import drjit as dr
+
+    from render.engine.philox import normal, philox4x32, split_key
+
+    streams = Streams(recipe.sensor_seed).child("sensor")
+
+    def key(name: str) -> tuple[Any, Any]:
+        return split_key(types, streams.key(name))
+
+    # One kernel for all detectors: numbers come from memory, not from the code.
+    values = {field.name: getattr(recipe, field.name) for field in fields(recipe) if field.name != "sensor_seed"}
+    p = SimpleNamespace(**{k: dr.opaque(types.UInt32 if k in _WHOLE else types.Float32, v) for k, v in values.items()})
+    pixel = row * p.width_px + column
+    gap = column % (p.chip_width_px + p.gap_px) >= p.chip_width_px
+    words = philox4x32(types, (pixel, 0, 0, 0), key("defects"))
+    chance = [dr.fma(types.Float32(word), 2.0**-32, 2.0**-33) for word in words[:3]]
+    dead = (chance[0] < p.dead_fraction) | gap
+    hot = chance[1] < p.hot_fraction
+    response = dr.maximum(dr.fma(p.prnu, normal(types, pixel, key("prnu")), 1.0), 0.0)
+    # Log-normal with the given mean and standard deviation: never negative, skewed like measured dark histograms.
+    variance = dr.log(1.0 + dr.square(p.dark_spread_e_per_s / dr.maximum(p.dark_current_e_per_s, 1e-30)))
+    variance = dr.select(p.dark_current_e_per_s > 0.0, variance, 0.0)
+    spread = dr.exp(dr.sqrt(variance) * normal(types, pixel, key("dark current")) - 0.5 * variance)
+    dark_rate = p.dark_current_e_per_s * spread + dr.select(hot, -p.hot_dark_e_per_s * dr.log(chance[2]), 0.0)
+    read_noise = p.read_noise_e * dr.exp(p.read_noise_spread * normal(types, pixel, key("read noise spread")))
+    known = dead | hot
+    if recipe.damage_centres_per_px > 0.0:
+        centres = _damage(types, p, pixel, key("damage centres"), key("damage current"))
+        dark_rate, known = dark_rate + centres, known | (centres > p.damage_known_e_per_s)
+    pattern = p.dsnu_e * normal(types, pixel, key("offset"))
+    pattern = pattern + p.column_pattern_e * normal(types, column, key("column offset"))
+    maps = PixelMaps(
+        response=dr.select(dead, 0.0, response),
+        dark_rate=dr.select(gap, 0.0, dark_rate),
+        read_noise=dr.select(gap, 0.0, read_noise),
+        offset=p.offset_dn + dr.select(gap, 0.0, p.gain_dn_per_e * pattern),
+        defect=known,
+        pixel=pixel,
+    )
+    dr.eval(*maps)
+    return maps
+
+
+def _damage(types: Any, p: SimpleNamespace, pixel: Any, centres_key: tuple[Any, Any], key: tuple[Any, Any]) -> Any:
+    """Dark current of the damage centres: a Poisson number of exponential variates, each from its own counter."""
+    import drjit as dr
+
+    from render.engine.philox import philox4x32
+    from render.engine.poisson import poisson
+
+    size = dr.width(pixel)
+    number = types.UInt32(poisson(types, p.damage_centres_per_px + dr.zeros(types.Float32, size), pixel, centres_key))
+
+    def one_more(total: Any, index: Any) -> tuple[Any, Any]:
+        word = philox4x32(types, (pixel, index, 0, 0), key)[0]
+        return total - dr.log(dr.fma(types.Float32(word), 2.0**-32, 2.0**-33)), index + 1
+
+    total, _ = dr.while_loop(
+        (dr.zeros(types.Float32, size), dr.zeros(types.UInt32, size)),
+        lambda total, index: index < number,
+        one_more,
+        label="damage",
+    )
+    return p.damage_dark_e_per_s * total
+
+
+@lru_cache(maxsize=2)
+def _full_neighbours(layout: _Layout, types: Any) -> Any:
+    width = layout.chips * layout.chip_width_px + (layout.chips - 1) * layout.gap_px
+    bits = _neighbour_bits(layout, np.arange(width)[None], np.arange(layout.height_px)[None])
+    return types.UInt32(bits.ravel())
+
+
+def _layout(detector: Detector) -> _Layout:
+    return _Layout(*(getattr(detector, name) for name in _Layout._fields))
+
+
+def _neighbour_bits(layout: _Layout, column: NDArray[np.int64], row: NDArray[np.int64]) -> NDArray[np.uint32]:
+    period = layout.chip_width_px + layout.gap_px
+    chip = np.floor_divide(column, period)
+    on_chip = (column - chip * period < layout.chip_width_px) & (chip >= 0) & (chip < layout.chips)
+    on_array = (row >= 0) & (row < layout.height_px)
+    chip = np.where(on_chip[:, None, :] & on_array[:, :, None], chip[:, None, :], -1).astype(np.int8)
+    padded = np.pad(chip, ((0, 0), (1, 1), (1, 1)), constant_values=-1)
+    height, width = chip.shape[1:]
+    bits = np.zeros(chip.shape, np.uint32)
+    for bit, (dx, dy) in enumerate(DISPLACEMENTS):
+        other = padded[:, 1 + dy : 1 + dy + height, 1 + dx : 1 + dx + width]
+        bits |= ((other == chip) & (chip >= 0)).astype(np.uint32) << np.uint32(bit)
+    return bits

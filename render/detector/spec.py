@@ -1,0 +1,359 @@
+"""The detector as data: an EMVA 1288 description of one chip, and how many chips stand side by side.
+
+Names and definitions follow EMVA Standard 1288, release 4.0 linear: system gain K [DN/e-], PRNU_1288 and DSNU_1288 as
+spatial standard deviations, full well as saturation capacity. `render.detector.readout` says in which order they act.
+Data files are TOML, lengths in um; the record is in mm.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from optics.errors import ConfigError, DomainError, unknown_name
+from optics.response import Response
+from optics.units import UM_MM
+from optics.validate import parse_model
+
+__all__ = ["Detector", "DetectorFile", "list_detectors", "load_detector"]
+
+_DATA = Path(__file__).parents[1] / "data" / "detectors"
+_HIGHEST = 1e7
+_SIDE = 32768
+
+# name in the data file: (lowest, highest, unit)
+_RANGES: dict[str, tuple[float, float, str]] = {
+    "chip_width_px": (1, _SIDE, "px"),
+    "chip_height_px": (1, _SIDE, "px"),
+    "chips": (1, 16, ""),
+    "gap_px": (0, 4096, "px"),
+    "pixel_pitch_um": (0.1, 1000, "um"),
+    "diffusion_sigma_um": (0, 100, "um"),
+    "prnu": (0, 0.5, ""),
+    "dark_current_e_per_s": (0, _HIGHEST, "e-/s"),
+    "dark_reference_c": (-200, 150, "C"),
+    "dark_doubling_c": (1, 100, "C"),
+    "dark_spread_e_per_s": (0, _HIGHEST, "e-/s"),
+    "hot_fraction": (0, 1, ""),
+    "hot_dark_e_per_s": (0, _HIGHEST, "e-/s"),
+    "dead_fraction": (0, 1, ""),
+    "full_well_e": (1, _HIGHEST, "e-"),
+    "crosstalk_horizontal": (0, 0.2, ""),
+    "crosstalk_vertical": (0, 0.2, ""),
+    "crosstalk_diagonal": (0, 0.1, ""),
+    "read_noise_e": (0, 1e5, "e-"),
+    "read_noise_spread": (0, 2, ""),
+    "gain_dn_per_e": (1e-6, 1e5, "DN/e-"),
+    "nonlinearity": (-0.5, 0.5, ""),
+    "offset_dn": (0, 65535, "DN"),
+    "dsnu_e": (0, 1e5, "e-"),
+    "column_pattern_e": (0, 1e5, "e-"),
+    "adc_bits": (1, 16, "bit"),
+    "sensor_seed": (0, 2**63, ""),
+    "damage_centres_per_px": (0, 1000, ""),
+    "damage_dark_e_per_s": (0, _HIGHEST, "e-/s"),
+    "damage_known_e_per_s": (0, _HIGHEST, "e-/s"),
+}
+_LENGTHS = {"pixel_pitch_um": "pixel_pitch_mm", "diffusion_sigma_um": "diffusion_sigma_mm"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Detector:
+    """One detector.
+
+    Attributes
+    ----------
+    name, source : str
+        What it is and where its numbers come from.
+    chip_width_px, chip_height_px : int
+        Size of one chip [px].
+    chips : int
+        Chips side by side along a row (ACC18: 2).
+    gap_px : int
+        Dead columns between neighbouring chips: whole pixels of insensitive mosaic, part of the image, flagged.
+    pixel_pitch_mm : float
+        Pixel pitch [mm].
+    diffusion_sigma_mm : float
+        Charge diffusion as the standard deviation of a Gaussian [mm].
+    quantum_efficiency : Response
+        Interacting quantum efficiency over wavelength, fill factor included.
+    prnu : float
+        PRNU_1288: spatial standard deviation of the response over its mean.
+    dark_current_e_per_s : float
+        Mean dark current of the normal pixels at ``dark_reference_c`` [e-/s].
+    dark_reference_c, dark_doubling_c : float
+        Dark current doubles with every ``dark_doubling_c`` kelvin above the reference [C].
+    dark_spread_e_per_s : float
+        Spatial standard deviation of the dark current at the reference [e-/s]; log-normal over the pixels.
+    hot_fraction : float
+        Fraction of hot pixels.
+    hot_dark_e_per_s : float
+        Mean of the exponentially distributed dark current that a hot pixel has on top, at the reference [e-/s].
+    dead_fraction : float
+        Fraction of pixels without response.
+    full_well_e : float
+        Saturation capacity [e-].
+    crosstalk_horizontal, crosstalk_vertical, crosstalk_diagonal : float
+        Fraction of a pixel's charge that shows in *each* left/right, upper/lower, diagonal neighbour.
+    read_noise_e, read_noise_spread : float
+        Median over the pixels of the temporal dark noise [e-]; standard deviation of its natural logarithm.
+    gain_dn_per_e : float
+        System gain K at small signals [DN/e-].
+    nonlinearity : tuple of float
+        c_1, c_2 ... in DN = K x (1 + sum_i c_i (x / full_well)^i), x in electrons.
+    offset_dn : float
+        Mean offset [DN].
+    dsnu_e, column_pattern_e : float
+        Spatial standard deviation of the offset per pixel (DSNU_1288 at zero exposure) and per column [e-].
+    adc_bits : int
+        Resolution of the converter.
+    sensor_seed : int
+        The individual: which pixels are hot, what the patterns look like.
+    damage_centres_per_px, damage_dark_e_per_s : float
+        Radiation damage (`render.detector.radiation.aged`): mean number of centres per pixel, mean of the exponentially
+        distributed dark current of each at the reference [e-/s].
+    damage_known_e_per_s : float
+        Dark current by centres above which a pixel is in the map of defects [e-/s].
+
+    Raises
+    ------
+    DomainError
+        On a value outside its range, or a crosstalk that leaves a pixel less than half of its charge.
+    """
+
+    name: str
+    source: str
+    chip_width_px: int
+    chip_height_px: int
+    chips: int
+    gap_px: int
+    pixel_pitch_mm: float
+    diffusion_sigma_mm: float
+    quantum_efficiency: Response
+    prnu: float
+    dark_current_e_per_s: float
+    dark_reference_c: float
+    dark_doubling_c: float
+    dark_spread_e_per_s: float
+    hot_fraction: float
+    hot_dark_e_per_s: float
+    dead_fraction: float
+    full_well_e: float
+    crosstalk_horizontal: float
+    crosstalk_vertical: float
+    crosstalk_diagonal: float
+    read_noise_e: float
+    read_noise_spread: float
+    gain_dn_per_e: float
+    nonlinearity: tuple[float, ...]
+    offset_dn: float
+    dsnu_e: float
+    column_pattern_e: float
+    adc_bits: int
+    sensor_seed: int
+    damage_centres_per_px: float = 0.0
+    damage_dark_e_per_s: float = 0.0
+    damage_known_e_per_s: float = _HIGHEST
+
+    def __post_init__(self) -> None:
+        for key, (low, high, unit) in _RANGES.items():
+            name = _LENGTHS.get(key, key)
+            scale = UM_MM if key in _LENGTHS else 1.0
+            held = getattr(self, name)
+            for value in held if isinstance(held, tuple) else (held,):
+                if not low * scale <= value <= high * scale:  # NaN fails too
+                    said = f"{unit.replace('um', 'mm')}".strip()
+                    raise DomainError(
+                        f"Detector.{name} = {value:g} {said}".rstrip()
+                        + f"; it must be {low * scale:g} to {high * scale:g} {said}".rstrip()
+                    )
+        lost = 2 * (self.crosstalk_horizontal + self.crosstalk_vertical) + 4 * self.crosstalk_diagonal
+        if lost > 0.5:
+            raise DomainError(
+                f"Detector crosstalk takes {lost:g} of a pixel's charge (2 horizontal + 2 vertical + 4 diagonal); "
+                "at most 0.5 is allowed"
+            )
+
+    @property
+    def width_px(self) -> int:
+        """Columns of the whole detector, gaps included."""
+        return self.chips * self.chip_width_px + (self.chips - 1) * self.gap_px
+
+    @property
+    def height_px(self) -> int:
+        """Rows."""
+        return self.chip_height_px
+
+    @property
+    def gap_columns_px(self) -> tuple[tuple[int, int], ...]:
+        """First and last columns of the gaps between chips."""
+        if not self.gap_px:
+            return ()
+        starts = [(k + 1) * self.chip_width_px + k * self.gap_px for k in range(self.chips - 1)]
+        return tuple((start, start + self.gap_px - 1) for start in starts)
+
+    @property
+    def mean_dark_e_per_s(self) -> float:
+        """Mean dark current at the reference, radiation damage included, hot pixels of the maker's left out [e-/s]."""
+        return self.dark_current_e_per_s + self.damage_centres_per_px * self.damage_dark_e_per_s
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns) of the image."""
+        return self.height_px, self.width_px
+
+    @property
+    def diffusion_sigma_px(self) -> float:
+        """Charge diffusion [px]."""
+        return self.diffusion_sigma_mm / self.pixel_pitch_mm
+
+    @property
+    def largest_dn(self) -> int:
+        """Largest number the converter gives."""
+        return int(2**self.adc_bits - 1)
+
+    def dark_factor(self, temperature_c: float) -> float:
+        """Dark current at a temperature over that at the reference: 2^((T - T_ref) / T_double).
+
+        Raises
+        ------
+        DomainError
+            On a temperature outside -200 to 150 C.
+        """
+        if not -200.0 <= temperature_c <= 150.0:
+            raise DomainError(f"temperature_c = {temperature_c:g} C; it must be -200 to 150 C")
+        return float(2.0 ** ((temperature_c - self.dark_reference_c) / self.dark_doubling_c))
+
+
+def _in_range(key: str, text: str, **options: Any) -> Any:
+    low, high, unit = _RANGES[key]
+    return Field(ge=low, le=high, allow_inf_nan=False, description=f"{text} [{unit}]" if unit else text, **options)
+
+
+class ResponseTable(BaseModel):
+    """A tabulated curve in a data file."""
+
+    model_config = ConfigDict(extra="forbid", strict=False)
+    source: str = Field(min_length=1, description="where the numbers come from")
+    wavelength_nm: list[float] = Field(min_length=2, description="increasing wavelengths [nm]")
+    value: list[float] = Field(min_length=2, description="quantum efficiency, 0 to 1")
+
+
+class DetectorFile(BaseModel):
+    """A detector's data file; see `Detector` for the definitions. ``base`` names a detector to start from."""
+
+    model_config = ConfigDict(extra="forbid")
+    base: str | None = Field(default=None, description="detector whose values hold where this file gives none")
+    name: str = Field(min_length=1, description="what it is")
+    source: str = Field(min_length=1, description="where its numbers come from")
+    quantum_efficiency: ResponseTable
+    chip_width_px: int = _in_range("chip_width_px", "columns of a chip")
+    chip_height_px: int = _in_range("chip_height_px", "rows of a chip")
+    chips: int = _in_range("chips", "chips side by side", default=1)
+    gap_px: int = _in_range("gap_px", "dead columns between chips", default=0)
+    pixel_pitch_um: float = _in_range("pixel_pitch_um", "pixel pitch")
+    diffusion_sigma_um: float = _in_range("diffusion_sigma_um", "charge diffusion")
+    prnu: float = _in_range("prnu", "response non-uniformity")
+    dark_current_e_per_s: float = _in_range("dark_current_e_per_s", "mean dark current at the reference")
+    dark_reference_c: float = _in_range("dark_reference_c", "reference temperature")
+    dark_doubling_c: float = _in_range("dark_doubling_c", "warming that doubles the dark current")
+    dark_spread_e_per_s: float = _in_range("dark_spread_e_per_s", "spread of the dark current")
+    hot_fraction: float = _in_range("hot_fraction", "fraction of hot pixels")
+    hot_dark_e_per_s: float = _in_range("hot_dark_e_per_s", "mean extra dark current of hot pixels")
+    dead_fraction: float = _in_range("dead_fraction", "fraction of dead pixels")
+    full_well_e: float = _in_range("full_well_e", "saturation capacity")
+    crosstalk_horizontal: float = _in_range("crosstalk_horizontal", "charge share of a left or right neighbour")
+    crosstalk_vertical: float = _in_range("crosstalk_vertical", "charge share of an upper or lower neighbour")
+    crosstalk_diagonal: float = _in_range("crosstalk_diagonal", "charge share of a diagonal neighbour")
+    read_noise_e: float = _in_range("read_noise_e", "median temporal dark noise")
+    read_noise_spread: float = _in_range("read_noise_spread", "standard deviation of its logarithm")
+    gain_dn_per_e: float = _in_range("gain_dn_per_e", "system gain K")
+    nonlinearity: tuple[float, ...] = Field(default=(), max_length=8, description="c_1, c_2 ..., each -0.5 to 0.5")
+    offset_dn: float = _in_range("offset_dn", "mean offset")
+    dsnu_e: float = _in_range("dsnu_e", "spread of the offset over the pixels")
+    column_pattern_e: float = _in_range("column_pattern_e", "spread of the offset over the columns")
+    adc_bits: int = _in_range("adc_bits", "resolution of the converter")
+    sensor_seed: int = _in_range("sensor_seed", "seed of the individual")
+    damage_centres_per_px: float = _in_range("damage_centres_per_px", "radiation damage: centres", default=0.0)
+    damage_dark_e_per_s: float = _in_range("damage_dark_e_per_s", "mean dark current of a centre", default=0.0)
+    damage_known_e_per_s: float = _in_range(
+        "damage_known_e_per_s", "dark current by centres that makes a known defect", default=_HIGHEST
+    )
+
+
+def list_detectors() -> tuple[str, ...]:
+    """Names that `load_detector` knows."""
+    return tuple(sorted(path.stem for path in _DATA.glob("*.toml")))
+
+
+def load_detector(name_or_path: str | Path) -> Detector:
+    """Read a detector's data file.
+
+    Parameters
+    ----------
+    name_or_path : str or pathlib.Path
+        A name from `list_detectors`, or the path of a TOML file.
+
+    Returns
+    -------
+    Detector
+
+    Raises
+    ------
+    ConfigError
+        Unknown name, missing or broken file, unknown or missing key, value out of range: one line per fault.
+    """
+    path = _resolve(name_or_path)
+    mapping = _read(path, ())
+    checked = parse_model(DetectorFile, mapping, path.name)
+    values = checked.model_dump(exclude={"base", "quantum_efficiency"} | set(_LENGTHS))
+    lengths = {held: getattr(checked, key) * UM_MM for key, held in _LENGTHS.items()}
+    table = checked.quantum_efficiency
+    try:
+        curve = Response(
+            name=f"quantum efficiency of {checked.name}",
+            source=table.source,
+            wavelength_nm=np.array(table.wavelength_nm),
+            value=np.array(table.value),
+        )
+        return Detector(**values, **lengths, quantum_efficiency=curve)
+    except DomainError as error:
+        raise ConfigError(f"{path.name}: {error}") from None
+
+
+def _resolve(name_or_path: str | Path) -> Path:
+    path = Path(name_or_path)
+    if path.suffix == ".toml" or len(path.parts) > 1:
+        return path
+    shipped = _DATA / f"{name_or_path}.toml"
+    if not shipped.is_file():
+        raise unknown_name("detector", str(name_or_path), list_detectors())
+    return shipped
+
+
+def _read(path: Path, above: tuple[Path, ...]) -> Mapping[str, Any]:
+    """Mapping of the file with those of its bases underneath."""
+    if path.resolve() in above:
+        raise ConfigError(f"{path.name}: base = {above[0].name!r} leads back to itself")
+    try:
+        mapping = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file; known detectors: {', '.join(list_detectors())}") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not valid TOML ({error})") from None
+    base = mapping.get("base")
+    if base is None:
+        return mapping
+    if not isinstance(base, str):
+        raise ConfigError(f"{path.name}: base = {base!r}; the name of a detector is needed")
+    below = _resolve(base)
+    below = below if below.is_absolute() else path.parent / below
+    return {**_read(below, (*above, path.resolve())), **mapping}

@@ -1,0 +1,1 @@
+"""FITS files: frames, headers, world coordinates."""

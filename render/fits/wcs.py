@@ -1,0 +1,302 @@
+"""World coordinates of a camera: the distortion of its traced lens as a FITS header (TAN-SIP).
+
+Pixels become directions in three steps (Shupe et al. 2005, ASP Conf. Ser. 347, 491; Calabretta & Greisen 2002, A&A 395,
+1077): with (u, v) = FITS pixel - CRPIX,
+
+    U = u + sum A_p_q u^p v^q,   V = v + sum B_p_q u^p v^q,   2 <= p + q <= order
+    (xi, eta) = CD (U, V)         [deg]
+    direction = unit(b + tan1 xi E + tan1 eta N),  tan1 = pi / 180
+
+about the boresight b (CRVAL), with E and N towards east and north there (LONPOLE = 180, written because its default
+turns over at the pole). AP and BP lead from (U, V) back to (u, v) in the same way; ds9 uses them, astropy iterates.
+
+The polynomials belong to the camera and are fitted once, in the image plane, to chief rays traced through the lens. An
+attitude changes only CRVAL and CD. CD has a positive determinant: our rows count downwards, FITS viewers draw them
+upwards and show the sky mirrored, as they do with any image stored from its top row on.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optics.arrays import FloatArray
+from optics.errors import ConvergenceError, DomainError
+from optics.frames import field_angles_deg, pixel_to_fits
+from optics.rays.chief import chief_ray_points
+from optics.rays.paraxial import axial_paraxial
+from optics.records import freeze
+from optics.units import RAD_DEG
+from render.camera import Camera
+from render.fits.headers import Card
+
+__all__ = ["LensWcs", "lens_wcs"]
+
+HIGHEST_ORDER = 9
+"""Highest order of a SIP polynomial that astropy and ds9 read (Shupe et al. 2005)."""
+
+_LOWEST_ORDER = 2
+_AIM_STEPS = 25
+_AIM_PX = 0.02
+_FIT_NODES = 20
+_CHECK_NODES = 23
+_LARGEST_RESIDUAL_PX = 0.01
+_NEGLIGIBLE_PX = 1e-8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LensWcs:
+    """World coordinates of a camera, all but its attitude; made by `lens_wcs`.
+
+    Attributes
+    ----------
+    boresight_px : (2,)
+        Column and row at which a star on the boresight (+Z of cam) is seen.
+    linear : (2, 2)
+        (X/Z, Y/Z) in cam per pixel (column, row) at that place.
+    order : int
+        Order of A and B, 2 to 9.
+    a, b : (order + 1, order + 1)
+        Forward polynomials, ``a[p, q]`` of u^p v^q.
+    inverse_order : int
+        Order of AP and BP.
+    ap, bp : (inverse_order + 1, inverse_order + 1)
+        Inverse polynomials.
+    wavelength_nm : float
+        Wavelength of the chief rays.
+    residual_px, inverse_residual_px : float
+        Largest distance on the detector between traced chief rays (others than those of the fit) and the place where
+        the forward and the inverse polynomials put them.
+    """
+
+    boresight_px: FloatArray
+    linear: FloatArray
+    order: int
+    a: FloatArray
+    b: FloatArray
+    inverse_order: int
+    ap: FloatArray
+    bp: FloatArray
+    wavelength_nm: float
+    residual_px: float
+    inverse_residual_px: float
+    _constant: tuple[Card, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        freeze(self, "boresight_px", shape=(2,))
+        freeze(self, "linear", shape=(2, 2))
+        for name, order in (
+            ("a", self.order),
+            ("b", self.order),
+            ("ap", self.inverse_order),
+            ("bp", self.inverse_order),
+        ):
+            freeze(self, name, shape=(order + 1, order + 1))
+        object.__setattr__(self, "_constant", tuple(_constant_cards(self)))
+
+    def header(self, rotation_cam_from_icrs: ArrayLike) -> list[Card]:
+        """Header cards of an exposure.
+
+        Parameters
+        ----------
+        rotation_cam_from_icrs : (3, 3)
+            Attitude, ``v_cam = R @ v_icrs``.
+
+        Returns
+        -------
+        list of (keyword, value, comment)
+            For ``write_frame(..., cards=...)`` or ``astropy.io.fits.Header(...)``. World coordinates are the directions
+            in which stars are *seen*: apparent places, where the stars were rendered with aberration and parallax.
+
+        Raises
+        ------
+        DomainError
+            Not a proper rotation.
+        """
+        rotation = np.asarray(rotation_cam_from_icrs, np.float64)
+        if rotation.shape != (3, 3):
+            raise DomainError(f"rotation_cam_from_icrs has shape {rotation.shape}; a 3 x 3 matrix is needed")
+        x, y, z = rotation.tolist()
+        if not _is_rotation(x, y, z):
+            raise DomainError("rotation_cam_from_icrs is no proper rotation (a mirrored sky has determinant -1)")
+        across = math.hypot(z[0], z[1])
+        right_ascension, declination = math.atan2(z[1], z[0]), math.atan2(z[2], across)
+        east = (-math.sin(right_ascension), math.cos(right_ascension), 0.0)
+        north = (-math.sin(declination) * east[1], math.sin(declination) * east[0], math.cos(declination))
+        (l11, l12), (l21, l22) = self.linear.tolist()
+        cd = []
+        for axis in (east, north):
+            along_x, along_y = _dot(x, axis) * RAD_DEG, _dot(y, axis) * RAD_DEG
+            cd += [along_x * l11 + along_y * l21, along_x * l12 + along_y * l22]
+        return [
+            ("CRVAL1", right_ascension * RAD_DEG % 360.0, "[deg] right ascension of the boresight"),
+            ("CRVAL2", declination * RAD_DEG, "[deg] declination of the boresight"),
+            ("CD1_1", cd[0], "[deg/px] eastwards along columns"),
+            ("CD1_2", cd[1], "[deg/px] eastwards along rows"),
+            ("CD2_1", cd[2], "[deg/px] northwards along columns"),
+            ("CD2_2", cd[3], "[deg/px] northwards along rows"),
+            *self._constant,
+        ]
+
+
+def lens_wcs(camera: Camera, *, wavelength_nm: float | None = None, tolerance_px: float = 1e-3) -> LensWcs:
+    """Fit world coordinates to a camera's lens.
+
+    Parameters
+    ----------
+    camera : Camera
+        Its attitude plays no part.
+    wavelength_nm : float, optional
+        Wavelength of the chief rays, e.g. the mean of a band; the design wavelength by default.
+    tolerance_px : float
+        The order is raised until both polynomials are that good, at most 0.01; order 9 is taken if it reaches 0.01 px.
+
+    Returns
+    -------
+    LensWcs
+
+    Raises
+    ------
+    DomainError
+        Tolerance out of range.
+    ConvergenceError
+        The corners of the detector lie outside what the lens can image, or order 9 does not reach 0.01 px.
+    """
+    if not 0.0 < tolerance_px <= _LARGEST_RESIDUAL_PX:
+        raise DomainError(
+            f"tolerance_px = {tolerance_px:g} px; it must be above 0, at most {_LARGEST_RESIDUAL_PX:g} px"
+        )
+    wavelength = camera.lens.design_wavelength_nm if wavelength_nm is None else float(wavelength_nm)
+    centre = _chief_px(camera, np.zeros((1, 2)), wavelength)[0]
+    nodes = np.cos(np.pi * (np.arange(_FIT_NODES) + 0.5) / _FIT_NODES)
+    plane, pixel = _rays_at(camera, nodes / nodes[0], wavelength)
+    check_plane, check_pixel = _rays_at(camera, np.linspace(-1.0, 1.0, _CHECK_NODES), wavelength)
+    pixel, check_pixel = pixel - centre, check_pixel - centre
+    forward, linear, residual = _raised(pixel, plane, check_pixel, check_plane, None, tolerance_px)
+    ideal, check_ideal = _solved(linear, plane), _solved(linear, check_plane)
+    backward, _, inverse_residual = _raised(ideal, pixel, check_ideal, check_pixel, np.eye(2), tolerance_px)
+    if not max(residual, inverse_residual) <= _LARGEST_RESIDUAL_PX:
+        raise ConvergenceError(
+            f"lens {camera.lens.name!r} on {camera.width_px} x {camera.height_px} px: SIP of order {HIGHEST_ORDER} "
+            f"misses its chief rays by {residual:.2g} px (inverse {inverse_residual:.2g} px), at most "
+            f"{_LARGEST_RESIDUAL_PX:g} px is allowed; use a smaller detector"
+        )
+    return LensWcs(
+        boresight_px=centre,
+        linear=linear,
+        order=len(forward) - 1,
+        a=forward[:, :, 0],
+        b=forward[:, :, 1],
+        inverse_order=len(backward) - 1,
+        ap=backward[:, :, 0],
+        bp=backward[:, :, 1],
+        wavelength_nm=wavelength,
+        residual_px=residual,
+        inverse_residual_px=inverse_residual,
+    )
+
+
+def _rays_at(camera: Camera, nodes: FloatArray, wavelength_nm: float) -> tuple[FloatArray, FloatArray]:
+    """(X/Z, Y/Z) and pixels (n, 2) of chief rays on a grid that spans the detector; -1 and 1 are its edges."""
+    size = np.array([camera.width_px, camera.height_px])
+    column, row = (0.5 * (size - 1)[:, None] + 0.5 * size[:, None] * nodes).tolist()
+    wanted = np.stack([axis.ravel() for axis in np.meshgrid(column, row)], axis=-1)
+    scale = camera.pixel_pitch_mm / abs(axial_paraxial(camera.lens, camera.lens.design_wavelength_nm).efl_mm)
+    plane = (wanted - camera.centre_px) * scale
+    for _ in range(_AIM_STEPS):  # as far as distortion is small against the image this converges; a node may lie off
+        pixel = _chief_px(camera, plane, wavelength_nm)
+        short = wanted - pixel
+        if np.abs(short).max() < _AIM_PX:
+            return plane, pixel
+        plane = plane + short * scale
+    raise ConvergenceError(
+        f"lens {camera.lens.name!r}: no chief ray reaches the corners of {size[0]} x {size[1]} px; "
+        "use a smaller detector"
+    )
+
+
+def _chief_px(camera: Camera, plane: FloatArray, wavelength_nm: float) -> FloatArray:
+    """Pixels (n, 2) of chief rays at (X/Z, Y/Z) = plane (n, 2)."""
+    fx, fy = field_angles_deg(np.concatenate([plane, np.ones((len(plane), 1))], axis=1))
+    return np.stack(camera.to_pixel(*chief_ray_points(camera.focused_lens, fx, fy, wavelength_nm)), axis=-1)
+
+
+def _raised(
+    x: FloatArray,
+    y: FloatArray,
+    check_x: FloatArray,
+    check_y: FloatArray,
+    linear: FloatArray | None,
+    tolerance_px: float,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Polynomial with y = L (x + polynomial(x)), of the lowest order that holds ``tolerance_px`` at the check points.
+
+    Without ``linear`` the linear part becomes L; with it, it stays in the polynomial. All (n, 2), pixels in x.
+    """
+    for order in range(_LOWEST_ORDER, HIGHEST_ORDER + 1):
+        held, matrix = _fitted(x, y, order, linear)
+        gap = check_x + _value(held, check_x) - _solved(matrix, check_y)
+        residual = float(np.hypot(*gap.T).max())
+        if residual < tolerance_px:
+            break
+    return held, matrix, residual
+
+
+def _fitted(x: FloatArray, y: FloatArray, order: int, linear: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """(coefficient (order + 1, order + 1, 2), linear part (2, 2)) by least squares, no constant."""
+    size = float(np.abs(x).max())
+    power = [(p, total - p) for total in range(1, order + 1) for p in range(total, -1, -1)]
+    basis = np.stack([(x[:, 0] / size) ** p * (x[:, 1] / size) ** q for p, q in power], axis=1)
+    solution = np.asarray(np.linalg.lstsq(basis, y, rcond=None)[0], np.float64)
+    matrix = np.asarray(solution[:2].T / size, np.float64) if linear is None else linear
+    solution = _solved(matrix, solution)  # in pixels
+    solution[:2] = 0.0 if linear is None else solution[:2] - size * np.eye(2)
+    solution[np.abs(solution) < _NEGLIGIBLE_PX] = 0.0  # what symmetry forbids, to the rounding error of the fit
+    held = np.zeros((order + 1, order + 1, 2))
+    for (p, q), value in zip(power, solution, strict=True):
+        held[p, q] = value / size ** (p + q)
+    return held, matrix
+
+
+def _value(coefficient: FloatArray, x: FloatArray) -> FloatArray:
+    return np.asarray(np.polynomial.polynomial.polyval2d(x[:, 0], x[:, 1], coefficient).T, np.float64)
+
+
+def _solved(matrix: FloatArray, values: FloatArray) -> FloatArray:
+    """Inverse of the matrix (2, 2) times the rows of values (n, 2)."""
+    return np.asarray(np.linalg.solve(matrix, values.T).T, np.float64)
+
+
+def _constant_cards(wcs: LensWcs) -> list[Card]:
+    reference = [float(v) for v in pixel_to_fits(*wcs.boresight_px)]
+    cards: list[Card] = [
+        ("WCSAXES", 2, "right ascension and declination"),
+        ("CTYPE1", "RA---TAN-SIP", "gnomonic with SIP distortion"),
+        ("CTYPE2", "DEC--TAN-SIP", "gnomonic with SIP distortion"),
+        ("CUNIT1", "deg", ""),
+        ("CUNIT2", "deg", ""),
+        ("CRPIX1", reference[0], "boresight, FITS pixel"),
+        ("CRPIX2", reference[1], "boresight, FITS pixel"),
+        ("LONPOLE", 180.0, "[deg] north is up at the boresight"),
+        ("RADESYS", "ICRS", "axes of the directions as seen"),
+        ("WCSWAVE", wcs.wavelength_nm, "[nm] wavelength of the chief rays"),
+        ("WCSRESID", wcs.residual_px, "[px] largest distance from traced rays"),
+    ]
+    for name, table in (("A", wcs.a), ("B", wcs.b), ("AP", wcs.ap), ("BP", wcs.bp)):
+        cards.append((f"{name}_ORDER", len(table) - 1, "order of the polynomial"))
+        cards += [(f"{name}_{p}_{q}", float(table[p, q]), "") for p, q in np.argwhere(table)]
+    return cards
+
+
+def _dot(a: Any, b: Any) -> float:
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+def _is_rotation(x: list[float], y: list[float], z: list[float]) -> bool:
+    cross = (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
+    off = [_dot(x, x) - 1.0, _dot(y, y) - 1.0, _dot(x, y), *(c - v for c, v in zip(cross, z, strict=True))]
+    return all(abs(value) < 1e-9 for value in off)  # NaN fails too

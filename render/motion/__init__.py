@@ -1,0 +1,1 @@
+"""How a camera moves: trajectories, jitter, gyros."""

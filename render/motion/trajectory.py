@@ -1,0 +1,273 @@
+"""Motion of a body: its attitude and its angular rate at any time.
+
+``attitude(t)`` is the rotation *body from reference*: ``v_body = R v_ref``. The body is what camera and gyro are
+mounted on; a camera's own trajectory is ``mounted(trajectory, cam_from_body)``. ``rate(t)`` is the angular velocity of
+the body against the reference, in body axes [rad/s], as a gyro feels it. The two are tied by
+
+    R(t + dt) = exp(-rate dt) R(t):
+
+a body that turns by a positive angle about its z axis sees the stars turn by the negative one.
+
+* `ConstantRate`: exact, ``R(t) = exp(-rate (t - t0)) R(t0)``.
+* `SampledAttitude`: a spline through given attitudes, with continuous rate and acceleration (`scipy` RotationSpline).
+* `Slew`: a turn about one fixed axis from rest to rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.records import freeze
+
+__all__ = ["ConstantRate", "Mounted", "SampledAttitude", "Slew", "Trajectory", "mounted"]
+
+SLACK_S = 1e-9  # a time this far outside still counts as the end: sums of steps do not land on it exactly
+
+
+class Trajectory(Protocol):
+    """Attitude and rate between ``start_s`` and ``end_s``."""
+
+    @property
+    def start_s(self) -> float:
+        """First time [s]."""
+        ...
+
+    @property
+    def end_s(self) -> float:
+        """Last time [s]."""
+        ...
+
+    def attitude(self, time_s: ArrayLike) -> Rotation:
+        """Body from reference at a time, or at n of them [s].
+
+        Raises
+        ------
+        DomainError
+            On a time that is not finite or outside of the trajectory.
+        """
+        ...
+
+    def rate(self, time_s: ArrayLike) -> FloatArray:
+        """Angular velocity in body axes [rad/s], (3,) at a time or (n, 3) at n of them.
+
+        Raises
+        ------
+        DomainError
+            As `attitude`.
+        """
+        ...
+
+
+def _times(trajectory: Trajectory, time_s: ArrayLike) -> FloatArray:
+    """Times () or (n,), checked and moved onto the ends where they miss them by rounding."""
+    t = np.asarray(time_s, float)
+    if t.ndim > 1:
+        raise DomainError(f"time_s has shape {t.shape}; one time or (n,) times are needed")
+    first, last = trajectory.start_s, trajectory.end_s
+    slack = SLACK_S + 1e-12 * max(abs(first), abs(last))
+    wrong = ~((t >= first - slack) & (t <= last + slack))
+    if wrong.any():
+        value = t if t.ndim == 0 else t[wrong][0]
+        raise DomainError(
+            f"time_s = {float(value):g} s lies outside of the trajectory, which runs from {first:g} to {last:g} s"
+        )
+    return np.clip(t, first, last)
+
+
+def _check_span(owner: str, start_s: float, end_s: float) -> None:
+    if not (np.isfinite(start_s) and np.isfinite(end_s) and end_s > start_s):
+        raise DomainError(f"{owner} runs from {start_s} to {end_s} s; finite times are needed, the end after the start")
+
+
+def _check_single(owner: str, name: str, rotation: Rotation) -> None:
+    if not isinstance(rotation, Rotation) or not rotation.single:
+        raise DomainError(f"{owner}.{name}: one scipy Rotation is needed")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConstantRate:
+    """A body that turns at a constant rate about an axis fixed in it (and therefore in the reference).
+
+    Attributes
+    ----------
+    initial : Rotation
+        Body from reference at ``start_s``.
+    rate_rad_per_s : (3,)
+        Angular velocity in body axes [rad/s]; zero for a body at rest.
+    end_s, start_s : float
+        Last and first time [s].
+
+    Raises
+    ------
+    DomainError
+        On values that are not finite, or an end that is not after the start.
+    """
+
+    initial: Rotation
+    rate_rad_per_s: FloatArray
+    end_s: float
+    start_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_single("ConstantRate", "initial", self.initial)
+        freeze(self, "rate_rad_per_s", shape=(3,))
+        _check_span("ConstantRate", self.start_s, self.end_s)
+
+    def attitude(self, time_s: ArrayLike) -> Rotation:
+        """Body from reference at a time, or at n of them [s]."""
+        elapsed = _times(self, time_s) - self.start_s
+        return Rotation.from_rotvec(-elapsed[..., None] * self.rate_rad_per_s) * self.initial
+
+    def rate(self, time_s: ArrayLike) -> FloatArray:
+        """Angular velocity in body axes [rad/s]; the same at all times."""
+        t = _times(self, time_s)
+        return np.broadcast_to(self.rate_rad_per_s, (*t.shape, 3)).copy()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampledAttitude:
+    """A smooth motion through given attitudes.
+
+    The rotation vector between samples is cubic in time, with continuous rate and acceleration (scipy `RotationSpline`
+    and the note by N. Mayorov, "Smooth attitude interpolation", that it cites); two samples give a constant rate.
+
+    Attributes
+    ----------
+    samples_s : (n,)
+        Increasing times [s], at least two.
+    attitudes : Rotation
+        Body from reference at these times; neighbours less than 180 deg apart.
+
+    Raises
+    ------
+    DomainError
+        On times that do not increase, or other than one attitude for each.
+    """
+
+    samples_s: FloatArray
+    attitudes: Rotation
+    _spline: RotationSpline = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        times = freeze(self, "samples_s", shape=("n",))
+        if len(times) < 2 or not (np.diff(times) > 0).all():
+            raise DomainError(f"SampledAttitude.samples_s: at least two increasing times are needed, got {len(times)}")
+        if not isinstance(self.attitudes, Rotation) or self.attitudes.single or len(self.attitudes) != len(times):
+            raise DomainError(f"SampledAttitude.attitudes: {len(times)} rotations are needed, one for each time")
+        # scipy's spline turns body vectors into the reference, and gives rates in body axes.
+        object.__setattr__(self, "_spline", RotationSpline(times, self.attitudes.inv()))
+
+    @property
+    def start_s(self) -> float:
+        """First sample [s]."""
+        return float(self.samples_s[0])
+
+    @property
+    def end_s(self) -> float:
+        """Last sample [s]."""
+        return float(self.samples_s[-1])
+
+    def attitude(self, time_s: ArrayLike) -> Rotation:
+        """Body from reference at a time, or at n of them [s]."""
+        return self._spline(_times(self, time_s)).inv()
+
+    def rate(self, time_s: ArrayLike) -> FloatArray:
+        """Angular velocity in body axes [rad/s]."""
+        return np.asarray(self._spline(_times(self, time_s), 1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Slew:
+    """A turn about one fixed axis from rest to rest, as short as it can be.
+
+    The fraction of the angle after the fraction s of the time is ``10 s^3 - 15 s^4 + 6 s^5``: rate and acceleration
+    vanish at both ends.
+
+    Attributes
+    ----------
+    initial, final : Rotation
+        Body from reference at the start and at the end.
+    end_s, start_s : float
+        Last and first time [s].
+
+    Raises
+    ------
+    DomainError
+        On an end that is not after the start.
+    """
+
+    initial: Rotation
+    final: Rotation
+    end_s: float
+    start_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_single("Slew", "initial", self.initial)
+        _check_single("Slew", "final", self.final)
+        _check_span("Slew", self.start_s, self.end_s)
+
+    @property
+    def turn_rad(self) -> FloatArray:
+        """Rotation vector (3,) of the whole turn, in body axes [rad]: axis of the rate times the angle."""
+        return np.asarray(-(self.final * self.initial.inv()).as_rotvec())
+
+    def attitude(self, time_s: ArrayLike) -> Rotation:
+        """Body from reference at a time, or at n of them [s]."""
+        s = (_times(self, time_s) - self.start_s) / (self.end_s - self.start_s)
+        part = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+        return Rotation.from_rotvec(-part[..., None] * self.turn_rad) * self.initial
+
+    def rate(self, time_s: ArrayLike) -> FloatArray:
+        """Angular velocity in body axes [rad/s]."""
+        duration = self.end_s - self.start_s
+        s = (_times(self, time_s) - self.start_s) / duration
+        return np.asarray((30.0 * s**2 * (1.0 - s) ** 2 / duration)[..., None] * self.turn_rad)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mounted:
+    """The motion of something fixed to a moving body, e.g. a camera; see `mounted`.
+
+    Attributes
+    ----------
+    body : Trajectory
+        Motion of the body.
+    mount : Rotation
+        The thing's axes from the body's axes: ``v_thing = R v_body``.
+    """
+
+    body: Trajectory
+    mount: Rotation
+
+    def __post_init__(self) -> None:
+        _check_single("Mounted", "mount", self.mount)
+
+    @property
+    def start_s(self) -> float:
+        """First time of the body [s]."""
+        return self.body.start_s
+
+    @property
+    def end_s(self) -> float:
+        """Last time of the body [s]."""
+        return self.body.end_s
+
+    def attitude(self, time_s: ArrayLike) -> Rotation:
+        """The thing's axes from the reference at a time, or at n of them [s]."""
+        return self.mount * self.body.attitude(time_s)
+
+    def rate(self, time_s: ArrayLike) -> FloatArray:
+        """Angular velocity in the thing's axes [rad/s]."""
+        return np.asarray(self.mount.apply(self.body.rate(time_s)))
+
+
+def mounted(body: Trajectory, mount: Rotation) -> Mounted:
+    """Trajectory of what is fixed to a body, with ``v_thing = mount v_body``: ``mounted(body, cam_from_body)``."""
+    return Mounted(body=body, mount=mount)

@@ -1,0 +1,346 @@
+"""Mitsuba sensor ``lens_camera``: a lens prescription in front of a pixelated detector.
+
+Properties
+----------
+lens : str
+    Built-in name or path of a prescription; or
+camera : str
+    Handle of a `render.camera.Camera` (`share_camera`), which then sets lens, pixels, focus and attitude; ``to_world``
+    may only move it.
+pixel_pitch_um : float
+    Pixel pitch; the film gives the number of pixels.
+defocus_mm, charge_diffusion_um : float, default 0
+    Detector shift away from the lens; standard deviation of the charge diffusion.
+to_world : Transform4f
+    As for Mitsuba's ``perspective``: the camera looks along its local +Z, its local +Y is up in the image. Single
+    precision (0.02"); for star fields rather give
+rotation : TensorXf64 (3, 3)
+    ``v_cam = rotation @ v_world`` in float64.
+scene_unit_mm : float, default 1
+    Length of a scene unit; where rays leave the first lens is placed accordingly.
+wavelength_nm : float
+    Wavelength of extended scenes in variants without spectra; default the lens's design wavelength. In spectral
+    variants only the hero wavelength carries weight, because dispersion separates the others.
+shutter_open, shutter_close : float
+    Exposure time is their difference; 1 s if it is zero.
+motion_rotation : TensorXf64 (1, m, 3, 3)
+    Attitude at m >= 2 equal steps from ``shutter_open`` over motion_duration_s, in place of ``rotation``: a ray takes
+    the one at its time sample, between two steps along the shorter arc.
+motion_duration_s : float
+    Length of that table: the exposure, with a rolling shutter also the time from the first row's start to the last's.
+line_time_s : float, default 0
+    A row starts this much later than the one before it.
+first_row : int, default 0
+    Row of the detector that is row 0 of the film, where the film is a window.
+
+Stars are traced forward by ``star_tracer``. Extended bodies are rendered by any stock integrator: `sample_ray` starts
+on the detector, aims at the exit pupil, and traces the lens backwards, so that a pixel's value is its mean irradiance:
+the integral of L cos(theta) over the exit pupil's solid angle (pi sin^2 for a uniform sky). Charge diffusion, quantum
+efficiency and the transmission of the lens are not in it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from optics.errors import BackendError, ConfigError, ConvergenceError, unknown_name
+from optics.frames import light_direction
+from optics.lens.prescription import load_lens
+from optics.rays.paraxial import axial_paraxial
+from optics.rays.program import compile_lens
+from optics.rays.reverse import HALF_TURN, retraced, reverse
+from optics.rays.trace import OK, Rays, trace, trace_program
+from optics.units import UM_MM
+from render.camera import Camera, launch_disk
+from render.engine.arrays import DrJitArrays
+from render.tracing.sampling import probe_fields
+
+__all__ = ["define", "exit_disk", "share_camera"]
+
+EXIT_PUPIL_MARGIN = 1.03
+"""The disk that backward rays aim at, in radii of what forward rays fill: room for what lies between those."""
+EXIT_PUPIL_RAYS = 400
+
+_MITSUBA_FROM_CAM = np.diag([-1.0, -1.0, 1.0])
+"""Mitsuba's local frame has +X to the left and +Y up in the image; cam has +X to the right and +Y down."""
+
+_shared: dict[str, Camera] = {}
+
+
+def share_camera(camera: Camera) -> str:
+    """Handle by which ``load_dict`` takes a camera record (Mitsuba's properties hold no Python objects).
+
+    Parameters
+    ----------
+    camera : Camera
+        Kept alive until 64 others have been shared.
+    """
+    handle = f"camera-{id(camera):x}"
+    _shared.pop(handle, None)
+    _shared[handle] = camera
+    while len(_shared) > 64:
+        _shared.pop(next(iter(_shared)))
+    return handle
+
+
+def _rotation(props: Any) -> np.ndarray:
+    """cam from world, float64, from ``rotation`` or ``to_world``."""
+    if "rotation" in props:
+        return np.array(props["rotation"], dtype=float).reshape(3, 3)
+    if "to_world" in props:
+        matrix = np.array(props["to_world"].matrix, dtype=float)[:3, :3]
+        u, size, vt = np.linalg.svd(matrix)
+        if not np.allclose(size, 1.0, atol=1e-5):
+            raise ConfigError(f"lens_camera: to_world scales by {size.max():g}; give scene_unit_mm instead")
+        return _MITSUBA_FROM_CAM @ (u @ vt).T
+    return _MITSUBA_FROM_CAM
+
+
+def _shared_camera(props: Any, width: int, height: int) -> Camera:
+    """The camera of a handle."""
+    handle = str(props["camera"])
+    if handle not in _shared:
+        raise unknown_name("camera handle", handle, _shared)
+    camera = _shared[handle]
+    if (camera.width_px, camera.height_px) != (width, height):
+        raise ConfigError(
+            f"lens_camera: film of {width} x {height} px for a camera of {camera.width_px} x {camera.height_px} px"
+        )
+    if "rotation" in props or ("to_world" in props and not np.allclose(props["to_world"].matrix, _moved(props))):
+        raise ConfigError("lens_camera: a shared camera has an attitude of its own; to_world may only move it")
+    return camera
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """Attitudes at equal steps as quaternions (m, 4), neighbours on the same side; times in s."""
+
+    quaternion: np.ndarray
+    duration_s: float
+    line_time_s: float
+    first_row: int
+
+
+def _motion(props: Any) -> _Motion | None:
+    """The table of attitudes, if there is one."""
+    if "motion_rotation" not in props:
+        return None
+    table = np.array(props["motion_rotation"], dtype=float)
+    table = table[0] if table.ndim == 4 else table
+    duration_s, line_time_s = float(props.get("motion_duration_s", 0.0)), float(props.get("line_time_s", 0.0))
+    if table.ndim != 3 or table.shape[1:] != (3, 3) or len(table) < 2:
+        raise ConfigError(f"lens_camera: motion_rotation has shape {table.shape}; (m, 3, 3) with m >= 2 is needed")
+    if not duration_s > 0 or not 0 <= line_time_s < math.inf:
+        raise ConfigError(
+            f"lens_camera: motion_duration_s = {duration_s:g} s must be positive, line_time_s = {line_time_s:g} s not "
+            "negative"
+        )
+    quaternion = Rotation.from_matrix(table).as_quat()
+    side = np.cumprod(np.where(np.einsum("ij,ij->i", quaternion[1:], quaternion[:-1]) < 0, -1.0, 1.0))
+    quaternion[1:] *= side[:, None]
+    return _Motion(quaternion, duration_s, line_time_s, int(props.get("first_row", 0)))
+
+
+def _moved(props: Any) -> np.ndarray:
+    """The translation of ``to_world`` alone."""
+    matrix = np.eye(4)
+    if "to_world" in props:
+        matrix[:3, 3] = np.array(props["to_world"].matrix, dtype=float)[:3, 3]
+    return matrix
+
+
+def _camera(props: Any, width: int, height: int) -> Camera:
+    if "camera" in props:
+        return _shared_camera(props, width, height)
+    for name in ("lens", "pixel_pitch_um"):
+        if name not in props:
+            raise ConfigError(f"lens_camera: property {name!r} is missing")
+    pitch_um = float(props["pixel_pitch_um"])
+    if not pitch_um > 0:
+        raise ConfigError(f"lens_camera: pixel_pitch_um = {pitch_um:g} um; it must be positive")
+    return Camera(
+        lens=load_lens(str(props["lens"])),
+        width_px=width,
+        height_px=height,
+        pixel_pitch_mm=pitch_um * UM_MM,
+        defocus_mm=float(props.get("defocus_mm", 0.0)),
+        charge_diffusion_px=float(props.get("charge_diffusion_um", 0.0)) / pitch_um,
+        rotation_cam_from_world=_rotation(props),
+    )
+
+
+def exit_disk(camera: Camera) -> tuple[float, float, float, float]:
+    """Centre and radius (x, y, z, radius) [mm] of a disk through which all light reaches the detector.
+
+    In the frame of the reversed lens: origin on the detector, z towards the lens (`optics.rays.reverse`). It stands at
+    the paraxial exit pupil, or at the last vertex where that is behind the detector or far away, and is sized by real
+    rays from the whole field.
+    """
+    lens, pupil = camera.focused_lens, launch_disk(camera)
+    last = float(lens.image_position_mm[2] - lens.surfaces[-1].position_mm[2])
+    reach = float(lens.image_position_mm[2]) - axial_paraxial(lens, lens.design_wavelength_nm).exit_pupil_z_mm
+    if not 0.2 * last < reach < 1e4 * last:
+        reach = last
+    i = np.arange(EXIT_PUPIL_RAYS)
+    radius, turn = np.sqrt(i / (len(i) - 1)), i * math.pi * (3.0 - math.sqrt(5.0))
+    low, high = lens.wavelength_range_nm
+    rays = Rays.create(
+        x_mm=pupil.x_mm + pupil.radius_mm * radius * np.cos(turn),
+        y_mm=pupil.y_mm + pupil.radius_mm * radius * np.sin(turn),
+        z_mm=pupil.z_mm,
+        direction=light_direction(probe_fields(camera.field_reach_rad))[:, None, None],
+        wavelength_nm=np.clip(lens.design_wavelength_nm * np.array([0.75, 1.0, 1.4]), low, high)[:, None],
+    )
+    arrived = trace(lens, rays)
+    ok = arrived.ok
+    if not ok.any():
+        raise ConvergenceError(f"lens {lens.name!r}: no ray of any field reaches the image plane")
+    back = retraced(lens, Rays(**{f.name: getattr(arrived, f.name)[ok] for f in fields(Rays)}))
+    x, y = (p + d / back.dz * (reach - back.z) for p, d in ((back.x, back.dx), (back.y, back.dy)))
+    centre_x, centre_y = 0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())
+    radius_mm = EXIT_PUPIL_MARGIN * float(np.hypot(x - centre_x, y - centre_y).max())
+    return float(centre_x), float(centre_y), reach, radius_mm
+
+
+def define(mi: Any, dr: Any) -> type:
+    """The plugin class for Mitsuba's active variant."""
+
+    class LensCamera(mi.Sensor):
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            if not dr.is_jit_v(mi.Float):
+                raise BackendError(f"lens_camera runs in llvm and cuda variants, not in {mi.variant()}")
+            size = self.film().size()
+            self.camera = _camera(props, int(size.x), int(size.y))
+            self.m_needs_sample_3 = True
+            self.scene_unit_mm = float(props.get("scene_unit_mm", 1.0))
+            self.wavelength_nm = float(props.get("wavelength_nm", self.camera.lens.design_wavelength_nm))
+            self.camera.lens.check_wavelength(self.wavelength_nm)
+            self._position = mi.ScalarVector3d(_moved(props)[:3, 3].tolist())
+            exposure_s = float(props.get("shutter_close", 0.0)) - float(props.get("shutter_open", 0.0))
+            self.exposure_s = exposure_s or 1.0
+            self._motion = _motion(props)
+            if self._motion is not None and not exposure_s > 0:
+                raise ConfigError("lens_camera: motion_rotation needs shutter_open and shutter_close")
+            self._opened_s = float(props.get("shutter_open", 0.0))
+            self._backward: tuple[Any, ...] | None = None
+            self._turns: tuple[Any, ...] | None = None
+
+        def _reverse(self) -> tuple[Any, ...]:
+            """Compiled reversed lens, its parameters, and the numbers of `_start`; none of them ends up in a kernel."""
+            if self._backward is None:
+                camera, xp = self.camera, DrJitArrays(mi.Float64)
+                program, theta = compile_lens(reverse(camera.focused_lens))
+                pitch, (cx, cy), turn = camera.pixel_pitch_mm, camera.centre_px, HALF_TURN @ camera.lens.image_rotation
+                film = [camera.width_px * pitch, -(0.5 + cx) * pitch, -camera.height_px * pitch, (0.5 + cy) * pitch]
+                numbers = [*film, *turn.ravel(), *exit_disk(camera), *camera.rotation_cam_from_world.ravel()]
+                self._backward = (program, xp.parameters(theta.tolist()), xp, xp.parameters(numbers))
+            return self._backward
+
+        def _start(self, sample2: Any, sample3: Any, numbers: Any) -> tuple[Any, Any, Any]:
+            """Point on the detector and direction towards the exit pupil in the reversed lens's frame; weight."""
+            F = mi.Float64
+            width, left, height, top, *turn = numbers[:13]
+            x, y, z, radius = numbers[13:17]
+            x0, y0 = F(sample2.x) * width + left, F(sample2.y) * height + top
+            point = mi.Vector3d(*(turn[3 * row] * x0 + turn[3 * row + 1] * y0 for row in range(3)))
+            on_disk = mi.warp.square_to_uniform_disk_concentric(sample3)
+            d = mi.Vector3d(x + F(on_disk.x) * radius, y + F(on_disk.y) * radius, z) - point
+            distance2 = dr.squared_norm(d)
+            d = d / dr.sqrt(distance2)
+            obliquity = dr.abs(turn[2] * d.x + turn[5] * d.y + turn[8] * d.z)
+            return point, d, obliquity * d.z * (math.pi * dr.square(radius)) / distance2
+
+        def sample_ray(
+            self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
+        ) -> tuple[Any, Any]:
+            """Ray into the scene through a detector point (``sample2``) and an exit-pupil point (``sample3``)."""
+            F = mi.Float64
+            program, theta, xp, numbers = self._reverse()
+            point, d, weight = self._start(sample2, sample3, numbers)
+            wavelengths, spectrum, hero = self._wavelengths(sample1, active)
+            zero = dr.zeros(mi.Int32, dr.width(point))
+            rays = Rays(
+                x=point.x,
+                y=point.y,
+                z=point.z,
+                dx=d.x,
+                dy=d.y,
+                dz=d.z,
+                wavelength_nm=hero,
+                opl_mm=F(0.0),
+                status=zero,
+                failed_at=zero - 1,
+            )
+            out = trace_program(program, theta, rays, xp)
+            scale, rotation = 1.0 / self.scene_unit_mm, self._attitude(time, sample2, numbers)
+            origin = self._world(rotation, out.x * scale, out.y * scale, 0.0) + self._position
+            direction = dr.normalize(mi.Vector3f(self._world(rotation, out.dx, out.dy, out.dz)))
+            ok = active & (out.status == OK)  # rays that failed carry numbers that mean nothing
+            origin, direction = dr.select(ok, mi.Point3f(origin), 0.0), dr.select(ok, direction, mi.Vector3f(0, 0, 1))
+            ray = mi.Ray3f(origin, direction, time, wavelengths)
+            return ray, (spectrum * mi.Float(weight)) & ok
+
+        def sample_ray_differential(
+            self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
+        ) -> tuple[Any, Any]:
+            """As `sample_ray`, without differentials (textures are then not prefiltered)."""
+            ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
+            return mi.RayDifferential3f(ray), weight
+
+        def _attitude(self, time: Any, sample2: Any, numbers: Any) -> Any:
+            """Nine numbers of cam from world, row by row: one attitude for all rays, or each at its own time."""
+            if self._motion is None:
+                return numbers[17:26]
+            F, motion = mi.Float64, self._motion
+            if self._turns is None:
+                columns = tuple(F(np.ascontiguousarray(motion.quaternion[:, k])) for k in range(4))
+                last = len(motion.quaternion) - 1
+                values = (self._opened_s, last / motion.duration_s, motion.line_time_s, float(last), motion.first_row)
+                self._turns = (columns, tuple(dr.opaque(F, value) for value in values))
+            columns, (opened, steps_per_s, line_time, last, first_row) = self._turns
+            row = dr.floor(F(sample2.y) * self.camera.height_px) + first_row
+            step = dr.clip((F(time) - opened + row * line_time) * steps_per_s, 0.0, last)
+            low = dr.minimum(dr.floor(step), last - 1.0)
+            index, part = mi.UInt32(low), step - low
+            x, y, z, w = (
+                dr.lerp(dr.gather(F, column, index), dr.gather(F, column, index + 1), part) for column in columns
+            )
+            s = 2.0 / (x * x + y * y + z * z + w * w)
+            return [
+                1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w),
+                s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w),
+                s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y),
+            ]  # fmt: skip
+
+        @staticmethod
+        def _world(rotation: Any, x: Any, y: Any, z: Any) -> Any:
+            """Vector of the reversed lens's frame, whose axes are cam's, in the world."""
+            return mi.Vector3d(*(rotation[k] * x + rotation[3 + k] * y + rotation[6 + k] * z for k in range(3)))
+
+        def _wavelengths(self, sample1: Any, active: Any) -> tuple[Any, Any, Any]:
+            """Wavelengths of the ray, its spectral weight, and the wavelength that is traced."""
+            if not mi.is_spectral:
+                return mi.Color0f(), mi.Spectrum(1.0), dr.opaque(mi.Float64, self.wavelength_nm)
+            wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), sample1, active)
+            low, high = self.camera.lens.wavelength_range_nm
+            hero = mi.Float64(dr.clip(wavelengths[0], low, high))
+            only_hero = dr.zeros(mi.Spectrum)
+            only_hero[0] = float(dr.size_v(mi.Spectrum))
+            return wavelengths, weight * only_hero, hero
+
+        def to_string(self) -> str:
+            return f"LensCamera[lens={self.camera.lens.name}, {self.camera.width_px} x {self.camera.height_px} px]"
+
+        def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
+            return dr.zeros(mi.DirectionSample3f), mi.Spectrum(0)
+
+        def bbox(self) -> Any:
+            return mi.ScalarBoundingBox3f()
+
+    return LensCamera

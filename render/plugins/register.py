@@ -1,0 +1,45 @@
+"""Registration of the plugins with Mitsuba's active variant."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from optics.errors import BackendError
+from render.plugins import lens_camera, lunar_surface, star_field, star_tracer
+
+__all__ = ["register_plugins"]
+
+_registered: dict[str, tuple[type, type, type]] = {}
+
+
+def register_plugins() -> tuple[type, type, type]:
+    """Make ``star_field``, ``lens_camera``, ``star_tracer`` and ``lunar_surface`` known to ``mi.load_dict``.
+
+    Classes belong to a variant: call this after every change of variant (`render.engine.variant.use_backend`). Calling
+    it again does nothing.
+
+    Returns
+    -------
+    tuple of type
+        The classes of the first three.
+
+    Raises
+    ------
+    BackendError
+        If no variant is active.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    variant: Any = mi.variant()
+    if variant is None or not variant.startswith(("llvm", "cuda")):
+        raise BackendError(f"Mitsuba variant {variant} is active; call render.engine.variant.use_backend('auto') first")
+    if variant not in _registered:
+        emitter, sensor = star_field.define(mi, dr), lens_camera.define(mi, dr)
+        integrator = star_tracer.define(mi, dr, emitter, sensor)
+        mi.register_emitter("star_field", emitter)
+        mi.register_sensor("lens_camera", sensor)
+        mi.register_integrator("star_tracer", integrator)
+        mi.register_bsdf("lunar_surface", lunar_surface.define(mi, dr))
+        _registered[variant] = (emitter, sensor, integrator)
+    return _registered[variant]

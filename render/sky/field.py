@@ -1,0 +1,365 @@
+"""From the sky to the renderer: which stars fall on the detector, and their light at the wavelength nodes.
+
+`field_of_view` asks a camera once what it sees, `field_of` finds the stars of an attitude and where they are seen,
+`star_field` gives them their light (`render.sky.star_light`): the `StarField` that `render.forward` renders, directions
+along icrs, the camera's world being the sky.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import constants
+from scipy.spatial.transform import Rotation
+
+from optics.arrays import FloatArray
+from optics.errors import ConfigError, DomainError
+from optics.frames import field_angles_deg
+from optics.rays.chief import chief_ray_points
+from optics.rays.paraxial import axial_paraxial
+from optics.records import freeze
+from render.camera import Camera
+from render.catalogue.index import SkyIndex
+from render.catalogue.motion import Observer, directions_at
+from render.catalogue.record import StarCatalog
+from render.catalogue.temperature import TYPICAL_TEMPERATURE_K, colour_temperature
+from render.records import StarField
+from render.sky.star_light import StarLight, star_light
+
+__all__ = ["FieldOfView", "SkyField", "StarLight", "field_of", "field_of_view", "pointed", "star_field", "star_light"]
+
+
+_DEGREE = 9
+_GRID = 14
+_CHECKS = 11
+_WIDENINGS = 4
+_LIGHT_KM_PER_S = constants.c / 1e3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FieldOfView:
+    """What a camera sees, without its attitude; made by `field_of_view`, once per camera.
+
+    Attributes
+    ----------
+    width_px, height_px : int
+        Size of the detector.
+    margin_px : float
+        Strip around it in which stars still count.
+    half_width : (2,)
+        Largest |X/Z| and |Y/Z| in cam of what it sees, margin included.
+    coefficient : (d, d, 2)
+        Of powers of X/Z and Y/Z over ``half_width``: column and row of the chief ray at the design wavelength.
+    residual_px : float
+        Largest distance of the polynomial from chief rays of a grid other than the one it was made from.
+    """
+
+    width_px: int
+    height_px: int
+    margin_px: float
+    half_width: FloatArray
+    coefficient: FloatArray
+    residual_px: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "half_width", shape=(2,))
+        freeze(self, "coefficient", shape=("d", "d", 2), sizes={})
+
+    @property
+    def radius_rad(self) -> float:
+        """Half angle of the cone about +Z of cam that holds all of it."""
+        return math.atan(math.hypot(*self.half_width))
+
+    def inside(self, v_cam: FloatArray, slack_rad: float = 0.0) -> NDArray[np.bool_]:
+        """Whether directions (n, 3) in cam, slack added on all sides, can fall on the detector or its margin."""
+        v = np.asarray(v_cam, np.float64)
+        wide = np.tan(np.minimum(np.arctan(self.half_width) + slack_rad, 1.57)) * (1.0 + 1e-12)
+        z = v[:, 2]
+        return np.asarray((z > 0.0) & (np.abs(v[:, 0]) <= wide[0] * z) & (np.abs(v[:, 1]) <= wide[1] * z))
+
+    def pixel_of(self, v_cam: FloatArray) -> FloatArray:
+        """Column and row (n, 2) of directions (n, 3) in cam; NaN where not `inside`: no extrapolation."""
+        v = np.asarray(v_cam, np.float64)
+        inside = self.inside(v)
+        pixel = np.full((len(v), 2), np.nan)
+        x, y, z = v[inside].T
+        pixel[inside] = _polynomial(x / z / self.half_width[0], y / z / self.half_width[1], self.coefficient)
+        return pixel
+
+    def on_detector(self, pixel_px: FloatArray) -> NDArray[np.bool_]:
+        """Whether pixels (n, 2) lie on the detector or its margin."""
+        x, y = pixel_px.T
+        low = -0.5 - self.margin_px
+        return (x >= low) & (y >= low) & (x <= self.width_px - 1 - low) & (y <= self.height_px - 1 - low)
+
+
+def _polynomial(x: FloatArray, y: FloatArray, coefficient: FloatArray) -> FloatArray:
+    """Values (n, 2) of a polynomial in two variables of total degree d - 1, by Horner's rule.
+
+    Not a matrix product: on a machine that is busy, the threads of BLAS take longer to meet than this takes.
+    """
+    top = len(coefficient) - 1
+    out = np.empty((len(x), 2))
+    for axis in range(2):
+        total = np.zeros_like(x)
+        for i in range(top, -1, -1):
+            row = np.full_like(y, coefficient[i, top - i, axis])
+            for j in range(top - i - 1, -1, -1):
+                row *= y
+                row += coefficient[i, j, axis]
+            total *= x
+            total += row
+        out[:, axis] = total
+    return out
+
+
+def _fitted(pixel: FloatArray) -> FloatArray:
+    """Coefficients (d, d, 2) of the polynomial of total degree `_DEGREE` through pixels (n, n, 2) at Chebyshev's nodes.
+
+    Least squares there is a sum over the nodes, as Chebyshev's polynomials are orthogonal on them.
+    """
+    grid, count = len(pixel), _DEGREE + 1
+    basis = np.polynomial.chebyshev.chebvander(_nodes(), _DEGREE)
+    weight = np.where(np.arange(count) > 0, 2.0, 1.0) / grid
+    chebyshev = np.einsum("ki,lj,klp,i,j->ijp", basis, basis, pixel, weight, weight)
+    chebyshev[np.add.outer(np.arange(count), np.arange(count)) > _DEGREE] = 0.0
+    power = np.zeros((count, count))
+    for i in range(count):
+        power[i, : i + 1] = np.polynomial.chebyshev.cheb2poly([0.0] * i + [1.0])
+    return np.asarray(np.einsum("ia,jb,ijp->abp", power, power, chebyshev))
+
+
+def _nodes() -> FloatArray:
+    return np.asarray(np.cos(np.pi * (np.arange(_GRID) + 0.5) / _GRID))
+
+
+def field_of_view(camera: Camera, *, margin_px: float = 16.0) -> FieldOfView:
+    """Field of a camera from chief rays through its lens, distortion and all.
+
+    Parameters
+    ----------
+    camera : Camera
+        Its attitude plays no part.
+    margin_px : float
+        Strip around the detector in which stars still count, so that light of stars beside it comes in: the size of the
+        spots.
+
+    Returns
+    -------
+    FieldOfView
+        With a polynomial of degree 9 for the chief ray at the design wavelength.
+
+    Raises
+    ------
+    DomainError
+        Margin negative or not finite.
+    ConvergenceError
+        The corner of the detector lies outside what the lens can image.
+    """
+    if not (margin_px >= 0.0 and math.isfinite(margin_px)):
+        raise DomainError(f"margin_px = {margin_px}; it must be finite and not negative")
+    lens = camera.focused_lens
+    focal = abs(axial_paraxial(lens, lens.design_wavelength_nm).efl_mm)
+    size = np.array([camera.width_px, camera.height_px])
+    wanted = np.maximum(np.abs(-0.5 - margin_px - camera.centre_px), np.abs(size - 0.5 + margin_px - camera.centre_px))
+    half = wanted * camera.pixel_pitch_mm / focal
+    for _ in range(_WIDENINGS):  # until the edge of the grid images to the edge of the margin or beyond
+        x, y = np.array([half[0], 0.0, half[0]]), np.array([0.0, half[1], half[1]])
+        edge = np.abs(_chief_px(camera, x, y) - camera.centre_px)
+        short = wanted / [edge[[0, 2], 0].min(), edge[[1, 2], 1].min()]
+        if short.max() <= 1.0:
+            break
+        half = half * np.maximum(short * 1.001, 1.0)
+    coefficient = _fitted(_grid_px(camera, half, _nodes()))
+    check = np.linspace(-1.0, 1.0, _CHECKS)
+    at_x, at_y = (axis.ravel() for axis in np.meshgrid(check, check, indexing="ij"))
+    residual = _polynomial(at_x, at_y, coefficient) - _grid_px(camera, half, check).reshape(-1, 2)
+    return FieldOfView(
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        margin_px=float(margin_px),
+        half_width=half,
+        coefficient=coefficient,
+        residual_px=float(np.hypot(*residual.T).max()),
+    )
+
+
+def _grid_px(camera: Camera, half: FloatArray, nodes: FloatArray) -> FloatArray:
+    """Pixels (n, n, 2) of chief rays on a grid of X/Z and Y/Z, in units of ``half``."""
+    x, y = np.meshgrid(half[0] * nodes, half[1] * nodes, indexing="ij")
+    return _chief_px(camera, x.ravel(), y.ravel()).reshape(len(nodes), len(nodes), 2)
+
+
+def _chief_px(camera: Camera, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Pixels (n, 2) of chief rays at X/Z = x, Y/Z = y."""
+    fx, fy = field_angles_deg(np.stack([x, y, np.ones_like(x)], axis=-1))
+    return np.stack(camera.to_pixel(*chief_ray_points(camera.focused_lens, fx, fy)), axis=-1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SkyField:
+    """The stars of a catalogue that one exposure sees.
+
+    Attributes
+    ----------
+    stars : StarCatalog
+        Their rows, at the epoch of the catalogue.
+    row : (m,) int64
+        Where they stand in the whole catalogue.
+    direction : (m, 3)
+        Where they are seen, unit vectors along icrs: moved to the epoch of the exposure, parallax and aberration
+        included if an observer was given.
+    pixel_px : (m, 2)
+        Column and row of the chief ray at the design wavelength, by the polynomial of the field of view.
+    rotation_cam_from_icrs : (3, 3)
+        Attitude.
+    """
+
+    stars: StarCatalog
+    row: NDArray[np.int64]
+    direction: FloatArray
+    pixel_px: FloatArray
+    rotation_cam_from_icrs: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes = {"m": len(self.stars)}
+        freeze(self, "row", shape=("m",), dtype=np.int64, sizes=sizes)
+        freeze(self, "direction", shape=("m", 3), sizes=sizes)
+        freeze(self, "pixel_px", shape=("m", 2), sizes=sizes)
+        freeze(self, "rotation_cam_from_icrs", shape=(3, 3))
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+
+def field_of(
+    index: SkyIndex,
+    view: FieldOfView,
+    attitude: Rotation,
+    *,
+    magnitude_limit: float | None = None,
+    epoch_year: float | None = None,
+    observer: Observer | None = None,
+) -> SkyField:
+    """Stars that fall on the detector or the margin around it.
+
+    Parameters
+    ----------
+    index : SkyIndex
+        Catalogue with its search tree.
+    view : FieldOfView
+        What the camera sees.
+    attitude : scipy.spatial.transform.Rotation
+        cam from icrs.
+    magnitude_limit : float, optional
+        Faintest magnitude; stars without a magnitude are left out.
+    epoch_year : float, optional
+        Julian year of the exposure; that of the catalogue if left out.
+    observer : Observer, optional
+        Adds parallax and aberration (`render.catalogue.motion.earth_observer`).
+
+    Returns
+    -------
+    SkyField
+        Empty where no star is.
+
+    Raises
+    ------
+    ConfigError
+        Not a single rotation.
+    DomainError
+        Epoch or limit out of range.
+    """
+    if not isinstance(attitude, Rotation) or not attitude.single:
+        raise ConfigError("attitude must be one scipy Rotation, cam from icrs")
+    matrix = attitude.as_matrix()
+    epoch = index.catalog.epoch_year if epoch_year is None else float(epoch_year)
+    speed = 0.0 if observer is None else float(np.linalg.norm(observer.velocity_km_per_s))
+    far = 0.0 if observer is None else float(np.linalg.norm(observer.position_au))
+    # what may move in from outside; twice, for second orders
+    slack = 2.0 * (
+        abs(epoch - index.catalog.epoch_year) * index.fastest_rad_per_year
+        + speed / _LIGHT_KM_PER_S
+        + far * index.nearest_rad
+    )
+    boresight = matrix[2] / math.sqrt(float(matrix[2] @ matrix[2]))
+    rows = index.within(boresight, min(view.radius_rad + slack, math.pi), magnitude_limit=magnitude_limit)
+    rows = rows[view.inside(_turned(index.catalog.direction[rows], matrix), slack)]
+    stars = index.catalog.select(rows)
+    direction = directions_at(stars, epoch, observer)
+    pixel = view.pixel_of(_turned(direction, matrix))
+    seen = view.on_detector(pixel)
+    return SkyField(
+        stars=stars if seen.all() else stars.select(seen),
+        row=rows[seen],
+        direction=direction[seen],
+        pixel_px=pixel[seen],
+        rotation_cam_from_icrs=matrix,
+    )
+
+
+def _turned(direction: FloatArray, matrix: FloatArray) -> FloatArray:
+    """``matrix @ v`` of directions (n, 3)."""
+    return np.asarray(np.einsum("ij,kj->ik", direction, matrix))
+
+
+def star_field(
+    field: SkyField,
+    light: StarLight,
+    *,
+    temperature: Literal["colour", "effective"] = "colour",
+    typical_temperature_k: float | None = TYPICAL_TEMPERATURE_K,
+) -> StarField:
+    """The stars of a field with their light, ready to be rendered by a camera whose world is icrs.
+
+    Parameters
+    ----------
+    field : SkyField
+        m stars.
+    light : StarLight
+        Bands, prepared for the magnitude system of the catalogue.
+    temperature : {"colour", "effective"}
+        Temperature of the black body that stands for a star: the one that has the star's colour, or the star's
+        effective temperature. A star without the one gets the other.
+    typical_temperature_k : float or None
+        For stars that have neither; None refuses them.
+
+    Returns
+    -------
+    StarField
+        Directions along icrs. Rotate the camera (`rotation_cam_from_world = field.rotation_cam_from_icrs`), not the
+        stars.
+
+    Raises
+    ------
+    ConfigError
+        Another magnitude system than the catalogue's, unknown kind of temperature.
+    DomainError
+        A star without magnitude, or without temperature where those are refused.
+    """
+    if light.magnitude_system != field.stars.magnitude_system:
+        raise ConfigError(
+            f"bands were prepared for {light.magnitude_system} magnitudes, the catalogue has "
+            f"{field.stars.magnitude_system}; star_light(..., magnitude_system={field.stars.magnitude_system!r})"
+        )
+    if temperature not in ("colour", "effective"):
+        raise ConfigError(f"temperature = {temperature!r}; 'colour' or 'effective' is needed")
+    by_colour = colour_temperature(field.stars.bp_rp_mag, field.stars.b_v_mag)
+    known = (by_colour, field.stars.effective_temperature_k)
+    first, second = known if temperature == "colour" else known[::-1]
+    kelvin = np.where(np.isnan(first), second, first)
+    if typical_temperature_k is not None:
+        kelvin = np.where(np.isnan(kelvin), typical_temperature_k, kelvin)
+    if np.isnan(kelvin).any():
+        at = int(np.argmax(np.isnan(kelvin)))
+        raise DomainError(f"star {field.stars.id[at]} has no colour, so no temperature; give typical_temperature_k")
+    return light.stars(field.direction, field.stars.magnitude, kelvin)
+
+
+def pointed(camera: Camera, field: SkyField) -> Camera:
+    """The camera in the attitude for which the field was looked up."""
+    return replace(camera, rotation_cam_from_world=field.rotation_cam_from_icrs)

@@ -1,0 +1,1 @@
+"""Stars through the lens onto pixels: planning, pupil quadrature, kernel, passes, composition, truth."""

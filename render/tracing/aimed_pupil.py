@@ -1,0 +1,297 @@
+"""Pupils of lenses whose stop lies inside: chief rays and outlines of the beam, found by aiming rays at the apertures.
+
+A star's beam meets the launch disk in a region whose outline is the image of the stop through the front of the lens,
+or, where other apertures cut in, an arc of each. About the chief ray's launch point that outline is one radius per
+azimuth, the first at which a ray touches an aperture. The height of a ray on a surface is nearly proportional to that
+radius, so a secant iteration in units of the aperture's radius, every surface on its own and the nearest crossing
+taken, ends at rounding after a few steps. Points of launch are in units of the launch disk's radius.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from optics.arrays import BoolArray, FloatArray, IntArray
+from optics.lens.system import LensSystem
+from optics.rays.program import LensProgram, compile_lens
+from optics.rays.trace import OK, VIGNETTED, Rays, trace_program
+from render.tracing.kernel import StarKernel
+
+__all__ = ["AimedLens", "Chiefs", "Rims", "aimed_lens", "find_chiefs", "find_rims", "find_stop_rims"]
+
+
+AIM_STEPS, AIM_TOLERANCE, AIM_DIFFERENCE = 12, 1e-11, 1e-5
+"""Newton steps, residual and difference of the slopes, both in radii of the launch disk."""
+RIM_STEPS, RIM_TOLERANCE = 14, 1e-12
+"""Secant steps and residual in units of the aperture's radius."""
+INSIDE = 1e-7
+"""How far inside its outline a ray is launched that has to get through the lens."""
+FIRST_RADIUS = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class AimedLens:
+    """A lens compiled for aiming.
+
+    Attributes
+    ----------
+    front, front_theta
+        The lens up to the stop, whose vertex plane is its image plane.
+    full, full_theta
+        The lens.
+    stop : int
+        Number of the stop.
+    limits : tuple of (int, float)
+        Number and radius [mm] of every clear aperture, the stop's among them; empty where outlines cannot be found
+        because an aperture has a hole or the stop no edge.
+    """
+
+    front: LensProgram
+    front_theta: Any
+    full: LensProgram
+    full_theta: Any
+    stop: int
+    limits: tuple[tuple[int, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Chiefs:
+    """Chief rays of n stars in b bands at one wavelength each.
+
+    Attributes
+    ----------
+    points : (n, b, 2)
+        Where they are launched, in radii of the launch disk; NaN where the aim fails.
+    x_px, y_px : (n, b)
+        Where they land; NaN where they do not.
+    """
+
+    points: FloatArray
+    x_px: FloatArray
+    y_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Rims:
+    """Outlines of the beams of n stars in b bands at k nodes, at m azimuths about the chief's launch point.
+
+    Attributes
+    ----------
+    radius : (n, b, k, m)
+        Of the outline, in radii of the launch disk.
+    height : (a, n, b, k, m)
+        Heights of the ray that touches the outline, in units of the aperture's radius: on every aperture, the last one
+        being the launch disk itself; for an outline by the stop alone (a = 1) the largest on the others.
+    good : (n, b, k, m)
+        Whether the iteration ended on an aperture and the ray gets through when it is moved in by `INSIDE`.
+    """
+
+    radius: FloatArray
+    height: FloatArray
+    good: BoolArray
+
+
+def aimed_lens(
+    lens: LensSystem, kernel_lens: tuple[LensProgram, FloatArray], xp: Any, *, general: bool = False
+) -> AimedLens:
+    """Compile a lens for aiming.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    kernel_lens : (LensProgram, (size,))
+        The same lens as it is traced.
+    xp : DrJitArrays
+        Array library.
+    general : bool
+        Whether it is traced with general poses.
+    """
+    at = lens.stop_index
+    stop = lens.surfaces[at]
+    to_stop = replace(
+        lens, surfaces=lens.surfaces[: at + 1], image_position_mm=stop.position_mm, image_rotation=stop.rotation
+    )
+    front, front_theta = compile_lens(to_stop, general=general)
+    full, theta = kernel_lens
+    limits = [(i, float(s.semi_diameter_mm)) for i, s in enumerate(lens.surfaces) if np.isfinite(s.semi_diameter_mm)]
+    return AimedLens(front, xp.parameters(front_theta.tolist()), full, xp.parameters(theta.tolist()), at, tuple(limits))
+
+
+def find_chiefs(lens: AimedLens, kernel: StarKernel, wavelength_nm: FloatArray) -> Chiefs:
+    """Aim at the stop's centre: Newton's method in two unknowns with slopes from differences.
+
+    Parameters
+    ----------
+    lens : AimedLens
+        The lens.
+    kernel : StarKernel
+        Holds the stars.
+    wavelength_nm : (b,)
+        One wavelength per band.
+    """
+    F = kernel.F
+    bands = len(wavelength_nm)
+    shape = (kernel.count, bands)
+    band, star = kernel.numbered(kernel.count * bands, bands)
+    wavelength = dr.gather(F, F(wavelength_nm), band)
+    h = dr.opaque(F, AIM_DIFFERENCE)
+    unit = dr.opaque(F, 1.0 / kernel.geometry.pupil_radius_mm)
+
+    def at_stop(px: Any, py: Any) -> tuple[Any, Any]:
+        rays = trace_program(lens.front, lens.front_theta, kernel.rays(star, px, py, wavelength), kernel.xp)
+        return rays.x * unit, rays.y * unit
+
+    def step(px: Any, py: Any, error: Any, left: Any) -> tuple[Any, Any, Any, Any]:
+        (u, v), right, up = at_stop(px, py), at_stop(px + h, py), at_stop(px, py + h)
+        a, b, c, d = right[0] - u, up[0] - u, right[1] - v, up[1] - v
+        scale = h / (a * d - b * c)
+        return px - (d * u - b * v) * scale, py - (a * v - c * u) * scale, u * u + v * v, left - 1
+
+    zero, one = dr.zeros(F, len(star)), dr.full(F, 1.0, len(star))
+    px, py, error, _ = dr.while_loop(
+        (zero, zero, one, dr.full(kernel.I, AIM_STEPS, len(star))),
+        lambda px, py, error, left: (left > 0) & (error > AIM_TOLERANCE**2),
+        step,
+        mode="symbolic",
+    )
+    x, y, status = kernel.launch(star, px, py, wavelength)
+    aimed = (error <= AIM_TOLERANCE**2) & (px * px + py * py < 1.0)
+    arrived = (status == OK) | (status == VIGNETTED)
+    dr.eval(px, py, x, y, arrived, aimed)
+    good, through = (m.numpy().astype(bool).reshape(shape) for m in (aimed, aimed & arrived))
+    points = np.stack([p.numpy().reshape(shape) for p in (px, py)], axis=-1)
+    points[~good] = np.nan
+    return Chiefs(points, *(np.where(through, v.numpy().reshape(shape), np.nan) for v in (x, y)))
+
+
+class _Beams:
+    """Rays along azimuths about launch points; one lane per star, band, wavelength and azimuth."""
+
+    def __init__(
+        self,
+        lens: AimedLens,
+        kernel: StarKernel,
+        chief: FloatArray,
+        wavelength_nm: FloatArray,
+        azimuth: FloatArray,
+        stars: IntArray | None,
+    ) -> None:
+        F, U = kernel.F, kernel.U
+        nodes, arms = azimuth.shape[-2:]
+        self.shape = (*chief.shape[:2], nodes, arms)
+        self.lens, self.kernel = lens, kernel
+        arm, node, slot = kernel.numbered(int(np.prod(self.shape)), nodes, arms)
+        which = None if stars is None else stars.astype(np.uint32)
+        self.star, self.wavelength = kernel.light_of(slot, node, wavelength_nm, which)
+        self.cx, self.cy = (dr.gather(F, F(np.ascontiguousarray(chief[..., i].ravel())), slot) for i in (0, 1))
+        at = dr.arange(U, len(arm)) if azimuth.ndim == 4 else node * dr.opaque(U, arms) + arm
+        self.sine, self.cosine = dr.sincos(dr.gather(F, F(np.ascontiguousarray(azimuth.ravel())), at))
+
+    def heights(
+        self, radius: Any, program: LensProgram, theta: Any, numbers: tuple[int, ...]
+    ) -> tuple[Rays, list[Any]]:
+        """Rays at a radius, and their heights on surfaces and in the launch disk, in units of the apertures."""
+        px, py = self.cx + radius * self.cosine, self.cy + radius * self.sine
+        limit, found = dict(self.lens.limits), {}
+
+        def visit(number: int, rays: Rays) -> None:
+            if number in numbers:
+                unit = dr.opaque(self.kernel.F, 1.0 / limit[number])
+                found[number] = dr.sqrt(rays.x * rays.x + rays.y * rays.y) * unit
+
+        rays = trace_program(
+            program, theta, self.kernel.rays(self.star, px, py, self.wavelength), self.kernel.xp, visit
+        )
+        return rays, [*(found[number] for number in numbers), dr.sqrt(px * px + py * py)]
+
+    def solve(self, program: LensProgram, theta: Any, numbers: tuple[int, ...]) -> tuple[Any, Any]:
+        """First radius at which one of the surfaces (or the launch disk) is touched, and whether it was found."""
+        F, count = self.kernel.F, int(np.prod(self.shape))
+
+        def heights(radius: Any) -> list[Any]:
+            return self.heights(radius, program, theta, numbers)[1]
+
+        def step(radius: Any, before: Any, left: Any, at: list[Any], was: list[Any]) -> tuple[Any, ...]:
+            run = radius - before
+            following = dr.full(F, 2.0, 1)
+            for now, then in zip(at, was, strict=True):
+                rise = now - then
+                reach = radius + (1.0 - now) * run / rise
+                following = dr.select((rise * run > 0.0) & (reach < following), reach, following)
+            return following, radius, left - 1, heights(following), at
+
+        def open_(radius: Any, before: Any, left: Any, at: list[Any], was: list[Any]) -> Any:
+            return (left > 0) & (dr.abs(_largest(at) - 1.0) > RIM_TOLERANCE) & (radius != before)
+
+        start, first = dr.zeros(F, count), dr.full(F, FIRST_RADIUS, count)
+        centre = heights(start)
+        state = (first, start, dr.full(self.kernel.I, RIM_STEPS, count), heights(first), centre)
+        radius, _, _, at, _ = dr.while_loop(state, open_, step, mode="symbolic")
+        return radius, (dr.abs(_largest(at) - 1.0) < 1e3 * RIM_TOLERANCE) & (_largest(centre) < 1.0)
+
+    def rims(self, radius: Any, found: Any, numbers: tuple[int, ...], largest: bool = False) -> Rims:
+        """What becomes of rays at these radii in the whole lens; heights on some surfaces, or the largest of them."""
+        lens = self.lens
+        rays, heights = self.heights(radius * (1.0 - INSIDE), lens.full, lens.full_theta, numbers)
+        heights = [_largest(heights)] if largest else heights
+        good = found & (rays.status == OK)
+        dr.eval(radius, good, *heights)
+        height = np.stack([h.numpy().reshape(self.shape) for h in heights])
+        return Rims(radius.numpy().reshape(self.shape), height, good.numpy().astype(bool).reshape(self.shape))
+
+
+def _largest(values: list[Any]) -> Any:
+    """Elementwise maximum of a list."""
+    result = values[0]
+    for value in values[1:]:
+        result = dr.maximum(result, value)
+    return result
+
+
+def find_stop_rims(
+    lens: AimedLens,
+    kernel: StarKernel,
+    chief: FloatArray,
+    wavelength_nm: FloatArray,
+    azimuth: FloatArray,
+    stars: IntArray | None = None,
+) -> Rims:
+    """Outlines as the stop alone would make them, and the heights of their rays on all other apertures.
+
+    Parameters
+    ----------
+    lens : AimedLens
+        The lens.
+    kernel : StarKernel
+        Holds the stars.
+    chief : (n, b, 2)
+        Launch points of the chief rays.
+    wavelength_nm : (b, c)
+        Wavelengths; the k nodes are c of them at every time of the kernel.
+    azimuth : (k, m) or (n, b, k, m)
+        Azimuths [rad].
+    stars : (n,), optional
+        Which of the kernel's stars; all if left out.
+    """
+    beams = _Beams(lens, kernel, chief, wavelength_nm, azimuth, stars)
+    others = tuple(number for number, _ in lens.limits if number != lens.stop)
+    return beams.rims(*beams.solve(lens.front, lens.front_theta, (lens.stop,)), others, largest=True)
+
+
+def find_rims(
+    lens: AimedLens,
+    kernel: StarKernel,
+    chief: FloatArray,
+    wavelength_nm: FloatArray,
+    azimuth: FloatArray,
+    stars: IntArray | None = None,
+) -> Rims:
+    """Outlines as all apertures make them; parameters as `find_stop_rims`."""
+    beams = _Beams(lens, kernel, chief, wavelength_nm, azimuth, stars)
+    numbers = tuple(number for number, _ in lens.limits)
+    return beams.rims(*beams.solve(lens.full, lens.full_theta, numbers), numbers)

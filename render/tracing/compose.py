@@ -1,0 +1,135 @@
+"""Stamps into the image, and sums into the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optics.arrays import FloatArray
+from render.records import Truth
+from render.tracing.kernel import StampSums
+
+__all__ = ["TruthSums", "add_stamps"]
+
+
+def add_stamps(
+    image: NDArray[np.float32],
+    pixels: FloatArray,
+    corner_px: FloatArray,
+    electrons: FloatArray,
+    sensitive: NDArray[np.bool_] | None = None,
+) -> FloatArray:
+    """Add stamps to the image, in the order of the stars.
+
+    Parameters
+    ----------
+    image : (h, w, b) float32
+        Changed in place.
+    pixels : (s, b, m, m)
+        Share of a star's light per pixel.
+    corner_px : (s, b, 2)
+        Outer corner of the stamps (half-integers).
+    electrons : (s, b)
+        Light of each star and band [e-].
+    sensitive : (w,) bool, optional
+        Columns that take light; all if left out.
+
+    Returns
+    -------
+    (s, b)
+        Share of each star's light that fell on the image.
+    """
+    _, bands, size, _ = pixels.shape
+    height, width, _ = image.shape
+    column = np.rint(corner_px[..., 0] + 0.5).astype(np.int64)[..., None] + np.arange(size)
+    row = np.rint(corner_px[..., 1] + 0.5).astype(np.int64)[..., None] + np.arange(size)
+    on_row, on_column = (row >= 0) & (row < height), (column >= 0) & (column < width)
+    if sensitive is not None and width:
+        on_column &= sensitive[np.clip(column, 0, width - 1)]
+    lit = (on_row[..., :, None] & on_column[..., None, :]) & (pixels > 0)
+    star, band, r, c = np.nonzero(lit)
+    share = pixels[star, band, r, c]
+    flat = (row[star, band, r] * width + column[star, band, c]) * bands + band
+    np.add.at(image.reshape(-1), flat, (share * electrons[star, band]).astype(np.float32))
+    kept = np.asarray(np.bincount(star * bands + band, weights=share, minlength=pixels.shape[0] * bands), float)
+    return kept.reshape(pixels.shape[:2])
+
+
+@dataclass(frozen=True, slots=True)
+class TruthSums:
+    """Truth under construction, every field (n, b); NaN until stored."""
+
+    chief_x: FloatArray
+    chief_y: FloatArray
+    bundle_x: FloatArray
+    bundle_y: FloatArray
+    photon_x: FloatArray
+    photon_y: FloatArray
+    image: FloatArray
+    vignetted: FloatArray
+    off_edge: FloatArray
+    variance_x: FloatArray
+    variance_y: FloatArray
+
+    @classmethod
+    def empty(cls, stars: int, bands: int) -> TruthSums:
+        """Nothing known yet."""
+        return cls(*(np.full((stars, bands), np.nan) for _ in cls.__dataclass_fields__))
+
+    def store(
+        self,
+        stars: NDArray[np.int64],
+        sums: StampSums,
+        corner_px: FloatArray,
+        electrons_in: FloatArray,
+        on_image: FloatArray,
+    ) -> None:
+        """Moments and balance of one pass.
+
+        Parameters
+        ----------
+        stars : (s,)
+            Which stars.
+        sums : StampSums
+            Their light.
+        corner_px : (s, b, 2)
+            Outer corner of their stamps.
+        electrons_in : (s, b)
+            Light sent into the pupil [e-].
+        on_image : (s, b)
+            Share of it that reached pixels of the image.
+        """
+        size, moments = sums.pixels.shape[-1], sums.moments
+        landed = sums.pixels.sum((2, 3))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = moments[..., 3:5] / moments[..., :1]
+            variance = moments[..., 5:7] / moments[..., :1] - mean**2
+            photon = moments[..., 7:9] / moments[..., :1]
+        self.bundle_x[stars] = corner_px[..., 0] + mean[..., 0] * size
+        self.bundle_y[stars] = corner_px[..., 1] + mean[..., 1] * size
+        self.variance_x[stars] = variance[..., 0] * size**2
+        self.variance_y[stars] = variance[..., 1] * size**2
+        self.photon_x[stars] = corner_px[..., 0] + photon[..., 0] * size
+        self.photon_y[stars] = corner_px[..., 1] + photon[..., 1] * size
+        self.image[stars] = on_image * electrons_in
+        self.vignetted[stars] = moments[..., 1] * electrons_in
+        self.off_edge[stars] = (landed - on_image + moments[..., 2]) * electrons_in
+
+    def truth(self, electrons_in: FloatArray) -> Truth:
+        """The finished record."""
+        return Truth(
+            chief_x_px=self.chief_x,
+            chief_y_px=self.chief_y,
+            bundle_x_px=self.bundle_x,
+            bundle_y_px=self.bundle_y,
+            photon_x_px=self.photon_x,
+            photon_y_px=self.photon_y,
+            electrons_in=electrons_in,
+            electrons_image=self.image,
+            electrons_vignetted=self.vignetted,
+            electrons_off_edge=self.off_edge,
+            variance_x_px2=self.variance_x,
+            variance_y_px2=self.variance_y,
+        )

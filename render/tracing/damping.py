@@ -1,0 +1,44 @@
+"""Frequencies that a pixel value can hold, and how much of each is left of it: what sums over rays are judged by."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from optics.arrays import FloatArray
+
+__all__ = ["HIGHEST_FREQUENCY", "MOTION_TOLERANCE", "TOLERANCE", "damped_frequencies", "frequencies_up_to", "transfer"]
+
+
+TOLERANCE = 3e-5
+"""Largest change of a damped characteristic function that counts as converged."""
+MOTION_TOLERANCE = 1e-4
+"""The same for paths and for spots that move along them; a pixel of a trail is then right to 7e-5 of the light."""
+HIGHEST_FREQUENCY = 8.0
+"""Cycles per pixel beyond which a spot is not followed; diffusion below 0.09 px lets more through."""
+
+
+def damped_frequencies(diffusion_px: float, tolerance: float) -> FloatArray | None:
+    """Frequencies (f, 2) [cycles/px] up to the one at which diffusion leaves less than the tolerance.
+
+    They are those of `frequencies_up_to`. None where diffusion lets more than
+    `HIGHEST_FREQUENCY` through.
+    """
+    if diffusion_px <= 0.0:
+        return None
+    highest = math.sqrt(0.5 * math.log(1.0 / tolerance)) / (math.pi * diffusion_px)
+    return None if highest > HIGHEST_FREQUENCY else frequencies_up_to(highest)
+
+
+def frequencies_up_to(highest: float) -> FloatArray:
+    """Frequencies (f, 2) half a cycle apart on four lines through the origin."""
+    radii = np.arange(1, math.ceil(2 * highest) + 1) * 0.5
+    along = np.array([(1.0, 0.0), (0.0, 1.0), (np.sqrt(0.5), np.sqrt(0.5)), (np.sqrt(0.5), -np.sqrt(0.5))])
+    return np.asarray((radii[:, None, None] * along).reshape(-1, 2))
+
+
+def transfer(frequency: FloatArray, diffusion_px: float) -> FloatArray:
+    """What the pixel (its envelope) and the Gaussian of diffusion leave at frequencies (f, 2), (f,)."""
+    pixel = np.minimum(1.0, 1.0 / (np.pi * np.maximum(np.abs(frequency), 1e-9))).prod(1)
+    return np.asarray(pixel * np.exp(-2 * (np.pi * diffusion_px) ** 2 * (frequency**2).sum(1)))

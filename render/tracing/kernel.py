@@ -1,0 +1,362 @@
+"""Forward tracing of stars on Dr.Jit: star -> pupil -> lens -> pixels of a small stamp per star and band.
+
+One ray is one lane of a fused kernel; nothing per ray is kept. Its light, a Gaussian of the charge-diffusion width
+around the landing point, is integrated exactly over pixels, so a stamp is the pixel integral of (ray density convolved
+with the diffusion kernel), with no other blur. The same light is also integrated over narrow strips along columns and
+along rows, fine enough that their first moment, which is all that is kept of them, is the centroid of the light. Inside
+outlines and under motion that moment is taken in closed form.
+
+Sums are 64-bit integers (2^-50 of the star's light): their order does not matter, so the result is the same to the last
+bit whatever the number of threads. Counts that change from call to call reach the kernel from memory, so that one
+compiled kernel serves every star field and every sampling of the pupil.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from optics.arrays import FloatArray
+from optics.frames import light_direction
+from optics.rays.program import LensProgram
+from optics.rays.trace import OK, Rays, trace_program
+from render.engine.arrays import DrJitArrays
+from render.tracing.pupil_points import OutlinePoints, PupilPoints
+
+__all__ = ["Geometry", "StampSums", "StarKernel", "reach_px", "strips_per_pixel"]
+
+
+PIXEL_REACH, STRIP_REACH = 5.0, 4.0
+"""Half-width of the diffusion kernel in standard deviations, at least; what lies beyond (6e-7 of the light, 6e-5 for
+the strips, in equal parts left and right) goes to the outermost pixel or strip."""
+
+STRIP_ALIASING_PX = 2e-5
+MOST_STRIPS = 1024
+
+_SCALE = 2.0**50
+_MAGIC = 1.5 * 2.0**52
+_MASK = (1 << 51) - 1
+_MOMENTS = 9
+"""Sums kept per star and band: light arrived, lost, outside the stamp, x, y, x^2, y^2, and x, y of the strips."""
+
+
+def strips_per_pixel(diffusion_px: float) -> int:
+    """Strips per pixel such that their first moment is the centroid of the light, to `STRIP_ALIASING_PX`.
+
+    A sum over strips of width 1/m aliases the light's spectrum at m cycles per pixel into the moment, with weight
+    ``exp(-2 (pi m sigma)^2) / (pi m)`` after the diffusion kernel; the spectrum of the spot itself lowers it further.
+    Without diffusion that is all there is, and m is `MOST_STRIPS`.
+    """
+    if diffusion_px * MOST_STRIPS < 0.5:
+        return MOST_STRIPS
+    m = 2
+    while math.exp(-2.0 * (math.pi * m * diffusion_px) ** 2) / (math.pi * m) > STRIP_ALIASING_PX:
+        m += 1
+    return m
+
+
+def reach_px(diffusion_px: float) -> float:
+    """How far from its landing point the light of a ray is spread over pixels."""
+    return 0.5 * math.ceil(2.0 * PIXEL_REACH * diffusion_px)
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """What a camera looks like to the kernel; numbers only."""
+
+    pitch_mm: float
+    centre_px: FloatArray
+    pupil_mm: tuple[float, float, float]
+    pupil_radius_mm: float
+    diffusion_px: float
+
+    @property
+    def strips(self) -> int:
+        """Strips per pixel."""
+        return strips_per_pixel(self.diffusion_px)
+
+
+@dataclass(frozen=True, slots=True)
+class StampSums:
+    """What a pass collects of s stars in b bands; light in shares of what the star sends into the pupil.
+
+    Attributes
+    ----------
+    pixels : (s, b, m, m)
+        Light per pixel of the stamp.
+    moments : (s, b, 9)
+        Light on the stamp, lost in the lens, beside the stamp; then first and second moments of the landing points on
+        the stamp, and first moments of the light over strips of columns and of rows, from the stamp's corner in units
+        of its size. Where cells were asked for in place of pixels the strips are left out.
+    """
+
+    pixels: FloatArray
+    moments: FloatArray
+
+    def take(self, keep: NDArray[np.bool_]) -> StampSums:
+        """Some of the stars."""
+        return StampSums(self.pixels[keep], self.moments[keep])
+
+
+class StarKernel:
+    """Traces a set of stars through one compiled lens.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with an active variant.
+    program, theta
+        From `optics.rays.program.compile_lens`.
+    geometry : Geometry
+        Camera.
+    direction : (n, 3) or (n, t, 3)
+        Unit vectors towards the stars, in cam; with three axes, at each of t time nodes.
+    shear : (n, t, 3), optional
+        Rolling shutter: a row, and by how many columns and rows the image moves per line time; see
+        `render.tracing.motion`.
+
+    Nodes of a call are all wavelengths of the first time, then all of the second, ...
+    """
+
+    def __init__(
+        self,
+        mi: Any,
+        program: LensProgram,
+        theta: FloatArray,
+        geometry: Geometry,
+        direction: FloatArray,
+        shear: FloatArray | None = None,
+    ) -> None:
+        self.types = mi
+        self.F, self.U, self.I, self.U64 = mi.Float64, mi.UInt32, mi.Int32, mi.UInt64
+        self.xp = DrJitArrays(self.F)
+        self.program, self.geometry = program, geometry
+        self.theta = self.xp.parameters(theta.tolist())
+        self.numbers = self.xp.parameters(
+            [geometry.pitch_mm, *geometry.centre_px, *geometry.pupil_mm, geometry.pupil_radius_mm]
+        )
+        self.direction = direction[:, None] if direction.ndim == 2 else direction
+        self.count, self.times = self.direction.shape[:2]
+        light = light_direction(self.direction).reshape(-1, 3)
+        self.light = [self.F(np.ascontiguousarray(light[:, i])) for i in range(3)]
+        self.shear = None
+        if shear is not None:
+            self.shear = [self.F(np.ascontiguousarray(shear[..., i].ravel())) for i in range(3)]
+
+    def rays(self, star: Any, px: Any, py: Any, wavelength_nm: Any) -> Rays:
+        """Rays of stars through points of the launch disk."""
+        x0, y0, z0, radius = self.numbers[3:]
+        dx, dy, dz = (dr.gather(self.F, component, star) for component in self.light)
+        zero = dr.zeros(self.I, 1)
+        return Rays(
+            x=x0 + px * radius,
+            y=y0 + py * radius,
+            z=z0,
+            dx=dx,
+            dy=dy,
+            dz=dz,
+            wavelength_nm=wavelength_nm,
+            opl_mm=self.F(0.0),
+            status=zero,
+            failed_at=zero - 1,
+        )
+
+    def launch(self, star: Any, px: Any, py: Any, wavelength_nm: Any) -> tuple[Any, Any, Any]:
+        """Column, row [px] and status of rays through points of the launch disk; ``star`` counts times too."""
+        pitch, cx, cy = self.numbers[:3]
+        out = trace_program(self.program, self.theta, self.rays(star, px, py, wavelength_nm), self.xp)
+        x, y = cx + out.x / pitch, cy - out.y / pitch
+        if self.shear is not None:
+            row, along_x, along_y = (dr.gather(self.F, values, star) for values in self.shear)
+            below = (y - row) / (1.0 - along_y)
+            x, y = x + along_x * below, row + below
+        return x, y, out.status
+
+    def numbered(self, total: int, *sizes: int) -> list[Any]:
+        """Indices of lane 0 ... total-1 along axes of the given sizes, last axis first, and what is left over."""
+        left = dr.arange(self.U, total)
+        indices = []
+        for size in reversed(sizes):
+            divisor = dr.opaque(self.U, size)
+            quotient = left // divisor
+            indices.append(left - quotient * divisor)
+            left = quotient
+        return [*indices, left]
+
+    def land(
+        self, pupil: PupilPoints, wavelength_nm: FloatArray, stars: NDArray[np.uint32] | None = None
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+        """Landing points of a few rays per star and band.
+
+        Parameters
+        ----------
+        pupil : PupilPoints
+            Points of the launch disk for each node.
+        wavelength_nm : (b, k)
+            Wavelengths.
+        stars : (s,), optional
+            Indices of the stars; all if left out.
+
+        Returns
+        -------
+        x_px, y_px : (s, b, t k, m)
+            Column and row.
+        arrived : (s, b, t k, m)
+            Whether the ray reaches the image plane.
+        """
+        bands, nodes = len(wavelength_nm), wavelength_nm.shape[1] * self.times
+        shape = (self.count if stars is None else len(stars), bands, nodes, pupil.count)
+        point, node, slot = self.numbered(math.prod(shape), nodes, pupil.count)
+        star, wavelength = self.light_of(slot, node, wavelength_nm, stars)
+        px, py, _ = pupil.sample(self.types, slot, node, point)
+        x, y, status = self.launch(star, px, py, wavelength)
+        ok = status == OK
+        dr.eval(x, y, ok)
+        return x.numpy().reshape(shape), y.numpy().reshape(shape), ok.numpy().astype(bool).reshape(shape)
+
+    def light_of(
+        self, slot: Any, node: Any, wavelength_nm: FloatArray, stars: NDArray[np.uint32] | None
+    ) -> tuple[Any, Any]:
+        """Star (with its time) and wavelength of a slot's node."""
+        F, U = self.F, self.U
+        bands, colours = (dr.opaque(U, size) for size in wavelength_nm.shape)
+        position, time = slot // bands, node // colours
+        colour = (slot - position * bands) * colours + (node - time * colours)
+        star = position if stars is None else dr.gather(U, U(stars), position)
+        return star * dr.opaque(U, self.times) + time, dr.gather(F, F(wavelength_nm.ravel()), colour)
+
+    def _shares(self, position_px: Any, per_pixel: int, reach: float) -> tuple[Any, list[Any]]:
+        """First cell and share of each along one axis, for ``per_pixel`` cells per pixel from the stamp's corner."""
+        sigma = self.geometry.diffusion_px * per_pixel
+        cells = position_px * per_pixel
+        width = math.ceil(2 * reach * sigma)
+        first = dr.floor(cells - 0.5 * width)
+        if width == 0:
+            return self.I(first), [self.F(1.0)]
+        scale = dr.opaque(self.F, 1.0 / (math.sqrt(2.0) * sigma))
+        shares, below = [], self.F(-1.0)
+        for tap in range(1, width + 2):
+            up_to = dr.erf((first + tap - cells) * scale) if tap <= width else self.F(1.0)
+            shares.append(0.5 * (up_to - below))
+            below = up_to
+        return self.I(first), shares
+
+    def _strip_centre(self, position_px: Any) -> Any:
+        """First moment over strips of a Gaussian around a position: the first term of their alias (`strips_per_pixel`).
+
+        floor(u) + 1/2 = u + sum_k sin(2 pi k u) / (pi k), and a Gaussian damps the k-th wave.
+        """
+        m, sigma = self.geometry.strips, self.geometry.diffusion_px
+        if sigma * m < 0.5:
+            return (dr.floor(position_px * m) + 0.5) / m
+        alias = math.exp(-2.0 * (math.pi * m * sigma) ** 2) / (math.pi * m)
+        return position_px + alias * dr.sin(2.0 * math.pi * m * position_px)
+
+    def _add(self, target: Any, value: Any, index: Any, active: Any, together: bool = False) -> None:
+        """Fixed-point accumulation; ``value`` is already scaled to 2^50.
+
+        ``together``: neighbouring rays add to the same place, and on the processor are first added up among themselves.
+        """
+        llvm = dr.backend_v(self.F) == dr.JitBackend.LLVM
+        mode = dr.ReduceMode.Local if together and llvm else dr.ReduceMode.Direct
+        fixed = dr.reinterpret_array(self.U64, value + _MAGIC) & self.U64(_MASK)
+        dr.scatter_add(target, fixed, index, active, mode=mode)
+
+    def _numpy(self, fixed: Any, *shape: int) -> FloatArray:
+        """Fixed-point sums as numbers."""
+        values: FloatArray = fixed.numpy().reshape(shape) * (1.0 / _SCALE)
+        return values
+
+    def splat(
+        self,
+        *,
+        stars: NDArray[np.uint32],
+        pupil: PupilPoints,
+        wavelength_nm: FloatArray,
+        node_share: FloatArray,
+        corner_px: FloatArray,
+        stamp_px: int,
+        cells_per_px: int = 1,
+    ) -> StampSums:
+        """Stamps and moments of some of the stars.
+
+        Parameters
+        ----------
+        stars : (s,)
+            Indices of the stars.
+        pupil : PupilPoints
+            Points of the launch disk for each node, in slots of the ``stars``.
+        wavelength_nm : (b, k)
+            Wavelengths.
+        node_share : (s, b, t k)
+            Share of each wavelength node in the star's light, sum 1.
+        corner_px : (s, b, 2)
+            Outer corner of the stamp's first pixel (column, row).
+        stamp_px : int
+            Stamp size [px].
+        cells_per_px : int
+            With more than 1 the stamp's pixels are cells of that fraction of a pixel, and strips are left out.
+        """
+        F, U = self.F, self.U
+        bands, nodes = len(wavelength_nm), wavelength_nm.shape[1] * self.times
+        point, node, slot = self.numbered(len(stars) * bands * nodes * pupil.count, nodes, pupil.count)
+        px, py, weight = pupil.sample(self.types, slot, node, point)
+        weight = weight * dr.gather(F, F(node_share.ravel()), slot * dr.opaque(U, nodes) + node) * _SCALE
+        star, wavelength = self.light_of(slot, node, wavelength_nm, stars)
+        x, y, status = self.launch(star, px, py, wavelength)
+        x = x - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 0].ravel())), slot)
+        y = y - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 1].ravel())), slot)
+        strips = cells_per_px == 1 and self.times == 1 and not isinstance(pupil, OutlinePoints)
+        shape = (len(stars), bands)
+        return self._collect(x, y, status == OK, weight, slot, shape, stamp_px, cells_per_px, strips)
+
+    def _collect(
+        self,
+        x: Any,
+        y: Any,
+        ok: Any,
+        weight: Any,
+        slot: Any,
+        shape: tuple[int, int],
+        stamp_px: int,
+        cells_per_px: int,
+        by_strips: bool,
+    ) -> StampSums:
+        """Add the light of every ray to its star's pixels (or cells) and moments."""
+        F, U, slots = self.F, self.U, math.prod(shape)
+        size, strips = stamp_px * cells_per_px, stamp_px * self.geometry.strips
+        cells = [self._shares(v, cells_per_px, PIXEL_REACH) for v in (x, y)]
+        marginals = [self._shares(v, self.geometry.strips, STRIP_REACH) for v in (x, y)] if by_strips else []
+        inside = ok
+        for limit, parts in ((size, cells), (strips, marginals)):
+            for first, shares in parts:  # not &=, which would change ``ok`` too
+                inside = inside & (first >= 0) & (first + len(shares) <= dr.opaque(self.I, limit))
+        moments = dr.zeros(self.U64, slots * _MOMENTS)
+        base = slot * _MOMENTS
+        kind = dr.select(inside, U(0), dr.select(ok, U(2), U(1)))
+        self._add(moments, weight, base + kind, dr.mask_t(F)(True), together=True)
+        u, v = x / dr.opaque(F, stamp_px), y / dr.opaque(F, stamp_px)
+        centres = []
+        for first, shares in marginals:  # the strips' sum is taken ray by ray
+            centre = F(first) + 0.5
+            for s, share in enumerate(shares[1:], 1):
+                centre = centre + s * share
+            centres.append(centre / dr.opaque(F, strips))
+        if cells_per_px == 1 and not by_strips:  # what strips make of it, in closed form
+            centres = [self._strip_centre(v) / dr.opaque(F, stamp_px) for v in (x, y)]
+        for k, value in enumerate((u, v, u * u, v * v, *centres)):
+            self._add(moments, weight * value, base + (3 + k), inside, together=True)
+        (column, along_x), (row, along_y) = cells
+        pixels, edge = dr.zeros(self.U64, slots * size**2), dr.opaque(U, size)
+        origin = (slot * edge + U(row)) * edge + U(column)
+        for r, share_y in enumerate(along_y):
+            line = weight * share_y
+            for c, share_x in enumerate(along_x):
+                self._add(pixels, line * share_x, origin + r * edge + c, inside)
+        dr.eval(pixels, moments)
+        return StampSums(self._numpy(pixels, *shape, size, size), self._numpy(moments, *shape, _MOMENTS))

@@ -1,0 +1,245 @@
+"""Quadrature for beams that several apertures cut: Gauss-Legendre on every arc of the outline.
+
+The outline is the least of several smooth functions of the azimuth, one per aperture. It is sampled coarsely; where the
+aperture that limits the beam changes, there is a kink, and each arc between two of them gets a rule of its own, at
+whose azimuths the outline is found exactly. A kink that is misplaced by d costs its change of slope times d^2 / 2, so
+that two steps of false position for the difference of the heights on the two apertures are enough (d is some 1e-4). An
+arc between two samples is missed; what lies beyond it is at most 2e-5 of the light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optics.arrays import FloatArray, IntArray
+from render.tracing.aimed_pupil import AimedLens, find_rims
+from render.tracing.outlines import GOLDEN, NodePicks, rings
+from render.tracing.pupil_points import OutlinePoints
+
+__all__ = ["ARC_LADDER", "Arcs", "find_arcs"]
+
+
+COARSE = 36
+"""Azimuths at which the outline is sampled."""
+MOST_ARCS = 10
+LEAST_IN_ARC = 2
+NARROWINGS = 1
+"""Steps of false position after the first."""
+ARC_LADDER = ((6, 22), (7, 26), (8, 31), (9, 36), (10, 42), (11, 48), (13, 58), (16, 72), (20, 90), (25, 112))
+"""Rings and azimuths that are tried, in this order; the fewest azimuths are `LEAST_IN_ARC` times `MOST_ARCS`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arcs:
+    """Outlines with kinks of some of a kernel's stars.
+
+    Attributes
+    ----------
+    lens : AimedLens
+        The lens.
+    picks : NodePicks
+        Where they are found.
+    stars : (s,)
+        Which of the kernel's stars, ascending.
+    centre : (s, b, 2)
+        Of the azimuths, in radii of the launch disk.
+    radius : (s, b, picked nodes, `COARSE`)
+        Coarse outline.
+    start, length : (s, b, picked nodes, `MOST_ARCS`)
+        Arcs [rad]; length 0 for none, one of 2 pi where there is no kink.
+    """
+
+    lens: AimedLens
+    picks: NodePicks
+    stars: IntArray
+    centre: FloatArray
+    radius: FloatArray
+    start: FloatArray
+    length: FloatArray
+
+    def points(self, order: tuple[int, int], stars: IntArray) -> OutlinePoints:
+        """Quadrature points of so many rings and azimuths for some of the stars."""
+        at = np.searchsorted(self.stars, stars)
+        picks = self.picks
+        azimuth, share = _rule(self.start[at], self.length[at], order[1], alike=not picks.every)
+        rims = find_rims(self.lens, picks.kernel, self.centre[at], picks.wavelength_nm, azimuth, stars)
+        found = np.where(rims.good, rims.radius, np.nan)  # its rays are lost, and with them the star is found out
+        azimuth, radius, share = (picks.spread(v, stars) for v in (azimuth, found, share))
+        ring, weight = rings(order[0])
+        return OutlinePoints(
+            centre=self.centre[at],
+            azimuth=azimuth,
+            radius=radius,
+            share=np.nan_to_num(radius) ** 2 * share,
+            arm=np.tile(np.arange(order[1], dtype=np.uint32), order[0]),
+            ring=np.repeat(ring, order[1]),
+            ring_weight=np.repeat(weight, order[1]),
+        )
+
+    def bounding(self, stars: IntArray) -> OutlinePoints:
+        """Points that bound the landing points at the wavelengths of `NodePicks.ends`: the rim, and fewer inside."""
+        at = np.searchsorted(self.stars, stars)
+        radius = self.radius[at][:, :, self.picks.ends()[0]]
+        arms = [np.arange(0, COARSE, 2), *(np.arange(i, COARSE, 6) for i in range(3))]
+        ring = np.repeat([1.0 - 1e-6, 0.8, 0.5, 0.2], [len(arm) for arm in arms])
+        flat = np.full(len(ring), 1.0 / len(ring))
+        arm = np.concatenate(arms).astype(np.uint32)
+        return OutlinePoints(self.centre[at], _coarse_azimuth()[None], radius, radius**2, arm, ring, flat)
+
+
+def _coarse_azimuth() -> FloatArray:
+    """Azimuths (1, `COARSE`) [rad]."""
+    return 2.0 * np.pi * np.arange(COARSE)[None] / COARSE
+
+
+@cache
+def _gauss_tables(most: int) -> tuple[FloatArray, FloatArray]:
+    """Nodes and weights on (0, 1) of Gauss-Legendre rules of 0 ... ``most`` points, one per row."""
+    nodes, weights = np.zeros((most + 1, most)), np.zeros((most + 1, most))
+    for n in range(1, most + 1):
+        x, w = np.polynomial.legendre.leggauss(n)
+        nodes[n, :n], weights[n, :n] = 0.5 * (1.0 + x), 0.5 * w
+    return nodes, weights
+
+
+def _rule(start: FloatArray, length: FloatArray, arms: int, alike: bool) -> tuple[FloatArray, FloatArray]:
+    """Azimuths and weights (s, b, k, arms), sum 1: as many on every arc as its length asks for, two at least.
+
+    ``alike``: the same for all nodes of a star, which all have as many arcs, so that they can be interpolated.
+    """
+    real = length > 0.0
+    typical = np.broadcast_to(length.mean(2, keepdims=True), length.shape) if alike else length
+    quota = (arms - LEAST_IN_ARC * real.sum(-1, keepdims=True)) * typical / (2.0 * np.pi)
+    count = np.where(real, LEAST_IN_ARC + np.floor(quota), 0).astype(int)
+    rank = np.argsort(np.argsort(-np.where(real, quota - np.floor(quota), -1.0), axis=-1, kind="stable"), axis=-1)
+    count += rank < (arms - count.sum(-1, keepdims=True))
+    end = np.cumsum(count, axis=-1)
+    number = np.arange(arms)
+    arc = (number[:, None] >= end[..., None, :]).sum(-1)
+    inside = number - np.take_along_axis(end - count, arc, -1)
+    nodes, weights = _gauss_tables(arms)
+    size, first, span = (np.take_along_axis(v, arc, -1) for v in (count, start, length))
+    azimuth = first + span * nodes[size, inside]
+    share = span / (2.0 * np.pi) * weights[size, inside]
+    smooth = real.sum(-1) == 1  # no kink: equidistant azimuths
+    turn = 0.0 if alike else GOLDEN * np.arange(start.shape[2])[:, None] % 1.0
+    even = np.broadcast_to(2.0 * np.pi / arms * (number + turn), azimuth.shape)
+    return np.where(smooth[..., None], even, azimuth), np.where(smooth[..., None], 1.0 / arms, share)
+
+
+@dataclass(frozen=True, slots=True)
+class _Kinks:
+    """Kinks (..., `MOST_ARCS`) in ascending order, the unused ones last.
+
+    ``before`` and ``after`` limit the beam on their sides; ``low`` and ``high`` enclose them, and there the height on
+    the aperture after minus that on the one before is ``at_low`` < 0 and ``at_high`` > 0.
+    """
+
+    used: NDArray[np.bool_]
+    before: IntArray
+    after: IntArray
+    low: FloatArray
+    high: FloatArray
+    at_low: FloatArray
+    at_high: FloatArray
+
+    def azimuth(self) -> FloatArray:
+        """Where they are by linear interpolation."""
+        part = self.at_low / (self.at_low - self.at_high)
+        return np.asarray(self.low + part * (self.high - self.low))
+
+    def alike(self) -> NDArray[np.bool_]:
+        """Nodes (s, b, k) whose kinks are between the same apertures as at the first node."""
+        same = [self.used == self.used[:, :, :1]]
+        same += [~self.used | (v == v[:, :, :1]) for v in (self.before, self.after)]
+        return np.asarray(np.logical_and.reduce(same).all(-1))
+
+    def narrowed(self, azimuth: FloatArray, height: FloatArray) -> _Kinks:
+        """With the heights (a, ...) of rays at an azimuth of every kink."""
+        here = _height_of(height, self.after) - _height_of(height, self.before)
+        left, right = self.used & (here < 0.0), self.used & (here > 0.0)
+        return replace(
+            self,
+            low=np.where(left, azimuth, self.low),
+            at_low=np.where(left, here, self.at_low),
+            high=np.where(right, azimuth, self.high),
+            at_high=np.where(right, here, self.at_high),
+        )
+
+
+def _height_of(height: FloatArray, which: IntArray) -> FloatArray:
+    """Heights on one aperture per ray."""
+    return np.asarray(np.take_along_axis(height, which[None], 0)[0])
+
+
+def _coarse_kinks(height: FloatArray) -> tuple[_Kinks, NDArray[np.bool_]]:
+    """Kinks of outlines whose rays have these heights (a, ..., `COARSE`), and which outlines have few enough."""
+    active, ahead = height.argmax(0), np.roll(height, -1, axis=-1)
+    following = np.roll(active, -1, axis=-1)
+    change = active != following
+    pick = np.argsort(~change, axis=-1, kind="stable")[..., :MOST_ARCS]
+    used = np.take_along_axis(change, pick, -1)
+    before, after = np.take_along_axis(active, pick, -1), np.take_along_axis(following, pick, -1)
+    both = np.broadcast_to(pick, (len(height), *pick.shape))
+    low, high = (np.asarray(np.take_along_axis(v, both, -1), np.float64) for v in (height, ahead))
+    return _Kinks(
+        used=used,
+        before=before,
+        after=after,
+        low=pick.astype(np.float64) * (2.0 * np.pi / COARSE),
+        high=(pick + 1).astype(np.float64) * (2.0 * np.pi / COARSE),
+        at_low=np.where(used, _height_of(low, after) - _height_of(low, before), -1.0),
+        at_high=np.where(used, _height_of(high, after) - _height_of(high, before), 1.0),
+    ), np.asarray(change.sum(-1) <= MOST_ARCS)
+
+
+def _between(kinks: _Kinks) -> tuple[FloatArray, FloatArray]:
+    """Start and length (..., `MOST_ARCS`) of the arcs between kinks; one whole turn where there is none."""
+    number = kinks.used.sum(-1, keepdims=True)
+    start = np.where(kinks.used, kinks.azimuth(), 0.0)
+    end = np.roll(start, -1, axis=-1)
+    np.put_along_axis(end, np.maximum(number, 1) - 1, start[..., :1] + 2.0 * np.pi, -1)
+    length = np.where(np.arange(MOST_ARCS) < np.maximum(number, 1), end - start, 0.0)
+    return start, length
+
+
+def find_arcs(lens: AimedLens, picks: NodePicks, centre: FloatArray, stars: IntArray) -> Arcs:
+    """Outlines of stars whose beams are cut.
+
+    Left out are those that have none, or too many kinks, or where nodes are interpolated between such with other kinks.
+
+    Parameters
+    ----------
+    lens : AimedLens
+        The lens.
+    picks : NodePicks
+        Where outlines are found.
+    centre : (n, b, 2)
+        Launch points of the chief rays of all stars.
+    stars : (s,)
+        Which stars, ascending.
+    """
+    azimuth = np.tile(_coarse_azimuth(), (picks.count, 1))
+    rims = find_rims(lens, picks.kernel, centre[stars], picks.wavelength_nm, azimuth, stars)
+    kinks, good = _coarse_kinks(rims.height)
+    for _ in range(NARROWINGS):
+        narrower = kinks.azimuth()
+        again = find_rims(lens, picks.kernel, centre[stars], picks.wavelength_nm, narrower, stars)
+        kinks = kinks.narrowed(narrower, again.height)
+    start, length = _between(kinks)
+    if not picks.every:
+        good = good & kinks.alike()
+    good = np.asarray(good.all((1, 2)) & rims.good.all((1, 2, 3)))
+    return Arcs(
+        lens=lens,
+        picks=picks,
+        stars=stars[good],
+        centre=centre[stars[good]],
+        radius=rims.radius[good],
+        start=start[good],
+        length=length[good],
+    )

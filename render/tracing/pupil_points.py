@@ -1,0 +1,181 @@
+"""Points of the launch disk as a kernel asks for them: from a table, inside outlines, or computed in place.
+
+Sobol points are computed from their index, so the memory of a render does not grow with the number of rays: bit
+reversal and the second Sobol dimension (Sobol 1967; its matrix is Pascal's triangle modulo 2), each under a nested
+uniform scrambling (Owen 1995) by hashing (Laine & Karras 2011; Burley 2020, JCGT 9(4), 1; constants by N. Vegdahl,
+"Building a better LK hash", 2021).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from optics.arrays import FloatArray
+
+__all__ = ["OutlinePoints", "PupilPoints", "SobolPoints", "TablePoints"]
+
+
+class PupilPoints(Protocol):
+    """Where in the launch disk (of radius 1) rays start, for every node."""
+
+    @property
+    def count(self) -> int:
+        """Points per node."""
+
+    @property
+    def weight(self) -> FloatArray:
+        """Weights, shares of the disk's area; an array that broadcasts against (s, b, k, count)."""
+
+    def sample(self, types: Any, slot: Any, node: Any, point: Any) -> tuple[Any, Any, Any]:
+        """Coordinates and weight of point ``point`` of node ``node``, in Dr.Jit arrays.
+
+        Parameters
+        ----------
+        types : object
+            Array types ``Float64`` and ``UInt32`` (``mitsuba`` or ``drjit.llvm``).
+        slot, node, point : UInt32
+            Which; slots are the pairs of stars and bands of a call, in this order.
+        """
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TablePoints:
+    """Given points.
+
+    Attributes
+    ----------
+    points : (k, p, 2)
+        Unit-disk points of every wavelength node.
+    weight : (p,)
+        Weights, sum 1.
+    """
+
+    points: FloatArray
+    weight: FloatArray
+
+    @property
+    def count(self) -> int:
+        """Points per wavelength node."""
+        return self.points.shape[1]
+
+    def sample(self, types: Any, slot: Any, node: Any, point: Any) -> tuple[Any, Any, Any]:
+        """Look the point up."""
+        F, U = types.Float64, types.UInt32
+        at = node * dr.opaque(U, self.count) + point
+        x, y = (F(np.ascontiguousarray(self.points[..., axis].ravel())) for axis in (0, 1))
+        return dr.gather(F, x, at), dr.gather(F, y, at), dr.gather(F, F(self.weight), point)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OutlinePoints:
+    """Points ``centre + ring * radius (cos, sin)(azimuth)`` inside the outlines of s stars in b bands.
+
+    Attributes
+    ----------
+    centre : (s, b, 2)
+        Where the azimuths are counted about.
+    azimuth : (..., k, a)
+        Azimuths of every node, or of every node of every star.
+    radius : (s, b, k, a)
+        The outline there.
+    share : (s, b, k, a)
+        Share of the disk's area in the sector of every azimuth.
+    arm, ring, ring_weight : (p,)
+        Azimuth of every point, its part of the radius, and its weight in the sector, sum 1 over the rings of an arm.
+    """
+
+    centre: FloatArray
+    azimuth: FloatArray
+    radius: FloatArray
+    share: FloatArray
+    arm: NDArray[np.uint32]
+    ring: FloatArray
+    ring_weight: FloatArray
+
+    @property
+    def count(self) -> int:
+        """Points per node."""
+        return len(self.ring)
+
+    @property
+    def weight(self) -> FloatArray:
+        """Weights (s, b, k, count)."""
+        return np.asarray(self.share[..., self.arm] * self.ring_weight)
+
+    @property
+    def inside(self) -> FloatArray:
+        """Share of the disk that lies inside the outline (s, b, k): the sum of the weights."""
+        return np.asarray(self.share @ np.bincount(self.arm, self.ring_weight, self.share.shape[-1]))
+
+    def sample(self, types: Any, slot: Any, node: Any, point: Any) -> tuple[Any, Any, Any]:
+        """Compute the point."""
+        F, U = types.Float64, types.UInt32
+        nodes, arms = self.radius.shape[-2:]
+        at = (slot * dr.opaque(U, nodes) + node) * dr.opaque(U, arms) + dr.gather(U, U(self.arm), point)
+        along = [self.radius * np.cos(self.azimuth), self.radius * np.sin(self.azimuth)]
+        ring = dr.gather(F, F(self.ring), point)
+        px, py = (
+            dr.gather(F, F(np.ascontiguousarray(self.centre[..., axis].ravel())), slot)
+            + ring * dr.gather(F, F(along[axis].ravel()), at)
+            for axis in (0, 1)
+        )
+        return px, py, dr.gather(F, F(self.share.ravel()), at) * dr.gather(F, F(self.ring_weight), point)
+
+
+@dataclass(frozen=True, slots=True)
+class SobolPoints:
+    """Scrambled Sobol points: node j has points j 2^n ... (j+1) 2^n - 1 of one sequence, each of these sets a net.
+
+    Attributes
+    ----------
+    log2_count : int
+        n.
+    seed : int
+        Of the scrambling.
+    """
+
+    log2_count: int
+    seed: int
+
+    @property
+    def count(self) -> int:
+        """Points per wavelength node."""
+        return 1 << self.log2_count
+
+    @property
+    def weight(self) -> FloatArray:
+        """Equal weights (count,)."""
+        return np.full(self.count, 1.0 / self.count)
+
+    def square(self, types: Any, index: Any) -> tuple[Any, Any]:
+        """Points ``index`` of the scrambled sequence in the unit square."""
+        F, U = types.Float64, types.UInt32
+        seeds = np.random.SeedSequence([self.seed, 0x50B01]).generate_state(2)
+        reverse = dr.brev(index)
+        second = reverse
+        for shift, mask in ((16, 0xFFFF), (8, 0xFF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
+            second = second ^ ((second & U(mask)) << shift)
+        u = dr.brev(_nested(U, index, dr.opaque(U, int(seeds[0]))))
+        v = dr.brev(_nested(U, dr.brev(second), dr.opaque(U, int(seeds[1]))))
+        return (F(u) + 0.5) * 2.0**-32, (F(v) + 0.5) * 2.0**-32
+
+    def sample(self, types: Any, slot: Any, node: Any, point: Any) -> tuple[Any, Any, Any]:
+        """Compute the point."""
+        U = types.UInt32
+        u, v = self.square(types, (node << dr.opaque(U, self.log2_count)) + point)
+        radius, (sine, cosine) = dr.sqrt(u), dr.sincos(2.0 * np.pi * v)
+        return radius * cosine, radius * sine, dr.opaque(types.Float64, 1.0 / self.count)
+
+
+def _nested(U: Any, x: Any, seed: Any) -> Any:
+    """Hash in which a bit depends on the bits below it only: on reversed digits, a nested uniform scrambling."""
+    x = x ^ (x * U(0x3D20ADEA))
+    x = x + seed
+    x = x * ((seed >> 16) | 1)
+    x = x ^ (x * U(0x05526C56))
+    return x ^ (x * U(0x53A22864))

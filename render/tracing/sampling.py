@@ -1,0 +1,283 @@
+"""How the pupil is sampled: quadrature where its outline is known, scrambled Sobol where it is not.
+
+The quadrature order is found by trial on stars spread over the field: what a pixel value depends on is the
+characteristic function of the landing points, times the transfer of the diffusion kernel and of the pixel; the first
+order that agrees with the next one to `TOLERANCE` is taken. Where none does (no charge diffusion, so that a pixel's
+edge cuts the bundle; an image dozens of pixels wide) Sobol points serve too.
+
+The azimuths of each wavelength node are turned by a golden-ratio fraction of their spacing: the nodes fill each other's
+gaps, which halves the number of azimuths needed.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optics.arrays import FloatArray
+from optics.rays.pupil import gauss_disk
+from render.tracing.damping import TOLERANCE, damped_frequencies, transfer
+from render.tracing.outlines import node_turns
+from render.tracing.pupil_points import PupilPoints, SobolPoints, TablePoints
+
+__all__ = [
+    "LADDER",
+    "OUTLINE_LADDER",
+    "TOLERANCE",
+    "Landed",
+    "PupilPlan",
+    "bounding_points",
+    "converged_order",
+    "lowest_order",
+    "probe_fields",
+    "probe_nodes",
+    "sobol_plan",
+    "staggered",
+]
+
+
+LADDER = (
+    (4, 8),
+    (6, 10),
+    (8, 14),
+    (10, 18),
+    (12, 22),
+    (15, 28),
+    (19, 36),
+    (24, 46),
+    (30, 58),
+    (38, 74),
+    (48, 94),
+    (60, 120),
+)
+"""Rings and azimuths that are tried, in this order."""
+
+OUTLINE_LADDER = (
+    (4, 6),
+    (6, 8),
+    (7, 10),
+    (8, 12),
+    (10, 14),
+    (11, 16),
+    (13, 19),
+    (16, 23),
+    (20, 29),
+    (25, 37),
+    (31, 47),
+    (39, 60),
+)
+"""The same for outlines, where the rings' azimuths are staggered."""
+
+PROBE_NODES = 6
+"""Wavelength nodes per band on which the quadrature order is tried."""
+
+
+@dataclass(frozen=True, slots=True)
+class PupilPlan:
+    """Sampling of the pupil for a group of stars.
+
+    Attributes
+    ----------
+    mode : {"quadrature", "arcs", "sobol"}
+        Which rule: Gauss x trapezoid, Gauss x Gauss between the kinks of an outline, or Sobol points.
+    rays_per_node : int
+        Rays per star, band and node.
+    error : float
+        Change of the damped characteristic function against the next order (quadrature), NaN for Sobol.
+    pupil : PupilPoints or None
+        Points of the launch disk; None where they follow every star's outline.
+    order : (int, int)
+        Rings and azimuths, (0, 0) for Sobol.
+    """
+
+    mode: str
+    rays_per_node: int
+    error: float
+    pupil: PupilPoints | None = None
+    order: tuple[int, int] = (0, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Landed:
+    """Where the rays of stars land.
+
+    Attributes
+    ----------
+    x, y : (n, b, k, m)
+        Columns and rows [px].
+    arrived : (n, b, k, m)
+        Whether they do.
+    weight : array
+        Weights of the rays of a node; broadcasts to these.
+    node_weight : (k,), optional
+        Weights of the nodes, sum 1; equal if left out.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    arrived: NDArray[np.bool_]
+    weight: FloatArray
+    node_weight: FloatArray | None = None
+
+
+def bounding_points() -> FloatArray:
+    """Unit-disk points (m, 2) whose landing points bound a bundle: a dense rim, where vignetting shows, and zones."""
+    rings = [(1.0, 48), (0.93, 8), (0.85, 12), (0.7, 8), (0.5, 8), (0.25, 6)]
+    points = [
+        radius * np.column_stack([np.cos(a), np.sin(a)])
+        for radius, arms in rings
+        for a in (2 * np.pi * np.arange(arms) / arms,)
+    ]
+    return np.concatenate([*points, np.zeros((1, 2))])
+
+
+def probe_fields(reach_rad: float) -> FloatArray:
+    """Directions (n, 3) in cam spread over a field of half angle ``reach_rad``: on the axis, and on three circles."""
+    fields = [(0.0, 0.0)]
+    for part, count, start in ((0.5, 4, 0.3), (0.8, 4, 1.0), (1.0, 8, 0.0)):
+        fields += [(part * reach_rad, start + 2 * math.pi * i / count) for i in range(count)]
+    angle, azimuth = np.array(fields).T
+    return np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=1)
+
+
+def staggered(order: tuple[int, int], nodes: int, times: int = 1) -> TablePoints:
+    """Gauss x trapezoid points, turned from wavelength node to wavelength node, and from time to time."""
+    pupil = gauss_disk(*order)
+    turn = 2 * np.pi / order[1] * node_turns(nodes, times)[:, None]
+    x = np.cos(turn) * pupil.x - np.sin(turn) * pupil.y
+    y = np.sin(turn) * pupil.x + np.cos(turn) * pupil.y
+    return TablePoints(np.stack([x, y], axis=-1), np.asarray(pupil.weight))
+
+
+def _spectrum(landed: Landed, frequency: FloatArray, left: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Damped characteristic function, light and mean of the landing points (n, b, 2 f + 3); which stars are clear."""
+    x, y = landed.x, landed.y
+    origin_x, origin_y = x.mean((2, 3), keepdims=True), y.mean((2, 3), keepdims=True)
+    shares = landed.weight / x.shape[2] if landed.node_weight is None else landed.weight * landed.node_weight[:, None]
+    weight = np.broadcast_to(shares, x.shape)
+    half_x, half_y = (np.exp(1j * np.pi * value) for value in (x, y))  # half a cycle per pixel; powers of it follow
+    diagonal = np.sqrt(0.5)
+    base = {
+        (1, 0): half_x,
+        (0, 1): half_y,
+        (1, 1): np.exp(1j * np.pi * diagonal * (x + y)),
+        (1, -1): np.exp(1j * np.pi * diagonal * (x - y)),
+    }
+    columns = []
+    powers = {key: np.ones_like(value) for key, value in base.items()}
+    for at in range(0, len(frequency), 4):
+        for offset, key in enumerate(base):
+            powers[key] = powers[key] * base[key]
+            columns.append(left[at + offset] * (weight * powers[key]).sum((2, 3)))
+    rows = [part for column in columns for part in (column.real, column.imag)]
+    light = weight.sum((2, 3))
+    rows += [light, *((weight * (v - o)).sum((2, 3)) / light + o[..., 0, 0] for v, o in ((x, origin_x), (y, origin_y)))]
+    return np.stack(rows, axis=-1), np.asarray(landed.arrived.all((1, 2, 3)))
+
+
+def probe_nodes(nodes: int) -> NDArray[np.int64]:
+    """The few of so many wavelength nodes that judge for all.
+
+    Fewer nodes leave wider gaps between their azimuths, so the order errs on the safe side.
+    """
+    return np.unique(np.rint(np.linspace(0, nodes - 1, min(nodes, PROBE_NODES))).astype(int))
+
+
+def converged_order(
+    land: Callable[[tuple[int, int]], Landed],
+    diffusion_px: float,
+    tolerance: float = TOLERANCE,
+    ladder: tuple[tuple[int, int], ...] = LADDER,
+) -> tuple[tuple[int, int], float] | None:
+    """Lowest order of a ladder that is converged for probe stars, and its error; None if there is none.
+
+    Parameters
+    ----------
+    land : callable
+        Landing points of the probe stars for an order; stars that are not clear do not count.
+    diffusion_px : float
+        Width of the diffusion kernel.
+    tolerance : float
+        Largest change of the characteristic function and of the mean [px] that counts as converged.
+    ladder : tuple of (int, int)
+        Rings and azimuths that are tried, in this order.
+    """
+    frequency = damped_frequencies(diffusion_px, tolerance)
+    if frequency is None:
+        return None
+    grid = frequency, transfer(frequency, diffusion_px)
+    previous, _ = _spectrum(land(ladder[0]), *grid)
+    for order, following in itertools.pairwise(ladder):
+        current, clear = _spectrum(land(following), *grid)
+        if not clear.any():
+            return None
+        error = float(np.abs(current - previous)[clear].max())
+        if error < tolerance:
+            return order, error
+        previous = current
+    return None
+
+
+def lowest_order(
+    land: Callable[[tuple[int, int]], Landed],
+    diffusion_px: float,
+    tolerance: float,
+    start: tuple[int, int],
+    least: tuple[int, int],
+) -> tuple[tuple[int, int], float]:
+    """Order with as few azimuths, then as few rings, as agree with a higher one than ``start`` to the tolerance.
+
+    For stars in motion, where the time nodes fill gaps in the pupil.
+
+    Parameters
+    ----------
+    land, diffusion_px, tolerance
+        As `converged_order`.
+    start : (int, int)
+        Order that is high enough.
+    least : (int, int)
+        Lowest order to try.
+    """
+    frequency = damped_frequencies(diffusion_px, tolerance)
+    assert frequency is not None
+    grid = frequency, transfer(frequency, diffusion_px)
+    exact, clear = _spectrum(land((start[0] + 2, start[1] + 4)), *grid)
+    errors: dict[tuple[int, int], float] = {}
+
+    def error(order: tuple[int, int]) -> float:
+        if order not in errors:
+            errors[order] = float(np.abs(_spectrum(land(order), *grid)[0] - exact)[clear].max(initial=0.0))
+        return errors[order]
+
+    rings, arms = start
+    for axis, share in ((1, 0.7), (0, 1.0)):
+        low, high = least[axis], start[axis]
+        while low < high:  # the lowest that is good enough; errors fall with the order
+            middle = (low + high) // 2
+            if error((rings, middle) if axis else (middle, arms)) < share * tolerance:
+                high = middle
+            else:
+                low = middle + 1
+        rings, arms = (rings, high) if axis else (high, arms)
+    return (rings, arms), error((rings, arms))
+
+
+def sobol_plan(nodes: int, seed: int, log2_rays: int) -> PupilPlan:
+    """Scrambled Sobol points, a net of its own for every wavelength node.
+
+    Parameters
+    ----------
+    nodes : int
+        Wavelength nodes per band.
+    seed : int
+        Of the scrambling.
+    log2_rays : int
+        Logarithm of the least number of rays per star and band.
+    """
+    log2_points = max(6, math.ceil(log2_rays - math.log2(nodes)))
+    return PupilPlan("sobol", 1 << log2_points, math.nan, SobolPoints(log2_points, seed))

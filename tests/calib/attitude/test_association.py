@@ -1,0 +1,191 @@
+"""Association: one to one, ambiguous ones left out; robust against false detections, wrong attitudes, flipped skies."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.attitude.association import associate, match_stars
+from calib.attitude.solve import attitude_error_arcsec
+from calib.cameras import BrownConrady, SensorGeometry
+from optics.errors import DomainError
+
+GEOMETRY = SensorGeometry(width_px=1024, height_px=768, pixel_pitch_mm=0.01)
+CAMERA = BrownConrady.create(
+    GEOMETRY, focal_length_mm=40.0, x0_px=10.0, y0_px=-10.0, q1_per_mm2=1e-4, p1_per_mm=1e-4, p2_per_mm=-5e-5
+)
+NOISE_PX = 0.1
+
+
+@pytest.fixture(scope="module")
+def catalogue():
+    """12 000 stars, even over the sky: about 40 in the field of 14.6 x 11 deg."""
+    v = np.random.default_rng(1).normal(size=(12_000, 3))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+def frame(catalogue, seed, *, false=0, lost=0.0):
+    """Attitude, detections in shuffled order, and the catalogue row of each (-1: false)."""
+    rng = np.random.default_rng(seed)
+    attitude = Rotation.random(rng=rng)
+    rows = np.flatnonzero(CAMERA.visible(attitude.apply(catalogue)))
+    rows = rows[rng.random(len(rows)) >= lost]
+    pixel = CAMERA.project(attitude.apply(catalogue[rows])) + NOISE_PX * rng.standard_normal((len(rows), 2))
+    pixel = np.concatenate([pixel, rng.uniform(0, (1023, 767), (false, 2))])
+    order = rng.permutation(len(pixel))
+    return attitude, pixel[order], np.concatenate([rows, np.full(false, -1)])[order]
+
+
+def turned(attitude, seed, *, across_deg=0.15, roll_deg=1.0):
+    """The attitude wrong by 0.15 deg (10 px) across the boresight and by 1 deg in roll (11 px in the corner)."""
+    error = np.radians([across_deg, across_deg, roll_deg]) * np.random.default_rng(seed).choice([-1, 1], 3)
+    return Rotation.from_rotvec(error) * attitude
+
+
+def test_known_attitude_matches_every_lonely_star(catalogue):
+    attitude, pixel, truth = frame(catalogue, 2)
+    found = associate(pixel, catalogue, attitude, CAMERA, radius_px=0.6)
+    assert (truth[found.detected] == found.catalogue).all()
+    assert len(found) + len(found.ambiguous) == len(pixel) == found.in_field
+    assert len(found) > 0.9 * len(pixel)
+    assert found.distance_px.max() < 0.6
+    # distances are those of normal noise in two axes: mean square 2 sigma^2
+    assert np.mean(found.distance_px**2) == pytest.approx(2 * NOISE_PX**2, rel=4 / np.sqrt(len(found)))
+    assert (np.diff(found.detected) > 0).all()
+
+
+def test_ambiguous_ones_are_left_out():
+    """Three stars: one lonely, two 3 px apart; and two detections on one star."""
+    attitude = Rotation.from_euler("xyz", [20, 40, 60], degrees=True)
+    places = np.array([[100.0, 100], [500, 500], [503, 500], [800, 200]])
+    stars = attitude.inv().apply(CAMERA.unproject(places))
+    pixel = np.array([[100.2, 100], [500, 500.5], [800, 201], [801, 199], [50, 700]])
+    found = associate(pixel, stars, attitude, CAMERA, radius_px=4.0)
+    assert found.detected.tolist() == [0]
+    assert found.catalogue.tolist() == [0]
+    assert found.ambiguous.tolist() == [1, 2, 3]
+    narrow = associate(pixel, stars, attitude, CAMERA, radius_px=1.1)
+    assert narrow.detected.tolist() == [0, 1, 2]
+    assert narrow.catalogue.tolist() == [0, 1, 3]
+    assert narrow.distance_px == pytest.approx([0.2, 0.5, 1.0], abs=1e-6)
+
+
+def test_rows_without_a_position_are_never_matched(catalogue):
+    attitude, pixel, truth = frame(catalogue, 3)
+    holed = pixel.copy()
+    holed[::4] = np.nan
+    found = associate(holed, catalogue, attitude, CAMERA, radius_px=0.6)
+    assert len(found) > 0
+    assert not np.isin(found.detected, np.arange(0, len(pixel), 4)).any()
+    assert (truth[found.detected] == found.catalogue).all()
+    matched = match_stars(holed, catalogue, turned(attitude, 3), CAMERA, radius_px=30.0)
+    assert matched.ok
+    assert (truth[matched.association.detected] == matched.association.catalogue).all()
+
+
+@pytest.mark.parametrize("seed", range(10, 22))
+def test_rough_attitude_is_refined(catalogue, seed):
+    """Ten false detections and a fifth of the stars lost: all matches right, the attitude within 5 sigma."""
+    attitude, pixel, truth = frame(catalogue, seed, false=10, lost=0.2)
+    found = match_stars(pixel, catalogue, turned(attitude, seed), CAMERA, radius_px=40.0, tolerance_px=1.0)
+    assert found.ok, found.message
+    assert (truth[found.association.detected] == found.association.catalogue).mean() > 0.96
+    assert len(found.association) > 0.8 * (truth >= 0).sum()
+    error = attitude_error_arcsec(found.attitude.rotation, attitude)
+    assert (np.abs(error) < 5 * found.attitude.sigma_arcsec).all()
+    assert found.chance < 1e-12
+
+
+def test_more_false_detections_than_stars(catalogue):
+    attitude, pixel, truth = frame(catalogue, 30, false=100)
+    found = match_stars(pixel, catalogue, turned(attitude, 30), CAMERA, radius_px=30.0, tolerance_px=1.0)
+    assert found.ok, found.message
+    assert (truth[found.association.detected] == found.association.catalogue).mean() > 0.9
+
+
+@pytest.mark.parametrize("seed", range(40, 46))
+def test_another_sky_is_refused(catalogue, seed):
+    """The attitude of somewhere else: nothing may be claimed."""
+    _, pixel, _ = frame(catalogue, seed)
+    elsewhere = Rotation.random(rng=np.random.default_rng(seed + 1000))
+    found = match_stars(pixel, catalogue, elsewhere, CAMERA, radius_px=40.0)
+    assert found.status == "no_match"
+    assert found.attitude is None
+    assert len(found.association) == 0
+
+
+@pytest.mark.parametrize("seed", range(50, 56))
+def test_noise_is_refused(catalogue, seed):
+    rng = np.random.default_rng(seed)
+    pixel = rng.uniform(0, (1023, 767), (40, 2))
+    found = match_stars(pixel, catalogue, Rotation.random(rng=rng), CAMERA, radius_px=40.0)
+    assert not found.ok
+    assert found.chance > 1e-6
+
+
+@pytest.mark.parametrize(
+    ("flip", "what"),
+    [
+        (lambda p: np.column_stack([1023 - p[:, 0], p[:, 1]]), "columns run backwards"),
+        (lambda p: np.column_stack([p[:, 0], 767 - p[:, 1]]), "rows run backwards"),
+        (lambda p: p[:, ::-1], "columns and rows are exchanged"),
+    ],
+)
+def test_mirrored_sky_is_told_from_an_empty_one(catalogue, flip, what):
+    attitude, pixel, _ = frame(catalogue, 60)
+    found = match_stars(flip(pixel), catalogue, turned(attitude, 60), CAMERA, radius_px=30.0)
+    assert found.status == "mirrored"
+    assert what in found.message
+    assert found.attitude is None
+
+
+def test_too_few_stars(catalogue):
+    attitude, pixel, _ = frame(catalogue, 61)
+    for some in (pixel[:2], np.full((5, 2), np.nan), np.empty((0, 2))):
+        assert match_stars(some, catalogue, attitude, CAMERA, radius_px=5.0).status == "too_few"
+    assert match_stars(pixel, catalogue[:0], attitude, CAMERA, radius_px=5.0).status == "too_few"
+    empty = associate(np.empty((0, 2)), catalogue, attitude, CAMERA, radius_px=5.0)
+    assert len(empty) == 0
+    assert empty.in_field == len(pixel)
+
+
+def test_stars_behind_the_camera_are_not_seen():
+    """Far outside the field the distortion folds over; such stars have pixels, but are not there."""
+    backwards = np.array([[0.0, 0.0, -1.0], [0.9, 0.0, 0.1], [0.0, 0.01, 1.0]])
+    backwards /= np.linalg.norm(backwards, axis=1, keepdims=True)
+    found = associate(GEOMETRY.grid_px(20), backwards, Rotation.identity(), CAMERA, radius_px=60.0)
+    assert found.in_field == 1
+
+
+def test_same_result_twice_and_inputs_unchanged(catalogue):
+    attitude, pixel, _ = frame(catalogue, 62, false=20)
+    before = pixel.copy()
+    first, second = (match_stars(pixel, catalogue, turned(attitude, 1), CAMERA, radius_px=30.0) for _ in range(2))
+    assert (first.association.catalogue == second.association.catalogue).all()
+    assert (first.attitude.rotation.as_quat() == second.attitude.rotation.as_quat()).all()
+    assert (pixel == before).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ({"pixel_px": np.zeros((3, 3))}, r"pixel_px has shape \(3, 3\)"),
+        ({"catalogue_direction": np.full((4, 3), 100.0)}, "unit vectors are needed"),
+        ({"catalogue_direction": np.full((4, 3), np.nan)}, "row 0 has length nan"),
+        ({"catalogue_direction": np.zeros((4, 2))}, r"catalogue_direction has shape \(4, 2\)"),
+        ({"attitude": Rotation.identity(2)}, "one scipy Rotation"),
+        ({"radius_px": 0.0}, "radius_px = 0.0 px"),
+        ({"radius_px": np.nan}, "radius_px = nan px"),
+        ({"tolerance_px": 9.0}, "at most radius_px = 5.0 px"),
+    ],
+)
+def test_bad_input_is_one_clear_line(change, line):
+    given = {
+        "pixel_px": np.zeros((3, 2)),
+        "catalogue_direction": np.eye(3),
+        "attitude": Rotation.identity(),
+        "radius_px": 5.0,
+        "tolerance_px": 1.0,
+        **change,
+    }
+    with pytest.raises(DomainError, match=line):
+        match_stars(model=CAMERA, **given)

@@ -1,0 +1,90 @@
+"""The document's angles, and the small rotations that the estimators work with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.attitude.link import (
+    angles_of_rotation,
+    exponential,
+    increment_per_angle,
+    link_attitudes,
+    right_jacobian,
+    rotation_of_angles,
+    skew,
+)
+from optics.errors import DomainError
+
+ANGLES = [(0.0, 0.0, 0.0), (56.9476, -1.0046, -25.3335), (2.0, 2.0, 2.0), (-89.0, 170.0, -120.0)]
+
+
+@pytest.mark.parametrize("angles_deg", ANGLES)
+def test_matrices_as_printed(scenes, angles_deg):
+    np.testing.assert_allclose(
+        rotation_of_angles(np.deg2rad(angles_deg)).as_matrix(), scenes.document_matrix(angles_deg), atol=1e-15
+    )
+
+
+def test_positive_angles_turn_the_frame():
+    """Turning the frame by +10 deg about z moves the x axis, seen from the frame, to -10 deg."""
+    seen = rotation_of_angles([0.0, 0.0, np.deg2rad(10.0)]).apply([1.0, 0.0, 0.0])
+    assert np.degrees(np.arctan2(seen[1], seen[0])) == pytest.approx(-10.0)
+
+
+@pytest.mark.parametrize("angles_deg", ANGLES)
+def test_angles_come_back(angles_deg):
+    found = angles_of_rotation(rotation_of_angles(np.deg2rad(angles_deg)))
+    np.testing.assert_allclose(np.rad2deg(found), angles_deg, atol=1e-12)
+
+
+@pytest.mark.parametrize("first_deg", [90.0, -90.0])
+def test_gimbal_lock_keeps_the_rotation(first_deg):
+    rotation = rotation_of_angles(np.deg2rad([first_deg, 20.0, 30.0]))
+    again = rotation_of_angles(angles_of_rotation(rotation))
+    assert (again * rotation.inv()).magnitude() < 1e-7
+
+
+@pytest.mark.parametrize("angles_deg", ANGLES)
+def test_increments_of_the_angles(angles_deg):
+    angle, h = np.deg2rad(angles_deg), 1e-6
+    columns = [
+        (rotation_of_angles(angle + h * e) * rotation_of_angles(angle - h * e).inv()).as_rotvec() / (2 * h)
+        for e in np.eye(3)
+    ]
+    np.testing.assert_allclose(increment_per_angle(angle), np.column_stack(columns), atol=1e-9)
+
+
+def test_link(scenes):
+    """Eq. 6 with the matrices multiplied out."""
+    a, first = scenes.document_matrix(scenes.THETA_DEG), scenes.document_matrix(scenes.PHI_DEG)
+    turn = scenes.body_turns(5, 3.0)
+    linked = link_attitudes(Rotation.from_matrix(first), Rotation.from_matrix(a), Rotation.from_matrix(turn))
+    for k in range(5):
+        np.testing.assert_allclose(linked[k].as_matrix(), a @ turn[k] @ a.T @ first, atol=1e-14)
+    assert (linked[0] * Rotation.from_matrix(first).inv()).magnitude() < 1e-14
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 5e-3, 0.1, 3.0])
+def test_exponential_and_its_derivative(size):
+    vector = size * np.array([[0.6, -0.48, 0.64], [0.0, 1.0, 0.0]])
+    np.testing.assert_allclose(exponential(vector), Rotation.from_rotvec(vector).as_matrix(), atol=2e-15)
+    for v, j in zip(vector, right_jacobian(vector), strict=True):
+        for axis, e in enumerate(np.eye(3)):
+            h = 1e-6
+            ahead = (Rotation.from_rotvec(v).inv() * Rotation.from_rotvec(v + h * e)).as_rotvec()
+            behind = (Rotation.from_rotvec(v).inv() * Rotation.from_rotvec(v - h * e)).as_rotvec()
+            np.testing.assert_allclose(j[:, axis], (ahead - behind) / (2 * h), atol=1e-9)
+
+
+def test_skew_is_the_cross_product():
+    a, b = np.random.default_rng(0).standard_normal((2, 7, 3))
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", skew(a), b), np.cross(a, b), atol=1e-15)
+
+
+def test_bad_angles():
+    with pytest.raises(DomainError, match="three finite angles"):
+        rotation_of_angles([0.0, 1.0])
+    with pytest.raises(DomainError, match="three finite angles"):
+        rotation_of_angles([0.0, 1.0, np.nan])

@@ -1,0 +1,137 @@
+"""Conventions and reduction of the cube mirror: published angles, light really reflected, covariance."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.calibrate.cube_mirror import (
+    angle_between_rad,
+    cube_from_table,
+    normal_in_table,
+    normal_of_offset,
+    pixel_angle_rad,
+    rotation_error_rad,
+    sensor_to_cube,
+    table_matrix,
+    triad,
+    trim_leverage,
+)
+from experiments.laboratory.turntable import build_turntable
+from optics.errors import DomainError
+
+TABLE1 = ((181.398, 0.528), (91.386, -0.048))
+
+
+def degrees_between(pairs):
+    return np.degrees(angle_between_rad(*(normal_in_table(*np.radians(pair)) for pair in pairs)))
+
+
+def test_faces_of_table_1():
+    """SCIENCE: with the beam along (0, 0, 1) for both faces, Table 1 as headed gives 90.0121 deg."""
+    assert degrees_between(TABLE1) == pytest.approx(90.0121, abs=5e-5)
+    assert degrees_between([(b, a) for a, b in TABLE1]) == pytest.approx(90.0124, abs=5e-5)  # inner axis turns by 90
+
+
+def test_eq_8_as_printed_cannot_be():
+    """With n2 on the right-hand side the two normals would be half a degree apart."""
+    first = normal_in_table(*np.radians(TABLE1[0]))
+    second = table_matrix(*np.radians(TABLE1[1])).T @ np.array([0.0, 1.0, 0.0])
+    assert np.degrees(angle_between_rad(first, second)) == pytest.approx(0.58, abs=0.01)
+
+
+def test_table_of_the_laboratory_and_of_the_reduction_are_one():
+    angles = np.random.default_rng(1).uniform(-3, 3, (20, 2))
+    rotations = build_turntable("xy").rotation(angles).as_matrix()
+    for pair, matrix in zip(angles, rotations, strict=True):
+        assert table_matrix(*pair) == pytest.approx(matrix, abs=1e-14)
+
+
+def test_inner_axis_is_powerless_at_an_outer_angle_of_90_deg():
+    """Which is why the large angles belong to the inner axis."""
+    assert trim_leverage(np.pi / 2, 0.0)[:, 1] == pytest.approx([0, 0], abs=1e-15)
+    for inner in (np.pi, np.pi / 2):
+        assert abs(np.linalg.det(trim_leverage(0.0, inner))) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("outer", "inner"), [(0.01, np.pi - 0.02), (-0.02, np.pi / 2 + 0.01)])
+def test_leverage_is_what_the_table_does(outer, inner):
+    normal = normal_in_table(outer, inner)
+    step = 1e-6
+    table = build_turntable("xy")
+    moved = table.rotation([[outer + step, inner], [outer, inner + step]]).apply(normal)
+    assert pytest.approx(moved[:, :2] / step, abs=1e-5) == trim_leverage(outer, inner).T
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0), (0.3, -0.2), (-5.0, 8.0)])
+def test_normal_that_sends_the_light_there(offset):
+    """Light along -Z, reflected by the normal, lands at the offset after 650 mm."""
+    normal = normal_of_offset(offset, 650.0)
+    light = np.array([0.0, 0.0, -1.0])
+    back = light - 2 * (light @ normal) * normal
+    assert back[:2] / back[2] * 650.0 == pytest.approx(offset, abs=1e-10)
+
+
+def test_one_pixel_is_2_38_arcsec():
+    assert np.degrees(pixel_angle_rad(0.015, 650.0)) * 3600 == pytest.approx(2.38, abs=5e-3)
+
+
+def test_triad_gives_the_ecss_frame_of_faces_out_of_square():
+    """Z is the first normal; the second lies in the X-Z plane on the side of +X; Y completes."""
+    turn = Rotation.from_rotvec([0.3, -1.2, 0.7])
+    second = np.array([np.cos(2e-3), 0.0, np.sin(2e-3)])
+    observed = turn.inv().apply([[0.0, 0.0, 1.0], second])
+    assert triad([[0, 0, 1], [1, 0, 0]], observed) == pytest.approx(turn.as_matrix(), abs=1e-13)
+
+
+def test_sun_vectors_arrive_in_the_cube_frame():
+    """eq. 12 by construction: a direction fixed in the laboratory, seen by the sensor, is where the cube says it is."""
+    rng = np.random.default_rng(2)
+    cube_from, sensor_from = Rotation.random(2, rng=rng)
+    normals = cube_from.inv().apply([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    solution = cube_from_table([[0, 0, 1], [1, 0, 0]], normals, covariance_rad2=np.zeros((2, 3, 3)))
+    rotation, _ = sensor_to_cube(solution, sensor_from, np.zeros((3, 3)))
+    table = Rotation.from_matrix(table_matrix(0.2, -0.4))
+    sun = table.inv().apply([0.1, 0.2, 0.97])
+    assert rotation.apply(sensor_from.apply(sun)) == pytest.approx(cube_from.apply(sun), abs=1e-12)
+    assert solution.face_angle_rad == pytest.approx(np.pi / 2)
+
+
+@pytest.mark.parametrize("method", ["triad", "wahba"])
+def test_covariance_is_the_scatter(method):
+    """400 noisy pairs of faces 88 deg apart: variances agree to 4 sqrt(2/400) = 0.28 of themselves."""
+    rng = np.random.default_rng(3)
+    turn = Rotation.from_rotvec([2.0, 0.4, -1.1])
+    known = np.array([[0.0, 0.0, 1.0], [np.sin(np.radians(88)), 0.0, np.cos(np.radians(88))]])
+    true, sigma = turn.inv().apply(known), np.array([1e-5, 2e-5])
+    spread = sigma[:, None, None] ** 2 * (np.eye(3) - true[:, :, None] * true[:, None, :])
+    errors = []
+    for _ in range(400):
+        noisy = true + sigma[:, None] * rng.standard_normal((2, 3))
+        noisy /= np.linalg.norm(noisy, axis=1)[:, None]
+        found = cube_from_table(known, noisy, covariance_rad2=spread, method=method)
+        errors.append(rotation_error_rad(found.rotation, turn))
+    assert np.var(errors, axis=0) == pytest.approx(np.diag(found.covariance_rad2), rel=0.28)
+    assert np.mean(errors, axis=0) == pytest.approx([0, 0, 0], abs=4 * 2e-5 / 20)
+
+
+def test_repeats_are_averaged_and_more_faces_weighted():
+    turn = Rotation.from_rotvec([0.0, np.pi, 0.1])
+    known = np.array([[0, 0, 1.0], [0, 0, 1.0], [1.0, 0, 0], [-1.0, 0, 0]])
+    spread = np.broadcast_to(1e-10 * np.eye(3), (4, 3, 3))
+    table = turn.inv().apply(known)
+    twice = cube_from_table(known[:3], table[:3], covariance_rad2=spread[:3])
+    once = cube_from_table(known[1:3], table[1:3], covariance_rad2=spread[1:3])
+    assert twice.covariance_rad2[0, 0] == pytest.approx(once.covariance_rad2[0, 0] / 2)
+    all_faces = cube_from_table(known, table, covariance_rad2=spread, method="wahba")
+    assert rotation_error_rad(all_faces.rotation, turn) == pytest.approx([0, 0, 0], abs=1e-9)
+    assert np.trace(all_faces.covariance_rad2) < np.trace(twice.covariance_rad2)
+
+
+def test_faces_that_do_not_fix_a_frame_are_refused():
+    zero = np.zeros((2, 3, 3))
+    with pytest.raises(DomainError, match="not parallel are needed"):
+        cube_from_table([[0, 0, 1], [0, 0, -1]], [[0, 0, 1], [0, 0, -1]], covariance_rad2=zero)
+    with pytest.raises(DomainError, match="only one face"):
+        cube_from_table([[0, 0, 1], [0, 0, 1]], [[0, 0, 1], [0, 0, 1]], covariance_rad2=zero)
+    with pytest.raises(DomainError, match="are needed"):
+        cube_from_table([[0, 0, 1]], [[0, 0, 1], [1, 0, 0]], covariance_rad2=zero)

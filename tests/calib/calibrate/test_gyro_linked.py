@@ -1,0 +1,119 @@
+"""Frames linked by a gyro of stated noise: between ACC and free attitudes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.calibrate.attitude_correlated import calibrate_attitude_correlated
+from calib.calibrate.free_attitude import calibrate_free_attitude
+from calib.calibrate.gyro_linked import GyroNoise, calibrate_gyro_linked
+from optics.errors import DomainError
+
+GOOD = GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=0.05, bias_deg_per_h=5.0)
+
+
+def noisy_gyro(scene, noise, rng, *, steps=50):
+    """What a gyro integrates to, step by step: rates from the true turns, plus bias and white noise, 1 s per frame."""
+    bias = rng.normal(0.0, noise.bias_sigma_rad_per_s, 3)
+    turn, out = scene.gyro.as_matrix(), [np.eye(3)]
+    for k in range(1, len(turn)):
+        change = Rotation.from_matrix(turn[k] @ turn[k - 1].T).as_rotvec()
+        measured = out[-1]
+        for _ in range(steps):
+            # bodies turn by +rate dt, frames' coordinates by -rate dt
+            white = noise.angle_random_walk_rad_per_sqrt_s * rng.standard_normal(3) / np.sqrt(steps)
+            angle = -change / steps + bias / steps + white
+            measured = Rotation.from_rotvec(-angle).as_matrix() @ measured
+        out.append(measured)
+    return Rotation.from_matrix(np.array(out)), bias
+
+
+def test_data_sheet_units():
+    noise = GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=0.6, bias_deg_per_h=3600.0)
+    assert noise.angle_random_walk_rad_per_sqrt_s == pytest.approx(np.deg2rad(0.01))
+    assert noise.bias_sigma_rad_per_s == pytest.approx(np.deg2rad(1.0))
+
+
+def test_a_perfect_gyro_is_acc(scenes):
+    scene = scenes.make_scene(frames=10, stars=4)
+    acc = calibrate_attitude_correlated(scene.observations, scene.gyro, scenes.START).solution
+    found = calibrate_gyro_linked(
+        scene.observations,
+        scene.gyro,
+        scenes.START,
+        time_s=np.arange(10.0),
+        noise=GyroNoise(angle_random_walk_rad_per_sqrt_s=0.0),
+    ).solution
+    assert found.names == acc.names
+    assert np.abs((found.value - acc.value) / acc.sigma).max() < 1e-3
+    np.testing.assert_allclose(found.sigma, acc.sigma, rtol=1e-6)
+    assert found.degrees_of_freedom == acc.degrees_of_freedom
+
+
+def test_a_useless_gyro_is_a_free_attitude_in_every_frame(scenes):
+    scene = scenes.make_scene(frames=10, stars=5)
+    free = calibrate_free_attitude(scene.observations, scenes.START).solution
+    noise = GyroNoise(angle_random_walk_rad_per_sqrt_s=3.0)
+    found = calibrate_gyro_linked(
+        scene.observations, scene.gyro, scenes.START, time_s=np.arange(10.0), noise=noise
+    ).solution
+    assert np.abs((found.value[:8] - free.value) / free.sigma).max() < 1e-2
+    np.testing.assert_allclose(found.sigma[:8], free.sigma, rtol=1e-3)
+    assert np.all(found.sigma[11:] > 0.1)  # the installation is hardly seen, and that is said
+
+
+def test_more_noise_tells_less(scenes):
+    scene = scenes.make_scene(frames=10, stars=4)
+    sigma = []
+    for walk in (1e-6, 1e-4, 1e-3, 1e-2):
+        noise = GyroNoise(angle_random_walk_rad_per_sqrt_s=walk)
+        found = calibrate_gyro_linked(scene.observations, scene.gyro, scenes.START, time_s=np.arange(10.0), noise=noise)
+        sigma.append(found.solution.sigma[:8])
+    assert np.all(np.diff(sigma, axis=0) > 0)
+
+
+def test_bias_and_walk_are_found(scenes):
+    scene = scenes.make_scene(frames=20, stars=20, rate_deg=1.5)
+    noise = GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=0.01, bias_deg_per_h=100.0)
+    gyro, bias = noisy_gyro(scene, noise, np.random.default_rng(4))
+    found = calibrate_gyro_linked(scene.observations, gyro, scenes.START, time_s=np.arange(20.0), noise=noise)
+    assert found.converged
+    truth = np.concatenate([scene.truth, bias])
+    assert np.all(np.abs(found.solution.pulls(truth)) < 5)
+    # the data tell the bias far better than the prior did
+    assert np.all(found.solution.sigma[-3:] < 0.2 * noise.bias_sigma_rad_per_s)
+    assert np.all(np.abs(bias) > 3 * found.solution.sigma[-3:])
+    assert (found.attitude * scene.attitude.inv()).magnitude().max() < 3e-4
+    # ACC with the same gyro takes the drift for distortion and installation, and its residuals say so
+    acc = calibrate_attitude_correlated(scene.observations, gyro, scenes.START).solution
+    assert acc.reduced_chi2 > 2.0
+
+
+@pytest.mark.slow
+def test_pulls_are_unit(scenes):
+    """100 realisations of stars and gyro, 17 unknowns: mean square pull 1 within 5 sigma each."""
+    scene = scenes.make_scene(frames=10, stars=6)
+    rng = np.random.default_rng(2)
+    pulls, chi2 = [], []
+    for _ in range(100):
+        gyro, bias = noisy_gyro(scene, GOOD, rng, steps=10)
+        found = calibrate_gyro_linked(scene.noisy(rng), gyro, scenes.START, time_s=np.arange(10.0), noise=GOOD).solution
+        assert found.converged
+        pulls.append(found.pulls(np.concatenate([scene.truth, bias])))
+        chi2.append(found.chi2)
+    assert np.all(np.abs(np.mean(np.square(pulls), axis=0) - 1.0) < 5 * np.sqrt(2.0 / 100))
+    degrees = 2 * 60 - 14
+    assert np.mean(chi2) == pytest.approx(degrees, abs=5 * np.sqrt(2.0 * degrees / 100))
+
+
+def test_bad_input(scenes):
+    scene = scenes.make_scene(frames=6, stars=5)
+    common = {"noise": GOOD}
+    with pytest.raises(DomainError, match="5 gyro rotations and 6 times for 6 frames"):
+        calibrate_gyro_linked(scene.observations, scene.gyro[:5], scenes.START, time_s=np.arange(6.0), **common)
+    with pytest.raises(DomainError, match="must be finite and increase"):
+        calibrate_gyro_linked(scene.observations, scene.gyro, scenes.START, time_s=np.arange(6.0)[::-1], **common)
+    with pytest.raises(DomainError, match="not negative"):
+        GyroNoise(angle_random_walk_rad_per_sqrt_s=-1e-6)

@@ -1,0 +1,249 @@
+"""Joint calibration with a single star on a turntable; the table here is two or three rotations written out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.calibrate.observations import Observations
+from calib.calibrate.turntable import TableErrors, calibrate_turntable, star_direction
+from optics.errors import DomainError
+
+STAR = np.array([0.02, -0.01, 1.0]) / np.linalg.norm([0.02, -0.01, 1.0])
+NOMINAL = np.array([0.0, 0.0, 1.0])
+THETA_DEG = (1.0, 2.0, 3.0)
+
+
+def axis_turn(axis, angle):
+    return Rotation.from_rotvec(np.outer(angle, axis))
+
+
+class Bench:
+    """A star seen at random places of the detector: outer axis y, inner axis x (leaning by ``lean``), third axis z."""
+
+    def __init__(self, scenes, *, count=300, camera=None, lean=0.0, axes=2, half_deg=11.0, seed=0, sigma_px=0.05):
+        rng = np.random.default_rng(seed)
+        self.camera = camera or scenes.CAMERA
+        self.installation = Rotation.from_matrix(scenes.document_matrix(THETA_DEG))
+        self.angle = np.deg2rad(rng.uniform(-half_deg, half_deg, (count, axes)))
+        self.inner = np.array([np.cos(lean), np.sin(lean), 0.0])  # leaning towards the outer axis, +y
+        exact = self.camera.project(self.seen(self.angle, self.inner))
+        inside = np.all((exact > 0) & (exact < 1023), axis=1)
+        self.angle, self.exact = self.angle[inside], exact[inside]
+        self.count = len(self.exact)
+        self.observations = self.measured(rng, sigma_px)
+        self.truth = np.concatenate(
+            [
+                self.camera.parameters,
+                [np.arctan2(STAR[0], STAR[2]), np.arcsin(STAR[1])],
+                np.deg2rad(THETA_DEG),
+            ]
+        )
+
+    def table(self, angle, inner=(1.0, 0.0, 0.0)):
+        turn = axis_turn([0.0, 1.0, 0.0], angle[:, 0]) * axis_turn(inner, angle[:, 1])
+        return turn * axis_turn([0.0, 0.0, 1.0], angle[:, 2]) if angle.shape[1] == 3 else turn
+
+    def seen(self, angle, inner):
+        return self.installation.apply(self.table(angle, inner).inv().apply(STAR))
+
+    def measured(self, rng, sigma_px=0.05):
+        return Observations.isotropic(
+            pixel_px=self.exact + rng.normal(0.0, sigma_px, self.exact.shape),
+            direction=np.tile(NOMINAL, (self.count, 1)),
+            frame=np.arange(self.count),
+            sigma_px=sigma_px or 0.05,
+            frames=self.count,
+        )
+
+    def lean_rates(self, angle):
+        """Rotation vector of the table per lean of the inner axis, by differences of the rotations themselves."""
+        h = 1e-6
+        ahead, behind = (self.table(angle, [np.cos(s), np.sin(s), 0.0]) for s in (h, -h))
+        return ((ahead * behind.inv()).as_rotvec() / (2 * h))[:, None]
+
+    def angle_rates(self, angle):
+        """Rotation vectors per angle, likewise."""
+        h = 1e-6
+        out = []
+        for axis in np.eye(angle.shape[1]):
+            out.append((self.table(angle + h * axis) * self.table(angle - h * axis).inv()).as_rotvec() / (2 * h))
+        return np.stack(out, axis=1)
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_exact_data_give_the_truth(scenes, axes):
+    bench = Bench(scenes, sigma_px=0.0, axes=axes)
+    found = calibrate_turntable(bench.observations, bench.table(bench.angle), scenes.START)
+    assert found.converged
+    np.testing.assert_allclose(found.solution.value, bench.truth, rtol=2e-5, atol=1e-9)
+    np.testing.assert_allclose(star_direction(found), STAR, atol=1e-9)
+    assert (found.installation * bench.installation.inv()).magnitude() < 1e-8
+    seen = found.attitude.apply(np.tile(NOMINAL, (bench.count, 1)))
+    np.testing.assert_allclose(found.model.project(seen), bench.exact, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_pulls_are_unit(scenes):
+    """50 realisations, 13 unknowns: mean square pull 1 within 5 sigma each."""
+    bench = Bench(scenes, count=150)
+    rng, pulls, chi2 = np.random.default_rng(1), [], []
+    for _ in range(50):
+        found = calibrate_turntable(bench.measured(rng), bench.table(bench.angle), scenes.START).solution
+        assert found.converged
+        pulls.append(found.pulls(bench.truth))
+        chi2.append(found.reduced_chi2)
+    assert np.all(np.abs(np.mean(np.square(pulls), axis=0) - 1.0) < 5 * np.sqrt(2.0 / 50))
+    assert np.mean(chi2) == pytest.approx(1.0, abs=5 * np.sqrt(2.0 / (2 * bench.count - 13) / 50))
+
+
+def test_a_leaning_axis_is_found_or_spoils_the_fit(scenes):
+    lean = np.deg2rad(60.0 / 3600)
+    bench = Bench(scenes, count=600, lean=lean, sigma_px=0.01)
+    table = bench.table(bench.angle)
+    ignored = calibrate_turntable(bench.observations, table, scenes.START).solution
+    errors = TableErrors(axis_rate=bench.lean_rates(bench.angle), axis_names=("lean_rad",))
+    found = calibrate_turntable(bench.observations, table, scenes.START, errors=errors).solution
+    assert found.converged
+    assert np.all(np.abs(found.pulls([*bench.truth, lean])) < 5)
+    assert found.value[-1] > 10 * found.sigma[-1]
+    assert found.reduced_chi2 < 1.2
+    worst = np.abs(ignored.pulls(bench.truth)).max()
+    assert ignored.reduced_chi2 > 1.2 or worst > 5
+
+
+def test_a_known_axis_is_not_changed_by_a_tight_prior(scenes):
+    bench = Bench(scenes)
+    table = bench.table(bench.angle)
+    errors = TableErrors(
+        axis_rate=bench.lean_rates(bench.angle), axis_names=("lean_rad",), axis_sigma_rad=np.array([1e-9])
+    )
+    plain = calibrate_turntable(bench.observations, table, scenes.START).solution
+    found = calibrate_turntable(bench.observations, table, scenes.START, errors=errors).solution
+    np.testing.assert_allclose(found.sigma[:-1], plain.sigma, rtol=1e-4)
+    assert found.sigma[-1] == pytest.approx(1e-9, rel=1e-3)
+    assert found.degrees_of_freedom == plain.degrees_of_freedom
+
+
+def test_reading_errors_count_as_they_move_the_star(scenes):
+    """A star per frame: errors of the angles are an error of its position, and can as well be put there."""
+    bench = Bench(scenes)
+    sigma = np.array([3e-6, 5e-6])  # rad; 0.1 px is 39e-6
+    rates = bench.angle_rates(bench.angle)
+    errors = TableErrors(reading_rate=rates, reading_sigma_rad=10 * sigma)
+    table = bench.table(bench.angle)
+    found = calibrate_turntable(bench.observations, table, scenes.START, errors=errors)
+    h = 1e-7
+    moved = [
+        (
+            bench.camera.project(bench.seen(bench.angle + h * e, bench.inner))
+            - bench.camera.project(bench.seen(bench.angle - h * e, bench.inner))
+        )
+        / (2 * h)
+        for e in np.eye(2)
+    ]
+    spread = sum(100 * s**2 * m[:, :, None] * m[:, None, :] for s, m in zip(sigma, moved, strict=True))
+    wider = replace(bench.observations, covariance_px2=bench.observations.covariance_px2 + spread)
+    other = calibrate_turntable(wider, table, scenes.START)
+    np.testing.assert_allclose(found.solution.sigma, other.solution.sigma, rtol=1e-3)  # at slightly other places
+    assert np.abs((found.solution.value - other.solution.value) / other.solution.sigma).max() < 1e-2
+    assert found.solution.chi2 == pytest.approx(other.solution.chi2, rel=1e-3)
+    assert found.solution.degrees_of_freedom == other.solution.degrees_of_freedom
+
+
+def test_one_axis_does_not_tell_star_and_installation_apart(scenes):
+    bench = Bench(scenes, count=200)
+    angle = bench.angle * [1.0, 0.0]
+    line = scenes.CAMERA.project(bench.seen(angle, bench.inner))
+    observed = replace(bench.observations, pixel_px=line)
+    found = calibrate_turntable(observed, bench.table(angle), scenes.START).solution
+    assert not found.converged or found.sigma[1] > 1.0
+    assert found.status == "singular"
+    assert "theta" in found.message
+
+
+def test_near_degeneracy_of_a_narrow_field_is_shown(scenes):
+    """7 deg: principal point and the small turns of the installation are nearly one unknown."""
+    wide = Bench(scenes, count=300)
+    narrow = Bench(scenes, count=1200, camera=scenes.NARROW, half_deg=3.4)
+    results = []
+    for bench in (wide, narrow):
+        free = ("x0_px", "y0_px", "focal_length_mm")
+        start = bench.camera.with_parameters(bench.camera.parameters + np.array([3.0, 3.0, 0.1, 0, 0, 0, 0, 0]))
+        found = calibrate_turntable(bench.observations, bench.table(bench.angle), start, free=free).solution
+        assert found.converged
+        sigma = found.sigma
+        # multiple correlation of the principal point with everything else together
+        inverse = np.linalg.inv(found.covariance / np.outer(sigma, sigma))
+        results.append((found.condition, 1.0 - 1.0 / inverse[0, 0], sigma[0]))
+    assert results[1][0] > 3 * results[0][0]
+    assert results[1][1] > 0.9999
+    assert results[1][2] > 3 * results[0][2]
+
+
+def test_a_target_of_several_stars_has_three_angles(scenes):
+    bench = Bench(scenes, count=120, half_deg=9.0)
+    rng = np.random.default_rng(3)
+    nominal = NOMINAL + 0.02 * rng.standard_normal((4, 3)) * [1, 1, 0]
+    nominal /= np.linalg.norm(nominal, axis=1, keepdims=True)
+    twist = Rotation.from_rotvec([0.004, -0.003, 0.01])
+    frame = np.repeat(np.arange(bench.count), 4)
+    on_table = bench.table(bench.angle).inv()[frame].apply(twist.apply(np.tile(nominal, (bench.count, 1))))
+    pixel = bench.camera.project(bench.installation.apply(on_table))
+    pixel = pixel + rng.normal(0, 0.05, pixel.shape)
+    inside = np.all((pixel > 0) & (pixel < 1023), axis=1)
+    observed = Observations.isotropic(
+        pixel_px=pixel[inside],
+        direction=np.tile(nominal, (bench.count, 1))[inside],
+        frame=frame[inside],
+        sigma_px=0.05,
+        frames=bench.count,
+    )
+    found = calibrate_turntable(observed, bench.table(bench.angle), scenes.START).solution
+    assert found.names[8:11] == ("target1_rad", "target2_rad", "target3_rad")
+    truth = np.concatenate([bench.camera.parameters, twist.as_rotvec(), np.deg2rad(THETA_DEG)])
+    assert np.all(np.abs(found.pulls(truth)) < 5)
+    with pytest.raises(DomainError, match="no single star"):
+        star_direction(calibrate_turntable(observed, bench.table(bench.angle), scenes.START))
+
+
+def test_starts_and_wrong_positions(scenes):
+    bench = Bench(scenes)
+    table = bench.table(bench.angle)
+    plain = calibrate_turntable(bench.observations, table, scenes.START).solution
+    given = calibrate_turntable(
+        bench.observations, table, scenes.START, start_star=STAR, start_installation=bench.installation
+    ).solution
+    assert np.abs((given.value - plain.value) / plain.sigma).max() < 1e-3
+    rng = np.random.default_rng(0)
+    wrong = rng.random(bench.count) < 0.1
+    pixel = np.where(wrong[:, None], rng.uniform(0, 1023, (bench.count, 2)), bench.observations.pixel_px)
+    robust = calibrate_turntable(replace(bench.observations, pixel_px=pixel), table, scenes.START, loss="tukey")
+    assert robust.converged
+    assert np.all(np.abs(robust.solution.pulls(bench.truth)) < 5)
+
+
+def test_bad_input(scenes):
+    bench = Bench(scenes, count=40)
+    table = bench.table(bench.angle)
+    with pytest.raises(DomainError, match=f"3 table rotations for {bench.count} frames"):
+        calibrate_turntable(bench.observations, table[:3], scenes.START)
+    errors = TableErrors(axis_rate=np.zeros((3, 1, 3)), axis_names=("lean_rad",))
+    with pytest.raises(DomainError, match="axis_rate: shape"):
+        calibrate_turntable(bench.observations, table, scenes.START, errors=errors)
+    errors = TableErrors(reading_rate=np.zeros((bench.count, 2, 3)), reading_sigma_rad=np.array([0.0, 1e-6]))
+    with pytest.raises(DomainError, match="2 positive values"):
+        calibrate_turntable(bench.observations, table, scenes.START, errors=errors)
+    with pytest.raises(DomainError, match="unit vector"):
+        calibrate_turntable(bench.observations, table, scenes.START, start_star=[0.0, 1.0, 1.0])
+    few = bench.observations.select(np.arange(6))
+    refused = calibrate_turntable(few, table, scenes.START).solution
+    assert refused.status == "refused"
+    assert "6 positions give 12 measurements for 13 unknowns" in refused.message
+    mirrored = replace(bench.observations, pixel_px=bench.observations.pixel_px[:, ::-1])
+    found = calibrate_turntable(mirrored, table, scenes.START).solution
+    assert found.status == "refused"
+    assert "180 deg from where it was said to be: the image is mirrored" in found.message

@@ -1,0 +1,192 @@
+"""Rationale: sigma of a star vector is read off 1 - R, a number of 1e-11 and less; and off an interval.
+
+Expected behaviour: no digit is lost at any concentration, the estimators have the bias that theory gives them, the
+interval covers, and another library agrees where it still works.
+"""
+
+from __future__ import annotations
+
+from decimal import Decimal, getcontext
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from scipy.stats import kstest, vonmises_fisher
+
+from calib.directional.fisher import (
+    concentration_from_deficit,
+    deficit_of_concentration,
+    fit_fisher,
+    mean_and_chords,
+    sample_fisher,
+    tangent_plane,
+)
+from optics.errors import DomainError
+
+MEAN = np.array([0.48, -0.6, 0.64])
+
+
+def _rng(seed: int = 4) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def _deficit_by_decimals(vectors: NDArray[np.float64]) -> float:
+    """1 - R literally, in 60 digits."""
+    getcontext().prec = 60
+    rows = [[Decimal(float(x)) for x in row] for row in vectors]
+    units = [[x / sum(y * y for y in row).sqrt() for x in row] for row in rows]
+    total = [sum(column) for column in zip(*units, strict=True)]
+    return float(1 - sum(x * x for x in total).sqrt() / len(units))
+
+
+@pytest.mark.parametrize("concentration", [3.0, 1e4, 1e10, 1e13, 1e17])
+def test_deficit_against_sixty_digits(concentration: float) -> None:
+    w = sample_fisher(MEAN, concentration, 50, _rng())
+    # a vector rounded to 1e-16 moves a chord of 1/sqrt(k) by 1e-16 sqrt(k), averaged over 50
+    assert fit_fisher(w).deficit == pytest.approx(_deficit_by_decimals(w), rel=1e-15 * np.sqrt(concentration) + 1e-13)
+
+
+def test_naive_subtraction_fails_where_this_does_not() -> None:
+    w = sample_fisher(MEAN, 1e15, 200, _rng())
+    naive = 1.0 - np.linalg.norm(w.mean(0))
+    exact = _deficit_by_decimals(w)
+    assert abs(naive / exact - 1) > 0.02
+    assert fit_fisher(w).deficit == pytest.approx(exact, rel=1e-7)
+
+
+def test_mean_resultant_of_the_density_by_quadrature() -> None:
+    for k in (0.02, 0.7, 5.0, 40.0):
+        weight = quad(lambda c, k=k: np.exp(k * (c - 1)), -1, 1)[0]
+        deficit = quad(lambda c, k=k: (1 - c) * np.exp(k * (c - 1)), -1, 1, epsabs=1e-13)[0] / weight
+        assert deficit_of_concentration(k) == pytest.approx(deficit, rel=1e-9)
+
+
+@pytest.mark.parametrize("concentration", [1e-2, 0.3, 2.0, 24.0, 26.0, 400.0, 1e12])
+def test_concentration_and_deficit_are_inverse(concentration: float) -> None:
+    found = concentration_from_deficit(deficit_of_concentration(concentration))
+    assert found == pytest.approx(concentration, rel=1e-10 if concentration > 0.1 else 1e-6)
+
+
+@pytest.mark.parametrize("concentration", [0.5, 8.0, 1e6, 1e12])
+def test_sample_has_the_distribution_and_no_preferred_azimuth(concentration: float) -> None:
+    w = sample_fisher(MEAN, concentration, 4000, _rng(8))
+    versine = 0.5 * np.einsum("ni,ni->n", w - MEAN, w - MEAN)
+    total = -np.expm1(-2 * concentration)
+    assert kstest(versine, lambda c: -np.expm1(-concentration * c) / total).pvalue > 0.001
+    east, north = tangent_plane(w, MEAN).T
+    assert kstest(np.arctan2(north, east), "uniform", args=(-np.pi, 2 * np.pi)).pvalue > 0.001
+
+
+def test_likelihood_agrees_with_scipy_at_moderate_concentration() -> None:
+    for k in (0.5, 5.0, 200.0):
+        w = sample_fisher(MEAN, k, 500, _rng(5))
+        mean, kappa = vonmises_fisher.fit(w)
+        fit = fit_fisher(w)
+        assert fit.concentration_likelihood == pytest.approx(kappa, rel=1e-6)
+        np.testing.assert_allclose(fit.mean, mean, atol=1e-12)
+
+
+def test_scipy_loses_the_concentration_of_a_star_tracker() -> None:
+    """Known limit of the other library: k = 1/(1 - R) with R rounded, so no agreement at 0.01 arcsec."""
+    k = (np.degrees(1) * 3600 / 0.01) ** 2
+    w = sample_fisher(MEAN, k, 500, _rng(6))
+    assert abs(fit_fisher(w).concentration / k - 1) < 4 / np.sqrt(500)
+    try:
+        with np.errstate(all="ignore"):
+            kappa = vonmises_fisher.fit(w)[1]
+    except (ValueError, RuntimeError, OverflowError):
+        return
+    assert not abs(kappa / fit_fisher(w).concentration_document - 1) < 0.01
+
+
+def test_bias_of_the_three_estimators() -> None:
+    """N = 20000 samples of n = 5: means of 1/k and k known to 0.35 % and 0.5 % (one sigma)."""
+    n, runs, k = 5, 20000, 1e11
+    w = sample_fisher(MEAN, k, n * runs, _rng(9)).reshape(runs, n, 3)
+    deficit = 0.5 * mean_and_chords(w)[1].mean(1)
+    one = fit_fisher(w[0])
+    scale = deficit / one.deficit  # every estimator of k goes as 1/d
+    assert np.mean(scale / one.concentration) * k == pytest.approx(1.0, abs=4 * 0.0036)  # 1/k unbiased
+    assert np.mean(one.concentration / scale) / k == pytest.approx(8 / 6, rel=4 * 0.006)  # k is not: nu/(nu - 2)
+    assert np.mean(one.concentration_unbiased / scale) / k == pytest.approx(1.0, rel=4 * 0.006)
+    assert np.mean(scale / one.concentration_document) * k == pytest.approx(0.8, rel=4 * 0.0036)  # (n - 1)/n
+    root = np.sqrt(scale * k)
+    assert np.mean(one.sigma_rad * root) == pytest.approx(1 - 1 / (4 * 8), abs=4 * 0.0019)
+    assert np.mean(one.sigma_unbiased_rad * root) == pytest.approx(1.0, abs=4 * 0.0019)
+    assert np.std(one.sigma_rad * root) == pytest.approx(1 / np.sqrt(2 * 8), rel=0.05)
+
+
+def test_interval_covers_and_so_does_the_cone() -> None:
+    """N = 2000: a coverage of 0.95 is known to 0.0049, one of 0.68 to 0.0104."""
+    n, runs, k = 12, 2000, 1e12
+    w = sample_fisher(MEAN, k, n * runs, _rng(10)).reshape(runs, n, 3)
+    fits = [fit_fisher(sample) for sample in w]
+    for level, error in ((0.95, 0.0049), (0.6827, 0.0104)):
+        ends = np.array([fit.sigma_interval_rad(level) for fit in fits])
+        covered = np.mean((ends[:, 0] <= k**-0.5) & (k**-0.5 <= ends[:, 1]))
+        assert covered == pytest.approx(level, abs=4 * error)
+        off = np.array([np.linalg.norm(fit.mean - MEAN) for fit in fits])
+        inside = np.mean(off <= [2 * np.sin(fit.mean_cone_rad(level) / 2) for fit in fits])
+        assert inside == pytest.approx(level, abs=4 * error)
+
+
+def test_mean_scatters_as_stated() -> None:
+    n, runs, k = 30, 2000, 1e10
+    w = sample_fisher(MEAN, k, n * runs, _rng(11)).reshape(runs, n, 3)
+    plane = tangent_plane(mean_and_chords(w)[0], MEAN)
+    assert plane.std() == pytest.approx(1e-5 / np.sqrt(n), rel=4 / np.sqrt(2 * 2 * runs))
+    assert np.mean([fit_fisher(s).mean_sigma_rad for s in w[:200]]) == pytest.approx(1e-5 / np.sqrt(n), rel=0.03)
+
+
+def test_a_rotation_changes_the_mean_and_nothing_else() -> None:
+    from scipy.spatial.transform import Rotation
+
+    w, turn = sample_fisher(MEAN, 1e10, 40, _rng()), Rotation.from_rotvec([0.3, -2.0, 1.0])
+    before, after = fit_fisher(w), fit_fisher(turn.apply(w))
+    np.testing.assert_allclose(after.mean, turn.apply(before.mean.copy()), atol=1e-14)
+    assert after.deficit == pytest.approx(before.deficit, rel=1e-9)
+
+
+def test_tangent_plane_keeps_chords() -> None:
+    w = sample_fisher(MEAN, 4.0, 100, _rng())
+    plane = tangent_plane(w, MEAN)
+    np.testing.assert_allclose(np.hypot(*plane.T), np.linalg.norm(w - MEAN, axis=1), rtol=1e-12)
+
+
+def test_fewer_degrees_of_freedom_widen_sigma() -> None:
+    w = sample_fisher(MEAN, 1e10, 30, _rng())
+    plain, honest = fit_fisher(w), fit_fisher(w, degrees_of_freedom=60 - 14)
+    assert honest.sigma_rad / plain.sigma_rad == pytest.approx(np.sqrt(58 / 46), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("vectors", "words"),
+    [
+        (np.ones((4, 2)), "(n, 3) unit vectors"),
+        ([[0, 0, 1.0]], "at least 2"),
+        ([[0, 0, 1.0], [0, 0, 2.0]], "length 2"),
+        ([[0, 0, 1.0], [0, np.nan, 1.0]], "unit vectors"),
+        ([[0, 0, 1.0], [0, 0, 1.0]], "all 2 directions are the same"),
+        ([[0, 0, 1.0], [0, 0, -1.0]], "cancel"),
+    ],
+)
+def test_bad_directions(vectors: object, words: str) -> None:
+    with pytest.raises(DomainError) as error:
+        fit_fisher(vectors)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_other_bad_input() -> None:
+    w = sample_fisher(MEAN, 1e6, 6, _rng())
+    with pytest.raises(DomainError, match="degrees_of_freedom = -2"):
+        fit_fisher(w, degrees_of_freedom=-2)
+    with pytest.raises(DomainError, match=r"level = 1\.5"):
+        fit_fisher(w).sigma_interval_rad(1.5)
+    with pytest.raises(DomainError, match="high concentration"):
+        fit_fisher(sample_fisher(MEAN, 1.0, 50, _rng())).sigma_interval_rad()
+    with pytest.raises(DomainError, match="concentration = -1"):
+        sample_fisher(MEAN, -1.0, 5, _rng())
+    with pytest.raises(DomainError, match="1 - R = 1"):
+        concentration_from_deficit(1.0)

@@ -1,0 +1,74 @@
+"""Solutions and calibrations: statistics of a fit, and the shapes they insist on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.calibrate.calibration import Calibration
+from calib.cameras import BrownConrady, SensorGeometry
+from calib.fitting.solution import Solution
+from optics.errors import ConfigError, DomainError
+
+
+def solution(**change):
+    values = {
+        "value": [1.0, 2.0, 3.0],
+        "names": ("a_px", "b_px", "c_mm"),
+        "covariance": np.diag([0.25, 0.0, np.inf]),
+        "status": "converged",
+        "message": "",
+        "iterations": 4,
+        "chi2": 12.0,
+        "degrees_of_freedom": 6,
+        "condition": 10.0,
+        "residual_pulls": np.zeros(9),
+        "robust_weight": np.ones(9),
+    }
+    return Solution(**(values | change))
+
+
+def test_pulls_are_errors_over_their_sigma_and_unknown_without_one():
+    pulls = solution().pulls([0.0, 2.0, 3.0])
+    assert pulls[0] == 2.0
+    assert np.isnan(pulls[1:]).all()
+    np.testing.assert_array_equal(solution().sigma, [0.5, 0.0, np.inf])
+    with pytest.raises(DomainError, match="3 unknowns"):
+        solution().pulls([1.0])
+
+
+def test_only_a_converged_solution_says_so():
+    assert solution().converged
+    assert not any(solution(status=s).converged for s in ("stalled", "iteration_limit", "singular", "refused"))
+    with pytest.raises(ConfigError, match="did you mean converged"):
+        solution(status="convergd")
+
+
+def test_reduced_chi2_and_names():
+    assert solution().reduced_chi2 == 2.0
+    assert np.isnan(solution(degrees_of_freedom=0).reduced_chi2)
+    assert solution().index("c_mm") == 2
+    with pytest.raises(ConfigError, match="a_px"):
+        solution().index("a_mm")
+
+
+@pytest.mark.parametrize("change", [{"value": [1.0]}, {"covariance": np.eye(2)}, {"residual_pulls": np.zeros((3, 3))}])
+def test_shapes_must_fit_the_names(change):
+    with pytest.raises(DomainError, match="shape"):
+        solution(**change)
+
+
+def test_a_calibration_holds_the_covariance_of_all_parameters():
+    geometry = SensorGeometry(width_px=100, height_px=100, pixel_pitch_mm=0.01)
+    values = {
+        "method": "free_attitude",
+        "model": BrownConrady.create(geometry, focal_length_mm=10.0),
+        "covariance": np.zeros((8, 8)),
+        "solution": solution(status="stalled"),
+        "attitude": None,
+        "installation": None,
+        "used": np.ones(3, bool),
+    }
+    assert not Calibration(**values).converged
+    with pytest.raises(DomainError, match=r"\(8, 8\)"):
+        Calibration(**(values | {"covariance": np.zeros((3, 3))}))

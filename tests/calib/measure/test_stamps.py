@@ -1,0 +1,120 @@
+import numpy as np
+import pytest
+
+from calib.measure.flags import StarFlag
+from calib.measure.stamps import coarse_position, extract_stamps, ring_background, stamps_from_windows
+from calib.records import NoiseModel, SensorImage
+from optics.errors import DomainError
+from render.records import WindowStack
+
+
+def ramp(height=40, width=60, **masks):
+    """An image whose electrons are 100 row + column: every pixel says where it is."""
+    y, x = np.mgrid[:height, :width]
+    electrons = 100.0 * y + x
+    nothing = np.zeros(electrons.shape, bool)
+    return SensorImage(
+        dn=50.0 + 2.0 * electrons,
+        valid=masks.get("valid", ~nothing),
+        saturated=masks.get("saturated", nothing),
+        noise=NoiseModel(read_noise_e=1.0, gain_dn_per_e=2.0, offset_dn=50.0),
+    )
+
+
+def test_window_holds_the_pixels_it_says():
+    stamps = extract_stamps(ramp(), [30.4], [20.6], background=0.0, size_px=5)
+    assert stamps.corner_px.tolist() == [[28, 19]]
+    assert stamps.electrons[0, 0, 0] == 1928.0
+    assert stamps.electrons[0, 2, 2] == 2130.0
+    assert stamps.valid.all()
+    assert stamps.flags.tolist() == [0]
+
+
+def test_edge_outside_and_blend():
+    stamps = extract_stamps(ramp(), [1.0, -40.0, 30.0, 33.0], [20.0, 20.0, 20.0, 20.0], background=0.0, size_px=7)
+    assert StarFlag(int(stamps.flags[0])) == StarFlag.EDGE
+    assert stamps.valid[0].sum() == 5 * 7
+    assert stamps.electrons[0, 3, 2] == 2000.0
+    assert StarFlag(int(stamps.flags[1])) == StarFlag.EDGE | StarFlag.NO_DATA
+    assert not stamps.valid[1].any()
+    assert StarFlag(int(stamps.flags[2])) == StarFlag.BLEND
+    assert StarFlag(int(stamps.flags[3])) == StarFlag.BLEND
+
+
+def test_saturated_and_defective_pixels_are_left_out():
+    saturated, valid = np.zeros((40, 60), bool), np.ones((40, 60), bool)
+    saturated[20, 30], valid[21, 31] = True, False
+    stamps = extract_stamps(ramp(saturated=saturated, valid=valid), [30.0], [20.0], background=0.0, size_px=5)
+    assert StarFlag(int(stamps.flags[0])) == StarFlag.SATURATED | StarFlag.DEFECT
+    assert (~stamps.valid[0]).sum() == 2
+    assert stamps.electrons[0, 2, 2] == 0.0
+
+
+@pytest.mark.parametrize(("size", "text"), [(41, "larger than the image"), (4, "odd"), (1, "at least 3")])
+def test_window_sizes_that_cannot_be(size, text):
+    with pytest.raises(DomainError, match=text):
+        extract_stamps(ramp(), [10.0], [10.0], background=0.0, size_px=size)
+
+
+def test_positions_that_are_not_numbers():
+    with pytest.raises(DomainError, match="star 1"):
+        extract_stamps(ramp(), [10.0, np.nan], [10.0, 10.0], background=0.0)
+    with pytest.raises(DomainError, match="equal length"):
+        extract_stamps(ramp(), [10.0, 11.0], [10.0], background=0.0)
+
+
+def test_no_positions_no_stamps():
+    stamps = extract_stamps(ramp(), [], [], background=0.0)
+    assert len(stamps) == 0
+    assert stamps.electrons.shape == (0, 11, 11)
+
+
+def test_coarse_position_is_good_to_a_quarter_of_a_pixel(sky):
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(4.5, 5.5, (2, 500))
+    light = 1e4 * sky.gaussian(x, y, 0.7)
+    found_x, found_y = coarse_position(light, np.ones(light.shape, bool))
+    assert np.abs(found_x - x).max() < 0.25
+    assert np.abs(found_y - y).max() < 0.25
+
+
+def test_ring_background_ignores_a_neighbour():
+    """40 ring pixels of noise 3: standard error 3/sqrt(40) = 0.47 each, 400 windows."""
+    rng = np.random.default_rng(2)
+    electrons = rng.normal(25.0, 3.0, (400, 11, 11))
+    electrons[:, 0, 3] += 5000.0
+    level = ring_background(electrons, np.ones(electrons.shape, bool))
+    assert level.mean() == pytest.approx(25.0, abs=5 * 0.47 / 20)
+
+
+def test_windowed_readout(sky):
+    frames, windows = 3, 2
+    corner = np.array([[100, 200], [300, 400]])
+    expected = 1e4 * sky.gaussian([5.0, 5.3], [5.0, 4.8], 0.7) + 20.0
+    dn = np.rint(100.0 + 0.5 * expected)
+    defect = np.zeros((windows, 11, 11), bool)
+    defect[1, 0, 0] = True
+    saturated = np.zeros((frames, windows, 11, 11), bool)
+    saturated[2, 0, 5, 5] = True
+    stack = WindowStack(
+        dn=np.broadcast_to(dn, (frames, windows, 11, 11)),
+        saturated=saturated,
+        defect=defect,
+        corner_px=corner,
+        gain_dn_per_e=0.5,
+        offset_dn=100.0,
+        read_noise_e=4.0,
+        exposure_s=0.1,
+        band="V",
+        first_index=0,
+    )
+    stamps, noise = stamps_from_windows(stack, psf_index=[0, 1])
+    assert noise.read_noise_e == 4.0
+    assert len(stamps) == frames * windows
+    assert stamps.corner_px[3].tolist() == [300, 400]
+    assert stamps.psf_index.tolist() == [0, 1, 0, 1, 0, 1]
+    assert stamps.start_px[3] == pytest.approx([305.3, 404.8], abs=0.2)
+    assert stamps.background_e == pytest.approx(np.full(6, 20.0), abs=2.0)
+    assert StarFlag(int(stamps.flags[4])) == StarFlag.SATURATED
+    assert StarFlag(int(stamps.flags[1])) == StarFlag.DEFECT
+    assert stamps.flags[0] == 0

@@ -1,0 +1,305 @@
+"""The command line from end to end: exit codes, one clear line, complete output, nothing left after an interruption."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.table import Table as AstropyTable
+
+from experiments.__main__ import experiments
+from experiments.harness.cli import command
+from experiments.harness.summary import Criterion
+
+ROOT = Path(__file__).parents[3]
+SCRIPT = Path(__file__).parents[1] / "shot_noise.py"
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.fixture(scope="module")
+def output(shot_noise, tmp_path_factory):
+    """One complete run that several tests read."""
+    folder = tmp_path_factory.mktemp("run") / "shot_noise"
+    status = shot_noise.main(["--out", str(folder), "--seed", "3", "--set", "label=<b>7 & 8</b>"])
+    return status, folder
+
+
+def test_run_writes_everything(output):
+    status, folder = output
+    assert status == 0
+    assert names(folder) == ["frames", "levels.ecsv", "provenance.json", "report.html", "summary.json"]
+    assert names(folder.parent) == ["shot_noise"]
+
+
+def test_summary_file(output):
+    content = json.loads((output[1] / "summary.json").read_text())
+    assert list(content) == ["experiment", "seed", "config", "results", "criteria"]
+    assert content["experiment"] == "shot_noise"
+    assert content["seed"] == content["config"]["seed"] == 3
+    assert content["config"]["label"] == "<b>7 & 8</b>"
+    assert [sorted(one) for one in content["criteria"]] == [["limit", "name", "passed", "unit", "value"]]
+
+
+def test_files_agree_with_each_other(output):
+    folder = output[1]
+    results = json.loads((folder / "summary.json").read_text())["results"]
+    table = AstropyTable.read(folder / "levels.ecsv", format="ascii.ecsv")
+    assert table["variance_e2"].tolist() == results["variance_e2"]
+    assert np.load(folder / "frames" / "variance.npy").tolist() == results["variance_e2"]
+
+
+def test_provenance_file(output):
+    folder = output[1]
+    text = (folder / "provenance.json").read_text()
+    record = json.loads(text)
+    assert record["program"] == "starbench"
+    assert record["seed"] == 3
+    assert record["quick"] is False
+    assert record["packages"]["numpy"] == np.__version__
+    assert 0 < record["stages_s"]["draw"] < record["runtime_s"]
+    assert 10 < record["peak_memory_mb"] < 1e5
+    assert sorted(record["files"]) == ["frames/variance.npy", "levels.ecsv", "report.html", "summary.json"]
+    assert str(folder) not in text
+    assert str(ROOT) not in text
+
+
+class Page(HTMLParser):
+    """Collects what a reader sees, what the page would load, its ids, and unbalanced elements."""
+
+    VOID = frozenset({"meta", "img", "br", "link", "path", "use", "rect", "circle", "line", "stop", "image"})
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.loads, self.ids, self.words = [], [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        if tag not in self.VOID:
+            self.open.append(tag)
+        for name, value in attributes:
+            if name in ("src", "href", "xlink:href") and not value.startswith(("#", "data:")):
+                self.loads.append(value)
+            if name == "id":
+                self.ids.append(value)
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if self.open and self.open[-1] == tag and tag not in self.VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        if tag not in self.VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+def test_report_stands_alone_and_is_escaped(output):
+    text = (output[1] / "report.html").read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.open == []
+    assert page.loads == []
+    assert "@import" not in text
+    assert not re.search(r"url\((?!#)", text)
+    assert "<script" not in text
+    assert len(page.ids) == len(set(page.ids))
+    words = "".join(page.words)
+    assert "<b>7 & 8</b>" in words  # seen as text, not taken as markup
+    assert "The criterion holds." in words
+    assert "Figure 3." in words
+    assert "Table 1." in words
+    assert text.count("<svg") == 3  # two drawings and an equation
+    assert text.count("data:image/png;base64,") == 1
+
+
+def test_same_seed_same_bytes(shot_noise, tmp_path, output):
+    assert shot_noise.main(["--out", str(tmp_path / "again"), "--seed", "3", "--set", "label=<b>7 & 8</b>"]) == 0
+    for name in ("summary.json", "levels.ecsv", "frames/variance.npy"):
+        assert (tmp_path / "again" / name).read_bytes() == (output[1] / name).read_bytes()
+
+    def drawings(folder):
+        return re.findall(r"<svg.*?</svg>", (folder / "report.html").read_text(encoding="utf-8"), flags=re.DOTALL)
+
+    assert drawings(tmp_path / "again") == drawings(output[1])
+
+
+def test_failed_criterion_is_exit_1_and_still_written(shot_noise, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert shot_noise.main(["--quick", "--out", str(out), "--set", "limit_sigma=1e-6"]) == 1
+    assert "The criterion does not hold." in capsys.readouterr().out
+    assert json.loads((out / "summary.json").read_text())["criteria"][0]["passed"] is False
+
+
+@pytest.mark.slow
+def test_quick_yields_to_the_user(shot_noise, tmp_path):
+    assert shot_noise.main(["--quick", "--out", str(tmp_path / "a")]) in (0, 1)
+    assert shot_noise.main(["--quick", "--out", str(tmp_path / "b"), "--set", "samples=3000"]) in (0, 1)
+    a, b = (json.loads((tmp_path / name / "summary.json").read_text())["config"] for name in "ab")
+    assert a["samples"] == 2000
+    assert b["samples"] == 3000
+    assert a["bands"][1]["name"] == b["bands"][1]["name"] == "quick"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--set", "smaples=3"], "did you mean 'samples'"),
+        (["--sede", "3"], "--seed"),
+        (["--seed", "-1"], "-1"),
+        (["--backend", "gpu"], "'auto', 'llvm', 'cuda'"),
+        (["--config", "absent.toml"], "absent.toml: no such file"),
+        (["--set", "mean_e=[nan]"], "finite"),
+        (["--set", "mean_e=[1e13]"], "lower it"),  # found out while running
+        (["surplus"], "surplus"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_2(shot_noise, tmp_path, capsys, monkeypatch, arguments, expected):
+    monkeypatch.chdir(tmp_path)
+    assert shot_noise.main(arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("error: ")
+    assert said.err.count("\n") == 1
+    assert expected in said.err
+    assert names(tmp_path) == []
+
+
+def test_unwritable_output_is_found_before_the_work(shot_noise, tmp_path, capsys):
+    def never(config, *, progress):
+        raise AssertionError("the work began")
+
+    main = command(
+        "never",
+        config=shot_noise.Config,
+        run=never,
+        report=shot_noise.report,
+        summary=shot_noise.summary,
+        renders=False,
+    )
+    (tmp_path / "file").touch()
+    assert main(["--out", str(tmp_path / "file" / "below")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_fault_of_the_program_is_not_mistaken_for_a_failed_criterion(shot_noise, tmp_path, capsys):
+    def broken(result):
+        raise ZeroDivisionError
+
+    main = command(
+        "broken", config=shot_noise.Config, run=shot_noise.run, report=broken, summary=shot_noise.summary, renders=False
+    )
+    assert main(["--out", str(tmp_path / "out")]) == 3
+    assert "ZeroDivisionError" in capsys.readouterr().err
+    assert names(tmp_path) == []
+
+
+def test_criterion_that_is_nan_fails(shot_noise, tmp_path):
+    def nan(result):
+        return {}, [Criterion(name="nan", value=float("nan"), limit=1.0)]
+
+    main = command(
+        "nan", config=shot_noise.Config, run=shot_noise.run, report=shot_noise.report, summary=nan, renders=False
+    )
+    assert main(["--out", str(tmp_path / "out"), "--set", "samples=100"]) == 1
+
+
+def test_default_output_folder(shot_noise, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shot_noise.main(["--quick"])
+    assert (tmp_path / "out" / "shot_noise" / "report.html").is_file()
+
+
+def test_schema(shot_noise, capsys):
+    assert shot_noise.main(["--schema"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    assert schema["properties"]["samples"]["description"] == "pixels per level"
+    assert schema["additionalProperties"] is False
+
+
+def test_help_shows_what_the_experiment_is(shot_noise, capsys):
+    assert shot_noise.main(["--help"]) == 0
+    assert "is the variance of a Poisson signal its mean?" in capsys.readouterr().out
+
+
+def test_missing_llvm_is_exit_2(tmp_path):
+    program = (
+        "import importlib.util, sys; from experiments.harness.cli import command\n"
+        f"spec = importlib.util.spec_from_file_location('shot_noise', {str(SCRIPT)!r})\n"
+        "m = importlib.util.module_from_spec(spec); sys.modules['shot_noise'] = m; spec.loader.exec_module(m)\n"
+        "main = command('x', config=m.Config, run=m.run, report=m.report, summary=m.summary)\n"
+        "sys.exit(main(sys.argv[1:]))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, "--backend", "llvm", "--out", str(tmp_path / "out")],
+        cwd=ROOT,
+        env={**os.environ, "DRJIT_LIBLLVM_PATH": str(tmp_path / "absent.so")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: backend 'llvm' needs the LLVM library")
+    assert done.stderr.count("\n") == 1
+    assert "apt-get install libllvm15" in done.stderr
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interruption_leaves_nothing_behind(tmp_path, number):
+    process = subprocess.Popen(
+        [sys.executable, str(SCRIPT), "--out", str(tmp_path / "deep" / "out"), "--set", "pause_s=30"],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr.readline() == "drawing\n"
+    process.send_signal(number)
+    said = process.communicate(timeout=10)
+    assert process.returncode == 130
+    assert "interrupted; nothing was written" in said[1]
+    assert "Traceback" not in said[1]
+    assert names(tmp_path) == []
+
+
+def test_experiments_are_found_by_their_source(tmp_path):
+    for name, text in {
+        "shot_noise": SCRIPT.read_text(),
+        "helper": '"""Uses command( but is no experiment."""\nmain = 3\n',
+        "slow": "raise SystemExit('must not be imported')\n",
+    }.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "experiment.py").write_text(text)
+    assert experiments(tmp_path) == {"shot_noise": "Shot noise: is the variance of a Poisson signal its mean?"}
+
+
+def test_listing_imports_nothing_heavy():
+    program = (
+        "import runpy, sys\n"
+        "sys.argv = ['experiments']\n"
+        "try:\n    runpy.run_module('experiments', run_name='__main__')\n"
+        "except SystemExit as end:\n    assert end.code == 0\n"
+        "heavy = {'numpy', 'mitsuba', 'matplotlib', 'astropy', 'pydantic', 'rich'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for name in experiments():
+        assert name in done.stdout
+
+
+def test_every_experiment_of_the_package_says_what_it_is():
+    for name, line in experiments().items():
+        assert line, f"{name} has no docstring"

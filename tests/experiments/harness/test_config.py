@@ -1,0 +1,187 @@
+"""Configuration: layers, typing of ``--set``, names with units, one clear line for each mistake."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import pytest
+from pydantic import Field, model_validator
+
+from experiments.harness.config import ExperimentConfig, StrictModel, load_config, with_settings
+from optics.errors import ConfigError
+
+
+class Lens(StrictModel):
+    name: str = "double_gauss"
+    defocus_um: float = 0.0
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+
+
+class Disc(StrictModel):
+    kind: Literal["disc"] = "disc"
+    radius_mm: float = 1.0
+
+
+class Slit(StrictModel):
+    kind: Literal["slit"] = "slit"
+    width_um: float = 10.0
+
+
+class Move(StrictModel):
+    kind: Literal["decentre", "tilt"] = "decentre"  # a plain choice, not another sort of table
+    range_um: float = 1.0
+
+
+class Config(ExperimentConfig):
+    frames: int = Field(default=30, ge=1, description="frames per position")
+    lens: Lens = Lens(defocus_um=12.0)
+    filters: tuple[Lens, ...] = (Lens(name="a"), Lens(name="b"))
+    mask: Disc | Slit = Field(default=Disc(), discriminator="kind")
+    move: Move = Move(range_um=50.0)
+    label: str = ""
+    magnitudes_mag: list[float] = Field(default_factory=lambda: [5.0, 6.0])
+    cooled: bool = False
+
+
+def test_defaults():
+    assert load_config(Config) == Config()
+
+
+def test_later_layers_win_and_only_where_they_speak(tmp_path):
+    file = tmp_path / "run.toml"
+    file.write_text("frames = 7\n[lens]\nname = 'triplet'\n")
+    config = load_config(
+        Config, quick={"frames": 2, "lens.tilt_deg": (0.1, 0.0)}, file=file, settings=["seed=5", "label=x"], seed=9
+    )
+    assert config.frames == 7
+    assert config.lens.name == "triplet"
+    assert config.lens.tilt_deg == (0.1, 0.0)
+    assert config.lens.defocus_um == 12.0  # the default of the run, not of the Lens class
+    assert config.seed == 9
+    assert config.label == "x"
+
+
+@pytest.mark.parametrize(
+    ("setting", "read"),
+    [
+        ("frames=12", lambda c: c.frames == 12),
+        ("label=500", lambda c: c.label == "500"),
+        ("label='500 nm'", lambda c: c.label == "500 nm"),
+        ("label=a=b", lambda c: c.label == "a=b"),
+        ("label=true", lambda c: c.label == "true"),
+        ("cooled=true", lambda c: c.cooled is True),
+        ("lens.defocus_um=-3", lambda c: c.lens.defocus_um == -3.0),
+        ("lens.tilt_deg=[1, 2.5]", lambda c: c.lens.tilt_deg == (1.0, 2.5)),
+        ("filters.1.name=600", lambda c: [f.name for f in c.filters] == ["a", "600"]),
+        ("magnitudes_mag.0=4.5", lambda c: c.magnitudes_mag == [4.5, 6.0]),
+    ],
+)
+def test_set_is_typed_by_the_model(setting, read):
+    assert read(load_config(Config, settings=[setting]))
+
+
+def test_another_kind_of_table_takes_the_place(tmp_path):
+    file = tmp_path / "run.toml"
+    file.write_text("[mask]\nkind = 'slit'\nwidth_um = 25\n")
+    assert load_config(Config, file=file).mask == Slit(width_um=25.0)
+    assert load_config(Config, settings=["mask.kind=slit", "mask.width_um=30"]).mask == Slit(width_um=30.0)
+
+
+def test_plain_choice_called_kind_keeps_its_neighbours(tmp_path):
+    file = tmp_path / "run.toml"
+    file.write_text("[move]\nkind = 'tilt'\n")
+    assert load_config(Config, file=file).move == Move(kind="tilt", range_um=50.0)
+    settings = ["move.range_um=7", "move.kind=tilt"]
+    assert load_config(Config, settings=settings).move == Move(kind="tilt", range_um=7.0)
+
+
+def test_settings_do_not_change_their_input():
+    values = Config().model_dump()
+    before = Config().model_dump()
+    with_settings(Config, values, ["filters.0.name=z", "lens.defocus_um=1", "magnitudes_mag.1=2"])
+    assert values == before
+
+
+@pytest.mark.parametrize(
+    ("setting", "expected"),
+    [
+        ("framse=3", "did you mean 'frames'"),
+        ("lens.defocus_mm=3", "did you mean 'defocus_um'"),
+        ("frames=0", "at least 1"),
+        ("frames=many", "frames = 'many'"),
+        ("frames", "key=value is needed"),
+        ("=3", "key=value is needed"),
+        ("lens.defocus_um=nan", "finite"),
+        ("filters.2.name=c", "items 0 to 1"),
+        ("filters.x=c", "items 0 to 1"),
+        ("magnitudes_mag.0.x=c", "magnitudes_mag.0 = {'x': 'c'}"),
+        ("lens=3", "lens"),
+        ("seed=-1", "at least 0"),
+    ],
+)
+def test_bad_setting_is_one_line(setting, expected):
+    with pytest.raises(ConfigError, match="--set") as caught:
+        load_config(Config, settings=[setting])
+    assert expected in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_two_settings_that_are_valid_only_together():
+    class Range(ExperimentConfig):
+        first_nm: float = 400.0
+        last_nm: float = 500.0
+
+        @model_validator(mode="after")
+        def ordered(self):
+            if not self.first_nm < self.last_nm:
+                raise ValueError(f"first_nm = {self.first_nm} nm is not below last_nm = {self.last_nm} nm")
+            return self
+
+    assert load_config(Range, settings=["first_nm=600", "last_nm=700"]).last_nm == 700.0
+    with pytest.raises(ConfigError, match=r"600\.0 nm is not below"):
+        load_config(Range, settings=["first_nm=600"])
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("frames = = 3", "not valid TOML"),
+        ("frams = 3", "did you mean 'frames'"),
+        ("lens = 3", "lens"),
+        ("\xff", "TOML"),
+    ],
+)
+def test_bad_file_is_one_line(tmp_path, content, expected):
+    file = tmp_path / "broken.toml"
+    file.write_text(content, encoding="latin-1")
+    with pytest.raises(ConfigError, match=r"broken\.toml") as caught:
+        load_config(Config, file=file)
+    assert expected in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(ConfigError, match="no such file"):
+        load_config(Config, file=tmp_path / "absent.toml")
+
+
+def test_real_number_without_a_unit_in_its_name_is_refused():
+    with pytest.raises(TypeError, match="defocus holds real numbers"):
+
+        class Bad(StrictModel):
+            defocus: float = 0.0
+
+    with pytest.raises(TypeError, match="pair"):
+
+        class Worse(StrictModel):
+            pair: tuple[float, float] | None = None
+
+
+def test_names_of_pure_numbers_and_rates_are_taken():
+    class Good(StrictModel):
+        dimensionless = frozenset({"conic"})
+        conic: float = -1.0
+        fill_fraction: float = 0.5
+        rate_e_per_s: float = 1.0
+
+    assert Good().conic == -1.0

@@ -1,0 +1,166 @@
+"""The output folder appears complete or not at all, and nothing of the user's is lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+
+import pytest
+
+from experiments.harness import outputs
+from experiments.harness.outputs import PROGRAM, RECORD, OutputFolder
+from optics.errors import ConfigError
+
+
+def write(folder, name, text="x"):
+    """Write a folder with one file and the record that makes it an output of ours."""
+    with folder.writing() as staging:
+        (staging / name).write_text(text)
+        (staging / RECORD).write_text(json.dumps({"program": PROGRAM, "files": {name: "digest"}}))
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_new_folder_with_its_parents(tmp_path):
+    folder = OutputFolder(tmp_path / "a" / "b")
+    assert names(tmp_path) == []  # checking leaves nothing behind
+    write(folder, "summary.json")
+    assert names(tmp_path / "a") == ["b"]
+    assert names(tmp_path / "a" / "b") == [RECORD, "summary.json"]
+
+
+def test_folder_has_the_rights_of_a_new_folder(tmp_path):
+    ordinary = tmp_path / "ordinary"
+    ordinary.mkdir()
+    write(OutputFolder(tmp_path / "out"), "a")
+    assert stat.S_IMODE((tmp_path / "out").stat().st_mode) == stat.S_IMODE(ordinary.stat().st_mode)
+
+
+def test_empty_folder_is_taken(tmp_path):
+    (tmp_path / "out").mkdir()
+    write(OutputFolder(tmp_path / "out"), "a")
+    assert names(tmp_path / "out") == ["a", RECORD]
+
+
+@pytest.mark.parametrize("exchange_works", [True, False])
+def test_earlier_output_is_replaced(tmp_path, monkeypatch, exchange_works):
+    if not exchange_works:
+        monkeypatch.setattr(outputs, "_exchange", lambda first, second: False)
+    out = tmp_path / "out"
+    write(OutputFolder(out), "old")
+    write(OutputFolder(out), "new")
+    assert names(out) == ["new", RECORD]
+    assert names(tmp_path) == ["out"]
+
+
+def test_failed_second_rename_puts_the_earlier_output_back(tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    write(OutputFolder(out), "old")
+    monkeypatch.setattr(outputs, "_exchange", lambda first, second: False)
+    rename = os.rename
+
+    def failing(source, target):
+        if ".partial-" in str(source):
+            raise OSError(5, "Input/output error")
+        rename(source, target)
+
+    monkeypatch.setattr(os, "rename", failing)
+    with pytest.raises(ConfigError, match="Input/output error"):
+        write(OutputFolder(out), "new")
+    monkeypatch.undo()
+    assert names(out) == ["old", RECORD]
+    assert names(tmp_path) == ["out"]
+
+
+@pytest.mark.parametrize("earlier", [True, False])
+@pytest.mark.parametrize("fault", [KeyboardInterrupt, RuntimeError])
+def test_interrupted_writing_leaves_everything_as_it_was(tmp_path, earlier, fault):
+    out = tmp_path / "deep" / "out"
+    if earlier:
+        write(OutputFolder(out), "old")
+
+    def half_way():
+        with OutputFolder(out).writing() as staging:
+            (staging / "half").write_text("x")
+            raise fault
+
+    with pytest.raises(fault):
+        half_way()
+    if earlier:
+        assert names(out) == ["old", RECORD]
+        assert names(out.parent) == ["out"]
+    else:
+        assert names(tmp_path) == []
+
+
+def test_full_disk_is_one_line(tmp_path):
+    with pytest.raises(ConfigError, match="No space left") as caught, OutputFolder(tmp_path / "out").writing():
+        raise OSError(28, "No space left on device")
+    assert "\n" not in str(caught.value)
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    "record",
+    [None, "{}", "not json", '["program"]', json.dumps({"program": "another", "files": {"notes.txt": ""}})],
+)
+def test_files_of_somebody_else_are_never_touched(tmp_path, record):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    if record is not None:
+        (out / RECORD).write_text(record)
+    with pytest.raises(ConfigError, match="no earlier output; name another folder"):
+        OutputFolder(out)
+    assert (out / "notes.txt").read_text() == "mine"
+
+
+def test_a_note_put_into_an_earlier_output_is_not_lost(tmp_path):
+    out = tmp_path / "out"
+    write(OutputFolder(out), "old")
+    (out / "my-notes.txt").write_text("mine")
+    with pytest.raises(ConfigError, match=r"my-notes\.txt"):
+        OutputFolder(out)
+
+
+def test_note_that_appears_during_the_run_is_not_lost(tmp_path):
+    out = tmp_path / "out"
+    write(OutputFolder(out), "old")
+    folder = OutputFolder(out)
+    (out / "my-notes.txt").write_text("mine")
+    with pytest.raises(ConfigError, match=r"my-notes\.txt"):
+        write(folder, "new")
+    assert names(out) == ["my-notes.txt", "old", RECORD]
+    assert names(tmp_path) == ["out"]
+
+
+def test_unsuitable_paths(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(ConfigError, match="is a file"):
+        OutputFolder(tmp_path / "file")
+    with pytest.raises(ConfigError, match="cannot be written"):
+        OutputFolder(tmp_path / "file" / "below")
+    with pytest.raises(ConfigError, match="mount point"):
+        OutputFolder("/")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match="current folder"):
+        OutputFolder(".")
+
+
+def test_folder_without_write_permission(tmp_path):
+    if os.geteuid() == 0:
+        pytest.skip("the superuser may write everywhere")
+    tmp_path.chmod(0o500)
+    with pytest.raises(ConfigError, match="Permission denied"):
+        OutputFolder(tmp_path / "out")
+
+
+def test_link_to_a_folder_is_followed(tmp_path):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    write(OutputFolder(tmp_path / "link"), "a")
+    assert (tmp_path / "link").is_symlink()
+    assert names(tmp_path / "real") == ["a", RECORD]

@@ -1,0 +1,79 @@
+"""Progress: silent without a terminal, bars with one, times in both cases."""
+
+from __future__ import annotations
+
+import io
+import sys
+import time
+
+import pytest
+
+from experiments.harness.progress import Progress, terminal_progress
+from experiments.harness.provenance import peak_memory_mb, process_seconds, without_paths
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def work(progress):
+    with progress.stage("outer", total=2) as stage:
+        stage.advance()
+        for _ in progress.track(range(3), "inner"):
+            time.sleep(0.002)
+        stage.advance()
+    return list(progress.track(iter("ab"), "inner"))
+
+
+def test_silent_without_a_terminal(capsys):
+    progress = terminal_progress()
+    assert type(progress) is Progress
+    assert work(progress) == ["a", "b"]
+    said = capsys.readouterr()
+    assert said.out == said.err == ""
+
+
+def test_bars_on_a_terminal(monkeypatch):
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("TERM", "xterm")
+    assert work(terminal_progress()) == ["a", "b"]
+    assert "outer" in terminal.getvalue()
+
+
+def test_times_of_stages_add_up_and_survive_a_fault():
+    progress = Progress()
+    work(progress)
+    assert list(progress.times_s) == ["inner", "outer"]
+    assert progress.times_s["outer"] >= 0.006
+    assert progress.times_s["inner"] >= 0.006
+
+    def fails():
+        with progress.stage("fails"):
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fails()
+    assert "fails" in progress.times_s
+
+
+def test_paths_of_one_machine_are_cut():
+    config = {
+        "lens": "/opt/data/lens.toml",
+        "list": ["~/x/y.fits", 3, "C:\\data\\z.toml"],
+        "ratio": "a/b",
+        "none": None,
+    }
+    assert without_paths(config) == {"lens": "lens.toml", "list": ["y.fits", 3, "z.toml"], "ratio": "a/b", "none": None}
+
+
+def test_process_measures():
+    first = process_seconds()
+    time.sleep(0.05)
+    assert 0.03 < process_seconds() - first < 1.0
+    before = peak_memory_mb()
+    block = bytearray(64_000_000)
+    block[::4096] = b"x" * len(block[::4096])
+    assert peak_memory_mb() >= before
+    assert peak_memory_mb() > 64

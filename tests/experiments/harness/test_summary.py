@@ -1,0 +1,112 @@
+"""JSON of results: valid whatever is in it, complete, and criteria that NaN cannot pass."""
+
+from __future__ import annotations
+
+import enum
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.harness.config import ExperimentConfig
+from experiments.harness.summary import Criterion, Measured, dumps, summary, to_json
+from optics.errors import DomainError
+
+
+class Colour(enum.Enum):
+    RED = "red"
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    array: np.ndarray
+    name: str
+
+
+class Config(ExperimentConfig):
+    width_nm: float = 100.0
+
+
+def refuse_constant(name):
+    raise AssertionError(f"{name} is no JSON")
+
+
+def test_every_type_and_no_nan():
+    value = {
+        "nan": float("nan"),
+        "array": np.array([[1.0, np.nan], [np.inf, -0.5]]),
+        "float32": np.float32(0.5),
+        "int64": np.int64(7),
+        "bool": np.bool_(True),
+        "record": Record(array=np.arange(3, dtype=np.uint16), name="x"),
+        "measured": Measured(value=1.0, unit="px"),
+        "enum": Colour.RED,
+        Colour.RED: 1,
+        "path": Path("/somewhere/of/one/machine/lens.toml"),
+        "set": {3, 1, 2},
+        "none": None,
+        "model": Config(),
+        500: "number as key",
+    }
+    back = json.loads(dumps(value), parse_constant=refuse_constant)
+    assert back["nan"] is None
+    assert back["array"] == [[1.0, None], [None, -0.5]]
+    assert back["float32"] == 0.5
+    assert back["int64"] == 7
+    assert back["bool"] is True
+    assert back["record"] == {"array": [0, 1, 2], "name": "x"}
+    assert back["measured"] == {"value": 1.0, "unit": "px", "uncertainty": None, "n": None}
+    assert back["enum"] == "red"
+    assert back["red"] == 1
+    assert back["path"] == "lens.toml"
+    assert back["set"] == [1, 2, 3]
+    assert back["model"] == {"seed": 1, "width_nm": 100.0}
+    assert back["500"] == "number as key"
+
+
+def test_doubles_survive_to_the_last_bit():
+    numbers = np.random.default_rng(3).normal(size=200) * 10.0 ** np.arange(-100, 100)
+    assert json.loads(dumps(numbers)) == numbers.tolist()
+
+
+@pytest.mark.parametrize("value", [1j, np.array([1j]), object(), b"bytes"])
+def test_what_json_cannot_hold_is_refused(value):
+    with pytest.raises(TypeError):
+        to_json(value)
+
+
+@pytest.mark.parametrize(
+    ("value", "relation", "limit", "passed"),
+    [
+        (1.0, "<=", 1.0, True),
+        (1.0, "<", 1.0, False),
+        (1.0, ">=", 1.0, True),
+        (0.9, ">=", 1.0, False),
+        (1.1, ">", 1.0, True),
+        (math.nan, "<=", 1.0, False),
+        (math.nan, ">=", 1.0, False),
+        (math.inf, "<=", 1.0, False),
+    ],
+)
+def test_criterion(value, relation, limit, passed):
+    assert Criterion(name="n", value=value, limit=limit, relation=relation).passed is passed
+
+
+def test_criterion_that_means_nothing_is_refused():
+    with pytest.raises(DomainError, match="relation"):
+        Criterion(name="n", value=1.0, limit=1.0, relation="==")
+    with pytest.raises(DomainError, match="NaN"):
+        Criterion(name="n", value=1.0, limit=math.nan)
+
+
+def test_summary_holds_what_it_always_holds():
+    criteria = [Criterion(name="bias", value=np.float64("nan"), limit=0.01, unit="px")]
+    content = summary("demo", Config(seed=4), {"bias_px": np.nan}, criteria)
+    assert list(content) == ["experiment", "seed", "config", "results", "criteria"]
+    assert content["seed"] == 4
+    assert content["config"] == {"seed": 4, "width_nm": 100.0}
+    assert content["results"] == {"bias_px": None}
+    assert content["criteria"] == [{"name": "bias", "value": None, "limit": 0.01, "unit": "px", "passed": False}]

@@ -1,0 +1,103 @@
+"""Tables: numbers as people read them, full precision for machines."""
+
+from __future__ import annotations
+
+import io
+import math
+
+import numpy as np
+import pytest
+from astropy.table import Table as AstropyTable
+
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Column, Table, cell_text, to_astropy, to_rich, write_ecsv
+from optics.errors import DomainError
+
+
+@pytest.mark.parametrize(
+    ("cell", "spec", "text"),
+    [
+        (None, "", ""),
+        ("text", ".3f", "text"),
+        (True, "", "yes"),
+        (np.bool_(False), "", "no"),
+        (0.0, "", "0"),
+        (0.123456, "", "0.1235"),
+        (-0.000123456, "", "−0.0001235"),
+        (1.5e-7, "", "1.500×10⁻⁷"),
+        (12345.6, "", "12346"),
+        (-0.0001, ".2f", "0.00"),
+        (-0.12, ".2f", "−0.12"),
+        (1234567, "", "1\N{THIN SPACE}234\N{THIN SPACE}567"),
+        (math.nan, ".3f", "–"),
+        (-math.inf, "", "−∞"),
+        (Measured(value=0.12034, uncertainty=0.0042), "", "0.1203 ± 0.0042"),
+        (Measured(value=0.12034, uncertainty=0.00996), "", "0.120 ± 0.010"),
+        (Measured(value=-1.3e-5, uncertainty=0.01), "", "0.000 ± 0.010"),
+        (Measured(value=12345.6, uncertainty=34.0), "", "12346 ± 34"),
+        (Measured(value=1.3e-7, uncertainty=2e-9), "", "(1.300 ± 0.020)×10⁻⁷"),
+        (Measured(value=5.0), "", "5.000"),
+        (Measured(value=math.nan, uncertainty=1.0), "", "–"),
+    ],
+)
+def test_cell_text(cell, spec, text):
+    assert cell_text(cell, spec) == text
+
+
+@pytest.fixture
+def table():
+    return Table(
+        columns=[
+            "Band",
+            Column(name="Shift x", unit="px"),
+            Column(name="Stars", key="star_count"),
+            Column(name="Noise", unit="e⁻"),
+        ],
+        rows=[
+            ("600-500", Measured(value=0.1 / 3, unit="px", uncertainty=0.001), 25, 2.0),
+            ("800-600", Measured(value=0.12, unit="px"), None, 3.0),
+        ],
+        caption="Table 1",
+        note="N = 30 frames",
+    )
+
+
+@pytest.mark.parametrize("style", [False, "1.13"])
+def test_ecsv_round_trip(table, tmp_path, style):
+    path = tmp_path / "table1.ecsv"
+    with np.printoptions(legacy=style):  # colour-science leaves "1.13" behind
+        write_ecsv(table, path)
+    back = AstropyTable.read(path, format="ascii.ecsv")
+    assert back.colnames == ["band", "shift_x_px", "shift_x_px_error", "star_count", "noise_e"]
+    assert back["shift_x_px"].unit == "pix"
+    assert back["noise_e"].unit == "electron"
+    assert back["shift_x_px"][0] == 0.1 / 3  # every bit
+    assert back["shift_x_px_error"][0] == 0.001
+    assert np.isnan(back["shift_x_px_error"][1])
+    assert np.isnan(back["star_count"][1])
+    assert back.meta["note"] == "N = 30 frames"
+
+
+def test_empty_table_keeps_its_columns():
+    empty = Table(columns=["a", Column(name="b", unit="px")], rows=[])
+    assert to_astropy(empty).colnames == ["a", "b_px"]
+    assert len(to_rich(empty).columns) == 2
+
+
+def test_which_columns_are_numbers(table):
+    assert [table.numeric(index) for index in range(4)] == [False, True, True, True]
+
+
+def test_row_of_the_wrong_length_is_refused():
+    with pytest.raises(DomainError, match="row 1 has 1 cells where 2 are needed"):
+        Table(columns=["a", "b"], rows=[(1, 2), (3,)])
+
+
+def test_terminal_table_shows_brackets_and_markup_as_they_are():
+    from rich.console import Console
+
+    console = Console(width=100, record=True, file=io.StringIO())
+    console.print(to_rich(Table(columns=[Column(name="x", unit="px")], rows=[("[red]5[/red]",)])))
+    text = console.export_text()
+    assert "x [px]" in text
+    assert "[red]5[/red]" in text

@@ -1,0 +1,243 @@
+"""Glass: published indices, Abbe numbers, temperature coefficients and transmittances come out of the coefficients."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from optics.errors import ConfigError, DomainError
+from optics.glass.air import air_index
+from optics.glass.catalogue import Glass, ThermalDispersion, get_glass, glass_from_table, list_glasses, sellmeier
+
+D, F, C = 587.5618, 486.1327, 656.2725
+PRINTED = [name for name in list_glasses() if get_glass(name).nd is not None]
+
+# SCHOTT data table of 2018-06-01: printed indices, not used anywhere in the catalogue file
+LINES_NM = (2325.4, 1529.6, 1060.0, 852.11, 706.5188, 632.8, 546.074, 479.9914, 435.8343, 404.6561)
+SCHOTT_INDEX = {
+    "N-BK7": (1.48921, 1.50091, 1.50669, 1.5098, 1.51289, 1.51509, 1.51872, 1.52283, 1.52668, 1.53024),
+    "N-FK51A": (1.46958, 1.47608, 1.47959, 1.48165, 1.48379, 1.48534, 1.48794, 1.49088, 1.49364, 1.49618),
+    "N-KZFS4": (1.57535, 1.58971, 1.59739, 1.60199, 1.60688, 1.61049, 1.61664, 1.6238, 1.63071, 1.63723),
+    "N-LAK9": (1.65294, 1.66804, 1.67584, 1.68033, 1.68497, 1.68834, 1.69401, 1.70051, 1.70667, 1.71239),
+    "F2": (1.58465, 1.59513, 1.6019, 1.60671, 1.61227, 1.61656, 1.62408, 1.6331, 1.64202, 1.65064),
+    "N-SF6": (1.74895, 1.76307, 1.77341, 1.78144, 1.79114, 1.79883, 1.81266, 1.8298, 1.84738, 1.86506),
+}
+# the same table: dn/dT [1e-6/K] at 1060 nm, e, g; relative, absolute for -40/-20 C, then 20/40 C, then 60/80 C
+SCHOTT_DNDT = {
+    "N-BK7": ((2.4, 2.9, 3.3), (0.3, 0.8, 1.2), (2.4, 3, 3.5), (1.1, 1.6, 2.1), (2.5, 3.1, 3.7), (1.5, 2.1, 2.7)),
+    "N-FK51A": (
+        (-4.9, -4.6, -4.3), (-6.9, -6.6, -6.4), (-6, -5.7, -5.3), (-7.3, -7, -6.7), (-6.5, -6.2, -5.8),
+        (-7.5, -7.2, -6.9),
+    ),
+    "N-KZFS4": ((2.7, 3.5, 4.4), (0.5, 1.3, 2.2), (2.7, 3.7, 4.7), (1.3, 2.3, 3.2), (2.8, 3.9, 5), (1.7, 2.8, 3.9)),
+    "N-LAK9": ((3, 3.9, 4.6), (0.8, 1.6, 2.3), (2.9, 3.7, 4.4), (1.5, 2.2, 2.9), (3.1, 3.8, 4.4), (2, 2.7, 3.3)),
+    "N-SF6": ((-0.7, 1.2, 3.9), (-3, -1.2, 1.3), (-0.8, 1.5, 4.8), (-2.3, 0, 3.1), (-0.8, 1.8, 5.4), (-2, 0.6, 4.1)),
+}  # fmt: skip
+
+
+def test_catalogue_is_wide_and_every_entry_has_maker_source_and_range() -> None:
+    assert len(list_glasses()) >= 40
+    assert {get_glass(name).maker for name in list_glasses()} == {"SCHOTT", "OHARA", "CDGM", "generic"}
+    for name in list_glasses():
+        glass = get_glass(name)
+        assert len(glass.source) > 20, name
+        assert glass.range_nm[0] <= 410.0, name
+        assert glass.range_nm[1] >= 1060.0, name
+    assert sorted(sum((list_glasses(m) for m in ("SCHOTT", "OHARA", "CDGM", "generic")), ())) == list(list_glasses())
+
+
+@pytest.mark.parametrize("name", PRINTED)
+def test_printed_index_and_abbe_number(name: str) -> None:
+    """Five decimals of nd and two of vd are printed; the fit reproduces the measured lines to 1e-6."""
+    glass = get_glass(name)
+    nd, nf, nc = (float(glass.index(line)) for line in (D, F, C))
+    assert nd == pytest.approx(glass.nd, abs=6e-6)
+    if glass.vd is not None:
+        slack = 0.005 + glass.vd * 2e-6 / (nf - nc)
+        assert abs((nd - 1.0) / (nf - nc) - glass.vd) < slack
+
+
+@pytest.mark.parametrize("name", SCHOTT_INDEX)
+def test_printed_indices_from_blue_to_infrared(name: str) -> None:
+    assert get_glass(name).index(LINES_NM) == pytest.approx(SCHOTT_INDEX[name], abs=1.0e-5)
+
+
+@pytest.mark.parametrize("name", SCHOTT_DNDT)
+def test_printed_temperature_coefficients(name: str) -> None:
+    """Rounded to 0.1e-6/K: within 0.05, and 0.007 for the air formula behind the relative ones."""
+    glass = get_glass(name)
+    lines = (1060.0, 546.074, 435.8343)
+    for step, start in enumerate((-40.0, 20.0, 60.0)):
+        relative, absolute = (
+            (np.asarray(index(lines, temperature_c=start + 20.0)) - index(lines, temperature_c=start)) / 20.0 * 1e6
+            for index in (glass.relative_index, glass.absolute_index)
+        )
+        assert relative == pytest.approx(SCHOTT_DNDT[name][2 * step], abs=0.057)
+        assert absolute == pytest.approx(SCHOTT_DNDT[name][2 * step + 1], abs=0.053)
+
+
+def test_ohara_indices_hold_at_25_celsius() -> None:
+    """The printed relative dn/dT of S-FPL51 (OHARA data table 2018-05) around the D line, -40/-20 ... 60/80 C."""
+    glass = get_glass("S-FPL51")
+    assert glass.reference_temperature_c == 25.0
+    edges = np.arange(-40.0, 81.0, 20.0)
+    n = np.array([float(glass.relative_index(589.29, temperature_c=t)) for t in edges])
+    assert np.diff(n) / 20.0 * 1e6 == pytest.approx([-5.4, -5.7, -5.9, -6.2, -6.4, -6.7], abs=0.06)
+
+
+def test_star_camera_glasses_carry_the_coefficients_of_its_prescription() -> None:
+    assert get_glass("N-FK51A").B == (0.971247817, 0.216901417, 0.904651666)
+    assert get_glass("N-KZFS4").C == (0.0087628207, 0.0371767201, 90.3866994)
+    assert get_glass("N-LAK9").B == (1.46231905, 0.344399589, 1.15508372)
+
+
+def test_fused_silica_gives_the_printed_indices() -> None:
+    """Six decimals as listed by makers of fused silica after Malitson 1965."""
+    lines = (404.6561, 435.8343, 486.1327, 546.0740, 587.5618, 656.2725, 852.1101, 1013.98)
+    printed = (1.469618, 1.466693, 1.463126, 1.460078, 1.458464, 1.456367, 1.452465, 1.450242)
+    assert get_glass("fused-silica").index(lines) == pytest.approx(printed, abs=1e-6)
+
+
+def test_three_independent_measurements_of_calcium_fluoride_agree() -> None:
+    """Within 1e-4, as crystals differ (measured: 3.4e-5 and 5.8e-5); Malitson's is at 24 C, 4 K x -1.1e-5/K below."""
+    lines, schott = np.linspace(400.0, 1000.0, 25), get_glass("LITHOTEC-CAF2")
+    assert schott.index(lines) == pytest.approx(get_glass("CaF2-Daimon").index(lines), abs=1e-4)
+    assert get_glass("CaF2").index(lines) == pytest.approx(schott.relative_index(lines, temperature_c=24.0), abs=1e-4)
+
+
+def test_air_and_vacuum_differ_by_the_index_of_air() -> None:
+    glass, lines = get_glass("N-SF11"), np.linspace(400.0, 1000.0, 7)
+    assert glass.relative_index(lines) == pytest.approx(glass.index(lines), abs=1e-15)
+    ratio = glass.relative_index(lines, medium="vacuum") / glass.relative_index(lines)
+    assert ratio == pytest.approx(air_index(lines), abs=1e-15)
+    assert glass.relative_index(lines, pressure_hpa=0.0) == pytest.approx(glass.absolute_index(lines), abs=1e-15)
+
+
+def test_sellmeier_without_resonances_in_reach_is_constant_and_shape_is_kept() -> None:
+    lines = np.full((2, 3), 600.0)
+    assert sellmeier(lines, [1.25], [0.0]) == pytest.approx(np.full((2, 3), 1.5), abs=1e-15)
+    assert get_glass("N-BK7").index(lines).shape == (2, 3)
+
+
+def test_internal_transmittance_follows_the_other_printed_thickness() -> None:
+    """The catalogue file holds SCHOTT's 25 mm column; the 10 mm column is printed beside it, to three decimals."""
+    lines = (365.0, 400.0, 420.0, 500.0, 700.0, 1060.0)
+    for name, printed in {
+        "N-KZFS4": (0.924, 0.979, 0.984, 0.995, 0.998, 0.998),
+        "F2": (0.968, 0.994, 0.996, 0.999, 0.999, 0.999),
+        "N-LAK9": (0.906, 0.980, 0.988, 0.997, 0.9984, 0.9984),
+    }.items():
+        assert get_glass(name).internal_transmittance(lines, 10.0) == pytest.approx(printed, abs=6e-4)
+
+
+def test_internal_transmittance_multiplies_along_the_path() -> None:
+    glass, lines = get_glass("N-SF6"), np.array([420.0, 550.0])
+    one, two, both = (glass.internal_transmittance(lines, path) for path in (3.0, 8.5, 11.5))
+    assert one * two == pytest.approx(both, rel=1e-13)
+    assert glass.internal_transmittance(lines, 0.0) == pytest.approx([1.0, 1.0], abs=0.0)
+
+
+def test_inline_glass_is_a_glass_like_any_other() -> None:
+    table = {"B": [1.35055424, 0.197575506, 1.09962992], "C": [0.0087628207, 0.0371767201, 90.3866994]}
+    glass = glass_from_table("mine", table | {"range_nm": [400, 900]}, source="my own melt")
+    assert glass.index(600.0) == pytest.approx(float(get_glass("N-KZFS4").index(600.0)), abs=0.0)
+    assert glass.source == "my own melt"
+
+
+def test_records_are_shared_and_their_curves_locked() -> None:
+    glass = get_glass("N-BK7")
+    assert get_glass("N-BK7") is glass
+    assert glass.transmittance is not None
+    with pytest.raises(ValueError, match="read-only"):
+        glass.transmittance.value[0] = 0.5
+
+
+def one_line(error: pytest.ExceptionInfo[ValueError], *parts: str) -> None:
+    message = str(error.value)
+    assert "\n" not in message
+    for part in parts:
+        assert re.search(part, message), f"{part!r} not in {message!r}"
+
+
+def test_unknown_glass_names_the_nearest() -> None:
+    with pytest.raises(ConfigError) as error:
+        get_glass("N-FK51")
+    one_line(error, "N-FK51A")
+    with pytest.raises(ConfigError) as error:
+        list_glasses("SHOTT")
+    one_line(error, "SCHOTT")
+
+
+@pytest.mark.parametrize("value", [250.0, 3000.0, float("nan"), float("inf"), -500.0])
+def test_wavelength_outside_names_glass_value_and_range(value: float) -> None:
+    with pytest.raises(DomainError) as error:
+        get_glass("N-BK7").index([500.0, value])
+    one_line(error, "N-BK7", f"{value:g} nm", "300 ... 2500 nm")
+
+
+def test_temperature_without_data_or_outside_is_refused() -> None:
+    with pytest.raises(DomainError) as error:
+        get_glass("CaF2").absolute_index(500.0, temperature_c=0.0)
+    one_line(error, "CaF2", "dn/dT", "24 C")
+    with pytest.raises(DomainError) as error:
+        get_glass("S-BSL7").absolute_index(500.0, temperature_c=95.0)
+    one_line(error, "S-BSL7", "95 C", "-40 ... 80 C")
+    with pytest.raises(ConfigError) as error:
+        get_glass("N-BK7").relative_index(500.0, medium="water")  # type: ignore[arg-type]
+    one_line(error, "water", "air")
+
+
+GOOD = {"B": [1.0, 0.2], "C": [0.01, 90.0], "range_nm": [400, 700], "source": "test"}
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "part"),
+    [
+        ({"rnage_nm": [400, 700]}, ConfigError, "range_nm"),
+        ({"B": [1.0]}, DomainError, "1 B and 2 C"),
+        ({"B": [1.0, float("nan")]}, DomainError, "not finite"),
+        ({"B": "abc"}, DomainError, "not a list of numbers"),
+        ({"C": [0.25, 90.0]}, DomainError, "resonance at 500 nm"),
+        ({"B": [-0.5, 0.2]}, DomainError, "falls to"),
+        ({"range_nm": [700, 400]}, DomainError, "range"),
+        ({"source": ""}, ConfigError, "source"),
+        ({"dndt": [1e-6, 0.0]}, ConfigError, "2 numbers"),
+        ({"nd": "high"}, DomainError, "nd"),
+        ({"transmittance": [0.9]}, ConfigError, "belong together"),
+        ({"transmittance": [0.9, 1.2], "transmittance_nm": [400, 700], "transmittance_mm": 10}, DomainError, "1.2"),
+        (
+            {"transmittance": [0.9, 0.9], "transmittance_nm": [700, 400], "transmittance_mm": 10},
+            DomainError,
+            "increase",
+        ),
+        (
+            {"transmittance": [0.9, 0.9], "transmittance_nm": [400, 700], "transmittance_mm": -1},
+            DomainError,
+            "positive",
+        ),
+    ],
+)
+def test_tables_that_make_no_glass(change: dict[str, object], kind: type[ValueError], part: str) -> None:
+    with pytest.raises(kind) as error:
+        glass_from_table("mine", GOOD | change)
+    one_line(error, "mine", part)
+
+
+def test_missing_coefficients_and_paths() -> None:
+    with pytest.raises(ConfigError, match="'C' is missing"):
+        glass_from_table("mine", {"B": [1.0]}, source="test")
+    with pytest.raises(ConfigError, match="a table with B and C"):
+        glass_from_table("mine", 3, source="test")  # type: ignore[arg-type]
+    with pytest.raises(DomainError, match=r"path -1 mm"):
+        get_glass("N-BK7").internal_transmittance(500.0, -1.0)
+    with pytest.raises(DomainError, match="no internal transmittance"):
+        get_glass("MgF2").internal_transmittance(500.0, 1.0)
+    with pytest.raises(DomainError, match="not finite"):
+        ThermalDispersion(D0=float("nan"), D1=0.0, D2=0.0, E0=0.0, E1=0.0, lambda_tk_um=0.2)
+    with pytest.raises(ConfigError, match="formula"):
+        replace(get_glass("N-BK7"), formula="conrady")  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="belong together"):
+        Glass(name="x", source="s", B=(1.0,), C=(0.01,), range_nm=(400.0, 700.0), transmittance_mm=10.0)

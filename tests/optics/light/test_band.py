@@ -1,0 +1,175 @@
+"""Bands: shape of the trapezoid, exactness and order of the nodes, the limit of a narrow line."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from optics.errors import ConfigError, DomainError
+from optics.light.band import Band, BandNodes, TabulatedBand, TopHat, band_nodes
+from optics.light.spectrum import Blackbody
+
+STAR = Blackbody(temperature_k=6000.0)
+
+
+def curve(seed: int, points: int = 60) -> TabulatedBand:
+    """A jagged filter curve with many more points than nodes."""
+    value = np.random.default_rng(seed).uniform(0.2, 0.9, points)
+    value[[0, -1]] = 0.0
+    return TabulatedBand(name="jagged", source="test", wavelength_nm=np.linspace(520.0, 700.0, points), value=value)
+
+
+def exact(band: Band, power: int) -> float:
+    """Integral of ((l - 600) / 100)^power times the band, piece by piece with scipy."""
+    edges = band.breakpoints_nm
+    return sum(
+        quad(lambda wave: ((wave - 600.0) / 100.0) ** power * float(band.transmission(wave)), low, high)[0]
+        for low, high in pairwise(edges)
+    )
+
+
+def test_top_hat_is_half_at_its_width_and_straight_between() -> None:
+    band = TopHat(centre_nm=600.0, width_nm=100.0, edge_nm=10.0, peak=0.9)
+    wave = np.array([540.0, 545.0, 546.0, 550.0, 554.0, 555.0, 600.0, 645.0, 650.0, 655.0, 700.0])
+    expected = 0.9 * np.array([0.0, 0.0, 0.1, 0.5, 0.9, 1.0, 1.0, 1.0, 0.5, 0.0, 0.0])
+    assert band.transmission(wave) == pytest.approx(expected, abs=1e-14)
+    assert band.breakpoints_nm == pytest.approx([545.0, 555.0, 645.0, 655.0])
+    assert band.name == "600/100"
+    assert isinstance(band, Band)
+
+
+def test_area_of_a_top_hat_does_not_depend_on_its_edges() -> None:
+    bands = [TopHat(centre_nm=600.0, width_nm=100.0, edge_nm=e) for e in (0.0, 5.0, 60.0, 100.0)]
+    nodes = band_nodes(bands, 8)
+    assert nodes.integrate(np.ones((4, 8))) == pytest.approx(np.full(4, 100.0), rel=1e-13)
+    assert nodes.name == ("600/100",) * 4
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 9])
+def test_step_band_is_exact_to_degree_2k_minus_1_and_no_further(count: int) -> None:
+    band = TopHat(centre_nm=640.0, width_nm=120.0)
+    nodes = band_nodes([band], count)
+    x = (nodes.wavelength_nm - 600.0) / 100.0
+    for power in range(2 * count):
+        assert float(nodes.integrate(x**power)[0]) == pytest.approx(exact(band, power), rel=1e-12)
+    assert float(nodes.integrate(x ** (2 * count))[0]) != pytest.approx(exact(band, 2 * count), rel=1e-9)
+
+
+@pytest.mark.parametrize("count", [2, 6, 12])
+def test_tabulated_band_is_exact_to_degree_2k_minus_1_and_no_further(count: int) -> None:
+    band = curve(3)
+    nodes = band_nodes([band], count)
+    x = (nodes.wavelength_nm - 600.0) / 100.0
+    for power in range(2 * count):
+        assert float(nodes.integrate(x**power)[0]) == pytest.approx(exact(band, power), rel=1e-9, abs=1e-9)
+    assert float(nodes.integrate(x ** (2 * count))[0]) != pytest.approx(exact(band, 2 * count), rel=1e-9)
+    assert (nodes.weight_nm > 0.0).all()
+    assert (np.diff(nodes.wavelength_nm) > 0.0).all()
+
+
+@pytest.mark.parametrize("band", [TopHat(centre_nm=600.0, width_nm=100.0, edge_nm=8.0), curve(5)])
+def test_nodes_converge_to_the_photons_of_a_star(band: Band) -> None:
+    """Geometric convergence; 12 nodes are exact to 1e-9 against adaptive quadrature over every piece."""
+    edges = band.breakpoints_nm
+    truth = sum(
+        quad(lambda wave: float(STAR.photon_density(wave) * band.transmission(wave)), low, high, epsrel=1e-13)[0]
+        for low, high in pairwise(edges)
+    )
+    errors = []
+    for count in (3, 6, 12):
+        nodes = band_nodes([band], count)
+        errors.append(abs(float(nodes.integrate(STAR.photon_density(nodes.wavelength_nm))[0]) / truth - 1.0))
+    assert errors[0] < 1e-2
+    assert errors[1] < 1e-4
+    assert errors[2] < 1e-9
+
+
+def test_a_narrow_band_is_its_line() -> None:
+    """The error of the centre value falls with the square of the width."""
+    centre, errors = 600.0, []
+    for width in (8.0, 4.0, 2.0):
+        nodes = band_nodes([TopHat(centre_nm=centre, width_nm=width, edge_nm=0.5 * width)], 6)
+        mean = float(nodes.integrate(STAR.photon_density(nodes.wavelength_nm))[0]) / width
+        errors.append(mean / float(STAR.photon_density(centre)) - 1.0)
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.01)
+    assert errors[1] / errors[2] == pytest.approx(4.0, rel=0.01)
+    assert (4.0 * errors[2] - errors[1]) / 3.0 == pytest.approx(0.0, abs=1e-9)  # width to zero (Richardson)
+
+
+def test_a_table_of_a_trapezoid_is_the_trapezoid() -> None:
+    hat = TopHat(centre_nm=800.0, width_nm=90.0, edge_nm=20.0)
+    table = TabulatedBand(
+        name="same", source="test", wavelength_nm=np.array([700.0, 745.0, 765.0, 835.0, 855.0, 900.0]),
+        value=np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0]),
+    )  # fmt: skip
+    wave = np.linspace(690.0, 910.0, 111)
+    assert table.transmission(wave) == pytest.approx(hat.transmission(wave), abs=1e-14)
+    pair = band_nodes([hat, table], 9)
+    assert pair.wavelength_nm[0] == pytest.approx(pair.wavelength_nm[1], abs=1e-10)
+
+
+def test_nodes_are_locked_and_integrate_over_leading_axes() -> None:
+    nodes = band_nodes([TopHat(centre_nm=500.0, width_nm=100.0), TopHat(centre_nm=600.0, width_nm=50.0)], 4)
+    assert nodes.integrate(np.ones((7, 2, 4))) == pytest.approx(np.tile([100.0, 50.0], (7, 1)))
+    with pytest.raises(ValueError, match="read-only"):
+        nodes.weight_nm[0, 0] = 1.0
+    with pytest.raises(DomainError, match="shape"):
+        BandNodes(name=("a",), wavelength_nm=np.ones((1, 3)), weight_nm=np.ones((1, 4)), transmission=np.ones((1, 3)))
+
+
+@pytest.mark.parametrize(
+    ("change", "part"),
+    [
+        ({"width_nm": -1.0}, "width -1 nm"),
+        ({"width_nm": 0.0}, "width 0 nm"),
+        ({"centre_nm": float("nan")}, "nan"),
+        ({"edge_nm": -1.0}, "edge -1 nm"),
+        ({"edge_nm": 101.0}, "edge 101 nm"),
+        ({"edge_nm": float("nan")}, "edge nan nm"),
+        ({"peak": 1.5}, "1.5"),
+        ({"peak": 0.0}, "0 excluded"),
+        ({"centre_nm": 40.0}, "below 0 nm"),
+    ],
+)
+def test_bad_top_hats(change: dict[str, float], part: str) -> None:
+    with pytest.raises(DomainError) as error:
+        TopHat(**({"centre_nm": 600.0, "width_nm": 100.0} | change))
+    assert part in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("wave", "value", "part"),
+    [
+        ([600.0, 500.0], [0.5, 0.5], "must increase"),
+        ([500.0, 600.0], [0.5, 1.1], "value 1.1 at 600 nm"),
+        ([500.0, 600.0], [-0.5, 0.5], "value -0.5 at 500 nm"),
+        ([500.0, 600.0], [float("nan"), 0.5], "nan"),
+        ([500.0, 600.0], [0.0, 0.0], "opaque"),
+    ],
+)
+def test_bad_tables(wave: list[float], value: list[float], part: str) -> None:
+    with pytest.raises(DomainError) as error:
+        TabulatedBand(name="bad", source="test", wavelength_nm=wave, value=value)  # type: ignore[arg-type]
+    assert part in str(error.value)
+
+
+def test_other_mistakes() -> None:
+    band = TopHat(centre_nm=600.0, width_nm=100.0, edge_nm=10.0)
+    with pytest.raises(ConfigError, match="no band"):
+        band_nodes([], 4)
+    with pytest.raises(DomainError, match="0 nodes"):
+        band_nodes([band], 0)
+    with pytest.raises(DomainError, match="NaN"):
+        band.transmission([500.0, float("nan")])
+    with pytest.raises(ConfigError, match="source"):
+        TabulatedBand(name="x", source="", wavelength_nm=np.array([1.0, 2.0]), value=np.array([1.0, 1.0]))
+    gap = TabulatedBand(
+        name="two peaks", source="test", wavelength_nm=np.array([500.0, 510.0, 520.0, 680.0, 690.0, 700.0]),
+        value=np.array([0.0, 1.0, 0.0, 0.0, 1.0, 0.0]),
+    )  # fmt: skip
+    with pytest.raises(DomainError, match="opaque at 600 nm"):
+        band_nodes([gap], 5)

@@ -1,0 +1,145 @@
+"""Spectra: photon counts of black bodies against radiation laws and astropy, tables in and out of other libraries."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from astropy import units
+from astropy.modeling.models import BlackBody
+from scipy import constants
+from scipy.special import zeta
+
+from optics.errors import ConfigError, DomainError
+from optics.light.spectrum import PHOTON_J_NM, Blackbody, Sed, TabulatedSed, sed_from_astropy, sed_from_colour
+
+
+def all_wavelengths(temperature_k: float) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss-Legendre nodes in log wavelength, wide enough for Planck's law to be complete to 1e-13."""
+    x, w = np.polynomial.legendre.leggauss(400)
+    low, high = np.log(2.5e5 / temperature_k), np.log(1e7)
+    wave = np.exp(0.5 * (low + high) + 0.5 * (high - low) * x)
+    return wave, 0.5 * (high - low) * w * wave
+
+
+@pytest.mark.parametrize("temperature_k", [3000.0, 5772.0, 30000.0])
+def test_total_power_is_stefan_boltzmann(temperature_k: float) -> None:
+    wave, weight = all_wavelengths(temperature_k)
+    power_mm2 = (Blackbody(temperature_k=temperature_k).photon_density(wave) * PHOTON_J_NM / wave) @ weight
+    assert power_mm2 * 1e6 == pytest.approx(constants.Stefan_Boltzmann * temperature_k**4, rel=1e-8)
+
+
+@pytest.mark.parametrize("temperature_k", [3000.0, 5772.0, 30000.0])
+def test_total_photons_follow_the_cube_of_temperature(temperature_k: float) -> None:
+    """4 pi zeta(3) k^3 T^3 / (h^3 c^2) photons s^-1 m^-2; what lies beyond 1 cm is below 1e-4 at 3000 K squared."""
+    wave, weight = all_wavelengths(temperature_k)
+    photons = 4.0 * np.pi * zeta(3) * (constants.k * temperature_k / constants.h) ** 3 / constants.c**2
+    assert Blackbody(temperature_k=temperature_k).photon_density(wave) @ weight * 1e6 == pytest.approx(
+        photons, rel=1e-6
+    )
+
+
+def test_photon_peak_obeys_wien() -> None:
+    """Per wavelength, photons peak at lambda T = 3.669703 mm K (root of x = 4 (1 - exp(-x)))."""
+    wave = np.linspace(500.0, 760.0, 26001)
+    peak = wave[np.argmax(Blackbody(temperature_k=5772.0).photon_density(wave))]
+    assert peak * 5772.0 == pytest.approx(3.669703e6, rel=1e-5)
+
+
+@pytest.mark.parametrize("temperature_k", [300.0, 3000.0, 9600.0, 30000.0])
+def test_blackbody_agrees_with_astropy(temperature_k: float) -> None:
+    wave = np.linspace(300.0, 1100.0, 41)
+    model = BlackBody(
+        temperature=temperature_k * units.K, scale=1.0 * units.erg / (units.s * units.cm**2 * units.AA * units.sr)
+    )
+    flux = (model(wave * units.nm) * np.pi * units.sr).to_value(
+        units.photon / (units.s * units.mm**2 * units.nm), units.spectral_density(wave * units.nm)
+    )
+    assert Blackbody(temperature_k=temperature_k).photon_density(wave) == pytest.approx(flux, rel=1e-10)
+
+
+def test_cold_body_in_the_blue_neither_overflows_nor_warns() -> None:
+    assert 0.0 <= float(Blackbody(temperature_k=10.0).photon_density(300.0)) < 1e-300
+
+
+def test_power_and_photon_tables_of_one_source_agree() -> None:
+    wave = np.linspace(400.0, 900.0, 11)
+    photons = Blackbody(temperature_k=4000.0).photon_density(wave)
+    as_photons = TabulatedSed(name="p", source="test", wavelength_nm=wave, value=photons, quantity="photon")
+    as_power = TabulatedSed(
+        name="w", source="test", wavelength_nm=wave, value=photons * PHOTON_J_NM / wave, quantity="power"
+    )
+    assert as_power.photon_density(wave) == pytest.approx(as_photons.photon_density(wave), rel=1e-14)
+    assert as_photons.photon_density(425.0) == pytest.approx(0.5 * (photons[0] + photons[1]), rel=1e-14)
+    assert isinstance(as_power, Sed)
+    assert isinstance(Blackbody(temperature_k=4000.0), Sed)
+
+
+def test_colour_science_illuminant() -> None:
+    """CIE 15: illuminant A is Planck's law at 2848 K with c2 = 1.435e-2 m K, 2855.5 K with today's constant."""
+    colour = pytest.importorskip("colour")
+    sed = sed_from_colour(colour.SDS_ILLUMINANTS["A"])
+    wave = np.arange(400.0, 751.0, 50.0)
+    ratio = sed.photon_density(wave) / Blackbody(temperature_k=2848.0 * 1.438777 / 1.4350).photon_density(wave)
+    assert ratio / ratio[0] == pytest.approx(np.ones_like(ratio), abs=2e-4)
+    assert "colour" in sed.source
+
+
+def test_astropy_units_in_any_order_and_kind() -> None:
+    """The same flat f_nu spectrum as frequency in Jy and as wavelength in photons."""
+    wave = np.array([400.0, 500.0, 800.0])
+    from_jy = sed_from_astropy(
+        (constants.c / (wave * 1e-9))[::-1] * units.Hz, np.full(3, 3640.0) * units.Jy, name="flat", source="test"
+    )
+    # photons s^-1 mm^-2 nm^-1 of f_nu: f_nu / (h lambda), 1 Jy = 1e-26 W m^-2 Hz^-1
+    expected = 3640e-26 / constants.h / (wave * 1e-9) * 1e-15
+    assert from_jy.wavelength_nm == pytest.approx(wave, rel=1e-12)
+    assert from_jy.photon_density(wave) == pytest.approx(expected, rel=1e-9)
+
+
+def one_line(error: pytest.ExceptionInfo[ValueError], part: str) -> None:
+    assert "\n" not in str(error.value)
+    assert part in str(error.value)
+
+
+@pytest.mark.parametrize("temperature_k", [0.0, -10.0, float("nan"), float("inf")])
+def test_temperature_must_be_positive(temperature_k: float) -> None:
+    with pytest.raises(DomainError) as error:
+        Blackbody(temperature_k=temperature_k)
+    one_line(error, f"{temperature_k:g} K")
+
+
+@pytest.mark.parametrize(
+    ("wave", "value", "part"),
+    [
+        ([500.0, 400.0], [1.0, 1.0], "must increase"),
+        ([400.0, 400.0], [1.0, 1.0], "must increase"),
+        ([400.0, 500.0], [1.0, -1.0], "value -1 at 500 nm"),
+        ([400.0, 500.0], [1.0, float("nan")], "nan"),
+        ([400.0, 500.0], [0.0, 0.0], "zero everywhere"),
+        ([400.0, 500.0], [1.0], "shape"),
+        ([400.0], [1.0], "two points"),
+        ([-5.0, 500.0], [1.0, 1.0], "-5 nm is not positive"),
+    ],
+)
+def test_bad_tables(wave: list[float], value: list[float], part: str) -> None:
+    with pytest.raises(DomainError) as error:
+        TabulatedSed(name="bad", source="test", wavelength_nm=wave, value=value, quantity="photon")  # type: ignore[arg-type]
+    one_line(error, part)
+
+
+def test_other_mistakes() -> None:
+    table = {"name": "s", "wavelength_nm": np.array([400.0, 500.0]), "value": np.array([1.0, 1.0])}
+    with pytest.raises(ConfigError, match="neither 'photon' nor 'power'"):
+        TabulatedSed(source="test", quantity="watt", **table)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="source"):
+        TabulatedSed(source="", quantity="power", **table)  # type: ignore[arg-type]
+    with pytest.raises(DomainError, match=r"600 nm is outside 400 \.\.\. 500 nm"):
+        TabulatedSed(source="test", quantity="power", **table).photon_density(600.0)  # type: ignore[arg-type]
+    with pytest.raises(DomainError, match="nan nm"):
+        Blackbody(temperature_k=5000.0).photon_density(float("nan"))
+    with pytest.raises(ConfigError, match="SpectralDistribution"):
+        sed_from_colour([1, 2, 3])
+    with pytest.raises(ConfigError, match="units"):
+        sed_from_astropy(np.array([400.0]), np.array([1.0]), name="x", source="test")
+    with pytest.raises(ConfigError, match="units"):
+        sed_from_astropy([400.0, 500.0] * units.nm, [1.0, 2.0] * units.K, name="x", source="test")

@@ -1,0 +1,123 @@
+"""Transmission of a lens: closed forms for plates and films, energy lost in glass, and a lens taken apart."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from optics.errors import ConfigError, DomainError
+from optics.glass.catalogue import Glass, get_glass
+from optics.light.transmission import Layout, QuarterWave, TabulatedCoating, Uncoated, layout_of, lens_transmission
+from optics.response import Response
+
+LINES = np.array([450.0, 550.0, 650.0])
+
+
+def constant(index: float) -> Glass:
+    """A glass whose index does not depend on wavelength."""
+    return Glass(name=f"n{index}", source="test", B=(index**2 - 1.0,), C=(0.0,), range_nm=(300.0, 1200.0))
+
+
+def plate(glass: Glass, thickness_mm: float = 10.0) -> Layout:
+    return Layout(media=(glass, None), thickness_mm=np.array([thickness_mm, 0.0]))
+
+
+def test_bare_plate_of_index_one_and_a_half_loses_four_percent_twice() -> None:
+    assert lens_transmission(plate(constant(1.5)), LINES, absorption=False) == pytest.approx([0.96**2] * 3, rel=1e-13)
+
+
+def test_quarter_wave_film_at_its_wavelength() -> None:
+    """R = ((n_f^2 - n) / (n_f^2 + n))^2; a film of index sqrt(n) is perfect; half a wave does nothing."""
+    index = np.array([1.5, 1.8])
+    film = constant(1.38)
+    coating = QuarterWave(design_wavelength_nm=600.0, film=film)
+    expected = ((1.38**2 - index) / (1.38**2 + index)) ** 2
+    assert coating.reflectance(np.full(2, 600.0), index) == pytest.approx(expected, rel=1e-12)
+    assert coating.reflectance(np.full(2, 300.0), index) == pytest.approx(((index - 1) / (index + 1)) ** 2, rel=1e-9)
+    perfect = QuarterWave(design_wavelength_nm=600.0, film=constant(np.sqrt(1.8)))
+    assert float(perfect.reflectance(np.array([600.0]), np.array([1.8]))[0]) == pytest.approx(0.0, abs=1e-15)
+
+
+def test_film_against_a_sum_over_reflections() -> None:
+    """Airy sum of the amplitudes bounced inside the film, term by term."""
+    n_film, n_glass, design, wave = 1.38, 1.7, 550.0, np.linspace(400.0, 1000.0, 13)
+    front, back = (1.0 - n_film) / (1.0 + n_film), (n_film - n_glass) / (n_film + n_glass)
+    turn = np.exp(1j * np.pi * design / wave)
+    amplitude = np.full(wave.shape, front, dtype=complex)
+    for bounce in range(200):
+        amplitude += (1.0 - front**2) * back * turn * (-front * back * turn) ** bounce
+    coating = QuarterWave(design_wavelength_nm=design, film=constant(n_film))
+    assert coating.reflectance(wave, np.full(13, n_glass)) == pytest.approx(np.abs(amplitude) ** 2, rel=1e-12)
+
+
+def test_magnesium_fluoride_on_crown_leaves_the_textbook_figure() -> None:
+    """About 1.3 % per surface on N-BK7 at the design wavelength instead of 4.2 %."""
+    index = np.asarray(get_glass("N-BK7").index(LINES[1:2]))
+    assert float(QuarterWave().reflectance(LINES[1:2], index)[0]) == pytest.approx(0.0125, abs=0.0015)
+    assert float(Uncoated().reflectance(LINES[1:2], index)[0]) == pytest.approx(0.042, abs=0.001)
+
+
+def test_absorption_and_reflection_multiply_and_cement_is_uncoated() -> None:
+    crown, flint = get_glass("N-BK7"), get_glass("F2")
+    doublet = Layout(media=(crown, flint, None), thickness_mm=np.array([8.0, 3.0, 100.0]))
+    coating = TabulatedCoating(
+        curve=Response(name="1 %", source="test", wavelength_nm=np.array([400.0, 700.0]), value=np.full(2, 0.01))
+    )
+    cement = ((crown.index(LINES) - flint.index(LINES)) / (crown.index(LINES) + flint.index(LINES))) ** 2
+    inside = crown.internal_transmittance(LINES, 8.0) * flint.internal_transmittance(LINES, 3.0)
+    assert lens_transmission(doublet, LINES, coating=coating) == pytest.approx(
+        0.99**2 * (1 - cement) * inside, rel=1e-13
+    )
+
+
+def test_a_stop_in_air_costs_nothing_and_a_lens_is_read_along_its_vertices() -> None:
+    glass = get_glass("N-SF6")
+    at = lambda z, medium: SimpleNamespace(position_mm=np.array([0.0, 0.0, z]), medium=medium)  # noqa: E731
+    lens = SimpleNamespace(
+        surfaces=(at(0.0, "air"), at(2.0, "N-SF6"), at(14.5, "air")),
+        glasses={"N-SF6": glass},
+        image_position_mm=np.array([0.0, 0.0, 100.0]),
+    )
+    layout = layout_of(lens)
+    assert layout.media == (None, glass, None)
+    assert layout.thickness_mm == pytest.approx([2.0, 12.5, 85.5])
+    assert lens_transmission(lens, LINES) == pytest.approx(lens_transmission(plate(glass, 12.5), LINES), rel=1e-14)
+
+
+def test_star_camera_lens_transmits_as_its_glasses_allow() -> None:
+    """Real lens: coated beats bare, never above one, and less in the blue where its flint absorbs."""
+    library = pytest.importorskip("optics.lens.prescription")
+    lens = library.load_lens("star_camera_206mm")
+    wave = np.array([400.0, 500.0, 600.0, 700.0, 800.0, 900.0])
+    bare, coated = lens_transmission(lens, wave), lens_transmission(lens, wave, coating=QuarterWave())
+    assert (coated > bare).all()
+    assert (coated < 1.0).all()
+    assert coated[0] < coated[2]
+    assert 0.75 < coated[1] < 0.95
+
+
+def test_mistakes() -> None:
+    with pytest.raises(ConfigError, match="a lens or a layout is needed, got str"):
+        lens_transmission("star_camera", LINES)
+    with pytest.raises(DomainError, match="negative"):
+        plate(constant(1.5), -1.0)
+    with pytest.raises(DomainError, match="shape"):
+        Layout(media=(None,), thickness_mm=np.array([1.0, 2.0]))
+    with pytest.raises(DomainError, match="no internal transmittance"):
+        lens_transmission(plate(constant(1.5)), LINES)
+    with pytest.raises(DomainError, match="MgF2: wavelength 100 nm"):
+        QuarterWave(design_wavelength_nm=100.0)
+    with pytest.raises(DomainError, match=r"N-BK7: wavelength 250 nm"):
+        lens_transmission(plate(get_glass("N-BK7")), 250.0)
+    with pytest.raises(ConfigError, match="source"):
+        Response(name="qe", source="", wavelength_nm=np.array([400.0, 700.0]), value=np.full(2, 0.5))
+    with pytest.raises(DomainError, match=r"outside 0 \.\.\. 1"):
+        Response(name="qe", source="test", wavelength_nm=np.array([400.0, 700.0]), value=np.array([0.5, 1.5]))
+    curve = Response(name="qe", source="test", wavelength_nm=np.array([400.0, 700.0]), value=np.array([0.2, 0.8]))
+    assert float(curve.interpolate(550.0)) == pytest.approx(0.5)
+    with pytest.raises(DomainError, match=r"qe: wavelength 701 nm is outside 400 \.\.\. 700 nm"):
+        curve.interpolate([500.0, 701.0])
+    with pytest.raises(DomainError, match="not a number in nm"):
+        curve.interpolate("green")  # type: ignore[arg-type]

@@ -1,0 +1,127 @@
+"""Paraxial optics against textbook closed forms, and against real rays near the axis."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from optics.errors import DomainError
+from optics.glass.catalogue import Glass
+from optics.glass.media import VACUUM
+from optics.lens.perturb import decentre, tilt
+from optics.lens.prescription import list_lenses, load_lens
+from optics.lens.surface import Plane, Sphere
+from optics.lens.system import LensSystem, Surface
+from optics.rays.chief import chief_ray_points, plate_scale_mm
+from optics.rays.paraxial import axial_colour_mm, chief_ray, image_of, lateral_colour_mm, paraxial, refocused
+from optics.rays.trace import Rays, trace
+
+N15 = Glass(name="n15", source="made up: n = 1.5 exactly", B=(1.25,), C=(0.0,), range_nm=(300.0, 1100.0))
+
+
+def thick_lens(r1: float, r2: float, thickness: float, stop_z: float) -> LensSystem:
+    """Singlet of n = 1.5 in catalogue air with a stop in front (stop_z < 0) or behind."""
+    stop = Surface(shape=Plane(), position_mm=np.array([0.0, 0.0, stop_z]), semi_diameter_mm=4.0, is_stop=True)
+    first = Surface(shape=Sphere(radius_mm=r1), position_mm=np.zeros(3), medium="n15")
+    last = Surface(shape=Sphere(radius_mm=r2), position_mm=np.array([0.0, 0.0, thickness]))
+    order = (stop, first, last) if stop_z < 0 else (first, last, stop)
+    return LensSystem(
+        name="singlet",
+        source="test",
+        surfaces=order,
+        glasses={"n15": N15},
+        image_position_mm=np.array([0.0, 0.0, 100.0]),
+        design_wavelength_nm=600.0,
+        max_field_deg=5.0,
+    )
+
+
+def test_thick_lens_formulas():
+    r1, r2, t, n = 60.0, -90.0, 12.0, 1.5
+    p = paraxial(thick_lens(r1, r2, t, -10.0))
+    f = 1.0 / ((n - 1.0) * (1.0 / r1 - 1.0 / r2 + (n - 1.0) * t / (n * r1 * r2)))  # lensmaker's formula
+    assert p.efl_mm == pytest.approx(f, rel=1e-14)
+    assert p.bfl_mm == pytest.approx(f * (1.0 - (n - 1.0) * t / (n * r1)), rel=1e-14)
+    assert p.ffl_mm == pytest.approx(-f * (1.0 + (n - 1.0) * t / (n * r2)), rel=1e-14)
+    assert p.front_principal_z_mm == pytest.approx(-f * (n - 1.0) * t / (n * r2), rel=1e-12)
+    assert p.rear_principal_z_mm == pytest.approx(t - f * (n - 1.0) * t / (n * r1), rel=1e-12)
+    assert (p.entrance_pupil_z_mm, p.entrance_pupil_radius_mm) == pytest.approx((-10.0, 4.0))
+    assert p.f_number == pytest.approx(f / 8.0)
+
+
+def test_exit_pupil_is_the_image_of_a_stop_in_front_and_entrance_pupil_of_one_behind():
+    front = thick_lens(60.0, -90.0, 12.0, -10.0)
+    p = paraxial(front)
+    z, magnification = image_of(front, -10.0)
+    assert p.exit_pupil_z_mm == pytest.approx(z, rel=1e-12)
+    assert p.exit_pupil_radius_mm == pytest.approx(4.0 * abs(magnification), rel=1e-12)
+    mirrored = paraxial(thick_lens(90.0, -60.0, 12.0, 22.0))
+    assert mirrored.entrance_pupil_z_mm == pytest.approx(12.0 - p.exit_pupil_z_mm, rel=1e-12)
+    assert mirrored.entrance_pupil_radius_mm == pytest.approx(p.exit_pupil_radius_mm, rel=1e-12)
+
+
+def test_unit_magnification_at_twice_the_focal_length():
+    lens = thick_lens(60.0, -90.0, 12.0, -10.0)
+    p = paraxial(lens)
+    z, magnification = image_of(lens, p.front_principal_z_mm - 2.0 * p.efl_mm)
+    assert magnification == pytest.approx(-1.0, rel=1e-13)
+    assert z == pytest.approx(p.rear_principal_z_mm + 2.0 * p.efl_mm, rel=1e-13)
+
+
+@pytest.mark.parametrize("name", list_lenses())
+@pytest.mark.parametrize("wavelength", [500.0, 800.0])
+def test_real_rays_near_the_axis_agree(name, wavelength):
+    lens = load_lens(name)
+    p = paraxial(lens, wavelength)
+    height = 1e-4
+    out = trace(lens, Rays.create(x_mm=0.0, y_mm=height, direction=[0, 0, 1.0], wavelength_nm=wavelength))
+    assert -height / (out.dy / out.dz) == pytest.approx(p.efl_mm, rel=1e-8)
+    assert lens.image_position_mm[2] - out.y / out.dy * out.dz == pytest.approx(p.rear_focus_z_mm, abs=1e-6)
+    x, _ = chief_ray_points(lens, 1e-3, 0.0, wavelength)
+    assert float(x) == pytest.approx(chief_ray(lens, 1e-3, wavelength)[0][-1], rel=1e-6)
+
+
+@pytest.mark.parametrize("name", list_lenses())
+def test_front_quantities_are_the_rear_ones_of_the_lens_seen_from_behind(name):
+    from optics.rays.reverse import reverse
+
+    lens = load_lens(name)
+    forward, backward = paraxial(lens), paraxial(reverse(lens))
+    assert backward.efl_mm == pytest.approx(forward.efl_mm, rel=1e-12)
+    assert -backward.ffl_mm == pytest.approx(forward.bfl_mm, rel=1e-12)
+    assert backward.bfl_mm == pytest.approx(-forward.ffl_mm, rel=1e-12)
+    assert backward.entrance_pupil_radius_mm == pytest.approx(forward.exit_pupil_radius_mm, rel=1e-12)
+
+
+def test_plate_scale_is_the_focal_length_in_the_focal_plane():
+    lens = refocused(load_lens("star_tracker_26mm"))
+    assert plate_scale_mm(lens) == pytest.approx(paraxial(lens).efl_mm, rel=1e-4)
+
+
+def test_colour_of_focus_and_of_the_chief_ray():
+    lens = load_lens("star_camera_206mm")
+    shift = axial_colour_mm(lens, [500.0, 600.0, 800.0])
+    assert shift[1] == 0.0
+    focus = [paraxial(lens, w).rear_focus_z_mm for w in (500.0, 600.0, 800.0)]
+    np.testing.assert_allclose(shift, np.array(focus) - focus[1], atol=1e-12)
+    x, _ = chief_ray_points(lens, 0.01, 0.0, np.array([500.0, 600.0, 800.0]))
+    np.testing.assert_allclose(lateral_colour_mm(lens, 0.01, [500.0, 600.0, 800.0]), x - x[1], atol=2e-10)
+
+
+def test_vacuum_changes_the_focal_length_by_the_index_ratio():
+    singlet = thick_lens(60.0, -90.0, 0.0, -10.0)
+    air, vacuum = paraxial(singlet), paraxial(replace(singlet, environment=VACUUM))
+    n = float(replace(singlet, environment=VACUUM).indices(600.0)[2])
+    assert air.efl_mm / vacuum.efl_mm == pytest.approx((n - 1.0) / 0.5, rel=1e-12)
+
+
+def test_tilted_decentred_and_powerless_lenses_are_refused():
+    lens = load_lens("star_camera_206mm")
+    for bad in (tilt(lens, "L2", 0.1), decentre(lens, "L2", 0.1)):
+        with pytest.raises(DomainError, match="tilted or decentred"):
+            paraxial(bad)
+    flat = replace(lens, surfaces=(lens.surfaces[0],))
+    with pytest.raises(DomainError, match="no refracting surface"):
+        paraxial(flat)
+    with pytest.raises(DomainError, match="front focal plane"):
+        image_of(lens, paraxial(lens).front_focus_z_mm)

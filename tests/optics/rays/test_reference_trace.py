@@ -1,0 +1,168 @@
+"""The trace against batoid ray by ray, the paraxial quantities against optiland; neither uses our trace or matrices."""
+
+import numpy as np
+import pytest
+
+from optics.frames import field_direction
+from optics.glass.air import air_index
+from optics.lens.perturb import decentre, tilt, tilt_image
+from optics.lens.prescription import list_lenses, load_lens
+from optics.lens.surface import Conic, EvenAsphere, Plane, Sphere
+from optics.lens.system import AMBIENT, LensSystem
+from optics.rays.chief import chief_ray_points, plate_scale_mm
+from optics.rays.paraxial import paraxial
+from optics.rays.pupil import entrance_pupil, sobol_disk, star_rays
+from optics.rays.trace import trace
+
+pytestmark = pytest.mark.reference
+
+
+def index_after(lens: LensSystem, surface: int, wavelength_nm: float) -> float:
+    """Absolute index behind a surface (-1: in front of the lens), from the glass record itself."""
+    medium = AMBIENT if surface < 0 else lens.surfaces[surface].medium
+    if medium == AMBIENT:
+        return float(air_index(wavelength_nm, lens.environment.temperature_c, lens.environment.pressure_hpa))
+    return float(lens.glasses[medium].absolute_index(wavelength_nm, temperature_c=lens.environment.temperature_c))
+
+
+def batoid_surface(batoid, shape):
+    match shape:
+        case Plane():
+            return batoid.Plane()
+        case Sphere():
+            return batoid.Sphere(shape.radius_mm)
+        case Conic():
+            return batoid.Quadric(shape.radius_mm, shape.conic)
+        case EvenAsphere():
+            return batoid.Asphere(shape.radius_mm, shape.conic, list(shape.coefficients))
+
+
+def batoid_trace(batoid, lens: LensSystem, rays, wavelength_nm: float):
+    """Rays in the image plane's frame: points, direction cosines, optical path; lengths in mm throughout."""
+    n = index_after(lens, -1, wavelength_nm)
+    rv = batoid.RayVector(
+        *(np.ascontiguousarray(np.ravel(v)) for v in (rays.x, rays.y, rays.z)),
+        *(np.ascontiguousarray(np.ravel(v) / n) for v in (rays.dx, rays.dy, rays.dz)),
+        t=np.zeros(rays.x.size),
+        wavelength=np.full(rays.x.size, wavelength_nm * 1e-9),
+    )
+    for i, surface in enumerate(lens.surfaces):
+        before, after = index_after(lens, i - 1, wavelength_nm), index_after(lens, i, wavelength_nm)
+        media = batoid.ConstMedium(before), batoid.ConstMedium(after)
+        place = batoid.CoordSys(surface.position_mm, surface.rotation)
+        batoid.refract(batoid_surface(batoid, surface.shape), rv, *media, coordSys=place)
+    batoid.intersect(batoid.Plane(), rv, coordSys=batoid.CoordSys(lens.image_position_mm, lens.image_rotation))
+    n = index_after(lens, len(lens.surfaces) - 1, wavelength_nm)
+    return np.stack([rv.x, rv.y]), n * np.stack([rv.vx, rv.vy, rv.vz]), np.array(rv.t)
+
+
+def centred(lens):
+    return lens
+
+
+def tilted(lens):
+    return tilt(lens, lens.elements[1], 0.4, -0.3)
+
+
+def decentred(lens):
+    return decentre(lens, lens.elements[-1], 0.2, -0.1)
+
+
+def everything_askew(lens):
+    return tilt_image(tilt(decentre(lens, lens.elements[0], 0.1, 0.05), lens.elements[-2], -0.2, 0.3), 0.5, 0.4)
+
+
+@pytest.mark.parametrize("name", list_lenses())
+@pytest.mark.parametrize("change", [centred, tilted, decentred, everything_askew])
+def test_rays_agree_with_batoid(name, change):
+    batoid = pytest.importorskip("batoid")
+    lens = change(load_lens(name))
+    pupil, samples = entrance_pupil(lens), sobol_disk(1024, seed=11)
+    worst = {"point": 0.0, "direction": 0.0, "path": 0.0}
+    for part in (0.0, 0.6, 1.0):
+        star = field_direction(0.8 * part * lens.max_field_deg, 0.6 * part * lens.max_field_deg)
+        for wavelength in (500.0, 600.0, 800.0):
+            rays = star_rays(pupil, samples, star, wavelength)
+            rays.opl_mm[...] = 0.0
+            out = trace(lens, rays)
+            ok = out.ok
+            assert ok.sum() > 150
+            point, direction, path = batoid_trace(batoid, lens, rays, wavelength)
+            worst["point"] = max(worst["point"], np.abs(point - np.stack([out.x, out.y]))[:, ok].max())
+            worst["direction"] = max(
+                worst["direction"], np.abs(direction - np.stack([out.dx, out.dy, out.dz]))[:, ok].max()
+            )
+            worst["path"] = max(worst["path"], np.abs(path - out.opl_mm)[ok].max())
+    print(f"{name}, {change.__name__}: worst point {worst['point']:.1e} mm, direction {worst['direction']:.1e}, "
+          f"path {worst['path']:.1e} mm")  # fmt: skip
+    assert worst["point"] < 1e-9
+    assert worst["direction"] < 1e-12
+    assert worst["path"] < 1e-9
+
+
+def optiland_optic(lens: LensSystem, wavelength_nm: float):
+    """Optic with indices relative to the surroundings, which are 1 there."""
+    optic_module = pytest.importorskip("optiland.optic")
+    materials = pytest.importorskip("optiland.materials")
+    optic = optic_module.Optic()
+    optic.surfaces.add(index=0, radius=np.inf, thickness=np.inf)
+    z = [float(s.position_mm[2]) for s in lens.surfaces] + [float(lens.image_position_mm[2])]
+    ambient = index_after(lens, -1, wavelength_nm)
+    for i, surface in enumerate(lens.surfaces):
+        shape = surface.shape
+        curved = not isinstance(shape, Plane)
+        extra = {}
+        if isinstance(shape, EvenAsphere):
+            extra = {"surface_type": "even_asphere", "coefficients": [0.0, *shape.coefficients]}
+        optic.surfaces.add(
+            index=i + 1,
+            radius=shape.radius_mm if curved else np.inf,
+            conic=getattr(shape, "conic", 0.0),
+            thickness=z[i + 1] - z[i],
+            material=materials.IdealMaterial(n=index_after(lens, i, wavelength_nm) / ambient),
+            is_stop=surface.is_stop,
+            **extra,
+        )
+    optic.surfaces.add(index=len(lens.surfaces) + 1)
+    optic.set_aperture(aperture_type="EPD", value=2.0 * paraxial(lens, wavelength_nm).entrance_pupil_radius_mm)
+    optic.fields.set_type(field_type="angle")
+    optic.fields.add(y=0.0)
+    optic.fields.add(y=lens.max_field_deg)
+    optic.wavelengths.add(value=wavelength_nm * 1e-3, is_primary=True)
+    return optic
+
+
+def number(value) -> float:
+    return float(np.ravel(value)[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list_lenses())
+@pytest.mark.parametrize("wavelength", [500.0, 600.0, 800.0])
+def test_focal_lengths_agree_with_optiland(name, wavelength):
+    pytest.importorskip("optiland")
+    lens = load_lens(name)
+    optic, ours = optiland_optic(lens, wavelength), paraxial(lens, wavelength)
+    last_z = float(lens.surfaces[-1].position_mm[2])
+    assert number(optic.paraxial.f2()) == pytest.approx(ours.efl_mm, rel=1e-9)
+    # optiland measures F2 from the image surface
+    back = number(optic.paraxial.F2()) + float(lens.image_position_mm[2]) - last_z
+    assert back == pytest.approx(ours.bfl_mm, rel=1e-9)
+    assert number(optic.paraxial.EPL()) == pytest.approx(
+        ours.entrance_pupil_z_mm - float(lens.surfaces[0].position_mm[2]), rel=1e-9, abs=1e-9
+    )
+
+
+@pytest.mark.filterwarnings("ignore::Warning")  # numba's own, from inside optiland's ray trace
+def test_distortion_of_the_star_camera_agrees_with_optiland():
+    """The half of the figure printed with the design (test_lens_data) is what an independent real chief ray gives."""
+    pytest.importorskip("optiland")
+    lens = load_lens("star_camera_206mm")
+    optic = optiland_optic(lens, 600.0)
+    chief, near = (optic.trace_generic(Hx=0.0, Hy=h, Px=0.0, Py=0.0, wavelength=0.6) for h in (1.0, 1e-3))
+    scale = number(near.y) / np.tan(np.radians(3.5e-3))
+    theirs = number(chief.y) / (scale * np.tan(np.radians(3.5))) - 1.0
+    x, _ = chief_ray_points(lens, 3.5, 0.0)
+    ours = float(x) / (plate_scale_mm(lens) * np.tan(np.radians(3.5))) - 1.0
+    assert theirs == pytest.approx(ours, abs=2e-7)
+    assert 100.0 * theirs == pytest.approx(-0.0140, abs=1e-4)

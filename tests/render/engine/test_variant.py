@@ -1,0 +1,124 @@
+"""Choosing the backend: what is missing or wrong becomes one line that says what to install."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from optics.errors import BackendError
+from render.engine.variant import check_llvm, find_llvm, use_backend
+
+ROOT = Path(__file__).parents[3]
+PROGRAM = """
+import sys
+from render.engine.variant import use_backend, llvm_version, BackendError
+try:
+    print(use_backend(sys.argv[1]), llvm_version())
+except BackendError as error:
+    print(error)
+    sys.exit(2)
+"""
+
+
+def in_new_process(backend: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Dr.Jit looks for LLVM once per process, so each case needs its own."""
+    return subprocess.run(
+        [sys.executable, "-c", PROGRAM, backend],
+        cwd=ROOT,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_missing_llvm_is_one_line_with_the_install_command(tmp_path):
+    done = in_new_process("llvm", DRJIT_LIBLLVM_PATH=str(tmp_path / "libLLVM.so"))
+    assert done.returncode == 2
+    assert done.stderr == ""  # Dr.Jit's own two lines do not reach the user
+    assert done.stdout.count("\n") == 1
+    assert "apt-get install libllvm15" in done.stdout
+    assert "does not exist" in done.stdout
+
+
+def test_file_that_is_no_library(tmp_path):
+    path = tmp_path / "libLLVM.so"
+    path.write_text("not a shared object")
+    done = in_new_process("auto", DRJIT_LIBLLVM_PATH=str(path))
+    assert done.returncode == 2
+    assert "could not be loaded" in done.stdout
+
+
+def test_library_known_only_by_its_numbered_name(tmp_path):
+    real = find_llvm(["/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib64"])
+    if real is None:
+        pytest.skip("no LLVM library under the usual folders")
+    version = int("".join(filter(str.isdigit, real.name.split("LLVM")[1]))[:2])
+    alias = tmp_path / f"libLLVM-{version}.so"
+    alias.symlink_to(real)
+    assert find_llvm([tmp_path]) == alias
+    done = in_new_process("llvm", DRJIT_LIBLLVM_PATH=str(alias))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.split()[0] == "llvm_ad_mono"
+    assert done.stdout.split()[1].startswith(f"{version}.")
+
+
+def test_newest_usable_library_is_found_by_name(tmp_path):
+    for name in ("libLLVM-14.so.1", "libLLVM-15.so", "libLLVM.so.19.1", "libLLVM-C.so", "libLLVM-99.txt"):
+        (tmp_path / name).touch()
+    assert find_llvm([tmp_path]) == tmp_path / "libLLVM.so.19.1"
+    (tmp_path / "libLLVM.so.19.1").unlink()
+    assert find_llvm([tmp_path, "", tmp_path / "absent"]) == tmp_path / "libLLVM-15.so"
+    (tmp_path / "libLLVM-15.so").unlink()
+    assert find_llvm([tmp_path]) is None
+
+
+@pytest.mark.parametrize(
+    ("version", "drjit", "said", "expected"),
+    [
+        ((-1, -1, -1), "1.4.0", "", "apt-get install libllvm15"),
+        ((14, 0, 6), "1.4.0", "", "LLVM 14 is too old"),
+        ((-1, -1, -1), "1.4.0", "the located LLVM version (14) is too old.", "LLVM 14 is too old"),
+        ((15, 0, 6), "1.5.0", "", "ends the process on LLVM 15"),
+        ((16, 0, 6), "1.5.0", "", "mitsuba==3.9.0"),
+    ],
+)
+def test_llvm_that_cannot_work_is_refused(version, drjit, said, expected):
+    with pytest.raises(BackendError, match=expected) as caught:
+        check_llvm(version, drjit, said=said)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("version", "drjit"), [((15, 0, 6), "1.4.0"), ((19, 1, 7), "1.4.0"), ((19, 1, 7), "1.5.0")])
+def test_llvm_that_works_is_accepted(version, drjit):
+    check_llvm(version, drjit)
+
+
+def test_unknown_backend_and_variant():
+    with pytest.raises(BackendError, match="choose one of auto, llvm, cuda"):
+        use_backend("opencl")
+    with pytest.raises(BackendError, match="llvm_ad_mono"):
+        use_backend("llvm", suffix="double")
+
+
+def test_cuda_without_a_gpu():
+    import drjit as dr
+
+    use_backend("auto")
+    if dr.has_backend(dr.JitBackend.CUDA):
+        pytest.skip("this machine has a GPU")
+    with pytest.raises(BackendError, match="use backend 'llvm'"):
+        use_backend("cuda")
+
+
+def test_second_call_keeps_the_variant():
+    import mitsuba as mi
+
+    first = use_backend("llvm")
+    plugin = mi.Float
+    assert use_backend("llvm") == use_backend("auto") == first == mi.variant()
+    assert mi.Float is plugin

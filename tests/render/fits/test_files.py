@@ -1,0 +1,215 @@
+"""Frames through FITS: nothing lost, nothing half written, clear words about broken files."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+from optics.errors import ConfigError
+from render.fits.files import read_expected, read_frame, write_expected, write_frame
+from render.records import ExpectedImage, Frame
+
+
+def frame() -> Frame:
+    rng = np.random.default_rng(1)
+    return Frame(
+        dn=rng.integers(0, 65536, (7, 11)),
+        saturated=rng.random((7, 11)) < 0.2,
+        defect=rng.random((7, 11)) < 0.2,
+        gain_dn_per_e=0.3,
+        offset_dn=40.0,
+        read_noise_e=13.0,
+        exposure_s=0.1,
+        band="600 nm",
+        index=17,
+    )
+
+
+def test_frame_comes_back(tmp_path: Path) -> None:
+    before = frame()
+    after = read_frame(write_frame(before, tmp_path / "a.fits"))
+    for name in before.__dataclass_fields__:
+        if name == "gain_dn_per_e":
+            assert after.gain_dn_per_e == pytest.approx(0.3, rel=1e-14)
+        else:
+            assert np.array_equal(getattr(before, name), getattr(after, name)), name
+
+
+def test_what_other_software_sees(tmp_path: Path) -> None:
+    """16 bits on disk, the cards of the astronomers, FITS pixel (column + 1, row + 1) for [row, column]."""
+    before = frame()
+    with fits.open(write_frame(before, tmp_path / "a.fits")) as content:
+        content.verify("exception")
+        header = content[0].header
+        assert (header["BITPIX"], header["NAXIS1"], header["NAXIS2"]) == (16, 11, 7)
+        assert (header["EXPTIME"], header["RDNOISE"], header["FILTER"]) == (0.1, 13.0, "600 nm")
+        assert header["GAIN"] == pytest.approx(1 / 0.3)
+        assert header["PIXOFF"] == 1
+        assert content[0].section[2, 5] == before.dn[2, 5]
+        assert np.array_equal(content["MASK"].data, before.saturated * 1 + before.defect * 2)
+
+
+@pytest.mark.parametrize("compression", ["rice", "gzip"])
+def test_compressed_frame_comes_back(tmp_path: Path, compression: Any) -> None:
+    """Nothing lost, by our reader and as astropy and fitsverify's rules see it; more rows than a tile."""
+    rng = np.random.default_rng(5)
+    dn, flags = rng.poisson(200, (70, 33)).astype(np.uint16), rng.random((70, 33)) < 0.1
+    dn[0, :2] = 0, 65535
+    before = dataclasses.replace(frame(), dn=dn, saturated=flags, defect=~flags)
+    path = write_frame(before, tmp_path / "a.fits", compression=compression, cards=[("OBJECT", "sky", "")])
+    after = read_frame(path)
+    assert np.array_equal(after.dn, dn)
+    assert np.array_equal(after.saturated, flags)
+    assert np.array_equal(after.defect, ~flags)
+    assert (after.index, after.band, after.exposure_s) == (17, "600 nm", 0.1)
+    with fits.open(path) as content:
+        content.verify("exception")
+        assert content["FRAME"].header["OBJECT"] == "sky"
+        assert content["FRAME"].compression_type == {"rice": "RICE_1", "gzip": "GZIP_2"}[compression]
+        assert len(content) == 3
+    assert path.stat().st_size % 2880 == 0
+
+
+def test_masks(tmp_path: Path) -> None:
+    """Saturated pixels where there are any; defects only in "always"."""
+    before, path = frame(), tmp_path / "a.fits"
+    dark = dataclasses.replace(before, saturated=np.zeros((7, 11), bool))
+    for mask, held, planes, defects in (
+        ("saturated", before, 2, False),
+        ("saturated", dark, 1, False),
+        ("never", before, 1, False),
+        ("always", dark, 2, True),
+    ):
+        after = read_frame(write_frame(held, path, mask=mask))
+        assert np.array_equal(after.saturated, held.saturated & (mask != "never"))
+        assert np.array_equal(after.defect, held.defect & defects)
+        with fits.open(path) as content:
+            assert len(content) == planes
+
+
+def test_bytes_depend_on_nothing_else(tmp_path: Path) -> None:
+    """Another process, on another day, after other files, writes the same bytes; zero keeps no sign."""
+    write_frame(frame(), tmp_path / "other.fits", cards=[("A_2_0", -0.0, ""), ("B", 1, ""), ("C", True, "")])
+    options: dict[str, Any] = {"cards": [("A_2_0", 0.0, ""), ("B", 1.0, ""), ("C", 1, ""), ("A", np.float32(0.5), "")]}
+    here = [write_frame(frame(), tmp_path / f"{c}.fits", compression=c, **options).read_bytes() for c in (None, "rice")]
+    program = (
+        "import sys, time, numpy as np; time.time = lambda: 0.0\n"
+        "from render.fits.files import read_frame, write_frame\n"
+        "frame = read_frame(sys.argv[1])\n"
+        "cards = [('A_2_0', 0.0, ''), ('B', 1.0, ''), ('C', 1, ''), ('A', np.float32(0.5), '')]\n"
+        "for c in (None, 'rice'): write_frame(frame, sys.argv[1] + str(c), compression=c, cards=cards)\n"
+    )
+    path = tmp_path / "None.fits"
+    root = Path(__file__).resolve().parents[3]
+    subprocess.run([sys.executable, "-c", program, str(path)], check=True, cwd=root)
+    assert here == [Path(f"{path}{c}").read_bytes() for c in (None, "rice")]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"compression": "zip"}, "unknown compression 'zip'"),
+        ({"mask": "sometimes"}, "unknown mask"),
+        ({"cards": [("EXPTIME", 1.0, "")]}, "card EXPTIME is there already"),
+        ({"cards": [("A", 1.0, ""), ("a", 1.0, "")]}, "card A is there already"),
+        ({"cards": [("NAXIS1", 1, "")]}, "NAXIS1 describes the file itself"),
+        ({"cards": [("A", float("nan"), "")]}, "card A = nan cannot be written"),
+        ({"cards": [("A", [1, 2], "")]}, "text, a number"),
+        ({"cards": [("A", "n\u00e4", "")]}, "cannot be written"),
+        ({"cards": ["A"]}, "is needed"),
+    ],
+)
+def test_bad_options(tmp_path: Path, options: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigError, match=words) as caught:
+        write_frame(frame(), tmp_path / "a.fits", **options)
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_write_replaces_and_leaves_nothing_beside(tmp_path: Path) -> None:
+    path = tmp_path / "a.fits"
+    path.write_text("old")
+    write_frame(frame(), path)
+    assert read_frame(path).index == 17
+    assert [p.name for p in tmp_path.iterdir()] == ["a.fits"]
+
+
+def test_write_to_a_missing_folder(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be written"):
+        write_frame(frame(), tmp_path / "absent" / "a.fits")
+
+
+def test_foreign_file_with_cards_given(tmp_path: Path) -> None:
+    """A float image of whole numbers, in an extension, with a third axis and no card of ours."""
+    image = np.arange(12, dtype=np.float32).reshape(1, 3, 4)
+    path = tmp_path / "foreign.fits"
+    fits.HDUList([fits.PrimaryHDU(), fits.ImageHDU(image)]).writeto(path)
+    with pytest.raises(ConfigError, match=r"card GAIN is missing .* give gain_dn_per_e"):
+        read_frame(path)
+    read = read_frame(path, gain_dn_per_e=2.0, offset_dn=0.0, read_noise_e=3.0, exposure_s=1.0, band="V")
+    assert np.array_equal(read.dn, image[0])
+    assert (read.gain_dn_per_e, read.band, read.index) == (2.0, "V", 0)
+    assert not read.saturated.any()
+
+
+def bad_file(folder: Path, kind: str) -> Path:
+    path = folder / "bad.fits"
+    if kind == "text":
+        path.write_text("not a FITS file\n")
+    elif kind == "empty":
+        path.write_bytes(b"")
+    elif kind == "truncated":
+        path.write_bytes(write_frame(frame(), path).read_bytes()[:2900])
+    elif kind == "table":
+        fits.BinTableHDU.from_columns([fits.Column("x", "D", array=np.ones(3))]).writeto(path)
+    elif kind == "negative":
+        fits.PrimaryHDU(np.full((3, 3), -5, np.int16)).writeto(path)
+    elif kind == "fractions":
+        fits.PrimaryHDU(np.full((3, 3), 0.5)).writeto(path)
+    elif kind == "cube":
+        fits.PrimaryHDU(np.ones((2, 3, 3), np.int16)).writeto(path)
+    elif kind == "gain":
+        fits.PrimaryHDU(np.ones((3, 3), np.int16), fits.Header([("GAIN", 0.0)])).writeto(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("missing", "no such file"),
+        ("text", "not a readable FITS file"),
+        ("empty", "not a readable FITS file"),
+        ("truncated", "not a readable FITS file"),
+        ("table", "holds no image"),
+        ("negative", "whole numbers from 0 to 65535"),
+        ("fractions", "whole numbers from 0 to 65535"),
+        ("cube", "3 axes"),
+        ("gain", "GAIN = 0 e-/DN"),
+    ],
+)
+def test_bad_file_is_one_clear_line(tmp_path: Path, kind: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words) as caught:
+        read_frame(bad_file(tmp_path, kind))
+    assert "\n" not in str(caught.value)
+    assert "bad.fits" in str(caught.value)
+
+
+def test_expected_image_comes_back(tmp_path: Path) -> None:
+    before = ExpectedImage(
+        electrons=np.random.default_rng(2).random((5, 6, 2)), band=("500 nm", "600 nm"), exposure_s=0.2, diffused=True
+    )
+    after = read_expected(write_expected(before, tmp_path / "e.fits"))
+    assert np.array_equal(before.electrons, after.electrons)
+    assert (after.band, after.exposure_s, after.diffused, after.truth) == (before.band, 0.2, True, None)
+
+
+def test_frame_is_no_expected_image(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="not an expected image"):
+        read_expected(write_frame(frame(), tmp_path / "a.fits"))

@@ -1,0 +1,201 @@
+"""`lens_camera` under Mitsuba's own path integrator: radiometry, and the same geometry as the forward trace."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from optics.errors import ConfigError
+from optics.frames import light_direction
+from optics.lens.perturb import decentre, tilt_image
+from optics.lens.prescription import load_lens
+from optics.rays.reverse import retraced
+from optics.rays.trace import Rays, trace
+from render.camera import Camera, launch_disk
+from render.plugins.lens_camera import exit_disk, share_camera
+from render.tracing.tracer import Tracer
+
+LENSES = ("star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm")
+
+
+def path_image(mi, camera, contents, *, spp, seed=0, **sensor):
+    """Irradiance (h, w) of a scene through the lens."""
+    film = {
+        "type": "hdrfilm",
+        "width": camera.width_px,
+        "height": camera.height_px,
+        "rfilter": {"type": "box"},
+        "pixel_format": "luminance",
+        "component_format": "float32",
+    }
+    scene = {"type": "scene", "integrator": {"type": "path", "max_depth": 2}, **contents}
+    scene["sensor"] = {"type": "lens_camera", "camera": share_camera(camera), "film": film, **sensor}
+    return np.array(mi.render(mi.load_dict(scene), spp=spp, seed=seed), dtype=float)[..., 0]
+
+
+def marginal_sine(lens):
+    """Sine of the angle at which the ray through the rim of the pupil meets the axis, by the forward trace."""
+    disk = launch_disk(Camera(lens=lens, width_px=2, height_px=2, pixel_pitch_mm=0.001))
+    rays = Rays.create(
+        x_mm=disk.radius_mm * (1 - 1e-12), y_mm=0.0, z_mm=disk.z_mm, direction=[0, 0, 1.0], wavelength_nm=600.0
+    )
+    out = trace(lens, rays)
+    assert out.ok
+    return float(np.abs(out.dx))
+
+
+def test_uniform_sky_gives_pi_sine_squared(mi):
+    lens = load_lens("star_camera_206mm")
+    camera = Camera(lens=lens, width_px=16, height_px=16, pixel_pitch_mm=0.01)
+    image = path_image(mi, camera, {"sky": {"type": "constant", "radiance": 3.0}}, spp=4096)
+    # N = 1e6 rays, of which 75 % hit with nearly equal weight: standard error 6e-4
+    assert image.mean() / 3.0 == pytest.approx(np.pi * marginal_sine(lens) ** 2, rel=2.5e-3)
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_fall_off_against_the_light_that_goes_forward(mi, bench, name):
+    """Conservation of etendue: irradiance = radiance x collecting area(field) x solid angle of sky per area of image.
+
+    The prediction needs no backward ray: electrons of stars against field, and the slope of their landing points.
+    """
+    lens, size = load_lens(name), 24
+    full = {"star_camera_206mm": 12.6, "star_tracker_26mm": 7.24, "double_gauss_50mm": 14.0}[name]  # half diagonal, mm
+    camera = Camera(lens=lens, width_px=size, height_px=size, pixel_pitch_mm=full * np.sqrt(2) / size)
+    focal = bench.focal_length_mm(camera)
+    radius = np.linspace(0.0, full / focal, 12)  # tan(field)
+
+    def stars(x, y):
+        v = np.stack(np.broadcast_arrays(x, y, 1.0), axis=-1)
+        direction = v / np.linalg.norm(v, axis=-1, keepdims=True)
+        return bench.stars_at(camera, 0, 0, direction=direction, bands=((lens.design_wavelength_nm, 0.0),), rate=1.0)
+
+    tracer, step = Tracer(mi, camera, sobol_log2_rays=15), 3e-3
+
+    def landing(x, y):
+        truth = tracer.render(stars(x, y), exposure_s=1.0).truth
+        return np.concatenate([truth.bundle_x_px, truth.bundle_y_px], axis=1) * camera.pixel_pitch_mm
+
+    along = (landing(radius + step, 0.0) - landing(radius - step, 0.0))[:, 0] / (2 * step)
+    across = (landing(radius, step) - landing(radius, -step))[:, 1] / (2 * step)
+    truth = tracer.render(stars(radius, 0.0), exposure_s=1.0).truth
+    collected = (truth.electrons_in - truth.electrons_vignetted)[:, 0]  # mm^2
+    sky_per_image = (1 + radius**2) ** -1.5 / (along * across)
+    at_mm = landing(radius, 0.0)[:, 0] - camera.centre_px[0] * camera.pixel_pitch_mm
+    predicted = CubicSpline(at_mm, collected * sky_per_image)
+
+    image = path_image(mi, camera, {"sky": {"type": "constant", "radiance": 1.0}}, spp=4096)
+    column, row = np.meshgrid(np.arange(size), np.arange(size))
+    sub = (np.arange(4) - 1.5) / 4
+    expected = np.mean(
+        [
+            predicted(np.hypot(column + dx - (size - 1) / 2, row + dy - (size - 1) / 2) * camera.pixel_pitch_mm)
+            for dx in sub
+            for dy in sub
+        ],
+        axis=0,
+    )
+    r = np.hypot(column - (size - 1) / 2, row - (size - 1) / 2) / (size / 2)
+    edges = np.array([0.0, 0.35, 0.6, 0.85, 1.1, 1.3])
+    for low, high in itertools.pairwise(edges):
+        ring = (r >= low) & (r < high)
+        assert ring.sum() > 50
+        # 4096 rays in each of 50 and more pixels: standard error 0.3 % where a third of the rays get through
+        assert image[ring].mean() == pytest.approx(expected[ring].mean(), rel=5e-3)
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_all_light_goes_through_the_exit_disk(name, bench):
+    camera = bench.camera_of(decentre(load_lens(name), load_lens(name).elements[-1], x_mm=0.2))
+    x, y, z, radius = exit_disk(camera)
+    disk, rng, count = launch_disk(camera), np.random.default_rng(2), 20000
+    angle, azimuth = camera.field_reach_rad * np.sqrt(rng.random(count)), 2 * np.pi * rng.random(count)
+    v = np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=1)
+    r, phi = disk.radius_mm * np.sqrt(rng.random(count)), 2 * np.pi * rng.random(count)
+    rays = Rays.create(
+        x_mm=disk.x_mm + r * np.cos(phi),
+        y_mm=disk.y_mm + r * np.sin(phi),
+        z_mm=disk.z_mm,
+        direction=light_direction(v),
+        wavelength_nm=rng.uniform(500, 800, count),
+    )
+    out = trace(camera.lens, rays)
+    names = ("x", "y", "z", "dx", "dy", "dz", "wavelength_nm", "opl_mm", "status", "failed_at")
+    back = retraced(camera.lens, Rays(**{key: getattr(out, key)[out.ok] for key in names}))
+    at_x = back.x + back.dx / back.dz * (z - back.z)
+    at_y = back.y + back.dy / back.dz * (z - back.z)
+    assert out.ok.sum() > 5000
+    filled = np.hypot(at_x - x, at_y - y).max() / radius
+    assert 0.9 < filled < 1.0
+
+
+@pytest.mark.parametrize("perturbed", [False, True])
+def test_distant_ball_is_seen_where_the_star_is(mi, bench, perturbed):
+    """Reciprocity: light traced backwards from the detector finds the ball where light traced forwards lands."""
+    lens = load_lens("star_camera_206mm")
+    if perturbed:
+        lens = tilt_image(decentre(lens, "L2", x_mm=0.3, y_mm=-0.2), x_deg=0.2, y_deg=-0.1)
+    turn = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    whole = replace(bench.camera_of(lens, charge_diffusion_px=0.0), rotation_cam_from_world=turn)
+    stars = bench.stars_at(whole, 3500.3, 400.2, bands=((lens.design_wavelength_nm, 0.0),))
+    camera = bench.window(whole, 14, *Tracer(mi, whole).bundle_means(stars)[0, 0])
+    truth = Tracer(mi, camera, sobol_log2_rays=18).render(stars, exposure_s=1.0).truth
+    distance_m, angle = 1e6, 1.5 * 5.5e-3 / 206.2  # 3 px across
+    ball = {
+        "type": "sphere",
+        "center": (stars.direction[0] * distance_m).tolist(),
+        "radius": distance_m * angle,
+        "light": {"type": "area", "radiance": {"type": "uniform", "value": 1.0}},
+    }
+    image = path_image(
+        mi, camera, {"ball": ball}, spp=8192, scene_unit_mm=1000.0, wavelength_nm=lens.design_wavelength_nm
+    )
+    index = np.arange(14)
+    mean_x, mean_y = index @ image.sum(0) / image.sum(), index @ image.sum(1) / image.sum()
+    hits = 196 * 8192 * (np.pi * 1.5**2) / 196 * 0.7
+    error = 2.0 / np.sqrt(hits)  # spot and ball together have a standard deviation below 2 px
+    assert abs(mean_x - truth.bundle_x_px[0, 0]) < 4 * error
+    assert abs(mean_y - truth.bundle_y_px[0, 0]) < 4 * error
+    # flux: etendue of the ball through the pupil, in irradiance x pixels
+    collected = (truth.electrons_image + truth.electrons_off_edge)[0, 0] / stars.photon_rate.sum()
+    assert image.sum() * camera.pixel_pitch_mm**2 == pytest.approx(collected * np.pi * angle**2, rel=0.02)
+
+
+def test_pixel_value_is_an_irradiance_whatever_the_pixel(mi):
+    lens = load_lens("star_camera_206mm")
+    sky = {"sky": {"type": "constant", "radiance": 1.0}}
+    images = [
+        path_image(mi, Camera(lens=lens, width_px=8, height_px=8, pixel_pitch_mm=pitch), sky, spp=2048).mean()
+        for pitch in (0.001, 0.02)
+    ]
+    assert images[0] == pytest.approx(images[1], rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"motion_duration_s": 0.0}, "must be positive"),
+        ({"line_time_s": -1.0}, "not negative"),
+        ({"count": 1}, "m >= 2"),
+        ({"shutter_close": 0.0}, "needs shutter_open"),
+    ],
+)
+def test_motion_refused(mi, changes, text):
+    camera = Camera(lens=load_lens("star_camera_206mm"), width_px=4, height_px=4, pixel_pitch_mm=0.01)
+    settings = {"motion_duration_s": 1.0, "line_time_s": 0.0, "shutter_close": 1.0, "count": 3} | changes
+    table = np.broadcast_to(np.eye(3), (1, settings.pop("count"), 3, 3))
+    film = {"type": "hdrfilm", "width": 4, "height": 4}
+    with pytest.raises((ConfigError, RuntimeError), match=text):
+        mi.load_dict(
+            {
+                "type": "lens_camera",
+                "camera": share_camera(camera),
+                "film": film,
+                "motion_rotation": mi.TensorXf64(np.ascontiguousarray(table)),
+                **settings,
+            }
+        )

@@ -1,0 +1,304 @@
+"""The plugins in scenes that this project did not write, through ``mi.load_dict`` and ``mi.render``."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from render.camera import Camera
+from render.forward import StarRenderer
+from render.motion.trajectory import ConstantRate
+from render.plugins.lens_camera import share_camera
+from render.tracing.motion import exposure_motion
+
+ROOT = Path(__file__).parents[3]
+FILM = {
+    "type": "hdrfilm",
+    "width": 300,
+    "height": 200,
+    "rfilter": {"type": "box"},
+    "pixel_format": "luminance",
+    "component_format": "float32",
+}
+CAMERA = {"type": "lens_camera", "lens": "star_camera_206mm", "pixel_pitch_um": 5.5, "charge_diffusion_um": 1.0}
+WAVELENGTH = np.array([[500.0, 520.0], [600.0, 620.0]])
+
+
+def star_field(mi, direction, rate=100.0):
+    shape = (len(direction), *WAVELENGTH.shape)
+    return {
+        "type": "star_field",
+        "direction": mi.TensorXf64(np.asarray(direction, float)[None]),
+        "wavelength_nm": mi.TensorXf64(WAVELENGTH[None]),
+        "photon_rate": mi.TensorXf64(np.full(shape, rate)[None]),
+        "band": "green,red",
+    }
+
+
+def foreign_scene(mi, direction, **sensor):
+    """Somebody's scene: a lamp, a constant sky, a floor and a glass ball, and our sensor among other things."""
+    return {
+        "type": "scene",
+        "integrator": {"type": "star_tracer"},
+        "sensor": {**CAMERA, "shutter_close": 0.5, "film": FILM, **sensor},
+        "stars": star_field(mi, direction),
+        "sky": {"type": "constant", "radiance": 0.1},
+        "lamp": {"type": "point", "position": [0, 3, 0], "intensity": 10.0},
+        "floor": {"type": "rectangle", "bsdf": {"type": "diffuse"}},
+        "ball": {"type": "sphere", "center": [0, 0, 5000], "radius": 100, "bsdf": {"type": "dielectric"}},
+    }
+
+
+def unit(x, y):
+    v = np.stack(np.broadcast_arrays(x, y, 1.0), axis=-1)
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def test_star_image_in_a_foreign_scene(mi):
+    """The scene's own lights and bodies neither add to the star image nor take from it."""
+    rotation = {"rotation": mi.TensorXf64(np.eye(3)[None])}
+    scene = mi.load_dict(foreign_scene(mi, unit([0.0, 0.002], [0.0, -0.001]), **rotation))
+    image = np.array(mi.render(scene))
+    truth = scene.integrator().traced.truth
+    assert image.shape == (200, 300, 2)
+    assert image.sum(axis=(0, 1)) == pytest.approx(truth.electrons_image.sum(0), rel=1e-6)
+    assert truth.electrons_in[0] == pytest.approx(np.full(2, 2 * 100.0 * 0.5 * np.pi * 35.0**2), rel=1e-12)
+    assert truth.bundle_x_px[0] == pytest.approx([149.5, 149.5], abs=1e-9)
+    assert truth.bundle_x_px[1] == pytest.approx(149.5 + 0.002 * 206.2 / 5.5e-3, abs=1.0)
+    assert truth.bundle_y_px[1] == pytest.approx(99.5 - 0.001 * 206.2 / 5.5e-3, abs=1.0)
+
+
+def test_plugin_scene_equals_the_library_path(mi):
+    from optics.lens.prescription import load_lens
+    from render.records import StarField
+
+    direction = unit([0.0, 0.002], [0.0, -0.001])
+    rotation = {"rotation": mi.TensorXf64(np.eye(3)[None])}
+    scene = mi.load_dict(foreign_scene(mi, direction, **rotation))
+    camera = Camera(
+        lens=load_lens("star_camera_206mm"),
+        width_px=300,
+        height_px=200,
+        pixel_pitch_mm=5.5e-3,
+        charge_diffusion_px=1.0 / 5.5,
+    )
+    stars = StarField(
+        direction=direction, wavelength_nm=WAVELENGTH, photon_rate=np.full((2, 2, 2), 100.0), band=("green", "red")
+    )
+    assert np.array_equal(StarRenderer(camera, exposure_s=0.5).render(stars).electrons, np.array(mi.render(scene)))
+
+
+def test_to_world_like_any_mitsuba_sensor(mi):
+    """Looking along world -X with +Z up: up is up in the image (smaller row), right is right."""
+    ahead, up, right = np.array([-1.0, 0, 0]), np.array([0, 0, 1.0]), np.array([0, 1.0, 0])
+    v = np.array([ahead, ahead + 0.001 * up, ahead + 0.001 * right])
+    view = mi.ScalarTransform4f().look_at(origin=[7, 8, 9], target=[6, 8, 9], up=[0, 0, 1])
+    scene = mi.load_dict(foreign_scene(mi, v / np.linalg.norm(v, axis=1, keepdims=True), to_world=view))
+    mi.render(scene)
+    truth = scene.integrator().traced.truth
+    offset = 0.001 * 206.2 / 5.5e-3
+    assert truth.bundle_x_px[:, 0] == pytest.approx([149.5, 149.5, 149.5 + offset], abs=0.5)
+    assert truth.bundle_y_px[:, 0] == pytest.approx([99.5, 99.5 - offset, 99.5], abs=0.5)
+
+
+def test_body_and_star_agree_under_to_world(mi):
+    """Mitsuba's perspective camera, our lens and our stars see the same corner of the scene."""
+    view = mi.ScalarTransform4f().look_at(origin=[1, 2, 3], target=[1 + 0.8, 2 - 0.6, 3], up=[0, 0, 1])
+    ahead, up, right = np.array([0.8, -0.6, 0]), np.array([0, 0, 1.0]), np.array([-0.6, -0.8, 0])
+    v = ahead + 0.002 * up + 0.0025 * right
+    v /= np.linalg.norm(v)
+    contents = {
+        "ball": {
+            "type": "sphere",
+            "center": (np.array([1, 2, 3]) + 1e6 * v).tolist(),
+            "radius": 150.0,
+            "light": {"type": "area", "radiance": 1.0},
+        },
+        "stars": star_field(mi, [v]),
+    }
+    means = []
+    for sensor in (
+        {**CAMERA, "to_world": view, "scene_unit_mm": 1000.0, "film": FILM},
+        {
+            "type": "perspective",
+            "fov": float(np.degrees(2 * np.arctan(150 * 5.5e-3 / 206.2))),
+            "to_world": view,
+            "near_clip": 1.0,
+            "far_clip": 1e8,
+            "film": FILM,
+        },
+    ):
+        scene = mi.load_dict({"type": "scene", "sensor": sensor, "integrator": {"type": "path"}, **contents})
+        image = np.array(mi.render(scene, spp=64))[..., 0]
+        index = np.arange(300)
+        means.append((index @ image.sum(0) / image.sum(), index[:200] @ image.sum(1) / image.sum()))
+    integrator = mi.load_dict({"type": "star_tracer"})
+    scene = mi.load_dict({"type": "scene", "sensor": {**CAMERA, "to_world": view, "film": FILM}, **contents})
+    mi.render(scene, integrator=integrator)
+    truth = integrator.traced.truth
+    star = (truth.bundle_x_px[0].mean(), truth.bundle_y_px[0].mean())
+    assert star[0] > 149.5 + 80
+    assert star[1] < 99.5 - 60
+    assert means[0] == pytest.approx(star, abs=0.3)
+    assert means[1] == pytest.approx(star, abs=0.6)  # an ideal lens of 206.2 mm
+
+
+@pytest.mark.parametrize("suffix", ["ad_rgb", "ad_spectral"])
+def test_other_variants(mi, suffix):
+    """Stars do not depend on the variant; a body in colour has a grey image under a grey light."""
+    from render.engine.variant import use_backend
+    from render.plugins.register import register_plugins
+
+    original = mi.variant()
+    backend, first = original.split("_")[0], register_plugins()
+    direction = unit([0.0, 0.002], [0.0, -0.001])
+    expected = np.array(mi.render(mi.load_dict(foreign_scene(mi, direction))))
+    try:
+        use_backend(backend, suffix=suffix)
+        assert register_plugins()[0] is not first[0]
+        assert np.array_equal(np.array(mi.render(mi.load_dict(foreign_scene(mi, direction)))), expected)
+        film = {**FILM, "width": 12, "height": 12, "pixel_format": "rgb"}
+        sky = {
+            "type": "scene",
+            "sensor": {**CAMERA, "film": film},
+            "sky": {"type": "constant", "radiance": {"type": "d65", "scale": 2.0}},
+        }
+        image = np.array(mi.render(mi.load_dict(sky), spp=512, integrator=mi.load_dict({"type": "path"})))
+        assert image.mean((0, 1)) == pytest.approx(np.full(3, 2.0 * np.pi * 0.1695**2), rel=0.02)
+    finally:
+        use_backend(backend)
+        assert mi.variant() == original
+        assert register_plugins() is first
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"lens": "star_camera_206m"}, r"ConfigError: unknown lens 'star_camera_206m'.*star_camera_206mm"),
+        ({"lens": None}, "ConfigError: lens_camera: property 'lens' is missing"),
+        ({"pixel_pitch_um": None}, "ConfigError: lens_camera: property 'pixel_pitch_um' is missing"),
+        ({"pixel_pitch_um": -5.5}, r"pixel_pitch_um = -5.5 um; it must be positive"),
+        ({"camera": "camera-0"}, "ConfigError: unknown camera handle 'camera-0'"),
+        ({"wavelength_nm": 150.0}, r"DomainError: wavelength 150 nm is outside .* the range of glass N-FK51A"),
+        ({"charge_diffusion_um": -1.0}, "DomainError: Camera.charge_diffusion_px"),
+        ({"shutter_open": 2.0}, "[Ss]hutter opening time"),
+        ({"defocus_m": 1.0}, 'unreferenced property(.|\n)*"defocus_m"'),
+    ],
+)
+def test_bad_sensor_properties(mi, changes, message):
+    properties = {k: v for k, v in ({**CAMERA, "film": FILM} | changes).items() if v is not None}
+    with pytest.raises(RuntimeError, match=message):  # Mitsuba wraps what a plugin raises
+        mi.load_dict(properties)
+
+
+def test_scaling_to_world_and_turned_shared_cameras_are_refused(mi, bench):
+    scaled = mi.ScalarTransform4f().scale(2.0)
+    with pytest.raises(RuntimeError, match=r"to_world scales by 2; give scene_unit_mm"):
+        mi.load_dict({**CAMERA, "film": FILM, "to_world": scaled})
+    camera = bench.camera_of()
+    film = {**FILM, "width": camera.width_px, "height": camera.height_px}
+    turned = mi.ScalarTransform4f().rotate([0, 1, 0], 10.0)
+    with pytest.raises(RuntimeError, match="a shared camera has an attitude of its own"):
+        mi.load_dict({"type": "lens_camera", "camera": share_camera(camera), "film": film, "to_world": turned})
+    with pytest.raises(RuntimeError, match=r"film of 300 x 200 px for a camera of 4096 x 2048 px"):
+        mi.load_dict({"type": "lens_camera", "camera": share_camera(camera), "film": FILM})
+    moved = mi.ScalarTransform4f().translate([1, 2, 3])
+    assert "4096 x 2048" in str(
+        mi.load_dict({"type": "lens_camera", "camera": share_camera(camera), "film": film, "to_world": moved})
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"direction": None}, "ConfigError: star_field: property 'direction' is missing"),
+        ({"band": "one"}, r"DomainError: StarField.wavelength_nm: shape \(2, 2\) where \(1, 2\)"),
+        ({"flux": 1.0}, 'unreferenced property(.|\n)*"flux"'),
+    ],
+)
+def test_bad_star_field_properties(mi, changes, message):
+    good = star_field(mi, unit([0.0], [0.0]))
+    with pytest.raises(RuntimeError, match=message):
+        mi.load_dict({k: v for k, v in (good | changes).items() if v is not None})
+
+
+def test_what_star_tracer_needs(mi):
+    """Mitsuba wraps what an integrator raises; the cause is ours. `StarRenderer` hands the cause on."""
+    from optics.errors import ConfigError, DomainError
+
+    scene = foreign_scene(mi, unit([0.0], [0.0]))
+    for changes, kind, message in (
+        ({"stars": None}, ConfigError, r"the scene holds 0 star_field emitters; exactly one is needed"),
+        ({"more": star_field(mi, unit([0.0], [0.0]))}, ConfigError, r"the scene holds 2 star_field emitters"),
+        (
+            {"sensor": {"type": "perspective", "film": FILM}},
+            ConfigError,
+            r"the sensor is a .*; a lens_camera is needed",
+        ),
+        ({"stars": star_field(mi, -unit([0.0], [0.0]))}, DomainError, r"star 0 lies behind the camera"),
+    ):
+        changed = {k: v for k, v in (scene | changes).items() if v is not None}
+        with pytest.raises(RuntimeError) as caught:
+            mi.render(mi.load_dict(changed))
+        assert isinstance(caught.value.__cause__, kind)
+        assert re.search(message, str(caught.value.__cause__))
+    with pytest.raises(RuntimeError, match=r"sobol_log2_rays = 99 is outside 6 ... 26"):
+        mi.load_dict({"type": "star_tracer", "sobol_log2_rays": 99})
+
+
+def test_stock_integrators_do_not_see_the_stars(mi):
+    scene = {k: v for k, v in foreign_scene(mi, unit([0.0], [0.0])).items() if k in ("type", "sensor", "stars")}
+    image = np.array(mi.render(mi.load_dict(scene), integrator=mi.load_dict({"type": "path"}), spp=4))
+    assert np.count_nonzero(image) == 0
+
+
+def test_plugins_say_what_they_are(mi):
+    scene = mi.load_dict(foreign_scene(mi, unit([0.0], [0.0])))
+    assert str(scene.sensors()[0]) == "LensCamera[lens=star_camera_206mm, 300 x 200 px]"
+    assert "StarTracer[sobol_log2_rays=16]" in str(scene.integrator())
+    assert any(str(e) == "StarField[stars=1, bands=green, red]" for e in scene.emitters())
+
+
+@pytest.mark.parametrize("variant", [pytest.param(None, marks=pytest.mark.slow), "scalar_rgb"])
+def test_registration_needs_a_vectorised_variant(variant):
+    """Scalar variants have no arrays to trace with; without any variant there are no plugin classes."""
+    program = (
+        "import mitsuba as mi\n"
+        + (f"mi.set_variant({variant!r})\n" if variant else "")
+        + "from render.plugins.register import register_plugins\n"
+        + "try:\n    register_plugins()\nexcept Exception as error:\n    print(type(error).__name__, error)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith(f"BackendError Mitsuba variant {variant} is active")
+    assert "use_backend" in done.stdout
+
+
+def test_code_of_the_documentation(mi, bench):
+    """docs/rendering.md is run as it stands: the scene, and the lines about motion with a camera of ours."""
+    text = (ROOT / "docs" / "rendering.md").read_text(encoding="utf-8")
+    code, moving = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    assert len([line for line in code.splitlines() if line.strip()]) <= 20
+    names = {}
+    exec(compile(code, "rendering.md", "exec"), names)
+    electrons, irradiance = np.array(names["electrons"]), np.array(names["irradiance"])
+    assert electrons.shape == (480, 640, 1)
+    assert electrons.sum() == pytest.approx(names["truth"].electrons_image.sum(), rel=1e-6)
+    assert np.unravel_index(electrons.argmax(), (480, 640)) in {(239, 319), (239, 320), (240, 319), (240, 320)}
+    column = (irradiance[..., 0].sum(0) @ np.arange(640)) / irradiance.sum()
+    assert column == pytest.approx(319.5 - 8 / 2000 * 206.2 / 5.5e-3, abs=2.0)  # +X is to the left, as in Mitsuba
+    camera = bench.window(bench.camera_of(), 60, 2000, 1000)
+    names = {
+        "camera": camera,
+        "stars": bench.stars_at(camera, 29.5, 29.5, nodes=1),
+        "trajectory": ConstantRate(initial=Rotation.identity(), rate_rad_per_s=np.full(3, 1e-5), end_s=1.0),
+        "exposure_motion": exposure_motion,
+        "StarRenderer": StarRenderer,
+    }
+    exec(compile(moving, "rendering.md", "exec"), names)
+    assert names["image"].electrons.sum() == pytest.approx(names["image"].truth.electrons_image.sum(), rel=1e-6)

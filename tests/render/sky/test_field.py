@@ -1,0 +1,204 @@
+"""Which stars fall on the detector, against chief rays one by one; and what the renderer makes of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from optics.errors import ConfigError, DomainError
+from optics.frames import field_angles_deg
+from optics.light.band import TopHat
+from optics.rays.chief import chief_ray_points
+from render.catalogue.index import build_index
+from render.catalogue.motion import Observer, directions_at
+from render.catalogue.record import MAS_RAD, StarCatalog, direction_from_angles
+from render.catalogue.temperature import colour_temperature
+from render.sky.field import field_of, field_of_view, pointed, star_field
+from render.sky.star_light import star_light
+
+LENSES = ["star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm"]
+
+
+def sky_of(count=40000, seed=8, **changes):
+    rng = np.random.default_rng(seed)
+    v = rng.normal(size=(count, 3))
+    fields = {
+        "name": "random",
+        "source": "made up",
+        "epoch_year": 2016.0,
+        "magnitude_system": "G",
+        "id": np.arange(count),
+        "direction": v / np.linalg.norm(v, axis=1)[:, None],
+        "magnitude": rng.uniform(0, 10, count),
+        "bp_rp_mag": rng.uniform(0, 2, count),
+        "proper_motion_rad_per_year": rng.normal(0, 500, (count, 2)) * MAS_RAD,
+        "parallax_rad": rng.uniform(1, 100, count) * MAS_RAD,
+    }
+    return StarCatalog(**fields | changes)
+
+
+@pytest.fixture(scope="module")
+def index():
+    return build_index(sky_of())
+
+
+def chief_px(camera, v_cam):
+    """Pixels of chief rays, ray by ray."""
+    return np.stack(camera.to_pixel(*chief_ray_points(camera.focused_lens, *field_angles_deg(v_cam))), axis=-1)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_polynomial_is_the_chief_ray(bench, lens):
+    camera = bench.camera_of(lens)
+    view = field_of_view(camera)
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(-16, camera.width_px + 15, 200), rng.uniform(-16, camera.height_px + 15, 200)
+    v = camera.nominal_direction(x, y, bench.focal_length_mm(camera))
+    v = v[view.inside(v)]
+    np.testing.assert_allclose(view.pixel_of(v), chief_px(camera, v), atol=1e-3)
+    assert view.residual_px < 1e-3
+    assert len(v) > 150
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("seed", range(3))
+def test_all_stars_of_the_frame_and_no_other(bench, index, lens, seed):
+    camera = bench.camera_of(lens)
+    view = field_of_view(camera, margin_px=10.0)
+    attitude = Rotation.random(random_state=seed)
+    field = field_of(index, view, attitude, epoch_year=2030.0)
+    v = directions_at(index.catalog, 2030.0) @ attitude.as_matrix().T
+    rows = np.flatnonzero(v[:, 2] > np.cos(1.02 * view.radius_rad))
+    pixel = chief_px(camera, v[rows])
+    size = np.array([camera.width_px, camera.height_px])
+    on = ((pixel > -10.5 - 1e-6) & (pixel < size + 9.5 + 1e-6)).all(axis=1)
+    assert field.row.tolist() == rows[on].tolist()
+    np.testing.assert_allclose(field.pixel_px, pixel[on], atol=1e-3)
+    assert (field.stars.id == field.row).all()
+
+
+def test_distortion_brings_stars_in(bench, index):
+    # the double Gauss has barrel distortion: its corners see what an ideal lens of its focal length would not
+    camera = bench.camera_of("double_gauss_50mm")
+    view = field_of_view(camera, margin_px=0.0)
+    corner = camera.nominal_direction(-0.5, -0.5, bench.focal_length_mm(camera))
+    assert np.abs(view.pixel_of(corner[None])[0] + 0.5).max() > 1.0
+
+
+def test_off_centre_axis(bench, index):
+    camera = bench.camera_of("star_tracker_26mm")
+    camera = replace(camera, width_px=512, height_px=256, centre_px=np.array([100.0, 200.0]))
+    view = field_of_view(camera, margin_px=0.0)
+    attitude = Rotation.random(random_state=4)
+    field = field_of(index, view, attitude)
+    v = index.catalog.direction @ attitude.as_matrix().T
+    rows = np.flatnonzero(v[:, 2] > np.cos(1.1 * view.radius_rad))
+    pixel = chief_px(camera, v[rows])
+    on = ((pixel >= -0.5) & (pixel <= [511.5, 255.5])).all(axis=1)
+    assert field.row.tolist() == rows[on].tolist()
+
+
+def test_margin_and_magnitude(bench, index):
+    camera = bench.camera_of("star_tracker_26mm")
+    attitude = Rotation.random(random_state=1)
+    wide = field_of(index, field_of_view(camera, margin_px=40.0), attitude)
+    none = field_of(index, field_of_view(camera, margin_px=0.0), attitude)
+    bright = field_of(index, field_of_view(camera, margin_px=0.0), attitude, magnitude_limit=5.0)
+    assert set(none.row) < set(wide.row)
+    assert set(bright.row) == {row for row in none.row if index.catalog.magnitude[row] <= 5.0}
+
+
+def test_observer_moves_the_stars(bench, index):
+    view = field_of_view(bench.camera_of("star_tracker_26mm"))
+    attitude = Rotation.random(random_state=1)
+    observer = Observer(position_au=np.array([0.3, 0.9, 0.1]), velocity_km_per_s=np.array([20.0, -20.0, 5.0]))
+    field = field_of(index, view, attitude, epoch_year=2026.0, observer=observer)
+    np.testing.assert_allclose(
+        field.direction, directions_at(index.catalog, 2026.0, observer)[field.row], rtol=0, atol=1e-15
+    )
+    at_rest = field_of(index, view, attitude, epoch_year=2026.0)
+    both, here, there = np.intersect1d(field.row, at_rest.row, return_indices=True)
+    shift = np.linalg.norm(field.pixel_px[here] - at_rest.pixel_px[there], axis=1)
+    assert len(both) > 0.9 * len(field)
+    assert 0.03 < shift.max() < 0.3  # at most 19.9", and a pixel of 79"
+
+
+def test_no_star_there(bench):
+    lonely = build_index(sky_of(1, direction=[[0.0, 0.0, 1.0]]))
+    view = field_of_view(bench.camera_of("star_camera_206mm"))
+    field = field_of(lonely, view, Rotation.from_euler("x", 90, degrees=True))
+    assert len(field) == 0
+    stars = star_field(field, star_light([TopHat(centre_nm=600, width_nm=100)]))
+    assert stars.photon_rate.shape == (0, 1, 5)
+
+
+def test_light_follows_colour_or_effective_temperature(bench):
+    sky = sky_of(4, bp_rp_mag=[0.5, np.nan, np.nan, 1.2], b_v_mag=[np.nan, 0.6, np.nan, np.nan])
+    sky = replace(
+        sky, direction=np.tile([[0.0, 0.0, 1.0]], (4, 1)), effective_temperature_k=[4000, np.nan, np.nan, 5000]
+    )
+    light = star_light([TopHat(centre_nm=600, width_nm=100)])
+    view = field_of_view(bench.camera_of("star_tracker_26mm"))
+    field = field_of(build_index(sky), view, Rotation.identity())
+    expected = [
+        float(colour_temperature(0.5)),
+        float(colour_temperature(None, 0.6)),
+        4900.0,
+        float(colour_temperature(1.2)),
+    ]
+    rate = star_field(field, light).photon_rate
+    np.testing.assert_allclose(rate, light.photon_rate(sky.magnitude, expected), rtol=1e-12)
+    rate = star_field(field, light, temperature="effective", typical_temperature_k=6000.0).photon_rate
+    np.testing.assert_allclose(rate, light.photon_rate(sky.magnitude, [4000, expected[1], 6000, 5000]), rtol=1e-12)
+    with pytest.raises(DomainError, match="star 2 has no colour"):
+        star_field(field, light, typical_temperature_k=None)
+
+
+def test_refused(bench, index):
+    camera = bench.camera_of("star_tracker_26mm")
+    view = field_of_view(camera)
+    with pytest.raises(DomainError, match="margin_px"):
+        field_of_view(camera, margin_px=-1.0)
+    with pytest.raises(ConfigError, match="one scipy Rotation"):
+        field_of(index, view, np.eye(3))
+    with pytest.raises(ConfigError, match="one scipy Rotation"):
+        field_of(index, view, Rotation.random(2, random_state=0))
+    field = field_of(index, view, Rotation.identity())
+    with pytest.raises(ConfigError, match="prepared for V"):
+        star_field(field, star_light([TopHat(centre_nm=600, width_nm=100)], magnitude_system="V"))
+    with pytest.raises(ConfigError, match="'colour' or 'effective'"):
+        star_field(field, star_light([TopHat(centre_nm=600, width_nm=100)]), temperature="hot")
+    dim = build_index(sky_of(3, direction=np.tile([[0.0, 0.0, 1.0]], (3, 1)), magnitude=[1.0, np.nan, 3.0]))
+    field = field_of(dim, view, Rotation.identity())
+    with pytest.raises(DomainError, match="magnitude of star 1 is nan"):
+        star_field(field, star_light([TopHat(centre_nm=600, width_nm=100)]))
+
+
+def test_rendered_where_it_was_looked_up(bench, mi):
+    from render.forward import StarRenderer
+
+    camera = bench.camera_of("star_tracker_26mm")
+    ra, dec = np.radians(83.8), np.radians(-1.2)
+    north = Rotation.from_matrix(_looking_at(ra, dec))
+    place = direction_from_angles(ra + np.radians([0.0, 3.0, 0.0]), dec + np.radians([0.0, 0.0, 2.0]))
+    sky = build_index(sky_of(3, direction=place, magnitude=[2.0, 3.0, 4.0], bp_rp_mag=[-0.2, 0.8, 1.5]))
+    field = field_of(sky, field_of_view(camera), north)
+    stars = star_field(field, star_light([TopHat(centre_nm=600, width_nm=200, edge_nm=10)]))
+    truth = StarRenderer(pointed(camera, field), exposure_s=0.1).render(stars).truth
+    chief = np.stack([truth.chief_x_px[:, 0], truth.chief_y_px[:, 0]], axis=1)
+    # the truth's chief ray is that of the band's mean wavelength, the field's that of the lens: lateral colour between
+    np.testing.assert_allclose(chief, field.pixel_px, atol=0.05)
+    assert field.pixel_px[1, 0] < field.pixel_px[0, 0] - 100  # east is left where north is up, as in the sky
+    assert field.pixel_px[2, 1] < field.pixel_px[0, 1] - 50
+    electrons = truth.electrons_in[:, 0]
+    assert electrons[0] / electrons[1] == pytest.approx(2.512, rel=0.1)  # their colours change little within G
+
+
+def _looking_at(ra, dec):
+    """cam from icrs with north up and east left."""
+    z = np.array([np.cos(ra) * np.cos(dec), np.sin(ra) * np.cos(dec), np.sin(dec)])
+    east = np.array([-np.sin(ra), np.cos(ra), 0.0])
+    return np.stack([-east, np.cross(z, -east), z])

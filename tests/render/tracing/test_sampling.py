@@ -1,0 +1,189 @@
+"""Sampling of the pupil: Sobol nets, the order of the quadrature, and which of the two is chosen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.stats import qmc
+
+from optics.lens.prescription import load_lens
+from render.tracing import pupil_points
+from render.tracing.damping import TOLERANCE
+from render.tracing.pupil_points import SobolPoints
+from render.tracing.sampling import LADDER, bounding_points, probe_fields, sobol_plan, staggered
+from render.tracing.tracer import Tracer
+
+
+def square(mi, points, first, count):
+    import drjit as dr
+
+    u, v = points.square(mi, dr.arange(mi.UInt32, count) + first)
+    return u.numpy(), v.numpy()
+
+
+@pytest.mark.parametrize("seed", [0, 7, 12345])
+def test_every_block_of_the_sobol_sequence_is_a_net(mi, seed):
+    """A (0, m, 2)-net: every elementary interval of area 2^-m holds exactly one of 2^m points."""
+    m = 10
+    for block in (0, 1, 6):
+        u, v = square(mi, SobolPoints(m, seed), block << m, 1 << m)
+        assert 0 < u.min() < u.max() < 1
+        for a in range(m + 1):
+            cell = np.floor(u * 2**a) * 2 ** (m - a) + np.floor(v * 2 ** (m - a))
+            assert len(np.unique(cell)) == 1 << m
+
+
+def test_without_scrambling_it_is_the_sobol_sequence(mi, monkeypatch):
+    monkeypatch.setattr(pupil_points, "_nested", lambda types, x, seed: x)
+    u, v = square(mi, SobolPoints(9, 0), 0, 1 << 9)
+    got = {(int(a * 512), int(b * 512)) for a, b in zip(u, v, strict=True)}
+    reference = qmc.Sobol(2, scramble=False).random_base2(9)
+    assert got == {(int(a * 512), int(b * 512)) for a, b in reference}
+
+
+def test_scrambling_depends_on_the_seed_only(mi):
+    first, again = (square(mi, SobolPoints(8, 3), 0, 256) for _ in range(2))
+    assert np.array_equal(first, again)
+    leading = np.array([square(mi, SobolPoints(0, seed), 0, 1) for seed in range(200)])[..., 0]
+    assert min(stats.kstest(leading[:, axis], "uniform").pvalue for axis in (0, 1)) > 1e-3  # N = 200
+
+
+def test_sobol_points_fill_the_disk_evenly(mi):
+    import drjit as dr
+
+    plan = sobol_plan(4, 1, 16)  # 4 nodes with 2^14 points each
+    assert plan.rays_per_node == 1 << 14
+    x, y, weight = plan.pupil.sample(mi, mi.UInt32(0), mi.UInt32(2), dr.arange(mi.UInt32, 1 << 14))
+    x, y = x.numpy(), y.numpy()
+    assert np.array_equal(plan.pupil.weight, np.full(1 << 14, weight.numpy()[0]))
+    # moments of the uniform disk: 1/4, 0, 1/8 = <x^4>, 1/24 = <x^2 y^2>
+    for value, expected in ((x, 0), (x * x, 1 / 4), (x * y, 0), (x**4, 1 / 8), (x * x * y * y, 1 / 24)):
+        assert abs(value.mean() - expected) < 1e-5
+
+
+def stamps(tracer, stars, pupil, size=14):
+    """Pixels of stars on the image through a given set of pupil points."""
+    paths = tracer._in_cam(stars, None)
+    light = tracer._light(stars, paths, 1.0)
+    corner = np.floor(tracer.bundle_means(stars)) - size // 2 - 0.5
+    return tracer.planner.kernel(paths.mid).splat(
+        stars=np.arange(len(stars), dtype=np.uint32),
+        pupil=pupil,
+        wavelength_nm=light.wavelength_nm,
+        node_share=light.share,
+        corner_px=corner,
+        stamp_px=size,
+    )
+
+
+@pytest.mark.parametrize("defocus_mm", [0.01, 0.05])
+def test_quadrature_converges_exponentially(mi, bench, defocus_mm):
+    camera = bench.camera_of(defocus_mm=defocus_mm)
+    stars = bench.stars_at(camera, [2047.5, 3000.2, 4010.4], [1023.5, 400.8, 60.1], nodes=1)
+    tracer = Tracer(mi, camera)
+    exact = stamps(tracer, stars, staggered((80, 160), 1)).pixels
+    error = [np.abs(stamps(tracer, stars, staggered(order, 1)).pixels - exact).max() for order in LADDER[:10]]
+    # an algebraic rule gains the same factor with every three steps of the ladder; this one gains more and more
+    gain = [early / late for early, late in zip(error, error[3:], strict=False)]
+    assert gain[0] > 8
+    assert max(gain) > 30 * gain[0]
+    assert error[-1] < 1e-8
+
+
+@pytest.mark.parametrize("diffusion_px", [0.18, 0.6])
+@pytest.mark.parametrize("defocus_mm", [0.0, 0.02, -0.05])
+def test_chosen_order_keeps_its_tolerance(mi, bench, diffusion_px, defocus_mm):
+    """Pixel by pixel against a much higher order, at twelve places that the choice did not try."""
+    camera = bench.camera_of(defocus_mm=defocus_mm, charge_diffusion_px=diffusion_px)
+    rng = np.random.default_rng(3)
+    stars = bench.stars_at(camera, rng.uniform(10, 4085, 12), rng.uniform(10, 2037, 12))
+    tracer = Tracer(mi, camera)
+    planner = tracer.planner
+    seen = planner.seen(tracer._in_cam(stars, None), stars.wavelength_nm)
+    (group, rest), _ = planner.groups(seen, stars.wavelength_nm, planner.chiefs(seen.mid, stars.wavelength_nm))
+    plan = group.plan
+    assert len(group.members) == 12
+    assert len(rest.members) == 0
+    assert plan.error < TOLERANCE
+    fine = stamps(tracer, stars, staggered((60, 120), 3), size=22).pixels
+    assert np.abs(stamps(tracer, stars, plan.pupil, size=22).pixels - fine).max() < TOLERANCE
+
+
+@pytest.mark.slow
+def test_rule_is_chosen_by_the_pupil(mi, bench):
+    """Clear: quadrature. Cut before or behind a stop inside the lens: arcs. Anything else: Sobol."""
+
+    def rule(camera, x, y):
+        stars = bench.stars_at(camera, x, y, nodes=1)
+        return set(Tracer(mi, camera, sobol_log2_rays=10).render(stars, exposure_s=1.0).sampling)
+
+    lens = load_lens("star_camera_206mm")
+    camera = partial(bench.camera_of, film=False)
+    assert rule(camera(), [2000, 4090], [1000, 5]) == {"quadrature"}
+    tracker = camera("star_tracker_26mm")
+    assert rule(tracker, 500, 500) == {"quadrature"}
+    assert rule(tracker, [500, 20, 90], [500, 30, 900]) == {"quadrature", "arcs"}
+    assert rule(replace(tracker, charge_diffusion_px=0.0), 500, 500) == {"sobol"}
+    stop = tracker.lens.surfaces[tracker.lens.stop_index]
+    spot = tracker.lens.with_surfaces({tracker.lens.stop_index: replace(stop, inner_semi_diameter_mm=1.0)})
+    assert rule(replace(tracker, lens=spot), 500, 500) == {"sobol"}
+    assert rule(camera(charge_diffusion_px=0.0), 2000, 1000) == {"sobol"}
+    assert rule(camera(defocus_mm=1.5), 2000, 1000) == {"sobol"}  # 90 px wide
+    last = len(lens.surfaces) - 1
+    cut = lens.with_surfaces({last: replace(lens.surfaces[last], semi_diameter_mm=9.0)})
+    assert rule(camera(cut), [2047.5, 4090], [1023.5, 5]) == {"quadrature", "sobol"}
+    stop = lens.surfaces[lens.stop_index]
+    ring = lens.with_surfaces({lens.stop_index: replace(stop, inner_semi_diameter_mm=8.0)})
+    assert rule(camera(ring), 2000, 1000) == {"sobol"}
+
+
+def test_a_sliver_cut_from_the_pupil_is_noticed(mi, bench):
+    """A thousandth of the light lost at one edge: quadrature would be wrong, so it is not taken."""
+    lens = load_lens("star_camera_206mm")
+    last = len(lens.surfaces) - 1
+    for radius_mm, expected in ((12.60, "quadrature"), (12.55, "sobol"), (12.50, "sobol")):
+        cut = lens.with_surfaces({last: replace(lens.surfaces[last], semi_diameter_mm=radius_mm)})
+        camera = bench.camera_of(cut, film=False)
+        stars = bench.stars_at(camera, 4000.2, 1900.3, bands=((600.0, 0.0),))
+        traced = Tracer(mi, camera).render(stars, exposure_s=1.0)
+        assert set(traced.sampling) == {expected}
+        _, _, weight = bench.bundle(camera, stars, 0, 0, rings=400, arms=400, stagger=True)
+        lost = traced.truth.electrons_vignetted[0, 0] / traced.truth.electrons_in[0, 0]
+        assert lost == pytest.approx(1 - weight.sum(), abs=1e-4)
+        assert (lost > 5e-4) == (expected == "sobol")
+
+
+def test_sobol_agrees_with_quadrature_on_the_same_clear_pupil(mi, bench):
+    camera = bench.camera_of(defocus_mm=0.02)
+    stars = bench.stars_at(camera, [2047.5, 3000.2, 4010.4], [1023.5, 400.8, 60.1])
+    exact = Tracer(mi, camera).render(stars, exposure_s=1.0)
+    # a tolerance that nothing meets leaves Sobol
+    sampled = Tracer(mi, camera, tolerance=1e-300).render(stars, exposure_s=1.0)
+    assert set(exact.sampling) == {"quadrature"}
+    assert set(sampled.sampling) == {"sobol"}
+    for name in ("bundle_x_px", "bundle_y_px", "photon_x_px", "photon_y_px"):
+        assert np.abs(getattr(exact.truth, name) - getattr(sampled.truth, name)).max() < 1e-4
+    light = exact.truth.electrons_in.max()
+    assert np.abs(exact.electrons - sampled.electrons).max() < 1e-4 * light
+
+
+def test_plan_does_not_depend_on_earlier_fields(mi, bench):
+    camera = bench.camera_of()
+    wide = bench.stars_at(camera, [100, 2000], [100, 1000])
+    narrow = bench.stars_at(camera, [1900.3, 2000.1], [1000.2, 1010.7])
+    fresh, used = Tracer(mi, camera), Tracer(mi, camera)
+    used.render(wide, exposure_s=1.0)
+    assert np.array_equal(fresh.render(narrow, exposure_s=1.0).electrons, used.render(narrow, exposure_s=1.0).electrons)
+
+
+def test_probes_cover_the_field_and_bounds_the_rim():
+    v = probe_fields(0.3)
+    assert np.allclose(np.linalg.norm(v, axis=1), 1.0)
+    assert np.degrees(np.arccos(v[:, 2]).max()) == pytest.approx(np.degrees(0.3))
+    radius = np.linalg.norm(bounding_points(), axis=1)
+    assert radius.max() == pytest.approx(1.0)
+    assert np.count_nonzero(radius > 0.999) == 48

@@ -1,0 +1,325 @@
+"""Truth against the traced light, the balance of electrons, directions, linearity, reproducibility, bad input."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from optics.errors import DomainError
+from optics.frames import field_angles_deg
+from optics.lens.perturb import decentre, tilt
+from optics.lens.prescription import load_lens
+from optics.rays.chief import chief_ray_points
+from render.records import StarField
+from render.tracing.tracer import Tracer
+
+LENSES = ("star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm")
+BANDS = ((500.0, 100.0), (600.0, 100.0), (800.0, 100.0))
+
+
+def rendered(mi, camera, stars, **settings):
+    return Tracer(mi, camera, **settings).render(stars, exposure_s=1.0)
+
+
+def over_the_field(bench, name):
+    """Columns and rows of seven stars from the axis to the corner, off the symmetry axes, at various phases."""
+    width, height, _, reach = bench.geometry[name]
+    part = np.linspace(0.0, reach, 7)
+    x = (width - 1) / 2 + part * width / 2 * np.array([1, -1, 1, 1, -1, -1, 1]) + 0.13 * np.arange(7)
+    y = (height - 1) / 2 + part * height / 2 * np.array([1, 1, -1, 0.3, -1, 0.2, 1]) + 0.41
+    return x, y
+
+
+@pytest.mark.parametrize("diffusion_px", [0.0, 0.18])
+@pytest.mark.parametrize("name", LENSES)
+def test_photon_centroid_is_the_bundle_mean(mi, bench, name, diffusion_px):
+    camera = bench.camera_of(name, film=False, charge_diffusion_px=diffusion_px)
+    stars = bench.stars_at(camera, *over_the_field(bench, name), bands=BANDS)
+    truth = rendered(mi, camera, stars, sobol_log2_rays=14).truth
+    assert np.isfinite(truth.photon_x_px).all()
+    assert np.hypot(truth.photon_x_px - truth.bundle_x_px, truth.photon_y_px - truth.bundle_y_px).max() < 1e-5
+
+
+@pytest.mark.parametrize("name", [*LENSES[:2], pytest.param(LENSES[2], marks=pytest.mark.slow)])
+def test_image_on_finer_pixels_has_the_same_centroid(mi, bench, name):
+    """The image itself, not the strips: 4 times finer pixels sample the diffused light without aliasing."""
+    x, y = over_the_field(bench, name)
+    pick = [0, 3, 6]
+    worst = 0.0
+    for column, row in zip(4 * x[pick], 4 * y[pick], strict=True):
+        whole = bench.camera_of(name, fine=4)
+        camera = bench.window(whole, 200, column, row)
+        stars = bench.stars_at(whole, column, row, bands=BANDS[1:])
+        traced = rendered(mi, camera, stars, sobol_log2_rays=13)
+        light = traced.electrons.astype(float)
+        assert traced.truth.electrons_off_edge.max() < 1e-9 * traced.truth.electrons_in.max()
+        index = np.arange(200)
+        total = light.sum((0, 1))
+        centre_x, centre_y = index @ light.sum(0) / total, index @ light.sum(1) / total
+        offset = np.hypot(centre_x - traced.truth.bundle_x_px[0], centre_y - traced.truth.bundle_y_px[0])
+        worst = max(worst, offset.max() / 4)
+    assert worst < 1e-5  # demanded: 1e-4 px
+
+
+@pytest.mark.parametrize("name", [*LENSES[:2], pytest.param(LENSES[2], marks=pytest.mark.slow)])
+def test_truth_against_a_dense_numpy_bundle(mi, bench, name):
+    """Bundle means, variances and vignetting; where apertures cut the bundle, as good as 2^16 Sobol rays are."""
+    camera = bench.camera_of(name, film=False)
+    x, y = over_the_field(bench, name)
+    stars = bench.stars_at(camera, x[[1, 4, 6]], y[[1, 4, 6]], bands=((600.0, 0.0),))
+    truth = rendered(mi, camera, stars).truth
+    exact = name == "star_camera_206mm"
+    for star in range(3):
+        rays = bench.bundle(camera, stars, star, 0, rings=120 if exact else 400, arms=400, stagger=not exact)
+        mean, light = bench.mean_of(*rays), rays[2].sum()
+        spread = np.sqrt(truth.variance_x_px2[star, 0] + truth.variance_y_px2[star, 0])
+        tolerance = 1e-6 if exact else 1e-3 * spread  # the error scales with the size of the spot
+        assert np.hypot(truth.bundle_x_px[star, 0] - mean[0], truth.bundle_y_px[star, 0] - mean[1]) < tolerance
+        variance = rays[2] @ (rays[0] - mean[0]) ** 2 / light
+        assert truth.variance_x_px2[star, 0] == pytest.approx(variance, rel=1e-4 if exact else 5e-3)
+        share = 1 - truth.electrons_vignetted[star, 0] / truth.electrons_in[star, 0]
+        assert share == pytest.approx(light, abs=1e-12 if exact else 5e-4)
+        assert (share < 0.999) != exact
+
+
+def test_chief_rays_go_through_the_centre_of_the_stop(mi, bench):
+    for name in LENSES:
+        camera = bench.camera_of(name, film=False)
+        stars = bench.stars_at(camera, *over_the_field(bench, name), bands=((650.0, 0.0),))
+        truth = rendered(mi, camera, stars, sobol_log2_rays=8).truth
+        x, y = camera.to_pixel(*chief_ray_points(camera.lens, *field_angles_deg(stars.direction), 650.0))
+        assert np.abs(truth.chief_x_px[:, 0] - x).max() < 1e-8
+        assert np.abs(truth.chief_y_px[:, 0] - y).max() < 1e-8
+
+
+def test_every_electron_is_accounted_for(mi, bench):
+    """Inside, half off each edge, over a corner, far outside; clear, cut by an aperture, with a decentred stop."""
+    lens = load_lens("star_camera_206mm")
+    last = len(lens.surfaces) - 1
+    cut = lens.with_surfaces({last: replace(lens.surfaces[last], semi_diameter_mm=9.0)})
+    moved = decentre(lens, lens.stop_index, x_mm=2.0, y_mm=-1.0)
+    x = [2000.3, -0.5, 4095.5, 1500.2, 2500.7, -0.9, 4095.9, 4000.0, -40.0]
+    y = [1000.4, 700.1, 900.9, -0.5, 2047.5, -0.2, 2047.7, 2000.0, 300.0]
+    for system in (lens, cut, moved):
+        for defocus_mm in (0.0, 0.1) if system is lens else (0.02,):
+            camera = bench.camera_of(system, defocus_mm=defocus_mm)
+            traced = rendered(mi, camera, bench.stars_at(camera, x, y, bands=BANDS[:2]), sobol_log2_rays=12)
+            truth = traced.truth
+            total = truth.electrons_image + truth.electrons_vignetted + truth.electrons_off_edge
+            assert np.abs(total / truth.electrons_in - 1).max() < 1e-9  # demanded: 1e-6
+            on_image = traced.electrons.sum((0, 1), dtype=float)
+            assert on_image == pytest.approx(truth.electrons_image.sum(0), rel=1e-6)
+            arrived = truth.electrons_image + truth.electrons_off_edge
+            assert (truth.electrons_image[0] == arrived[0]).all()
+            if system is lens:
+                assert (truth.electrons_image[1:5] > 0.1 * arrived[1:5]).all()
+                assert (truth.electrons_image[1:5] < 0.9 * arrived[1:5]).all()
+            assert (truth.electrons_image[8] == 0).all()
+            assert (truth.electrons_vignetted.max() > 0.1 * truth.electrons_in.max()) == (system is cut)
+
+
+def test_electrons_are_flux_times_area_times_cosine(mi, bench):
+    camera = bench.camera_of()
+    stars = bench.stars_at(camera, 4000.0, 1023.5, bands=((600.0, 0.0),), rate=7.0)
+    truth = Tracer(mi, camera).render(stars, exposure_s=0.25).truth
+    cosine = stars.direction[0, 2]
+    assert truth.electrons_in[0, 0] == pytest.approx(7.0 * 0.25 * np.pi * 35.0**2 * cosine, rel=1e-12)
+
+
+def test_directions_on_the_detector(mi, bench):
+    camera = bench.camera_of()
+    v = np.array([[0, 0, 1.0], [0.02, 0, 1], [0, 0.01, 1], [-0.02, -0.01, 1]])
+    stars = bench.stars_at(camera, 0, 0, direction=v / np.linalg.norm(v, axis=1, keepdims=True))
+    traced = rendered(mi, camera, stars)
+    x, y = traced.truth.bundle_x_px[:, 0], traced.truth.bundle_y_px[:, 0]
+    assert (x[0], y[0]) == pytest.approx((2047.5, 1023.5), abs=1e-9)
+    assert x[1] > x[0] + 700  # +X_cam: larger column
+    assert y[2] > y[0] + 350  # +Y_cam: larger row
+    brightest = np.argwhere(traced.electrons[..., 0] > 0.5 * traced.electrons.max())
+    for star in range(4):  # image[row, column]
+        assert np.hypot(brightest[:, 0] - y[star], brightest[:, 1] - x[star]).min() < 1.5
+
+
+def test_mirror_symmetry_of_a_centred_lens(mi, bench):
+    camera = bench.camera_of()  # each image is as good as the tolerance of the quadrature, 3e-5
+    camera = replace(camera, width_px=700, height_px=700, centre_px=np.array([349.5, 349.5]))
+    stars = bench.stars_at(camera, [600.3, 200.8], [100.2, 690.1])
+    for sign in ([-1, 1, 1], [1, -1, 1], [-1, -1, 1]):
+        mirrored = replace(stars, direction=stars.direction * sign)
+        a, b = rendered(mi, camera, stars), rendered(mi, camera, mirrored)
+        flipped = b.electrons[:: sign[1], :: sign[0]]
+        assert np.abs(a.electrons - flipped).max() < 6e-5 * a.truth.electrons_in.max()
+        assert np.abs((a.truth.bundle_x_px - 349.5) - sign[0] * (b.truth.bundle_x_px - 349.5)).max() < 1e-8
+        assert np.abs((a.truth.bundle_y_px - 349.5) - sign[1] * (b.truth.bundle_y_px - 349.5)).max() < 1e-8
+
+
+def test_turning_the_camera_and_the_stars_changes_nothing(mi, bench):
+    turn = Rotation.from_euler("zyx", [123.0, -40.0, 77.0], degrees=True).as_matrix()
+    camera = bench.camera_of(decentre(load_lens("star_camera_206mm"), "L2", x_mm=0.1))
+    camera = bench.window(camera, 600, 300, 300)
+    stars = bench.stars_at(camera, [300.2, 800.3], [100.4, 500.5])
+    turned = replace(camera, rotation_cam_from_world=turn)
+    a = rendered(mi, camera, stars)
+    b = rendered(mi, turned, replace(stars, direction=stars.direction @ turn))
+    assert np.abs(a.truth.bundle_x_px - b.truth.bundle_x_px).max() < 1e-9
+    assert np.abs(a.electrons - b.electrons).max() < 1e-6 * a.electrons.max()
+    override = Tracer(mi, camera).render(
+        replace(stars, direction=stars.direction @ turn), exposure_s=1.0, rotation_cam_from_world=turn
+    )
+    assert np.array_equal(override.electrons, b.electrons)
+
+
+def test_a_thousandth_of_an_arcsecond_moves_the_star(mi, bench):
+    """Yaw about +Y by +e: the star goes towards -X by the local scale of the lens, 1.8e-4 px; float64 all the way."""
+    arcsec = np.pi / 180 / 3600
+    camera = bench.camera_of(film=False)
+    stars = bench.stars_at(camera, 3300.2, 600.7)
+
+    def column(angle):
+        about_y = Rotation.from_rotvec([0, -angle, 0]).as_matrix()  # v_cam of a camera turned by +angle
+        truth = rendered(mi, replace(camera, rotation_cam_from_world=about_y), stars).truth
+        return truth.bundle_x_px[0, 0], truth.photon_x_px[0, 0]
+
+    at, far, near = column(0.0), column(20.0 * arcsec), column(0.001 * arcsec)
+    scale = (far[0] - at[0]) / 20.0  # px per arcsec
+    assert scale == pytest.approx(-206.2 / 5.5e-3 * arcsec, rel=0.02)
+    assert near[0] - at[0] == pytest.approx(0.001 * scale, rel=1e-3)
+    assert near[1] - at[1] == pytest.approx(0.001 * scale, rel=2e-2)
+
+
+def test_narrow_band_becomes_a_line(mi, bench):
+    camera = bench.window(bench.camera_of(defocus_mm=0.01), 800, 3600, 400)
+    place = ([700.3, 90.1], [300.2, 780.9])
+    line = rendered(mi, camera, bench.stars_at(camera, *place, bands=((600.0, 0.0),)))
+    offset = []
+    for width in (40.0, 10.0, 0.01):
+        band = rendered(mi, camera, bench.stars_at(camera, *place, bands=((600.0, width),), nodes=4))
+        offset.append(np.abs(band.truth.bundle_x_px - line.truth.bundle_x_px).max())
+    assert offset[1] / offset[0] == pytest.approx(1 / 16, rel=0.2)  # second order in the width
+    assert offset[2] < 1e-8
+    assert np.abs(band.electrons - line.electrons).max() < 3e-5 * line.truth.electrons_in.max()
+
+
+def test_linear_in_exposure_flux_and_stars(mi, bench):
+    camera = bench.window(bench.camera_of(), 400, 1000, 500)
+    place = np.array([[100.2, 103.4, 300.1], [200.3, 202.2, 390.8]])
+    tracer = Tracer(mi, camera)
+    together = bench.stars_at(camera, *place, rate=[1.0, 2.0, 3.0])
+    one = tracer.render(together, exposure_s=0.1)
+    two = tracer.render(together, exposure_s=0.2)
+    assert np.allclose(two.electrons, 2 * one.electrons, rtol=3e-7)
+    assert two.truth.electrons_in == pytest.approx(2 * one.truth.electrons_in, rel=1e-14)
+    apart = sum(
+        tracer.render(bench.stars_at(camera, *place[:, [i]], rate=[1.0 + i]), exposure_s=0.1).electrons.astype(float)
+        for i in range(3)
+    )
+    # one by one the field is smaller and so may be the order of the quadrature
+    assert np.abs(apart - one.electrons).max() < 3e-5 * one.truth.electrons_in.max()
+
+
+@pytest.mark.parametrize("name", ["star_camera_206mm", "star_tracker_26mm"])
+def test_same_seed_same_bytes_whatever_the_threads(mi, bench, name):
+    import drjit as dr
+
+    camera = replace(bench.camera_of(name), width_px=900, height_px=900)
+    stars = bench.stars_at(camera, *over_the_field(bench, name))
+    threads = dr.thread_count()
+    try:
+        images = []
+        for count in (1, 2, 3):
+            dr.set_thread_count(count)
+            images.append(rendered(mi, camera, stars, sobol_log2_rays=12, sobol_seed=5))
+    finally:
+        dr.set_thread_count(threads)
+    assert images[0].electrons.tobytes() == images[1].electrons.tobytes() == images[2].electrons.tobytes()
+    for field in images[0].truth.__dataclass_fields__:
+        assert getattr(images[0].truth, field).tobytes() == getattr(images[1].truth, field).tobytes()
+    other = rendered(mi, camera, stars, sobol_log2_rays=12, sobol_seed=6)
+    assert np.array_equal(other.electrons, images[0].electrons)  # outlines are known: no Sobol points
+    bare = replace(camera, charge_diffusion_px=0.0)
+    assert np.array_equal(*(rendered(mi, bare, stars, sobol_log2_rays=8, sobol_seed=5).electrons for _ in range(2)))
+    assert not np.array_equal(
+        *(rendered(mi, bare, stars, sobol_log2_rays=8, sobol_seed=seed).electrons for seed in (5, 6))
+    )
+
+
+def test_inputs_are_left_alone(mi, bench):
+    camera = bench.camera_of()
+    stars = bench.stars_at(camera, [100.0, 2000.0], [100.0, 1000.0])
+    before = [np.array(getattr(stars, f)) for f in ("direction", "wavelength_nm", "photon_rate")]
+    rendered(mi, camera, stars)
+    for name, value in zip(("direction", "wavelength_nm", "photon_rate"), before, strict=True):
+        assert np.array_equal(getattr(stars, name), value)
+
+
+def test_no_stars_is_an_empty_image(mi, bench):
+    camera = bench.camera_of()
+    stars = bench.stars_at(camera, np.empty(0), np.empty(0), bands=BANDS)
+    traced = rendered(mi, camera, stars)
+    assert traced.electrons.shape == (2048, 4096, 3)
+    assert traced.electrons.max() == 0
+    assert traced.truth.bundle_x_px.shape == (0, 3)
+    assert traced.sampling == {}
+
+
+def test_star_without_flux_has_a_place_but_no_light(mi, bench):
+    camera = bench.camera_of()
+    traced = rendered(mi, camera, bench.stars_at(camera, 1000.0, 900.0, rate=0.0))
+    assert traced.electrons.max() == 0
+    assert traced.truth.bundle_x_px[0, 0] == pytest.approx(1000, abs=5)
+    assert traced.truth.electrons_in[0, 0] == 0
+
+
+def test_star_whose_rays_all_fail_is_flagged_in_its_truth(mi, bench):
+    """Not an error: the light is accounted for as vignetted, positions are NaN, the other stars are untouched."""
+    camera = bench.camera_of("star_tracker_26mm")
+    place = bench.stars_at(camera, [500.2, 200.0], [500.9, 300.0], bands=((650.0, 0.0),))
+    direction = np.array([place.direction[0], [np.sin(0.9), 0.0, np.cos(0.9)]])  # 52 deg off axis
+    traced = rendered(mi, camera, replace(place, direction=direction), sobol_log2_rays=12)
+    truth = traced.truth
+    for name in ("bundle_x_px", "bundle_y_px", "photon_x_px", "photon_y_px", "variance_x_px2", "chief_x_px"):
+        assert np.isnan(getattr(truth, name)[1, 0])
+        assert np.isfinite(getattr(truth, name)[0, 0])
+    assert truth.electrons_vignetted[1, 0] == pytest.approx(truth.electrons_in[1, 0], rel=1e-12)
+    assert traced.electrons.astype(float).sum() == pytest.approx(truth.electrons_image[0, 0], rel=1e-6)
+
+
+def test_bundle_means_need_no_image(mi, bench):
+    camera = bench.camera_of(tilt(load_lens("star_camera_206mm"), "L2", x_deg=0.1), film=False)
+    stars = bench.stars_at(camera, [100.0, 2000.0], [100.0, 1000.0], bands=BANDS)
+    means = Tracer(mi, camera, general=True).bundle_means(stars)
+    truth = rendered(mi, camera, stars).truth
+    assert np.abs(means - np.stack([truth.bundle_x_px, truth.bundle_y_px], axis=-1)).max() < 1e-7
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"direction": [[0.0, 0.0, -1.0]]}, r"star 0 lies behind the camera \(180.0 deg"),
+        ({"direction": [[1.0, 0.0, 0.0]]}, r"behind the camera \(90.0 deg"),
+        ({"wavelength_nm": [[2600.0]]}, r"wavelength 2600 nm is outside 290 ... 2500 nm, the range of glass N-FK51A"),
+        ({"wavelength_nm": [[-5.0]]}, r"wavelength_nm contains -5 nm"),
+        ({"photon_rate": [[[-1.0]]]}, r"photon_rate of star 0 is negative \(-1 photons/s/mm\^2\)"),
+        ({"photon_rate": [[[np.nan]]]}, r"photon_rate: value at index \[0, 0, 0\] is nan"),
+        ({"direction": [[0.0, np.inf, 1.0]]}, r"direction: value at index \[0, 1\] is inf"),
+        ({"direction": [[0.0, 0.1, 1.0]]}, r"direction\[0\] has length 1.00498"),
+        ({"band": ("a", "b")}, r"wavelength_nm: shape \(1, 1\) where \(2, 1\) is needed"),
+    ],
+)
+def test_bad_stars_are_named(mi, bench, change, message):
+    good = {"direction": [[0.0, 0.0, 1.0]], "wavelength_nm": [[600.0]], "photon_rate": [[[1.0]]], "band": ("a",)}
+    tracer = Tracer(mi, bench.camera_of(film=False))
+    for action in (lambda s: tracer.render(s, exposure_s=1.0), tracer.bundle_means):
+        with pytest.raises(DomainError, match=message) as caught:
+            action(StarField(**(good | change)))
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("exposure_s", [0.0, -1.0, np.nan, np.inf])
+def test_bad_exposure(mi, bench, exposure_s):
+    camera = bench.camera_of()
+    with pytest.raises(DomainError, match=r"exposure .* s; it must be positive"):
+        Tracer(mi, camera).render(bench.stars_at(camera, 10.0, 10.0), exposure_s=exposure_s)
