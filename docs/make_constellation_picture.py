@@ -23,10 +23,10 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import binary_dilation, gaussian_filter
-from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from optics.attitude import attitude_from_angles
 from optics.lens.prescription import load_lens
 from optics.light.band import TopHat, band_nodes
 from optics.light.spectrum import Blackbody
@@ -68,14 +68,6 @@ NAMES = {
 }  # fmt: skip
 
 
-def pointing(right_ascension_deg: float, declination_deg: float) -> Rotation:
-    """cam from icrs with north up: +X west, +Y south."""
-    z = direction_from_angles(np.radians([right_ascension_deg]), np.radians([declination_deg]))[0]
-    west = np.cross(z, [0.0, 0.0, 1.0])
-    west /= np.linalg.norm(west)
-    return Rotation.from_matrix(np.stack([west, np.cross(z, west), z]))
-
-
 def with_hipparcos_colours(stars: StarCatalog) -> StarCatalog:
     """The catalogue with B-V in place of BP-RP where Gaia's photometers were dazzled."""
     b_v, bp_rp = stars.b_v_mag.copy(), stars.bp_rp_mag.copy()
@@ -90,7 +82,7 @@ def expected_rates(detector: Detector) -> tuple[Camera, np.ndarray]:
     camera = build_camera(
         load_lens("star_tracker_26mm"), detector, defocus_mm=DEFOCUS_MM, coating=QuarterWave(design_wavelength_nm=550.0)
     )
-    attitude = pointing(*CENTRE_DEG)
+    attitude = attitude_from_angles(*CENTRE_DEG)
     camera = replace(camera, rotation_cam_from_world=attitude.as_matrix())
     index = build_index(load_gaia())
     view = field_of_view(camera, margin_px=20.0)

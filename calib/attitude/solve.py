@@ -36,7 +36,6 @@ from optics.units import RAD_ARCSEC
 __all__ = [
     "AttitudeSolution",
     "AttitudeSolutions",
-    "attitude_error_arcsec",
     "solve_wahba",
     "solve_wahba_many",
 ]
@@ -155,22 +154,6 @@ class AttitudeSolutions:
             sigma_rad=float(self.sigma_rad[index]),
             stars=int(self.stars[index]),
         )
-
-
-def attitude_error_arcsec(estimated: Rotation, truth: Rotation) -> FloatArray:
-    """Rotation vector in cam that turns the true attitude into the estimated one: ``estimated = exp(error) truth``.
-
-    Parameters
-    ----------
-    estimated, truth : Rotation
-        cam from reference, one or f of them.
-
-    Returns
-    -------
-    (3,) or (f, 3)
-        Errors about cam x, y (across the boresight) and z (roll) [arcsec]; report x, y and z apart.
-    """
-    return np.asarray((estimated * truth.inv()).as_rotvec() * RAD_ARCSEC)
 
 
 def solve_wahba(

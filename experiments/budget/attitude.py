@@ -21,11 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.solve import attitude_error_arcsec, solve_wahba_many
+from calib.attitude.solve import solve_wahba_many
 from experiments.budget.combine import Budget
 from experiments.budget.settings import AttitudeConfig
 from experiments.laboratory.instrument import Instrument
 from optics.arrays import FloatArray
+from optics.attitude import attitude_error_arcsec
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from experiments.dataset.pointing import angles_of, quat_xyzw
+from optics.attitude import angles_from_attitude, quat_xyzw
 from optics.units import RAD_DEG
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ __all__ = ["header_cards"]
 def header_cards(scene: Scene, made: MadeFrame) -> list[Card]:
     """Cards (keyword, value, comment) for ``write_frame(..., cards=...)``; nothing of the time or the machine."""
     config, attitude = scene.config, made.plan.attitude
-    ra, dec, roll = angles_of(attitude)
+    ra, dec, roll = angles_from_attitude(attitude)
     quaternion = zip("XYZW", quat_xyzw(attitude).tolist(), strict=True)
     rate = zip("XYZ", (made.plan.rate_rad_per_s * RAD_DEG).tolist(), strict=True)
     return [

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.dataset.pointing import attitude_from_angles, read_attitudes, read_motion
+from experiments.dataset.pointing import read_attitudes, read_motion
 from experiments.dataset.settings import (
     ConePointing,
     Config,
@@ -22,6 +22,7 @@ from experiments.dataset.settings import (
     SplitsConfig,
 )
 from optics.arrays import FloatArray
+from optics.attitude import attitude_from_angles
 from optics.errors import ConfigError, DomainError
 from optics.units import DEG_RAD
 from render.catalogue.motion import earth_observer

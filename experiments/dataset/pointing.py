@@ -1,8 +1,4 @@
-"""Attitudes of the frames: angles to rotations and back, lists and motions from files.
-
-Roll is the position angle of *up* in the image (towards smaller rows) at the boresight, from north through east. At
-roll 0 north is up and, as the sky is seen, east is to the left.
-"""
+"""Attitudes of the frames: lists and motions from files."""
 
 from __future__ import annotations
 
@@ -11,72 +7,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
+from optics.attitude import attitude_from_angles
 from optics.errors import ConfigError, DomainError
-from optics.units import DEG_RAD, RAD_DEG
 
-__all__ = ["angles_of", "attitude_from_angles", "file_digest", "quat_xyzw", "read_attitudes", "read_motion"]
+__all__ = ["file_digest", "read_attitudes", "read_motion"]
 
 
 NORM_TOLERANCE = 1e-6
 """A quaternion written with seven digits is this near to unit length; farther off it is something else."""
 _FEWEST_TO_JUDGE = 20
 _QUATERNION = ("quat_x", "quat_y", "quat_z", "quat_w")
-
-
-def attitude_from_angles(ra_deg: ArrayLike, dec_deg: ArrayLike, roll_deg: ArrayLike) -> Rotation:
-    """Rotation cam from icrs of right ascension, declination and roll [deg], single or n of them.
-
-    Raises
-    ------
-    DomainError
-        A declination beyond the poles, or a value that is not finite.
-    """
-    ra, dec, roll = np.broadcast_arrays(*(np.asarray(value, float) for value in (ra_deg, dec_deg, roll_deg)))
-    if not (np.isfinite(ra).all() and np.isfinite(dec).all() and np.isfinite(roll).all()):
-        raise DomainError("right ascension, declination and roll must be finite numbers")
-    if dec.size and float(np.abs(dec).max()) > 90.0:
-        raise DomainError(f"declination {float(dec.flat[np.abs(dec).argmax()]):g} deg is beyond the pole (90 deg)")
-    boresight, north, east = _triad(ra * DEG_RAD, dec * DEG_RAD)
-    turn = (roll * DEG_RAD)[..., None]
-    up = np.cos(turn) * north + np.sin(turn) * east
-    return Rotation.from_matrix(np.stack([np.cross(boresight, up), -up, boresight], axis=-2))
-
-
-def angles_of(attitude: Rotation) -> tuple[float, float, float]:
-    """Right ascension (0 ... 360), declination and roll (0 ... 360) [deg] of one attitude cam from icrs."""
-    _, down, boresight = attitude.as_matrix()
-    ra = np.arctan2(boresight[1], boresight[0])
-    dec = np.arctan2(boresight[2], np.hypot(boresight[0], boresight[1]))
-    _, north, east = _triad(ra, dec)
-    roll = np.arctan2(-down @ east, -down @ north)
-    return _turn(float(ra * RAD_DEG)), float(dec * RAD_DEG), _turn(float(roll * RAD_DEG))
-
-
-def _turn(angle_deg: float) -> float:
-    """The same angle from 0 to below 360; the rest of a tiny negative one rounds to 360."""
-    rest = angle_deg % 360.0
-    return rest if rest < 360.0 else 0.0
-
-
-def quat_xyzw(attitude: Rotation) -> FloatArray:
-    """Quaternion (..., 4) as files hold it: scalar last and not negative."""
-    return np.asarray(attitude.as_quat(canonical=True))
-
-
-def _triad(ra: Any, dec: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Boresight, north and east (..., 3) of angles [rad]."""
-    ra, dec = np.asarray(ra, float), np.asarray(dec, float)
-    cos_ra, sin_ra, cos_dec, sin_dec = np.cos(ra), np.sin(ra), np.cos(dec), np.sin(dec)
-    zero = np.zeros_like(cos_ra)
-    return (
-        np.stack([cos_ra * cos_dec, sin_ra * cos_dec, sin_dec], axis=-1),
-        np.stack([-cos_ra * sin_dec, -sin_ra * sin_dec, cos_dec], axis=-1),
-        np.stack([-sin_ra, cos_ra, zero], axis=-1),
-    )
 
 
 def file_digest(name: str | Path) -> str:

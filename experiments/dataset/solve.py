@@ -19,10 +19,11 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.association import associate
 from calib.attitude.identify import Identification, identify
-from calib.attitude.solve import attitude_error_arcsec, solve_wahba
+from calib.attitude.solve import solve_wahba
 from calib.cameras.base import CameraModel
 from experiments.dataset.measure import MeasuredFrame
 from optics.arrays import FloatArray
+from optics.attitude import attitude_error_arcsec
 from optics.records import freeze
 from optics.units import RAD_ARCSEC
 

@@ -12,10 +12,10 @@ from experiments.dataset.cards import header_cards
 from experiments.dataset.facts import FrameFacts
 from experiments.dataset.folder import checked_frame, frame_files, storage_error, write_whole
 from experiments.dataset.maker import FrameMaker, MadeFrame
-from experiments.dataset.pointing import angles_of, quat_xyzw
 from experiments.dataset.scene import build_scene
 from experiments.dataset.settings import Config
 from experiments.dataset.truth_file import truth_bytes
+from optics.attitude import angles_from_attitude, quat_xyzw
 from optics.errors import ConfigError
 from optics.units import RAD_DEG
 
@@ -126,7 +126,7 @@ def _write_fits(maker: FrameMaker, made: MadeFrame, path: Path) -> None:
 
 
 def _facts(made: MadeFrame, config: Config, frame_name: str, truth_name: str, content: bytes) -> FrameFacts:
-    ra, dec, roll = angles_of(made.plan.attitude)
+    ra, dec, roll = angles_from_attitude(made.plan.attitude)
     x, y, z, w = quat_xyzw(made.plan.attitude).tolist()
     return FrameFacts(
         frame=made.plan.frame,

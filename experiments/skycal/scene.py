@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from experiments.laboratory.instrument import Instrument, build_instrument
 from experiments.skycal.sky import Sky, in_light, load_sky, passband
 from optics.arrays import FloatArray
+from optics.attitude import attitude_from_angles
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD, DEG_RAD
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from render.records import StarField
     from render.sky.field import StarLight
 
-__all__ = ["Scene", "build_scene", "pointing"]
+__all__ = ["Scene", "build_scene"]
 
 
 STEPS_PER_FRAME = 20
@@ -112,14 +113,6 @@ class Scene:
         return near[inside], direction[inside]
 
 
-def pointing(ra_deg: float, dec_deg: float) -> Rotation:
-    """Camera that looks at (ra, dec) with north up (towards smaller rows) and, as the sky is seen, east to the left."""
-    ra, dec = np.radians([ra_deg, dec_deg])
-    boresight = np.array([np.cos(ra) * np.cos(dec), np.sin(ra) * np.cos(dec), np.sin(dec)])
-    north = np.array([-np.cos(ra) * np.sin(dec), -np.sin(ra) * np.sin(dec), np.cos(dec)])
-    return Rotation.from_matrix(np.stack([np.cross(boresight, north), -north, boresight]))
-
-
 def build_scene(name: str, config: Config, streams: Streams) -> Scene:
     """Scene of one camera; what can be refused before rendering is refused here.
 
@@ -188,7 +181,7 @@ def _trajectory(sky: SkyConfig, motion: MotionConfig, frames: int) -> SampledAtt
     part = (np.arange(steps) + 0.5) / steps
     turn, tilt = AXIS_TURN_DEG * DEG_RAD * part, motion.axis_deg * DEG_RAD
     axis = np.column_stack([-np.sin(tilt) * np.sin(turn), np.sin(tilt) * np.cos(turn), np.full(steps, np.cos(tilt))])
-    attitudes = [pointing(sky.ra_deg, sky.dec_deg)]
+    attitudes = [attitude_from_angles(sky.ra_deg, sky.dec_deg)]
     for increment in Rotation.from_rotvec(-axis * (motion.rate_deg_per_s * DEG_RAD * end_s / steps)):
         attitudes.append(increment * attitudes[-1])
     kept = slice(None, None, STEPS_PER_FRAME // 4)

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.association import associate, match_stars
-from calib.attitude.solve import attitude_error_arcsec
 from calib.cameras import BrownConrady, SensorGeometry
+from optics.attitude import attitude_error_arcsec
 from optics.errors import DomainError
 
 GEOMETRY = SensorGeometry(width_px=1024, height_px=768, pixel_pitch_mm=0.01)

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.identify import build_database, identify, load_database
-from calib.attitude.solve import attitude_error_arcsec
 from calib.cameras import BrownConrady, SensorGeometry
+from optics.attitude import attitude_error_arcsec
 from optics.errors import ConfigError, DomainError
 
 pytestmark = pytest.mark.reference

@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from calib.attitude.solve import attitude_error_arcsec, solve_wahba, solve_wahba_many
+from calib.attitude.solve import solve_wahba, solve_wahba_many
+from optics.attitude import attitude_error_arcsec
 from optics.errors import ConfigError, DomainError
 from optics.units import RAD_ARCSEC
 

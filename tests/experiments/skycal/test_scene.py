@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import link_attitudes
 from experiments.skycal.experiment import main
-from experiments.skycal.scene import build_scene, pointing
+from experiments.skycal.scene import build_scene
 from experiments.skycal.settings import Config, model_label, parse_model_name
 from experiments.skycal.sky import CUMULATIVE_COUNT, in_light, random_sky
 from optics.errors import DomainError
@@ -49,22 +49,6 @@ def test_light_is_that_of_a_black_body_of_the_magnitude(scene):
     other = in_light(scene.light, np.array([[0.0, 0.0, 1.0]]), 0.0, 3500.0)
     reference = photon_rate(Blackbody(temperature_k=3500.0), 0.0, wavelength_nm=stars.wavelength_nm, system="G")
     assert share == pytest.approx(other.photon_rate[0] / reference, rel=1e-4)
-
-
-def test_pointing_has_north_up_and_east_to_the_left():
-    ra, dec = np.radians([40.0, 20.0])
-    attitude = pointing(40.0, 20.0)
-
-    def pixel_of(ra_rad, dec_rad):
-        v = [np.cos(ra_rad) * np.cos(dec_rad), np.sin(ra_rad) * np.cos(dec_rad), np.sin(dec_rad)]
-        x, y, z = attitude.apply(v)
-        assert z > 0
-        return x / z, y / z
-
-    assert pixel_of(ra, dec) == pytest.approx((0, 0), abs=1e-12)
-    assert pixel_of(ra, dec + 0.01) == pytest.approx((0, -0.01), abs=1e-6)  # north: smaller row
-    assert pixel_of(ra + 0.01, dec)[0] < -0.009  # east: smaller column
-    assert np.linalg.det(attitude.as_matrix()) == pytest.approx(1)
 
 
 def test_motion_has_the_asked_speed_and_the_gyro_feels_it(config, scene):

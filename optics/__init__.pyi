@@ -1,0 +1,27 @@
+# Public names and where they live; optics/__init__.py loads them on first use.
+from .attitude import angles_from_attitude as angles_from_attitude
+from .attitude import attitude_error_arcsec as attitude_error_arcsec
+from .attitude import attitude_from_angles as attitude_from_angles
+from .errors import StarbenchError as StarbenchError
+from .figures import draw_distortion as draw_distortion
+from .figures import draw_lens as draw_lens
+from .figures import draw_spots as draw_spots
+from .glass.catalogue import Glass as Glass
+from .glass.catalogue import get_glass as get_glass
+from .glass.media import CATALOGUE_AIR as CATALOGUE_AIR
+from .glass.media import VACUUM as VACUUM
+from .glass.media import Environment as Environment
+from .lens.prescription import list_lenses as list_lenses
+from .lens.prescription import load_lens as load_lens
+from .lens.system import LensSystem as LensSystem
+from .lens.system import Surface as Surface
+from .light.band import TopHat as TopHat
+from .light.spectrum import Blackbody as Blackbody
+from .light.transmission import QuarterWave as QuarterWave
+from .rays.program import compile_lens as compile_lens
+from .rays.pupil import entrance_pupil as entrance_pupil
+from .rays.pupil import star_rays as star_rays
+from .rays.spots import lateral_colour as lateral_colour
+from .rays.spots import spot_moments as spot_moments
+from .rays.trace import Rays as Rays
+from .rays.trace import trace_program as trace_program
