@@ -48,12 +48,12 @@ from scipy.spatial.transform import Rotation
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from calib.attitude.link import link_attitudes
-from calib.calibrate.attitude_correlated import calibrate_attitude_correlated
-from calib.calibrate.bounds import bound_free_attitude
-from calib.calibrate.fit import start_attitudes
-from calib.calibrate.free_attitude import calibrate_free_attitude
-from calib.calibrate.interstar import calibrate_interstar
-from calib.calibrate.observations import Observations
+from calib.calibration.attitude_correlated import calibrate_attitude_correlated
+from calib.calibration.bounds import bound_free_attitude
+from calib.calibration.fit import start_attitudes
+from calib.calibration.free_attitude import calibrate_free_attitude
+from calib.calibration.interstar import calibrate_interstar
+from calib.calibration.observations import Observations
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.line_of_sight import best_rotation, line_of_sight_map

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.gyro_attitude import integrate_rates_many
 from calib.attitude.link import rotation_of_angles
-from calib.calibrate.observations import Observations
+from calib.calibration.observations import Observations
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
 from experiments.acf.settings import Config

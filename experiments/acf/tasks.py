@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import angles_of_rotation, link_attitudes
-from calib.calibrate.attitude_correlated import calibrate_attitude_correlated
-from calib.calibrate.calibration import Calibration
-from calib.calibrate.free_attitude import calibrate_free_attitude
-from calib.calibrate.gyro_linked import GyroNoise, calibrate_gyro_linked
-from calib.calibrate.interstar import calibrate_interstar
-from calib.calibrate.observations import Observations
+from calib.calibration.attitude_correlated import calibrate_attitude_correlated
+from calib.calibration.free_attitude import calibrate_free_attitude
+from calib.calibration.gyro_linked import GyroNoise, calibrate_gyro_linked
+from calib.calibration.interstar import calibrate_interstar
+from calib.calibration.observations import Observations
+from calib.calibration.record import Calibration
 from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.line_of_sight import line_of_sight_map
 from experiments.acf.predict import Design, GyroError, correlated, free, linked, sight_arcsec, sight_operator

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
-from calib.calibrate.cube_mirror import normal_of_offset, triad
+from calib.calibration.cube_mirror import normal_of_offset, triad
 from experiments.cube.settings import Config
 from experiments.laboratory.turntable import Turntable, build_turntable
 from optics.arrays import FloatArray

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.calibrate.cube_mirror import cube_from_table, normal_in_table, pixel_angle_rad, rotation_error_rad
+from calib.calibration.cube_mirror import cube_from_table, normal_in_table, pixel_angle_rad, rotation_error_rad
 from experiments.cube.bench import (
     NOMINAL_CUBE,
     SQUARE,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.calibrate.cube_mirror import (
+from calib.calibration.cube_mirror import (
     MirrorSolution,
     cube_from_table,
     normal_of_offset,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.calibrate.cube_mirror import pixel_angle_rad
+from calib.calibration.cube_mirror import pixel_angle_rad
 from experiments.cube.bench import Laboratory, Truth, build_table
 from experiments.cube.budget import PUBLISHED_ARCSEC, BudgetRow, face_angles_deg
 from experiments.cube.checks import reflected_spot_mm

@@ -1,7 +1,7 @@
 """Step 1: the sun sensor against the table, R_sr, by turning the table over the sensor's field (CUBE09, step 1).
 
-The method of patent 200510112553.7 as `calib.calibrate.turntable` has it: hole against detector, mask distance, sensor
-against table, direction of the beam and, if wanted, the table's axes are fitted together to the spots of all
+The method of patent 200510112553.7 as `calib.calibration.turntable` has it: hole against detector, mask distance,
+sensor against table, direction of the beam and, if wanted, the table's axes are fitted together to the spots of all
 positions. As published, the simulator is taken as aligned: its beam lies along the Z axis of the table at zero. It is
 held there by conditioning the solution on it, the best estimate given that two of the unknowns are known.
 """
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import increment_per_angle, rotation_of_angles
-from calib.calibrate.observations import Observations
-from calib.calibrate.turntable import INSTALLATION_NAMES, STAR_NAMES, TableErrors, calibrate_turntable
+from calib.calibration.observations import Observations
+from calib.calibration.turntable import INSTALLATION_NAMES, STAR_NAMES, TableErrors, calibrate_turntable
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.fitting.solution import Solution
 from experiments.cube.bench import Laboratory, Truth

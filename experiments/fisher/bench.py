@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from calib.attitude.star_vectors import initial_frame_vectors
-from calib.calibrate.calibration import Calibration
+from calib.calibration.record import Calibration
 from calib.cameras.base import CameraModel
 from experiments.fisher.acquire import (
     Acquisition,

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.star_vectors import initial_frame_vectors
-from calib.calibrate.calibration import Calibration
-from calib.calibrate.turntable import star_direction
+from calib.calibration.record import Calibration
+from calib.calibration.turntable import star_direction
 from calib.cameras.base import CameraModel
 from calib.directional.fisher import FisherFit, fit_fisher
 from calib.directional.fisher_checks import (

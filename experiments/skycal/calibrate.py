@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from calib.calibrate.attitude_correlated import calibrate_attitude_correlated
-from calib.calibrate.calibration import Calibration
-from calib.calibrate.free_attitude import calibrate_free_attitude
-from calib.calibrate.gyro_linked import GyroNoise, calibrate_gyro_linked
-from calib.calibrate.observations import Observations
+from calib.calibration.attitude_correlated import calibrate_attitude_correlated
+from calib.calibration.free_attitude import calibrate_free_attitude
+from calib.calibration.gyro_linked import GyroNoise, calibrate_gyro_linked
+from calib.calibration.observations import Observations
+from calib.calibration.record import Calibration
 from calib.cameras import BrownConrady, Polynomial
 from calib.cameras.base import CameraModel, unproject_jacobian
 from calib.cameras.line_of_sight import line_of_sight_map

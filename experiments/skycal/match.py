@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.association import associate, match_stars
-from calib.calibrate.free_attitude import calibrate_free_attitude
-from calib.calibrate.observations import Observations
+from calib.calibration.free_attitude import calibrate_free_attitude
+from calib.calibration.observations import Observations
 from calib.cameras import BrownConrady
 from calib.cameras.base import CameraModel, SensorGeometry
 from calib.measure.flags import StarFlag, has_flag

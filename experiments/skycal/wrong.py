@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.calibrate.free_attitude import calibrate_free_attitude
+from calib.calibration.free_attitude import calibrate_free_attitude
 from experiments.skycal.calibrate import LOSS, Bench, Judged, rms, start_camera
 
 if TYPE_CHECKING:

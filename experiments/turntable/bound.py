@@ -48,7 +48,7 @@ class Bound:
     Attributes
     ----------
     names : tuple of str
-        Unknowns as `calib.calibrate.turntable` names them: camera parameters, star, installation, leans.
+        Unknowns as `calib.calibration.turntable` names them: camera parameters, star, installation, leans.
     covariance : (q, q)
         Of the unknowns; rows of camera parameters that are held are zero.
     alone : (q,)

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from calib.calibrate.free_attitude import calibrate_free_attitude
-from calib.calibrate.observations import Observations
+from calib.calibration.free_attitude import calibrate_free_attitude
+from calib.calibration.observations import Observations
 from calib.cameras.line_of_sight import line_of_sight_map
 from experiments.laboratory.instrument import Instrument, build_instrument
 from experiments.laboratory.settings import InstrumentConfig

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.calibrate.calibration import Calibration
-from calib.calibrate.observations import Observations
-from calib.calibrate.turntable import TableErrors, calibrate_turntable, star_direction
+from calib.calibration.observations import Observations
+from calib.calibration.record import Calibration
+from calib.calibration.turntable import TableErrors, calibrate_turntable, star_direction
 from calib.cameras import BrownConrady, CameraModel, SensorGeometry
 from calib.cameras.line_of_sight import LineOfSightMap, line_of_sight_map
 from experiments.laboratory.instrument import Instrument

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from calib.attitude.link import angles_of_rotation
-from calib.calibrate.calibration import Calibration
+from calib.calibration.record import Calibration
 from calib.cameras import CameraModel
 from experiments.laboratory.collimator import star_angles_deg
 from experiments.turntable.bench import Bench

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.calibrate.observations import Observations
+from calib.calibration.observations import Observations
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
 

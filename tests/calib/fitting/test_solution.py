@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.calibrate.calibration import Calibration
+from calib.calibration.record import Calibration
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.fitting.solution import Solution
 from optics.errors import ConfigError, DomainError

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.calibrate.attitude_correlated import calibrate_attitude_correlated
-from calib.calibrate.bounds import (
+from calib.calibration.attitude_correlated import calibrate_attitude_correlated
+from calib.calibration.bounds import (
     bound_attitude_correlated,
     bound_free_attitude,
     bound_gyro_linked,
@@ -15,10 +15,10 @@ from calib.calibrate.bounds import (
     bound_turntable,
     predicted_attitude_correlated,
 )
-from calib.calibrate.free_attitude import calibrate_free_attitude
-from calib.calibrate.gyro_linked import GyroNoise, calibrate_gyro_linked
-from calib.calibrate.interstar import calibrate_interstar
-from calib.calibrate.turntable import calibrate_turntable
+from calib.calibration.free_attitude import calibrate_free_attitude
+from calib.calibration.gyro_linked import GyroNoise, calibrate_gyro_linked
+from calib.calibration.interstar import calibrate_interstar
+from calib.calibration.turntable import calibrate_turntable
 from optics.errors import DomainError
 
 NOISE = GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=0.05, bias_deg_per_h=1.0)
@@ -97,7 +97,7 @@ def test_stars_behind_the_camera_have_no_bound(scenes, scene):
 
 
 def test_turntable_bound(scenes):
-    from calib.calibrate.observations import Observations
+    from calib.calibration.observations import Observations
 
     rng = np.random.default_rng(0)
     star = np.array([0.0, 0.0, 1.0])
@@ -119,7 +119,7 @@ def test_turntable_bound(scenes):
 @pytest.mark.slow
 def test_scatter_of_acc_with_an_imperfect_gyro_is_predicted(scenes, scene):
     """200 realisations of stars, bias and walk: each standard deviation within 5 of its sigmas (1 / sqrt(400))."""
-    from calib.calibrate.gyro_linked import _bias_levers
+    from calib.calibration.gyro_linked import _bias_levers
 
     time = np.arange(10.0)
     predicted = predicted_attitude_correlated(

@@ -1,4 +1,4 @@
-"""Angles between the stars of a frame, as least-squares problems; the mathematics of `calib.calibrate.interstar`.
+"""Angles between the stars of a frame, as least-squares problems; the mathematics of `calib.calibration.interstar`.
 
 Frames are padded to the longest one, a missing star being the zero vector: every product with it vanishes, so that no
 mask is needed. With u_i the direction of the measured star i by the present camera and r_i its catalogue direction, the
@@ -32,7 +32,7 @@ from typing import Literal
 
 import numpy as np
 
-from calib.calibrate.observations import Observations
+from calib.calibration.observations import Observations
 from calib.cameras.base import CameraModel, unproject_jacobian
 from calib.fitting.arrow import ArrowSystem, Step
 from optics.arrays import BoolArray, FloatArray, IntArray

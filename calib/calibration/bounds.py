@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.calibrate.attitude_correlated import GyroLink, LinkState
-from calib.calibrate.free_attitude import FreeAttitudes
-from calib.calibrate.gyro_linked import GyroNoise, GyroWalk, WalkState, checked_times
-from calib.calibrate.interstar import Weighting
-from calib.calibrate.interstar_pairs import (
+from calib.calibration.attitude_correlated import GyroLink, LinkState
+from calib.calibration.free_attitude import FreeAttitudes
+from calib.calibration.gyro_linked import GyroNoise, GyroWalk, WalkState, checked_times
+from calib.calibration.interstar import Weighting
+from calib.calibration.interstar_pairs import (
     PairProblem,
     Pairs,
     StarFrames,
@@ -32,9 +32,9 @@ from calib.calibrate.interstar_pairs import (
     pair_covariance,
     typical_sigma,
 )
-from calib.calibrate.observations import Observations
-from calib.calibrate.star_problem import StarProblem, StarState, free_mask
-from calib.calibrate.turntable import TableErrors, TableLink, TableState
+from calib.calibration.observations import Observations
+from calib.calibration.star_problem import StarProblem, StarState, free_mask
+from calib.calibration.turntable import TableErrors, TableLink, TableState
 from calib.cameras.base import CameraModel
 from calib.fitting.least_squares import Problem, covariance_of, transformed_covariance
 from optics.arrays import FloatArray
@@ -148,7 +148,7 @@ def bound_gyro_linked(
     noise: GyroNoise,
     free: Sequence[str] | None = None,
 ) -> Bound:
-    """Bound with a gyro of known noise (`calib.calibrate.gyro_linked`); else as `bound_attitude_correlated`."""
+    """Bound with a gyro of known noise (`calib.calibration.gyro_linked`); else as `bound_attitude_correlated`."""
     problem, state, _, mask = _walk_problem(
         observations, gyro_rotation, model, attitude, installation, time_s, noise, free
     )
@@ -209,7 +209,7 @@ def bound_interstar(
     model : CameraModel
         True camera.
     weighting, pairs
-        As in `calib.calibrate.interstar.calibrate_interstar`.
+        As in `calib.calibration.interstar.calibrate_interstar`.
     free : sequence of str, optional
         Camera parameters that are unknown; all by default.
     """

@@ -9,8 +9,8 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.calibrate.free_attitude import calibrate_free_attitude
-from calib.calibrate.observations import Observations
+from calib.calibration.free_attitude import calibrate_free_attitude
+from calib.calibration.observations import Observations
 from calib.cameras.per_band import PerBand
 from optics.errors import ConfigError, DomainError
 

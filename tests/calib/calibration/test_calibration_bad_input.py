@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.calibrate.attitude_correlated import calibrate_attitude_correlated
-from calib.calibrate.free_attitude import calibrate_free_attitude
-from calib.calibrate.gyro_linked import GyroNoise, calibrate_gyro_linked
-from calib.calibrate.interstar import calibrate_interstar
+from calib.calibration.attitude_correlated import calibrate_attitude_correlated
+from calib.calibration.free_attitude import calibrate_free_attitude
+from calib.calibration.gyro_linked import GyroNoise, calibrate_gyro_linked
+from calib.calibration.interstar import calibrate_interstar
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.polynomial import Polynomial

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.calibrate.observations import Observations
-from calib.calibrate.turntable import TableErrors, calibrate_turntable, star_direction
+from calib.calibration.observations import Observations
+from calib.calibration.turntable import TableErrors, calibrate_turntable, star_direction
 from optics.errors import DomainError
 
 STAR = np.array([0.02, -0.01, 1.0]) / np.linalg.norm([0.02, -0.01, 1.0])

@@ -4,7 +4,7 @@ With the gyro's rotation G_k from the first frame to frame k, the installation A
 attitude R_1 of the camera in the first frame, eq. 6 is R_k = M_k R_1 with M_k = A G_k A^T. The unknowns are the camera,
 R_1 and A: 14 for the camera of ACF17, whatever the number of frames, so that a single star per frame is enough.
 
-Steps are rotation vectors, w_R of R_1 and w_A of A; frame k turns by (`calib.calibrate.star_problem`)
+Steps are rotation vectors, w_R of R_1 and w_A of A; frame k turns by (`calib.calibration.star_problem`)
 
     w_k = M_k w_R + (I - M_k) w_A.
 
@@ -27,8 +27,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import angles_of_rotation, exponential, increment_per_angle
-from calib.calibrate.calibration import Calibration
-from calib.calibrate.fit import (
+from calib.calibration.fit import (
     fit_stages,
     frames_with,
     free_stages,
@@ -38,8 +37,9 @@ from calib.calibrate.fit import (
     verdict,
     wahba,
 )
-from calib.calibrate.observations import Observations
-from calib.calibrate.star_problem import Prior, StarProblem, StarState, free_mask
+from calib.calibration.observations import Observations
+from calib.calibration.record import Calibration
+from calib.calibration.star_problem import Prior, StarProblem, StarState, free_mask
 from calib.cameras.base import CameraModel
 from calib.fitting.robust_loss import Loss, get_loss
 from optics.arrays import FloatArray

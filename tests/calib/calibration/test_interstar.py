@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.calibrate.free_attitude import calibrate_free_attitude
-from calib.calibrate.interstar import calibrate_interstar
-from calib.calibrate.interstar_pairs import PairProblem, StarFrames, WeightedPairProblem, pair_covariance
+from calib.calibration.free_attitude import calibrate_free_attitude
+from calib.calibration.interstar import calibrate_interstar
+from calib.calibration.interstar_pairs import PairProblem, StarFrames, WeightedPairProblem, pair_covariance
 from calib.cameras.base import unproject_jacobian
 from optics.errors import ConfigError, DomainError
 

@@ -5,7 +5,7 @@ The angle between two stars of a frame does not depend on the attitude, so that 
     cos(angle from the two pixels, by the camera) = cos(angle in the catalogue)
 
 is an equation in the camera alone (ACF17, sec. 3.2, after its refs. 14-16). Mathematics:
-`calib.calibrate.interstar_pairs`.
+`calib.calibration.interstar_pairs`.
 
 * ``weighting="none"`` is the document's: all equations count the same, least squares. The stated covariance allows for
   the unequal and correlated errors that the method ignores. ``chi2`` is the sum of squares over the typical variance;
@@ -32,8 +32,7 @@ from typing import Literal
 
 import numpy as np
 
-from calib.calibrate.calibration import Calibration
-from calib.calibrate.fit import (
+from calib.calibration.fit import (
     LARGEST_RMS,
     LARGEST_WRONG_PART,
     SAME_SPREAD,
@@ -49,7 +48,7 @@ from calib.calibrate.fit import (
     start_attitudes,
     too_few_left,
 )
-from calib.calibrate.interstar_pairs import (
+from calib.calibration.interstar_pairs import (
     PairProblem,
     Pairs,
     StarFrames,
@@ -57,8 +56,9 @@ from calib.calibrate.interstar_pairs import (
     pair_covariance,
     typical_sigma,
 )
-from calib.calibrate.observations import Observations
-from calib.calibrate.star_problem import free_mask
+from calib.calibration.observations import Observations
+from calib.calibration.record import Calibration
+from calib.calibration.star_problem import free_mask
 from calib.cameras.base import CameraModel
 from calib.fitting.least_squares import Fit, solve
 from calib.fitting.robust_loss import Loss, get_loss

@@ -42,10 +42,10 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import angles_of_rotation, exponential, increment_per_angle, right_jacobian, skew
-from calib.calibrate.calibration import Calibration
-from calib.calibrate.fit import fit_stages, frames_with, free_stages, mirrored, packed, refused, verdict, wahba
-from calib.calibrate.observations import Observations
-from calib.calibrate.star_problem import Prior, StarProblem, StarState, free_mask
+from calib.calibration.fit import fit_stages, frames_with, free_stages, mirrored, packed, refused, verdict, wahba
+from calib.calibration.observations import Observations
+from calib.calibration.record import Calibration
+from calib.calibration.star_problem import Prior, StarProblem, StarState, free_mask
 from calib.cameras.base import CameraModel
 from calib.fitting.robust_loss import Loss, get_loss
 from optics.arrays import FloatArray
@@ -302,7 +302,7 @@ def calibrate_turntable(
     errors : TableErrors, optional
         Errors of axes and readings to be fitted or allowed for; by default the table is perfect.
     two_step, loss, free
-        As in `calib.calibrate.attitude_correlated.calibrate_attitude_correlated`.
+        As in `calib.calibration.attitude_correlated.calibrate_attitude_correlated`.
 
     Returns
     -------

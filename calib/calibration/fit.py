@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.wahba import rotation_svd
-from calib.calibrate.calibration import Calibration
-from calib.calibrate.observations import Observations
-from calib.calibrate.star_problem import StarState
+from calib.calibration.observations import Observations
+from calib.calibration.record import Calibration
+from calib.calibration.star_problem import StarState
 from calib.cameras.base import CameraModel
 from calib.fitting.least_squares import Fit, Problem, solve
 from calib.fitting.robust_loss import Loss

@@ -12,8 +12,8 @@ so that e_k is a plain random walk whose steps have the variance N^2 dt in every
 
 with the residuals (e_k - e_(k-1)) / (N sqrt(dt)) and b / sigma_b beside those of the stars. The walk couples
 neighbouring frames only: the frames' part of the normal equations is a band. N -> 0 is ACC
-(`calib.calibrate.attitude_correlated`); N -> infinity is a free attitude in every frame
-(`calib.calibrate.free_attitude`), where the installation is no longer seen.
+(`calib.calibration.attitude_correlated`); N -> infinity is a free attitude in every frame
+(`calib.calibration.free_attitude`), where the installation is no longer seen.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import exponential, right_jacobian
-from calib.calibrate.attitude_correlated import (
+from calib.calibration.attitude_correlated import (
     ANGLE_NAMES,
     GyroLink,
     LinkState,
@@ -34,8 +34,7 @@ from calib.calibrate.attitude_correlated import (
     start_link,
     without_rounding,
 )
-from calib.calibrate.calibration import Calibration
-from calib.calibrate.fit import (
+from calib.calibration.fit import (
     fit_stages,
     frames_with,
     free_stages,
@@ -43,8 +42,9 @@ from calib.calibrate.fit import (
     refused,
     verdict,
 )
-from calib.calibrate.observations import Observations
-from calib.calibrate.star_problem import Prior, StarProblem, StarState, free_mask
+from calib.calibration.observations import Observations
+from calib.calibration.record import Calibration
+from calib.calibration.star_problem import Prior, StarProblem, StarState, free_mask
 from calib.cameras.base import CameraModel
 from calib.fitting.robust_loss import Loss, get_loss
 from optics.arrays import FloatArray
@@ -235,7 +235,7 @@ def calibrate_gyro_linked(
     noise : GyroNoise
         The gyro's angle random walk and the prior of its bias.
     start_attitude, start_installation, two_step, loss, free
-        As in `calib.calibrate.attitude_correlated.calibrate_attitude_correlated`.
+        As in `calib.calibration.attitude_correlated.calibrate_attitude_correlated`.
 
     Returns
     -------

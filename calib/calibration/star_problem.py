@@ -21,7 +21,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.calibrate.observations import Observations
+from calib.calibration.observations import Observations
 from calib.cameras.base import CameraModel
 from calib.fitting.arrow import ArrowSystem, Step
 from optics.arrays import FloatArray, IntArray

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.calibrate.attitude_correlated import calibrate_attitude_correlated
-from calib.calibrate.free_attitude import calibrate_free_attitude
-from calib.calibrate.gyro_linked import GyroNoise, calibrate_gyro_linked
+from calib.calibration.attitude_correlated import calibrate_attitude_correlated
+from calib.calibration.free_attitude import calibrate_free_attitude
+from calib.calibration.gyro_linked import GyroNoise, calibrate_gyro_linked
 from optics.errors import DomainError
 
 GOOD = GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=0.05, bias_deg_per_h=5.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.calibrate.cube_mirror import (
+from calib.calibration.cube_mirror import (
     angle_between_rad,
     cube_from_table,
     normal_in_table,

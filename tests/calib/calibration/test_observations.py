@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.calibrate.observations import Observations
+from calib.calibration.observations import Observations
 from optics.errors import DomainError
 
 N = 6

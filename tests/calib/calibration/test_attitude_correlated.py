@@ -8,8 +8,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import angles_of_rotation, link_attitudes, rotation_of_angles
-from calib.calibrate.attitude_correlated import ANGLE_NAMES, calibrate_attitude_correlated
-from calib.calibrate.free_attitude import calibrate_free_attitude
+from calib.calibration.attitude_correlated import ANGLE_NAMES, calibrate_attitude_correlated
+from calib.calibration.free_attitude import calibrate_free_attitude
 from optics.errors import DomainError
 
 ZERO = Rotation.identity()

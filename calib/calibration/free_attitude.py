@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import exponential
-from calib.calibrate.calibration import Calibration
-from calib.calibrate.fit import (
+from calib.calibration.fit import (
     Selection,
     fit_stages,
     frames_with,
@@ -29,8 +28,9 @@ from calib.calibrate.fit import (
     start_attitudes,
     verdict,
 )
-from calib.calibrate.observations import Observations
-from calib.calibrate.star_problem import Prior, StarProblem, StarState, free_mask
+from calib.calibration.observations import Observations
+from calib.calibration.record import Calibration
+from calib.calibration.star_problem import Prior, StarProblem, StarState, free_mask
 from calib.cameras.base import CameraModel
 from calib.fitting.robust_loss import Loss, get_loss
 from optics.arrays import FloatArray
