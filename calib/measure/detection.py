@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
@@ -9,16 +11,18 @@ from skimage.measure import label
 
 from calib.measure.background import Background, estimate_background
 from calib.measure.flags import StarFlag
+from calib.measure.image import as_image
 from calib.measure.stamps import parabola_peak
 from calib.records import SensorImage, StarTable
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from render.records import Frame
 
 __all__ = ["detect"]
 
 
 def detect(
-    image: SensorImage,
+    image: SensorImage | Frame | NDArray[Any],
     background: Background | None = None,
     *,
     threshold_sigma: float = 5.0,
@@ -36,8 +40,8 @@ def detect(
 
     Parameters
     ----------
-    image : SensorImage
-        The image.
+    image : SensorImage, Frame or (h, w) array
+        The image; of a plain array of digital numbers, offset and noise are estimated from its background.
     background : Background, optional
         Estimated from the image if not given.
     threshold_sigma : float
@@ -66,6 +70,7 @@ def detect(
         raise DomainError(f"fwhm_px = {fwhm_px} px; the filter must be 0.5 to 20 px wide")
     if max_stars is not None and max_stars < 0:
         raise DomainError(f"max_stars = {max_stars}; it must not be negative")
+    image = as_image(image)
     if background is None:
         background = estimate_background(image)
     elif background.shape != image.dn.shape:

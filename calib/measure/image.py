@@ -16,13 +16,32 @@ from calib.records import NoiseModel, SensorImage
 from optics.errors import ConfigError, DomainError
 from render.records import Frame
 
-__all__ = ["image_from_frame", "read_image", "sensor_image"]
+__all__ = ["as_image", "image_from_frame", "read_image", "sensor_image"]
 
 _GAIN_KEYS = ("EGAIN", "CCDGAIN", "GAIN")  # electrons per DN
 _READ_NOISE_KEYS = ("RDNOISE", "READNOIS", "ENOISE", "RON")  # electrons
 _SATURATION_KEYS = ("SATURATE", "SATLEVEL", "DATAMAX")  # DN
 _OFFSET_KEY = "OFFSET"  # DN, if the comment says so; elsewhere it is a camera setting
 _EXPOSURE_KEYS = ("EXPTIME", "EXPOSURE")  # s
+
+
+def as_image(image: SensorImage | Frame | NDArray[Any]) -> SensorImage:
+    """An image in any of the forms that a user may have as a `SensorImage`.
+
+    Parameters
+    ----------
+    image : SensorImage, Frame or (h, w) array
+        A `SensorImage` is returned as it is, a `Frame` goes through `image_from_frame`, anything else is taken as an
+        array of digital numbers of unknown gain, offset and read noise (`sensor_image`).
+
+    Raises
+    ------
+    DomainError
+        If it is not two-dimensional, is empty or holds no finite number.
+    """
+    if isinstance(image, SensorImage):
+        return image
+    return image_from_frame(image) if isinstance(image, Frame) else sensor_image(image)
 
 
 def image_from_frame(frame: Frame) -> SensorImage:

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
-from calib.measure.detection import detect
+from calib.measure.find import find_stamps
 from calib.measure.flags import StarFlag, has_flag
 from calib.measure.image import image_from_frame
-from calib.measure.stamps import extract_stamps
 from calib.records import SensorImage, StarTable
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -165,27 +164,25 @@ def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) 
         background = estimate_background(image, step_px=BACKGROUND_STEP_PX)
     except DomainError:  # saturated all over
         return MeasuredFrame(stars=StarTable.empty(), fit=np.zeros(0, np.bool_), detected_px=np.zeros((0, 2)))
-    found = detect(image, background, threshold_sigma=reduction.threshold_sigma, fwhm_px=FWHM_PX)
     moving = smear_px > SMEAR_PX
-    psfs = None if moving else reduction.psfs
     window_px = reduction.window_px + (2 * math.ceil(smear_px / 2.0) if moving else 0)
-    stamps = extract_stamps(
+    stamps = find_stamps(
         image,
-        found.x_px,
-        found.y_px,
         background=background,
+        threshold_sigma=reduction.threshold_sigma,
+        fwhm_px=FWHM_PX,
         size_px=min(window_px, (min(frame.dn.shape) - 1) // 2 * 2 + 1),
-        flags=found.flags,
-        psf_index=None if psfs is None else psfs.nearest(found.x_px, found.y_px),
     )
-    options = {} if psfs is None else {"epsf": psfs.psfs}
-    method = "windowed" if moving else reduction.centroid
-    stars = get_centroider(method, **options).measure(stamps, image.noise) if len(stamps) else found
+    options: dict[str, Any] = {}
+    if not moving and reduction.psfs is not None:
+        stamps = replace(stamps, psf_index=reduction.psfs.nearest(stamps.start_px[:, 0], stamps.start_px[:, 1]))
+        options = {"epsf": reduction.psfs.psfs}
+    stars = get_centroider("windowed" if moving else reduction.centroid, **options).measure(stamps, image.noise)
     known = np.isfinite(stars.covariance).all(axis=(1, 2)) & np.isfinite(stars.x_px) & np.isfinite(stars.y_px)
     return MeasuredFrame(
         stars=stars,
         fit=((stars.flags & np.uint32(int(UNFIT))) == 0) & known,
-        detected_px=np.column_stack([found.x_px, found.y_px]),
+        detected_px=stamps.start_px,
     )
 
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
-from calib.measure.detection import detect
-from calib.measure.stamps import extract_stamps
+from calib.measure.find import find_stamps
 from calib.records import NoiseModel, SensorImage, Stamps, StarTable
 from experiments.skycal.light import BankRenderer
 from optics.arrays import FloatArray
@@ -259,15 +258,12 @@ class _Reduction:
     def detect(self, frame: Frame) -> Stamps:
         """Find the stars of a frame, brightest first, and cut them out."""
         image = self._without_dark(frame)
-        background = estimate_background(image, box_px=BACKGROUND_BOX_PX, step_px=BACKGROUND_STEP_PX)
-        found = detect(image, background, threshold_sigma=self.config.threshold_sigma, fwhm_px=FWHM_PX)
-        return extract_stamps(
+        return find_stamps(
             image,
-            found.x_px,
-            found.y_px,
-            background=background,
+            background=estimate_background(image, box_px=BACKGROUND_BOX_PX, step_px=BACKGROUND_STEP_PX),
+            threshold_sigma=self.config.threshold_sigma,
+            fwhm_px=FWHM_PX,
             size_px=self.config.window_px,
-            flags=found.flags,
         )
 
     def noise(self, frame: Frame) -> NoiseModel:
