@@ -25,7 +25,7 @@ def pixel_results(result: Result) -> dict[str, Any] | None:
         linked = camera.of("measured", method="linked")
         found[name] = {
             "lens": camera.scene.instrument.camera.lens.name,
-            "field_deg": camera.scene.field_deg,
+            "field_deg": camera.scene.instrument.field_deg,
             "frames": camera.scene.frames,
             "stars_per_frame": camera.stars_per_frame,
             "map_error_arcsec": _map(camera.total),

@@ -104,7 +104,7 @@ def _summary(camera: CameraResult) -> dict[str, Any]:
     return {
         "lens": scene.instrument.camera.lens.name,
         "detector": scene.instrument.detector.name,
-        "field_deg": scene.field_deg,
+        "field_deg": scene.instrument.field_deg,
         "pixel_arcsec": scene.pixel_arcsec,
         "sky": scene.sky.name,
         "frames": scene.frames,

@@ -197,7 +197,7 @@ def _first_match(
 
 def _brightest_near(scene: Scene, attitude: Rotation) -> IntArray:
     """Rows of the brightest catalogue stars around a boresight: about as many as detections are looked at."""
-    width, height = scene.field_deg
+    width, height = scene.instrument.field_deg
     reach = np.radians(0.5 * np.hypot(width, height) + 0.2)
     near = np.flatnonzero(scene.sky.direction @ attitude.as_matrix()[2] > np.cos(reach))
     share = np.pi * np.degrees(reach) ** 2 / (width * height)  # the circle holds more than the detector
@@ -228,7 +228,7 @@ class _Close:
         """Matches of good detections."""
         found, sky = self.stars.found, self.scene.sky
         pixel = np.column_stack([found.x_px, found.y_px])
-        reach = np.radians(np.hypot(*self.scene.field_deg))
+        reach = np.radians(np.hypot(*self.scene.instrument.field_deg))
         near = np.flatnonzero(sky.direction @ attitude.as_matrix()[2] > np.cos(reach))
         pair = associate(pixel, sky.direction[near], attitude, model, radius_px=FINAL_RADIUS_PX)
         snr = found.flux_e / np.sqrt(found.covariance[:, 2, 2])

@@ -62,7 +62,7 @@ def _number(value: float, digits: int = 2) -> str:
 def _lead(result: Result) -> str:
     config, one = result.config, next(iter(result.cameras.values()))
     lenses = " and ".join(
-        f"the {camera.title} ({camera.scene.field_deg[0]:.1f}° × {camera.scene.field_deg[1]:.1f}°)"
+        "the {} ({:.1f}° × {:.1f}°)".format(camera.title, *camera.scene.instrument.field_deg)
         for camera in result.cameras.values()
     )
     return (
@@ -114,7 +114,7 @@ def _key_numbers(cameras: list[CameraResult]) -> tuple[KeyNumber, ...]:
 def _frames(result: Result, every: Mapping[str, Table]) -> Section:
     blocks: list[Figure | Row | Text | Table] = [Text(_frames_text(result))]
     for camera in result.cameras.values():
-        half = camera.scene.field_deg[1] > 0.75 * camera.scene.field_deg[0]
+        half = camera.scene.instrument.field_deg[1] > 0.75 * camera.scene.instrument.field_deg[0]
         frame = Figure(
             drawing=sky_frame(camera, half=half),
             caption=f"Frame {camera.recording.example_index} of the {camera.title}: column medians taken off, stars "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -83,14 +83,6 @@ class Scene:
     def pixel_arcsec(self) -> float:
         """Angle of a pixel on the axis [arcsec]."""
         return self.instrument.pixel_arcsec
-
-    @property
-    def field_deg(self) -> tuple[float, float]:
-        """Width and height of the field."""
-        camera = self.instrument.camera
-        half = np.array([camera.width_px, camera.height_px]) * camera.pixel_pitch_mm / 2
-        width, height = np.degrees(2 * np.arctan(half / self.instrument.focal_length_mm))
-        return float(width), float(height)
 
     def stars(self, rows: NDArray[np.int64], direction: FloatArray) -> StarField:
         """Stars of the sky with their own light, seen at directions (n, 3) in cam."""
@@ -195,37 +187,18 @@ def _windowed(name: str, config: CameraConfig) -> Instrument:
     instrument = build_instrument(config.instrument)
     if not config.window_px:
         return instrument
-    detector, camera, size = instrument.detector, instrument.camera, config.window_px
-    if detector.chips > 1:
-        raise DomainError(
-            f"{name}.window_px = {size} px on detector {detector.name!r} of {detector.chips} chips; windows are read "
-            f"from one chip only: set {name}.window_px = 0 or take another detector"
-        )
-    if size > min(detector.width_px, detector.height_px):
-        raise DomainError(
-            f"{name}.window_px = {size} px is more than detector {detector.name!r} has ({detector.width_px} x "
-            f"{detector.height_px} px)"
-        )
-    return replace(
-        instrument,
-        detector=replace(detector, chip_width_px=size, chip_height_px=size),
-        camera=replace(camera, width_px=size, height_px=size, centre_px=np.full(2, (size - 1) / 2)),
-    )
+    try:
+        return instrument.windowed(config.window_px, config.window_px)
+    except DomainError as error:
+        raise DomainError(f"{name}.window_px = {config.window_px} px: {error}") from None
 
 
 def _check_field(name: str, instrument: Instrument) -> None:
     """Refuse a detector that reaches far beyond what the lens was made for."""
-    camera = instrument.camera
-    corner_mm = np.hypot(camera.width_px, camera.height_px) * camera.pixel_pitch_mm / 2
-    corner_deg = float(np.degrees(np.arctan(corner_mm / instrument.focal_length_mm)))
-    limit = camera.lens.max_field_deg
-    if corner_deg > 1.02 * limit:
-        side = int(np.sqrt(2) * instrument.focal_length_mm * np.tan(np.radians(limit)) / camera.pixel_pitch_mm)
-        raise DomainError(
-            f"{name}: the corners of detector {instrument.detector.name!r} see {corner_deg:.1f} deg from the axis, "
-            f"lens {camera.lens.name!r} is made for {limit:g} deg; set {name}.window_px to at most {side} px, or take "
-            "another lens or detector"
-        )
+    try:
+        instrument.check_field()
+    except DomainError as error:
+        raise DomainError(f"{name}.window_px: {error}; or take another lens or detector") from None
 
 
 def _check_light(name: str, instrument: Instrument, sky: SkyConfig) -> None:
@@ -240,7 +213,7 @@ def _check_stars(scene: Scene) -> None:
     """Refuse a sequence that has next to no stars."""
     count = np.array([len(scene.in_cam(frame)[0]) for frame in range(scene.frames)])
     if count.mean() < FEWEST_STARS:
-        width, height = scene.field_deg
+        width, height = scene.instrument.field_deg
         raise DomainError(
             f"{scene.name}: {count.mean():.1f} stars per frame to G = {scene.config.faintest_mag:g} in the field of "
             f"{width:.1f} x {height:.1f} deg; at least {FEWEST_STARS} are needed: raise {scene.name}.faintest_mag or "

@@ -76,7 +76,9 @@ def test_window_is_the_middle_of_the_detector(config, scene):
     camera = scene.instrument.camera
     assert (camera.width_px, camera.height_px) == scene.instrument.detector.shape == (1862, 1862)
     assert camera.centre_px == pytest.approx([930.5, 930.5])
-    assert scene.field_deg[0] == pytest.approx(2 * np.degrees(np.arctan(1862 * 5.5e-3 / 2 / 25.596)), rel=1e-4)
+    assert scene.instrument.field_deg[0] == pytest.approx(
+        2 * np.degrees(np.arctan(1862 * 5.5e-3 / 2 / 25.596)), rel=1e-4
+    )
     rows, direction = scene.in_cam(5)
     again = scene.attitude[5].apply(np.array(scene.sky.direction[rows]))
     assert direction == pytest.approx(again, abs=1e-12)
@@ -106,9 +108,9 @@ def test_model_names():
 @pytest.mark.parametrize(
     ("setting", "said"),
     [
-        ("wide.window_px=0", "wide: the corners of detector 'CMV4000' see 17.3 deg"),
-        ("wide.window_px=4096", "wide.window_px = 4096 px is more than detector 'CMV4000' has"),
-        ("narrow.window_px=1000", "windows are read from one chip only"),
+        ("wide.window_px=0", "wide.window_px: the corners of 2048 x 2048 px see 17.3 deg"),
+        ("wide.window_px=4096", "wide.window_px = 4096 px: width_px = 4096 px; detector 'CMV4000' has 2048 px"),
+        ("narrow.window_px=1000", "windows are cut from one chip only"),
         ("narrow.instrument.lens=nothing", "unknown lens 'nothing'"),
         ("narrow.instrument.lens=double_gauss_50mm", "set absorption = false"),
         ("narrow.faintest_mag=2", "stars per frame to G = 2"),

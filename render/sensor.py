@@ -1,0 +1,199 @@
+"""A star sensor: a camera and the detector that reads it out, by name."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from optics.errors import DomainError
+from optics.lens.prescription import load_lens
+from optics.lens.system import LensSystem
+from optics.light.band import TopHat
+from optics.light.transmission import QuarterWave
+from optics.rays.paraxial import axial_paraxial
+from render.camera import Camera, build_camera
+from render.detector.spec import Detector, load_detector
+
+__all__ = ["StarSensor", "load_star_sensor"]
+
+
+_REACH = 1.02
+"""The corner of a detector may lie this much outside the field that the lens was made for."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StarSensor:
+    """A camera with the detector that reads it out; `load_star_sensor` makes one.
+
+    Attributes
+    ----------
+    camera : Camera
+        Lens, geometry, response.
+    detector : Detector
+        Noise and conversion.
+    focal_length_mm : float
+        Paraxial, at the design wavelength of the lens as designed.
+    """
+
+    camera: Camera
+    detector: Detector
+    focal_length_mm: float
+
+    @property
+    def pixel_arcsec(self) -> float:
+        """Angle of a pixel on the axis."""
+        return float(np.degrees(self.camera.pixel_pitch_mm / self.focal_length_mm) * 3600.0)
+
+    @property
+    def field_deg(self) -> tuple[float, float]:
+        """Width and height of the field of an undistorted lens."""
+        half = np.array([self.camera.width_px, self.camera.height_px]) * self.camera.pixel_pitch_mm / 2
+        width, height = np.degrees(2 * np.arctan(half / self.focal_length_mm))
+        return float(width), float(height)
+
+    @property
+    def known_range_nm(self) -> tuple[float, float]:
+        """Wavelengths that the lens is made for and glasses, coatings and quantum efficiency are known at."""
+        ranges = [glass.range_nm for glass in self.camera.lens.glasses.values()]
+        ranges.append(self.camera.lens.wavelength_range_nm)
+        if self.camera.response is not None:
+            ranges.append(self.camera.response.range_nm)
+        return max(low for low, _ in ranges), min(high for _, high in ranges)
+
+    def passband(self, range_nm: tuple[float, float] | None = None, *, edge_nm: float = 20.0) -> TopHat:
+        """A pass band with sloping edges.
+
+        Parameters
+        ----------
+        range_nm : (float, float), optional
+            Its feet; all that is known of lens and detector if left out.
+        edge_nm : float
+            Length of the edges.
+
+        Raises
+        ------
+        DomainError
+            It reaches beyond what is known, or is narrower than its edges.
+        """
+        low, high = self.known_range_nm
+        first, last = (low, high) if range_nm is None else range_nm
+        if first < low or last > high:
+            raise DomainError(
+                f"passband_nm = {first:g} ... {last:g} nm; lens {self.camera.lens.name!r} on {self.detector.name!r} is "
+                f"known for {low:g} ... {high:g} nm"
+            )
+        if last - first <= 2 * edge_nm:
+            raise DomainError(
+                f"passband_nm is {last - first:g} nm wide; with edges of edge_nm = {edge_nm:g} nm at least "
+                f"{2 * edge_nm:g} nm are needed"
+            )
+        return TopHat(
+            centre_nm=(first + last) / 2,
+            width_nm=last - first - edge_nm,
+            edge_nm=edge_nm,
+            name=f"{first:.0f}-{last:.0f}nm",
+        )
+
+    def windowed(self, width_px: int, height_px: int) -> Self:
+        """The sensor of which only the middle of the detector is read out.
+
+        Raises
+        ------
+        DomainError
+            A window larger than the detector, or cut from several chips.
+        """
+        detector, camera = self.detector, self.camera
+        if (width_px, height_px) == (detector.width_px, detector.height_px):
+            return self
+        for key, wanted, most in (("width", width_px, detector.width_px), ("height", height_px, detector.height_px)):
+            if not 1 <= wanted <= most:
+                raise DomainError(
+                    f"{key}_px = {wanted} px; detector {detector.name!r} has {most} px; set it to at most that"
+                )
+        if detector.chips > 1:
+            raise DomainError(
+                f"width_px = {width_px} px, height_px = {height_px} px on detector {detector.name!r} of "
+                f"{detector.chips} chips; windows are cut from one chip only: read all of it or take another detector"
+            )
+        return replace(
+            self,
+            detector=replace(detector, chip_width_px=width_px, chip_height_px=height_px),
+            camera=replace(camera, width_px=width_px, height_px=height_px, centre_px=np.full(2, np.nan)),
+        )
+
+    def check_field(self) -> None:
+        """Refuse a detector that sees far beyond the field that the lens is made for.
+
+        Raises
+        ------
+        DomainError
+            With the window that does not.
+        """
+        camera, limit = self.camera, self.camera.lens.max_field_deg
+        corner_mm = math.hypot(camera.width_px, camera.height_px) * camera.pixel_pitch_mm / 2
+        corner_deg = math.degrees(math.atan(corner_mm / self.focal_length_mm))
+        if corner_deg > _REACH * limit:
+            share = math.tan(math.radians(limit)) / math.tan(math.radians(corner_deg))
+            raise DomainError(
+                f"the corners of {camera.width_px} x {camera.height_px} px see {corner_deg:.1f} deg from the axis, "
+                f"lens {camera.lens.name!r} is made for {limit:g} deg; read at most {int(camera.width_px * share)} x "
+                f"{int(camera.height_px * share)} px"
+            )
+
+
+def load_star_sensor(
+    lens: str | Path | LensSystem,
+    detector: str | Path | Detector,
+    *,
+    window_px: int | tuple[int, int] | None = None,
+    defocus_mm: float = 0.0,
+    coating_nm: float = 550.0,
+    absorption: bool = True,
+) -> StarSensor:
+    """Star sensor of a lens and a detector.
+
+    Parameters
+    ----------
+    lens : str, path or LensSystem
+        Built-in lens (`optics.list_lenses`), TOML file, or a lens, e.g. one with a decentred element.
+    detector : str, path or Detector
+        Built-in detector, TOML file, or a detector.
+    window_px : int or (int, int), optional
+        Width and height that are read out in the middle of the detector; all of it if left out.
+    defocus_mm : float
+        Detector shift away from the lens.
+    coating_nm : float
+        Design wavelength of the MgF2 quarter-wave coatings on all surfaces; 0: bare glass.
+    absorption : bool
+        Whether to count absorption in the glass; needs the internal transmittance of every glass.
+
+    Raises
+    ------
+    ConfigError, DomainError
+        Unknown lens or detector, a glass without transmittance, a window larger than the detector.
+
+    Examples
+    --------
+    >>> sensor = load_star_sensor("star_tracker_26mm", "cmv4000", window_px=1024)
+    >>> print(f"{sensor.pixel_arcsec:.1f} arcsec per pixel, {sensor.field_deg[0]:.1f} deg")
+    44.3 arcsec per pixel, 12.6 deg
+    """
+    chosen = lens if isinstance(lens, LensSystem) else load_lens(lens)
+    chip = detector if isinstance(detector, Detector) else load_detector(detector)
+    camera = build_camera(
+        chosen,
+        chip,
+        defocus_mm=defocus_mm,
+        coating=QuarterWave(design_wavelength_nm=coating_nm) if coating_nm > 0 else None,
+        absorption=absorption,
+    )
+    focal_length = float(axial_paraxial(chosen, chosen.design_wavelength_nm).efl_mm)
+    sensor = StarSensor(camera=camera, detector=chip, focal_length_mm=focal_length)
+    if window_px is None:
+        return sensor
+    width, height = (window_px, window_px) if isinstance(window_px, int) else window_px
+    return sensor.windowed(width, height)

@@ -1,0 +1,52 @@
+"""Star sensors by name: geometry, windows, pass bands, and what is refused."""
+
+import numpy as np
+import pytest
+
+from optics.errors import DomainError
+from optics.lens.prescription import load_lens
+from optics.rays.chief import chief_ray_points
+from render.detector.spec import load_detector
+from render.sensor import load_star_sensor
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return load_star_sensor("star_tracker_26mm", "cmv4000", window_px=(1024, 512))
+
+
+def test_the_angle_of_a_pixel_is_that_of_traced_chief_rays(sensor):
+    x, _ = chief_ray_points(sensor.camera.focused_lens, [0.0, 0.01], [0.0, 0.0])
+    pixels = (x[1] - x[0]) / 5.5e-3
+    assert 36.0 / pixels == pytest.approx(sensor.pixel_arcsec, rel=1e-3)  # the focus is 14 um behind the paraxial one
+    assert sensor.field_deg == pytest.approx(
+        2 * np.degrees(np.arctan(np.array([512, 256]) * sensor.pixel_arcsec / 206264.806)), rel=1e-9
+    )
+
+
+def test_a_window_is_the_middle_of_camera_and_detector(sensor):
+    assert (sensor.camera.width_px, sensor.camera.height_px) == (1024, 512)
+    assert sensor.detector.shape == (512, 1024)
+    assert sensor.camera.centre_px == pytest.approx([511.5, 255.5])
+
+
+def test_parts_may_be_given_as_records(sensor):
+    same = load_star_sensor(load_lens("star_tracker_26mm"), load_detector("cmv4000"), window_px=(1024, 512))
+    wavelength = np.linspace(500, 800, 7)
+    assert np.array_equal(same.camera.response_at(wavelength), sensor.camera.response_at(wavelength))
+
+
+def test_what_cannot_be_is_refused(sensor):
+    with pytest.raises(DomainError, match="width_px = 4096 px; detector 'CMV4000' has 1024 px"):
+        sensor.windowed(4096, 512)
+    with pytest.raises(DomainError, match="windows are cut from one chip only"):
+        load_star_sensor("star_camera_206mm", "acc18_mosaic", window_px=100)
+    with pytest.raises(DomainError, match="made for"):
+        load_star_sensor("star_tracker_26mm", "cmv4000").check_field()
+    low, high = sensor.known_range_nm
+    assert sensor.passband().breakpoints_nm[0] == pytest.approx(low)
+    assert sensor.passband().breakpoints_nm[-1] == pytest.approx(high)
+    with pytest.raises(DomainError, match="is known for"):
+        sensor.passband((300.0, 900.0))
+    with pytest.raises(DomainError, match="at least 40 nm"):
+        sensor.passband((600.0, 630.0))
