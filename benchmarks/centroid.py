@@ -114,12 +114,11 @@ def lens_source(name: str, x_px: float, y_px: float, defocus_mm: float = 0.01) -
     from optics.rays.paraxial import axial_paraxial
     from render.camera import build_camera
     from render.detector.spec import load_detector
-    from render.engine.variant import use_backend
+    from render.engine import Engine
     from render.records import StarField
     from render.tracing.psf import epsf_tracer, render_epsf
 
-    use_backend()
-    import mitsuba as mi
+    Engine.start()
 
     lens = load_lens("star_camera_206mm")
     camera = build_camera(lens, load_detector("acc18_mosaic"), defocus_mm=defocus_mm)
@@ -130,7 +129,7 @@ def lens_source(name: str, x_px: float, y_px: float, defocus_mm: float = 0.01) -
     stars = StarField(
         direction=direction[None], wavelength_nm=nodes.wavelength_nm, photon_rate=rate[None], band=nodes.name
     )
-    return source_from_fine(name, render_epsf(epsf_tracer(mi, camera), stars, oversampling=32)[0][0])
+    return source_from_fine(name, render_epsf(epsf_tracer(camera), stars, oversampling=32)[0][0])
 
 
 SOURCES: dict[str, Callable[[], PsfSource]] = {

@@ -68,11 +68,10 @@ def parts(settings: list[str], frames: int) -> dict[str, float]:
     """Milliseconds of the parts of a frame, in this process on one thread."""
     from experiments.dataset.settings import Config
     from experiments.harness.config import load_config
-    from render.engine.variant import use_backend
+    from render.engine import Engine
 
-    use_backend("llvm")
+    Engine.start("llvm")
     import drjit as dr
-    import mitsuba as mi
 
     from experiments.dataset import work
     from experiments.dataset.maker import FrameMaker
@@ -81,7 +80,7 @@ def parts(settings: list[str], frames: int) -> dict[str, float]:
     from render.detector import readout
 
     dr.set_thread_count(1)
-    maker = FrameMaker(mi, build_scene(load_config(Config, settings=settings)))
+    maker = FrameMaker(build_scene(load_config(Config, settings=settings)))
     times: dict[str, list[float]] = {}
 
     def timed(name: str, function: Any) -> Any:

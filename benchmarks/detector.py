@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from render.detector.readout import expose
 from render.detector.spec import Detector, load_detector
-from render.engine.backend import array_types
+from render.engine import Engine
 from render.engine.random import Streams
 from render.fits.files import write_frame
 
@@ -55,7 +55,7 @@ def everything_on() -> Detector:
     )
 
 
-def starbench(image: np.ndarray, detector: Detector, backend: str) -> Callable[[int], np.ndarray]:
+def starbench(image: np.ndarray, detector: Detector) -> Callable[[int], np.ndarray]:
     """One readout, by frame number."""
 
     def run(frame: int) -> np.ndarray:
@@ -66,7 +66,6 @@ def starbench(image: np.ndarray, detector: Detector, backend: str) -> Callable[[
             frame=frame,
             exposure_s=EXPOSURE_S,
             temperature_c=TEMPERATURE_C,
-            backend=backend,
         ).dn
 
     return run
@@ -119,17 +118,17 @@ def main() -> None:
     parser.add_argument("--backend", default="llvm", choices=("auto", "llvm", "cuda"))
     parser.add_argument("--threads", type=int, help="threads of the processor (default: all)")
     arguments = parser.parse_args()
+    Engine.start(arguments.backend)
     if arguments.threads is not None:
         import drjit
 
-        array_types("llvm")
         drjit.set_thread_count(arguments.threads)
     full = everything_on()
     image = scene(full.shape)
     plain = dataclasses.replace(full, crosstalk_horizontal=0.0, crosstalk_vertical=0.0, crosstalk_diagonal=0.0)
     runs = {
-        "starbench, all effects": starbench(image, full, arguments.backend),
-        "starbench, no crosstalk": starbench(image, plain, arguments.backend),
+        "starbench, all effects": starbench(image, full),
+        "starbench, no crosstalk": starbench(image, plain),
     }
     peer = galsim_noise(image, plain)
     if peer is not None:

@@ -159,7 +159,7 @@ def difference(traced: Any, reference: Any) -> str:
     return ", ".join(f"{label} {value:.1e}" for label, value in worst.items())
 
 
-def tracker(mi: Any, repeat: int) -> None:
+def tracker(repeat: int) -> None:
     """Measure and print the star tracker's lens."""
     import drjit as dr
 
@@ -177,7 +177,7 @@ def tracker(mi: Any, repeat: int) -> None:
     try:
         for lens in ("star_tracker_26mm", "star_camera_206mm"):
             camera = small_camera(lens)
-            tracer, stars = Tracer(mi, camera), make_stars(camera, TRACKER_STARS)
+            tracer, stars = Tracer(camera), make_stars(camera, TRACKER_STARS)
             demand = f"   demanded {1e3 * TRACKER_TARGET_S:.0f} ms" if lens == "star_tracker_26mm" else ""
             line(f"{lens} at rest", lambda t=tracer, s=stars: t.render(s, exposure_s=EXPOSURE_S), demand)
             for length in TRAILS_PX:
@@ -191,8 +191,8 @@ def tracker(mi: Any, repeat: int) -> None:
         camera = small_camera("star_tracker_26mm")
         stars = make_stars(camera, TRACKER_STARS)
         few = replace(stars, direction=stars.direction[:20], photon_rate=stars.photon_rate[:20])
-        at_rest = Tracer(mi, camera).render(few, exposure_s=EXPOSURE_S)
-        sobol = {n: Tracer(mi, camera, sobol_log2_rays=n, tolerance=NOTHING_MEETS) for n in (16, 20)}
+        at_rest = Tracer(camera).render(few, exposure_s=EXPOSURE_S)
+        sobol = {n: Tracer(camera, sobol_log2_rays=n, tolerance=NOTHING_MEETS) for n in (16, 20)}
         line("star_tracker_26mm by 2^16 Sobol rays", lambda: sobol[16].render(stars, exposure_s=EXPOSURE_S))
         dense, usual = (sobol[n].render(few, exposure_s=EXPOSURE_S) for n in (20, 16))
         print(f"from 2^20 Sobol rays, 20 stars: outlines   {difference(at_rest, dense)}")
@@ -208,8 +208,8 @@ import dataclasses, resource, sys
 sys.path.insert(0, {str(ROOT)!r})
 from benchmarks.frame import make_camera, make_stars
 from render.forward import StarRenderer
-from render.engine.variant import use_backend
-use_backend({backend!r})
+from render.engine import Engine
+Engine.start({backend!r})
 camera = make_camera("star_tracker_26mm")
 camera = dataclasses.replace(camera, charge_diffusion_px=0.0)  # which leaves Sobol points
 StarRenderer(camera, sobol_log2_rays={log2_rays}).render(make_stars(camera, {MEMORY_STARS}))
@@ -257,13 +257,11 @@ def main() -> None:
     parser.add_argument("--only", choices=("tracker",), help="measure this part alone")
     parser.add_argument("--figure", action="store_true", help=f"draw {FIGURE.relative_to(ROOT)}")
     arguments = parser.parse_args()
-    from render.engine.variant import use_backend
+    from render.engine import Engine
     from render.forward import StarRenderer
 
-    variant = use_backend(arguments.backend)
-    import mitsuba as mi
-
-    tracker(mi, arguments.repeat)
+    variant = Engine.start(arguments.backend).variant
+    tracker(arguments.repeat)
     if arguments.only == "tracker":
         return
     print(f"{variant}, 4096 x 2048 px, one band, median of {arguments.repeat} after warm-up")

@@ -26,6 +26,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+
 from optics.frames import field_direction
 from optics.lens.perturb import decentre
 from optics.lens.prescription import load_lens
@@ -34,8 +35,7 @@ from optics.lens.system import AMBIENT, LensSystem
 from optics.rays.program import compile_lens
 from optics.rays.pupil import entrance_pupil, sobol_disk, star_rays
 from optics.rays.trace import Rays, trace
-from render.engine.arrays import DrJitArrays
-from render.engine.backend import array_types
+from render.engine import Engine
 
 LENS = "double_gauss_50mm"
 FIELD_DEG = (3.0, 2.0)
@@ -55,8 +55,8 @@ def on_drjit(lens: LensSystem, rays: Rays, threads: int, *, perturb: bool = Fals
     """Trace with Dr.Jit on LLVM; ``perturb``: another lens in every repetition, its numbers uploaded."""
     import drjit as dr
 
-    types = array_types("llvm")
-    arrays = DrJitArrays(types.Float64)
+    engine = Engine.start("llvm")
+    types, arrays = engine.types, engine.arrays
     kinds = {"status": types.Int32, "failed_at": types.Int32}
     device = Rays(**{k: kinds.get(k, types.Float64)(getattr(rays, k)) for k in Rays.__dataclass_fields__})
     dr.eval(*(getattr(device, name) for name in Rays.__dataclass_fields__))

@@ -19,7 +19,7 @@ from experiments.chromatic.tables import moved_label
 from experiments.harness.plotting import figure_png, house_style
 from experiments.harness.progress import Progress
 from optics.figures import draw_lens
-from render.engine.variant import use_backend
+from render.engine import Engine
 
 WIDTH_PX = 1500
 TARGET = Path(__file__).with_name("pictures") / "chromatic.png"
@@ -27,7 +27,7 @@ TARGET = Path(__file__).with_name("pictures") / "chromatic.png"
 
 def main() -> None:
     """Run, draw, stack."""
-    use_backend("auto")
+    Engine.start("auto")
     result = run(Config(), progress=Progress())
     pair, drawing = result.config.decentre.pair, draw_lens(result.instrument.camera.lens)
     with house_style():

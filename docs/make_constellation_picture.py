@@ -38,8 +38,8 @@ from render.catalogue.motion import earth_observer
 from render.catalogue.record import StarCatalog, direction_from_angles
 from render.detector.readout import expose
 from render.detector.spec import Detector, load_detector
+from render.engine import Engine
 from render.engine.random import Streams
-from render.engine.variant import use_backend
 from render.forward import StarRenderer
 from render.sky.background import background_map, sky_background
 from render.sky.field import field_of, field_of_view, star_field, star_light
@@ -224,7 +224,7 @@ def labelled(picture: np.ndarray, camera: Camera) -> Image.Image:
 def main() -> None:
     """Render, read out, develop."""
     start = time.perf_counter()
-    use_backend("auto")
+    Engine.start("auto")
     whole = load_detector("cmv4000")
     detector = replace(whole, chip_width_px=SIDE_PX, chip_height_px=SIDE_PX)
     camera, rate = expected_rates(detector)

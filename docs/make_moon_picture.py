@@ -36,6 +36,7 @@ from render.camera import Camera, build_camera
 from render.detector.diffusion import diffuse
 from render.detector.readout import expose
 from render.detector.spec import Detector, load_detector
+from render.engine import Engine
 from render.engine.random import Streams
 from render.forward import StarRenderer
 from render.plugins.lens_camera import share_camera
@@ -105,8 +106,9 @@ def sky(nodes: BandNodes, rng: np.random.Generator) -> StarField:
     )
 
 
-def moon(mi: Any, camera: Camera, nodes: BandNodes) -> tuple[np.ndarray, tuple[int, int]]:
+def moon(camera: Camera, nodes: BandNodes) -> tuple[np.ndarray, tuple[int, int]]:
     """Photo-electrons per second of the Moon's window, and its first column and row."""
+    mi = Engine.start("auto").mitsuba
     towards = direction(*MOON_DEG)
     seen = camera.rotation_cam_from_world @ towards
     focal = float(axial_paraxial(camera.lens, camera.lens.design_wavelength_nm).efl_mm)
@@ -119,7 +121,7 @@ def moon(mi: Any, camera: Camera, nodes: BandNodes) -> tuple[np.ndarray, tuple[i
         "type": "hdrfilm", "width": WINDOW_PX, "height": WINDOW_PX, "pixel_format": "luminance",
         "component_format": "float32", "rfilter": {"type": "box"},
     }  # fmt: skip
-    bodies = moon_scene(mi, towards, north_up(*MOON_DEG), PHASE_DEG, SUN_POSITION_ANGLE_DEG)
+    bodies = moon_scene(towards, north_up(*MOON_DEG), PHASE_DEG, SUN_POSITION_ANGLE_DEG)
     electrons = np.zeros((WINDOW_PX, WINDOW_PX))
     sun = photon_rate(SUN, SUN_V, wavelength_nm=nodes.wavelength_nm) * nodes.weight_nm * nodes.transmission
     for node, (wavelength, rate) in enumerate(zip(nodes.wavelength_nm[0], sun[0], strict=True)):
@@ -139,13 +141,13 @@ def moon(mi: Any, camera: Camera, nodes: BandNodes) -> tuple[np.ndarray, tuple[i
     return diffuse(electrons, camera.charge_diffusion_px).astype(float), (column, row)
 
 
-def frames(mi: Any) -> tuple[np.ndarray, np.ndarray, tuple[int, int], ExpectedImage]:
+def frames() -> tuple[np.ndarray, np.ndarray, tuple[int, int], ExpectedImage]:
     """Long and short frame above their offset [DN], corner of the Moon's window, the stars alone."""
     detector = load_detector("acc18_mosaic")
     camera = make_camera(detector)
     nodes = band_nodes([TopHat(centre_nm=675.0, width_nm=350.0, edge_nm=20.0, name="500-850 nm")], 5)
     stars = StarRenderer(camera, exposure_s=EXPOSURE_S).render(sky(nodes, np.random.default_rng(3)))
-    rate, (column, row) = moon(mi, camera, nodes)
+    rate, (column, row) = moon(camera, nodes)
     allen = -12.73 + 0.026 * PHASE_DEG + 4e-9 * PHASE_DEG**4
     print(f"Moon: {SUN_V - 2.5 * np.log10(rate.sum() / total_sun(camera, nodes)):.2f} mag; Allen V = {allen:.2f}")
     expected = stars.electrons[..., 0].astype(float) / EXPOSURE_S
@@ -224,12 +226,7 @@ def draw_star(axes: Any, long: np.ndarray, stars: ExpectedImage) -> str:
 
 def main() -> None:
     """Render, read out, draw."""
-    from render.engine.variant import use_backend
-
-    use_backend("auto")
-    import mitsuba as mi
-
-    long, short, corner, stars = frames(mi)
+    long, short, corner, stars = frames()
     draw(long, short, corner, stars)
     print(f"wrote {TARGET.relative_to(Path(__file__).resolve().parents[1])}, {TARGET.stat().st_size / 1e3:.0f} kB")
 

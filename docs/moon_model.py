@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from render.engine import Engine
 from render.plugins.lunar_surface import lommel_seeliger_phase
 
 __all__ = ["MOON_RADIUS_KM", "moon_scene"]
@@ -125,14 +126,12 @@ def disk_function(phase_rad: float) -> float:
 
 
 def moon_scene(
-    mi: Any, towards: np.ndarray, sky_frame: np.ndarray, phase_deg: float, sun_position_angle_deg: float
+    towards: np.ndarray, sky_frame: np.ndarray, phase_deg: float, sun_position_angle_deg: float
 ) -> dict[str, Any]:
     """Moon at the origin [km] and its lights, as a part of a scene dictionary; a Sun of unit irradiance.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant and the project's plugins.
     towards : (3,)
         Direction in which the camera sees the Moon.
     sky_frame : (3, 3)
@@ -142,6 +141,7 @@ def moon_scene(
     sun_position_angle_deg : float
         Direction of the Sun in the sky, from north through east.
     """
+    mi = Engine.active().mitsuba
     rng = np.random.default_rng(11)
     v, faces = grid()
     mare = maria(v, rng)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from optics.errors import DomainError, StarbenchError
 from render.camera import Camera
+from render.engine import Engine
 from render.plugins.lens_camera import share_camera
 from render.plugins.register import register_plugins
 from render.records import ExpectedImage, StarField
@@ -25,7 +26,7 @@ class StarRenderer:
     Parameters
     ----------
     camera : Camera
-        The camera. `render.engine.variant.use_backend` must have been called.
+        The camera.
     exposure_s : float
         Exposure time.
     sobol_log2_rays : int
@@ -48,9 +49,7 @@ class StarRenderer:
         if not (exposure_s > 0 and math.isfinite(exposure_s)):
             raise DomainError(f"exposure_s = {exposure_s} s; it must be positive and finite")
         register_plugins()
-        import mitsuba as mi
-
-        self._mi: Any = mi
+        self._mi = mi = Engine.active().mitsuba
         self.camera, self.exposure_s, self.seed = camera, float(exposure_s), int(seed)
         self.traced: TracedStars | None = None
         self._integrator = mi.load_dict({"type": "star_tracer", "sobol_log2_rays": sobol_log2_rays})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -97,13 +96,11 @@ class TracedTarget:
     psf: list[list[list[EffectivePsf]]]
 
 
-def trace_target(mi: Any, lab: Laboratory) -> TracedTarget:
+def trace_target(lab: Laboratory) -> TracedTarget:
     """Trace the target behind every filter; PSFs only if the centroider does not know them.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant, for the PSFs.
     lab : Laboratory
         The laboratory.
     """
@@ -111,7 +108,7 @@ def trace_target(mi: Any, lab: Laboratory) -> TracedTarget:
     direction = corner_directions(bench.target, instrument)
     psf: list[list[list[EffectivePsf]]] = []
     if bench.methods[0] != "epsf":
-        tracer, half = epsf_tracer(mi, instrument.camera), bench.window_px // 2 + 2
+        tracer, half = epsf_tracer(instrument.camera), bench.window_px // 2 + 2
         psf = [render_epsf(tracer, point_field(bench, instrument, one), half_size_px=half) for one in direction]
     return TracedTarget(direction, bundle_prediction(bench, instrument, direction), psf)
 
@@ -162,24 +159,20 @@ def _as_centroided(lab: Laboratory, traced: TracedTarget, draws: int) -> tuple[F
 
 
 def measure_chromatic(
-    mi: Any, lab: Laboratory, streams: Streams, *, backend: str, advance: Callable[[], None] = lambda: None
+    lab: Laboratory, streams: Streams, *, advance: Callable[[], None] = lambda: None
 ) -> ChromaticTerm:
     """The target in the four corners behind every filter, rendered, read out, reduced.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
     lab : Laboratory
         The laboratory.
     streams : Streams
         Root of the noise.
-    backend : str
-        Where the detector runs.
     advance : callable
         Called after each corner.
     """
-    measured = measure(mi, lab.filtered, lab.instrument, streams, backend=backend, advance=advance)
+    measured = measure(lab.filtered, lab.instrument, streams, advance=advance)
     found = evaluate(lab.filtered, lab.instrument, measured, _pairs(lab))
     return ChromaticTerm(
         table1_px=found.table1_px,

@@ -39,7 +39,6 @@ def run(config: Config, *, progress: Progress) -> Result:
         On anything the user can mend: unknown lens, detector or element, target off the detector, points not detected
         or saturated, wavelengths that no data cover.
     """
-    import mitsuba as mi
 
     from experiments.budget.attitude import StarErrors, attitude_study
     from experiments.budget.combine import published
@@ -53,26 +52,24 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.harness.provenance import peak_memory_mb, process_seconds
     from experiments.laboratory.target import corner_directions
     from render.engine.random import Streams
-    from render.engine.variant import active_backend
 
-    backend = active_backend()
     lab = build_laboratory(config)
     check_light(lab.filtered, lab.instrument, corner_directions(config.target, lab.instrument))
     check_full_well(lab)
-    psfs, streams, sweep_range = Psfs(mi), Streams(config.seed).child("budget"), config.sweep_range()
+    psfs, streams, sweep_range = Psfs(), Streams(config.seed).child("budget"), config.sweep_range()
     with progress.stage("predict"):
-        predicted = predict_terms(mi, lab, psfs=psfs)
+        predicted = predict_terms(lab, psfs=psfs)
     with progress.stage("measure", total=steps_of(lab)) as stage:
-        measured = measure_terms(mi, lab, backend=backend, advance=stage.advance)
+        measured = measure_terms(lab, advance=stage.advance)
     sweep, tornado = None, None
     if sweep_range is not None:
         with progress.stage("sweep", total=len(sweep_range.values)) as stage:
-            sweep = predict_sweep(mi, config, sweep_range, psfs, backend=backend, advance=stage.advance)
+            sweep = predict_sweep(config, sweep_range, psfs, advance=stage.advance)
     if config.tornado.parameters:
         with progress.stage("tornado", total=tornado_size(config)) as stage:
-            tornado = predict_tornado(mi, config, psfs, advance=stage.advance)
+            tornado = predict_tornado(config, psfs, advance=stage.advance)
     with progress.stage("built lenses", total=config.tolerances.draws) as stage:
-        tolerances = tolerance_study(mi, lab, streams.child("tolerances"), advance=stage.advance)
+        tolerances = tolerance_study(lab, streams.child("tolerances"), advance=stage.advance)
     with progress.stage("attitude", total=len(config.attitude.counts)) as stage:
         errors = StarErrors.of(measured.budget)
         attitude = attitude_study(

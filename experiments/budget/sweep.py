@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -153,7 +152,7 @@ def _coarse(config: Config) -> tuple[Config, float]:
     return config.model_copy(update={"target": few, "steps": steps}), float(factor)
 
 
-def coarse_budget(mi: Any, config: Config, psfs: Psfs) -> Budget:
+def coarse_budget(config: Config, psfs: Psfs) -> Budget:
     """A budget predicted cheaply (see the module).
 
     Raises
@@ -167,7 +166,7 @@ def coarse_budget(mi: Any, config: Config, psfs: Psfs) -> Budget:
     lab = build_laboratory(few)
     check_light(lab.filtered, lab.instrument, corner_directions(few.target, lab.instrument))
     check_full_well(lab)
-    budget = predict_terms(mi, lab, psfs=psfs, draws=DRAWS, step_draws=DRAWS, ideal_platform=True).budget
+    budget = predict_terms(lab, psfs=psfs, draws=DRAWS, step_draws=DRAWS, ideal_platform=True).budget
     hsfe = budget["HSFE"]
     scaled = Value(arcsec=hsfe.arcsec * factor, uncertainty_arcsec=hsfe.uncertainty_arcsec * factor)
     return combine({**budget.term, "HSFE": scaled}, stars=budget.stars)
@@ -195,51 +194,45 @@ def check_full_well(lab: Laboratory) -> None:
 
 
 def predict_sweep(
-    mi: Any,
     config: Config,
     sweep: SweepRange,
     psfs: Psfs,
     *,
-    backend: str,
     advance: Callable[[], None] = lambda: None,
 ) -> Sweep:
     """The budget at every value; measured too if the configuration asks for it.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
     config : Config
         Everything else.
     sweep : SweepRange
         The parameter and its values.
     psfs : Psfs
         Where PSFs are kept.
-    backend : str
-        Where the detector runs.
     advance : callable
         Called after every value.
     """
     found = []
     for number, value in enumerate(sweep.values):
-        found.append(_setting(mi, config, sweep.key, value, psfs, backend, number))
+        found.append(_setting(config, sweep.key, value, psfs, number))
         advance()
     return Sweep(key=sweep.key, settings=tuple(found))
 
 
-def _setting(mi: Any, config: Config, key: str, value: float, psfs: Psfs, backend: str, number: int) -> Setting:
+def _setting(config: Config, key: str, value: float, psfs: Psfs, number: int) -> Setting:
     window = config.window_px
     try:
         changed = widened(with_value(config, key, value))
         window = changed.window_px
-        predicted = coarse_budget(mi, changed, psfs)
+        predicted = coarse_budget(changed, psfs)
     except (StarbenchError, ValueError) as error:
         return Setting(value=value, window_px=window, predicted=None, refusal=str(error).splitlines()[0])
     measured, refusal = None, ""
     if config.sweep_measured:
         try:
             streams = Streams(config.seed).child("budget", "sweep").child(f"point {number}")
-            measured = measure_terms(mi, build_laboratory(changed), backend=backend, streams=streams)
+            measured = measure_terms(build_laboratory(changed), streams=streams)
         except StarbenchError as error:
             refusal = str(error).splitlines()[0]
     return Setting(value=value, window_px=window, predicted=predicted, measured=measured, refusal=refusal)
@@ -283,13 +276,11 @@ def tornado_size(config: Config) -> int:
     return 1 + 2 * len(_parameters(config))
 
 
-def predict_tornado(mi: Any, config: Config, psfs: Psfs, *, advance: Callable[[], None] = lambda: None) -> Tornado:
+def predict_tornado(config: Config, psfs: Psfs, *, advance: Callable[[], None] = lambda: None) -> Tornado:
     """Every parameter moved down and up by its tolerance, the others as they are.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
     config : Config
         The configuration; ``tornado`` has the tolerances.
     psfs : Psfs
@@ -297,14 +288,14 @@ def predict_tornado(mi: Any, config: Config, psfs: Psfs, *, advance: Callable[[]
     advance : callable
         Called after every setting.
     """
-    base = coarse_budget(mi, config, psfs)
+    base = coarse_budget(config, psfs)
     advance()
     swings = []
     for key, label, unit, low, high in _parameters(config):
         ends: list[Budget | None] = []
         for value in (low, high):
             try:
-                ends.append(coarse_budget(mi, with_value(config, key, value), psfs))
+                ends.append(coarse_budget(with_value(config, key, value), psfs))
             except (StarbenchError, ValueError):
                 ends.append(None)
             advance()

@@ -103,13 +103,12 @@ class Measurement:
 class Psfs:
     """PSFs of target points, rendered once for all settings that share lens, focus, light, diffusion and window."""
 
-    def __init__(self, mi: Any) -> None:
-        self.mi = mi
+    def __init__(self) -> None:
         self._known: dict[str, Any] = {}
 
     def of(self, lab: Laboratory, bench: Bench, what: str, direction: FloatArray) -> tuple[EffectivePsf, ...]:
         """PSFs of points (j, 3), by the name of the target."""
-        return self.once(lab, bench, what, lambda: point_scene(bench, lab.instrument, "llvm").psfs(direction))
+        return self.once(lab, bench, what, lambda: point_scene(bench, lab.instrument).psfs(direction))
 
     def once(self, lab: Laboratory, bench: Bench, what: str, make: Callable[[], Any]) -> Any:
         """Anything that depends on the light alone."""
@@ -159,7 +158,6 @@ def places_px(lab: Laboratory) -> FloatArray:
 
 
 def predict_terms(
-    mi: Any,
     lab: Laboratory,
     *,
     psfs: Psfs | None = None,
@@ -171,8 +169,6 @@ def predict_terms(
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant, for the PSFs.
     lab : Laboratory
         The laboratory.
     psfs : Psfs, optional
@@ -184,7 +180,7 @@ def predict_terms(
     ideal_platform : bool
         Whether the step test is predicted for equal steps instead of drawn ones.
     """
-    psfs = psfs or Psfs(mi)
+    psfs = psfs or Psfs()
     bench, instrument, seed = lab.bench, lab.instrument, lab.config.seed
     method, scale = bench.methods[0], 3.0 * instrument.pixel_arcsec
     place = target_place(bench, instrument)
@@ -192,7 +188,7 @@ def predict_terms(
     temporal = predict_temporal(bench, instrument, psf=psf, draws=draws, seed=seed)
     te = Value(arcsec=temporal.sampled_te_arcsec(method), uncertainty_arcsec=temporal.te_uncertainty_arcsec(method))
     hsfe, causes, single = _predicted_steps(lab, psfs, step_draws, ideal_platform=ideal_platform)
-    traced = psfs.once(lab, lab.filtered, "chromatic", lambda: trace_target(mi, lab))
+    traced = psfs.once(lab, lab.filtered, "chromatic", lambda: trace_target(lab))
     chromatic = predict_chromatic(lab, traced, draws=draws)
     found, scatter = _predicted_distortion(lab, psfs, draws, seed)
     budget = combine(
@@ -295,10 +291,8 @@ def _grid_streams(lab: Laboratory) -> Streams:
 
 
 def measure_terms(
-    mi: Any,
     lab: Laboratory,
     *,
-    backend: str,
     advance: Callable[[], None] = lambda: None,
     streams: Streams | None = None,
 ) -> Measurement:
@@ -306,12 +300,8 @@ def measure_terms(
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
     lab : Laboratory
         The laboratory.
-    backend : str
-        Where the detector runs.
     advance : callable
         Called after every piece of work (`steps_of` of them).
     streams : Streams, optional
@@ -325,12 +315,12 @@ def measure_terms(
     root = streams or Streams(lab.config.seed).child("budget", "measured")
     bench, instrument = lab.bench, lab.instrument
     method, scale = bench.methods[0], 3.0 * instrument.pixel_arcsec
-    scene = point_scene(bench, instrument, backend)
-    temporal = measure_temporal(bench, instrument, streams=root.child("TE"), backend=backend, scene=scene)
+    scene = point_scene(bench, instrument)
+    temporal = measure_temporal(bench, instrument, streams=root.child("TE"), scene=scene)
     advance()
     te = temporal.te_arcsec(method)
-    hsfe, single, places = _measured_steps(lab, scene, root.child("HSFE"), backend, advance)
-    chromatic = measure_chromatic(mi, lab, root.child("LSFE-S"), backend=backend, advance=advance)
+    hsfe, single, places = _measured_steps(lab, scene, root.child("HSFE"), advance)
+    chromatic = measure_chromatic(lab, root.child("LSFE-S"), advance=advance)
     grid = lab.config.grid
     distortion = measure_distortion(
         bench,
@@ -339,7 +329,6 @@ def measure_terms(
         order=grid.order,
         surveys=grid.surveys,
         streams=_grid_streams(lab),
-        backend=backend,
         scene=scene,
         advance=advance,
     )
@@ -400,7 +389,7 @@ def _of_measured(pair: Sequence[Any]) -> Value:
 
 
 def _measured_steps(
-    lab: Laboratory, scene: PointScene, streams: Streams, backend: str, advance: Callable[[], None]
+    lab: Laboratory, scene: PointScene, streams: Streams, advance: Callable[[], None]
 ) -> tuple[Value, FloatArray, FloatArray]:
     """HSFE over all places (RMS), of one position, and of every place (q, 2)."""
     method, scale = lab.bench.methods[0], 3.0 * lab.instrument.pixel_arcsec
@@ -414,7 +403,6 @@ def _measured_steps(
             place_px=place.tolist(),
             split=False,
             streams=streams.child(f"place {number}"),
-            backend=backend,
             scene=scene,
             advance=advance,
         )

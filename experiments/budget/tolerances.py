@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -110,8 +109,8 @@ class _Traced:
 class _Probe:
     """Traces perturbed copies of a lens at the same stars."""
 
-    def __init__(self, mi: Any, lab: Laboratory) -> None:
-        self.mi, self.lab, self.instrument = mi, lab, lab.instrument
+    def __init__(self, lab: Laboratory) -> None:
+        self.lab, self.instrument = lab, lab.instrument
         camera = self.instrument.camera
         self.corners = corner_directions(lab.filtered.target, self.instrument)
         x = np.linspace(EDGE_PX, camera.width_px - 1 - EDGE_PX, GRID[0])
@@ -124,22 +123,18 @@ class _Probe:
 
     def trace(self, lens: LensSystem) -> _Traced:
         camera = replace(self.instrument.camera, lens=lens)
-        mean = Tracer(self.mi, camera, general=True).bundle_means(self.stars, rings=4, arms=12)
+        mean = Tracer(camera, general=True).bundle_means(self.stars, rings=4, arms=12)
         split = self.corners.shape[0] * self.corners.shape[1]
         place = mean[:split].reshape(*self.corners.shape[:2], *mean.shape[1:])
         signed = np.stack([table1(v) for v in shifts(place, self.pairs).values()])
         return _Traced(signed, mean[split:, self.lab.filtered.reference] - self.grid_px)
 
 
-def tolerance_study(
-    mi: Any, lab: Laboratory, streams: Streams, *, advance: Callable[[], None] = lambda: None
-) -> ToleranceStudy:
+def tolerance_study(lab: Laboratory, streams: Streams, *, advance: Callable[[], None] = lambda: None) -> ToleranceStudy:
     """Build lenses with the tolerances of the configuration and trace them.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant; rays only.
     lab : Laboratory
         The laboratory; its lens is the nominal one.
     streams : Streams
@@ -153,7 +148,7 @@ def tolerance_study(
         If fewer than two lenses could be used.
     """
     config, lens = lab.config.tolerances, lab.instrument.camera.lens
-    probe, scale = _Probe(mi, lab), lab.instrument.pixel_arcsec
+    probe, scale = _Probe(lab), lab.instrument.pixel_arcsec
     design = probe.trace(lens)
     basis = cubic_basis(probe.grid_px)
     rng = streams.generator("built lenses")

@@ -85,13 +85,11 @@ def _jacobian(residuals: Callable[[FloatArray], FloatArray], state: FloatArray) 
     return np.stack([(residuals(state + step) - here) / STATE_STEP for step in steps], axis=1)
 
 
-def tune(mi: Any, start: Config, *, prnu: bool = False, report: Callable[[str], None] = lambda line: None) -> Tuned:
+def tune(start: Config, *, prnu: bool = False, report: Callable[[str], None] = lambda line: None) -> Tuned:
     """Find the parameters.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant, for the PSFs.
     start : Config
         Everything that is not tuned, and where to begin.
     prnu : bool
@@ -130,7 +128,7 @@ def tune(mi: Any, start: Config, *, prnu: bool = False, report: Callable[[str], 
             return known[tuple(state)]
         count += 1
         config = _apply(start, values(state))
-        budget = predict_terms(mi, build_laboratory(config), draws=DRAWS, step_draws=DRAWS, ideal_platform=True).budget
+        budget = predict_terms(build_laboratory(config), draws=DRAWS, step_draws=DRAWS, ideal_platform=True).budget
         numbers = " ".join(f"{n} {budget[n].arcsec[0]:.2f} {budget[n].arcsec[1]:.2f}" for n in _AIM)
         report(f"{count:3d}  " + "  ".join(f"{k} = {v:.5g}" for k, v in values(state).items()) + f"  ->  {numbers}")
         known[tuple(state)] = budget
@@ -151,7 +149,7 @@ def tune(mi: Any, start: Config, *, prnu: bool = False, report: Callable[[str], 
         state = solved.x
         cheap = _aimed(predicted(state))
         config = _apply(start, {key: float(f"{value:.4g}") for key, value in values(state).items()})
-        budget = predict_terms(mi, build_laboratory(config)).budget
+        budget = predict_terms(build_laboratory(config)).budget
         short = _aimed(budget) / cheap
     return Tuned(config=config, budget=budget, evaluations=count, cost=float(solved.cost))
 
@@ -192,13 +190,12 @@ def as_toml(config: Config, heading: Sequence[str]) -> str:
 @click.option("--prnu", is_flag=True, help="Free the response non-uniformity too.")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="TOML file to write.")
 def _command(file: str | None, settings: tuple[str, ...], prnu: bool, out: Path) -> None:
-    from render.engine.variant import use_backend
+    from render.engine import Engine
 
     start = load_config(Config, file=configuration_file(file), settings=settings)
-    use_backend("auto")
-    import mitsuba as mi
+    Engine.start("auto")
 
-    found = tune(mi, start, prnu=prnu, report=lambda line: click.echo(line, err=True))
+    found = tune(start, prnu=prnu, report=lambda line: click.echo(line, err=True))
     heading = [
         "Tuned by python -m experiments.budget.tune: predicted against published [arcsec, 3 sigma, x and y]",
         *(

@@ -46,7 +46,6 @@ def run(config: Config, *, progress: Progress) -> Result:
         On anything the user can mend: unknown lens or detector, target off the detector, points not detected or
         saturated, a wavelength outside the range of a glass or of the quantum efficiency.
     """
-    import mitsuba as mi
 
     from experiments.chromatic.evaluate import evaluate
     from experiments.chromatic.measure import measure
@@ -57,20 +56,18 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.laboratory.instrument import build_instrument
     from experiments.laboratory.target import CORNERS
     from render.engine.random import Streams
-    from render.engine.variant import active_backend
 
-    backend = active_backend()
     instrument = build_instrument(config.instrument)
     bench, pairs, direction = _prepare(config, instrument)
     paraxial_px = paraxial_prediction(bench, instrument, direction)
-    solutions = _solve(mi, config, bench, instrument, direction, progress)
+    solutions = _solve(config, bench, instrument, direction, progress)
     chosen = _choose(config, bench, solutions)
     moved = _moved(config, instrument, chosen)
     streams = Streams(config.seed).child("chromatic")
     found = {}
     for label, stage_label, one in (("centred", "centred lens", instrument), ("moved", "moved element", moved)):
         with progress.stage(stage_label, total=len(CORNERS)) as stage:
-            measured = measure(mi, bench, one, streams.child(label), backend=backend, advance=stage.advance)
+            measured = measure(bench, one, streams.child(label), advance=stage.advance)
         found[label] = evaluate(bench, one, measured, pairs)
     with progress.stage("stars"):
         stellar, moved_stellar = (stellar_shift(config.stars, one) for one in (instrument, moved))
@@ -134,7 +131,7 @@ def _prepare(config: Config, instrument: Instrument) -> tuple[Bench, Sequence[tu
 
 
 def _solve(
-    mi: Any, config: Config, bench: Bench, instrument: Instrument, direction: FloatArray, progress: Progress
+    config: Config, bench: Bench, instrument: Instrument, direction: FloatArray, progress: Progress
 ) -> list[Solution]:
     """The movement of every element, decentre and tilt, that gives the published number."""
     from experiments.chromatic.model import solve_perturbation
@@ -142,7 +139,6 @@ def _solve(
     moves = [(element, kind) for kind in ("decentre", "tilt") for element in instrument.camera.lens.elements]
     return [
         solve_perturbation(
-            mi,
             bench,
             instrument,
             direction,
@@ -212,7 +208,6 @@ def files(result: Result, folder: Any) -> None:
     """One frame as FITS: the first position behind the reference filter, the whole detector."""
     from render.detector.readout import expose
     from render.engine.random import Streams
-    from render.engine.variant import active_backend
     from render.fits.files import write_frame
 
     example = result.centred.measurement.example
@@ -222,7 +217,6 @@ def files(result: Result, folder: Any) -> None:
         streams=Streams(result.config.seed).child("chromatic", "centred", "example"),
         temperature_c=result.config.instrument.chip_temperature_c,
         band=example.band[result.config.filters.centres_nm.index(result.config.filters.reference_nm)],
-        backend=active_backend(),
     )
     write_frame(frame, folder / "frame_upper_left.fits")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,21 +63,15 @@ class Measurement:
     windows: tuple[WindowStack, ...]
 
 
-def measure(
-    mi: Any, bench: Bench, instrument: Instrument, streams: Streams, *, backend: str, advance: Callable[[], None]
-) -> Measurement:
+def measure(bench: Bench, instrument: Instrument, streams: Streams, *, advance: Callable[[], None]) -> Measurement:
     """Run the test on one lens.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
     bench, instrument
         The laboratory.
     streams : Streams
         Root of the noise of this run.
-    backend : str
-        Where the detector runs.
     advance : callable
         Called after each position.
 
@@ -88,16 +81,14 @@ def measure(
         If points are not detected, or saturated.
     """
     camera = instrument.camera
-    renderer, tracer = StarRenderer(camera, exposure_s=instrument.config.exposure_s), epsf_tracer(mi, camera)
+    renderer, tracer = StarRenderer(camera, exposure_s=instrument.config.exposure_s), epsf_tracer(camera)
     first: ExpectedImage | None = None
     parts: list[PointMeasurement] = []
     for place, direction in zip(CORNERS, corner_directions(bench.target, instrument), strict=True):
         stars = point_field(bench, instrument, direction)
         expected = renderer.render(stars)
         first = first or expected
-        parts.append(
-            PointReadout(tracer, bench, instrument, streams.child(place), place, backend).measure(stars, expected)
-        )
+        parts.append(PointReadout(tracer, bench, instrument, streams.child(place), place).measure(stars, expected))
         advance()
     assert first is not None
     return Measurement(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -209,7 +208,6 @@ _UNIT = {"decentre": 1e3, "tilt": 60.0}
 
 
 def solve_perturbation(
-    mi: Any,
     bench: Bench,
     instrument: Instrument,
     direction: FloatArray,
@@ -224,8 +222,6 @@ def solve_perturbation(
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant; rays only, no image is rendered.
     bench, instrument
         The laboratory with the centred lens.
     direction : (p, j, 3)
@@ -249,7 +245,7 @@ def solve_perturbation(
 
     def means(amount: float) -> FloatArray:
         camera = replace(instrument.camera, lens=perturbed(lens, element, kind, axis, amount))
-        mean = Tracer(mi, camera, general=True).bundle_means(stars, rings=4, arms=12)
+        mean = Tracer(camera, general=True).bundle_means(stars, rings=4, arms=12)
         return mean.reshape(*direction.shape[:2], len(bench.filters), 2)
 
     def excess(amount: float) -> float:

@@ -22,7 +22,6 @@ from render.bench.scene import FACES, BenchGeometry, CubePose, bench_scene, plac
 from render.bench.sensor import MaskSensor
 from render.detector.spec import Detector, load_detector
 from render.engine.random import Streams
-from render.engine.variant import active_backend
 
 __all__ = ["FACE_ANGLES_DEG", "Case", "Laboratory", "Truth", "build_laboratory", "draw_truths", "geometry_of"]
 
@@ -127,8 +126,6 @@ class Laboratory:
 
     Attributes
     ----------
-    mi : module
-        Mitsuba.
     config : Config
         Settings.
     geometry : BenchGeometry
@@ -143,11 +140,8 @@ class Laboratory:
         Expected electrons of the picture of the covered, glowing aperture.
     streams : Streams
         Root of the randomness.
-    backend : str
-        For the readout.
     """
 
-    mi: Any
     config: Config
     geometry: BenchGeometry
     camera: BenchCamera
@@ -157,7 +151,6 @@ class Laboratory:
     sensor: Any
     aperture_e: NDArray[np.float32]
     streams: Streams
-    backend: str
 
     @property
     def pitch_mm(self) -> float:
@@ -204,7 +197,7 @@ def camera_of(config: Config, detector: Detector) -> BenchCamera:
     )
 
 
-def build_laboratory(mi: Any, config: Config) -> Laboratory:
+def build_laboratory(config: Config) -> Laboratory:
     """Build the scene once, and take the picture of the covered aperture, which no bench changes.
 
     Raises
@@ -223,23 +216,19 @@ def build_laboratory(mi: Any, config: Config) -> Laboratory:
     check_bench(config, geometry, camera)
     check_light_levels(config, detector, sensor_detector)
     pose = CubePose.of_table(geometry, Rotation.from_euler("y", 180, degrees=True).as_matrix(), NOMINAL_CUBE, SQUARE)
-    sensor = camera.sensor(mi)
-    covered = bench_scene(mi, geometry, pose, covered=True)
-    light = trace_screen(
-        mi, covered, sensor, camera, geometry, covered=True, log2_particles=COVER_LOG2, seed=config.seed
-    )
+    sensor = camera.sensor()
+    covered = bench_scene(geometry, pose, covered=True)
+    light = trace_screen(covered, sensor, camera, geometry, covered=True, log2_particles=COVER_LOG2, seed=config.seed)
     return Laboratory(
-        mi=mi,
         config=config,
         geometry=geometry,
         camera=camera,
         detector=detector,
         sensor_detector=sensor_detector,
-        scene=bench_scene(mi, geometry, pose, covered=False),
+        scene=bench_scene(geometry, pose, covered=False),
         sensor=sensor,
         aperture_e=diffuse(light * electrons_per_radiance(config), detector.diffusion_sigma_px),
         streams=Streams(config.seed).child("cube"),
-        backend=active_backend(),
     )
 
 
@@ -266,7 +255,7 @@ def build_table(config: Config, truth: Truth, case: Case) -> Turntable:
 def put_cube(laboratory: Laboratory, truth: Truth, lab_from_table: FloatArray) -> CubePose:
     """Move the cube of the scene to where the table carries it."""
     pose = CubePose.of_table(laboratory.geometry, lab_from_table, truth.table_from_cube, truth.normal)
-    place_cube(laboratory.mi, laboratory.scene, laboratory.geometry, pose)
+    place_cube(laboratory.scene, laboratory.geometry, pose)
     return pose
 
 

@@ -43,7 +43,6 @@ def run(config: Config, *, progress: Progress) -> Result:
         On anything the user can mend: spot off the screen or not larger than the aperture, beam beside the face,
         parallel faces, a trim that does not end, a spot off the sun sensor.
     """
-    import mitsuba as mi
 
     from experiments.cube.bench import build_laboratory, draw_truths
     from experiments.cube.budget import beam_rates, build_budget, lean_rates, perfect_sensor
@@ -53,7 +52,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.harness.provenance import peak_memory_mb, process_seconds
 
     with progress.stage("bench"):
-        laboratory = build_laboratory(mi, config)
+        laboratory = build_laboratory(config)
         truths = draw_truths(config, laboratory.streams)
     performed = next(case for case in CASES if case.name == "procedure")
     known = SensorCache()
@@ -74,7 +73,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         sensor = perfect_sensor(laboratory)
         rates = lean_rates(config, sensor), beam_rates(config, sensor)
     with progress.stage("views"):
-        views = _views(mi, config, laboratory, truths[0])
+        views = _views(config, laboratory, truths[0])
     return Result(
         config=config,
         laboratory=laboratory,
@@ -93,7 +92,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     )
 
 
-def _views(mi: Any, config: Config, laboratory: Any, truth: Any) -> list[Any]:
+def _views(config: Config, laboratory: Any, truth: Any) -> list[Any]:
     """The bench from afar and the cube from near, the first face trimmed."""
     from experiments.cube.bench import Case, build_table, concentric_angles
     from render.bench.scene import CubePose
@@ -104,13 +103,12 @@ def _views(mi: Any, config: Config, laboratory: Any, truth: Any) -> list[Any]:
     angle = concentric_angles(table, truth.normal_in_table(face), face)
     top = table.rotation(angle[None])[0].as_matrix()
     pose = CubePose.of_table(geometry, top, truth.table_from_cube, truth.normal)
-    scene = overview_scene(mi, geometry, pose, top, laboratory.camera)
+    scene = overview_scene(geometry, pose, top, laboratory.camera)
     width, height = VIEW_PX
     return [
         render_overview(
-            mi,
             scene,
-            overview_sensor(mi, geometry, width_px=width, height_px=height, close=close),
+            overview_sensor(geometry, width_px=width, height_px=height, close=close),
             geometry,
             spp=config.benches.view_samples,
         )

@@ -116,7 +116,7 @@ def observe_spots(laboratory: Laboratory, truth: Truth, table: Turntable, stream
     """
     from render.detector.readout import expose_windows
 
-    config, mi = laboratory.config.sensor, laboratory.mi
+    config = laboratory.config.sensor
     detector = own_detector(laboratory, truth)
     angle = table.set(field_angles(laboratory.config), streams)
     sun = table.rotation(angle).inv().apply([0.0, 0.0, 1.0]) @ truth.sensor_from_table.T
@@ -124,8 +124,7 @@ def observe_spots(laboratory: Laboratory, truth: Truth, table: Turntable, stream
     corner = np.rint(true_px).astype(np.int64) - config.window_px // 2
     _check_windows(truth.sensor, corner, config.window_px)
     light = trace_mask(
-        mi,
-        mask_scene(mi, truth.sensor),
+        mask_scene(truth.sensor),
         truth.sensor,
         sun,
         corner,
@@ -141,7 +140,6 @@ def observe_spots(laboratory: Laboratory, truth: Truth, table: Turntable, stream
         streams=streams,
         frames=config.frames,
         exposure_s=EXPOSURE_S,
-        backend=laboratory.backend,
     )
     electrons = (stack.dn.astype(np.float64).mean(0) - stack.offset_dn) / stack.gain_dn_per_e
     middle = len(sun) // 2

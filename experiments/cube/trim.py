@@ -139,7 +139,6 @@ def _exposed(laboratory: Laboratory, electrons: NDArray[np.float32], streams: St
         laboratory.detector,
         streams=streams,
         exposure_s=laboratory.config.camera.exposure_s,
-        backend=laboratory.backend,
     )
     dn = frame.dn.astype(np.float64)
     return Picture(electrons=(dn - frame.offset_dn) / frame.gain_dn_per_e, camera=laboratory.camera)
@@ -163,7 +162,6 @@ def take_spot(
     from render.detector.diffusion import diffuse
 
     light = trace_screen(
-        laboratory.mi,
         laboratory.scene,
         sensor,
         laboratory.camera,
@@ -190,7 +188,7 @@ def moved_sensor(laboratory: Laboratory, shift_mm: FloatArray) -> Any:
         angle_deg=camera.angle_deg,
         aim_mm=camera.aim_mm - shift_mm,
     )
-    return moved.sensor(laboratory.mi)
+    return moved.sensor()
 
 
 def _spokes(picture: Picture, centre_mm: FloatArray, low_mm: float, high_mm: float, step_px: float = 0.5) -> Any:

@@ -94,7 +94,7 @@ class Repeatability:
 
 def repeatability(laboratory: Laboratory) -> Repeatability:
     """Scatter of the measured offset on a bench where nothing moves."""
-    place_cube(laboratory.mi, laboratory.scene, laboratory.geometry, tilted_pose(laboratory, 0.0))
+    place_cube(laboratory.scene, laboratory.geometry, tilted_pose(laboratory, 0.0))
     radius, reach = laboratory.geometry.aperture_mm / 2, spot_reach_mm(laboratory)
     two, own, stated = [], [], []
     for number in range(REPEATS):
@@ -150,8 +150,8 @@ def check_light(laboratory: Laboratory) -> LightCheck:
 
 
 def _landing(laboratory: Laboratory, tilt: float, *, seed: int) -> FloatArray:
-    place_cube(laboratory.mi, laboratory.scene, laboratory.geometry, tilted_pose(laboratory, tilt))
-    found = land(laboratory.mi, laboratory.scene, laboratory.geometry, log2_particles=LOG2_PARTICLES, seed=seed)
+    place_cube(laboratory.scene, laboratory.geometry, tilted_pose(laboratory, tilt))
+    found = land(laboratory.scene, laboratory.geometry, log2_particles=LOG2_PARTICLES, seed=seed)
     return found.screen_mm
 
 

@@ -24,7 +24,6 @@ from experiments.dataset.truth_file import read_table
 from experiments.dataset.wcs_check import wcs_misses_px
 from optics.arrays import FloatArray
 from render.catalogue.motion import directions_at
-from render.engine.variant import active_backend
 from render.fits.files import read_frame
 from render.tracing.tracer import Tracer
 
@@ -111,15 +110,11 @@ class Evaluation:
     example: Example | None
 
 
-def evaluate(
-    mi: Any, folder: Path, scene: Scene, facts: Sequence[FrameFacts], *, advance: Callable[[], None]
-) -> Evaluation:
+def evaluate(folder: Path, scene: Scene, facts: Sequence[FrameFacts], *, advance: Callable[[], None]) -> Evaluation:
     """Measure, solve and compare frames of a dataset.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
     folder : pathlib.Path
         The dataset.
     scene : Scene
@@ -135,13 +130,12 @@ def evaluate(
         Unknown centroider; no light on most of the detector.
     """
     verify, camera = scene.config.verify, scene.instrument.camera
-    backend = active_backend()
     streams = scene.plan.streams.child("verify")
-    dark = master_dark(scene, frames=verify.dark_frames, streams=streams, backend=backend)
+    dark = master_dark(scene, frames=verify.dark_frames, streams=streams)
     temperature_k = float(np.median(scene.temperature_k))
-    psfs = render_psf_grid(mi, scene, temperature_k=temperature_k, window_px=verify.window_px)
+    psfs = render_psf_grid(scene, temperature_k=temperature_k, window_px=verify.window_px)
     reduction = reduction_of(verify, dark, psfs)
-    calibration = calibrated_camera(scene, Tracer(mi, camera), temperature_k=temperature_k)
+    calibration = calibrated_camera(scene, Tracer(camera), temperature_k=temperature_k)
     solver = _Solver(scene, calibration)
     size = {"width_px": camera.width_px, "height_px": camera.height_px}
     stars, solved, misses = [], [], [np.zeros(0)]
@@ -173,7 +167,7 @@ def evaluate(
         bound=_bound(scene, psfs, background_e),
         background_e=background_e,
         empty_frames=verify.dark_frames,
-        empty_detections=_in_empty_frames(scene, reduction, sky_e, streams.child("empty"), backend),
+        empty_detections=_in_empty_frames(scene, reduction, sky_e, streams.child("empty")),
         wcs_miss_px=np.concatenate(misses),
         example=example,
     )
@@ -230,11 +224,11 @@ class _Solver:
         )
 
 
-def _in_empty_frames(scene: Scene, reduction: Reduction, sky_e: float, streams: Streams, backend: str) -> int:
+def _in_empty_frames(scene: Scene, reduction: Reduction, sky_e: float, streams: Streams) -> int:
     """Detections without a flag in frames of an even background: what noise alone makes."""
     count = 0
     for frame in range(scene.config.verify.dark_frames):
-        found = measure_frame(empty_frame(scene, frame, sky_e=sky_e, streams=streams, backend=backend), reduction)
+        found = measure_frame(empty_frame(scene, frame, sky_e=sky_e, streams=streams), reduction)
         count += int(np.count_nonzero(~found.sharp))
     return count
 

@@ -21,6 +21,7 @@ from experiments.harness.cli import command
 from experiments.harness.progress import Progress
 from experiments.harness.summary import Criterion
 from optics.errors import ConfigError
+from render.engine import Engine
 
 if TYPE_CHECKING:
     from experiments.dataset.evaluate import Evaluation
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from experiments.dataset.result import Result
     from experiments.dataset.resume_test import ResumeTest
     from experiments.dataset.scene import Scene
+    from experiments.dataset.work import Job
     from experiments.harness.report import Report
     from experiments.harness.tables import Table
 
@@ -57,33 +59,32 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
         On anything the user can mend; see `experiments.dataset.scene.build_scene`, `experiments.dataset.folder` and
         `experiments.dataset.schedule`.
     """
-    import mitsuba as mi
-
     from experiments.dataset.finish import write_exports
     from experiments.dataset.result import Result
     from experiments.dataset.scene import build_scene
     from experiments.dataset.schedule import software
     from experiments.dataset.shards import check_webdataset
+    from experiments.dataset.work import Job
     from experiments.harness.provenance import peak_memory_mb, process_seconds
-    from render.engine.variant import active_backend
 
     with progress.stage("prepare"):
         if "webdataset" in config.exports:
             check_webdataset()
         scene = build_scene(config)
         _check_window(config, scene)
-    backend = active_backend()
+    backend = Engine.active().backend
+    job = Job(config=for_workers(config).model_dump_json(), folder=str(output.path), backend=backend)
     output.open(software(backend))
     try:
         facts = _look(config, output, progress)
         before = len(facts)
         started = time.perf_counter()
         pixels = scene.instrument.camera.width_px * scene.instrument.camera.height_px
-        rate, workers = _make(config, output, backend, facts, pixels, progress)
+        rate, workers = _make(config, output, job, facts, pixels, progress)
         seconds = time.perf_counter() - started
         ordered = tuple(facts[frame] for frame in range(config.frames))
         exports = write_exports(scene, output.path, ordered, progress)
-        evaluation = _evaluate(mi, config, output, scene, ordered, progress)
+        evaluation = _evaluate(config, output, scene, ordered, progress)
         return Result(
             config=config,
             folder=output.path,
@@ -96,7 +97,7 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
             runtime_s=process_seconds(),
             peak_memory_mb=peak_memory_mb(),
             exports=exports,
-            resume=_resume(config, output, backend, ordered, progress),
+            resume=_resume(config, job, ordered, progress),
             evaluation=evaluation,
         )
     except BaseException:
@@ -133,17 +134,15 @@ def _look(config: Config, output: DatasetFolder, progress: Progress) -> dict[int
 
 
 def _make(
-    config: Config, output: DatasetFolder, backend: str, facts: dict[int, FrameFacts], pixels: int, progress: Progress
+    config: Config, output: DatasetFolder, job: Job, facts: dict[int, FrameFacts], pixels: int, progress: Progress
 ) -> tuple[float, int]:
     """Make what is missing; frames per second and the number of processes."""
     from experiments.dataset.folder import StorageError
     from experiments.dataset.schedule import make_frames
-    from experiments.dataset.work import Job
 
     missing = [frame for frame in range(config.frames) if frame not in facts]
     if config.files.compression == "none":
         output.check_room(len(missing) * 2 * pixels)
-    job = Job(config=for_workers(config).model_dump_json(), folder=str(output.path), backend=backend)
     times: list[tuple[float, int]] = []
     with progress.stage("make frames", total=len(missing)) as stage:
 
@@ -166,7 +165,7 @@ def _make(
 
 
 def _evaluate(
-    mi: Any, config: Config, output: DatasetFolder, scene: Scene, facts: tuple[FrameFacts, ...], progress: Progress
+    config: Config, output: DatasetFolder, scene: Scene, facts: tuple[FrameFacts, ...], progress: Progress
 ) -> Evaluation | None:
     """Look at the first frames, as others will."""
     from experiments.dataset.evaluate import evaluate
@@ -175,20 +174,16 @@ def _evaluate(
     if not looked_at:
         return None
     with progress.stage("look at frames", total=len(looked_at)) as stage:
-        return evaluate(mi, output.path, scene, looked_at, advance=stage.advance)
+        return evaluate(output.path, scene, looked_at, advance=stage.advance)
 
 
-def _resume(
-    config: Config, output: DatasetFolder, backend: str, facts: tuple[FrameFacts, ...], progress: Progress
-) -> ResumeTest | None:
+def _resume(config: Config, job: Job, facts: tuple[FrameFacts, ...], progress: Progress) -> ResumeTest | None:
     """Kill a run of the first frames and take it up again, somewhere else."""
     from experiments.dataset.resume_test import try_to_resume
-    from experiments.dataset.work import Job
 
     some = facts[: config.verify.resume_frames]
     if len(some) < 2:
         return None
-    job = Job(config=for_workers(config).model_dump_json(), folder=str(output.path), backend=backend)
     with progress.stage("kill a run and take it up"):
         return try_to_resume(job, some, truth=config.files.truth)
 

@@ -17,7 +17,6 @@ from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
 from render.detector.cosmic_rays import CosmicRayHits, cosmic_ray_hits
 from render.detector.readout import expose
 from render.engine.random import Streams
-from render.engine.variant import active_backend
 from render.records import Frame
 from render.tracing.tracer import TracedStars, Tracer
 
@@ -64,16 +63,13 @@ class FrameMaker:
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
     scene : Scene
         What the frames have in common.
     """
 
-    def __init__(self, mi: Any, scene: Scene) -> None:
+    def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.backend = active_backend()
-        self._tracer = Tracer(mi, scene.instrument.camera, tolerance=scene.config.camera.pupil_tolerance)
+        self._tracer = Tracer(scene.instrument.camera, tolerance=scene.config.camera.pupil_tolerance)
         self._streams: Streams = scene.plan.streams.child("detector")
         self._axis_share = self._share_on_axis()
 
@@ -97,7 +93,6 @@ class FrameMaker:
             background_e_per_s=config.background.extra_e_per_s,
             band=band,
             hits=hits,
-            backend=self.backend,
         )
         truth = star_rows(
             seen,

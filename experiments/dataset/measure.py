@@ -109,7 +109,7 @@ class MeasuredFrame:
         return np.column_stack([self.stars.x_px, self.stars.y_px])
 
 
-def empty_frame(scene: Scene, frame: int, *, sky_e: float, streams: Streams, backend: str) -> Frame:
+def empty_frame(scene: Scene, frame: int, *, sky_e: float, streams: Streams) -> Frame:
     """A frame without stars on an even background [e-], exposed like those of the dataset."""
     camera, detector = scene.config.camera, scene.instrument.detector
     return expose(
@@ -121,15 +121,14 @@ def empty_frame(scene: Scene, frame: int, *, sky_e: float, streams: Streams, bac
         temperature_c=camera.chip_temperature_c,
         background_e_per_s=sky_e / camera.exposure_s,
         band="empty",
-        backend=backend,
     )
 
 
-def master_dark(scene: Scene, *, frames: int, streams: Streams, backend: str) -> NDArray[np.float32]:
+def master_dark(scene: Scene, *, frames: int, streams: Streams) -> NDArray[np.float32]:
     """Mean of frames without light [DN], of the same exposure time and temperature as the dataset."""
     total = np.zeros(scene.instrument.detector.shape)
     for frame in range(frames):
-        total += empty_frame(scene, frame, sky_e=0.0, streams=streams, backend=backend).dn
+        total += empty_frame(scene, frame, sky_e=0.0, streams=streams).dn
     return np.asarray(total / frames, np.float32)
 
 

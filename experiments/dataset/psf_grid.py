@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,13 +46,11 @@ class PsfGrid:
         return np.asarray(((at[:, None] - self.place_px) ** 2).sum(-1).argmin(1))
 
 
-def render_psf_grid(mi: Any, scene: Scene, *, temperature_k: float, window_px: int) -> PsfGrid:
+def render_psf_grid(scene: Scene, *, temperature_k: float, window_px: int) -> PsfGrid:
     """Render the PSFs of a camera.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
     scene : Scene
         Camera and band.
     temperature_k : float
@@ -72,5 +70,5 @@ def render_psf_grid(mi: Any, scene: Scene, *, temperature_k: float, window_px: i
     place = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) + camera.centre_px
     direction = camera.nominal_direction(place[:, 0], place[:, 1], scene.instrument.focal_length_mm)
     stars = scene.light.stars(direction, 5.0, temperature_k)
-    rendered = render_epsf(epsf_tracer(mi, camera), stars, oversampling=OVERSAMPLING, half_size_px=window_px // 2 + 2)
+    rendered = render_epsf(epsf_tracer(camera), stars, oversampling=OVERSAMPLING, half_size_px=window_px // 2 + 2)
     return PsfGrid(psfs=tuple(row[0] for row in rendered), place_px=place)

@@ -18,6 +18,7 @@ from experiments.dataset.truth_file import truth_bytes
 from optics.attitude import angles_from_attitude, quat_xyzw
 from optics.errors import ConfigError
 from optics.units import RAD_DEG
+from render.engine import Engine
 
 __all__ = ["Job", "make_frame", "prepare"]
 
@@ -57,16 +58,13 @@ def prepare(job: Job, threads: int | None = None) -> FrameMaker:
     """
     key = (job.config, job.backend)
     if key not in _MAKERS:
-        from render.engine.variant import use_backend
-
-        use_backend(job.backend)
+        Engine.start(job.backend)
         import drjit as dr
-        import mitsuba as mi
 
         if threads is not None:
             dr.set_thread_count(threads)
         _MAKERS.clear()  # one dataset at a time; memory is better spent on its images
-        _MAKERS[key] = FrameMaker(mi, build_scene(Config.model_validate_json(job.config)))
+        _MAKERS[key] = FrameMaker(build_scene(Config.model_validate_json(job.config)))
     return _MAKERS[key]
 
 

@@ -49,7 +49,6 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.laboratory.settings import TargetConfig
     from experiments.laboratory.targets import GridTarget, grid_directions
     from render.engine.random import Streams
-    from render.engine.variant import active_backend
 
     instrument = build_instrument(config.instrument)
     bench = make_bench(config, TargetConfig())  # a multi-star target that this test does not use
@@ -58,7 +57,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     direction = grid_directions(target, instrument, streams.generator("target"))
     check_bench(bench, instrument, direction[None])
     with progress.stage("prepare"):
-        scene = point_scene(bench, instrument, active_backend())
+        scene = point_scene(bench, instrument)
     with progress.stage("frames", total=2) as stage:
         measured = measure_distortion(
             bench,
@@ -67,7 +66,6 @@ def run(config: Config, *, progress: Progress) -> Result:
             order=config.order,
             surveys=config.surveys,
             streams=streams,
-            backend=scene.backend,
             scene=scene,
             advance=stage.advance,
         )

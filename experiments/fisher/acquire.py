@@ -252,7 +252,6 @@ def acquire(
     window_px: int,
     dark_frames: int,
     streams: Streams,
-    backend: str,
 ) -> Acquisition:
     """Render, read, centroid.
 
@@ -278,8 +277,6 @@ def acquire(
         Side of a window; frames with the lamp off.
     streams : Streams
         Root of the noise.
-    backend : str
-        Where the detector runs.
 
     Raises
     ------
@@ -310,7 +307,6 @@ def acquire(
             exposure_s=exposure_s,
             temperature_c=instrument.config.chip_temperature_c,
             band=f"{name} {band}",
-            backend=backend,
         )
 
     stack, dark = expose(window_e, 1, "star"), expose(np.zeros_like(window_e), dark_frames, "dark")

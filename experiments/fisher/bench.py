@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -60,7 +59,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import RAD_ARCSEC
 from render.engine.random import Streams
-from render.engine.variant import active_backend
 from render.forward import StarRenderer
 from render.tracing.psf import epsf_tracer
 
@@ -160,13 +158,11 @@ class BenchRun:
     resolutions_arcsec: Mapping[str, float]
 
 
-def run_bench(mi: Any, config: Config, instrument: Instrument, progress: Progress) -> BenchRun:
+def run_bench(config: Config, instrument: Instrument, progress: Progress) -> BenchRun:
     """Calibrate, acquire at rest and on the move, evaluate.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
     config, instrument
         What to do, with which camera.
     progress : Progress
@@ -177,16 +173,14 @@ def run_bench(mi: Any, config: Config, instrument: Instrument, progress: Progres
     StarbenchError
         If the star is lost, or the calibration does not converge.
     """
-    streams, backend = Streams(config.seed).child("fisher"), active_backend()
+    streams = Streams(config.seed).child("fisher")
     bench_config = turntable_config(config)
     with progress.stage("calibration (S100)", total=5) as stage:
         measurement = measure(
-            mi,
             bench_config,
             instrument,
             config.table,
             streams.child("calibration"),
-            backend=backend,
             advance=stage.advance,
         )
         believed = build_table(config.table).nominal
@@ -204,11 +198,10 @@ def run_bench(mi: Any, config: Config, instrument: Instrument, progress: Progres
         renderer=StarRenderer(instrument.camera, exposure_s=instrument.config.exposure_s),
         wanted_px=evaluation_px(config, instrument),
         streams=streams,
-        backend=backend,
     )
     motion = motion_of(config.dynamic.rate_deg_per_s, config.dynamic.jitter_ms, config.dynamic.samples)
     with progress.stage("acquisition (S200)", total=3) as stage:
-        psfs = work.psfs(mi, motion)
+        psfs = work.psfs(motion)
         stage.advance()
         static = work.case("static", Motion(), psfs)
         stage.advance()
@@ -318,7 +311,6 @@ class _Work:
     renderer: StarRenderer
     wanted_px: FloatArray
     streams: Streams
-    backend: str
 
     def _wanted(self) -> FloatArray:
         return self.instrument.camera.nominal_direction(
@@ -329,10 +321,10 @@ class _Work:
         """Side of a window that holds the streak as well as a window at rest holds the star."""
         return self.config.window_px + 2 * int(np.ceil(smear_px(motion, self.instrument) / 2))
 
-    def psfs(self, mi: Any, motion: Motion) -> FloatArray:
+    def psfs(self, motion: Motion) -> FloatArray:
         """PSFs (n, m, m) at the places, wide enough for the streak."""
         half = self.window_px(motion) // 2 + EXTRA_PSF_PX
-        return place_psfs(epsf_tracer(mi, self.instrument.camera), self.star, self._wanted(), self.instrument, half)
+        return place_psfs(epsf_tracer(self.instrument.camera), self.star, self._wanted(), self.instrument, half)
 
     def places(self, name: str, motion: Motion) -> Places:
         rolls = np.radians(self.config.table.rolls_deg)
@@ -360,7 +352,6 @@ class _Work:
             window_px=self.window_px(motion),
             dark_frames=self.config.dark_frames,
             streams=self.streams.child(name),
-            backend=self.backend,
         )
         judged = evaluate(
             self.model,

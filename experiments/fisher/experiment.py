@@ -42,7 +42,6 @@ def run(config: Config, *, progress: Progress) -> Result:
         On anything the user can mend: too few places or too little of the detector covered, the star off the detector,
         not seen or saturated, a streak longer than its window.
     """
-    import mitsuba as mi
     import numpy as np
 
     from experiments.fisher.bench import run_bench
@@ -57,7 +56,7 @@ def run(config: Config, *, progress: Progress) -> Result:
 
     instrument = prepare(config)
     streams = Streams(config.seed).child("fisher")
-    bench = run_bench(mi, config, instrument, progress)
+    bench = run_bench(config, instrument, progress)
     static = bench.cases[0]
     sigma_px = float(
         np.sqrt(np.einsum("nii->", static.acquisition.covariance_px2) / (2 * len(static.acquisition.places)))

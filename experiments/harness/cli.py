@@ -206,7 +206,7 @@ def command(
     files : callable, optional
         ``files(result, folder)`` writes anything else.
     renders : bool or callable
-        Whether the backend has to be ready before `run` (`render.engine.variant.use_backend` is called); may depend on
+        Whether the backend has to be ready before `run` (`render.engine.Engine.start` is called); may depend on
         the configuration.
     options : mapping, optional
         Name of an option without dashes -> (key of the configuration, help text): ``--NAME TEXT`` is short for
@@ -303,9 +303,9 @@ def _perform(experiment: Experiment[Any, Any], options: _Options, interrupts: _I
     own = {"output": folder} if experiment.output else {}
     variant = None
     if experiment.renders(config):
-        from render.engine.variant import use_backend
+        from render.engine import Engine
 
-        variant = use_backend(options.backend)
+        variant = Engine.start(options.backend).variant
     interrupts.at_once = False
     progress = terminal_progress()
     result = experiment.run(config, progress=progress, **own)

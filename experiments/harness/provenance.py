@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 from experiments.harness.outputs import PROGRAM
-from render.engine.variant import llvm_version
+from render.engine.llvm import llvm_version
 
 __all__ = ["collect", "file_digests", "peak_memory_mb", "process_seconds", "without_paths"]
 

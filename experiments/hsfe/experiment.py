@@ -50,7 +50,6 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.laboratory.temporal_error import target_place
     from render.detector.maps import sensor_maps
     from render.engine.random import Streams
-    from render.engine.variant import active_backend
 
     instrument = build_instrument(config.instrument)
     bench = make_bench(config, config.target)
@@ -61,10 +60,9 @@ def run(config: Config, *, progress: Progress) -> Result:
     path = plan.path(instrument, hexapod, streams.generator("hexapod"))
     check_bench(bench, instrument, turned(rest, path.true_rad))
     with progress.stage("prepare"):
-        backend = active_backend()
-        scene = point_scene(bench, instrument, backend)
+        scene = point_scene(bench, instrument)
         psf = scene.psfs(rest)
-        defect = sensor_maps(instrument.detector, backend=backend).defect
+        defect = sensor_maps(instrument.detector).defect
     with progress.stage("before the test"):
         before = predict_high_frequency(
             bench,
@@ -87,7 +85,6 @@ def run(config: Config, *, progress: Progress) -> Result:
             place_px=config.place_px,
             subtraction=config.subtraction,
             streams=streams,
-            backend=backend,
             scene=scene,
             advance=stage.advance,
         )

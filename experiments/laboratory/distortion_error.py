@@ -250,7 +250,6 @@ def measure_distortion(
     order: int = 3,
     surveys: int = 1,
     streams: Streams,
-    backend: str,
     scene: PointScene | None = None,
     advance: Callable[[], None] = lambda: None,
 ) -> DistortionMeasurement:
@@ -268,8 +267,6 @@ def measure_distortion(
         Independent surveys of the target to be kept; the frames are the same.
     streams : Streams
         Root of target, surveys and noise.
-    backend : str
-        Where the detector runs.
     scene : PointScene, optional
         If prepared already; of the same instrument.
     advance : callable
@@ -280,14 +277,14 @@ def measure_distortion(
     DomainError
         On a target that does not fit, points that are not detected or saturated, or too few usable frames.
     """
-    scene = scene_of(scene, bench, instrument, backend)
+    scene = scene_of(scene, bench, instrument)
     bench = scene.bench
     direction = grid_directions(target, instrument, streams.generator("target"))
     light = scene.light(direction, streams, "grid")
     sessions: dict[str, list[FloatArray]] = {m: [] for m in bench.methods}
     sigma: dict[str, FloatArray] = {}
     for session in SESSIONS:
-        frames = read_points(light, bench, instrument, streams=streams.child(session), backend=backend)
+        frames = read_points(light, bench, instrument, streams=streams.child(session))
         for method in bench.methods:
             sessions[method].append(frames.mean_px(method))
             sigma[method] = frames.sigma_px(method)

@@ -252,7 +252,6 @@ def measure_high_frequency(
     subtraction: Subtraction = "dark",
     split: bool = True,
     streams: Streams,
-    backend: str,
     scene: PointScene | None = None,
     advance: Callable[[], None] = lambda: None,
 ) -> HighFrequencyMeasurement:
@@ -274,8 +273,6 @@ def measure_high_frequency(
         Whether to repeat everything with causes switched off.
     streams : Streams
         Root of the noise; the same for every run.
-    backend : str
-        Where the detector runs.
     scene : PointScene, optional
         If prepared already; of the same instrument.
     advance : callable
@@ -287,7 +284,7 @@ def measure_high_frequency(
         On a step larger than the window, points that are not detected or saturated, or too few usable frames.
     """
     plan.check(bench)
-    scene = scene_of(scene, bench, instrument, backend)
+    scene = scene_of(scene, bench, instrument)
     bench = scene.bench
     rest = target_place(bench, instrument, place_px)
     path = plan.path(instrument, hexapod, streams.generator("hexapod"))
@@ -312,7 +309,6 @@ def measure_high_frequency(
                 dark_streams=streams.child("before"),
                 detector=chip,
                 subtraction=subtraction,
-                backend=backend,
             )
             for run, chip in chips.items()
         }

@@ -89,7 +89,6 @@ def read_points(
     detector: Detector | None = None,
     subtraction: Subtraction = "dark",
     mask_defects: bool = True,
-    backend: str,
 ) -> PointFrames:
     """Read out frames of a target and centroid its points.
 
@@ -111,8 +110,6 @@ def read_points(
         See `SUBTRACTIONS`.
     mask_defects : bool
         Whether the reduction leaves out the pixels known to be hot or dead.
-    backend : str
-        Where the detector runs.
 
     Raises
     ------
@@ -131,7 +128,6 @@ def read_points(
             exposure_s=config.exposure_s,
             temperature_c=config.chip_temperature_c,
             band=label,
-            backend=backend,
         )
         return stack if mask_defects else replace(stack, defect=np.zeros_like(stack.defect))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,15 +75,12 @@ class PointScene:
         The laboratory; the bench has one filter.
     renderer, tracer
         For images and for PSFs.
-    backend : str
-        Where the detector runs.
     """
 
     bench: Bench
     instrument: Instrument
     renderer: StarRenderer
     tracer: Tracer
-    backend: str
 
     def psfs(self, direction: FloatArray) -> tuple[EffectivePsf, ...]:
         """PSF of each of the points (j, 3)."""
@@ -118,7 +114,7 @@ class PointScene:
         truth = expected.truth
         assert truth is not None
         nominal = nominal_px(self.instrument, direction)
-        readout = PointReadout(self.tracer, self.bench, self.instrument, streams, place, self.backend)
+        readout = PointReadout(self.tracer, self.bench, self.instrument, streams, place)
         found = readout.find(expected, nominal)
         corner = readout.corners(found)
         index = np.arange(self.bench.window_px)
@@ -140,24 +136,19 @@ def one_filter(bench: Bench) -> Bench:
     return replace(bench, filters=[bench.filters[bench.reference]], reference=0)
 
 
-def scene_of(scene: PointScene | None, bench: Bench, instrument: Instrument, backend: str) -> PointScene:
+def scene_of(scene: PointScene | None, bench: Bench, instrument: Instrument) -> PointScene:
     """A new scene, or the given one with this bench: frames, methods and signal may be others than it was made for."""
-    return point_scene(bench, instrument, backend) if scene is None else replace(scene, bench=one_filter(bench))
+    return point_scene(bench, instrument) if scene is None else replace(scene, bench=one_filter(bench))
 
 
-def point_scene(bench: Bench, instrument: Instrument, backend: str) -> PointScene:
+def point_scene(bench: Bench, instrument: Instrument) -> PointScene:
     """Scene of a bench; its reference filter is the one that is used.
 
     Parameters
     ----------
     bench, instrument
         The laboratory.
-    backend : str
-        Where the detector runs; `render.engine.variant.use_backend` must have been called.
     """
-    import mitsuba as mi
-
-    module: Any = mi
     camera = instrument.camera
     renderer = StarRenderer(camera, exposure_s=instrument.config.exposure_s)
-    return PointScene(one_filter(bench), instrument, renderer, epsf_tracer(module, camera), backend)
+    return PointScene(one_filter(bench), instrument, renderer, epsf_tracer(camera))

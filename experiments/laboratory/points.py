@@ -98,8 +98,6 @@ class PointReadout:
         Noise of this place.
     place : str
         What error messages call the place, e.g. "upper left".
-    backend : str
-        Where the detector runs.
     """
 
     tracer: Tracer
@@ -107,7 +105,6 @@ class PointReadout:
     instrument: Instrument
     streams: Streams
     place: str
-    backend: str
 
     def measure(self, stars: StarField, expected: ExpectedImage) -> PointMeasurement:
         """Read out and reduce all filters.
@@ -167,7 +164,6 @@ class PointReadout:
             exposure_s=self.instrument.config.exposure_s,
             temperature_c=self.instrument.config.chip_temperature_c,
             band=band,
-            backend=self.backend,
         )
 
     def corners(self, found: FloatArray) -> NDArray[np.int64]:

@@ -162,7 +162,6 @@ def measure_temporal(
     place_px: Sequence[float] | None = None,
     subtractions: Sequence[Subtraction] = SUBTRACTIONS[:1],
     streams: Streams,
-    backend: str,
     scene: PointScene | None = None,
     advance: Callable[[], None] = lambda: None,
 ) -> TemporalMeasurement:
@@ -182,8 +181,6 @@ def measure_temporal(
         See `experiments.laboratory.point_frames.SUBTRACTIONS`.
     streams : Streams
         Root of the noise.
-    backend : str
-        Where the detector runs.
     scene : PointScene, optional
         If prepared already; of the same instrument.
     advance : callable
@@ -194,7 +191,7 @@ def measure_temporal(
     DomainError
         On points that are not detected or saturated, or too few usable frames.
     """
-    scene = scene_of(scene, bench, instrument, backend)
+    scene = scene_of(scene, bench, instrument)
     bench = scene.bench
     light = scene.light(target_place(bench, instrument, place_px), streams, "target")
     levels = np.array([bench.signal_e] if levels_e is None else levels_e, float)
@@ -210,7 +207,6 @@ def measure_temporal(
                 streams=streams.child("level", number),
                 signal_ratio=float(level / bench.signal_e),
                 subtraction=subtraction,
-                backend=backend,
             )
             for method in bench.methods:
                 sigma[subtraction][method].append(frames.sigma_px(method))

@@ -89,7 +89,6 @@ def read_windows(
     plan: WindowPlan,
     *,
     streams: Streams,
-    backend: str,
 ) -> StarReadings:
     """Find the star at every place, read windows around it, and reduce them.
 
@@ -107,15 +106,13 @@ def read_windows(
         Windows and frames.
     streams : Streams
         Root of the noise.
-    backend : str
-        Where the detector runs.
 
     Raises
     ------
     DomainError
         If the star is not found, is saturated, or a window leaves the detector; the place is named.
     """
-    reader = _Reader(expected, instrument, plan, streams, backend)
+    reader = _Reader(expected, instrument, plan, streams)
     centre = reader.find(near_px)
     corner = np.rint(centre).astype(np.int64) - plan.size_px // 2
     light = reader.cut(corner, plan.size_px)
@@ -186,7 +183,6 @@ class _Reader:
     instrument: Instrument
     plan: WindowPlan
     streams: Streams
-    backend: str
 
     def find(self, near_px: FloatArray) -> FloatArray:
         """Coarse places (n, 2) of the star."""
@@ -248,7 +244,6 @@ class _Reader:
             exposure_s=config.exposure_s,
             temperature_c=config.chip_temperature_c,
             band=what,
-            backend=self.backend,
         )
 
     def predict(self, gain: FloatArray, light_e: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,7 +110,6 @@ class Evaluation:
 
 
 def evaluate(
-    mi: Any,
     scene: Scene,
     recording: Recording,
     matched: Matched,
@@ -123,8 +122,6 @@ def evaluate(
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
     scene, recording, matched, config
         The camera, its frames, its stars, settings.
     streams : Streams
@@ -138,8 +135,8 @@ def evaluate(
         Too few stars.
     """
     _check_count(scene, config, matched, np.asarray(np.isfinite(matched.in_cam).all(axis=1)))
-    chart = trace_chart(mi, scene, config)
-    position = _positions(mi, scene, recording, matched, config)
+    chart = trace_chart(scene, config)
+    position = _positions(scene, recording, matched, config)
     used = np.all([np.isfinite(place).all(axis=1) for place in position.values()], axis=0)
     _check_count(scene, config, matched, used)
     advance()
@@ -178,13 +175,13 @@ def evaluate(
     )
 
 
-def _positions(mi: Any, scene: Scene, recording: Recording, matched: Matched, config: Config) -> dict[str, FloatArray]:
+def _positions(scene: Scene, recording: Recording, matched: Matched, config: Config) -> dict[str, FloatArray]:
     """Positions of the matched stars, by kind; NaN where one is not known."""
     reference = np.full((len(matched), 2), np.nan)
     there = np.isfinite(matched.in_cam).all(axis=1)
     if there.any():
-        reference[there] = trace_colour(mi, scene, matched.in_cam[there], config.sky.reference_k)
-    own = own_colour_centroids(mi, scene, recording, matched, config)
+        reference[there] = trace_colour(scene, matched.in_cam[there], config.sky.reference_k)
+    own = own_colour_centroids(scene, recording, matched, config)
     light = matched.photon_px
     corrected = own - (light - reference)
     return {"reference": reference, "light": light, "own": own, "measured": matched.pixel_px, "corrected": corrected}

@@ -54,21 +54,18 @@ def run(config: Config, *, progress: Progress) -> Result:
 
 def _camera(scene: Any, config: Config, streams: Any, progress: Progress) -> CameraResult:
     """All of one camera."""
-    import mitsuba as mi
 
     from experiments.skycal.evaluate import evaluate
     from experiments.skycal.match import match_frames
     from experiments.skycal.measure import record
     from experiments.skycal.result import CameraResult
-    from render.engine.variant import active_backend
 
-    backend = active_backend()
     with progress.stage(f"{scene.name}: frames", total=scene.frames) as stage:
-        recording = record(mi, scene, config, streams, backend=backend, advance=stage.advance)
+        recording = record(scene, config, streams, advance=stage.advance)
     with progress.stage(f"{scene.name}: matches"):
         matched = match_frames(scene, recording, config)
     with progress.stage(f"{scene.name}: calibrations", total=len(scene.config.models) + 3) as stage:
-        found = evaluate(mi, scene, recording, matched, config, streams, advance=stage.advance)
+        found = evaluate(scene, recording, matched, config, streams, advance=stage.advance)
     return CameraResult(scene=scene, recording=recording, matched=matched, evaluation=found)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,15 +64,11 @@ class Chart:
         freeze(self, "pixel_px", shape=("n", 2), sizes=sizes)
 
 
-def trace_colour(
-    mi: Any, scene: Scene, direction: FloatArray, temperature_k: float, *, more_log2_rays: int = 0
-) -> FloatArray:
+def trace_colour(scene: Scene, direction: FloatArray, temperature_k: float, *, more_log2_rays: int = 0) -> FloatArray:
     """Where the mean of the rays of a star of one colour falls: (n, 2) [px], no image, no noise.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
     scene : Scene
         Camera.
     direction : (n, 3)
@@ -90,7 +86,7 @@ def trace_colour(
     camera = scene.instrument.camera
     # one pixel of an image is enough where only rays count
     tiny = replace(camera, width_px=1, height_px=1, centre_px=camera.centre_px)
-    tracer = Tracer(mi, tiny, sobol_log2_rays=scene.config.sobol_log2_rays + more_log2_rays)
+    tracer = Tracer(tiny, sobol_log2_rays=scene.config.sobol_log2_rays + more_log2_rays)
     parts = []
     for start in range(0, len(direction), TRACE_AT_ONCE):
         stars = scene.of_one_colour(direction[start : start + TRACE_AT_ONCE], temperature_k)
@@ -104,7 +100,7 @@ def trace_colour(
     return np.concatenate(parts)
 
 
-def trace_chart(mi: Any, scene: Scene, config: Config) -> Chart:
+def trace_chart(scene: Scene, config: Config) -> Chart:
     """Trace the truth on a regular grid of nominal pixels.
 
     Raises
@@ -120,7 +116,7 @@ def trace_chart(mi: Any, scene: Scene, config: Config) -> Chart:
         np.linspace(edge, camera.width_px - 1 - edge, columns), np.linspace(edge, camera.height_px - 1 - edge, rows)
     )
     direction = camera.nominal_direction(x.ravel(), y.ravel(), scene.instrument.focal_length_mm)
-    pixel = trace_colour(mi, scene, direction, config.sky.reference_k, more_log2_rays=CHART_LOG2_RAYS)
+    pixel = trace_colour(scene, direction, config.sky.reference_k, more_log2_rays=CHART_LOG2_RAYS)
     if not np.isfinite(pixel).all():
         dark = int((~np.isfinite(pixel).all(axis=1)).sum())
         raise DomainError(
@@ -204,13 +200,11 @@ class BankRenderer:
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
     scene, config
         The camera, and the spacing of the PSFs.
     """
 
-    def __init__(self, mi: Any, scene: Scene, config: Config) -> None:
+    def __init__(self, scene: Scene, config: Config) -> None:
         camera = scene.instrument.camera
         self._scene, self._half_px = scene, config.window_px // 2 + 1
         self._columns, self._rows = (
@@ -222,7 +216,7 @@ class BankRenderer:
         )
         grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         self._place = camera.nominal_direction(grid[:, 0], grid[:, 1], scene.instrument.focal_length_mm)
-        self._tracer = Tracer(mi, camera, tolerance=TOLERANCE, sobol_log2_rays=scene.config.sobol_log2_rays)
+        self._tracer = Tracer(camera, tolerance=TOLERANCE, sobol_log2_rays=scene.config.sobol_log2_rays)
 
     def render(self, temperature_k: float) -> PsfBank:
         """PSFs of one colour, each centred on the mean of the rays of that colour."""
@@ -243,7 +237,7 @@ def colour_classes(temperature_k: FloatArray) -> tuple[FloatArray, NDArray[np.in
     return np.array(typical), member
 
 
-def own_colour_centroids(mi: Any, scene: Scene, recording: Recording, matched: Matched, config: Config) -> FloatArray:
+def own_colour_centroids(scene: Scene, recording: Recording, matched: Matched, config: Config) -> FloatArray:
     """Centroids (n, 2) [px] with PSFs of the stars' own colours, which the catalogue tells once they have names.
 
     The origin of a PSF is the mean of the rays of its own colour, so that these positions estimate where the star's own
@@ -251,7 +245,7 @@ def own_colour_centroids(mi: Any, scene: Scene, recording: Recording, matched: M
     """
     from calib.measure.flags import StarFlag, has_flag
 
-    renderer = BankRenderer(mi, scene, config)
+    renderer = BankRenderer(scene, config)
     colour, member = colour_classes(scene.sky.temperature_k[matched.star])
     position = np.full((len(matched), 2), np.nan)
     for number, temperature in enumerate(colour):

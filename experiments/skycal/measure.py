@@ -100,9 +100,7 @@ class Recording:
     rms_spot_px: float
 
 
-def record(
-    mi: Any, scene: Scene, config: Config, streams: Streams, *, backend: str, advance: Callable[[], None]
-) -> Recording:
+def record(scene: Scene, config: Config, streams: Streams, *, advance: Callable[[], None]) -> Recording:
     """Render and reduce all frames.
 
     The renderer needs all cores for a moment and the reduction one for longer; the latter runs behind in threads of
@@ -110,16 +108,12 @@ def record(
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
     scene : Scene
         Camera and sky.
     config : Config
         Settings.
     streams : Streams
         Randomness of this camera.
-    backend : str
-        Where the detector runs.
     advance : callable
         Called once per frame.
 
@@ -130,7 +124,7 @@ def record(
     """
     camera, set_up = scene.instrument.camera, scene.instrument.config
     renderer = StarRenderer(camera, exposure_s=set_up.exposure_s, sobol_log2_rays=scene.config.sobol_log2_rays)
-    readout = _Readout(scene, streams, backend)
+    readout = _Readout(scene, streams)
     reduction = _Reduction(config, readout.dark(config.dark_frames))
     middle, example = scene.frames // 2, None
     truths: list[_Rendered] = []
@@ -153,7 +147,7 @@ def record(
     assert example is not None
     noise = reduction.noise(example)
     every = _joined(stamps)
-    table = _centroids(mi, scene, config, every, noise)
+    table = _centroids(scene, config, every, noise)
     ends = np.cumsum([len(one) for one in stamps])
     return Recording(
         frames=tuple(
@@ -200,12 +194,12 @@ def _joined(parts: list[Stamps]) -> Stamps:
     )
 
 
-def _centroids(mi: Any, scene: Scene, config: Config, stamps: Stamps, noise: NoiseModel) -> StarTable:
+def _centroids(scene: Scene, config: Config, stamps: Stamps, noise: NoiseModel) -> StarTable:
     """Centroids of all frames at once, so that PSFs are prepared once."""
     if not len(stamps):
         return StarTable.empty()
     if config.centroid == "epsf":
-        return BankRenderer(mi, scene, config).render(config.sky.reference_k).measure(stamps, noise)
+        return BankRenderer(scene, config).render(config.sky.reference_k).measure(stamps, noise)
     return get_centroider(config.centroid).measure(stamps, noise)
 
 
@@ -215,7 +209,6 @@ class _Readout:
 
     scene: Scene
     streams: Streams
-    backend: str
 
     def frame(self, expected: Any, number: int) -> Frame:
         """One frame."""
@@ -228,7 +221,6 @@ class _Readout:
             exposure_s=set_up.exposure_s,
             temperature_c=set_up.chip_temperature_c,
             background_e_per_s=self.scene.config.background_e_per_s,
-            backend=self.backend,
         )
 
     def dark(self, count: int) -> NDArray[np.float32]:
@@ -243,7 +235,6 @@ class _Readout:
                 frame=number,
                 exposure_s=set_up.exposure_s,
                 temperature_c=set_up.chip_temperature_c,
-                backend=self.backend,
             ).dn
         return total / np.float32(count)
 

@@ -47,7 +47,6 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
     from experiments.temporal.result import Result, level_for
     from render.engine.random import Streams
-    from render.engine.variant import active_backend
 
     instrument = build_instrument(config.instrument)
     bench = make_bench(config, config.target)
@@ -63,7 +62,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     wanted = control.levels_e(brightness.levels)
     reached = control.reached_e(wanted, streams.generator("brightness"))
     with progress.stage("prepare"):
-        scene = point_scene(bench, instrument, active_backend())
+        scene = point_scene(bench, instrument)
         psf = scene.psfs(direction)
     with progress.stage("frames", total=len(reached) + 1) as stage:
         measured, nominal = (
@@ -74,7 +73,6 @@ def run(config: Config, *, progress: Progress) -> Result:
                 place_px=config.place_px,
                 subtractions=("dark", "raw"),
                 streams=root,
-                backend=scene.backend,
                 scene=scene,
                 advance=stage.advance,
             )

@@ -53,7 +53,6 @@ def run(config: Config, *, progress: Progress) -> Result:
         On anything the user can mend: too few places or too little of the detector covered, the star off the detector
         or not seen, a table with one axis, axes that turn the other way than believed.
     """
-    import mitsuba as mi
 
     from experiments.harness.provenance import peak_memory_mb, process_seconds
     from experiments.turntable.bound import field_sweep
@@ -66,9 +65,9 @@ def run(config: Config, *, progress: Progress) -> Result:
     instrument = _prepare(config)
     streams = Streams(config.seed).child("turntable")
     with progress.stage("trace"):
-        traced = traced_map(mi, config, instrument)
+        traced = traced_map(config, instrument)
     named = (("two-axis", config.two_axis), ("three-axis", config.three_axis))
-    cases = [_case(mi, config, instrument, traced, name, table, streams, progress) for name, table in named]
+    cases = [_case(config, instrument, traced, name, table, streams, progress) for name, table in named]
     study, setup = config.study, cases[0].coordinates
     near = replace(setup, start=setup.model)  # the sweeps ask for errors, not for convergence
     with progress.stage("reading noise", total=len(study.reading_noise_arcsec)) as stage:
@@ -93,7 +92,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         sigma = float(np.sqrt(np.einsum("nii->", setup.covariance_px2) / (2 * len(setup.covariance_px2))))
         by_field = field_sweep(study.field_deg, sigma)
     with progress.stage("other lenses"):
-        lenses = lens_points(mi, config, instrument, traced)
+        lenses = lens_points(config, instrument, traced)
     return Result(
         config=config,
         instrument=instrument,
@@ -130,7 +129,6 @@ def _prepare(config: Config) -> Instrument:
 
 
 def _case(
-    mi: Any,
     config: Config,
     instrument: Instrument,
     traced: TracedMap,
@@ -146,12 +144,10 @@ def _case(
     from experiments.turntable.reduce import start_model
     from experiments.turntable.result import Case
     from experiments.turntable.study import Coordinates, monte_carlo
-    from render.engine.variant import active_backend
 
-    backend = active_backend()
     own = streams.child(name)
     with progress.stage(f"{name} table", total=5) as stage:
-        measurement = measure(mi, config, instrument, table, own, backend=backend, advance=stage.advance)
+        measurement = measure(config, instrument, table, own, advance=stage.advance)
         reductions, split = _calibrate(config, instrument, traced, name, table, measurement)
         stage.advance()
     model = split["model"].calibration.model

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -47,13 +46,11 @@ class LensPoint:
     max_px: float
 
 
-def lens_points(mi: Any, config: Config, instrument: Instrument, traced: TracedMap) -> list[LensPoint]:
+def lens_points(config: Config, instrument: Instrument, traced: TracedMap) -> list[LensPoint]:
     """The lens as it is, with its first element decentred, and a wide lens.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
     config : Config
         Settings.
     instrument : Instrument
@@ -68,9 +65,9 @@ def lens_points(mi: Any, config: Config, instrument: Instrument, traced: TracedM
     )
     points = [_point(f"{lens.name}, as designed", instrument, traced)]
     label = f"{lens.name}, {element} decentred by {1e3 * DECENTRE_MM * np.hypot(0.5, 1.0):.0f} µm"
-    points.append(_point(label, moved, traced_map(mi, config, moved)))
+    points.append(_point(label, moved, traced_map(config, moved)))
     wide = build_instrument(InstrumentConfig(lens="star_tracker_26mm", detector="cmv4000", defocus_mm=0.0))
-    points.append(_point(f"{wide.camera.lens.name}, as designed", wide, traced_map(mi, config, wide)))
+    points.append(_point(f"{wide.camera.lens.name}, as designed", wide, traced_map(config, wide)))
     return points
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -209,27 +208,21 @@ def grid_px(config: Config, instrument: Instrument) -> FloatArray:
 
 
 def measure(
-    mi: Any,
     config: Config,
     instrument: Instrument,
     table: TableConfig,
     streams: Streams,
     *,
-    backend: str,
     advance: Callable[[], None],
 ) -> Measurement:
     """Turn, render, read.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
     config, instrument, table
         What to do, with which camera, on which table.
     streams : Streams
         Root of the noise of this run.
-    backend : str
-        Where the detector runs.
     advance : callable
         Called after each of four steps.
 
@@ -252,10 +245,10 @@ def measure(
     _check_places(bundle, instrument, config.window_px)
     _check_spot(float(np.sqrt(np.max(expected.truth.variance_x_px2 + expected.truth.variance_y_px2))), config)
     advance()
-    psfs = [row[0] for row in render_epsf(epsf_tracer(mi, camera), stars, half_size_px=config.window_px // 2 + 1)]
+    psfs = [row[0] for row in render_epsf(epsf_tracer(camera), stars, half_size_px=config.window_px // 2 + 1)]
     advance()
     plan = WindowPlan(size_px=config.window_px, frames=config.frames, dark_frames=config.dark_frames)
-    readings = read_windows(expected, bundle, psfs, instrument, plan, streams=streams, backend=backend)
+    readings = read_windows(expected, bundle, psfs, instrument, plan, streams=streams)
     advance()
     return Measurement(bench=bench, visits=visits, bundle_px=bundle, readings=readings)
 
@@ -294,7 +287,7 @@ def _check_spot(radius_px: float, config: Config) -> None:
         )
 
 
-def traced_map(mi: Any, config: Config, instrument: Instrument) -> TracedMap:
+def traced_map(config: Config, instrument: Instrument) -> TracedMap:
     """The camera's truth over the whole detector, for the light of the star simulator."""
     camera = instrument.camera
     x, y = (np.linspace(0, n - 1, c) for n, c in ((camera.width_px, MAP_COLUMNS), (camera.height_px, MAP_ROWS)))
@@ -305,6 +298,6 @@ def traced_map(mi: Any, config: Config, instrument: Instrument) -> TracedMap:
         camera.lens.max_field_deg * DEG_RAD
     )
     direction = direction[within]
-    pixel = Tracer(mi, camera).bundle_means(build_star(config).seen(direction, instrument))[:, 0]
+    pixel = Tracer(camera).bundle_means(build_star(config).seen(direction, instrument))[:, 0]
     seen = np.isfinite(pixel).all(axis=1)
     return TracedMap(direction=direction[seen], pixel_px=pixel[seen])

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze, locked
+from render.engine import Engine
 
 __all__ = ["BenchCamera"]
 
@@ -92,8 +93,9 @@ class BenchCamera:
         """Points (n, 2) of the screen [mm] of pixels (n, 2)."""
         return _projected(np.linalg.inv(self.homography), pixel_px)
 
-    def sensor(self, mi: Any) -> Any:
+    def sensor(self) -> Any:
         """The same camera as Mitsuba's ``perspective``."""
+        mi = Engine.active().mitsuba
         up = -self.axes[1]
         target = self.position_mm + self.axes[2] * self.distance_mm
         pose = mi.ScalarTransform4f().look_at(origin=self.position_mm, target=target, up=up)

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
+from render.engine import Engine
 
 __all__ = ["FACES", "BenchGeometry", "CubePose", "bench_scene", "place_cube", "plate_mesh"]
 
@@ -201,13 +202,11 @@ def face_matrices(geometry: BenchGeometry, pose: CubePose) -> dict[str, FloatArr
     return matrices
 
 
-def plate_mesh(mi: Any, hole_mm: float, half_mm: float, *, sides: int = HOLE_SIDES, material: Any) -> Any:
+def plate_mesh(hole_mm: float, half_mm: float, *, sides: int = HOLE_SIDES, material: Any) -> Any:
     """A square plate in the plane z = 0 with a round hole in its middle, both in mm.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with its variant set.
     hole_mm : float
         Diameter of the hole. The polygon has the area of the circle.
     half_mm : float
@@ -221,6 +220,7 @@ def plate_mesh(mi: Any, hole_mm: float, half_mm: float, *, sides: int = HOLE_SID
     -------
     mitsuba.Mesh
     """
+    mi = Engine.active().mitsuba
     angle = np.arange(sides) * 2 * np.pi / sides
     unit = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sides)])
     radius = hole_mm / 2 * np.sqrt(2 * np.pi / sides / np.sin(2 * np.pi / sides))
@@ -247,13 +247,11 @@ def plate_mesh(mi: Any, hole_mm: float, half_mm: float, *, sides: int = HOLE_SID
     return mesh
 
 
-def bench_scene(mi: Any, geometry: BenchGeometry, pose: CubePose, *, covered: bool) -> Any:
+def bench_scene(geometry: BenchGeometry, pose: CubePose, *, covered: bool) -> Any:
     """The scene that the light of the simulator meets.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with its variant set.
     geometry : BenchGeometry
         The bench.
     pose : CubePose
@@ -265,10 +263,11 @@ def bench_scene(mi: Any, geometry: BenchGeometry, pose: CubePose, *, covered: bo
     -------
     mitsuba.Scene
     """
+    mi = Engine.active().mitsuba
     white = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": geometry.screen_reflectance}}
     content: dict[str, Any] = {
         "type": "scene",
-        "screen": plate_mesh(mi, geometry.aperture_mm, geometry.screen_mm / 2, material=white),
+        "screen": plate_mesh(geometry.aperture_mm, geometry.screen_mm / 2, material=white),
     }
     if covered:
         sheet = rectangle_at(np.array([0, 0, -COVER_GAP_MM]), np.diag([1.0, -1.0, -1.0]), 5.0, 5.0)
@@ -283,8 +282,9 @@ def bench_scene(mi: Any, geometry: BenchGeometry, pose: CubePose, *, covered: bo
     return mi.load_dict(content, optimize=False)  # merging turns the rectangles into a mesh of float32 vertices
 
 
-def place_cube(mi: Any, scene: Any, geometry: BenchGeometry, pose: CubePose) -> None:
+def place_cube(scene: Any, geometry: BenchGeometry, pose: CubePose) -> None:
     """Move the cube of a scene from `bench_scene`; the scene is changed."""
+    mi = Engine.active().mitsuba
     parameters = mi.traverse(scene)
     for name, matrix in face_matrices(geometry, pose).items():
         parameters[f"face{name}.to_world"] = mi.Transform4f(matrix)

@@ -24,6 +24,7 @@ from optics.errors import DomainError
 from optics.records import freeze
 from render.bench.scene import plate_mesh, rectangle_at
 from render.bench.trace import OVERSCAN, from_fixed, phase_points, to_fixed
+from render.engine import Engine
 
 __all__ = ["MaskSensor", "mask_scene", "trace_mask"]
 
@@ -75,8 +76,9 @@ class MaskSensor:
         return np.asarray(self.foot_px + self.gap_mm / self.pitch_mm * v[:, :2] / v[:, 2:])
 
 
-def mask_scene(mi: Any, sensor: MaskSensor) -> Any:
+def mask_scene(sensor: MaskSensor) -> Any:
     """Mask and detector as Mitsuba shapes; mm, the hole at the origin, the Sun towards +z."""
+    mi = Engine.active().mitsuba
     black = {"type": "diffuse", "reflectance": 0.0}
     # Columns count against x: the point of the detector under the hole is (x0, y0) pixels from the centre.
     centre = np.array([*(sensor.offset_px * sensor.pitch_mm), -sensor.gap_mm])
@@ -84,14 +86,13 @@ def mask_scene(mi: Any, sensor: MaskSensor) -> Any:
     matrix = rectangle_at(centre, np.eye(3), *half)
     content = {
         "type": "scene",
-        "mask": plate_mesh(mi, sensor.hole_mm, PLATE_MM, material=black),
+        "mask": plate_mesh(sensor.hole_mm, PLATE_MM, material=black),
         "detector": {"type": "rectangle", "to_world": mi.ScalarTransform4f(matrix), "bsdf": black},
     }
     return mi.load_dict(content, optimize=False)
 
 
 def trace_mask(
-    mi: Any,
     scene: Any,
     sensor: MaskSensor,
     sun: ArrayLike,
@@ -106,8 +107,6 @@ def trace_mask(
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with its variant set.
     scene : mitsuba.Scene
         From `mask_scene`.
     sensor : MaskSensor
@@ -135,6 +134,7 @@ def trace_mask(
     DomainError
         If a sun stands behind the mask.
     """
+    mi = Engine.active().mitsuba
     direction = np.asarray(sun, np.float64).reshape(-1, 3)
     corner = np.asarray(corner_px, np.int64)
     if not np.all(direction[:, 2] > 0.02):
@@ -143,8 +143,8 @@ def trace_mask(
     log2_all = log2_particles + int(np.ceil(np.log2(max(count, 2))))
     index = dr.arange(mi.UInt32, count * per_sun)
     which = index >> dr.opaque(mi.UInt32, log2_particles)
-    x, y, slope_x, slope_y = phase_points(mi, log2_points=log2_all, seed=seed, index=index)
-    ray = _rays(mi, sensor, direction, which, (x, y), (slope_x, slope_y), half_angle_rad)
+    x, y, slope_x, slope_y = phase_points(log2_points=log2_all, seed=seed, index=index)
+    ray = _rays(sensor, direction, which, (x, y), (slope_x, slope_y), half_angle_rad)
     hit = scene.ray_intersect(ray)
     arrived = hit.is_valid() & (hit.p.z < -0.5 * sensor.gap_mm)
     foot = sensor.foot_px
@@ -158,12 +158,11 @@ def trace_mask(
     weight = dr.abs(ray.d.z) * dr.opaque(mi.Float, area / per_sun / sensor.pitch_mm**2)
     windows = dr.zeros(mi.UInt64, count * size_px * size_px)
     target = (mi.Int32(which) * size + row) * size + column
-    dr.scatter_reduce(dr.ReduceOp.Add, windows, to_fixed(mi, weight), mi.UInt32(target), inside)
+    dr.scatter_reduce(dr.ReduceOp.Add, windows, to_fixed(weight), mi.UInt32(target), inside)
     return from_fixed(windows).reshape(count, size_px, size_px)
 
 
 def _rays(
-    mi: Any,
     sensor: MaskSensor,
     direction: FloatArray,
     which: Any,
@@ -172,6 +171,7 @@ def _rays(
     half_angle_rad: float,
 ) -> Any:
     """Rays through the hole, in a cone about each sun."""
+    mi = Engine.active().mitsuba
     spread = float(np.tan(half_angle_rad))
     helper = np.where(np.abs(direction[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     u = np.cross(direction, helper)

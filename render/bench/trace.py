@@ -25,6 +25,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.bench.camera import BenchCamera
 from render.bench.scene import BenchGeometry
+from render.engine import Engine
 
 __all__ = ["Landing", "land", "trace_screen"]
 
@@ -65,15 +66,13 @@ def _net(log2_points: int) -> NDArray[np.uint32]:
     return np.ascontiguousarray((points * 2.0**32).astype(np.uint32).T)
 
 
-def phase_points(types: Any, *, log2_points: int, seed: int, index: Any) -> tuple[Any, Any, Any, Any]:
+def phase_points(*, log2_points: int, seed: int, index: Any) -> tuple[Any, Any, Any, Any]:
     """Two points of the unit disk: x, y of a place and x, y of a slope.
 
     A Sobol net in four dimensions under a random digital shift: the net stays a net, and every seed is another one.
 
     Parameters
     ----------
-    types : module
-        Mitsuba.
     log2_points : int
         Logarithm of the size of the net.
     seed : int
@@ -81,6 +80,7 @@ def phase_points(types: Any, *, log2_points: int, seed: int, index: Any) -> tupl
     index : UInt32
         Which points.
     """
+    types = Engine.active().mitsuba
     shift = np.random.SeedSequence([seed, 0xBE4C]).generate_state(4).tolist()
     words = [
         dr.gather(types.UInt32, types.UInt32(row), index) ^ dr.opaque(types.UInt32, one)
@@ -98,14 +98,12 @@ def _disk_point(types: Any, u: Any, v: Any) -> tuple[Any, Any]:
 
 
 def start_rays(
-    mi: Any, *, log2_particles: int, seed: int, index: Any, hole_mm: float, start_mm: float, half_angle_rad: float
+    *, log2_particles: int, seed: int, index: Any, hole_mm: float, start_mm: float, half_angle_rad: float
 ) -> tuple[Any, Any]:
     """Rays through a hole: points of a disk in its plane, slopes of a disk about the axis, both uniform.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba.
     log2_particles : int
         Logarithm of the number of points in the net.
     seed : int
@@ -124,7 +122,8 @@ def start_rays(
     origin, direction : Point3f, Vector3f
         Light travels towards -z.
     """
-    x, y, slope_x, slope_y = phase_points(mi, log2_points=log2_particles, seed=seed, index=index)
+    mi = Engine.active().mitsuba
+    x, y, slope_x, slope_y = phase_points(log2_points=log2_particles, seed=seed, index=index)
     radius, spread = dr.opaque(mi.Float, hole_mm / 2), dr.opaque(mi.Float, float(np.tan(half_angle_rad)))
     away = dr.opaque(mi.Float, start_mm)
     direction = mi.Vector3f(slope_x * spread, slope_y * spread, -1.0)
@@ -132,19 +131,19 @@ def start_rays(
     return origin, dr.normalize(direction)
 
 
-def _beam(mi: Any, geometry: BenchGeometry, log2_particles: int, seed: int, *, inner_mm: float = 0.0) -> Any:
+def _beam(geometry: BenchGeometry, log2_particles: int, seed: int, *, inner_mm: float = 0.0) -> Any:
     """Rays from the simulator that fall on the aperture and a narrow ring around it.
 
     With ``inner_mm``, those are left out that a mirror square to the beam would send to within that distance of
     the aperture's centre: what a nearly square face returns into the aperture is not seen by anybody.
     """
+    mi = Engine.active().mitsuba
     low, high = LOG2_LIMITS
     if not low <= log2_particles <= high:
         raise DomainError(f"log2_particles = {log2_particles}; it must be {low} to {high}")
 
     def rays(index: Any, start_mm: float) -> tuple[Any, Any]:
         return start_rays(
-            mi,
             log2_particles=log2_particles,
             seed=seed,
             index=index,
@@ -163,8 +162,9 @@ def _beam(mi: Any, geometry: BenchGeometry, log2_particles: int, seed: int, *, i
     return mi.Ray3f(origin, direction)
 
 
-def to_fixed(types: Any, light: Any) -> Any:
+def to_fixed(light: Any) -> Any:
     """Light as whole multiples of 2^-40: sums of integers do not depend on the order in which threads add."""
+    types = Engine.active().mitsuba
     return types.UInt64(types.Float64(light) * FIXED)
 
 
@@ -173,23 +173,22 @@ def from_fixed(total: Any) -> NDArray[np.float32]:
     return (np.array(total).astype(np.float64) / FIXED).astype(np.float32)
 
 
-def continued(mi: Any, hit: Any, sample: Any) -> Any:
+def continued(hit: Any, sample: Any) -> Any:
     """Ray on from a hit, started a little way *along* itself.
 
     Mitsuba's ``spawn_ray`` steps along the normal instead, by 0.03 mm in a scene of this size: the light would be
     reflected in front of the mirror and land 5e-5 of its displacement short.
     """
+    mi = Engine.active().mitsuba
     direction = hit.to_world(sample.wo)
     return mi.Ray3f(hit.p + direction * STEP_MM, direction)
 
 
-def land(mi: Any, scene: Any, geometry: BenchGeometry, *, log2_particles: int, seed: int) -> Landing:
+def land(scene: Any, geometry: BenchGeometry, *, log2_particles: int, seed: int) -> Landing:
     """Follow a beam to the face and back to the screen, without a camera.
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with its variant set.
     scene : mitsuba.Scene
         From `render.bench.scene.bench_scene`, not covered.
     geometry : BenchGeometry
@@ -203,12 +202,13 @@ def land(mi: Any, scene: Any, geometry: BenchGeometry, *, log2_particles: int, s
     -------
     Landing
     """
-    ray = _beam(mi, geometry, log2_particles, seed)
+    mi = Engine.active().mitsuba
+    ray = _beam(geometry, log2_particles, seed)
     first = scene.ray_intersect(ray)
     passed = ~(first.is_valid() & (dr.abs(first.p.z) < 1.0))
     sample, weight = first.bsdf().sample(mi.BSDFContext(), first, 0.5, mi.Point2f(0.5), passed & first.is_valid())
     alive = passed & first.is_valid() & (weight[0] > 0)
-    second = scene.ray_intersect(continued(mi, first, sample), alive)
+    second = scene.ray_intersect(continued(first, sample), alive)
     arrived = alive & second.is_valid() & (dr.abs(second.p.z) < 1.0)
     points, keep = np.array(second.p).reshape(3, -1).T, np.array(arrived)
     counts = [int(np.array(dr.count(one)).item()) for one in (passed, alive)]
@@ -221,7 +221,6 @@ def land(mi: Any, scene: Any, geometry: BenchGeometry, *, log2_particles: int, s
 
 
 def trace_screen(
-    mi: Any,
     scene: Any,
     sensor: Any,
     camera: BenchCamera,
@@ -236,12 +235,10 @@ def trace_screen(
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with its variant set.
     scene : mitsuba.Scene
         From `render.bench.scene.bench_scene`.
     sensor : mitsuba.Sensor
-        ``camera.sensor(mi)``.
+        ``camera.sensor()``.
     camera : BenchCamera
         Size of the image.
     geometry : BenchGeometry
@@ -261,7 +258,8 @@ def trace_screen(
     (height, width) float32
         Radiance per unit irradiance of the beam [1/sr].
     """
-    ray = _beam(mi, geometry, log2_particles, seed, inner_mm=inner_mm)
+    mi = Engine.active().mitsuba
+    ray = _beam(geometry, log2_particles, seed, inner_mm=inner_mm)
     area = np.pi * (OVERSCAN * geometry.aperture_mm / 2) ** 2
     pixels = camera.width_px * camera.height_px
     image = dr.zeros(mi.UInt64, pixels)
@@ -272,17 +270,16 @@ def trace_screen(
         active &= hit.is_valid()
         bsdf = hit.bsdf()
         if covered or segment > 0:  # without the sheet, light meets mirrors first, or is lost
-            _connect(mi, scene, sensor, camera, hit, bsdf, throughput, active, image)
+            _connect(scene, sensor, camera, hit, bsdf, throughput, active, image)
         if segment == 0 and not covered:
             sample, weight = bsdf.sample(context, hit, 0.5, middle, active)
             active &= mi.has_flag(sample.sampled_type, mi.BSDFFlags.DeltaReflection)
             throughput = throughput * weight[0]
-            ray = continued(mi, hit, sample)
+            ray = continued(hit, sample)
     return from_fixed(image).reshape(camera.height_px, camera.width_px)
 
 
 def _connect(
-    mi: Any,
     scene: Any,
     sensor: Any,
     camera: BenchCamera,
@@ -293,6 +290,7 @@ def _connect(
     image: Any,
 ) -> None:
     """Add what the camera sees of the light at ``hit`` to the image; unlike others, this function writes into it."""
+    mi = Engine.active().mitsuba
     toward, importance = sensor.sample_direction(hit, mi.Point2f(0.5), active)
     scattered = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(toward.d), active)[0]
     seen = active & (importance[0] > 0) & (scattered > 0)
@@ -300,4 +298,4 @@ def _connect(
     column, row = mi.UInt32(toward.uv.x), mi.UInt32(toward.uv.y)
     seen &= (column < camera.width_px) & (row < camera.height_px)
     light = dr.select(seen, throughput * scattered * importance[0], 0.0)
-    dr.scatter_reduce(dr.ReduceOp.Add, image, to_fixed(mi, light), row * camera.width_px + column, seen)
+    dr.scatter_reduce(dr.ReduceOp.Add, image, to_fixed(light), row * camera.width_px + column, seen)

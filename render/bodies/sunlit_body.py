@@ -35,6 +35,7 @@ from render.bodies.brightness import ALBEDO, ALBEDO_NM, planet_spectrum
 from render.bodies.solar_system import SolarSystem
 from render.camera import Camera
 from render.detector.diffusion import diffuse
+from render.engine import Engine
 from render.motion.trajectory import Trajectory
 from render.plugins.lens_camera import share_camera
 from render.plugins.lunar_surface import lommel_seeliger_phase
@@ -235,7 +236,7 @@ def render_body(
     Parameters
     ----------
     camera : Camera
-        Its attitude is cam from icrs. `render.engine.variant.use_backend` must have been called.
+        Its attitude is cam from icrs.
     body : SunlitBody
         The body.
     bands : sequence of Band
@@ -361,10 +362,9 @@ def _rendered(
 ) -> FloatArray:
     """Electrons (h, w, b) of a window."""
     register_plugins()
-    import mitsuba as mi
-
-    sensor = mi.load_dict(_sensor(mi, camera, body, exposure_s, motion, first_row))
-    scene = mi.load_dict({"type": "scene", **_scene(mi, body)})
+    mi = Engine.active().mitsuba
+    sensor = mi.load_dict(_sensor(camera, body, exposure_s, motion, first_row))
+    scene = mi.load_dict({"type": "scene", **_scene(body)})
     integrator = mi.load_dict({"type": "path", "max_depth": 2})
     image = np.zeros((camera.height_px, camera.width_px, len(rule.name)))
     per_pass = max(1, min(samples, PASS_SAMPLES // (camera.width_px * camera.height_px)))
@@ -381,7 +381,6 @@ def _rendered(
 
 
 def _sensor(
-    mi: Any,
     camera: Camera,
     body: SunlitBody,
     exposure_s: float,
@@ -389,6 +388,7 @@ def _sensor(
     first_row: int,
 ) -> dict[str, Any]:
     """The camera in a scene whose origin is the body and whose unit is the body's radius."""
+    mi = Engine.active().mitsuba
     sensor: dict[str, Any] = {
         "type": "lens_camera",
         "camera": share_camera(camera),
@@ -415,8 +415,9 @@ def _sensor(
     return sensor
 
 
-def _scene(mi: Any, body: SunlitBody) -> dict[str, Any]:
+def _scene(body: SunlitBody) -> dict[str, Any]:
     """The body of unit albedo around the origin, and a Sun of unit irradiance."""
+    mi = Engine.active().mitsuba
     kind = "diffuse" if body.law == "lambert" else "lunar_surface"
     bsdf = {"type": kind, "reflectance" if kind == "diffuse" else "albedo": {"type": "uniform", "value": 1.0}}
     shape: dict[str, Any] = {"type": "sphere", "radius": 1.0}

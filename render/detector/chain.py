@@ -59,7 +59,7 @@ def digitise(
     Parameters
     ----------
     types : module
-        ``drjit.llvm`` or ``drjit.cuda``.
+        `render.engine.Engine.types`.
     expected : Float32 (n,)
         Expected photo-electrons.
     maps : PixelMaps

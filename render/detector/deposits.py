@@ -42,7 +42,7 @@ def window_deposit(
     Parameters
     ----------
     types : module
-        ``drjit.llvm`` or ``drjit.cuda``.
+        `render.engine.Engine.types`.
     hits : sequence of CosmicRayHits
         One per frame, m in all.
     detector : Detector

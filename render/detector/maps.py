@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from optics.records import freeze
 from render.detector.spec import Detector
-from render.engine.backend import array_types
+from render.engine import Engine
 from render.engine.random import Streams
 
 __all__ = ["SensorMaps", "sensor_maps"]
@@ -102,22 +102,20 @@ class _Recipe:
     damage_known_e_per_s: float
 
 
-def sensor_maps(detector: Detector, *, backend: str = "llvm") -> SensorMaps:
+def sensor_maps(detector: Detector) -> SensorMaps:
     """Patterns of the whole detector.
 
     Parameters
     ----------
     detector : Detector
         Which one; its ``sensor_seed`` makes the individual.
-    backend : {"auto", "llvm", "cuda"}
-        Where to compute.
 
     Returns
     -------
     SensorMaps
         NumPy arrays.
     """
-    maps = full_maps(detector, array_types(backend))
+    maps = full_maps(detector, Engine.active().types)
     held = [np.array(value).reshape(detector.shape) for value in maps[:5]]
     return SensorMaps(
         response=held[0], dark_current_e_per_s=held[1], read_noise_e=held[2], offset_dn=held[3], defect=held[4]

@@ -36,7 +36,7 @@ from render.detector.deposits import frame_deposit, window_deposit
 from render.detector.diffusion import diffuse
 from render.detector.maps import full_maps, full_neighbours, neighbour_bits, window_maps
 from render.detector.spec import Detector
-from render.engine.backend import array_types
+from render.engine import Engine
 from render.engine.random import Streams
 from render.records import ExpectedImage, Frame, WindowStack
 
@@ -57,7 +57,6 @@ def expose(
     background_e_per_s: float = 0.0,
     band: str | None = None,
     hits: CosmicRayHits | None = None,
-    backend: str = "llvm",
 ) -> Frame:
     """Read one frame out.
 
@@ -81,8 +80,6 @@ def expose(
         Which band of an image with several; for a bare array a label.
     hits : CosmicRayHits, optional
         Cosmic rays of this frame and detector.
-    backend : {"auto", "llvm", "cuda"}
-        Where to compute.
 
     Returns
     -------
@@ -97,7 +94,7 @@ def expose(
     BackendError
         The backend is missing.
     """
-    types = array_types(backend)
+    types = Engine.active().types
     electrons, band, exposure_s, factor = _expectation(expected, detector, band, exposure_s)
     if electrons.shape != detector.shape:
         raise DomainError(
@@ -153,7 +150,6 @@ def expose_windows(
     band: str = "",
     margin_px: int = 0,
     hits: Sequence[CosmicRayHits] | None = None,
-    backend: str = "llvm",
 ) -> WindowStack:
     """Read windows of many frames out, all at once.
 
@@ -163,7 +159,7 @@ def expose_windows(
         Expected photo-electrons of each window, diffused, the same in every frame.
     corner_px : (n, 2)
         (column, row) on the detector of each stamp's first pixel.
-    detector, streams, temperature_c, background_e_per_s, backend
+    detector, streams, temperature_c, background_e_per_s
         As in `expose`.
     frames : int
         How many frames, at least 1.
@@ -191,7 +187,7 @@ def expose_windows(
     DomainError, BackendError
         As in `expose`; also windows not inside the detector, zero frames, or sets of hits that are not as many.
     """
-    types = array_types(backend)
+    types = Engine.active().types
     electrons = _checked_electrons(stamps, "stamps", ndim=3)
     corner = _checked_corners(corner_px, electrons, detector, margin_px)
     if isinstance(frames, bool) or not isinstance(frames, int | np.integer) or frames < 1:

@@ -31,7 +31,7 @@ def philox4x32(types: Any, counter: tuple[Any, Any, Any, Any], key: tuple[Any, A
     Parameters
     ----------
     types : module
-        ``drjit.llvm`` or ``drjit.cuda`` (`render.engine.backend.array_types`).
+        `render.engine.Engine.types`.
     counter : 4 UInt32
         The 128-bit counter, lowest word first.
     key : 2 UInt32

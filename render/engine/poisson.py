@@ -37,7 +37,7 @@ def poisson(types: Any, mean: Any, pixel: Any, key: tuple[Any, Any], *, mostly_s
     Parameters
     ----------
     types : module
-        ``drjit.llvm`` or ``drjit.cuda``.
+        `render.engine.Engine.types`.
     mean : Float32 or Float64 (n,)
         Means, 0 to 1e8; variates beyond 4.29e9 are cut there.
     pixel : UInt32 (n,)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from optics.errors import BackendError
+from render.engine import Engine
 from render.plugins import lens_camera, lunar_surface, star_field, star_tracer
 
 __all__ = ["register_plugins"]
@@ -15,7 +13,7 @@ _registered: dict[str, tuple[type, type, type]] = {}
 def register_plugins() -> tuple[type, type, type]:
     """Make ``star_field``, ``lens_camera``, ``star_tracer`` and ``lunar_surface`` known to ``mi.load_dict``.
 
-    Classes belong to a variant: call this after every change of variant (`render.engine.variant.use_backend`). Calling
+    Classes belong to a variant: call this after every change of variant (`render.engine.Engine.start`). Calling
     it again does nothing.
 
     Returns
@@ -26,14 +24,12 @@ def register_plugins() -> tuple[type, type, type]:
     Raises
     ------
     BackendError
-        If no variant is active.
+        Mitsuba's variant is one without Dr.Jit arrays.
     """
     import drjit as dr
-    import mitsuba as mi
 
-    variant: Any = mi.variant()
-    if variant is None or not variant.startswith(("llvm", "cuda")):
-        raise BackendError(f"Mitsuba variant {variant} is active; call render.engine.variant.use_backend('auto') first")
+    engine = Engine.active()
+    mi, variant = engine.mitsuba, engine.variant
     if variant not in _registered:
         emitter, sensor = star_field.define(mi, dr), lens_camera.define(mi, dr)
         integrator = star_tracer.define(mi, dr, emitter, sensor)

@@ -56,7 +56,7 @@ def define(mi: Any, dr: Any, emitter_class: Any, camera_class: Any) -> type:
             if key not in self._tracers:  # the sensor is kept too, so that its id stays taken
                 while len(self._tracers) >= KEPT:
                     self._tracers.pop(next(iter(self._tracers)))
-                tracer = Tracer(mi, camera.camera, sobol_log2_rays=self.sobol_log2_rays, sobol_seed=number)
+                tracer = Tracer(camera.camera, sobol_log2_rays=self.sobol_log2_rays, sobol_seed=number)
                 self._tracers[key] = (camera, tracer)
             self.traced = self._tracers[key][1].render(
                 fields[0].stars,

@@ -19,6 +19,7 @@ from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.lens.system import LensSystem
 from optics.rays.program import LensProgram, compile_lens
 from optics.rays.trace import OK, VIGNETTED, Rays, trace_program
+from render.engine import Engine
 from render.tracing.kernel import StarKernel
 
 __all__ = ["AimedLens", "Chiefs", "Rims", "aimed_lens", "find_chiefs", "find_rims", "find_stop_rims"]
@@ -95,9 +96,7 @@ class Rims:
     good: BoolArray
 
 
-def aimed_lens(
-    lens: LensSystem, kernel_lens: tuple[LensProgram, FloatArray], xp: Any, *, general: bool = False
-) -> AimedLens:
+def aimed_lens(lens: LensSystem, kernel_lens: tuple[LensProgram, FloatArray], *, general: bool = False) -> AimedLens:
     """Compile a lens for aiming.
 
     Parameters
@@ -106,8 +105,6 @@ def aimed_lens(
         The lens.
     kernel_lens : (LensProgram, (size,))
         The same lens as it is traced.
-    xp : DrJitArrays
-        Array library.
     general : bool
         Whether it is traced with general poses.
     """
@@ -119,6 +116,7 @@ def aimed_lens(
     front, front_theta = compile_lens(to_stop, general=general)
     full, theta = kernel_lens
     limits = [(i, float(s.semi_diameter_mm)) for i, s in enumerate(lens.surfaces) if np.isfinite(s.semi_diameter_mm)]
+    xp = Engine.active().arrays
     return AimedLens(front, xp.parameters(front_theta.tolist()), full, xp.parameters(theta.tolist()), at, tuple(limits))
 
 

@@ -25,7 +25,7 @@ from optics.arrays import FloatArray
 from optics.frames import light_direction
 from optics.rays.program import LensProgram
 from optics.rays.trace import OK, Rays, trace_program
-from render.engine.arrays import DrJitArrays
+from render.engine import Engine
 from render.tracing.pupil_points import OutlinePoints, PupilPoints
 
 __all__ = ["Geometry", "StampSums", "StarKernel", "reach_px", "strips_per_pixel"]
@@ -108,8 +108,6 @@ class StarKernel:
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
     program, theta
         From `optics.rays.program.compile_lens`.
     geometry : Geometry
@@ -125,16 +123,16 @@ class StarKernel:
 
     def __init__(
         self,
-        mi: Any,
         program: LensProgram,
         theta: FloatArray,
         geometry: Geometry,
         direction: FloatArray,
         shear: FloatArray | None = None,
     ) -> None:
-        self.types = mi
-        self.F, self.U, self.I, self.U64 = mi.Float64, mi.UInt32, mi.Int32, mi.UInt64
-        self.xp = DrJitArrays(self.F)
+        engine = Engine.active()
+        self.types = types = engine.types
+        self.F, self.U, self.I, self.U64 = types.Float64, types.UInt32, types.Int32, types.UInt64
+        self.xp = engine.arrays
         self.program, self.geometry = program, geometry
         self.theta = self.xp.parameters(theta.tolist())
         self.numbers = self.xp.parameters(

@@ -16,7 +16,6 @@ from optics.lens.system import LensSystem
 from optics.rays.program import compile_lens
 from optics.rays.pupil import EntrancePupil
 from render.camera import Camera, launch_disk
-from render.engine.arrays import DrJitArrays
 from render.tracing.aimed_pupil import AimedLens, Chiefs, aimed_lens, find_chiefs
 from render.tracing.damping import MOTION_TOLERANCE, TOLERANCE
 from render.tracing.ideal_lens import IdealLens
@@ -94,21 +93,21 @@ class PupilPlanner:
 
     Parameters
     ----------
-    mi, camera, sobol_log2_rays, sobol_seed, tolerance, general
+    camera, sobol_log2_rays, sobol_seed, tolerance, general
         As `render.tracing.tracer.Tracer`.
     """
 
     def __init__(
-        self, mi: Any, camera: Camera, *, sobol_log2_rays: int, sobol_seed: int, tolerance: float, general: bool
+        self, camera: Camera, *, sobol_log2_rays: int, sobol_seed: int, tolerance: float, general: bool
     ) -> None:
-        self.mi, self.camera, self.tolerance = mi, camera, tolerance
+        self.camera, self.tolerance = camera, tolerance
         self.sobol_log2_rays, self.sobol_seed = sobol_log2_rays, sobol_seed
         lens = camera.focused_lens
         self.pupil: EntrancePupil = launch_disk(camera)
         self.program, self.theta = compile_lens(_open_stop(lens) if self.pupil.exact else lens, general=general)
         self._aim: AimedLens | None = None
         if not self.pupil.exact:
-            self._aim = aimed_lens(lens, (self.program, self.theta), DrJitArrays(mi.Float64), general=general)
+            self._aim = aimed_lens(lens, (self.program, self.theta), general=general)
         self._plans: dict[Any, PupilPlan | None] = {}
 
     def kernel(self, direction: FloatArray, shear: FloatArray | None = None) -> StarKernel:
@@ -121,7 +120,7 @@ class PupilPlanner:
             pupil_radius_mm=pupil.radius_mm,
             diffusion_px=self.camera.charge_diffusion_px,
         )
-        return StarKernel(self.mi, self.program, self.theta, geometry, direction, shear)
+        return StarKernel(self.program, self.theta, geometry, direction, shear)
 
     def seen(self, paths: StarPaths, wavelength_nm: FloatArray, length_px: float = 0.0) -> Seen:
         """What is needed of an exposure."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from optics.errors import DomainError
@@ -18,9 +16,9 @@ TOLERANCE = 2e-4
 """Of the pupil quadrature: an error of this size at half a cycle per pixel and beyond moves a fit by some 1e-5 px."""
 
 
-def epsf_tracer(mi: Any, camera: Camera) -> Tracer:
+def epsf_tracer(camera: Camera) -> Tracer:
     """Tracer for `render_epsf`; hand it on when one camera needs PSFs at many places, so that it is prepared once."""
-    return Tracer(mi, camera, tolerance=TOLERANCE)
+    return Tracer(camera, tolerance=TOLERANCE)
 
 
 def render_epsf(

@@ -36,8 +36,8 @@ class PupilPoints(Protocol):
 
         Parameters
         ----------
-        types : object
-            Array types ``Float64`` and ``UInt32`` (``mitsuba`` or ``drjit.llvm``).
+        types : module
+            `render.engine.Engine.types`.
         slot, node, point : UInt32
             Which; slots are the pairs of stars and bands of a call, in this order.
         """

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,8 +54,6 @@ class Tracer:
 
     Parameters
     ----------
-    mi : module
-        Mitsuba with an active variant.
     camera : Camera
         The camera; its attitude may be overridden per call.
     sobol_log2_rays : int
@@ -76,7 +73,6 @@ class Tracer:
 
     def __init__(
         self,
-        mi: Any,
         camera: Camera,
         *,
         sobol_log2_rays: int = 16,
@@ -84,9 +80,8 @@ class Tracer:
         tolerance: float = TOLERANCE,
         general: bool = False,
     ) -> None:
-        self.mi, self.camera = mi, camera
+        self.camera = camera
         self.planner = PupilPlanner(
-            mi,
             camera,
             sobol_log2_rays=sobol_log2_rays,
             sobol_seed=sobol_seed,

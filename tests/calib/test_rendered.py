@@ -18,13 +18,12 @@ def rendered():
     from optics.rays.paraxial import axial_paraxial
     from render.camera import build_camera
     from render.detector.spec import load_detector
-    from render.engine.variant import use_backend
+    from render.engine import Engine
     from render.forward import render_stars
     from render.records import StarField
     from render.tracing.psf import epsf_tracer, render_epsf
 
-    use_backend()
-    import mitsuba as mi
+    Engine.start()
 
     lens = load_lens("star_camera_206mm")
     camera = build_camera(lens, load_detector("cmv4000"), defocus_mm=0.01)
@@ -40,7 +39,7 @@ def rendered():
         band=nodes.name,
     )
     image = render_stars(camera, stars, exposure_s=1.0)
-    psfs = [row[0] for row in render_epsf(epsf_tracer(mi, camera), stars, oversampling=8)]
+    psfs = [row[0] for row in render_epsf(epsf_tracer(camera), stars, oversampling=8)]
     return image, psfs
 
 

@@ -21,14 +21,11 @@ def shot_noise():
 
 
 @pytest.fixture(scope="session")
-def mi():
-    """Mitsuba on the processor."""
-    from render.engine.variant import use_backend
+def engine():
+    """The processor."""
+    from render.engine import Engine
 
-    use_backend("llvm")
-    import mitsuba
-
-    return mitsuba
+    return Engine.start("llvm")
 
 
 @pytest.fixture(scope="session")

@@ -127,20 +127,23 @@ def bench():
 
 
 @pytest.fixture(scope="session", params=["llvm", pytest.param("cuda", marks=pytest.mark.cuda)])
-def mi(request):
-    """Mitsuba on the processor, and on a GPU where there is one."""
+def engine(request):
+    """The processor, and a GPU where there is one."""
     from optics.errors import BackendError
-    from render.engine.variant import use_backend
+    from render.engine import Engine
 
     try:
-        use_backend(request.param)
+        return Engine.start(request.param)
     except BackendError as error:
         if request.param == "cuda":
             pytest.skip(str(error))
         raise
-    import mitsuba
 
+
+@pytest.fixture(scope="session")
+def mi(engine):
+    """Mitsuba with the plugins, on the engine."""
     from render.plugins.register import register_plugins
 
     register_plugins()
-    return mitsuba
+    return engine.mitsuba

@@ -14,18 +14,18 @@ from render.tracing.tracer import Tracer
 
 
 @pytest.fixture
-def small(mi, bench):
+def small(engine, bench):
     """A camera with a small film, and the whole camera it was cut from."""
     whole = bench.camera_of()
     return bench.window(whole, 120, 3000, 500), whole
 
 
-def test_image_and_truth_are_those_of_the_tracer(mi, bench, small):
+def test_image_and_truth_are_those_of_the_tracer(engine, bench, small):
     camera, whole = small
     stars = bench.stars_at(whole, [2990.2, 3010.4], [500.3, 520.1], bands=((500.0, 50.0), (800.0, 100.0)))
     renderer = StarRenderer(camera, exposure_s=0.1)
     image = renderer.render(stars)
-    traced = Tracer(mi, camera).render(stars, exposure_s=0.1)
+    traced = Tracer(camera).render(stars, exposure_s=0.1)
     assert np.array_equal(image.electrons, traced.electrons)
     for name in image.truth.__dataclass_fields__:
         assert np.array_equal(getattr(image.truth, name), getattr(traced.truth, name))
@@ -33,7 +33,7 @@ def test_image_and_truth_are_those_of_the_tracer(mi, bench, small):
     assert renderer.traced.sampling == traced.sampling == {"quadrature": (2, traced.sampling["quadrature"][1])}
 
 
-def test_fields_do_not_influence_each_other(mi, bench, small):
+def test_fields_do_not_influence_each_other(engine, bench, small):
     camera, whole = small
     first = bench.stars_at(whole, [2990.2], [500.3])
     second = bench.stars_at(whole, [3010.4, 2950.1], [520.1, 480.2], bands=((500.0, 50.0), (800.0, 100.0)))
@@ -44,7 +44,7 @@ def test_fields_do_not_influence_each_other(mi, bench, small):
     assert not a.electrons.flags.writeable
 
 
-def test_a_star_that_moves_smoothly_gives_an_image_that_changes_smoothly(mi, bench, small):
+def test_a_star_that_moves_smoothly_gives_an_image_that_changes_smoothly(engine, bench, small):
     """A pass of a star over two pixels: no jumps from stamp corners, taps or strips."""
     camera, whole = small
     renderer = StarRenderer(camera)
@@ -54,13 +54,13 @@ def test_a_star_that_moves_smoothly_gives_an_image_that_changes_smoothly(mi, ben
     assert np.abs(np.diff(second, axis=0)).max() < 5e-3  # third difference of a smooth pass: (0.05/0.2)^3 / 5
 
 
-def test_camera_with_a_band_name_that_holds_a_comma(mi, bench, small):
+def test_camera_with_a_band_name_that_holds_a_comma(engine, bench, small):
     camera, whole = small
     stars = replace(bench.stars_at(whole, 3000.0, 500.0), band=("V, narrow",))
     assert render_stars(camera, stars).band == ("V, narrow",)
 
 
-def test_no_stars(mi, bench, small):
+def test_no_stars(engine, bench, small):
     image = render_stars(small[0], bench.stars_at(small[0], np.empty(0), np.empty(0)))
     assert image.electrons.shape == (120, 120, 1)
     assert not image.electrons.any()
@@ -73,7 +73,7 @@ def test_exposure_must_be_positive(bench, small, exposure_s):
         StarRenderer(small[0], exposure_s=exposure_s)
 
 
-def test_errors_come_out_as_they_are_raised(mi, bench, small):
+def test_errors_come_out_as_they_are_raised(engine, bench, small):
     """Not wrapped by Mitsuba: one line, of the library's own kind."""
     camera, whole = small
     stars = bench.stars_at(whole, 3000.0, 500.0)
@@ -85,7 +85,7 @@ def test_errors_come_out_as_they_are_raised(mi, bench, small):
     assert renderer.render(stars).electrons.sum() > 0  # still of use
 
 
-def test_lens_whose_rays_all_fail(mi, bench):
+def test_lens_whose_rays_all_fail(engine, bench):
     lens = load_lens("star_tracker_26mm")
     front = replace(lens.surfaces[0], semi_diameter_mm=4.0, inner_semi_diameter_mm=3.999999)
     camera = bench.camera_of(lens.with_surfaces({0: front}), width_px=64, height_px=64)

@@ -24,11 +24,11 @@ SMALL = ["target.rows=2", "target.columns=2", "steps.positions=3", "grid.rows=4"
 
 
 @pytest.fixture(scope="module")
-def small(mi):
+def small(engine):
     """Prediction of a small laboratory."""
     lab = build_laboratory(load_config(Config, settings=SMALL))
-    psfs = Psfs(mi)
-    return lab, psfs, predict_terms(mi, lab, psfs=psfs, draws=60, step_draws=40)
+    psfs = Psfs()
+    return lab, psfs, predict_terms(lab, psfs=psfs, draws=60, step_draws=40)
 
 
 def test_prediction_knows_the_bound(small):
@@ -50,7 +50,7 @@ def test_marking_errors_feed_the_polynomial(small):
     """Without marking errors a calibrated camera leaves the polynomial next to nothing to remove."""
     _, psfs, predicted = small
     exact = build_laboratory(load_config(Config, settings=[*SMALL, "grid.marking_error_arcsec=0"]))
-    other = predict_terms(psfs.mi, exact, psfs=psfs, draws=60, step_draws=5)
+    other = predict_terms(exact, psfs=psfs, draws=60, step_draws=5)
     assert np.all(other.budget["LSFE-C1"].arcsec < 0.6 * predicted.budget["LSFE-C1"].arcsec)
     assert np.array_equal(other.budget["LSFE-C2"].arcsec, [0.0, 0.0])
     np.testing.assert_allclose(predicted.budget["LSFE-C2"].arcsec, 0.5)
@@ -58,7 +58,7 @@ def test_marking_errors_feed_the_polynomial(small):
 
 def test_coarse_prediction_follows_the_fine_one(small):
     lab, psfs, predicted = small
-    coarse = coarse_budget(psfs.mi, lab.config, psfs)
+    coarse = coarse_budget(lab.config, psfs)
     for name in ("TE", "HSFE", "LSFE-C1", "total"):
         np.testing.assert_allclose(coarse[name].arcsec, predicted.budget[name].arcsec, rtol=0.25)
 
@@ -67,8 +67,7 @@ def test_coarse_prediction_follows_the_fine_one(small):
 def test_more_light_less_noise(small):
     _, psfs, _ = small
     noisy, quiet = (
-        coarse_budget(psfs.mi, load_config(Config, settings=[*SMALL, f"detector.read_noise_e={r}"]), psfs)
-        for r in (26.0, 2.0)
+        coarse_budget(load_config(Config, settings=[*SMALL, f"detector.read_noise_e={r}"]), psfs) for r in (26.0, 2.0)
     )
     assert np.all(noisy["TE"].arcsec > 1.3 * quiet["TE"].arcsec)
     assert np.array_equal(noisy["LSFE-S"].arcsec, quiet["LSFE-S"].arcsec)
@@ -81,10 +80,10 @@ def test_window_grows_with_the_spot():
 
 
 @pytest.mark.slow
-def test_built_lenses_scatter_as_their_sensitivities_add_up(mi):
+def test_built_lenses_scatter_as_their_sensitivities_add_up(engine):
     settings = ["tolerances.draws=60", "target.rows=2", "target.columns=2", "tolerances.decentre_um=5"]
     lab = build_laboratory(load_config(Config, settings=settings))
-    study = tolerance_study(mi, lab, Streams(2))
+    study = tolerance_study(lab, Streams(2))
     assert study.lost == 0
     np.testing.assert_allclose(study.spread_arcsec, study.linear_arcsec, rtol=4 * study.spread_uncertainty)
     assert np.abs(study.signed_arcsec.mean(0)).max() < 4 * study.linear_arcsec.max() / np.sqrt(60)

@@ -190,8 +190,8 @@ def testcommon_shift_is_what_most_detections_agree_on():
     assert common_shift(np.full((3, 2), 500.0)) == pytest.approx([0, 0])
 
 
-def quick_measure(mi, bench, instrument, seed):
-    return measure(mi, bench, instrument, Streams(seed).child("test"), backend="llvm", advance=lambda: None)
+def quick_measure(bench, instrument, seed):
+    return measure(bench, instrument, Streams(seed).child("test"), advance=lambda: None)
 
 
 def with_sensor(instrument, sensor_seed, **changes):
@@ -199,8 +199,8 @@ def with_sensor(instrument, sensor_seed, **changes):
 
 
 @pytest.fixture(scope="module")
-def measured(mi, bench_of, small_camera):
-    return quick_measure(mi, bench_of(rows=1, columns=2, frames=2, dark_frames=2), small_camera, 1)
+def measured(engine, bench_of, small_camera):
+    return quick_measure(bench_of(rows=1, columns=2, frames=2, dark_frames=2), small_camera, 1)
 
 
 def test_inputs_unchanged(measured, bench_of, small_camera):
@@ -215,21 +215,21 @@ def test_inputs_unchanged(measured, bench_of, small_camera):
 
 
 @pytest.mark.slow
-def test_same_seed_same_numbers_another_seed_others(mi, measured, bench_of, small_camera):
+def test_same_seed_same_numbers_another_seed_others(engine, measured, bench_of, small_camera):
     bench = bench_of(rows=1, columns=2, frames=2, dark_frames=2)
     one = measured.mean_px["epsf"]
-    same, other = (quick_measure(mi, bench, small_camera, seed).mean_px["epsf"] for seed in (1, 2))
+    same, other = (quick_measure(bench, small_camera, seed).mean_px["epsf"] for seed in (1, 2))
     assert np.array_equal(one, same)
     assert not np.any(one == other)
     assert np.abs(one - other).max() < 0.1
 
 
 @pytest.mark.slow
-def test_moved_image_is_found_again(mi, bench_of, small_camera):
+def test_moved_image_is_found_again(engine, bench_of, small_camera):
     """The target is looked for where the lens puts it, up to 80 px away; its comatic spots are not given up."""
     bench = bench_of(frames=2, dark_frames=2)
     moved = build_instrument(small_camera.config, decentre(small_camera.camera.lens, "L2", -0.4, 0.1))
-    measured = quick_measure(mi, bench, moved, 3)
+    measured = quick_measure(bench, moved, 3)
     expected = bundle_prediction(bench, moved, measured.direction)
     assert np.abs(measured.nominal_px - expected[:, :, 1]).max() > 40
     assert np.abs(measured.mean_px["epsf"] - expected).max() < 0.1
@@ -269,7 +269,7 @@ RUNS = 40
 
 
 @pytest.mark.slow
-def test_uncertainties_of_table_1_are_as_stated(mi, bench_of, small_camera):
+def test_uncertainties_of_table_1_are_as_stated(engine, bench_of, small_camera):
     """40 cameras (fixed patterns) and noise seeds: the entries scatter about the truth as their sigma says.
 
     Two pairs share the 600 nm band (correlation 1/2, so 1/4 between their squares) and the two axes are independent:
@@ -280,7 +280,7 @@ def test_uncertainties_of_table_1_are_as_stated(mi, bench_of, small_camera):
     pulls = []
     for seed in range(RUNS):
         camera = with_sensor(small_camera, 1000 + seed)
-        found = evaluate(bench, camera, quick_measure(mi, bench, camera, seed), pairs)
+        found = evaluate(bench, camera, quick_measure(bench, camera, seed), pairs)
         pulls.append([(found.table1_px[n] - found.photon_table1_px[n]) / found.table1_sigma_px[n] for n, _, _ in pairs])
     pulls = np.array(pulls)
     spread = np.sqrt(2.5 / pulls.size)
@@ -293,7 +293,7 @@ SENSORS = 40
 
 
 @pytest.mark.slow
-def test_effect_of_the_fixed_pattern_is_predicted(mi, bench_of, small_camera):
+def test_effect_of_the_fixed_pattern_is_predicted(engine, bench_of, small_camera):
     """The prediction draws response patterns; here 40 sensors are made, and their mean centroids scatter.
 
     16 points x 2 axes x 40 sensors, against 48 predicted patterns for each of those: the relative standard deviation of
@@ -304,7 +304,7 @@ def test_effect_of_the_fixed_pattern_is_predicted(mi, bench_of, small_camera):
     place, temporal, predicted = [], [], []
     for seed in range(SENSORS):
         camera = with_sensor(small_camera, 2000 + seed, prnu=0.05)
-        measured = quick_measure(mi, bench, camera, seed)
+        measured = quick_measure(bench, camera, seed)
         place.append(measured.mean_px["epsf"] - measured.photon_px)
         temporal.append((measured.sigma_px["epsf"] ** 2 / measured.frames_used[..., None]).mean())
         predicted.append((measured.pattern_px**2).mean((0, 1, 2)))
@@ -315,9 +315,9 @@ def test_effect_of_the_fixed_pattern_is_predicted(mi, bench_of, small_camera):
 
 
 @pytest.mark.slow
-def test_pattern_that_filters_share_cancels_in_part(mi, bench_of, small_camera):
+def test_pattern_that_filters_share_cancels_in_part(engine, bench_of, small_camera):
     """A fixed pattern moves a point alike behind two filters, so a shift suffers less than sqrt(2) of one position."""
-    measured = quick_measure(mi, bench_of(), small_camera, 1)
+    measured = quick_measure(bench_of(), small_camera, 1)
     pattern = shifts(measured.pattern_px, band_pairs((500.0, 600.0, 800.0), 1))
     single = np.sqrt((measured.pattern_px**2).mean())
     for shift in pattern.values():

@@ -271,7 +271,7 @@ def brute_force_table1(instrument, bench, direction, pair, rings=40, arms=24):
 
 
 @pytest.fixture(scope="module")
-def solution_of(mi, star_camera, bench_of):
+def solution_of(engine, star_camera, bench_of):
     bench = bench_of()
     direction = corner_directions(bench.target, star_camera)
     known = {}
@@ -280,7 +280,6 @@ def solution_of(mi, star_camera, bench_of):
         key = element, kind, axis, wanted_px
         if key not in known:
             known[key] = solve_perturbation(
-                mi,
                 bench,
                 star_camera,
                 direction,

@@ -30,9 +30,9 @@ def mask():
 
 
 @pytest.fixture(scope="module")
-def laboratory(mi):
+def laboratory(engine):
     config = Config(benches={"count": 4, "log2_particles": 16}, sensor={"grid": 5, "log2_particles": 12})
-    return cube_bench.build_laboratory(mi, config)
+    return cube_bench.build_laboratory(config)
 
 
 def test_inputs_are_stratified():

@@ -23,7 +23,7 @@ from render.fits.files import read_frame
 
 
 @pytest.fixture(scope="module")
-def dataset(mi, tmp_path_factory):
+def dataset(engine, tmp_path_factory):
     """(folder, facts) of two frames of the Pleiades."""
     folder = tmp_path_factory.mktemp("exports")
     for name in ("frames", "truth"):

@@ -23,7 +23,7 @@ def chief_px(scene, direction, attitude, wavelength_nm):
 
 
 @pytest.mark.parametrize(("scanned", "line_time_us"), [(False, 200.0), pytest.param(True, 0.0, marks=pytest.mark.slow)])
-def test_smear_and_place(mi, scanned, line_time_us):
+def test_smear_and_place(engine, scanned, line_time_us):
     camera = CameraConfig(lens="star_camera_206mm", width_px=256, height_px=192, nodes=3, line_time_us=line_time_us)
     pleiades = {"ra_deg": 56.75, "dec_deg": 24.12, "roll_deg": 20.0}
     if scanned:
@@ -33,7 +33,7 @@ def test_smear_and_place(mi, scanned, line_time_us):
         cone = ConePointing(**pleiades, radius_deg=0.0)
         settings = {"pointing": cone, "rate": FixedRate(rate_deg_per_s=RATE_DEG_PER_S)}
     scene = build_scene(Config(camera=camera, sky=CatalogueConfig(faintest_mag=8.0), **settings))
-    made = FrameMaker(mi, scene).make(2)
+    made = FrameMaker(scene).make(2)
     truth, plan = made.truth, made.plan
     assert np.degrees(made.plan.rate_rad_per_s) == pytest.approx(RATE_DEG_PER_S)
     direction = SkyCoord(truth["ra_deg"], truth["dec_deg"], unit="deg").cartesian.xyz.value.T.copy()

@@ -37,7 +37,7 @@ def direction_of(body):
 
 
 @pytest.mark.slow
-def test_a_planet_among_the_stars(mi):
+def test_a_planet_among_the_stars(engine):
     """Neptune (2.2 arcsec) is a point in the truth; Jupiter (34 arcsec) a disk that saturates."""
     sky = CatalogueConfig(faintest_mag=10.0, epoch_year=EPOCH, observer="earth")
     background = BackgroundConfig(moon_planets=True, moon_samples=4)
@@ -46,7 +46,7 @@ def test_a_planet_among_the_stars(mi):
         place = direction_of(planet)
         cone = ConePointing(ra_deg=place.lon.deg, dec_deg=place.lat.deg, radius_deg=0.0, roll_deg=0.0)
         scene = build_scene(Config(camera=CAMERA, sky=sky, pointing=cone, background=background))
-        made[planet] = FrameMaker(mi, scene).make(0)
+        made[planet] = FrameMaker(scene).make(0)
     truth = made["neptune"].truth
     (row,) = np.flatnonzero(truth["star_id"] == PLANET_IDS["neptune"])
     assert truth["catalogue_row"][row] == -1
@@ -62,7 +62,7 @@ def test_a_planet_among_the_stars(mi):
 
 
 @pytest.mark.slow
-def test_zodiacal_light_and_uniform_sky(mi):
+def test_zodiacal_light_and_uniform_sky(engine):
     cone = ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1)  # the Pleiades are opposite to the Sun in November
     settings = {"camera": CAMERA, "sky": CatalogueConfig(faintest_mag=10.0, epoch_year=2025.88), "pointing": cone}
     light = {}
@@ -72,7 +72,7 @@ def test_zodiacal_light_and_uniform_sky(mi):
         ("bright", BackgroundConfig(extra_e_per_s=1.0, uniform_mag_per_arcsec2=13.0)),
         ("brighter", BackgroundConfig(extra_e_per_s=1.0, uniform_mag_per_arcsec2=12.0)),
     ):
-        light[name] = FrameMaker(mi, build_scene(Config(**settings, background=background))).make(0)
+        light[name] = FrameMaker(build_scene(Config(**settings, background=background))).make(0)
     expected = {name: made.background_e for name, made in light.items()}
     assert expected["dark"] == pytest.approx(0.2)  # 0.2 s
     assert 0.05 < expected["zodiacal"] - 0.2 < 1.0
@@ -84,7 +84,7 @@ def test_zodiacal_light_and_uniform_sky(mi):
 
 
 @pytest.mark.slow
-def test_cosmic_rays_are_flagged(mi):
+def test_cosmic_rays_are_flagged(engine):
     settings = {
         "camera": CAMERA.model_copy(update={"exposure_s": 20.0}),
         "sky": CatalogueConfig(faintest_mag=10.0),
@@ -93,7 +93,7 @@ def test_cosmic_rays_are_flagged(mi):
     made = {}
     for name in ("none", "solar_flare"):
         config = Config(**settings, radiation=RadiationConfig(environment=name))
-        made[name] = FrameMaker(mi, build_scene(config)).make(0)
+        made[name] = FrameMaker(build_scene(config)).make(0)
     bit = FLAGS["cosmic_ray"][0]
     struck = {name: np.count_nonzero(one.truth["flags"] & bit) for name, one in made.items()}
     assert struck["none"] == 0 < struck["solar_flare"]

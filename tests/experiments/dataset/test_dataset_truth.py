@@ -33,8 +33,8 @@ SMALL = {
 
 
 @pytest.fixture(scope="module")
-def maker(mi):
-    return FrameMaker(mi, build_scene(Config(**SMALL)))
+def maker(engine):
+    return FrameMaker(build_scene(Config(**SMALL)))
 
 
 @pytest.fixture(scope="module")
@@ -111,10 +111,10 @@ def test_facts_survive_their_text(maker, made):
     assert turned == pytest.approx(boresight, abs=1e-12)
 
 
-def test_no_light_at_all(mi):
+def test_no_light_at_all(engine):
     """A field without stars is a frame like any other: noise, and a table without rows."""
     config = Config(**{**SMALL, "pointing": ConePointing(ra_deg=192.9, dec_deg=27.1, radius_deg=2.0)}, frames=50)
-    maker = FrameMaker(mi, build_scene(config))
+    maker = FrameMaker(build_scene(config))
     empty = next(k for k in range(50) if not len(stars_of(maker.scene, k)))
     made = maker.make(empty)
     assert made.stars == made.saturated == 0

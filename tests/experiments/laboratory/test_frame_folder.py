@@ -44,12 +44,12 @@ def camera(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def scene(mi, bench_of, camera):
+def scene(engine, bench_of, camera):
     bench = bench_of(
         rows=2, columns=3, methods=METHODS, frames=FRAMES, dark_frames=DARK_FRAMES, window_px=WINDOW_PX, edge_px=40.0
     )
     bench = replace(bench, target=bench.target.model_copy(update={"pitch_px": 45.1}))
-    return point_scene(bench, camera, "llvm")
+    return point_scene(bench, camera)
 
 
 class Writer:
@@ -125,7 +125,7 @@ def steps(tmp_path_factory, scene, camera):
 
 
 def test_temporal_error_from_disk_is_that_in_memory(still, scene, camera):
-    measured = measure_temporal(scene.bench, camera, place_px=PLACE, streams=Streams(4), backend="llvm", scene=scene)
+    measured = measure_temporal(scene.bench, camera, place_px=PLACE, streams=Streams(4), scene=scene)
     reduced = temporal_from_frames(read_folder(still, window_px=WINDOW_PX), METHODS)
     for method in METHODS:
         for found, known in zip(reduced.te_arcsec(method), measured.te_arcsec(method), strict=True):
@@ -151,7 +151,6 @@ def test_step_test_from_disk_is_that_in_memory(steps, scene, camera):
         place_px=PLACE,
         split=False,
         streams=Streams(7),
-        backend="llvm",
         scene=scene,
     )
     reduced = hsfe_from_frames(read_folder(steps, window_px=WINDOW_PX), METHODS)
@@ -165,7 +164,7 @@ def test_step_test_from_disk_is_that_in_memory(steps, scene, camera):
 
 def test_distortion_error_from_disk_is_that_in_memory(tmp_path, scene, camera):
     grid = GridTarget(rows=4, columns=4, edge_px=40.0, jitter_px=0.03)  # see PLACE
-    measured = measure_distortion(scene.bench, camera, grid, streams=Streams(2), backend="llvm", scene=scene)
+    measured = measure_distortion(scene.bench, camera, grid, streams=Streams(2), scene=scene)
     writer = Writer(tmp_path / "grid", scene)
     nominal = nominal_px(camera, measured.surveyed[0])
     (writer.folder / "grid.csv").write_text("x_px,y_px\n" + "".join(f"{x!r},{y!r}\n" for x, y in nominal.tolist()))

@@ -52,7 +52,7 @@ TEXTS = {
 
 
 @pytest.mark.parametrize("name", TEXTS)
-def test_a_folder_becomes_a_report(name, folder, capsys, tmp_path, mi):
+def test_a_folder_becomes_a_report(name, folder, capsys, tmp_path, engine):
     status, text = run(name, folder, TEXTS[name], capsys, out=tmp_path / "out")
     assert status == 0, text
     content = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
@@ -80,7 +80,7 @@ def test_a_folder_becomes_a_report(name, folder, capsys, tmp_path, mi):
         ("distortion", f"points_px = {[list(p) for p in PLACES[:5]]}\n" + series("a"), "5 points do not determine"),
     ],
 )
-def test_a_bad_folder_is_one_line(name, text, said, folder, capsys, tmp_path, mi):
+def test_a_bad_folder_is_one_line(name, text, said, folder, capsys, tmp_path, engine):
     status, shown = run(name, folder, text, capsys, out=tmp_path / "out")
     lines = [line for line in shown.splitlines() if line.startswith("error")]
     assert status == 2
@@ -89,7 +89,7 @@ def test_a_bad_folder_is_one_line(name, text, said, folder, capsys, tmp_path, mi
     assert not (tmp_path / "out").exists()
 
 
-def test_a_missing_folder_and_a_fit_without_psf_are_one_line(folder, capsys, tmp_path, mi):
+def test_a_missing_folder_and_a_fit_without_psf_are_one_line(folder, capsys, tmp_path, engine):
     main = importlib.import_module("experiments.temporal.experiment").main
     assert main(["--frames", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
     assert "no such folder" in capsys.readouterr().err

@@ -36,8 +36,8 @@ def bench(bench_of):
 
 
 @pytest.fixture(scope="module")
-def scene(mi, bench, small_camera):
-    return point_scene(bench, small_camera, "llvm")
+def scene(engine, bench, small_camera):
+    return point_scene(bench, small_camera)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,6 @@ def steps(scene, bench, small_camera):
         plan,
         place_px=PLACE,
         streams=Streams(3),
-        backend="llvm",
         scene=scene,
     )
 
@@ -73,9 +72,7 @@ def test_the_temporal_error_is_three_times_the_mean_in_arcsec():
 
 
 def test_temporal_error_agrees_with_its_prediction(bench, scene, small_camera, psf):
-    measured = measure_temporal(
-        bench, small_camera, levels_e=[3000.0], place_px=PLACE, streams=Streams(1), backend="llvm", scene=scene
-    )
+    measured = measure_temporal(bench, small_camera, levels_e=[3000.0], place_px=PLACE, streams=Streams(1), scene=scene)
     predicted = predict_temporal(bench, small_camera, psf=psf, levels_e=[3000.0], place_px=PLACE, draws=0)
     c4, samples = small_sample_factor(bench.frames), 2 * 6 * bench.frames
     for method in bench.methods:
@@ -87,15 +84,13 @@ def test_temporal_error_agrees_with_its_prediction(bench, scene, small_camera, p
 
 def test_saturated_stars_are_refused(scene, bench, small_camera):
     with pytest.raises(DomainError, match=r"saturated at 200000 e-.*lower signal_e"):
-        measure_temporal(
-            bench, small_camera, levels_e=[2e5], place_px=PLACE, streams=Streams(1), backend="llvm", scene=scene
-        )
+        measure_temporal(bench, small_camera, levels_e=[2e5], place_px=PLACE, streams=Streams(1), scene=scene)
 
 
-def test_faint_stars_are_refused(small_camera, bench, mi):
+def test_faint_stars_are_refused(small_camera, bench, engine):
     faint = replace(bench, signal_e=30.0)
     with pytest.raises(DomainError, match="detected"):
-        measure_temporal(faint, small_camera, place_px=PLACE, streams=Streams(1), backend="llvm")
+        measure_temporal(faint, small_camera, place_px=PLACE, streams=Streams(1))
 
 
 def test_the_image_steps_as_told(steps):
@@ -129,23 +124,23 @@ def test_switching_a_cause_off_keeps_the_other_patterns(small_camera):
 
 def test_a_step_larger_than_the_window_is_refused(bench, small_camera):
     with pytest.raises(DomainError, match=r"a step of 9 px is not smaller than half the window"):
-        measure_high_frequency(bench, small_camera, IDEAL, StepPlan(step_px=9.0), streams=Streams(1), backend="llvm")
+        measure_high_frequency(bench, small_camera, IDEAL, StepPlan(step_px=9.0), streams=Streams(1))
 
 
 def test_raw_frames_keep_the_pattern_and_dark_subtraction_takes_it(scene, bench, small_camera):
     light = scene.light(target_place(bench, small_camera, PLACE), Streams(5), "here")
     error = {}
     for subtraction in ("dark", "raw"):
-        frames = read_points(light, bench, small_camera, streams=Streams(5), subtraction=subtraction, backend="llvm")
+        frames = read_points(light, bench, small_camera, streams=Streams(5), subtraction=subtraction)
         error[subtraction] = np.sqrt(((frames.mean_px("epsf") - light.photon_px) ** 2).mean())
     assert error["raw"] > error["dark"]
 
 
 @pytest.mark.slow
-def test_distortion_numbers_agree_with_prediction(small_camera, bench_of, mi):
+def test_distortion_numbers_agree_with_prediction(small_camera, bench_of, engine):
     bench = bench_of(methods=("epsf",), frames=10, window_px=15, signal_e=6000.0)
     target = GridTarget(edge_px=60.0)
-    measured = measure_distortion(bench, small_camera, target, surveys=150, streams=Streams(2), backend="llvm")
+    measured = measure_distortion(bench, small_camera, target, surveys=150, streams=Streams(2))
     predicted = predict_distortion(bench, small_camera, target, measured.direction, psf=measured.light.psf, draws=150)
     margin = 4.0 * np.sqrt(2.0 / (18.0 * 150)) + 0.05  # nine degrees of freedom each, and one chip for all surveys
     for reference in ("aligned", "calibrated"):

@@ -41,7 +41,7 @@ def test_response_of_the_centre_of_gravity_is_its_formula() -> None:
 
 
 @pytest.fixture(scope="module")
-def visited(mi, small_camera):
+def visited(engine, small_camera):
     """A star of 12000 e- at 8 x 8 places of the small camera, with its PSFs."""
     from experiments.laboratory.collimator import SingleStar
     from optics.light.band import TopHat
@@ -58,7 +58,7 @@ def visited(mi, small_camera):
     )
     field = star.seen(direction, small_camera)
     expected = StarRenderer(camera, exposure_s=small_camera.config.exposure_s).render(field)
-    psfs = [row[0] for row in render_epsf(epsf_tracer(mi, camera), field, half_size_px=7)]
+    psfs = [row[0] for row in render_epsf(epsf_tracer(camera), field, half_size_px=7)]
     return expected, psfs
 
 
@@ -77,7 +77,7 @@ def test_the_star_collects_what_it_should(visited) -> None:
 def test_centroids_scatter_as_predicted(visited, small_camera) -> None:
     """64 places, two axes: N = 128; a standard deviation is known to 6.3 %, three of those are allowed."""
     expected, psfs = visited
-    found = read_windows(expected, _truth(expected), psfs, small_camera, PLAN, streams=Streams(8), backend="llvm")
+    found = read_windows(expected, _truth(expected), psfs, small_camera, PLAN, streams=Streams(8))
     error = found.position_px - _truth(expected)
     pulls = error / np.sqrt(np.einsum("nii->ni", found.covariance_px2))
     assert np.sqrt((pulls**2).mean()) == pytest.approx(1.0, abs=0.19)
@@ -91,7 +91,7 @@ def test_a_star_that_is_not_there(visited, small_camera) -> None:
     expected, psfs = visited
     beside = np.add(_truth(expected), [150.0, 0.0])
     with pytest.raises(DomainError, match="not seen"):
-        read_windows(expected, beside, psfs, small_camera, PLAN, streams=Streams(8), backend="llvm")
+        read_windows(expected, beside, psfs, small_camera, PLAN, streams=Streams(8))
 
 
 def test_a_star_that_is_too_bright(visited, small_camera) -> None:
@@ -100,4 +100,4 @@ def test_a_star_that_is_too_bright(visited, small_camera) -> None:
         electrons=expected.electrons * 20.0, band=expected.band, exposure_s=expected.exposure_s, diffused=True
     )
     with pytest.raises(DomainError, match="saturated"):
-        read_windows(bright, _truth(expected), psfs, small_camera, PLAN, streams=Streams(8), backend="llvm")
+        read_windows(bright, _truth(expected), psfs, small_camera, PLAN, streams=Streams(8))

@@ -31,38 +31,38 @@ def tilted(of, tilt_x=0.0, tilt_y=0.0, offset=(0.0, 0.0, 0.0)):
 
 
 @pytest.fixture(scope="module")
-def bench(mi):
+def bench(engine):
     """The default bench, open and covered, with a small camera."""
     of = geometry()
     view = camera()
     return SimpleNamespace(
         geometry=of,
         camera=view,
-        sensor=view.sensor(mi),
-        open=bench_scene(mi, of, tilted(of), covered=False),
-        covered=bench_scene(mi, of, tilted(of), covered=True),
+        sensor=view.sensor(),
+        open=bench_scene(of, tilted(of), covered=False),
+        covered=bench_scene(of, tilted(of), covered=True),
     )
 
 
-def landing(mi, bench, pose, log2_particles=16, scene=None, of=None):
+def landing(bench, pose, log2_particles=16, scene=None, of=None):
     from render.bench.trace import land
 
     scene, of = scene or bench.open, of or bench.geometry
-    place_cube(mi, scene, of, pose)
-    return land(mi, scene, of, log2_particles=log2_particles, seed=2)
+    place_cube(scene, of, pose)
+    return land(scene, of, log2_particles=log2_particles, seed=2)
 
 
-def picture(mi, bench, scene, **settings):
+def picture(bench, scene, **settings):
     from render.bench.trace import trace_screen
 
     settings = {"covered": scene is bench.covered, "log2_particles": 16, "seed": 3} | settings
-    return trace_screen(mi, scene, bench.sensor, bench.camera, bench.geometry, **settings)
+    return trace_screen(scene, bench.sensor, bench.camera, bench.geometry, **settings)
 
 
 @pytest.mark.parametrize(("tilt_x", "tilt_y"), [(0.0, 2.6e-3), (-3.1e-3, 0.0), (2.5e-3, -4e-3)])
-def test_displacement_is_twice_tilt_times_distance(mi, bench, tilt_x, tilt_y):
+def test_displacement_is_twice_tilt_times_distance(engine, bench, tilt_x, tilt_y):
     """Rotation about y by t sends light to +x by distance tan 2t. The cube turns about its middle."""
-    found = landing(mi, bench, tilted(bench.geometry, tilt_x, tilt_y))
+    found = landing(bench, tilted(bench.geometry, tilt_x, tilt_y))
     assert found.returned == 1.0  # the spot is clear of the hole
     normal = Rotation.from_rotvec([tilt_x, tilt_y, 0.0]).apply([0.0, 0.0, 1.0])
     length = 650.0 + 10.0 - 10.0 / normal[2]
@@ -71,8 +71,8 @@ def test_displacement_is_twice_tilt_times_distance(mi, bench, tilt_x, tilt_y):
     assert found.screen_mm.mean(0) == pytest.approx(length * np.tan(angle) * toward, abs=2e-4)
 
 
-def test_what_passes_and_what_returns(mi, bench):
-    found = landing(mi, bench, tilted(bench.geometry))
+def test_what_passes_and_what_returns(engine, bench):
+    found = landing(bench, tilted(bench.geometry))
     assert found.passed == pytest.approx(1 / 1.03**2, abs=1e-3)
     assert found.reflected == 1.0
     # light that lands outside the hole: the spot's profile beyond the aperture, by a sum over source and aperture
@@ -87,17 +87,17 @@ def _unit(rng, shape):
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
-def test_the_edge_of_the_cube_cuts_the_beam(mi, bench):
+def test_the_edge_of_the_cube_cuts_the_beam(engine, bench):
     """With the edge of the polished face on the beam's axis, half of the light is lost."""
     of = bench.geometry
-    found = landing(mi, bench, tilted(of, offset=(of.face_mm / 2, 0.0, 0.0)))
+    found = landing(bench, tilted(of, offset=(of.face_mm / 2, 0.0, 0.0)))
     assert found.reflected == pytest.approx(0.5, abs=0.01)
-    gone = landing(mi, bench, tilted(of, offset=(of.face_mm / 2 + 3.0, 0.0, 0.0)))
+    gone = landing(bench, tilted(of, offset=(of.face_mm / 2 + 3.0, 0.0, 0.0)))
     assert gone.reflected == 0.0
     assert gone.screen_mm.shape == (0, 2)
 
 
-def test_faces_out_of_square_reflect_out_of_square(mi, bench):
+def test_faces_out_of_square_reflect_out_of_square(engine, bench):
     """Turned by 90 deg, a face 100 arcsec off its place sends the light 200 arcsec off."""
     off = np.radians(100 / 3600)
     normals = NORMALS.copy()
@@ -107,7 +107,7 @@ def test_faces_out_of_square_reflect_out_of_square(mi, bench):
     beside = Rotation.from_rotvec([0.0, 4e-3, 0.0])  # clear of the hole
     pose = CubePose(rotation=(beside * turn).as_matrix(), centre_mm=of.crossing_mm, normal=normals)
     square = CubePose(rotation=(beside * turn).as_matrix(), centre_mm=of.crossing_mm, normal=NORMALS)
-    moved = landing(mi, bench, pose).screen_mm.mean(0) - landing(mi, bench, square).screen_mm.mean(0)
+    moved = landing(bench, pose).screen_mm.mean(0) - landing(bench, square).screen_mm.mean(0)
     assert np.abs(moved) == pytest.approx([2 * off * 650, 0.0], rel=1e-3, abs=1e-3)
 
 
@@ -117,9 +117,9 @@ def test_mirrors_stay_rectangles(mi, bench):
     assert sorted(movable) == sorted(f"face{name}.to_world" for name in FACES)
 
 
-def test_glowing_aperture(mi, bench):
+def test_glowing_aperture(engine, bench):
     """A sheet that passes half of the reflectance: radiance rho / 2 / pi everywhere in the disk, nothing beside it."""
-    image = picture(mi, bench, bench.covered, log2_particles=18)
+    image = picture(bench, bench.covered, log2_particles=18)
     row, column = np.mgrid[:160, :160]
     place = bench.camera.to_screen(np.column_stack([column.ravel(), row.ravel()]))
     away = np.hypot(*place.T).reshape(160, 160)
@@ -137,7 +137,7 @@ def test_glowing_aperture_by_the_stock_path_integrator(mi, bench):
     )
     integrator = mi.load_dict({"type": "path", "max_depth": 2})
     reference = np.array(mi.render(scene, sensor=bench.sensor, integrator=integrator, spp=64))[..., 0]
-    ours = picture(mi, bench, bench.covered, log2_particles=20)
+    ours = picture(bench, bench.covered, log2_particles=20)
     assert ours.sum() == pytest.approx(reference.sum(), rel=3e-3)
     row, column = np.mgrid[:160, :160]
     for grid in (row, column):
@@ -149,8 +149,8 @@ def test_spot_by_the_stock_particle_tracer(mi):
     from render.bench.trace import trace_screen
 
     of, view = geometry(source_arcmin=0.0), camera(pitch_mm=0.06)
-    sensor = view.sensor(mi)
-    scene = bench_scene(mi, of, tilted(of, tilt_y=2.3e-3), covered=False)
+    sensor = view.sensor()
+    scene = bench_scene(of, tilted(of, tilt_y=2.3e-3), covered=False)
     lamp = {
         "type": "disk",
         "to_world": mi.ScalarTransform4f().translate([0, 0, 20]).rotate([1, 0, 0], 180).scale([1.4, 1.4, 1]),
@@ -161,7 +161,7 @@ def test_spot_by_the_stock_particle_tracer(mi):
     )
     integrator = mi.load_dict({"type": "ptracer", "max_depth": 4, "hide_emitters": True})
     reference = np.array(mi.render(lit, sensor=sensor, integrator=integrator, spp=64))[..., 0]
-    ours = trace_screen(mi, scene, sensor, view, of, covered=False, log2_particles=18, seed=1)
+    ours = trace_screen(scene, sensor, view, of, covered=False, log2_particles=18, seed=1)
     row, column = np.mgrid[:160, :160]
     for grid in (row, column):
         assert (ours * grid).sum() / ours.sum() == pytest.approx((reference * grid).sum() / reference.sum(), abs=0.03)
@@ -169,29 +169,29 @@ def test_spot_by_the_stock_particle_tracer(mi):
     assert np.abs(blocks[0] - blocks[1]).max() < 0.02 * blocks[1].max()
 
 
-def test_particles_that_return_into_the_hole_are_not_missed(mi, bench):
-    place_cube(mi, bench.open, bench.geometry, tilted(bench.geometry, tilt_y=2e-5))
-    whole = picture(mi, bench, bench.open)
-    part = picture(mi, bench, bench.open, inner_mm=1.25 - 1300 * 2e-5 - 0.01)
+def test_particles_that_return_into_the_hole_are_not_missed(engine, bench):
+    place_cube(bench.open, bench.geometry, tilted(bench.geometry, tilt_y=2e-5))
+    whole = picture(bench, bench.open)
+    part = picture(bench, bench.open, inner_mm=1.25 - 1300 * 2e-5 - 0.01)
     assert np.abs(part - whole).max() < 1e-4 * whole.max()
 
 
-def test_the_same_seed_gives_the_same_picture(mi, bench):
+def test_the_same_seed_gives_the_same_picture(engine, bench):
     """To the last bit, whatever the order in which threads add."""
-    place_cube(mi, bench.open, bench.geometry, tilted(bench.geometry))
-    first, again, other = (picture(mi, bench, bench.open, seed=seed) for seed in (3, 3, 4))
+    place_cube(bench.open, bench.geometry, tilted(bench.geometry))
+    first, again, other = (picture(bench, bench.open, seed=seed) for seed in (3, 3, 4))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
 
 
-def test_pictures_converge(mi, bench):
+def test_pictures_converge(engine, bench):
     """Sobol points: the noise of the rim's light falls faster than one over the root of the particles."""
-    place_cube(mi, bench.open, bench.geometry, tilted(bench.geometry))
+    place_cube(bench.open, bench.geometry, tilted(bench.geometry))
     column = np.arange(160) - 79.5
     centres = {
         power: [
             (image * column).sum() / image.sum()
-            for image in (picture(mi, bench, bench.open, log2_particles=power, seed=s) for s in range(8))
+            for image in (picture(bench, bench.open, log2_particles=power, seed=s) for s in range(8))
         ]
         for power in (12, 17)
     }
@@ -200,7 +200,7 @@ def test_pictures_converge(mi, bench):
 
 def test_camera_is_mitsubas_camera(mi):
     view = camera(angle_deg=31.0, aim_mm=np.array([0.7, -0.4]))
-    sensor = view.sensor(mi)
+    sensor = view.sensor()
     points = np.random.default_rng(5).uniform(-1.5, 1.5, (50, 2))
     hit = mi.SurfaceInteraction3f()
     hit.p = mi.Point3f(*points.T, np.zeros(50))

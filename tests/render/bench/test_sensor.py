@@ -14,12 +14,12 @@ def sensor(**changes):
     return MaskSensor(**(settings | {"offset_px": np.array([5.3, -7.1])} | changes))
 
 
-def windows(mi, of, sun, log2_particles=13):
+def windows(of, sun, log2_particles=13):
     v = np.asarray(sun, float)
     v = v / np.linalg.norm(v, axis=1)[:, None]
     corner = np.rint(of.spot_px(v)).astype(int) - SIZE // 2
     light = trace_mask(
-        mi, mask_scene(mi, of), of, v, corner, SIZE, half_angle_rad=4.4e-4, log2_particles=log2_particles, seed=1
+        mask_scene(of), of, v, corner, SIZE, half_angle_rad=4.4e-4, log2_particles=log2_particles, seed=1
     )
     return light, corner, v
 
@@ -30,34 +30,33 @@ def centres(light, corner):
     return np.column_stack([(light * column).sum((1, 2)), (light * row).sum((1, 2))]) / total[:, None] + corner
 
 
-def test_spots_fall_where_geometry_puts_them(mi):
+def test_spots_fall_where_geometry_puts_them(engine):
     of = sensor()
-    light, corner, v = windows(mi, of, [[0, 0, 1], [0.5, 0, 1], [0, -0.8, 1], [0.9, 0.7, 1], [-1, 0.4, 1]])
+    light, corner, v = windows(of, [[0, 0, 1], [0.5, 0, 1], [0, -0.8, 1], [0.9, 0.7, 1], [-1, 0.4, 1]])
     expected = np.array([511.5, 511.5]) + [5.3, -7.1] + 3.0 / 0.007 * v[:, :2] / v[:, 2:]
     assert centres(light, corner) == pytest.approx(expected, abs=0.015)
 
 
-def test_sun_towards_plus_x_lands_at_a_larger_column(mi):
-    light, corner, _ = windows(mi, sensor(), [[0, 0, 1], [0.3, 0, 1], [0, 0.3, 1]], log2_particles=10)
+def test_sun_towards_plus_x_lands_at_a_larger_column(engine):
+    light, corner, _ = windows(sensor(), [[0, 0, 1], [0.3, 0, 1], [0, 0.3, 1]], log2_particles=10)
     middle, right, below = centres(light, corner)
     assert right[0] > middle[0] + 100
     assert below[1] > middle[1] + 100
 
 
-def test_light_through_the_hole(mi):
+def test_light_through_the_hole(engine):
     """Flux: area of the hole times the cosine; in the middle of the spot the irradiance of the slanted beam."""
-    light, _, v = windows(mi, sensor(), [[0, 0, 1], [0.6, 0.2, 1]], log2_particles=14)
+    light, _, v = windows(sensor(), [[0, 0, 1], [0.6, 0.2, 1]], log2_particles=14)
     area_px = np.pi * 0.1**2 / 0.007**2
     assert light.sum((1, 2)) == pytest.approx(area_px * v[:, 2], rel=1e-3)
     assert light[:, 20:28, 20:28].mean((1, 2)) == pytest.approx(v[:, 2], rel=0.02)
 
 
-def test_sun_behind_the_mask_is_refused(mi):
+def test_sun_behind_the_mask_is_refused(engine):
     of = sensor()
     with pytest.raises(DomainError, match="behind the mask"):
         trace_mask(
-            mi,
-            mask_scene(mi, of),
+            mask_scene(of),
             of,
             [[1.0, 0.0, 0.0]],
             [[0, 0]],

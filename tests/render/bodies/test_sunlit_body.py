@@ -57,7 +57,7 @@ def moments(image):
         pytest.param("lambert", 100.0, marks=pytest.mark.slow),
     ],
 )
-def test_total_against_the_closed_form(mi, law, phase_deg):
+def test_total_against_the_closed_form(engine, law, phase_deg):
     """Light of the whole sphere by the phase function, integrated here over wavelength by trapezoids."""
     body = ball(10.0, phase_deg, law=law, sun_distance_au=1.5)
     image = render_body(camera_of(), body, BAND, exposure_s=2e-3, samples=256)
@@ -70,7 +70,7 @@ def test_total_against_the_closed_form(mi, law, phase_deg):
 
 
 @pytest.mark.slow
-def test_planet_is_as_bright_as_its_star(mi):
+def test_planet_is_as_bright_as_its_star(engine):
     """Venus, 45 arcsec across, as a disk and as a point: the two paths share the magnitude only."""
     camera = camera_of(64, 64)
     system = solar_system(2020.4, bodies=["venus"])
@@ -94,7 +94,7 @@ def test_planet_is_as_bright_as_its_star(mi):
     assert covers(body, np.stack([system.direction[0], np.roll(system.direction[0], 1)])).tolist() == [True, False]
 
 
-def test_smear_and_rolling_shutter(mi):
+def test_smear_and_rolling_shutter(engine):
     """A ball under a camera that turns 60 px a second about +Y: spread of a uniform path, slope of late rows."""
     camera, body = camera_of(160, 64), ball(6.0, 0.0)
     still = render_body(camera, body, BAND, exposure_s=1.0, samples=64, nodes=1)
@@ -121,7 +121,7 @@ def test_smear_and_rolling_shutter(mi):
 
 
 @pytest.mark.slow
-def test_mesh_of_the_user(mi, tmp_path):
+def test_mesh_of_the_user(engine, tmp_path):
     """A square plate of 2 x 1 units, turned by 60 deg about its long side, seen and lit along the axis."""
     file = tmp_path / "plate.obj"
     file.write_text("v -1 -0.5 0\nv 1 -0.5 0\nv 1 0.5 0\nv -1 0.5 0\nf 1 2 3\nf 1 3 4\n", encoding="ascii")
@@ -138,7 +138,7 @@ def test_mesh_of_the_user(mi, tmp_path):
     assert var_y == pytest.approx(8**2 / 12 + spot[4], rel=0.05)
 
 
-def test_cut_by_the_edge(mi):
+def test_cut_by_the_edge(engine):
     """A full disk around the detector's edge: half of it, and only the part near it is rendered."""
     camera = camera_of(96, 512)
     away = np.array([48.0 * PITCH_RAD, 0.0, 1.0])
@@ -150,7 +150,7 @@ def test_cut_by_the_edge(mi):
     assert not cut.electrons[:200].any()
 
 
-def test_out_of_sight_and_refusals(mi, tmp_path):
+def test_out_of_sight_and_refusals(engine, tmp_path):
     camera = camera_of(32, 32)
     beside = render_body(camera, ball(5.0, 0.0, direction=[1.0, 0.0, 0.0]), BAND, exposure_s=1.0)
     behind = render_body(camera, ball(5.0, 0.0, direction=[0.0, 0.0, -1.0]), BAND, exposure_s=1.0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve
 
-from optics.errors import BackendError, ConfigError, DomainError
+from optics.errors import ConfigError, DomainError
 from render.detector.readout import expose, expose_windows
 from render.detector.spec import Detector, load_detector
 from render.engine.random import Streams
@@ -364,7 +364,6 @@ BANDS = ExpectedImage(electrons=np.ones((*SHAPE, 2)), band=("red", "blue"), expo
         (flat(1), {"background_e_per_s": -1.0}, DomainError, "background_e_per_s = -1"),
         (flat(1), {"temperature_c": np.nan}, DomainError, "temperature_c = nan"),
         (flat(1), {"frame": -1}, DomainError, "frame = -1"),
-        (flat(1), {"backend": "gpu"}, BackendError, "backend = 'gpu'"),
         (BANDS, {}, ConfigError, "band is missing; the image has 2: red, blue"),
         (BANDS, {"band": "bleu"}, ConfigError, "did you mean blue"),
         (BANDS, {"band": "red", "exposure_s": -1.0}, DomainError, "exposure_s = -1 s"),

@@ -11,31 +11,30 @@ from optics.lens.perturb import decentre, tilt
 from optics.lens.prescription import load_lens
 from optics.rays.program import compile_lens
 from optics.rays.trace import Rays, trace, trace_program
-from render.engine.arrays import DrJitArrays
 
 LENSES = ("star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm")
 
 
-def test_elementary_functions_agree_with_numpy(mi):
-    xp = DrJitArrays(mi.Float64)
+def test_elementary_functions_agree_with_numpy(engine):
+    xp = engine.arrays
     values = np.array([-2.0, -0.0, 0.5, 3.0])
-    arrays = mi.Float64(values)
-    assert np.array_equal(xp.sqrt(mi.Float64(values**2)).numpy(), NUMPY.sqrt(values**2))
+    arrays = engine.types.Float64(values)
+    assert np.array_equal(xp.sqrt(engine.types.Float64(values**2)).numpy(), NUMPY.sqrt(values**2))
     assert np.array_equal(xp.maximum(arrays, 0.25).numpy(), NUMPY.maximum(values, 0.25))
     assert np.array_equal(xp.where(arrays > 0, arrays, 7.0).numpy(), NUMPY.where(values > 0, values, 7.0))
 
 
-def test_parameters_keep_double_precision_and_stay_out_of_the_kernel(mi):
+def test_parameters_keep_double_precision_and_stay_out_of_the_kernel(engine):
     import drjit as dr
 
-    (value,) = DrJitArrays(mi.Float64).parameters([1 / 3 + 1e-15])
+    (value,) = engine.arrays.parameters([1 / 3 + 1e-15])
     assert value.numpy()[0] == 1 / 3 + 1e-15
     assert value.state == dr.VarState.Evaluated  # a literal would be compiled in
 
 
 @pytest.mark.parametrize("general", [False, True])
 @pytest.mark.parametrize("name", LENSES)
-def test_trace_agrees_with_numpy(mi, name, general):
+def test_trace_agrees_with_numpy(engine, name, general):
     lens = load_lens(name)
     if general:
         lens = tilt(decentre(lens, lens.elements[1], x_mm=0.05), lens.elements[0], x_deg=0.1)
@@ -52,10 +51,10 @@ def test_trace_agrees_with_numpy(mi, name, general):
     )
     expected = trace(lens, rays)
     program, theta = compile_lens(lens, general=general)
-    xp = DrJitArrays(mi.Float64)
+    xp = engine.arrays
     names = ("x", "y", "z", "dx", "dy", "dz", "wavelength_nm", "opl_mm")
-    columns = {key: mi.Float64(np.ascontiguousarray(getattr(rays, key))) for key in names}
-    integers = {"status": mi.Int32(rays.status), "failed_at": mi.Int32(rays.failed_at)}
+    columns = {key: engine.types.Float64(np.ascontiguousarray(getattr(rays, key))) for key in names}
+    integers = {"status": engine.types.Int32(rays.status), "failed_at": engine.types.Int32(rays.failed_at)}
     got = trace_program(program, xp.parameters(theta.tolist()), Rays(**columns, **integers), xp)
     assert np.array_equal(got.status.numpy(), expected.status)
     assert np.array_equal(got.failed_at.numpy(), expected.failed_at)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from render.engine.backend import array_types
+from render.engine import Engine
 from render.engine.philox import normal, philox4x32, split_key, uniform, uniform64
 
 N = 1 << 20
@@ -25,13 +25,13 @@ N = 1 << 20
     ],
 )
 def test_known_answers(counter: tuple[int, ...], key: tuple[int, int], answer: tuple[int, ...]) -> None:
-    types = array_types("llvm")
+    types = Engine.start("llvm").types
     words = philox4x32(types, tuple(types.UInt32(c) for c in counter), split_key(types, key[1] << 32 | key[0]))
     assert tuple(int(word[0]) for word in words) == answer
 
 
 def test_uniform_ends_stay_open() -> None:
-    types = array_types("llvm")
+    types = Engine.start("llvm").types
     word = types.UInt32([0, 0xFFFFFFFF])
     low, high = np.array(uniform64(types, word, word))
     assert low == 2.0**-53
@@ -41,7 +41,7 @@ def test_uniform_ends_stay_open() -> None:
 def test_uniform_distribution() -> None:
     import drjit as dr
 
-    types = array_types("llvm")
+    types = Engine.start("llvm").types
     values = np.array(uniform(types, dr.arange(types.UInt32, N), split_key(types, 11)))
     assert stats.kstest(values, "uniform").pvalue > 1e-3  # N = 2^20, one fixed seed
 
@@ -49,7 +49,7 @@ def test_uniform_distribution() -> None:
 def test_normal_distribution() -> None:
     import drjit as dr
 
-    types = array_types("llvm")
+    types = Engine.start("llvm").types
     values = np.array(normal(types, dr.arange(types.UInt32, N), split_key(types, 12)), float)
     assert stats.kstest(values, "norm").pvalue > 1e-3
     assert abs(values.mean()) < 4 / np.sqrt(N)
@@ -62,7 +62,7 @@ def test_normal_distribution() -> None:
 def test_streams_are_uncorrelated() -> None:
     import drjit as dr
 
-    types = array_types("llvm")
+    types = Engine.start("llvm").types
     pixel = dr.arange(types.UInt32, N)
     first, second = (np.array(normal(types, pixel, split_key(types, key)), float) for key in (5, 6))
     assert abs(np.mean(first * second)) < 4 / np.sqrt(N)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from render.engine.backend import array_types
+from render.engine import Engine
 from render.engine.philox import split_key
 from render.engine.poisson import INVERSION_LIMIT, poisson
 
@@ -17,7 +17,7 @@ MEANS = (0.01, 0.3, 1.0, 3.7, 12.0, 29.9, 30.1, 65.0, 100.0, 1000.0, 1e4, 1e5)
 def draw(mean: float | np.ndarray, key: int, **options: bool) -> np.ndarray:
     import drjit as dr
 
-    types = array_types("llvm")
+    types = Engine.start("llvm").types
     means = types.Float64(np.broadcast_to(np.asarray(mean, float), N).copy())
     return np.array(poisson(types, means, dr.arange(types.UInt32, N), split_key(types, key), **options))
 

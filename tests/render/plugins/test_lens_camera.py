@@ -73,7 +73,7 @@ def test_fall_off_against_the_light_that_goes_forward(mi, bench, name):
         direction = v / np.linalg.norm(v, axis=-1, keepdims=True)
         return bench.stars_at(camera, 0, 0, direction=direction, bands=((lens.design_wavelength_nm, 0.0),), rate=1.0)
 
-    tracer, step = Tracer(mi, camera, sobol_log2_rays=15), 3e-3
+    tracer, step = Tracer(camera, sobol_log2_rays=15), 3e-3
 
     def landing(x, y):
         truth = tracer.render(stars(x, y), exposure_s=1.0).truth
@@ -142,8 +142,8 @@ def test_distant_ball_is_seen_where_the_star_is(mi, bench, perturbed):
     turn *= np.linalg.det(turn)
     whole = replace(bench.camera_of(lens, charge_diffusion_px=0.0), rotation_cam_from_world=turn)
     stars = bench.stars_at(whole, 3500.3, 400.2, bands=((lens.design_wavelength_nm, 0.0),))
-    camera = bench.window(whole, 14, *Tracer(mi, whole).bundle_means(stars)[0, 0])
-    truth = Tracer(mi, camera, sobol_log2_rays=18).render(stars, exposure_s=1.0).truth
+    camera = bench.window(whole, 14, *Tracer(whole).bundle_means(stars)[0, 0])
+    truth = Tracer(camera, sobol_log2_rays=18).render(stars, exposure_s=1.0).truth
     distance_m, angle = 1e6, 1.5 * 5.5e-3 / 206.2  # 3 px across
     ball = {
         "type": "sphere",

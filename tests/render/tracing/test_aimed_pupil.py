@@ -12,7 +12,6 @@ from optics.lens.surface import Plane
 from optics.lens.system import LensSystem, Surface
 from optics.rays.program import compile_lens
 from optics.rays.trace import OK, VIGNETTED, Rays, trace, trace_path
-from render.engine.arrays import DrJitArrays
 from render.tracing.aimed_pupil import aimed_lens, find_chiefs, find_rims, find_stop_rims
 from render.tracing.kernel import Geometry, StarKernel
 from render.tracing.outlines import find_outlines, node_picks
@@ -22,10 +21,10 @@ from render.tracing.tracer import Tracer
 WAVELENGTH_NM = np.array([[520.0, 650.0, 800.0]])
 
 
-def aimed(mi, bench, name, x, y):
+def aimed(bench, name, x, y):
     """A built-in lens ready for aiming at stars near some pixels of its detector, and where it was made."""
     camera = bench.camera_of(name, film=False)
-    tracer = Tracer(mi, camera)
+    tracer = Tracer(camera)
     seen = tracer.planner.seen(tracer._in_cam(bench.stars_at(camera, x, y), None), WAVELENGTH_NM)
     return camera, tracer.planner, seen, tracer.planner.chiefs(seen.mid, WAVELENGTH_NM)
 
@@ -42,19 +41,19 @@ def launched(planner, kernel, star, points, wavelength_nm):
     )
 
 
-def test_chief_rays_meet_the_centre_of_the_stop(mi, bench):
-    camera, planner, seen, chiefs = aimed(mi, bench, "star_tracker_26mm", [511.5, 700.2, 20.1], [511.5, 33.3, 40.4])
+def test_chief_rays_meet_the_centre_of_the_stop(engine, bench):
+    camera, planner, seen, chiefs = aimed(bench, "star_tracker_26mm", [511.5, 700.2, 20.1], [511.5, 33.3, 40.4])
     for star, point in enumerate(chiefs.points[:, 0]):
         at_stop = trace_path(camera.lens, launched(planner, seen.mid, star, point, 656.666666666666666))
         assert np.hypot(*at_stop[camera.lens.stop_index + 1][..., :2]) < 1e-9
 
 
 @pytest.mark.parametrize(("name", "cut"), [("star_tracker_26mm", [0, 0, 1]), ("double_gauss_50mm", [1, 1, 1])])
-def test_rays_inside_the_outline_pass_and_those_outside_do_not(mi, bench, name, cut):
+def test_rays_inside_the_outline_pass_and_those_outside_do_not(engine, bench, name, cut):
     x, y = {"star_tracker_26mm": ([511.5, 700.2, 20.1], [511.5, 333.3, 40.4])}.get(
         name, ([1023.5, 1400.2, 300.1], [1023.5, 900.7, 400.2])
     )
-    camera, planner, seen, chiefs = aimed(mi, bench, name, x, y)
+    camera, planner, seen, chiefs = aimed(bench, name, x, y)
     outlines = find_outlines(planner._aim, seen.picks, chiefs)
     assert (outlines.cut == np.array(cut, bool)).all()
     assert (outlines.clear != outlines.cut).all()
@@ -77,7 +76,7 @@ def test_rays_inside_the_outline_pass_and_those_outside_do_not(mi, bench, name, 
             assert np.abs(outlines._at(azimuth, np.array([star]))[0] - rims.radius[star]).max() < 1e-6
 
 
-def two_apertures(mi, distance_mm, tangent):
+def two_apertures(distance_mm, tangent):
     """A hole of 1 mm radius before a stop of 0.9 mm, seen through a launch disk of 1.5 mm in the plane of the hole."""
     hole = Surface(shape=Plane(), position_mm=np.zeros(3), semi_diameter_mm=1.0)
     stop = Surface(shape=Plane(), position_mm=np.array([0, 0, distance_mm]), semi_diameter_mm=0.9, is_stop=True)
@@ -93,14 +92,14 @@ def two_apertures(mi, distance_mm, tangent):
     direction = np.array([tangent, 0.3 * tangent, 1.0])
     geometry = Geometry(0.01, np.zeros(2), (0.0, 0.0, 0.0), 1.5, 0.3)
     program, theta = compile_lens(lens)
-    kernel = StarKernel(mi, program, theta, geometry, direction[None] / np.linalg.norm(direction))
-    return aimed_lens(lens, (program, theta), DrJitArrays(mi.Float64)), kernel
+    kernel = StarKernel(program, theta, geometry, direction[None] / np.linalg.norm(direction))
+    return aimed_lens(lens, (program, theta)), kernel
 
 
 @pytest.mark.parametrize("tangent", [0.02, 0.06, 0.2, 0.4])
-def test_area_of_two_apertures(mi, tangent):
+def test_area_of_two_apertures(engine, tangent):
     """The overlap of two discs a distance d apart (textbook lens area); one inside the other, touching, cut in half."""
-    lens, kernel = two_apertures(mi, 2.0, tangent)
+    lens, kernel = two_apertures(2.0, tangent)
     chiefs = find_chiefs(lens, kernel, WAVELENGTH_NM.mean(1))
     d, a, b = 2.0 * tangent * np.hypot(1.0, 0.3), 1.0, 0.9
     assert np.hypot(*chiefs.points[0, 0]) * 1.5 == pytest.approx(d, rel=1e-9)
@@ -119,8 +118,8 @@ def test_area_of_two_apertures(mi, tangent):
     assert error[2] < 1e-5  # what is left is the place of the kink
 
 
-def test_quadrature_inside_an_outline_converges_exponentially(mi, bench):
-    _, planner, seen, chiefs = aimed(mi, bench, "star_tracker_26mm", [600.3, 800.7], [500.1, 300.9])
+def test_quadrature_inside_an_outline_converges_exponentially(engine, bench):
+    _, planner, seen, chiefs = aimed(bench, "star_tracker_26mm", [600.3, 800.7], [500.1, 300.9])
     outlines = find_outlines(planner._aim, seen.picks, chiefs)
     stars = np.flatnonzero(outlines.clear)
     assert len(stars) == 2
@@ -142,15 +141,13 @@ def test_quadrature_inside_an_outline_converges_exponentially(mi, bench):
 
 
 @pytest.mark.slow
-def test_arcs_against_many_sobol_points(mi, bench):
+def test_arcs_against_many_sobol_points(engine, bench):
     """Image and truth of cut beams: as far from 2^21 Sobol points as 2^16 are is too far by a factor of four."""
     camera = bench.camera_of("star_tracker_26mm")
     stars = bench.stars_at(camera, [40.3, 990.8, 200.1], [30.2, 120.9, 15.5])
-    traced = Tracer(mi, camera).render(stars, exposure_s=1.0)
+    traced = Tracer(camera).render(stars, exposure_s=1.0)
     assert set(traced.sampling) == {"arcs"}
-    dense, usual = (
-        Tracer(mi, camera, sobol_log2_rays=n, tolerance=1e-300).render(stars, exposure_s=1.0) for n in (21, 16)
-    )
+    dense, usual = (Tracer(camera, sobol_log2_rays=n, tolerance=1e-300).render(stars, exposure_s=1.0) for n in (21, 16))
     light = dense.truth.electrons_in.min()
     far, near = (np.abs(t.electrons - dense.electrons).max() / light for t in (usual, traced))
     assert near < max(far / 4, 3e-5)

@@ -45,35 +45,35 @@ def worst_pixel(bench, camera, stars, traced, rays=None, **dense):
         pytest.param(-0.05, 0.18, marks=pytest.mark.slow),
     ],
 )
-def test_pixels_against_brute_force(mi, bench, defocus_mm, diffusion_px):
+def test_pixels_against_brute_force(engine, bench, defocus_mm, diffusion_px):
     camera = bench.camera_of(defocus_mm=defocus_mm, charge_diffusion_px=diffusion_px)
     stars = bench.stars_at(camera, *PLACES, nodes=2)
-    traced = Tracer(mi, camera).render(stars, exposure_s=1.0)
+    traced = Tracer(camera).render(stars, exposure_s=1.0)
     assert set(traced.sampling) == {"quadrature"}
     assert worst_pixel(bench, camera, stars, traced) < 3e-5
 
 
 @pytest.mark.slow
-def test_pixels_of_a_cut_bundle_against_brute_force(mi, bench):
+def test_pixels_of_a_cut_bundle_against_brute_force(engine, bench):
     """Stop inside the lens and vignetting: smooth outlines, outlines with kinks, and 2^16 Sobol rays."""
     camera = bench.camera_of("star_tracker_26mm")
     stars = bench.stars_at(camera, [511.6, 1000.3], [511.4, 1003.9], bands=((650.0, 0.0),))
-    traced = Tracer(mi, camera).render(stars, exposure_s=1.0)
+    traced = Tracer(camera).render(stars, exposure_s=1.0)
     assert set(traced.sampling) == {"quadrature", "arcs"}
     assert worst_pixel(bench, camera, stars, traced, rings=300, arms=400, stagger=True) < 1e-4
-    traced = Tracer(mi, camera, tolerance=1e-300).render(stars, exposure_s=1.0)  # which nothing meets
+    traced = Tracer(camera, tolerance=1e-300).render(stars, exposure_s=1.0)  # which nothing meets
     assert set(traced.sampling) == {"sobol"}
     assert worst_pixel(bench, camera, stars, traced, rings=300, arms=400, stagger=True) < 2e-4
 
 
-def test_pixels_without_diffusion_converge(mi, bench):
+def test_pixels_without_diffusion_converge(engine, bench):
     """Edges of pixels cut the bundle: more Sobol points, less error; against brute force with half a million rays."""
     camera = bench.camera_of(charge_diffusion_px=0.0, defocus_mm=0.02)
     stars = bench.stars_at(camera, 3000.3, 500.2, bands=((600.0, 0.0),))
     error = []
     x_y_weight = bench.bundle(camera, stars, 0, 0, rings=700, arms=700, stagger=True)
     for log2_rays in (10, 14, 18):
-        traced = Tracer(mi, camera, sobol_log2_rays=log2_rays).render(stars, exposure_s=1.0)
+        traced = Tracer(camera, sobol_log2_rays=log2_rays).render(stars, exposure_s=1.0)
         error.append(worst_pixel(bench, camera, stars, traced, x_y_weight))
     assert error[0] < 1e-2
     assert error[1] < 2e-3
@@ -82,16 +82,16 @@ def test_pixels_without_diffusion_converge(mi, bench):
 
 
 @pytest.mark.parametrize("tolerance", [pytest.param(1e-3, marks=pytest.mark.slow), 1e-5])
-def test_tolerance_rules_the_error(mi, bench, tolerance):
+def test_tolerance_rules_the_error(engine, bench, tolerance):
     camera = bench.camera_of(defocus_mm=0.02)
     stars = bench.stars_at(camera, *PLACES, nodes=2)
-    traced = Tracer(mi, camera, tolerance=tolerance).render(stars, exposure_s=1.0)
+    traced = Tracer(camera, tolerance=tolerance).render(stars, exposure_s=1.0)
     error = worst_pixel(bench, camera, stars, traced, rings=200, arms=260)
     assert error < max(tolerance, 5e-6)  # of the brute force itself
 
 
 @pytest.mark.parametrize("fine", [pytest.param(1, marks=pytest.mark.slow), 4])
-def test_second_moments_hold_no_hidden_blur(mi, bench, fine):
+def test_second_moments_hold_no_hidden_blur(engine, bench, fine):
     """Sheppard: variance over pixels = variance of the bundle + diffusion^2 + 1/12 of a pixel's square.
 
     That holds where pixels are fine against the light: its spectrum at one cycle per pixel has to vanish. With 0.18 px
@@ -100,7 +100,7 @@ def test_second_moments_hold_no_hidden_blur(mi, bench, fine):
     camera = bench.camera_of(fine=fine, defocus_mm=0.02, charge_diffusion_px=0.18 if fine == 4 else 0.8)
     camera = bench.window(camera, 64 * fine, fine * 3000, fine * 500)
     stars = bench.stars_at(camera, 32.13 * fine, 31.61 * fine)
-    traced = Tracer(mi, camera).render(stars, exposure_s=1.0)
+    traced = Tracer(camera).render(stars, exposure_s=1.0)
     image, truth = traced.electrons[..., 0].astype(float), traced.truth
     assert truth.electrons_image[0, 0] == pytest.approx(truth.electrons_in[0, 0], rel=1e-6)
     index = np.arange(64 * fine)
@@ -118,7 +118,7 @@ def test_second_moments_hold_no_hidden_blur(mi, bench, fine):
 
 
 @pytest.mark.parametrize("diffusion_px", [0.18, pytest.param(0.3, marks=pytest.mark.slow)])
-def test_first_moment_over_native_pixels_aliases_as_predicted(mi, bench, diffusion_px):
+def test_first_moment_over_native_pixels_aliases_as_predicted(engine, bench, diffusion_px):
     r"""A moment over whole pixels is off by sum_k (-1)^k / (pi k) exp(-2 (pi k sigma)^2) <sin(2 pi k x)>.
 
     Poisson's sum over pixel centres: the pixel's transfer vanishes at whole cycles k, its slope there does not. Truth
@@ -126,7 +126,7 @@ def test_first_moment_over_native_pixels_aliases_as_predicted(mi, bench, diffusi
     """
     camera = bench.camera_of(charge_diffusion_px=diffusion_px, defocus_mm=0.0)
     stars = bench.stars_at(camera, *PLACES)
-    traced = Tracer(mi, camera).render(stars, exposure_s=1.0)
+    traced = Tracer(camera).render(stars, exposure_s=1.0)
     seen = []
     for star in range(len(stars)):
         x, y, weight = bench.bundle(camera, stars, star, 0)
@@ -144,32 +144,32 @@ def test_first_moment_over_native_pixels_aliases_as_predicted(mi, bench, diffusi
     assert max(seen) > (2e-3 if diffusion_px < 0.2 else 5e-5)  # so the formula was put to the test
 
 
-def test_closed_form_of_the_strips(mi, bench, monkeypatch):
+def test_closed_form_of_the_strips(engine, bench, monkeypatch):
     camera = bench.camera_of("star_tracker_26mm", film=False)
     stars = bench.stars_at(camera, [511.6, 700.3, 300.1], [511.4, 303.9, 600.8])
-    closed = Tracer(mi, camera).render(stars, exposure_s=1.0).truth
+    closed = Tracer(camera).render(stars, exposure_s=1.0).truth
     monkeypatch.setattr(star_kernel, "OutlinePoints", type(None))  # as if nothing followed an outline
-    summed = Tracer(mi, camera).render(stars, exposure_s=1.0).truth
+    summed = Tracer(camera).render(stars, exposure_s=1.0).truth
     for name in ("photon_x_px", "photon_y_px"):
         assert 0 < np.abs(getattr(closed, name) - getattr(summed, name)).max() < 1e-6
     assert np.array_equal(closed.bundle_x_px, summed.bundle_x_px)
 
 
-def test_stamp_that_is_too_small_is_done_again(mi, bench, monkeypatch):
+def test_stamp_that_is_too_small_is_done_again(engine, bench, monkeypatch):
     camera = bench.camera_of(defocus_mm=0.02)
     stars = bench.stars_at(camera, *PLACES)
-    expected = Tracer(mi, camera).render(stars, exposure_s=1.0)
+    expected = Tracer(camera).render(stars, exposure_s=1.0)
     monkeypatch.setattr(passes, "MARGIN_PX", -1.0)
-    got = Tracer(mi, camera).render(stars, exposure_s=1.0)
+    got = Tracer(camera).render(stars, exposure_s=1.0)
     assert got.sampling == expected.sampling  # light beside the stamp is not lost in the lens
     assert got.truth.electrons_vignetted.max() == 0.0
     assert np.abs(got.electrons - expected.electrons).max() < 1e-6 * expected.truth.electrons_in.max()
 
 
-def test_image_larger_than_the_largest_stamp(mi, bench):
+def test_image_larger_than_the_largest_stamp(engine, bench):
     camera = bench.camera_of(defocus_mm=30.0)
     with pytest.raises(DomainError, match=r"star 0 is \d+ px wide; at most 1024 px .*defocus_mm = 30 mm"):
-        Tracer(mi, camera, sobol_log2_rays=8).render(bench.stars_at(camera, 2000, 1000, nodes=1), exposure_s=1.0)
+        Tracer(camera, sobol_log2_rays=8).render(bench.stars_at(camera, 2000, 1000, nodes=1), exposure_s=1.0)
 
 
 def test_reach_and_strips():

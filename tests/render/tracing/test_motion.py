@@ -47,11 +47,11 @@ def images_at(tracer, stars, trajectory, times):
 @pytest.mark.parametrize(
     ("name", "px"), [("star_tracker_26mm", 3.0), pytest.param("star_camera_206mm", 2.0, marks=pytest.mark.slow)]
 )
-def test_image_is_the_mean_of_images_at_rest(mi, bench, name, px):
+def test_image_is_the_mean_of_images_at_rest(engine, bench, name, px):
     camera, whole = small(bench, name)
     stars = bench.stars_at(whole, [699.3, 707.2], [301.4, 290.9], nodes=2, rate=[100.0, 30.0])
     trajectory = turning(whole, px / EXPOSURE_S, roll_rad_per_s=0.01)
-    tracer = Tracer(mi, camera)
+    tracer = Tracer(camera)
     motion = exposure_motion(trajectory, start_s=0.0, exposure_s=EXPOSURE_S, camera=camera)
     assert 1 < len(motion.weight) < 40
     traced = tracer.render(stars, exposure_s=EXPOSURE_S, motion=motion)
@@ -64,11 +64,11 @@ def test_image_is_the_mean_of_images_at_rest(mi, bench, name, px):
     assert np.abs(total / traced.truth.electrons_in - 1).max() < 1e-9
 
 
-def test_moments_of_a_streak(mi, bench):
+def test_moments_of_a_streak(engine, bench):
     """Uniform motion adds L^2 / 12, with L from mean positions at rest at both ends; the mean is that of the middle."""
     camera = bench.camera_of("star_tracker_26mm", film=False)
     stars = bench.stars_at(camera, [511.2, 620.4], [511.9, 400.3], nodes=2)
-    tracer = Tracer(mi, camera)
+    tracer = Tracer(camera)
     for px in (0.5, 4.0):
         trajectory = turning(camera, px / EXPOSURE_S)
         moved, back = (
@@ -104,11 +104,11 @@ def _reversed(trajectory):
     return SampledAttitude(samples_s=times, attitudes=trajectory.attitude(times[::-1]))
 
 
-def test_hardly_any_motion_is_none(mi, bench):
+def test_hardly_any_motion_is_none(engine, bench):
     camera, whole = small(bench, "star_tracker_26mm")
     stars = bench.stars_at(whole, [699.3], [301.4])
     trajectory = turning(whole, 1e-6)
-    tracer = Tracer(mi, camera)
+    tracer = Tracer(camera)
     still = tracer.render(stars, exposure_s=EXPOSURE_S, rotation_cam_from_world=trajectory.attitude(0.2).as_matrix())
     for line_time_s in (0.0, 1e-5):
         motion = exposure_motion(trajectory, start_s=0.0, exposure_s=EXPOSURE_S, camera=camera, line_time_s=line_time_s)
@@ -117,13 +117,13 @@ def test_hardly_any_motion_is_none(mi, bench):
         assert np.abs(moved.electrons - still.electrons).max() < 1e-6 * still.electrons.max()
 
 
-def test_rolling_shutter_row_by_row(mi, bench):
+def test_rolling_shutter_row_by_row(engine, bench):
     """Every row is the mean of images at rest over its own time."""
     camera, whole = small(bench, "star_tracker_26mm", size=28)
     stars = bench.stars_at(whole, [699.3], [301.4], nodes=1)
     speed, line_time_s = 3.0 / EXPOSURE_S, 5e-4
     trajectory = turning(whole, speed, angle=1.0)
-    tracer = Tracer(mi, camera)
+    tracer = Tracer(camera)
     motion = exposure_motion(trajectory, start_s=0.0, exposure_s=EXPOSURE_S, camera=camera, line_time_s=line_time_s)
     traced = tracer.render(stars, exposure_s=EXPOSURE_S, motion=motion)
     step = EXPOSURE_S / 50  # 0.06 px
@@ -142,7 +142,7 @@ def test_rolling_shutter_row_by_row(mi, bench):
 
 
 @pytest.mark.slow
-def test_skew_of_a_rolling_shutter(mi, bench):
+def test_skew_of_a_rolling_shutter(engine, bench):
     """Stars are where the camera points when their row is exposed: y line times later than the first row."""
     camera = bench.camera_of("star_camera_206mm", film=False)
     camera = replace(camera, height_px=2048)  # no image, but rows
@@ -150,12 +150,12 @@ def test_skew_of_a_rolling_shutter(mi, bench):
     speed, line_time_s = 30.0, 2e-5
     trajectory = turning(camera, speed, angle=0.3)
     motion = exposure_motion(trajectory, start_s=0.0, exposure_s=EXPOSURE_S, camera=camera, line_time_s=line_time_s)
-    truth = Tracer(mi, camera).render(stars, exposure_s=EXPOSURE_S, motion=motion).truth
+    truth = Tracer(camera).render(stars, exposure_s=EXPOSURE_S, motion=motion).truth
     for star in range(3):
         one = replace(stars, direction=stars.direction[[star]], photon_rate=stars.photon_rate[[star]])
         time = EXPOSURE_S / 2 + truth.chief_y_px[star, 0] * line_time_s
         rotation = trajectory.attitude(time).as_matrix()
-        still = Tracer(mi, camera).render(one, exposure_s=EXPOSURE_S, rotation_cam_from_world=rotation).truth
+        still = Tracer(camera).render(one, exposure_s=EXPOSURE_S, rotation_cam_from_world=rotation).truth
         assert truth.chief_x_px[star, 0] == pytest.approx(still.chief_x_px[0, 0], abs=1e-5)
         assert truth.chief_y_px[star, 0] == pytest.approx(still.chief_y_px[0, 0], abs=1e-5)
         assert truth.bundle_x_px[star, 0] == pytest.approx(still.bundle_x_px[0, 0], abs=1e-3)
@@ -163,13 +163,13 @@ def test_skew_of_a_rolling_shutter(mi, bench):
     assert shift > 1.0
 
 
-def test_stars_that_leave_the_frame(mi, bench):
+def test_stars_that_leave_the_frame(engine, bench):
     camera = bench.camera_of("star_camera_206mm")
     camera = bench.window(camera, 60, 2000, 1000)
     stars = bench.stars_at(camera, [29.5, 55.0, 64.0], [29.5, 40.0, 10.0], nodes=1)
     trajectory = turning(camera, 12.0 / EXPOSURE_S, angle=0.0)
     motion = exposure_motion(trajectory, start_s=0.0, exposure_s=EXPOSURE_S, camera=camera)
-    traced = Tracer(mi, camera).render(stars, exposure_s=EXPOSURE_S, motion=motion)
+    traced = Tracer(camera).render(stars, exposure_s=EXPOSURE_S, motion=motion)
     truth = traced.truth
     off = truth.electrons_off_edge[:, 0] / truth.electrons_in[:, 0]
     # from -6 to 6 px about their middle: all on, (55 + 6 - 59.5) / 12 off, (64 + 6 - 59.5) / 12 off
@@ -177,12 +177,12 @@ def test_stars_that_leave_the_frame(mi, bench):
     assert traced.electrons.sum(dtype=float) == pytest.approx(truth.electrons_image.sum(), rel=1e-6)
 
 
-def test_through_mitsuba(mi, bench):
+def test_through_mitsuba(engine, bench):
     camera, whole = small(bench, "star_tracker_26mm")
     stars = bench.stars_at(whole, [699.3], [301.4])
     trajectory = turning(whole, 5.0)
     motion = exposure_motion(trajectory, start_s=0.1, exposure_s=EXPOSURE_S, camera=camera)
-    renderer, tracer = StarRenderer(camera, exposure_s=EXPOSURE_S), Tracer(mi, camera)
+    renderer, tracer = StarRenderer(camera, exposure_s=EXPOSURE_S), Tracer(camera)
     image = renderer.render(stars, motion=motion)
     assert np.array_equal(image.electrons, tracer.render(stars, exposure_s=EXPOSURE_S, motion=motion).electrons)
     turn = trajectory.attitude(0.05).as_matrix()
@@ -242,7 +242,7 @@ def test_bad_motion(bench, change, kind, message):
     assert "\n" not in str(caught.value)
 
 
-def test_image_that_outruns_the_shutter(mi, bench):
+def test_image_that_outruns_the_shutter(engine, bench):
     camera = bench.camera_of("star_tracker_26mm", film=False)
     motion = exposure_motion(
         turning(camera, 40.0, angle=np.pi / 2),
@@ -252,4 +252,4 @@ def test_image_that_outruns_the_shutter(mi, bench):
         line_time_s=1e-2,
     )
     with pytest.raises(DomainError, match=r"move by 0.4\d* rows per line time \(0.01 s\); .* up to 0.2"):
-        Tracer(mi, camera).render(bench.stars_at(camera, 500.0, 500.0), exposure_s=EXPOSURE_S, motion=motion)
+        Tracer(camera).render(bench.stars_at(camera, 500.0, 500.0), exposure_s=EXPOSURE_S, motion=motion)

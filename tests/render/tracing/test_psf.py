@@ -15,11 +15,11 @@ OVERSAMPLING = 4
 
 
 @pytest.mark.parametrize("name", ["star_camera_206mm", "star_tracker_26mm"])
-def test_samples_are_pixel_integrals_around_the_bundle_mean(mi, bench, name):
+def test_samples_are_pixel_integrals_around_the_bundle_mean(engine, bench, name):
     camera = bench.camera_of(name, film=False, defocus_mm=0.01)
     centre = 2 * camera.centre_px
     stars = bench.stars_at(camera, [0.9 * centre[0], 0.5 * centre[0]], 0.7 * centre[1], bands=((600.0, 50.0),), nodes=2)
-    tracer = epsf_tracer(mi, camera)
+    tracer = epsf_tracer(camera)
     psfs = render_epsf(tracer, stars, oversampling=OVERSAMPLING, half_size_px=6)
     assert [len(row) for row in psfs] == [1, 1]
     exact = name == "star_camera_206mm"
@@ -39,18 +39,18 @@ def test_samples_are_pixel_integrals_around_the_bundle_mean(mi, bench, name):
 
 
 @pytest.mark.slow
-def test_predicts_the_image_of_a_star(mi, bench):
+def test_predicts_the_image_of_a_star(engine, bench):
     """At a quarter-pixel phase the ePSF's samples are the pixels of the rendered image."""
     whole = bench.camera_of(defocus_mm=0.01)
     camera = bench.window(whole, 31, 3000, 500)
     start = bench.stars_at(whole, 3000.0, 500.0)
     # shift the detector so that the bundle mean lies 1/4, -1/2 px from a pixel's centre
-    mean = Tracer(mi, camera).bundle_means(start, rings=12, arms=26)[0, 0]
+    mean = Tracer(camera).bundle_means(start, rings=12, arms=26)[0, 0]
     shift = np.array([15.25, 14.5]) - mean
     camera = replace(camera, centre_px=camera.centre_px + shift)
-    traced = Tracer(mi, camera).render(start, exposure_s=1.0)
+    traced = Tracer(camera).render(start, exposure_s=1.0)
     share = traced.electrons[..., 0].astype(float) / traced.truth.electrons_image[0, 0]
-    ((psf,),) = render_epsf(epsf_tracer(mi, camera), start, oversampling=8, half_size_px=7)
+    ((psf,),) = render_epsf(epsf_tracer(camera), start, oversampling=8, half_size_px=7)
     half, values = psf.values.shape[0] // 2, psf.values
     for row in range(10, 21):
         for column in range(10, 21):
@@ -58,10 +58,10 @@ def test_predicts_the_image_of_a_star(mi, bench):
             assert values[half + dy, half + dx] == pytest.approx(share[row, column], abs=1e-4)
 
 
-def test_light_is_conserved_and_centred(mi, bench):
+def test_light_is_conserved_and_centred(engine, bench):
     camera = bench.camera_of(film=False)
     stars = bench.stars_at(camera, [3000.3, 4000.1], [500.2, 40.0], bands=((500.0, 100.0), (800.0, 100.0)))
-    for row in render_epsf(epsf_tracer(mi, camera), stars):
+    for row in render_epsf(epsf_tracer(camera), stars):
         for psf in row:
             offset = (np.arange(psf.values.shape[0]) - psf.values.shape[0] // 2) / psf.oversampling
             # every phase sums to one pixel after another of the whole light
@@ -70,9 +70,9 @@ def test_light_is_conserved_and_centred(mi, bench):
             assert abs(offset @ psf.values.sum(1)) / psf.oversampling**2 < 1e-5
 
 
-def test_bad_requests(mi, bench):
+def test_bad_requests(engine, bench):
     camera = bench.camera_of("star_tracker_26mm", film=False)
-    tracer = epsf_tracer(mi, camera)
+    tracer = epsf_tracer(camera)
     stars = bench.stars_at(camera, 500.0, 500.0)
     for oversampling in (0, 1, 3):
         with pytest.raises(DomainError, match=r"oversampling = \d; an even number of at least 2"):

@@ -18,46 +18,47 @@ from render.tracing.sampling import LADDER, bounding_points, probe_fields, sobol
 from render.tracing.tracer import Tracer
 
 
-def square(mi, points, first, count):
+def square(types, points, first, count):
     import drjit as dr
 
-    u, v = points.square(mi, dr.arange(mi.UInt32, count) + first)
+    u, v = points.square(types, dr.arange(types.UInt32, count) + first)
     return u.numpy(), v.numpy()
 
 
 @pytest.mark.parametrize("seed", [0, 7, 12345])
-def test_every_block_of_the_sobol_sequence_is_a_net(mi, seed):
+def test_every_block_of_the_sobol_sequence_is_a_net(engine, seed):
     """A (0, m, 2)-net: every elementary interval of area 2^-m holds exactly one of 2^m points."""
     m = 10
     for block in (0, 1, 6):
-        u, v = square(mi, SobolPoints(m, seed), block << m, 1 << m)
+        u, v = square(engine.types, SobolPoints(m, seed), block << m, 1 << m)
         assert 0 < u.min() < u.max() < 1
         for a in range(m + 1):
             cell = np.floor(u * 2**a) * 2 ** (m - a) + np.floor(v * 2 ** (m - a))
             assert len(np.unique(cell)) == 1 << m
 
 
-def test_without_scrambling_it_is_the_sobol_sequence(mi, monkeypatch):
+def test_without_scrambling_it_is_the_sobol_sequence(engine, monkeypatch):
     monkeypatch.setattr(pupil_points, "_nested", lambda types, x, seed: x)
-    u, v = square(mi, SobolPoints(9, 0), 0, 1 << 9)
+    u, v = square(engine.types, SobolPoints(9, 0), 0, 1 << 9)
     got = {(int(a * 512), int(b * 512)) for a, b in zip(u, v, strict=True)}
     reference = qmc.Sobol(2, scramble=False).random_base2(9)
     assert got == {(int(a * 512), int(b * 512)) for a, b in reference}
 
 
-def test_scrambling_depends_on_the_seed_only(mi):
-    first, again = (square(mi, SobolPoints(8, 3), 0, 256) for _ in range(2))
+def test_scrambling_depends_on_the_seed_only(engine):
+    first, again = (square(engine.types, SobolPoints(8, 3), 0, 256) for _ in range(2))
     assert np.array_equal(first, again)
-    leading = np.array([square(mi, SobolPoints(0, seed), 0, 1) for seed in range(200)])[..., 0]
+    leading = np.array([square(engine.types, SobolPoints(0, seed), 0, 1) for seed in range(200)])[..., 0]
     assert min(stats.kstest(leading[:, axis], "uniform").pvalue for axis in (0, 1)) > 1e-3  # N = 200
 
 
-def test_sobol_points_fill_the_disk_evenly(mi):
+def test_sobol_points_fill_the_disk_evenly(engine):
     import drjit as dr
 
     plan = sobol_plan(4, 1, 16)  # 4 nodes with 2^14 points each
     assert plan.rays_per_node == 1 << 14
-    x, y, weight = plan.pupil.sample(mi, mi.UInt32(0), mi.UInt32(2), dr.arange(mi.UInt32, 1 << 14))
+    types = engine.types
+    x, y, weight = plan.pupil.sample(types, types.UInt32(0), types.UInt32(2), dr.arange(types.UInt32, 1 << 14))
     x, y = x.numpy(), y.numpy()
     assert np.array_equal(plan.pupil.weight, np.full(1 << 14, weight.numpy()[0]))
     # moments of the uniform disk: 1/4, 0, 1/8 = <x^4>, 1/24 = <x^2 y^2>
@@ -81,10 +82,10 @@ def stamps(tracer, stars, pupil, size=14):
 
 
 @pytest.mark.parametrize("defocus_mm", [0.01, 0.05])
-def test_quadrature_converges_exponentially(mi, bench, defocus_mm):
+def test_quadrature_converges_exponentially(engine, bench, defocus_mm):
     camera = bench.camera_of(defocus_mm=defocus_mm)
     stars = bench.stars_at(camera, [2047.5, 3000.2, 4010.4], [1023.5, 400.8, 60.1], nodes=1)
-    tracer = Tracer(mi, camera)
+    tracer = Tracer(camera)
     exact = stamps(tracer, stars, staggered((80, 160), 1)).pixels
     error = [np.abs(stamps(tracer, stars, staggered(order, 1)).pixels - exact).max() for order in LADDER[:10]]
     # an algebraic rule gains the same factor with every three steps of the ladder; this one gains more and more
@@ -96,12 +97,12 @@ def test_quadrature_converges_exponentially(mi, bench, defocus_mm):
 
 @pytest.mark.parametrize("diffusion_px", [0.18, 0.6])
 @pytest.mark.parametrize("defocus_mm", [0.0, 0.02, -0.05])
-def test_chosen_order_keeps_its_tolerance(mi, bench, diffusion_px, defocus_mm):
+def test_chosen_order_keeps_its_tolerance(engine, bench, diffusion_px, defocus_mm):
     """Pixel by pixel against a much higher order, at twelve places that the choice did not try."""
     camera = bench.camera_of(defocus_mm=defocus_mm, charge_diffusion_px=diffusion_px)
     rng = np.random.default_rng(3)
     stars = bench.stars_at(camera, rng.uniform(10, 4085, 12), rng.uniform(10, 2037, 12))
-    tracer = Tracer(mi, camera)
+    tracer = Tracer(camera)
     planner = tracer.planner
     seen = planner.seen(tracer._in_cam(stars, None), stars.wavelength_nm)
     (group, rest), _ = planner.groups(seen, stars.wavelength_nm, planner.chiefs(seen.mid, stars.wavelength_nm))
@@ -114,12 +115,12 @@ def test_chosen_order_keeps_its_tolerance(mi, bench, diffusion_px, defocus_mm):
 
 
 @pytest.mark.slow
-def test_rule_is_chosen_by_the_pupil(mi, bench):
+def test_rule_is_chosen_by_the_pupil(engine, bench):
     """Clear: quadrature. Cut before or behind a stop inside the lens: arcs. Anything else: Sobol."""
 
     def rule(camera, x, y):
         stars = bench.stars_at(camera, x, y, nodes=1)
-        return set(Tracer(mi, camera, sobol_log2_rays=10).render(stars, exposure_s=1.0).sampling)
+        return set(Tracer(camera, sobol_log2_rays=10).render(stars, exposure_s=1.0).sampling)
 
     lens = load_lens("star_camera_206mm")
     camera = partial(bench.camera_of, film=False)
@@ -141,7 +142,7 @@ def test_rule_is_chosen_by_the_pupil(mi, bench):
     assert rule(camera(ring), 2000, 1000) == {"sobol"}
 
 
-def test_a_sliver_cut_from_the_pupil_is_noticed(mi, bench):
+def test_a_sliver_cut_from_the_pupil_is_noticed(engine, bench):
     """A thousandth of the light lost at one edge: quadrature would be wrong, so it is not taken."""
     lens = load_lens("star_camera_206mm")
     last = len(lens.surfaces) - 1
@@ -149,7 +150,7 @@ def test_a_sliver_cut_from_the_pupil_is_noticed(mi, bench):
         cut = lens.with_surfaces({last: replace(lens.surfaces[last], semi_diameter_mm=radius_mm)})
         camera = bench.camera_of(cut, film=False)
         stars = bench.stars_at(camera, 4000.2, 1900.3, bands=((600.0, 0.0),))
-        traced = Tracer(mi, camera).render(stars, exposure_s=1.0)
+        traced = Tracer(camera).render(stars, exposure_s=1.0)
         assert set(traced.sampling) == {expected}
         _, _, weight = bench.bundle(camera, stars, 0, 0, rings=400, arms=400, stagger=True)
         lost = traced.truth.electrons_vignetted[0, 0] / traced.truth.electrons_in[0, 0]
@@ -157,12 +158,12 @@ def test_a_sliver_cut_from_the_pupil_is_noticed(mi, bench):
         assert (lost > 5e-4) == (expected == "sobol")
 
 
-def test_sobol_agrees_with_quadrature_on_the_same_clear_pupil(mi, bench):
+def test_sobol_agrees_with_quadrature_on_the_same_clear_pupil(engine, bench):
     camera = bench.camera_of(defocus_mm=0.02)
     stars = bench.stars_at(camera, [2047.5, 3000.2, 4010.4], [1023.5, 400.8, 60.1])
-    exact = Tracer(mi, camera).render(stars, exposure_s=1.0)
+    exact = Tracer(camera).render(stars, exposure_s=1.0)
     # a tolerance that nothing meets leaves Sobol
-    sampled = Tracer(mi, camera, tolerance=1e-300).render(stars, exposure_s=1.0)
+    sampled = Tracer(camera, tolerance=1e-300).render(stars, exposure_s=1.0)
     assert set(exact.sampling) == {"quadrature"}
     assert set(sampled.sampling) == {"sobol"}
     for name in ("bundle_x_px", "bundle_y_px", "photon_x_px", "photon_y_px"):
@@ -171,11 +172,11 @@ def test_sobol_agrees_with_quadrature_on_the_same_clear_pupil(mi, bench):
     assert np.abs(exact.electrons - sampled.electrons).max() < 1e-4 * light
 
 
-def test_plan_does_not_depend_on_earlier_fields(mi, bench):
+def test_plan_does_not_depend_on_earlier_fields(engine, bench):
     camera = bench.camera_of()
     wide = bench.stars_at(camera, [100, 2000], [100, 1000])
     narrow = bench.stars_at(camera, [1900.3, 2000.1], [1000.2, 1010.7])
-    fresh, used = Tracer(mi, camera), Tracer(mi, camera)
+    fresh, used = Tracer(camera), Tracer(camera)
     used.render(wide, exposure_s=1.0)
     assert np.array_equal(fresh.render(narrow, exposure_s=1.0).electrons, used.render(narrow, exposure_s=1.0).electrons)
 

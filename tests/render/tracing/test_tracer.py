@@ -20,8 +20,8 @@ LENSES = ("star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm")
 BANDS = ((500.0, 100.0), (600.0, 100.0), (800.0, 100.0))
 
 
-def rendered(mi, camera, stars, **settings):
-    return Tracer(mi, camera, **settings).render(stars, exposure_s=1.0)
+def rendered(camera, stars, **settings):
+    return Tracer(camera, **settings).render(stars, exposure_s=1.0)
 
 
 def over_the_field(bench, name):
@@ -35,16 +35,16 @@ def over_the_field(bench, name):
 
 @pytest.mark.parametrize("diffusion_px", [0.0, 0.18])
 @pytest.mark.parametrize("name", LENSES)
-def test_photon_centroid_is_the_bundle_mean(mi, bench, name, diffusion_px):
+def test_photon_centroid_is_the_bundle_mean(engine, bench, name, diffusion_px):
     camera = bench.camera_of(name, film=False, charge_diffusion_px=diffusion_px)
     stars = bench.stars_at(camera, *over_the_field(bench, name), bands=BANDS)
-    truth = rendered(mi, camera, stars, sobol_log2_rays=14).truth
+    truth = rendered(camera, stars, sobol_log2_rays=14).truth
     assert np.isfinite(truth.photon_x_px).all()
     assert np.hypot(truth.photon_x_px - truth.bundle_x_px, truth.photon_y_px - truth.bundle_y_px).max() < 1e-5
 
 
 @pytest.mark.parametrize("name", [*LENSES[:2], pytest.param(LENSES[2], marks=pytest.mark.slow)])
-def test_image_on_finer_pixels_has_the_same_centroid(mi, bench, name):
+def test_image_on_finer_pixels_has_the_same_centroid(engine, bench, name):
     """The image itself, not the strips: 4 times finer pixels sample the diffused light without aliasing."""
     x, y = over_the_field(bench, name)
     pick = [0, 3, 6]
@@ -53,7 +53,7 @@ def test_image_on_finer_pixels_has_the_same_centroid(mi, bench, name):
         whole = bench.camera_of(name, fine=4)
         camera = bench.window(whole, 200, column, row)
         stars = bench.stars_at(whole, column, row, bands=BANDS[1:])
-        traced = rendered(mi, camera, stars, sobol_log2_rays=13)
+        traced = rendered(camera, stars, sobol_log2_rays=13)
         light = traced.electrons.astype(float)
         assert traced.truth.electrons_off_edge.max() < 1e-9 * traced.truth.electrons_in.max()
         index = np.arange(200)
@@ -65,12 +65,12 @@ def test_image_on_finer_pixels_has_the_same_centroid(mi, bench, name):
 
 
 @pytest.mark.parametrize("name", [*LENSES[:2], pytest.param(LENSES[2], marks=pytest.mark.slow)])
-def test_truth_against_a_dense_numpy_bundle(mi, bench, name):
+def test_truth_against_a_dense_numpy_bundle(engine, bench, name):
     """Bundle means, variances and vignetting; where apertures cut the bundle, as good as 2^16 Sobol rays are."""
     camera = bench.camera_of(name, film=False)
     x, y = over_the_field(bench, name)
     stars = bench.stars_at(camera, x[[1, 4, 6]], y[[1, 4, 6]], bands=((600.0, 0.0),))
-    truth = rendered(mi, camera, stars).truth
+    truth = rendered(camera, stars).truth
     exact = name == "star_camera_206mm"
     for star in range(3):
         rays = bench.bundle(camera, stars, star, 0, rings=120 if exact else 400, arms=400, stagger=not exact)
@@ -85,17 +85,17 @@ def test_truth_against_a_dense_numpy_bundle(mi, bench, name):
         assert (share < 0.999) != exact
 
 
-def test_chief_rays_go_through_the_centre_of_the_stop(mi, bench):
+def test_chief_rays_go_through_the_centre_of_the_stop(engine, bench):
     for name in LENSES:
         camera = bench.camera_of(name, film=False)
         stars = bench.stars_at(camera, *over_the_field(bench, name), bands=((650.0, 0.0),))
-        truth = rendered(mi, camera, stars, sobol_log2_rays=8).truth
+        truth = rendered(camera, stars, sobol_log2_rays=8).truth
         x, y = camera.to_pixel(*chief_ray_points(camera.lens, *field_angles_deg(stars.direction), 650.0))
         assert np.abs(truth.chief_x_px[:, 0] - x).max() < 1e-8
         assert np.abs(truth.chief_y_px[:, 0] - y).max() < 1e-8
 
 
-def test_every_electron_is_accounted_for(mi, bench):
+def test_every_electron_is_accounted_for(engine, bench):
     """Inside, half off each edge, over a corner, far outside; clear, cut by an aperture, with a decentred stop."""
     lens = load_lens("star_camera_206mm")
     last = len(lens.surfaces) - 1
@@ -106,7 +106,7 @@ def test_every_electron_is_accounted_for(mi, bench):
     for system in (lens, cut, moved):
         for defocus_mm in (0.0, 0.1) if system is lens else (0.02,):
             camera = bench.camera_of(system, defocus_mm=defocus_mm)
-            traced = rendered(mi, camera, bench.stars_at(camera, x, y, bands=BANDS[:2]), sobol_log2_rays=12)
+            traced = rendered(camera, bench.stars_at(camera, x, y, bands=BANDS[:2]), sobol_log2_rays=12)
             truth = traced.truth
             total = truth.electrons_image + truth.electrons_vignetted + truth.electrons_off_edge
             assert np.abs(total / truth.electrons_in - 1).max() < 1e-9  # demanded: 1e-6
@@ -121,19 +121,19 @@ def test_every_electron_is_accounted_for(mi, bench):
             assert (truth.electrons_vignetted.max() > 0.1 * truth.electrons_in.max()) == (system is cut)
 
 
-def test_electrons_are_flux_times_area_times_cosine(mi, bench):
+def test_electrons_are_flux_times_area_times_cosine(engine, bench):
     camera = bench.camera_of()
     stars = bench.stars_at(camera, 4000.0, 1023.5, bands=((600.0, 0.0),), rate=7.0)
-    truth = Tracer(mi, camera).render(stars, exposure_s=0.25).truth
+    truth = Tracer(camera).render(stars, exposure_s=0.25).truth
     cosine = stars.direction[0, 2]
     assert truth.electrons_in[0, 0] == pytest.approx(7.0 * 0.25 * np.pi * 35.0**2 * cosine, rel=1e-12)
 
 
-def test_directions_on_the_detector(mi, bench):
+def test_directions_on_the_detector(engine, bench):
     camera = bench.camera_of()
     v = np.array([[0, 0, 1.0], [0.02, 0, 1], [0, 0.01, 1], [-0.02, -0.01, 1]])
     stars = bench.stars_at(camera, 0, 0, direction=v / np.linalg.norm(v, axis=1, keepdims=True))
-    traced = rendered(mi, camera, stars)
+    traced = rendered(camera, stars)
     x, y = traced.truth.bundle_x_px[:, 0], traced.truth.bundle_y_px[:, 0]
     assert (x[0], y[0]) == pytest.approx((2047.5, 1023.5), abs=1e-9)
     assert x[1] > x[0] + 700  # +X_cam: larger column
@@ -143,36 +143,36 @@ def test_directions_on_the_detector(mi, bench):
         assert np.hypot(brightest[:, 0] - y[star], brightest[:, 1] - x[star]).min() < 1.5
 
 
-def test_mirror_symmetry_of_a_centred_lens(mi, bench):
+def test_mirror_symmetry_of_a_centred_lens(engine, bench):
     camera = bench.camera_of()  # each image is as good as the tolerance of the quadrature, 3e-5
     camera = replace(camera, width_px=700, height_px=700, centre_px=np.array([349.5, 349.5]))
     stars = bench.stars_at(camera, [600.3, 200.8], [100.2, 690.1])
     for sign in ([-1, 1, 1], [1, -1, 1], [-1, -1, 1]):
         mirrored = replace(stars, direction=stars.direction * sign)
-        a, b = rendered(mi, camera, stars), rendered(mi, camera, mirrored)
+        a, b = rendered(camera, stars), rendered(camera, mirrored)
         flipped = b.electrons[:: sign[1], :: sign[0]]
         assert np.abs(a.electrons - flipped).max() < 6e-5 * a.truth.electrons_in.max()
         assert np.abs((a.truth.bundle_x_px - 349.5) - sign[0] * (b.truth.bundle_x_px - 349.5)).max() < 1e-8
         assert np.abs((a.truth.bundle_y_px - 349.5) - sign[1] * (b.truth.bundle_y_px - 349.5)).max() < 1e-8
 
 
-def test_turning_the_camera_and_the_stars_changes_nothing(mi, bench):
+def test_turning_the_camera_and_the_stars_changes_nothing(engine, bench):
     turn = Rotation.from_euler("zyx", [123.0, -40.0, 77.0], degrees=True).as_matrix()
     camera = bench.camera_of(decentre(load_lens("star_camera_206mm"), "L2", x_mm=0.1))
     camera = bench.window(camera, 600, 300, 300)
     stars = bench.stars_at(camera, [300.2, 800.3], [100.4, 500.5])
     turned = replace(camera, rotation_cam_from_world=turn)
-    a = rendered(mi, camera, stars)
-    b = rendered(mi, turned, replace(stars, direction=stars.direction @ turn))
+    a = rendered(camera, stars)
+    b = rendered(turned, replace(stars, direction=stars.direction @ turn))
     assert np.abs(a.truth.bundle_x_px - b.truth.bundle_x_px).max() < 1e-9
     assert np.abs(a.electrons - b.electrons).max() < 1e-6 * a.electrons.max()
-    override = Tracer(mi, camera).render(
+    override = Tracer(camera).render(
         replace(stars, direction=stars.direction @ turn), exposure_s=1.0, rotation_cam_from_world=turn
     )
     assert np.array_equal(override.electrons, b.electrons)
 
 
-def test_a_thousandth_of_an_arcsecond_moves_the_star(mi, bench):
+def test_a_thousandth_of_an_arcsecond_moves_the_star(engine, bench):
     """Yaw about +Y by +e: the star goes towards -X by the local scale of the lens, 1.8e-4 px; float64 all the way."""
     arcsec = np.pi / 180 / 3600
     camera = bench.camera_of(film=False)
@@ -180,7 +180,7 @@ def test_a_thousandth_of_an_arcsecond_moves_the_star(mi, bench):
 
     def column(angle):
         about_y = Rotation.from_rotvec([0, -angle, 0]).as_matrix()  # v_cam of a camera turned by +angle
-        truth = rendered(mi, replace(camera, rotation_cam_from_world=about_y), stars).truth
+        truth = rendered(replace(camera, rotation_cam_from_world=about_y), stars).truth
         return truth.bundle_x_px[0, 0], truth.photon_x_px[0, 0]
 
     at, far, near = column(0.0), column(20.0 * arcsec), column(0.001 * arcsec)
@@ -190,23 +190,23 @@ def test_a_thousandth_of_an_arcsecond_moves_the_star(mi, bench):
     assert near[1] - at[1] == pytest.approx(0.001 * scale, rel=2e-2)
 
 
-def test_narrow_band_becomes_a_line(mi, bench):
+def test_narrow_band_becomes_a_line(engine, bench):
     camera = bench.window(bench.camera_of(defocus_mm=0.01), 800, 3600, 400)
     place = ([700.3, 90.1], [300.2, 780.9])
-    line = rendered(mi, camera, bench.stars_at(camera, *place, bands=((600.0, 0.0),)))
+    line = rendered(camera, bench.stars_at(camera, *place, bands=((600.0, 0.0),)))
     offset = []
     for width in (40.0, 10.0, 0.01):
-        band = rendered(mi, camera, bench.stars_at(camera, *place, bands=((600.0, width),), nodes=4))
+        band = rendered(camera, bench.stars_at(camera, *place, bands=((600.0, width),), nodes=4))
         offset.append(np.abs(band.truth.bundle_x_px - line.truth.bundle_x_px).max())
     assert offset[1] / offset[0] == pytest.approx(1 / 16, rel=0.2)  # second order in the width
     assert offset[2] < 1e-8
     assert np.abs(band.electrons - line.electrons).max() < 3e-5 * line.truth.electrons_in.max()
 
 
-def test_linear_in_exposure_flux_and_stars(mi, bench):
+def test_linear_in_exposure_flux_and_stars(engine, bench):
     camera = bench.window(bench.camera_of(), 400, 1000, 500)
     place = np.array([[100.2, 103.4, 300.1], [200.3, 202.2, 390.8]])
-    tracer = Tracer(mi, camera)
+    tracer = Tracer(camera)
     together = bench.stars_at(camera, *place, rate=[1.0, 2.0, 3.0])
     one = tracer.render(together, exposure_s=0.1)
     two = tracer.render(together, exposure_s=0.2)
@@ -221,7 +221,7 @@ def test_linear_in_exposure_flux_and_stars(mi, bench):
 
 
 @pytest.mark.parametrize("name", ["star_camera_206mm", "star_tracker_26mm"])
-def test_same_seed_same_bytes_whatever_the_threads(mi, bench, name):
+def test_same_seed_same_bytes_whatever_the_threads(engine, bench, name):
     import drjit as dr
 
     camera = replace(bench.camera_of(name), width_px=900, height_px=900)
@@ -231,54 +231,52 @@ def test_same_seed_same_bytes_whatever_the_threads(mi, bench, name):
         images = []
         for count in (1, 2, 3):
             dr.set_thread_count(count)
-            images.append(rendered(mi, camera, stars, sobol_log2_rays=12, sobol_seed=5))
+            images.append(rendered(camera, stars, sobol_log2_rays=12, sobol_seed=5))
     finally:
         dr.set_thread_count(threads)
     assert images[0].electrons.tobytes() == images[1].electrons.tobytes() == images[2].electrons.tobytes()
     for field in images[0].truth.__dataclass_fields__:
         assert getattr(images[0].truth, field).tobytes() == getattr(images[1].truth, field).tobytes()
-    other = rendered(mi, camera, stars, sobol_log2_rays=12, sobol_seed=6)
+    other = rendered(camera, stars, sobol_log2_rays=12, sobol_seed=6)
     assert np.array_equal(other.electrons, images[0].electrons)  # outlines are known: no Sobol points
     bare = replace(camera, charge_diffusion_px=0.0)
-    assert np.array_equal(*(rendered(mi, bare, stars, sobol_log2_rays=8, sobol_seed=5).electrons for _ in range(2)))
-    assert not np.array_equal(
-        *(rendered(mi, bare, stars, sobol_log2_rays=8, sobol_seed=seed).electrons for seed in (5, 6))
-    )
+    assert np.array_equal(*(rendered(bare, stars, sobol_log2_rays=8, sobol_seed=5).electrons for _ in range(2)))
+    assert not np.array_equal(*(rendered(bare, stars, sobol_log2_rays=8, sobol_seed=seed).electrons for seed in (5, 6)))
 
 
-def test_inputs_are_left_alone(mi, bench):
+def test_inputs_are_left_alone(engine, bench):
     camera = bench.camera_of()
     stars = bench.stars_at(camera, [100.0, 2000.0], [100.0, 1000.0])
     before = [np.array(getattr(stars, f)) for f in ("direction", "wavelength_nm", "photon_rate")]
-    rendered(mi, camera, stars)
+    rendered(camera, stars)
     for name, value in zip(("direction", "wavelength_nm", "photon_rate"), before, strict=True):
         assert np.array_equal(getattr(stars, name), value)
 
 
-def test_no_stars_is_an_empty_image(mi, bench):
+def test_no_stars_is_an_empty_image(engine, bench):
     camera = bench.camera_of()
     stars = bench.stars_at(camera, np.empty(0), np.empty(0), bands=BANDS)
-    traced = rendered(mi, camera, stars)
+    traced = rendered(camera, stars)
     assert traced.electrons.shape == (2048, 4096, 3)
     assert traced.electrons.max() == 0
     assert traced.truth.bundle_x_px.shape == (0, 3)
     assert traced.sampling == {}
 
 
-def test_star_without_flux_has_a_place_but_no_light(mi, bench):
+def test_star_without_flux_has_a_place_but_no_light(engine, bench):
     camera = bench.camera_of()
-    traced = rendered(mi, camera, bench.stars_at(camera, 1000.0, 900.0, rate=0.0))
+    traced = rendered(camera, bench.stars_at(camera, 1000.0, 900.0, rate=0.0))
     assert traced.electrons.max() == 0
     assert traced.truth.bundle_x_px[0, 0] == pytest.approx(1000, abs=5)
     assert traced.truth.electrons_in[0, 0] == 0
 
 
-def test_star_whose_rays_all_fail_is_flagged_in_its_truth(mi, bench):
+def test_star_whose_rays_all_fail_is_flagged_in_its_truth(engine, bench):
     """Not an error: the light is accounted for as vignetted, positions are NaN, the other stars are untouched."""
     camera = bench.camera_of("star_tracker_26mm")
     place = bench.stars_at(camera, [500.2, 200.0], [500.9, 300.0], bands=((650.0, 0.0),))
     direction = np.array([place.direction[0], [np.sin(0.9), 0.0, np.cos(0.9)]])  # 52 deg off axis
-    traced = rendered(mi, camera, replace(place, direction=direction), sobol_log2_rays=12)
+    traced = rendered(camera, replace(place, direction=direction), sobol_log2_rays=12)
     truth = traced.truth
     for name in ("bundle_x_px", "bundle_y_px", "photon_x_px", "photon_y_px", "variance_x_px2", "chief_x_px"):
         assert np.isnan(getattr(truth, name)[1, 0])
@@ -287,11 +285,11 @@ def test_star_whose_rays_all_fail_is_flagged_in_its_truth(mi, bench):
     assert traced.electrons.astype(float).sum() == pytest.approx(truth.electrons_image[0, 0], rel=1e-6)
 
 
-def test_bundle_means_need_no_image(mi, bench):
+def test_bundle_means_need_no_image(engine, bench):
     camera = bench.camera_of(tilt(load_lens("star_camera_206mm"), "L2", x_deg=0.1), film=False)
     stars = bench.stars_at(camera, [100.0, 2000.0], [100.0, 1000.0], bands=BANDS)
-    means = Tracer(mi, camera, general=True).bundle_means(stars)
-    truth = rendered(mi, camera, stars).truth
+    means = Tracer(camera, general=True).bundle_means(stars)
+    truth = rendered(camera, stars).truth
     assert np.abs(means - np.stack([truth.bundle_x_px, truth.bundle_y_px], axis=-1)).max() < 1e-7
 
 
@@ -309,9 +307,9 @@ def test_bundle_means_need_no_image(mi, bench):
         ({"band": ("a", "b")}, r"wavelength_nm: shape \(1, 1\) where \(2, 1\) is needed"),
     ],
 )
-def test_bad_stars_are_named(mi, bench, change, message):
+def test_bad_stars_are_named(engine, bench, change, message):
     good = {"direction": [[0.0, 0.0, 1.0]], "wavelength_nm": [[600.0]], "photon_rate": [[[1.0]]], "band": ("a",)}
-    tracer = Tracer(mi, bench.camera_of(film=False))
+    tracer = Tracer(bench.camera_of(film=False))
     for action in (lambda s: tracer.render(s, exposure_s=1.0), tracer.bundle_means):
         with pytest.raises(DomainError, match=message) as caught:
             action(StarField(**(good | change)))
@@ -319,7 +317,7 @@ def test_bad_stars_are_named(mi, bench, change, message):
 
 
 @pytest.mark.parametrize("exposure_s", [0.0, -1.0, np.nan, np.inf])
-def test_bad_exposure(mi, bench, exposure_s):
+def test_bad_exposure(engine, bench, exposure_s):
     camera = bench.camera_of()
     with pytest.raises(DomainError, match=r"exposure .* s; it must be positive"):
-        Tracer(mi, camera).render(bench.stars_at(camera, 10.0, 10.0), exposure_s=exposure_s)
+        Tracer(camera).render(bench.stars_at(camera, 10.0, 10.0), exposure_s=exposure_s)

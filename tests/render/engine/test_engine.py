@@ -1,4 +1,4 @@
-"""Choosing the backend: what is missing or wrong becomes one line that says what to install."""
+"""Choosing the engine: what is missing or wrong becomes one line that says what to install."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ from pathlib import Path
 import pytest
 
 from optics.errors import BackendError
-from render.engine.variant import check_llvm, find_llvm, use_backend
+from render.engine import Engine
+from render.engine.llvm import check_llvm, find_llvm
 
 ROOT = Path(__file__).parents[3]
 PROGRAM = """
 import sys
-from render.engine.variant import use_backend, llvm_version, BackendError
+from optics.errors import BackendError
+from render.engine import Engine
+from render.engine.llvm import llvm_version
 try:
-    print(use_backend(sys.argv[1]), llvm_version())
+    print(Engine.start(sys.argv[1]).variant, llvm_version())
 except BackendError as error:
     print(error)
     sys.exit(2)
@@ -100,25 +103,55 @@ def test_llvm_that_works_is_accepted(version, drjit):
 
 def test_unknown_backend_and_variant():
     with pytest.raises(BackendError, match="choose one of auto, llvm, cuda"):
-        use_backend("opencl")
+        Engine.start("opencl")
     with pytest.raises(BackendError, match="llvm_ad_mono"):
-        use_backend("llvm", suffix="double")
+        _ = Engine("llvm", "double").mitsuba
 
 
 def test_cuda_without_a_gpu():
     import drjit as dr
 
-    use_backend("auto")
+    Engine.start("auto")
     if dr.has_backend(dr.JitBackend.CUDA):
         pytest.skip("this machine has a GPU")
     with pytest.raises(BackendError, match="use backend 'llvm'"):
-        use_backend("cuda")
+        Engine.start("cuda")
 
 
-def test_second_call_keeps_the_variant():
-    import mitsuba as mi
-
-    first = use_backend("llvm")
+def test_second_start_keeps_the_variant():
+    first = Engine.start("llvm")
+    mi = first.mitsuba
     plugin = mi.Float
-    assert use_backend("llvm") == use_backend("auto") == first == mi.variant()
-    assert mi.Float is plugin
+    assert Engine.start("llvm") == Engine.start("auto") == Engine.active() == first
+    assert mi.variant() == first.variant == "llvm_ad_mono"
+    assert first.mitsuba.Float is plugin
+
+
+LAZY = """
+import sys
+from render.engine import Engine
+Engine.start("llvm")
+assert (Engine.active().types.Float64(2.0) * 3.0)[0] == 6.0
+assert Engine.active().arrays.sqrt(Engine.active().types.Float64(9.0))[0] == 3.0
+assert "mitsuba" not in sys.modules
+mi = Engine.active().mitsuba
+assert mi.variant() == "llvm_ad_mono"
+Engine.start("auto", suffix="ad_rgb")  # with Mitsuba there, at once
+assert mi.variant() == "llvm_ad_rgb" and Engine.active().suffix == "ad_rgb"
+mi.set_variant("llvm_ad_spectral")  # whoever sets the variant is followed
+assert Engine.active().variant == "llvm_ad_spectral"
+mi.set_variant("scalar_rgb")
+try:
+    Engine.active()
+except Exception as error:
+    print(error)
+print(Engine.start("llvm").mitsuba.variant())
+"""
+
+
+def test_mitsuba_comes_when_it_is_asked_for_and_its_variant_is_the_engine():
+    done = subprocess.run([sys.executable, "-c", LAZY], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+    refused, variant = done.stdout.splitlines()
+    assert "scalar_rgb is active; call render.engine.Engine.start" in refused
+    assert variant == "llvm_ad_mono"

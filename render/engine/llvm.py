@@ -1,4 +1,4 @@
-"""The one place that chooses where Dr.Jit runs: `use_backend` checks the machine, then sets Mitsuba's variant.
+"""The LLVM library that Dr.Jit needs on a processor: found, checked, and its absence said in one line.
 
 Dr.Jit looks for LLVM once, when it is first imported, and says what went wrong on the standard error stream of the
 process, below Python. The first import therefore happens here, with that stream caught, so that a caller sees one
@@ -21,9 +21,7 @@ from typing import Any
 
 from optics.errors import BackendError
 
-__all__ = ["BACKENDS", "active_backend", "check_llvm", "choose_backend", "find_llvm", "llvm_version", "use_backend"]
-
-BACKENDS = ("auto", "llvm", "cuda")
+__all__ = ["check_llvm", "find_llvm", "import_drjit", "llvm_version"]
 
 _LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 _INSTALL = "install it with: apt-get install libllvm15"
@@ -45,81 +43,32 @@ _SEARCHED_HERE = (
 _NUMBERED = re.compile(r"libLLVM(?:-|\.so\.|\.)(\d+)")
 
 
-def use_backend(backend: str = "auto", *, suffix: str = "ad_mono") -> str:
-    """Make Mitsuba and Dr.Jit ready on a backend; does nothing when it is active already.
-
-    Parameters
-    ----------
-    backend : {"auto", "llvm", "cuda"}
-        ``llvm`` runs on the processor, ``cuda`` on an NVIDIA GPU; ``auto`` keeps what is active already, otherwise it
-        takes the GPU if there is one.
-    suffix : str
-        Rest of the variant's name, e.g. ``"ad_mono"``, ``"ad_spectral"``, ``"ad_rgb"``.
+def import_drjit() -> tuple[Any, str]:
+    """Load Dr.Jit, pointed to a library that its own search would miss.
 
     Returns
     -------
-    str
-        Name of the active variant, e.g. ``"llvm_ad_mono"``.
+    module, str
+        ``drjit``, and what it printed while loading.
 
     Raises
     ------
     BackendError
-        LLVM or CUDA is missing, LLVM is too old or known to abort with the installed Dr.Jit, or there is no such
-        backend or variant.
-
-    Notes
-    -----
-    Plugins are registered per variant: register them after this call, and again when the returned name changes.
+        Dr.Jit is not installed.
     """
-    active = sys.modules["mitsuba"].variant() if "mitsuba" in sys.modules else None
-    if backend == "auto" and active in (f"llvm_{suffix}", f"cuda_{suffix}"):
-        return str(active)
-    chosen = choose_backend(backend)
-    mi = _import_mitsuba()
-    variant = f"{chosen}_{suffix}"
-    if variant not in mi.variants():
-        known = ", ".join(sorted(name for name in mi.variants() if name.startswith(chosen)))
-        raise BackendError(f"Mitsuba has no variant {variant!r}; it has {known}")
-    if mi.variant() != variant:
-        mi.set_variant(variant)
-    return variant
-
-
-def active_backend() -> str:
-    """Backend, "llvm" or "cuda", of the variant that `use_backend` has set."""
-    import mitsuba as mi
-
-    return str(mi.variant()).split("_", maxsplit=1)[0]
-
-
-def choose_backend(backend: str = "auto") -> str:
-    """Which of the two engines to use, after a check that it works here; sets nothing.
-
-    Parameters
-    ----------
-    backend : {"auto", "llvm", "cuda"}
-        ``auto`` takes the GPU if there is one.
-
-    Returns
-    -------
-    str
-        ``"llvm"`` or ``"cuda"``; ``drjit.llvm`` or ``drjit.cuda`` can be imported then.
-
-    Raises
-    ------
-    BackendError
-        As `use_backend`.
-    """
-    if backend not in BACKENDS:
-        raise BackendError(f"backend = {backend!r} does not exist; choose one of {', '.join(BACKENDS)}")
-    dr, said = _import_drjit()
-    has_gpu = bool(dr.has_backend(dr.JitBackend.CUDA))
-    if backend == "cuda" and not has_gpu:
-        raise BackendError("backend 'cuda' is not available: no NVIDIA GPU or driver was found; use backend 'llvm'")
-    if backend == "cuda" or (backend == "auto" and has_gpu):
-        return "cuda"
-    check_llvm(dr.detail.llvm_version(), dr.__version__, said=said)
-    return "llvm"
+    if "drjit" in sys.modules:
+        return sys.modules["drjit"], ""
+    if _LIBRARY_VARIABLE not in os.environ and not _found_by_drjit():
+        library = find_llvm([*os.environ.get("LD_LIBRARY_PATH", "").split(":"), f"{sys.prefix}/lib", *_SEARCHED_HERE])
+        if library is not None:
+            os.environ[_LIBRARY_VARIABLE] = str(library)
+    try:
+        with _caught_stderr() as said:
+            dr = importlib.import_module("drjit")
+    except ImportError as error:
+        reason = (str(error).splitlines() or ["no reason given"])[0]
+        raise BackendError(f"Dr.Jit cannot be loaded ({reason}); pip install 'drjit==1.4.0'") from None
+    return dr, "".join(said)
 
 
 def llvm_version() -> str | None:
@@ -196,33 +145,6 @@ def _where_missing() -> str:
         return "was not found"
     state = "could not be loaded" if Path(asked).is_file() else "does not exist"
     return f"{state} at {_LIBRARY_VARIABLE}={asked}"
-
-
-def _import_drjit() -> tuple[Any, str]:
-    """(drjit, what it printed while loading); points it to a library that its own search would miss."""
-    if "drjit" in sys.modules:
-        return sys.modules["drjit"], ""
-    if _LIBRARY_VARIABLE not in os.environ and not _found_by_drjit():
-        library = find_llvm([*os.environ.get("LD_LIBRARY_PATH", "").split(":"), f"{sys.prefix}/lib", *_SEARCHED_HERE])
-        if library is not None:
-            os.environ[_LIBRARY_VARIABLE] = str(library)
-    try:
-        with _caught_stderr() as said:
-            dr = importlib.import_module("drjit")
-    except ImportError as error:
-        raise BackendError(f"Dr.Jit cannot be loaded ({_first_line(error)}); pip install 'drjit==1.4.0'") from None
-    return dr, "".join(said)
-
-
-def _import_mitsuba() -> Any:
-    try:
-        return importlib.import_module("mitsuba")
-    except ImportError as error:
-        raise BackendError(f"Mitsuba cannot be loaded ({_first_line(error)}); pip install 'mitsuba==3.9.0'") from None
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or ["no reason given"])[0]
 
 
 def _found_by_drjit() -> bool:
