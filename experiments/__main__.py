@@ -1,67 +1,66 @@
-"""``python -m experiments``: what can be run. Nothing is imported but this; experiments are found by their source."""
+"""``python -m experiments`` and the console command ``starbench``: what can be run, and running it."""
 
 from __future__ import annotations
 
-import ast
 import sys
-from pathlib import Path
+from importlib import metadata
 
-__all__ = ["experiments", "main"]
+from experiments.harness.registry import found, load
+from optics.errors import ConfigError
+
+__all__ = ["console", "main"]
 
 
-def experiments(folder: Path | None = None) -> dict[str, str]:
-    """Experiments of a folder: packages whose ``experiment.py`` holds ``main = command(...)`` or another kind of it.
+def main(argv: list[str], *, own_process: bool = False) -> int:
+    """List the experiments, or run one of them.
 
     Parameters
     ----------
-    folder : pathlib.Path, optional
-        Where to look; this package if left out.
+    argv : list of str
+        ``NAME [options]`` runs an experiment; ``--all`` runs all; ``--names`` prints bare names, one per line;
+        ``--version`` the version; nothing or ``--help`` what there is.
+    own_process : bool
+        Whether the process is ours to end, as on a command line.
 
     Returns
     -------
-    dict
-        Name -> first line of that module's docstring, in alphabetical order.
+    int
+        Exit code.
     """
-    found = {}
-    for path in sorted((folder or Path(__file__).parent).glob("*/experiment.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        if any(_is_main(statement) for statement in tree.body):
-            found[path.parent.name] = (ast.get_docstring(tree) or "").partition("\n")[0]
-    return found
-
-
-def _is_main(statement: ast.stmt) -> bool:
-    return (
-        isinstance(statement, ast.Assign)
-        and [target.id for target in statement.targets if isinstance(target, ast.Name)] == ["main"]
-        and isinstance(statement.value, ast.Call)
-        and getattr(statement.value.func, "attr", getattr(statement.value.func, "id", "")).endswith("command")
-    )
-
-
-def main(argv: list[str]) -> int:
-    """List the experiments; with ``--names`` the bare names, one per line; with ``--all`` run them all."""
-    found = experiments()
+    experiments = found()
     if "--all" in argv:
         from experiments.harness.together import run_all
 
-        return run_all([word for word in argv if word != "--all"], found)
+        return run_all([word for word in argv if word != "--all"], experiments)
     if argv == ["--names"]:
-        sys.stdout.writelines(f"{name}\n" for name in found)
+        sys.stdout.writelines(f"{name}\n" for name in experiments)
+        return 0
+    if argv == ["--version"]:
+        try:
+            print(f"starbench {metadata.version('starbench')}")
+        except metadata.PackageNotFoundError:
+            print("starbench, from a source tree that is not installed")
         return 0
     if argv and argv[0] not in ("-h", "--help"):
-        hint = f"run python -m experiments.{argv[0]}" if argv[0] in found else "run python -m experiments.NAME"
-        print(f"error: {argv[0]!r} is not understood here; {hint}", file=sys.stderr)
-        return 2
+        try:
+            command = load(argv[0])
+        except ConfigError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 2
+        return command(argv[1:], own_process=own_process)
     print("Run one with:  python -m experiments.NAME [--quick] [--out DIR]   (--help tells the rest)")
+    print("          or:  starbench NAME [--quick] [--out DIR]")
     print("or all with:   python -m experiments --all [--quick] [--out DIR]\n")
-    width = max(map(len, found), default=0)
-    for name, line in found.items():
+    width = max(map(len, experiments), default=0)
+    for name, line in experiments.items():
         print(f"  {name:<{width}}  {line}")
-    if not found:
-        print("  no experiments yet")
     return 0
 
 
+def console() -> int:
+    """The console command ``starbench``."""
+    return main(sys.argv[1:], own_process=True)
+
+
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(console())

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from experiments.acf.settings import Config
-from experiments.harness.cli import command
+from experiments.harness.legacy import legacy_command as command
 from experiments.harness.progress import Progress
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from experiments.budget.settings import Config
-from experiments.harness.cli import command
+from experiments.harness.legacy import legacy_command as command
 from experiments.harness.progress import Progress
 from experiments.harness.summary import Criterion
 

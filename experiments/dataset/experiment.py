@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from experiments.dataset.folder import DatasetFolder
 from experiments.dataset.identity import for_workers, identity
 from experiments.dataset.settings import Config
-from experiments.harness.cli import command
+from experiments.harness.legacy import legacy_command as command
 from experiments.harness.progress import Progress
 from experiments.harness.summary import Criterion
 from optics.errors import ConfigError

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from experiments.fisher.settings import Config
-from experiments.harness.cli import command
+from experiments.harness.legacy import legacy_command as command
 from experiments.harness.progress import Progress
 from experiments.harness.summary import Criterion
 

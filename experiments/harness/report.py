@@ -20,7 +20,19 @@ from experiments.harness.summary import Criterion, Measured, dumps
 from experiments.harness.tables import Table, cell_text
 from optics.errors import DomainError
 
-__all__ = ["Equation", "Figure", "KeyNumber", "Report", "Row", "Section", "Table", "Text", "render_html"]
+__all__ = [
+    "Artist",
+    "Equation",
+    "Figure",
+    "KeyNumber",
+    "Report",
+    "Row",
+    "Section",
+    "Table",
+    "Text",
+    "render_html",
+    "verdict_line",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +204,7 @@ def render_html(report: Report, criteria: Sequence[Criterion], provenance: Mappi
     environment.filters["prose"] = lambda text: Markup(_prose(str(text)))
     environment.filters["inline"] = lambda text: Markup(_emphasis(str(text)))
     environment.globals["kind"] = lambda block: type(block).__name__
-    environment.globals["draw"] = _Artist()
+    environment.globals["draw"] = Artist()
     environment.globals["relation"] = {"<=": "≤", "<": "<", ">=": "≥", ">": ">"}
     return environment.get_template("report.html").render(
         report=report,
@@ -203,7 +215,7 @@ def render_html(report: Report, criteria: Sequence[Criterion], provenance: Mappi
     )
 
 
-class _Artist:
+class Artist:
     """Turns figures and equations into markup and counts them, so that ids stay apart."""
 
     def __init__(self) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import click
 
-from experiments.harness.cli import EXIT_BAD_INPUT, EXIT_BROKEN, EXIT_FAILED, EXIT_GOOD, EXIT_INTERRUPTED
+from experiments.harness.interrupts import EXIT_BAD_INPUT, EXIT_BROKEN, EXIT_FAILED, EXIT_GOOD, EXIT_INTERRUPTED
 from optics.errors import ConfigError, unknown_name
 
 __all__ = ["Entry", "read_entry", "run_all", "write_index"]

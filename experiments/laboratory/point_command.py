@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from experiments.harness.cli import Main, command
+from experiments.harness.cli import Main
+from experiments.harness.experiment import Experiment
+from experiments.harness.legacy import legacy_command as command
 from experiments.harness.progress import Progress
 from experiments.harness.summary import Criterion
 from experiments.laboratory.point_settings import FRAMES_OPTION, PointConfig
@@ -76,3 +78,27 @@ def point_command(
         options=FRAMES_OPTION,
         renders=lambda settings: settings.frames_folder is None,
     )
+
+
+def frames_instead(test: Test) -> Callable[[PointConfig], Experiment | None]:
+    """What takes over from a test with rendered frames when ``frames_folder`` names frames from outside."""
+
+    def instead(settings: PointConfig) -> Experiment | None:
+        if settings.frames_folder is None:
+            return None
+        from experiments.harness.legacy import legacy_experiment
+        from experiments.laboratory.point_folder import outcome, run_folder
+        from experiments.laboratory.point_folder_report import build_report, folder_tables
+
+        return legacy_experiment(
+            test,
+            config=type(settings),
+            run=lambda settings, *, progress: run_folder(test, settings, progress=progress),
+            report=build_report,
+            summary=outcome,
+            tables=folder_tables,
+            show=(),
+            renders=False,
+        )
+
+    return instead

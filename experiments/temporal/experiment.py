@@ -7,20 +7,19 @@ use no frames: the noise model carried through each centroider's influence funct
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from experiments.harness.cli import command
+from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
-from experiments.harness.summary import Criterion
-from experiments.laboratory.point_command import point_command
+from experiments.laboratory.point_command import frames_instead
+from experiments.laboratory.point_settings import FRAMES_OPTION
 from experiments.temporal.settings import Config
 
 if TYPE_CHECKING:
-    from experiments.harness.report import Report
-    from experiments.harness.tables import Table
     from experiments.temporal.result import Result
 
-__all__ = ["Config", "main", "report", "run", "summary", "tables"]
+__all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
@@ -99,34 +98,16 @@ def run(config: Config, *, progress: Progress) -> Result:
     )
 
 
-def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:
-    """What goes into ``summary.json``."""
-    from experiments.temporal.evaluate import criteria, results
-
-    return results(result), criteria(result)
-
-
-def tables(result: Result) -> Mapping[str, Table]:
-    """Tables written beside the report."""
-    from experiments.temporal.tables import all_tables
-
-    return all_tables(result)
-
-
-def report(result: Result) -> Report:
-    """What ``report.html`` shows."""
-    from experiments.temporal.report import build_report
-
-    return build_report(result)
-
-
-main = point_command(
-    "temporal",
+experiment = Experiment(
+    name="temporal",
     config=Config,
     run=run,
-    report=report,
-    summary=summary,
-    tables=tables,
+    takes="20 s (--quick: 9 s)",
+    examples={
+        "--quick": "a small run",
+        "--set source.signal_e=2000 --set centroid=gaussian": "fainter stars, another centroider",
+        "--frames my_frames": "reduce the FITS frames of a laboratory",
+    },
     show=("temporal_error",),
     quick={
         "frames": 30,
@@ -136,4 +117,7 @@ main = point_command(
         "target.columns": 3,
         "compare": ["tcog", "epsf"],
     },
+    options=FRAMES_OPTION,
+    instead=frames_instead("temporal"),
 )
+main = command(experiment)

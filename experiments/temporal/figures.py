@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
+from experiments.harness.quantities import Outcome
 from experiments.laboratory.point_settings import METHOD_NAMES
 from experiments.laboratory.temporal_error import small_sample_factor
-from experiments.temporal.evaluate import ratio
-from experiments.temporal.result import PUBLISHED_ARCSEC
-
-if TYPE_CHECKING:
-    from experiments.temporal.result import Result
 
 __all__ = ["frame_cloud", "level_curves", "ratio_plot", "star_scatter", "target_frame"]
 
@@ -29,68 +25,66 @@ def plain_log(axis: Any, which: str, ticks: tuple[float, ...]) -> None:
     side.set_ticks([], minor=True)
 
 
-def level_curves(result: Result) -> Figure:
+def level_curves(outcome: Outcome) -> Figure:
     """ACC18 Fig. 5: scatter against signal, both axes, every centroider; curves are predictions."""
     figure, axes = new_figure(1, 2, aspect_ratio=0.52, sharey=True)
-    measured, predicted = result.measured, result.predicted
-    c4 = small_sample_factor(measured.frames)
-    for axis, letter in enumerate("xy"):
-        panel = axes[axis]
-        bound = [predicted.bound_te_arcsec(n)[axis] for n in range(len(measured.levels_e))]
-        panel.fill_between(measured.levels_e, 1e-3, bound, color="#eef0f2", linewidth=0, zorder=0)
-        panel.plot(measured.levels_e, bound, color=INK, linewidth=1.0)
-        for method, colour, marker in zip(result.config.methods, PALETTE, MARKERS, strict=False):
-            found = [measured.te_arcsec(method, n)[axis] for n in range(len(measured.levels_e))]
-            curve = [predicted.sampled_te_arcsec(method, n)[axis] for n in range(len(measured.levels_e))]
-            panel.plot(measured.levels_e, curve, color=colour, linewidth=1.1)
-            panel.plot(measured.levels_e, [f.value / c4 for f in found], marker, color=colour, markerfacecolor="white")
-        panel.axhline(PUBLISHED_ARCSEC[axis], color="#8a9099", linewidth=0.9, dashes=(5, 3))
-        panel.text(
-            measured.levels_e[-1], PUBLISHED_ARCSEC[axis] * 1.05, f"published {PUBLISHED_ARCSEC[axis]}″", ha="right"
-        )
-        panel.set(xscale="log", yscale="log", xlabel="signal [e⁻ per star and frame]", title=f"{letter}")
+    c4, signal = small_sample_factor(outcome.result.measured.frames), outcome.values("level_signal_e")
+    styles = list(zip(outcome.config.methods, PALETTE, MARKERS, strict=False))
+    for panel, axis in zip(axes, "xy", strict=True):
+        bound = outcome.values("level_bound_arcsec", axis=axis)
+        panel.fill_between(signal, 1e-3, bound, color="#eef0f2", linewidth=0, zorder=0)
+        panel.plot(signal, bound, color=INK, linewidth=1.0)
+        for method, colour, marker in styles:
+            panel.plot(
+                signal, outcome.values("level_drawn_arcsec", method=method, axis=axis), color=colour, linewidth=1.1
+            )
+            found = outcome.values("level_dark_arcsec", method=method, axis=axis) / c4
+            panel.plot(signal, found, marker, color=colour, markerfacecolor="white")
+        published = float(outcome.values("published_arcsec", axis=axis))
+        panel.axhline(published, color="#8a9099", linewidth=0.9, dashes=(5, 3))
+        panel.text(signal[-1], published * 1.05, f"published {published}″", ha="right")
+        panel.set(xscale="log", yscale="log", xlabel="signal [e⁻ per star and frame]", title=axis)
         panel.set_ylim(0.75 * min(bound), None)
         plain_log(panel, "x", (500, 1000, 2000, 5000, 10000, 20000, 50000))
         plain_log(panel, "y", (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10))
     axes[0].set_ylabel("temporal error, 3 σ [″]")
     handles = [
         Line2D([], [], color=colour, marker=marker, markerfacecolor="white", label=METHOD_NAMES[method])
-        for method, colour, marker in zip(result.config.methods, PALETTE, MARKERS, strict=False)
+        for method, colour, marker in styles
     ]
     handles.append(Line2D([], [], color=INK, linewidth=1.0, label="Cramér-Rao bound"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure
 
 
-def ratio_plot(result: Result) -> Figure:
+def ratio_plot(outcome: Outcome) -> Figure:
     """Measured over predicted at every level."""
-    methods = result.config.methods
+    methods = outcome.config.methods
     figure, axes = new_figure(1, 2, aspect_ratio=0.34, sharey=True)
     offsets = np.linspace(-0.04, 0.04, len(methods)) if len(methods) > 1 else np.zeros(1)
-    for axis, letter in enumerate("xy"):
-        axes[axis].axhline(1.0, color=INK, linewidth=0.8)
-        axes[axis].axhspan(0.9, 1.1, color="#eef0f2", linewidth=0, zorder=0)
+    for panel, axis in zip(axes, "xy", strict=True):
+        panel.axhline(1.0, color=INK, linewidth=0.8)
+        panel.axhspan(0.9, 1.1, color="#eef0f2", linewidth=0, zorder=0)
         for method, colour, marker, offset in zip(methods, PALETTE, MARKERS, offsets, strict=False):
-            found = [
-                ratio(result.measured, result.predicted, method, n)[axis] for n in range(len(result.measured.levels_e))
-            ]
-            axes[axis].errorbar(
-                result.measured.levels_e * np.exp(offset),
-                [f.value for f in found],
-                [f.uncertainty or 0.0 for f in found],
+            where = {"method": method, "axis": axis}
+            panel.errorbar(
+                outcome.values("level_signal_e") * np.exp(offset),
+                outcome.values("level_ratio", **where),
+                outcome.errors("level_ratio", **where),
                 fmt=marker,
                 color=colour,
                 markerfacecolor="white",
                 linewidth=0.9,
             )
-        axes[axis].set(xscale="log", xlabel="signal [e⁻]", title=letter)
-        plain_log(axes[axis], "x", (500, 1000, 2000, 5000, 10000, 20000, 50000))
+        panel.set(xscale="log", xlabel="signal [e⁻]", title=axis)
+        plain_log(panel, "x", (500, 1000, 2000, 5000, 10000, 20000, 50000))
     axes[0].set_ylabel("measured / predicted")
     return figure
 
 
-def target_frame(result: Result) -> Figure:
+def target_frame(outcome: Outcome) -> Figure:
     """Windows of one frame, laid out as the target."""
+    result = outcome.result
     target = result.config.target
     stack = result.nominal.windows
     size = stack.dn.shape[2]
@@ -108,8 +102,9 @@ def target_frame(result: Result) -> Figure:
     return figure
 
 
-def frame_cloud(result: Result) -> Figure:
+def frame_cloud(outcome: Outcome) -> Figure:
     """Centroids of all frames of all stars about their means, with the predicted 3 sigma ellipse."""
+    result = outcome.result
     first = result.config.methods[0]
     position = result.nominal.position_px[first]
     place = (position - np.nanmean(position, axis=0)) * result.instrument.pixel_arcsec
@@ -127,8 +122,9 @@ def frame_cloud(result: Result) -> Figure:
     return figure
 
 
-def star_scatter(result: Result) -> Figure:
+def star_scatter(outcome: Outcome) -> Figure:
     """Standard deviation of every star: measured with its uncertainty, and predicted."""
+    result = outcome.result
     first = result.config.methods[0]
     sigma, expected = result.nominal.sigma_px["dark"][first][0], result.predicted_nominal.linear_px[first][0]
     c4 = small_sample_factor(result.nominal.frames)

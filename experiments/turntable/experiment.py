@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from experiments.harness.cli import command
+from experiments.harness.legacy import legacy_command as command
 from experiments.harness.progress import Progress
 from experiments.harness.summary import Criterion
 from experiments.turntable.settings import Config, TableConfig

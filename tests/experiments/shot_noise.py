@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from experiments.harness.cli import command
 from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.harness.legacy import legacy_command as command
 from experiments.harness.plotting import band_colours, new_figure
 from experiments.harness.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
 from experiments.harness.summary import Criterion, Measured

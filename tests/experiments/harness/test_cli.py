@@ -15,8 +15,10 @@ import numpy as np
 import pytest
 from astropy.table import Table as AstropyTable
 
-from experiments.__main__ import experiments
-from experiments.harness.cli import command
+from experiments.__main__ import main as starbench
+from experiments.harness import registry
+from experiments.harness.legacy import legacy_command as command
+from experiments.harness.registry import found
 from experiments.harness.summary import Criterion
 
 ROOT = Path(__file__).parents[3]
@@ -235,7 +237,7 @@ def test_help_shows_what_the_experiment_is(shot_noise, capsys):
 
 def test_missing_llvm_is_exit_2(tmp_path):
     program = (
-        "import importlib.util, sys; from experiments.harness.cli import command\n"
+        "import importlib.util, sys; from experiments.harness.legacy import legacy_command as command\n"
         f"spec = importlib.util.spec_from_file_location('shot_noise', {str(SCRIPT)!r})\n"
         "m = importlib.util.module_from_spec(spec); sys.modules['shot_noise'] = m; spec.loader.exec_module(m)\n"
         "main = command('x', config=m.Config, run=m.run, report=m.report, summary=m.summary)\n"
@@ -274,15 +276,34 @@ def test_interruption_leaves_nothing_behind(tmp_path, number):
     assert names(tmp_path) == []
 
 
-def test_experiments_are_found_by_their_source(tmp_path):
-    for name, text in {
-        "shot_noise": SCRIPT.read_text(),
-        "helper": '"""Uses command( but is no experiment."""\nmain = 3\n',
-        "slow": "raise SystemExit('must not be imported')\n",
-    }.items():
+def test_packages_with_an_experiment_are_found_and_nothing_of_their_work_is_imported(tmp_path, monkeypatch):
+    for name, text in {"outside": "import sys\n", "laboratory_like": None}.items():
         (tmp_path / name).mkdir()
-        (tmp_path / name / "experiment.py").write_text(text)
-    assert experiments(tmp_path) == {"shot_noise": "Shot noise: is the variance of a Poisson signal its mean?"}
+        (tmp_path / name / "__init__.py").write_text(f'"""What does {name} answer?\n\nMore words."""\n')
+        if text is not None:
+            (tmp_path / name / "experiment.py").write_text("raise SystemExit('must not be imported')\n")
+    monkeypatch.setattr("experiments.__path__", [str(tmp_path)])
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(registry.home, "__name__", "experiments")
+    registry._packages.cache_clear()
+    try:
+        assert found() == {"outside": "What does outside answer?"}
+    finally:
+        registry._packages.cache_clear()
+        for name in ("outside", "laboratory_like"):
+            sys.modules.pop(f"experiments.{name}", None)
+
+
+def test_one_command_runs_any_experiment_by_name(capsys):
+    assert starbench(["temporal", "--help"]) == 0
+    said = capsys.readouterr().out
+    assert "scatter against signal" in said
+    assert "Takes" in said
+    assert said.count("python -m experiments.temporal ") >= 2
+    assert starbench(["tempral"]) == 2
+    assert "temporal" in capsys.readouterr().err
+    assert starbench(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("starbench")
 
 
 def test_listing_imports_nothing_heavy():
@@ -296,10 +317,10 @@ def test_listing_imports_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    for name in experiments():
+    for name in found():
         assert name in done.stdout
 
 
 def test_every_experiment_of_the_package_says_what_it_is():
-    for name, line in experiments().items():
+    for name, line in found().items():
         assert line, f"{name} has no docstring"

@@ -1,0 +1,263 @@
+"""``report.html`` from a Markdown template: prose in ``report.md``, tables and figures called by name.
+
+A template is Jinja in Markdown. Its ``# title`` comes first, then the lead; a block quote holds the verdict,
+``numbers`` the figures shown large, and every ``## head`` begins a section.
+Besides ``config``, ``result``, ``data`` and ``outcome`` it knows
+
+=========================  ============================================================================================
+``value("q", axis="x")``   a quantity by name; printed with its uncertainty, or in its own format
+``table("name")``          a table of the experiment
+``figure("name", ...)``    a drawing: function NAME of the experiment's figures, called with the outcome and the further
+                           arguments; its caption stands in ``{% call figure("name") %} ... {% endcall %}``
+``row(a, b)``              figures or tables side by side
+``equation(r"...", note)`` a displayed equation, in matplotlib's subset of LaTeX
+``numbers(number(...))``   the figures shown large: ``number(label, value, unit, format, note)``
+``criteria()``             the table of criteria; it stands after the numbers if the template does not place it
+``x | cell(".3f")``        a number as tables set it; ``x | g`` as %g
+``x | md``                 text that is Markdown itself; any other text is taken letter by letter
+=========================  ============================================================================================
+
+Numbers that are printed are set as in tables: real minus signs, powers of ten, value ± uncertainty.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from experiments.harness.quantities import Outcome, Quantity, shown_unit
+from experiments.harness.report import Artist, Equation, Figure, KeyNumber, Row, verdict_line
+from experiments.harness.summary import Criterion, Measured, dumps
+from experiments.harness.tables import Table, cell_text
+from optics.errors import ConfigError, DomainError, unknown_name
+
+__all__ = ["render_document"]
+
+_MARK = re.compile("(?:<p>)?\ue000(\\d+)\ue001(?:</p>)?")
+_SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|~&])")
+
+
+@dataclass(frozen=True, slots=True)
+class _Numbers:
+    items: Sequence[KeyNumber]
+
+
+@dataclass(frozen=True, slots=True)
+class _Criteria:
+    pass
+
+
+@dataclass
+class _Context:
+    """What a template may call; blocks are kept here, marks stand for them in the Markdown."""
+
+    outcome: Outcome
+    tables: Mapping[str, Any]
+    draw: Callable[..., Any]
+    blocks: list[Any] = field(default_factory=list)
+
+    def _mark(self, block: Any) -> Markup:
+        self.blocks.append(block)
+        return Markup(f"\n\n\ue000{len(self.blocks) - 1}\ue001\n\n")
+
+    def value(self, name: str, **at: Any) -> Any:
+        one = self.outcome.quantity(name, **at)
+        return one if not one.dims else one.values
+
+    def table(self, name: str) -> Markup:
+        if name not in self.tables:
+            raise unknown_name("table", name, self.tables)
+        return self._mark(self.tables[name])
+
+    def figure(
+        self, name: str, *arguments: Any, caption: str = "", alt: str = "", raster: bool = False, caller: Any = None
+    ) -> Markup:
+        text = caller() if caller is not None else caption
+        drawing = self.draw(name, *arguments)
+        return self._mark(Figure(drawing=drawing, caption=Markup(text), alt=alt or _plain(text), raster=raster))
+
+    def row(self, *marks: str, caller: Any = None) -> Markup:
+        text = "".join(marks) + (caller() if caller is not None else "")
+        return self._mark(Row([self.blocks[int(number)] for number in re.findall("\ue000(\\d+)\ue001", text)]))
+
+    def equation(self, latex: str, note: str = "") -> Markup:
+        return self._mark(Equation(latex=latex, note=note))
+
+    def numbers(self, *items: KeyNumber) -> Markup:
+        return self._mark(_Numbers([one for one in items if one]))
+
+    @staticmethod
+    def number(label: str, value: Any, unit: str = "", format: str = "", note: Any = "") -> KeyNumber:
+        if isinstance(value, Quantity):
+            unit, format, value = unit or value.unit, format or value.format, value.scalar()
+        if isinstance(value, np.generic):
+            value = value.item()
+        unit = unit or (value.unit if isinstance(value, Measured) else "")
+        return KeyNumber(label=label, value=value, unit=shown_unit(unit), format=format, note=str(_shown(note)))
+
+    def criteria(self) -> Markup:
+        return self._mark(_Criteria())
+
+
+def _plain(text: str) -> str:
+    return " ".join(re.sub(r"\\(.)|[*`]", r"\1", text).split())
+
+
+def _shown(value: Any) -> Any:
+    """What ``{{ value }}`` prints."""
+    if isinstance(value, Markup):
+        return value
+    if isinstance(value, Quantity):
+        return Markup(cell_text(value.scalar(), value.format))
+    if isinstance(value, str):
+        return Markup(_SPECIAL.sub(r"\\\1", value))
+    if isinstance(value, (int, float, Measured, np.generic)):
+        return Markup(cell_text(value))
+    return value
+
+
+def _cell(value: Any, format: str = "") -> Markup:
+    return Markup(cell_text(value.scalar() if isinstance(value, Quantity) else value, format))
+
+
+def _general(value: Any) -> Markup:
+    return Markup(f"{value:g}".replace("-", "\N{MINUS SIGN}"))
+
+
+def _typeset(context: _Context, template: str, name: str) -> str:
+    """The Markdown of a template, with marks for its blocks."""
+    from jinja2 import Environment, StrictUndefined, TemplateError
+
+    environment = Environment(undefined=StrictUndefined, finalize=_shown, trim_blocks=True, lstrip_blocks=True)
+    environment.filters |= {"cell": _cell, "g": _general, "md": Markup}
+    known = ("value", "table", "figure", "row", "equation", "numbers", "number", "criteria")
+    environment.globals |= {call: getattr(context, call) for call in known}
+    outcome = context.outcome
+    try:
+        return environment.from_string(template).render(
+            config=outcome.config, result=outcome.result, data=outcome.data, outcome=outcome
+        )
+    except TemplateError as error:
+        raise ConfigError(f"report template {name}: {error}") from error
+
+
+def render_document(
+    path: Path,
+    outcome: Outcome,
+    *,
+    tables: Mapping[str, Any],
+    draw: Callable[..., Any],
+    criteria: Sequence[Criterion],
+    provenance: Mapping[str, Any],
+) -> str:
+    """The report as one HTML page without any reference to another file or host.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Template, see the module.
+    outcome : Outcome
+        What it speaks of.
+    tables : mapping of str to Table
+        Tables it may call.
+    draw : callable
+        ``draw(name, *arguments)`` makes a figure.
+    criteria : sequence of Criterion
+        Shown with the verdict.
+    provenance : mapping
+        As of `experiments.harness.provenance.collect`.
+
+    Returns
+    -------
+    str
+        HTML text; HTML in the template or in any value is shown as text.
+
+    Raises
+    ------
+    ConfigError
+        If the template has no title, or names what there is not.
+    """
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    from markdown_it import MarkdownIt
+
+    context = _Context(outcome, {name: one for name, one in tables.items() if isinstance(one, Table)}, draw)
+    text = _typeset(context, path.read_text(encoding="utf-8"), path.name)
+    markdown = MarkdownIt("commonmark", {"html": False}).enable("table")
+    page = _split(markdown, text, context.blocks, path.name)
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).with_name("templates")),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["cell"] = cell_text
+    environment.filters["pretty"] = lambda value: dumps(value).rstrip()
+    environment.filters["inline"] = lambda words: Markup(markdown.renderInline(" ".join(str(words).split())))
+    environment.filters["prose"] = environment.filters["inline"]
+    environment.globals["kind"] = lambda block: type(block).__name__.lstrip("_")
+    environment.globals["draw"] = Artist()
+    environment.globals["relation"] = {"<=": "≤", "<": "<", ">=": "≥", ">": ">"}
+    environment.globals["criteria"] = criteria
+    environment.globals["provenance"] = provenance
+    blocks = environment.get_template("blocks.html").make_module(vars={"provenance": provenance})
+    show = blocks.show  # type: ignore[attr-defined]  # a macro of the template
+    filled = {
+        name: Markup(_MARK.sub(lambda mark: str(show(context.blocks[int(mark[1])])).strip(), html))
+        for name, html in page.items()
+    }
+    placed = any(isinstance(block, _Criteria) for block in context.blocks)
+    return environment.get_template("page.html").render(
+        **filled,
+        passed=all(criterion.passed for criterion in criteria),
+        verdict_line=verdict_line(criteria),
+        criteria_table=None if placed or not criteria else show(_Criteria()),
+    )
+
+
+def _split(markdown: Any, text: str, blocks: Sequence[Any], name: str) -> dict[str, str]:
+    """HTML of title, lead, verdict, numbers and sections."""
+    tokens = markdown.parse(text)
+    starts = [n for n, token in enumerate(tokens) if token.type == "heading_open" and token.tag == "h2"]
+    first = starts[0] if starts else len(tokens)
+
+    def html(part: Sequence[Any]) -> str:
+        return str(markdown.renderer.render(part, markdown.options, {}))
+
+    page = {"title": "", "lead": "", "verdict": "", "numbers": ""}
+    for part in _top_level(tokens[:first]):
+        opening = part[0]
+        if opening.type == "heading_open" and opening.tag == "h1":
+            page["title"] = html(part[1:2])
+        elif opening.type == "blockquote_open":
+            page["verdict"] += " ".join(html([token]) for token in part if token.type == "inline")
+        elif (mark := _MARK.fullmatch(html(part).strip())) and isinstance(blocks[int(mark[1])], _Numbers):
+            page["numbers"] += html(part)
+        else:
+            page["lead"] += html(part)
+    if not page["title"]:
+        raise ConfigError(f"report template {name}: a first line '# Title' is needed")
+    ends = [*starts[1:], len(tokens)]
+    parts = (html(tokens[start:end]) for start, end in zip(starts, ends, strict=True))
+    page["sections"] = "\n".join(f"<section>\n{part}</section>" for part in parts)
+    return page
+
+
+def _top_level(tokens: Sequence[Any]) -> list[list[Any]]:
+    """Tokens grouped by the block of the outermost level that they belong to."""
+    groups: list[list[Any]] = []
+    depth = 0
+    for token in tokens:
+        if depth == 0:
+            groups.append([])
+        groups[-1].append(token)
+        depth += token.nesting
+    if depth:
+        raise DomainError("the report's Markdown does not close its blocks")
+    return groups

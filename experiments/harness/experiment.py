@@ -1,0 +1,187 @@
+"""An experiment, declared: its name, settings, run, quantities, tables, figures, criteria and report.
+
+A package ``experiments/NAME`` holds
+
+* ``__init__.py``: a docstring whose first line says what the experiment answers (``python -m experiments`` lists it);
+* ``settings.py``: ``Config(ExperimentConfig)``, whose defaults are the published run;
+* ``experiment.py``: ``run(config, *, progress) -> result``, the work, without side effects; and the declaration::
+
+      experiment = Experiment(name="NAME", config=Config, run=run, quick={"frames": 4})
+      main = command(experiment)
+
+* ``quantities.py``: ``describe(result) -> Quantities``, every number described once;
+* ``tables.py``: ``tables(outcome) -> {name: Pivot or Table}``, printed and written as ``name.ecsv``;
+* ``figures.py``: functions ``name(outcome) -> matplotlib Figure``;
+* ``criteria.py``: ``criteria(outcome) -> list of Criterion``;
+* ``report.md``: what ``report.html`` says (`experiments.harness.document`).
+
+Parts are named as "module:function", relative to the package, and imported when they are needed: ``--help`` and
+mistakes answer at once. Import what is slow (mitsuba, astropy) inside ``run``.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from experiments.harness.config import ExperimentConfig
+from optics.errors import unknown_name
+
+if TYPE_CHECKING:
+    from experiments.harness.quantities import Outcome
+    from experiments.harness.summary import Criterion
+    from experiments.harness.tables import Table
+
+__all__ = ["Experiment"]
+
+Part = str | Callable[..., Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Experiment:
+    """Declaration of an experiment.
+
+    Attributes
+    ----------
+    name : str
+        By which it is called; the default output folder is ``out/NAME``.
+    config : type
+        Its settings.
+    run : callable
+        ``run(config, *, progress) -> result``.
+    takes : str
+        How long a default and a quick run take on two cores, for the help text.
+    examples : mapping
+        Two command lines (what follows the name) -> what they do.
+    quantities, tables, criteria : "module:function" or callable
+        See the module; ``tables`` may be None.
+    figures : "module" or mapping of str to callable
+        Where the report finds its drawings.
+    report : str or path
+        Template of the report, relative to the package.
+    extra : "module:function" or callable, optional
+        ``extra(result) -> mapping``: what ``results`` in ``summary.json`` holds besides quantities.
+    quick : mapping
+        Dotted key -> value of the ``--quick`` run; the user's own settings win over it.
+    show : sequence of str
+        Tables that are printed in the terminal too.
+    files : "module:function" or callable, optional
+        ``files(result, folder)`` writes further files.
+    renders : callable
+        ``renders(config)``: whether the backend has to be ready before ``run``.
+    options : mapping
+        Name of an option without dashes -> (key of the configuration, help text): ``--NAME TEXT`` is short for
+        ``--set KEY=TEXT`` and wins over it.
+    output : callable, optional
+        ``output(path, config)``: an output folder of its own kind, for work that can be taken up again; ``run`` is then
+        given it as ``output=``.
+    instead : callable, optional
+        ``instead(config)``: another declaration that takes over for some settings, or None.
+    """
+
+    name: str
+    config: type[ExperimentConfig]
+    run: Callable[..., Any]
+    takes: str = ""
+    examples: Mapping[str, str] = field(default_factory=dict)
+    quantities: Part = "quantities:describe"
+    tables: Part | None = "tables:tables"
+    criteria: Part = "criteria:criteria"
+    figures: str | Mapping[str, Callable[..., Any]] = "figures"
+    report: str | Path = "report.md"
+    extra: Part | None = None
+    quick: Mapping[str, Any] = field(default_factory=dict)
+    show: Sequence[str] = ()
+    files: Part | None = None
+    renders: Callable[[Any], bool] = field(default=lambda _: True)
+    options: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    output: Callable[[str, Any], Any] | None = None
+    instead: Callable[[Any], Experiment | None] | None = None
+
+    @property
+    def package(self) -> str:
+        """Package that relative parts belong to."""
+        return self.run.__module__.rpartition(".")[0]
+
+    @property
+    def about(self) -> str:
+        """What the experiment answers: the docstring of its package, or of the module of ``run``."""
+        module = sys.modules.get(self.package) or sys.modules[self.run.__module__]
+        return (module.__doc__ or sys.modules[self.run.__module__].__doc__ or "").strip()
+
+    @property
+    def template(self) -> Path:
+        """File of the report's template."""
+        return Path(sys.modules[self.run.__module__].__file__ or ".").parent / self.report
+
+    def part(self, part: Part) -> Callable[..., Any]:
+        """A part of the experiment, imported now if need be."""
+        if callable(part):
+            return part
+        module, _, name = part.partition(":")
+        found: Callable[..., Any] = getattr(import_module(f"{self.package}.{module}"), name)
+        return found
+
+    def outcome(self, config: ExperimentConfig, result: Any) -> Outcome:
+        """Result with its quantities."""
+        from experiments.harness.quantities import Outcome
+
+        return Outcome(config=config, result=result, data=self.part(self.quantities)(result).dataset)
+
+    def results(self, outcome: Outcome) -> dict[str, Any]:
+        """The ``results`` of ``summary.json``."""
+        from experiments.harness.quantities import to_results
+
+        extra = self.part(self.extra)(outcome.result) if self.extra is not None else {}
+        return to_results(outcome.data) | dict(extra)
+
+    def make_tables(self, outcome: Outcome) -> dict[str, Table]:
+        """Tables by name."""
+        from experiments.harness.pivot import Pivot, pivot
+
+        made = self.part(self.tables)(outcome) if self.tables is not None else {}
+        return {name: pivot(outcome.data, one) if isinstance(one, Pivot) else one for name, one in made.items()}
+
+    def judge(self, outcome: Outcome) -> list[Criterion]:
+        """Criteria of a run."""
+        return list(self.part(self.criteria)(outcome))
+
+    def draw(self, outcome: Outcome) -> Callable[..., Any]:
+        """``draw(name, *arguments)``: figure of the experiment by name."""
+        source = self.figures
+
+        def call(name: str, *arguments: Any) -> Any:
+            if isinstance(source, str):
+                module = import_module(f"{self.package}.{source}")
+                known = {one: getattr(module, one) for one in module.__all__}
+            else:
+                known = dict(source)
+            if name not in known:
+                raise unknown_name("figure", name, known)
+            return known[name](outcome, *arguments)
+
+        return call
+
+    def page(
+        self,
+        outcome: Outcome,
+        *,
+        tables: Mapping[str, Table],
+        criteria: Sequence[Criterion],
+        provenance: Mapping[str, Any],
+    ) -> str:
+        """The HTML of the report; call inside `experiments.harness.plotting.house_style`."""
+        from experiments.harness.document import render_document
+
+        return render_document(
+            self.template,
+            outcome,
+            tables=tables,
+            draw=self.draw(outcome),
+            criteria=criteria,
+            provenance=provenance,
+        )

@@ -1,0 +1,104 @@
+"""Tables made from quantities: which run down, which run across; heads, units and formats are the quantities' own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import xarray as xr
+
+from experiments.harness.quantities import Quantity, positions, shown_unit
+from experiments.harness.tables import Cell, Column, Table
+from optics.errors import DomainError
+
+__all__ = ["Pivot", "pivot"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pivot:
+    """How a table is made from quantities.
+
+    Attributes
+    ----------
+    columns : str
+        Quantities, one column each, e.g. "dark_arcsec raw_arcsec".
+    rows : str
+        Dimensions that run down, the last one fastest, each with a column of its coordinates; "" makes a single row.
+    across : str
+        Dimension that is spread over columns: quantity "sigma" with labels x, y becomes "σ x", "σ y".
+    hidden : str
+        Dimensions of ``rows`` whose coordinates get no column.
+    numbered : str
+        Dimensions of ``rows`` without coordinates that get a column of numbers 1, 2, 3 ..., under this head.
+    caption, note : str
+        See `experiments.harness.tables.Table`.
+    """
+
+    columns: str
+    rows: str = ""
+    across: str = ""
+    hidden: str = ""
+    numbered: str = ""
+    caption: str = ""
+    note: str = ""
+
+
+def pivot(data: xr.Dataset, spec: Pivot) -> Table:
+    """The table of a specification.
+
+    Raises
+    ------
+    ConfigError
+        On an unknown quantity.
+    DomainError
+        If a quantity has a dimension that runs neither down nor across.
+    """
+    rows, across = spec.rows.split(), spec.across
+    quantities = [Quantity.of(data, name) for name in spec.columns.split()]
+    for one in quantities:
+        left = [dim for dim in one.dims if dim not in rows and dim != across]
+        if left:
+            raise DomainError(f"quantity {one.name!r} runs along {', '.join(left)} too; name it in rows or across")
+    heads = [_head(data, dim, spec.numbered) for dim in rows if dim not in spec.hidden.split()]
+    spread = _spread(data, across, quantities)
+    columns = [*heads, *(column for column, _, _ in spread)]
+    body: list[tuple[Cell, ...]] = []
+    for place in positions(data.sizes, rows):
+        leading = [_coordinate(data, dim, place[dim]) for dim in rows if dim not in spec.hidden.split()]
+        cells = [
+            one.at(**place, **({across: at} if across and at is not None else {})).scalar() for _, one, at in spread
+        ]
+        body.append((*leading, *cells))
+    return Table(columns=columns, rows=body, caption=spec.caption, note=spec.note)
+
+
+def _head(data: xr.Dataset, dim: str, numbered: str) -> Column:
+    if dim not in data.coords:
+        return Column(name=numbered or dim)
+    one = Quantity.of(data, dim)
+    key = data.coords[dim].attrs.get("key", "")
+    return Column(name=one.label, unit=shown_unit(one.unit), format=one.format, key=key)
+
+
+def _coordinate(data: xr.Dataset, dim: str, at: int) -> Any:
+    label = f"{dim}_label"
+    if label in data.coords:
+        return str(data.coords[label].values[at])
+    return data.coords[dim].values[at].item() if dim in data.coords else at + 1
+
+
+def _spread(data: xr.Dataset, across: str, quantities: Sequence[Quantity]) -> list[tuple[Column, Quantity, int | None]]:
+    """Column, quantity, and place along the dimension that is spread; quantities without it give one column."""
+    out: list[tuple[Column, Quantity, int | None]] = []
+    for one in quantities:
+        unit = shown_unit(one.unit)
+        if across not in one.dims:
+            out.append((Column(name=one.label, unit=unit, key=one.key, format=one.format), one, None))
+            continue
+        for at in range(data.sizes[across]):
+            key = str(data.coords[across].values[at])
+            name = f"{one.label} {_coordinate(data, across, at)}"
+            code = one.key.format(**{across: key}) if "{" in one.key else f"{one.key}_{key}"
+            out.append((Column(name=name, unit=unit, key=code, format=one.format), one, at))
+    return out

@@ -1,0 +1,402 @@
+"""The numbers of a result, each described once: values, uncertainty, sample size, dimensions, label, unit, format.
+
+They are an `xarray.Dataset` whose variables carry ``long_name`` and ``units`` as the CF conventions have them (sec. 3.1
+to 3.3); the uncertainty and the sample size of a variable are ancillary variables (sec. 3.4) ``NAME_error`` and
+``NAME_n``. From this one description follow ``summary.json`` (`to_results`), tables (`experiments.harness.pivot`), the
+axes of figures and the numbers in the text of a report (`Outcome`), and ``results.nc``.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from experiments.harness.summary import Measured
+from optics.errors import ConfigError, DomainError, unknown_name
+
+__all__ = ["Outcome", "Quantities", "Quantity", "shown_unit", "to_results", "write_netcdf"]
+
+_SHOWN = {"arcsec": "″", "arcmin": "′", "deg": "°", "um": "µm", "e-": "e⁻", "e-/s": "e⁻/s", "sigma": "σ"}
+
+
+def shown_unit(unit: str) -> str:
+    """A unit as readers see it: "arcsec" is ″, "um" is µm."""
+    return _SHOWN.get(unit, unit)
+
+
+class Quantities:
+    """Collects described quantities.
+
+    Examples
+    --------
+    >>> q = Quantities()
+    >>> q.axis("axis", ["x", "y"], "Axis")
+    >>> q.add("te_arcsec", [1.1, 1.2], "Temporal error", unit="arcsec", dims="axis", error=[0.1, 0.1], n=30)
+    >>> to_results(q.dataset)["te_arcsec"]["x"]
+    Measured(value=1.1, unit='arcsec', uncertainty=0.1, n=30)
+    """
+
+    def __init__(self) -> None:
+        self.dataset = xr.Dataset()
+
+    def axis(
+        self,
+        name: str,
+        values: ArrayLike,
+        label: str = "",
+        *,
+        unit: str = "",
+        format: str = "",
+        key: str = "",
+        names: Mapping[Any, str] | Sequence[str] | None = None,
+    ) -> None:
+        """Describe a dimension.
+
+        Parameters
+        ----------
+        name : str
+            Of the dimension.
+        values : (n,)
+            Its coordinates: text (keys in ``summary.json``) or numbers (lists there).
+        label, unit, format, key : str
+            Head, unit, format and name in ECSV files of the column that tables make of it; see `add`.
+        names : mapping or sequence, optional
+            What readers see instead of the coordinates, e.g. "ePSF fit" for "epsf".
+        """
+        coordinates = np.asarray(values)
+        attrs = {"long_name": label or name, "units": unit, "format": format, "key": key}
+        self.dataset.coords[name] = (name, coordinates, attrs)
+        if names is not None:
+            shown = [names[v] for v in coordinates.tolist()] if isinstance(names, Mapping) else list(names)
+            self.dataset.coords[f"{name}_label"] = (name, np.asarray(shown, dtype=object))
+
+    def add(
+        self,
+        name: str,
+        values: Any,
+        label: str = "",
+        *,
+        unit: str = "",
+        dims: str | Sequence[str] = (),
+        error: ArrayLike | None = None,
+        n: ArrayLike | None = None,
+        format: str = "",
+        key: str | None = None,
+        json: str | None = None,
+    ) -> None:
+        """Describe a quantity.
+
+        Parameters
+        ----------
+        name : str
+            By which tables, figures and reports call it.
+        values : array_like
+            Numbers, text or bool; or (nested sequences of) `Measured`, which bring uncertainty and n.
+        label : str
+            What it is, for heads of columns and axes.
+        unit : str
+            "arcsec", "px", "um", "e-" ...; "" for a pure number.
+        dims : str or sequence of str
+            Names of the dimensions, in the order of the array; those with coordinates were described by `axis`.
+        error, n : array_like, optional
+            One standard deviation, and the number of samples; broadcast to the shape of the values.
+        format : str
+            Of plain numbers in tables, e.g. ".3f"; "" shows four significant digits.
+        key : str, optional
+            Column name in ECSV files, if not ``name``; ``{dim}`` stands for the coordinate of a dimension that a table
+            spreads over columns.
+        json : str, optional
+            Place in ``summary.json``, if not ``name``: "levels[level].methods[method].measured" is a list over the
+            numbered dimension ``level`` of records, in which ``methods`` has a record for every method. Dimensions that
+            are not named follow at the end. "" leaves it out.
+
+        Raises
+        ------
+        DomainError
+            If the shape does not fit the dimensions, or the name is taken.
+        """
+        if name in self.dataset:
+            raise DomainError(f"quantity {name!r} is described twice")
+        names = tuple(dims.split()) if isinstance(dims, str) else tuple(dims)
+        values, found_error, found_n, found_unit = _split(values)
+        error, n = (found if given is None else given for given, found in ((error, found_error), (n, found_n)))
+        array = np.asarray(values)
+        if array.dtype.kind == "U":
+            array = array.astype(object)
+        if array.ndim != len(names):
+            raise DomainError(f"quantity {name!r} has shape {array.shape} for dimensions {' '.join(names) or '(none)'}")
+        attrs = {"long_name": label or name, "units": unit or found_unit, "format": format}
+        attrs |= {"key": name if key is None else key, "json": name if json is None else json}
+        extra = {part: given for part, given in (("error", error), ("n", n)) if given is not None}
+        if extra:
+            attrs["ancillary_variables"] = " ".join(f"{name}_{part}" for part in extra)
+        try:
+            self.dataset[name] = (names, array, attrs)
+            for part, given in extra.items():
+                whole = np.broadcast_to(np.asarray(given, dtype=np.float64), array.shape)
+                self.dataset[f"{name}_{part}"] = (names, whole.copy(), {"ancillary_of": name})
+        except ValueError as problem:
+            raise DomainError(f"quantity {name!r}: {problem}") from None
+
+
+def _split(values: Any) -> tuple[Any, Any, Any, str]:
+    """Values, uncertainties, sample sizes and unit of nested sequences of `Measured`; others as they are."""
+    if isinstance(values, (np.ndarray, xr.DataArray)) and values.dtype != object:
+        return np.asarray(values), None, None, ""
+    array = np.empty((), dtype=object)
+    if isinstance(values, Measured):
+        array[()] = values
+    else:
+        array = np.array(values, dtype=object)
+    if array.size == 0 or not all(isinstance(one, Measured) for one in array.flat):
+        return values, None, None, ""
+
+    def part(name: str) -> NDArray[np.float64]:
+        found = [getattr(one, name) for one in array.flat]
+        return np.array([np.nan if v is None else v for v in found], dtype=np.float64).reshape(array.shape)
+
+    error, n = part("uncertainty"), part("n")
+    return part("value"), error, n if np.isfinite(n).any() else None, array.flat[0].unit
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One quantity of a data set, or a part of it, as plain arrays.
+
+    Attributes
+    ----------
+    name, label, unit, format, key, json : str
+        As described (`Quantities.add`).
+    dims : tuple of str
+        Names of the dimensions.
+    values : array
+        Numbers, text or bool.
+    error, n : array or None
+        Uncertainty and sample size.
+    """
+
+    name: str
+    label: str
+    unit: str
+    format: str
+    key: str
+    json: str
+    dims: tuple[str, ...]
+    values: NDArray[Any]
+    error: NDArray[np.float64] | None
+    n: NDArray[np.float64] | None
+
+    @classmethod
+    def of(cls, data: xr.Dataset, name: str) -> Quantity:
+        """A variable or coordinate of a data set.
+
+        Raises
+        ------
+        ConfigError
+            On an unknown name.
+        """
+        if name not in data.variables:
+            raise unknown_name("quantity", name, [str(one) for one in data.variables])
+        variable = data[name]
+        told = variable.attrs
+        error, n = (data[f"{name}_{part}"].values if f"{name}_{part}" in data else None for part in ("error", "n"))
+        return cls(
+            name,
+            told.get("long_name", name),
+            told.get("units", ""),
+            told.get("format", ""),
+            told.get("key", name),
+            told.get("json", ""),
+            tuple(str(dim) for dim in variable.dims),
+            variable.values,
+            error,
+            n,
+        )
+
+    @property
+    def heading(self) -> str:
+        """Label with unit, for the axis of a figure."""
+        return f"{self.label} [{shown_unit(self.unit)}]" if self.unit else self.label
+
+    def at(self, **index: int) -> Quantity:
+        """The part at positions along some dimensions; those it does not have are passed over."""
+        where = tuple(index.get(dim, slice(None)) for dim in self.dims)
+        dims = tuple(dim for dim in self.dims if dim not in index)
+        error, n = (None if part is None else np.asarray(part[where]) for part in (self.error, self.n))
+        return Quantity(
+            self.name,
+            self.label,
+            self.unit,
+            self.format,
+            self.key,
+            self.json,
+            dims,
+            np.asarray(self.values[where]),
+            error,
+            n,
+        )
+
+    def scalar(self) -> Any:
+        """The one value: `Measured` where it has an uncertainty or a sample size, else a plain number, text or bool.
+
+        Raises
+        ------
+        DomainError
+            If dimensions are left.
+        """
+        if self.dims:
+            raise DomainError(f"quantity {self.name!r}: say which {', '.join(self.dims)}")
+        value = self.values.item()
+        if self.error is None and self.n is None:
+            return value
+        error = None if self.error is None or not np.isfinite(self.error) else float(self.error)
+        n = None if self.n is None or not np.isfinite(self.n) else int(self.n)
+        return Measured(value=value, unit=self.unit, uncertainty=error, n=n)
+
+
+def names_of(data: xr.Dataset) -> list[str]:
+    """Names of the quantities of a data set, in order; no coordinates, no ancillary variables."""
+    return [str(name) for name, one in data.data_vars.items() if "ancillary_of" not in one.attrs]
+
+
+def to_results(data: xr.Dataset) -> dict[str, Any]:
+    """The ``results`` of ``summary.json``: every quantity at the place that its description names."""
+    out: dict[str, Any] = {}
+    for name in names_of(data):
+        one = Quantity.of(data, name)
+        if one.json:
+            _put(out, one.json.split("."), one, data)
+    return out
+
+
+def _put(out: dict[str, Any], path: Sequence[str], one: Quantity, data: xr.Dataset) -> None:
+    matched = re.fullmatch(r"(\w+)(?:\[(\w+)\])?", path[0])
+    if matched is None:
+        raise ConfigError(f"quantity {one.name!r}: {path[0]!r} in json is not NAME or NAME[DIMENSION]")
+    name, dim = matched.groups()
+    if dim is not None and dim not in one.dims:
+        raise unknown_name(f"dimension of quantity {one.name!r}:", dim, one.dims)
+    if len(path) == 1:
+        dims = [dim, *(d for d in one.dims if d != dim)] if dim else list(one.dims)
+        out[name] = _leaf(one, dims, data)
+    elif dim is None:
+        _put(out.setdefault(name, {}), path[1:], one, data)
+    else:
+        keys = _keys(data, dim)
+        whole = out.setdefault(name, [{} for _ in range(data.sizes[dim])] if keys is None else {})
+        for number in range(data.sizes[dim]):
+            inner = whole[number] if keys is None else whole.setdefault(keys[number], {})
+            _put(inner, path[1:], one.at(**{dim: number}), data)
+
+
+def _leaf(one: Quantity, dims: Sequence[str], data: xr.Dataset) -> Any:
+    if not dims:
+        return one.scalar()
+    keys = _keys(data, dims[0])
+    parts = (_leaf(one.at(**{dims[0]: number}), dims[1:], data) for number in range(data.sizes[dims[0]]))
+    return list(parts) if keys is None else dict(zip(keys, parts, strict=True))
+
+
+def _keys(data: xr.Dataset, dim: str) -> list[str] | None:
+    """Keys of the records along a dimension; None for one of numbers or without coordinates, which makes a list."""
+    if dim not in data.coords or data.coords[dim].dtype.kind not in "UO":
+        return None
+    return [str(key) for key in data.coords[dim].values]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What tables, figures, criteria and the report of an experiment are made from.
+
+    Attributes
+    ----------
+    config : ExperimentConfig
+        Settings.
+    result : object
+        What ``run`` returned.
+    data : xarray.Dataset
+        Its quantities.
+    """
+
+    config: Any
+    result: Any
+    data: xr.Dataset
+
+    def quantity(self, name: str, **at: Any) -> Quantity:
+        """A quantity, or its part at some coordinates (``method="cog"``; a position where a dimension has none).
+
+        Raises
+        ------
+        ConfigError
+            On an unknown quantity, dimension or coordinate.
+        """
+        return Quantity.of(self.data, name).at(**{dim: self._position(name, dim, key) for dim, key in at.items()})
+
+    def values(self, name: str, **at: Any) -> NDArray[Any]:
+        """Its values."""
+        return self.quantity(name, **at).values
+
+    def errors(self, name: str, **at: Any) -> NDArray[np.float64]:
+        """Its uncertainties; NaN where it has none."""
+        one = self.quantity(name, **at)
+        return np.full(one.values.shape, np.nan) if one.error is None else one.error
+
+    def value(self, name: str, **at: Any) -> Any:
+        """A single value: `Measured` where it has an uncertainty, otherwise plain."""
+        return self.quantity(name, **at).scalar()
+
+    def heading(self, name: str) -> str:
+        """Label and unit of a quantity or a dimension, for the axis of a figure."""
+        return Quantity.of(self.data, name).heading
+
+    def names(self, dim: str) -> list[str]:
+        """What readers see along a dimension."""
+        label = f"{dim}_label"
+        return [str(one) for one in self.data.coords[label if label in self.data.coords else dim].values]
+
+    def _position(self, name: str, dim: str, key: Any) -> int:
+        if dim not in self.data[name].dims:
+            raise unknown_name(f"dimension of quantity {name!r}:", dim, [str(d) for d in self.data[name].dims])
+        if dim not in self.data.coords:
+            return int(key)
+        known = self.data.coords[dim].values.tolist()
+        if key not in known:
+            raise unknown_name(f"{dim} of quantity {name!r}:", str(key), [str(one) for one in known])
+        return known.index(key)
+
+
+def write_netcdf(data: xr.Dataset, path: Path) -> None:
+    """Write the quantities for users who analyse on: ``xarray.open_dataset("results.nc")``.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Quantities; an empty one writes nothing.
+    path : pathlib.Path
+        File to create, netCDF 3 (64-bit offset), which every netCDF reader knows.
+    """
+    if not data.variables:
+        return
+    plain = data.copy()
+    plain.attrs["Conventions"] = "CF-1.11"
+    for name in list(plain.variables):
+        attrs = plain[name].attrs
+        plain[name].attrs = {key: attrs[key] for key in ("long_name", "units", "ancillary_variables") if attrs.get(key)}
+        if plain[name].dtype.kind in "OU":
+            plain[name] = plain[name].astype(str)
+        elif plain[name].dtype.kind in "iu":
+            plain[name] = plain[name].astype(np.float64)  # netCDF 3 has no 64-bit integers
+    path.write_bytes(bytes(plain.to_netcdf(engine="scipy", format="NETCDF3_64BIT")))
+
+
+def positions(sizes: Mapping[Any, int], dims: Sequence[str]) -> list[dict[str, int]]:
+    """All positions along some dimensions, the last one running fastest."""
+    return [dict(zip(dims, index, strict=True)) for index in itertools.product(*(range(sizes[dim]) for dim in dims))]

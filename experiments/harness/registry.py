@@ -1,0 +1,52 @@
+"""Which experiments there are, found among the packages beside this one without importing any of their work."""
+
+from __future__ import annotations
+
+import importlib.util
+import pkgutil
+from functools import cache
+from importlib import import_module, metadata
+from typing import TYPE_CHECKING
+
+import experiments as home
+from optics.errors import ConfigError, unknown_name
+
+if TYPE_CHECKING:
+    from experiments.harness.cli import Main
+
+__all__ = ["GROUP", "found", "load"]
+
+GROUP = "starbench.experiments"
+"""Entry points under which other distributions offer experiments: ``NAME = "package"``, laid out as ours."""
+
+
+@cache
+def _packages() -> dict[str, str]:
+    beside = [name for _, name, is_package in pkgutil.iter_modules(home.__path__) if is_package]
+    ours = {name: f"{home.__name__}.{name}" for name in beside}
+    ours = {name: package for name, package in ours.items() if importlib.util.find_spec(f"{package}.experiment")}
+    others = {point.name: point.value for point in metadata.entry_points(group=GROUP)}
+    return dict(sorted((others | ours).items()))
+
+
+def found() -> dict[str, str]:
+    """Experiments in alphabetical order: name -> what it answers, the first line of its package's docstring."""
+    return {name: (import_module(at).__doc__ or "").strip().partition("\n")[0] for name, at in _packages().items()}
+
+
+def load(name: str) -> Main:
+    """The command of an experiment.
+
+    Raises
+    ------
+    ConfigError
+        On an unknown name; the message names the nearest one.
+    """
+    packages = _packages()
+    if name not in packages:
+        raise unknown_name("experiment", name, packages)
+    main = getattr(import_module(f"{packages[name]}.experiment"), "main", None)
+    if main is None:
+        raise ConfigError(f"experiment {name!r}: {packages[name]}.experiment has no main = command(experiment)")
+    command: Main = main
+    return command

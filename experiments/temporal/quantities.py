@@ -1,0 +1,138 @@
+"""The numbers of the temporal-error test, each described once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from experiments.harness.quantities import Quantities
+from experiments.harness.summary import Measured
+from experiments.laboratory.point_settings import METHOD_NAMES
+from experiments.laboratory.temporal_error import TemporalMeasurement, TemporalPrediction, small_sample_factor
+from experiments.temporal.result import PUBLISHED_ARCSEC, Result
+
+__all__ = ["describe", "ratio"]
+
+XY = ["x", "y"]
+
+
+def ratio(
+    measured: TemporalMeasurement, predicted: TemporalPrediction, method: str, level: int
+) -> tuple[Measured, Measured]:
+    """Measured over predicted (drawn noise, small-sample factor included), x and y.
+
+    The uncertainty holds the N frames, the finite draws and the difference from chip to chip.
+    """
+    c4 = small_sample_factor(measured.frames)
+    expected, spread = predicted.sampled_te_arcsec(method, level) * c4, predicted.te_uncertainty_arcsec(method, level)
+    out = []
+    for axis, one in enumerate(measured.te_arcsec(method, level)):
+        value = one.value / float(expected[axis])
+        error = value * np.hypot((one.uncertainty or 0.0) / one.value, spread[axis] * c4 / expected[axis])
+        out.append(Measured(value=value, uncertainty=float(error), n=one.n))
+    return out[0], out[1]
+
+
+def describe(result: Result) -> Quantities:
+    """Quantities of a run: at the signal of the source, at every level, star by star."""
+    q, methods = Quantities(), result.config.methods
+    q.axis("method", methods, "Centroider", names=METHOD_NAMES)
+    q.axis("axis", XY, "Axis")
+    _nominal(q, result)
+    _levels(q, result)
+    q.add("published_arcsec", PUBLISHED_ARCSEC, "Published", unit="arcsec", dims="axis", json="published_arcsec_3sigma")
+    q.add(
+        "published_signal_e",
+        [result.published_level_e[m] for m in methods],
+        "Signal that gives the published error",
+        unit="e-",
+        dims="method axis",
+        json="signal_that_gives_the_published_e",
+    )
+    q.add("source_signal_e", result.config.source.signal_e, "Signal", unit="e-", json="signal_e")
+    _stars(q, result)
+    q.add("frames", result.measured.frames, "Frames")
+    q.add("stars", len(result.measured.light.photon_px), "Stars")
+    q.add("pixel_arcsec", result.measured.pixel_arcsec, "Angle of a pixel", unit="arcsec")
+    q.add("runtime_s", result.runtime_s, "Run time", unit="s")
+    q.add("peak_memory_mb", result.peak_memory_mb, "Peak memory", unit="MB")
+    return q
+
+
+def _nominal(q: Quantities, result: Result) -> None:
+    """At the signal of the source, by every centroider."""
+    methods, measured, predicted = result.config.methods, result.nominal, result.predicted_nominal
+    angle = {"unit": "arcsec", "dims": "method axis"}
+    q.add(
+        "dark_arcsec",
+        [measured.te_arcsec(m) for m in methods],
+        "Dark sub.",
+        **angle,
+        json="temporal_error_arcsec_3sigma",
+    )
+    q.add("raw_arcsec", [measured.te_arcsec(m, 0, "raw") for m in methods], "Raw", **angle, json="raw_arcsec_3sigma")
+    q.add(
+        "influence_arcsec",
+        [predicted.te_arcsec(m) for m in methods],
+        "Influence",
+        **angle,
+        format=".4f",
+        json="predicted_linear_arcsec_3sigma",
+    )
+    q.add(
+        "drawn_arcsec",
+        [predicted.sampled_te_arcsec(m) for m in methods],
+        "Drawn noise",
+        **angle,
+        format=".4f",
+        json="predicted_arcsec_3sigma",
+    )
+    q.add("ratio", [ratio(measured, predicted, m, 0) for m in methods], "Ratio", dims="method axis")
+    q.add(
+        "bound_arcsec",
+        predicted.bound_te_arcsec(),
+        "Cramér-Rao",
+        unit="arcsec",
+        dims="axis",
+        json="cramer_rao_arcsec_3sigma",
+    )
+
+
+def _levels(q: Quantities, result: Result) -> None:
+    """Against signal (ACC18 Fig. 5)."""
+    methods, measured, predicted = result.config.methods, result.measured, result.predicted
+    levels = range(len(measured.levels_e))
+    q.axis("level", measured.levels_e, "Signal", unit="e-", format=".0f", key="signal_e")
+    q.add("level_signal_e", measured.levels_e, "Signal", unit="e-", dims="level", json="levels[level].signal_e")
+    angle = {"unit": "arcsec", "dims": "level method axis"}
+    for name, label, json, of in (
+        ("dark_arcsec", "Dark sub.", "measured", measured.te_arcsec),
+        ("raw_arcsec", "Raw", "raw", lambda m, n: measured.te_arcsec(m, n, "raw")),
+        ("influence_arcsec", "Influence", "linear", predicted.te_arcsec),
+        ("drawn_arcsec", "Drawn noise", "predicted", predicted.sampled_te_arcsec),
+    ):
+        values = [[of(m, n) for m in methods] for n in levels]
+        place = f"levels[level].methods[method].{json}"
+        q.add(f"level_{name}", values, label, **angle, key=name, json=place)
+    q.add(
+        "level_bound_arcsec",
+        [predicted.bound_te_arcsec(n) for n in levels],
+        "Cramér-Rao",
+        unit="arcsec",
+        dims="level axis",
+        key="cramer_rao_arcsec",
+        json="levels[level].cramer_rao",
+    )
+    ratios = [[ratio(measured, predicted, m, n) for m in methods] for n in levels]
+    q.add("level_ratio", ratios, "Measured / predicted", dims="level method axis", json="")
+
+
+def _stars(q: Quantities, result: Result) -> None:
+    """Every star at the signal of the source, by the centroider that counts."""
+    first, nominal, predicted = result.config.methods[0], result.nominal, result.predicted_nominal
+    for key, label, values in (
+        ("light", "Light", nominal.light.photon_px),
+        ("sigma", "Measured σ", nominal.sigma_px["dark"][first][0]),
+        ("predicted", "Predicted σ", predicted.sampled_px[first][0]),
+        ("bound", "Cramér-Rao σ", predicted.bound_px[0]),
+    ):
+        q.add(f"star_{key}_px", values, label, unit="px", dims="star axis", key=f"{key}_{{axis}}_px", json="")
