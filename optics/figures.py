@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 
 from optics.arrays import FloatArray
 from optics.frames import field_direction, light_direction
-from optics.lens.surface import sag
 from optics.lens.system import AMBIENT, LensSystem
 from optics.rays.chief import distortion_map
 from optics.rays.pupil import PupilSamples, entrance_pupil, gauss_disk
@@ -46,7 +45,8 @@ def _profile(lens: LensSystem, index: int, half_height_mm: float) -> FloatArray:
     """Section of a surface with the plane x = 0, lens frame, (points, 2) as (z, y)."""
     surface = lens.surfaces[index]
     y = np.linspace(-half_height_mm, half_height_mm, PROFILE_POINTS)
-    local = np.stack([np.zeros_like(y), y, sag(surface.shape, np.abs(y))], axis=-1)
+    x = np.zeros_like(y)
+    local = np.stack([x, y, surface.shape.sag(x, y)], axis=-1)
     points = local @ surface.rotation.T + surface.position_mm
     return points[:, [2, 1]]
 

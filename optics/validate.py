@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from optics.errors import ConfigError
+from optics.errors import ConfigError, unknown_name
 
 __all__ = ["parse_model", "parse_toml", "read_toml"]
 
@@ -119,6 +119,9 @@ def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
         near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
         return f"unknown key {key!r}; {hint}"
+    if kind == "union_tag_invalid":
+        known_kinds = [owner.model_fields["kind"].default for owner in _owners(model_class, location)]
+        return str(unknown_name(f"{key}.kind", str(fault["ctx"]["tag"]), known_kinds))
     if kind == "missing":
         return f"key {key!r} is missing{_allowed(model_class, location)}"
     reason = str(fault["msg"]).removeprefix("Value error, ").replace("\n", " ")

@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.glass.media import Environment
-from optics.lens.surface import Conic, EvenAsphere, Plane, Shape, Sphere
 from optics.lens.system import AMBIENT, LensSystem, Surface
 
 __all__ = [
@@ -27,6 +26,7 @@ __all__ = [
     "change_conic",
     "change_index",
     "change_radius",
+    "change_shape",
     "change_temperature",
     "decentre",
     "despace",
@@ -151,12 +151,32 @@ def despace(lens: LensSystem, what: What, z_mm: float, *, following: bool = Fals
     return replace(moved, image_position_mm=lens.image_position_mm + shift) if image else moved
 
 
-def _with_shape(lens: LensSystem, surface: int, shape: Shape) -> LensSystem:
-    return lens.with_surfaces({surface: replace(lens.surfaces[surface], shape=shape)})
+def change_shape(lens: LensSystem, surface: int, name: str, by: float) -> LensSystem:
+    """Add to one of the numbers that make the shape of a surface.
 
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    surface : int
+        Index of the surface.
+    name : str
+        Field of its shape, e.g. ``"radius_mm"``.
+    by : float
+        What is added, in the unit of the field.
 
-def _shape_of(lens: LensSystem, surface: int) -> Shape:
-    return lens.surfaces[_selected(lens, surface)[0][0]].shape
+    Raises
+    ------
+    DomainError
+        If the shape has no such number, or the result is not a surface.
+    """
+    _finite(f"change of {name}", by)
+    (index,), _ = _selected(lens, surface)
+    try:
+        shape = lens.surfaces[index].shape.changed(name, by)
+    except DomainError as error:
+        raise DomainError(f"surface {surface} of lens {lens.name!r}: {error}") from None
+    return lens.with_surfaces({index: replace(lens.surfaces[index], shape=shape)})
 
 
 def change_radius(lens: LensSystem, surface: int, by_mm: float) -> LensSystem:
@@ -167,15 +187,7 @@ def change_radius(lens: LensSystem, surface: int, by_mm: float) -> LensSystem:
     DomainError
         If the surface is a plane, or the radius would become 0 or change its sign.
     """
-    shape = _shape_of(lens, surface)
-    if isinstance(shape, Plane) or math.isinf(shape.radius_mm):
-        raise DomainError(f"surface {surface} of lens {lens.name!r} is a plane; it has no radius to change")
-    if not shape.radius_mm * (shape.radius_mm + by_mm) > 0:
-        raise DomainError(
-            f"surface {surface} of lens {lens.name!r}: radius {shape.radius_mm} mm changed by {by_mm} mm has its "
-            "centre on the other side; take a smaller step"
-        )
-    return _with_shape(lens, surface, replace(shape, radius_mm=shape.radius_mm + by_mm))
+    return change_shape(lens, surface, "radius_mm", by_mm)
 
 
 def change_conic(lens: LensSystem, surface: int, by: float) -> LensSystem:
@@ -186,14 +198,7 @@ def change_conic(lens: LensSystem, surface: int, by: float) -> LensSystem:
     DomainError
         If the surface is a plane.
     """
-    shape = _shape_of(lens, surface)
-    match shape:
-        case Plane():
-            raise DomainError(f"surface {surface} of lens {lens.name!r} is a plane; it has no conic constant")
-        case Sphere(radius_mm=radius):
-            return _with_shape(lens, surface, Conic(radius_mm=radius, conic=by))
-        case Conic() | EvenAsphere():
-            return _with_shape(lens, surface, replace(shape, conic=shape.conic + by))
+    return change_shape(lens, surface, "conic", by)
 
 
 def change_index(lens: LensSystem, what: What, by: float) -> LensSystem:
@@ -228,18 +233,6 @@ def tilt_image(lens: LensSystem, x_deg: float = 0.0, y_deg: float = 0.0) -> Lens
     return replace(lens, image_rotation=rotation @ lens.image_rotation)
 
 
-def _scaled(shape: Shape, factor: float) -> Shape:
-    """Uniform expansion: z'(r) = factor z(r / factor)."""
-    match shape:
-        case Plane():
-            return shape
-        case Sphere() | Conic():
-            return replace(shape, radius_mm=shape.radius_mm * factor)
-        case EvenAsphere():
-            scaled = tuple(a * factor ** -(3 + 2 * j) for j, a in enumerate(shape.coefficients))
-            return replace(shape, radius_mm=shape.radius_mm * factor, coefficients=scaled)
-
-
 def _expansion(lens: LensSystem, medium: str) -> float:
     cte = lens.glasses[medium].cte_per_k
     if cte is None:
@@ -259,7 +252,7 @@ def _warmed_surface(lens: LensSystem, index: int, z_mm: float, kelvin: float, ho
     growth = math.exp(shape_cte * kelvin)
     return replace(
         surface,
-        shape=_scaled(surface.shape, growth),
+        shape=surface.shape.scaled(growth),
         position_mm=np.array([x, y, z_mm]),
         semi_diameter_mm=surface.semi_diameter_mm * growth,
         inner_semi_diameter_mm=surface.inner_semi_diameter_mm * growth,

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-import math
+from dataclasses import MISSING, fields
+from functools import reduce
 from importlib import resources
+from operator import or_
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, FiniteFloat, Tag, create_model, model_validator
 from scipy.spatial.transform import Rotation
 
 from optics.errors import ConfigError, StarbenchError, unknown_name
 from optics.glass.catalogue import Glass, get_glass, glass_from_table
 from optics.glass.media import CATALOGUE_AIR, Environment
-from optics.lens.surface import Conic, EvenAsphere, Plane, Shape, Sphere
+from optics.lens.shapes.base import Shape
+from optics.lens.shapes.plane import Plane
+from optics.lens.shapes.registry import SHAPES, UNNAMED
 from optics.lens.system import AMBIENT, LensSystem, Surface
 from optics.validate import parse_toml
 
@@ -37,11 +41,9 @@ class StopTable(_Table):
 
 
 class SurfaceTable(_Table):
-    """One surface; ``radius_mm`` absent or inf: plane. Tilts are about x, then y, of the surface's own vertex."""
+    """What every surface has, whatever its shape. Tilts are about x, then y, of the surface's own vertex."""
 
-    radius_mm: Annotated[float, Field(allow_inf_nan=True)] = math.inf
-    conic: FiniteFloat = 0.0
-    asphere: tuple[FiniteFloat, ...] = ()
+    kind: str
     thickness_mm: FiniteFloat
     medium: str
     semi_diameter_mm: Positive
@@ -52,10 +54,37 @@ class SurfaceTable(_Table):
     tilt_deg: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
 
     @model_validator(mode="after")
-    def _radius(self) -> SurfaceTable:
-        if math.isnan(self.radius_mm) or self.radius_mm == 0.0:
-            raise ValueError(f"radius_mm = {self.radius_mm}: a number other than zero is needed (inf for a plane)")
+    def _the_shape_exists(self) -> SurfaceTable:
+        self.shape()
         return self
+
+    def shape(self) -> Shape:
+        """The shape that the table describes."""
+        shape = next(shape for shape in SHAPES if shape.kind == self.kind)
+        made = shape(**{field.name: getattr(self, field.name) for field in fields(shape)})
+        return made if "kind" in self.model_fields_set else made.simplest()
+
+
+def _table_of(shape: type[Shape]) -> type[SurfaceTable]:
+    """Surface table of one kind: its keys are the fields of the shape, their types the checks."""
+    hints = get_type_hints(shape, include_extras=True)
+    keys: dict[str, Any] = {"kind": (Literal[shape.kind], shape.kind)}
+    for field in fields(shape):
+        keys[field.name] = (hints[field.name], ... if field.default is MISSING else field.default)
+    return create_model(f"{shape.__name__}Table", __base__=SurfaceTable, **keys)
+
+
+def _kind_of(table: Any) -> Any:
+    """Kind that a surface table names, or stands for if it names none."""
+    return table.get("kind", UNNAMED.kind) if isinstance(table, dict) else getattr(table, "kind", UNNAMED.kind)
+
+
+if TYPE_CHECKING:
+    AnySurface = SurfaceTable
+else:
+    AnySurface = Annotated[
+        reduce(or_, (Annotated[_table_of(shape), Tag(shape.kind)] for shape in SHAPES)), Discriminator(_kind_of)
+    ]
 
 
 class GlassTable(_Table):
@@ -80,7 +109,7 @@ class LensFile(_Table):
     design_wavelength_nm: Positive
     max_field_deg: Annotated[float, Field(gt=0, lt=90)]
     stop: StopTable | None = None
-    surface: Annotated[tuple[SurfaceTable, ...], Field(min_length=1)]
+    surface: Annotated[tuple[AnySurface, ...], Field(min_length=1)]
     glass: dict[str, GlassTable] = {}
 
     @model_validator(mode="after")
@@ -91,23 +120,13 @@ class LensFile(_Table):
         return self
 
 
-def _shape(table: SurfaceTable) -> Shape:
-    if table.asphere:
-        return EvenAsphere(radius_mm=table.radius_mm, conic=table.conic, coefficients=table.asphere)
-    if math.isinf(table.radius_mm):
-        return Plane()
-    if table.conic != 0.0:
-        return Conic(radius_mm=table.radius_mm, conic=table.conic)
-    return Sphere(radius_mm=table.radius_mm)
-
-
 def _surfaces(file: LensFile) -> tuple[list[Surface], float]:
     """Surfaces at their vertices, and z of the image plane."""
     z, surfaces = 0.0, []
     for table in file.surface:
         surfaces.append(
             Surface(
-                shape=_shape(table),
+                shape=table.shape(),
                 position_mm=np.array([*table.decentre_mm, z]),
                 rotation=Rotation.from_euler("xy", table.tilt_deg, degrees=True).as_matrix()
                 if any(table.tilt_deg)
@@ -154,13 +173,11 @@ def _glasses(file: LensFile, media: list[str], where: str) -> dict[str, Glass]:
 def _check_apertures(file: LensFile, where: str) -> None:
     """Refuse a clear aperture that reaches beyond the rim where a sphere or conic ends."""
     for number, table in enumerate(file.surface):
-        if not math.isfinite(table.radius_mm) or table.conic <= -1.0:
-            continue
-        rim = abs(table.radius_mm) / math.sqrt(1.0 + table.conic)
-        if table.semi_diameter_mm >= rim:
+        shape = table.shape()
+        if table.semi_diameter_mm >= shape.rim_mm:
             raise ConfigError(
                 f"{where}: surface {number}: semi_diameter_mm = {table.semi_diameter_mm:g} mm reaches the rim of the "
-                f"surface (radius_mm = {table.radius_mm:g} mm, conic {table.conic:g}); it must be below {rim:.6g} mm"
+                f"surface ({shape}); it must be below {shape.rim_mm:.6g} mm"
             )
 
 

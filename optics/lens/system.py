@@ -11,7 +11,8 @@ from optics.arrays import NUMPY, FloatArray
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.glass.catalogue import Glass
 from optics.glass.media import CATALOGUE_AIR, Environment, IndexFormula, index_parameters
-from optics.lens.surface import Plane, Shape
+from optics.lens.shapes.base import Shape
+from optics.lens.shapes.plane import Plane
 from optics.records import freeze
 
 __all__ = ["AMBIENT", "LensSystem", "Surface"]
@@ -28,7 +29,7 @@ class Surface:
     Attributes
     ----------
     shape : Shape
-        Plane, sphere, conic or even asphere.
+        One of the kinds in `optics.lens.shapes.registry`.
     position_mm : (3,)
         Vertex in the lens frame.
     rotation : (3, 3)

@@ -67,6 +67,12 @@ def _require_centred(lens: LensSystem) -> None:
             raise DomainError(
                 f"lens {lens.name!r}: {what} is tilted or decentred; paraxial quantities exist for centred lenses only"
             )
+    for i, surface in enumerate(lens.surfaces):
+        if not surface.shape.rotational:
+            raise DomainError(
+                f"lens {lens.name!r}: surface {i} ({surface.shape.kind}) is not one of revolution; paraxial quantities "
+                "exist for surfaces of revolution only"
+            )
 
 
 def _transfer(distance: float, index: float) -> FloatArray:

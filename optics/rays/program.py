@@ -14,7 +14,8 @@ import numpy as np
 
 from optics.arrays import FloatArray
 from optics.glass.media import IndexFormula, index_parameters
-from optics.lens.surface import Plane, Shape
+from optics.lens.shapes.base import Shape
+from optics.lens.shapes.plane import Plane
 from optics.lens.system import AMBIENT, LensSystem
 from optics.records import locked
 

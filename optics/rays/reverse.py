@@ -12,26 +12,12 @@ from dataclasses import replace
 import numpy as np
 
 from optics.errors import DomainError
-from optics.lens.surface import Conic, EvenAsphere, Plane, Shape, Sphere
 from optics.lens.system import AMBIENT, LensSystem
 from optics.rays.trace import OK, Rays
 
 __all__ = ["retraced", "reverse"]
 
 HALF_TURN = np.diag([-1.0, 1.0, -1.0])
-
-
-def _flipped(shape: Shape) -> Shape:
-    """The shape seen from behind: the sag changes sign."""
-    match shape:
-        case Plane():
-            return shape
-        case Sphere(radius_mm=radius):
-            return Sphere(radius_mm=-radius)
-        case Conic(radius_mm=radius, conic=conic):
-            return Conic(radius_mm=-radius, conic=conic)
-        case EvenAsphere(radius_mm=radius, conic=conic, coefficients=coefficients):
-            return EvenAsphere(radius_mm=-radius, conic=conic, coefficients=tuple(-a for a in coefficients))
 
 
 def reverse(lens: LensSystem) -> LensSystem:
@@ -52,7 +38,7 @@ def reverse(lens: LensSystem) -> LensSystem:
     surfaces = tuple(
         replace(
             surface,
-            shape=_flipped(surface.shape),
+            shape=surface.shape.flipped(),
             position_mm=HALF_TURN @ (surface.position_mm - lens.image_position_mm),
             rotation=HALF_TURN @ surface.rotation @ HALF_TURN,
             medium=medium,

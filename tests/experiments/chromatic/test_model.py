@@ -21,7 +21,8 @@ from experiments.chromatic.model import (
 )
 from experiments.laboratory.target import corner_directions
 from optics.glass.catalogue import Glass
-from optics.lens.surface import Plane, Sphere
+from optics.lens.shapes.plane import Plane
+from optics.lens.shapes.sphere import Sphere
 from optics.lens.system import LensSystem, Surface
 from render.camera import Camera
 

@@ -23,7 +23,8 @@ from optics.lens.perturb import (
     tilt_image,
 )
 from optics.lens.prescription import load_lens
-from optics.lens.surface import Plane, Sphere
+from optics.lens.shapes.plane import Plane
+from optics.lens.shapes.sphere import Sphere
 from optics.lens.system import LensSystem, Surface
 from optics.rays.paraxial import paraxial
 from optics.rays.pupil import entrance_pupil, sobol_disk, star_rays

@@ -7,7 +7,10 @@ from optics.frames import field_direction
 from optics.glass.air import air_index
 from optics.lens.perturb import decentre, tilt, tilt_image
 from optics.lens.prescription import list_lenses, load_lens
-from optics.lens.surface import Conic, EvenAsphere, Plane, Sphere
+from optics.lens.shapes.conic import Conic
+from optics.lens.shapes.even_asphere import EvenAsphere
+from optics.lens.shapes.plane import Plane
+from optics.lens.shapes.sphere import Sphere
 from optics.lens.system import AMBIENT, LensSystem
 from optics.rays.chief import chief_ray_points, plate_scale_mm
 from optics.rays.paraxial import paraxial
@@ -34,7 +37,7 @@ def batoid_surface(batoid, shape):
         case Conic():
             return batoid.Quadric(shape.radius_mm, shape.conic)
         case EvenAsphere():
-            return batoid.Asphere(shape.radius_mm, shape.conic, list(shape.coefficients))
+            return batoid.Asphere(shape.radius_mm, shape.conic, list(shape.asphere))
 
 
 def batoid_trace(batoid, lens: LensSystem, rays, wavelength_nm: float):
@@ -113,7 +116,7 @@ def optiland_optic(lens: LensSystem, wavelength_nm: float):
         curved = not isinstance(shape, Plane)
         extra = {}
         if isinstance(shape, EvenAsphere):
-            extra = {"surface_type": "even_asphere", "coefficients": [0.0, *shape.coefficients]}
+            extra = {"surface_type": "even_asphere", "coefficients": [0.0, *shape.asphere]}
         optic.surfaces.add(
             index=i + 1,
             radius=shape.radius_mm if curved else np.inf,

@@ -11,7 +11,11 @@ from optics.frames import field_direction
 from optics.glass.catalogue import Glass
 from optics.lens.perturb import change_conic, decentre, tilt, tilt_image
 from optics.lens.prescription import list_lenses, load_lens
-from optics.lens.surface import Conic, EvenAsphere, Plane, Shape, Sphere, sag
+from optics.lens.shapes.base import Shape
+from optics.lens.shapes.conic import Conic
+from optics.lens.shapes.even_asphere import EvenAsphere
+from optics.lens.shapes.plane import Plane
+from optics.lens.shapes.sphere import Sphere
 from optics.lens.system import LensSystem, Surface
 from optics.rays.program import compile_lens
 from optics.rays.pupil import entrance_pupil, gauss_disk, sobol_disk, star_rays
@@ -127,7 +131,7 @@ def test_asphere_with_conic_coefficients_is_that_conic():
     radius = 60.0
     series = (1 / (8 * radius**3), 1 / (16 * radius**5), 5 / (128 * radius**7), 7 / (256 * radius**9))
     sphere = simple_lens((Sphere(radius_mm=radius), 20.0, "n15"), (Plane(), 5.0, "air"))
-    expanded = EvenAsphere(radius_mm=radius, conic=-1.0, coefficients=series)
+    expanded = EvenAsphere(radius_mm=radius, conic=-1.0, asphere=series)
     asphere = simple_lens((expanded, 20.0, "n15"), (Plane(), 5.0, "air"))
     rays = axial(0.0, 2.0, 5.0, 8.0, direction=(0.05, 0.1, 1.0))
     a, b = trace(sphere, rays), trace(asphere, rays)
@@ -143,7 +147,7 @@ def test_points_lie_on_the_surfaces():
         x, y, z = (points[i + 1] - surface.position_mm).T
         passed = np.isfinite(x)
         assert passed.sum() > 100
-        np.testing.assert_allclose(z[passed], sag(surface.shape, np.hypot(x, y)[passed]), atol=2e-14)
+        np.testing.assert_allclose(z[passed], surface.shape.sag(x[passed], y[passed]), atol=2e-14)
 
 
 def test_status_missed():

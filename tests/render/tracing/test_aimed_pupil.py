@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from optics.frames import light_direction
-from optics.lens.surface import Plane
+from optics.lens.shapes.plane import Plane
 from optics.lens.system import LensSystem, Surface
 from optics.rays.program import compile_lens
 from optics.rays.trace import OK, VIGNETTED, Rays, trace, trace_path

@@ -1,0 +1,123 @@
+"""What every kind of surface has to say for itself; trace, lens files, tolerances and drawings ask nothing else.
+
+A shape is a record: its fields are its keys in a lens file and what a tolerance can change, its `Shape.parameters` are
+what the trace reads. It is given in the frame of its own vertex: light travels towards +z, the vertex is the origin,
+the sag is z(x, y). A shape knows geometry only; what the surface does to light belongs to the lens.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Self
+
+from optics.arrays import ArrayNamespace, FloatArray
+from optics.errors import DomainError
+
+__all__ = ["Hit", "Shape", "require_finite"]
+
+
+@dataclass(frozen=True, slots=True)
+class Hit:
+    """Intersection in the vertex frame: path from the vertex plane, point, unit normal towards +z, cosine, validity.
+
+    ``valid`` is None where every ray is valid; what is zero for all rays may be a plain 0.0.
+    """
+
+    path: Any
+    x: Any
+    y: Any
+    z: Any
+    nx: Any
+    ny: Any
+    nz: Any
+    cos_i: Any
+    valid: Any
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shape(ABC):
+    """A kind of surface.
+
+    Subclasses are frozen, slotted, keyword-only dataclasses. The annotation of a field is also the check of its key in
+    a lens file (``pydantic.FiniteFloat`` is a float to everybody else); what else must hold is in ``__post_init__``.
+
+    Attributes
+    ----------
+    kind : str
+        Name of the kind in lens files and messages.
+    rotational : bool
+        Whether the surface is one of revolution about its z axis; only then it has paraxial quantities.
+    """
+
+    kind: ClassVar[str]
+    rotational: ClassVar[bool] = True
+
+    @property
+    @abstractmethod
+    def curvature(self) -> float:
+        """Vertex curvature [1/mm]; the mean of the two principal ones if they differ."""
+
+    @property
+    def rim_mm(self) -> float:
+        """Distance from the axis at which the surface ends, as a sphere does at its radius; infinite if it does not."""
+        return math.inf
+
+    @abstractmethod
+    def parameters(self) -> tuple[float, ...]:
+        """Numbers that `intersect` reads; as many for every shape of the kind that one compiled trace may serve."""
+
+    @staticmethod
+    @abstractmethod
+    def intersect(p: Sequence[Any], x: Any, y: Any, d: Sequence[Any], xp: ArrayNamespace) -> Hit:
+        """Intersect rays that stand on the vertex plane; runs on every array library.
+
+        Parameters
+        ----------
+        p : sequence
+            `parameters`, as numbers or as arrays.
+        x, y : array
+            Where the rays cross z = 0 [mm].
+        d : (dx, dy, dz)
+            Unit directions, dz > 0.
+        xp : ArrayNamespace
+            Array library of the rays.
+        """
+
+    @abstractmethod
+    def sag(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        """Sag z(x, y) [mm] on NumPy arrays; NaN where the surface does not reach. An oracle for `intersect`."""
+
+    @abstractmethod
+    def flipped(self) -> Self:
+        """The surface as light from the image side meets it, half a turn about y: z'(x, y) = -z(-x, y)."""
+
+    @abstractmethod
+    def scaled(self, factor: float) -> Self:
+        """The surface expanded uniformly: z'(x, y) = factor z(x / factor, y / factor)."""
+
+    def simplest(self) -> Shape:
+        """The same surface as the kind that costs the trace least."""
+        return self
+
+    def changed(self, name: str, by: float) -> Shape:
+        """The surface with ``by`` added to the field ``name``; another kind where this one cannot hold the result.
+
+        Raises
+        ------
+        DomainError
+            If it has no such number, or the result is not a surface of any kind.
+        """
+        known = [field.name for field in fields(self) if isinstance(getattr(self, field.name), int | float)]
+        if name not in known:
+            raise DomainError(f"a surface of kind {self.kind} has no {name}; it has {', '.join(known) or 'no number'}")
+        return replace(self, **{name: getattr(self, name) + by})
+
+
+def require_finite(shape: Shape, **values: float) -> None:
+    """Raise DomainError unless every value is a finite number."""
+    for name, value in values.items():
+        if not math.isfinite(value):
+            raise DomainError(f"{type(shape).__name__}.{name} = {value}; a finite number is needed")
