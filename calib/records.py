@@ -15,7 +15,10 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
-__all__ = ["NoiseModel", "SensorImage", "Stamps", "StarTable"]
+__all__ = ["FLUX", "NoiseModel", "SensorImage", "Stamps", "StarTable", "X", "Y"]
+
+X, Y, FLUX = 0, 1, 2
+"""Rows and columns of ``StarTable.covariance``, and of every vector that starts with (x, y, flux)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

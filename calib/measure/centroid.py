@@ -1,44 +1,97 @@
-"""The one interface of all centroiders, and their names."""
+"""The one interface of all centroiders, and their names.
+
+A centroider is one file in `calib.measure.centroiders` and one line in `_REGISTRY` below, see
+``docs/extending/add_a_centroider.md``. Reading the names imports none of them, so that a command line answers at once.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Protocol
+from dataclasses import fields, is_dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
-from calib.measure.epsf import EpsfCentroider
-from calib.measure.gaussian import GaussianCentroider
-from calib.measure.moments import CentreOfGravity, ThresholdedCentreOfGravity, WindowedCentroid
-from calib.records import NoiseModel, Stamps, StarTable
 from optics.errors import ConfigError, unknown_name
 
-__all__ = ["Centroider", "get_centroider", "list_centroiders"]
+if TYPE_CHECKING:
+    from calib.records import NoiseModel, Stamps, StarTable
+
+__all__ = ["Centroider", "centroider_class", "get_centroider", "list_centroiders", "register_centroider"]
 
 
 class Centroider(Protocol):
-    """Anything that turns stamps into positions and fluxes with covariance."""
+    """Anything that turns stamps into positions and fluxes with covariance; a frozen dataclass of its options.
 
-    @property
-    def name(self) -> str:
-        """The name it goes by."""
-        ...
+    Attributes
+    ----------
+    name : str
+        The name it goes by in `get_centroider` and in configurations.
+    label : str
+        What tables and figures call it.
+    needs_epsf : bool
+        Whether it has an option ``epsf`` (an `EffectivePsf` or several) that must be given.
+    """
+
+    name: ClassVar[str]
+    label: ClassVar[str]
+    needs_epsf: ClassVar[bool]
 
     def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
         """One row per stamp, in order; the stamps are not changed."""
         ...
 
 
-_CENTROIDERS: dict[str, Callable[..., Centroider]] = {
-    "cog": CentreOfGravity,
-    "tcog": ThresholdedCentreOfGravity,
-    "windowed": WindowedCentroid,
-    "gaussian": GaussianCentroider,
-    "epsf": EpsfCentroider,
+_REGISTRY: dict[str, str | type[Centroider]] = {
+    "cog": "calib.measure.centroiders.centre_of_gravity:CentreOfGravity",
+    "tcog": "calib.measure.centroiders.thresholded:ThresholdedCentreOfGravity",
+    "windowed": "calib.measure.centroiders.windowed:WindowedCentroid",
+    "gaussian": "calib.measure.centroiders.gaussian:GaussianCentroider",
+    "epsf": "calib.measure.centroiders.epsf:EpsfCentroider",
 }
+"""By name: ``module:class``, imported when it is asked for, or a class that was registered."""
 
 
 def list_centroiders() -> tuple[str, ...]:
     """Names that `get_centroider` knows."""
-    return tuple(_CENTROIDERS)
+    return tuple(_REGISTRY)
+
+
+def centroider_class(name: str) -> type[Centroider]:
+    """Class of a centroider, with its name, label and needs.
+
+    Raises
+    ------
+    ConfigError
+        On an unknown name, with the nearest known ones.
+    """
+    if name not in _REGISTRY:
+        raise unknown_name("centroider", name, _REGISTRY)
+    found = _REGISTRY[name]
+    if isinstance(found, str):
+        module, _, attribute = found.partition(":")
+        found = _REGISTRY[name] = getattr(import_module(module), attribute)
+    return found
+
+
+def register_centroider(new: type[Centroider]) -> type[Centroider]:
+    """Make a centroider of your own known by its name, in this process; usable as a decorator.
+
+    Raises
+    ------
+    ConfigError
+        If the class is no dataclass, lacks ``name``, ``label``, ``needs_epsf`` or ``measure``, says that it needs an
+        ePSF and has no field ``epsf``, or if the name belongs to another class.
+    """
+    missing = [key for key in ("name", "label", "needs_epsf", "measure") if not hasattr(new, key)]
+    if missing:
+        raise ConfigError(f"centroider {new.__name__} has no {' and no '.join(missing)}")
+    if not is_dataclass(new):
+        raise ConfigError(f"centroider {new.__name__} is no dataclass; its fields are its options")
+    if new.needs_epsf and "epsf" not in _options(new):
+        raise ConfigError(f"centroider {new.__name__} needs an ePSF (needs_epsf = True) and has no field epsf")
+    if new.name in _REGISTRY and centroider_class(new.name) is not new:
+        raise ConfigError(f"the name {new.name!r} belongs to {centroider_class(new.name).__name__}; choose another")
+    _REGISTRY[new.name] = new
+    return new
 
 
 def get_centroider(name: str, **options: Any) -> Centroider:
@@ -47,9 +100,9 @@ def get_centroider(name: str, **options: Any) -> Centroider:
     Parameters
     ----------
     name : str
-        "cog", "tcog", "windowed", "gaussian" or "epsf".
+        One of `list_centroiders`.
     **options
-        Attributes of the centroider; "epsf" needs ``epsf``.
+        Attributes of the centroider; those that need an ePSF take it as ``epsf=``.
 
     Raises
     ------
@@ -58,20 +111,21 @@ def get_centroider(name: str, **options: Any) -> Centroider:
     DomainError
         On an option out of range.
     """
-    if name not in _CENTROIDERS:
-        raise unknown_name("centroider", name, _CENTROIDERS)
-    maker = _CENTROIDERS[name]
-    fields = maker.__dataclass_fields__  # type: ignore[attr-defined]
-    known = [key for key in fields if key != "name"]
+    chosen = centroider_class(name)
+    known = _options(chosen)
     for key in options:
         if key not in known:
             raise unknown_name(f"option of centroider {name!r}:", key, known)
-    if name == "epsf" and "epsf" not in options:
+    if chosen.needs_epsf and "epsf" not in options:
         raise ConfigError(
-            "centroider 'epsf' needs epsf=: an EffectivePsf, from render.tracing.psf.render_epsf or "
+            f"centroider {name!r} needs epsf=: an EffectivePsf, from render.tracing.psf.render_epsf or "
             "calib.measure.epsf_build.build_epsf"
         )
     try:
-        return maker(**options)
+        return chosen(**options)
     except TypeError as error:
         raise ConfigError(f"centroider {name!r}: {error}; options are {', '.join(known)}") from None
+
+
+def _options(centroider: type[Centroider]) -> list[str]:
+    return [one.name for one in fields(centroider)]  # type: ignore[arg-type]  # registered ones are dataclasses

@@ -12,8 +12,9 @@ from skimage.measure import label
 from calib.measure.background import Background, estimate_background
 from calib.measure.flags import StarFlag
 from calib.measure.image import as_image
+from calib.measure.moments import FWHM_PER_SIGMA
 from calib.measure.stamps import parabola_peak
-from calib.records import SensorImage, StarTable
+from calib.records import FLUX, SensorImage, StarTable, X, Y
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.records import Frame
@@ -77,7 +78,7 @@ def detect(
         raise DomainError(f"background is for an image of {background.shape} px, this one has {image.dn.shape}")
     level, sigma = background.level_image(), np.maximum(background.sigma_image(), 1e-6)
     light = np.where(image.valid, image.noise.to_electrons(image.dn) - level, 0.0)
-    width = fwhm_px / 2.354820045
+    width = fwhm_px / FWHM_PER_SIGMA
     filtered = gaussian_filter(light, width, mode="constant")
     kernel = gaussian_filter(_delta(fwhm_px), width, mode="constant")
     power = float(np.sum(kernel**2))
@@ -173,8 +174,8 @@ def _table(
     variance_flux = sigma[y, x] ** 2 / power + flux
     covariance = np.zeros((len(x), 3, 3))
     # matched Gaussian in white noise: sigma_x = sqrt(2) width sigma_flux / flux (Fisher information of its shift)
-    covariance[:, 0, 0] = covariance[:, 1, 1] = 2.0 * width**2 * variance_flux / flux**2
-    covariance[:, 2, 2] = variance_flux
+    covariance[:, X, X] = covariance[:, Y, Y] = 2.0 * width**2 * variance_flux / flux**2
+    covariance[:, FLUX, FLUX] = variance_flux
     return StarTable(
         x_px=x + dx,
         y_px=y + dy,

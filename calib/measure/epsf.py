@@ -1,4 +1,4 @@
-"""Effective-PSF maximum likelihood: the star is a known pixel-integrated PSF, shifted and scaled.
+"""Stars drawn from effective PSFs: a known pixel-integrated PSF, shifted and scaled, and its derivatives.
 
 Between its samples the PSF is a cubic B-spline. All pixels of a window sit at the same fraction of a sample, because
 the pixel pitch is a whole number of samples; the 16 spline weights are therefore common to the window, and signal and
@@ -8,21 +8,18 @@ derivatives are one small matrix product, (3 x 16) times (16 x pixels), per star
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter
 
-from calib.measure.scoring import fit_stamps
-from calib.records import NoiseModel, Stamps, StarTable
+from calib.records import FLUX, X, Y
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.records import EffectivePsf
 
-__all__ = ["EpsfBank", "EpsfCentroider", "cubic_weights", "draw_epsf"]
+__all__ = ["EpsfBank", "EpsfModel", "cubic_weights", "draw_epsf"]
 
 
 class EpsfBank:
@@ -122,70 +119,16 @@ class EpsfModel:
 
     def evaluate(self, parameters: FloatArray, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
         """Signal and derivatives, see `scoring.PixelModel`."""
-        cell, fraction = self.bank.locate(parameters[:, 0], parameters[:, 1])
+        cell, fraction = self.bank.locate(parameters[:, X], parameters[:, Y])
         new = np.flatnonzero(np.any(cell != self._cell[rows], axis=1))
         if new.size:
             self._table[rows[new]] = self.bank.tables(self._psf[rows[new]], cell[new])
             self._cell[rows[new]] = cell[new]
         table = self._table if len(rows) == len(self._table) else self._table[rows]
         jacobian = self.bank.weights(fraction) @ table
-        flux = parameters[:, 2, None]
-        jacobian[:, :2] *= flux[:, :, None]
-        return jacobian[:, 2] * flux, jacobian
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EpsfCentroider:
-    """Effective-PSF maximum likelihood of x, y and flux (and background), see `calib.measure.scoring`.
-
-    Positions refer to the origin of the `EffectivePsf`; its scale defines the flux.
-
-    Attributes
-    ----------
-    epsf : EffectivePsf or sequence of EffectivePsf
-        The PSF; of several, ``Stamps.psf_index`` picks each star's own.
-    fit_background : bool
-        Fit a constant per star too, instead of trusting ``Stamps.background_e``.
-    max_shift_px : float
-        Farthest plausible distance from the start position; beyond it the star is flagged ``NOT_CONVERGED``.
-    tolerance : float
-        Last step in units of the standard deviation.
-    max_iterations : int
-        Most steps taken.
-    """
-
-    name: ClassVar[str] = "epsf"
-    epsf: EffectivePsf | Sequence[EffectivePsf]
-    fit_background: bool = False
-    max_shift_px: float = 2.0
-    tolerance: float = 0.01
-    max_iterations: int = 30
-
-    def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
-        """Position, flux and covariance of every stamp.
-
-        Raises
-        ------
-        DomainError
-            If ``psf_index`` points beyond the given PSFs.
-        """
-        psfs = (self.epsf,) if isinstance(self.epsf, EffectivePsf) else tuple(self.epsf)
-        bank = EpsfBank(psfs, (stamps.electrons.shape[1], stamps.electrons.shape[2]))
-        if len(stamps) and not (stamps.psf_index.min() >= 0 and stamps.psf_index.max() < len(psfs)):
-            raise DomainError(
-                f"Stamps.psf_index spans {stamps.psf_index.min()} to {stamps.psf_index.max()}; "
-                f"{len(psfs)} PSF(s) are given, indices 0 to {len(psfs) - 1}"
-            )
-        return fit_stamps(
-            stamps,
-            noise,
-            lambda part, rows: EpsfModel(bank, part.psf_index[rows]),
-            np.empty(0),
-            fit_background=self.fit_background,
-            max_shift_px=self.max_shift_px,
-            tolerance=self.tolerance,
-            max_iterations=self.max_iterations,
-        )
+        flux = parameters[:, FLUX, None]
+        jacobian[:, :FLUX] *= flux[:, :, None]
+        return jacobian[:, FLUX] * flux, jacobian
 
 
 def draw_epsf(epsf: EffectivePsf, x_px: FloatArray, y_px: FloatArray, shape: tuple[int, int]) -> FloatArray:

@@ -19,16 +19,17 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.measure.flags import StarFlag
-from calib.records import NoiseModel, Stamps, StarTable
+from calib.measure.options import check_options, option
+from calib.records import FLUX, NoiseModel, Stamps, StarTable, X, Y
 from optics.arrays import FloatArray
 
-__all__ = ["PixelFit", "PixelModel", "fit_pixels", "fit_stamps"]
+__all__ = ["LikelihoodFit", "PixelFit", "PixelModel", "fit_pixels"]
 
 CHUNK = 256  # stars per task: the working set of a chunk stays within a few MB of cache
 
@@ -130,10 +131,10 @@ def fit_pixels(
         inverse, good = _inverse(information)
         step = (inverse @ score[:, :, None])[:, :, 0]
         sigma = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
-        small = np.all(np.abs(step[:, :3]) <= tolerance * sigma[:, :3], axis=1)
+        small = np.all(np.abs(step[:, : FLUX + 1]) <= tolerance * sigma[:, : FLUX + 1], axis=1)
         step *= np.minimum(1.0, np.min(limit / np.maximum(np.abs(step), 1e-300), axis=1))[:, None]
         moved = now + step
-        moved[:, 2] = np.maximum(moved[:, 2], 1e-3 * np.abs(now[:, 2]) + 1e-6)  # a star has no negative light
+        moved[:, FLUX] = np.maximum(moved[:, FLUX], 1e-3 * np.abs(now[:, FLUX]) + 1e-6)  # a star has no negative light
         good &= np.all(np.isfinite(moved), axis=1)
         theta[active[good]] = moved[good]
         covariance[active] = np.where(good[:, None, None], inverse, np.nan)
@@ -158,70 +159,92 @@ def _inverse(information: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     return np.asarray(inverse * scale[:, :, None] * scale[:, None, :]), good
 
 
-def fit_stamps(
-    stamps: Stamps,
-    noise: NoiseModel,
-    make_model: Callable[[Stamps, slice], PixelModel],
-    shape_start: FloatArray,
-    *,
-    fit_background: bool,
-    max_shift_px: float,
-    tolerance: float = 0.01,
-    max_iterations: int = 30,
-) -> StarTable:
-    """`fit_pixels` on stamps, in chunks over the processor's cores, as a `StarTable`.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LikelihoodFit:
+    """Options that all maximum-likelihood centroiders share, and the fit itself.
 
-    Parameters
+    Attributes
     ----------
-    stamps, noise : Stamps, NoiseModel
-        The data.
-    make_model : callable
-        ``make_model(stamps, rows)`` gives the pixel model of a slice of the stamps.
-    shape_start : (k - 3,)
-        Start values of the parameters after the flux.
     fit_background : bool
-        Fit one background per star.
+        Fit a constant per star too, instead of trusting ``Stamps.background_e``.
     max_shift_px : float
-        A star that ends farther than this from its start is flagged ``NOT_CONVERGED``.
-    tolerance, max_iterations : float, int
-        As in `fit_pixels`.
-
-    Returns
-    -------
-    StarTable
-        One row per stamp.
+        Farthest plausible distance from the start position; beyond it the star is flagged ``NOT_CONVERGED``.
+    tolerance : float
+        Last step in units of the standard deviation.
+    max_iterations : int
+        Most steps taken.
     """
-    n = len(stamps)
-    if not n:
-        return StarTable.empty()
 
-    def one(rows: slice) -> PixelFit:
-        data = stamps.electrons[rows].reshape(rows.stop - rows.start, -1)
-        valid = stamps.valid[rows].reshape(data.shape)
-        start = _start(stamps, rows, noise, shape_start)
-        return fit_pixels(
-            make_model(stamps, rows),
-            start,
-            data=data,
-            valid=valid,
-            background=stamps.background_e[rows],
-            noise=noise,
-            fit_background=fit_background,
-            tolerance=tolerance,
-            max_iterations=max_iterations,
-        )
+    fit_background: bool = False
+    max_shift_px: float = option(2.0, above=0, unit="px")
+    tolerance: float = option(0.01, above=0)
+    max_iterations: int = option(30, at_least=1)
 
-    slices = [slice(i, min(i + CHUNK, n)) for i in range(0, n, CHUNK)]
-    workers = min(
-        len(slices), len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    def __post_init__(self) -> None:
+        check_options(self)
+
+    def fit(
+        self,
+        stamps: Stamps,
+        noise: NoiseModel,
+        make_model: Callable[[Stamps, slice], PixelModel],
+        *,
+        shape_start: FloatArray | None = None,
+    ) -> StarTable:
+        """`fit_pixels` on stamps, in chunks over the processor's cores.
+
+        Parameters
+        ----------
+        stamps, noise : Stamps, NoiseModel
+            The data.
+        make_model : callable
+            ``make_model(stamps, rows)`` gives the pixel model of a slice of the stamps.
+        shape_start : (k - 3,), optional
+            Start values of the parameters after the flux.
+
+        Returns
+        -------
+        StarTable
+            One row per stamp.
+        """
+        n = len(stamps)
+        if not n:
+            return StarTable.empty()
+        shape = np.empty(0) if shape_start is None else shape_start
+
+        def one(rows: slice) -> PixelFit:
+            data = stamps.electrons[rows].reshape(rows.stop - rows.start, -1)
+            return fit_pixels(
+                make_model(stamps, rows),
+                _start(stamps, rows, noise, shape),
+                data=data,
+                valid=stamps.valid[rows].reshape(data.shape),
+                background=stamps.background_e[rows],
+                noise=noise,
+                fit_background=self.fit_background,
+                tolerance=self.tolerance,
+                max_iterations=self.max_iterations,
+            )
+
+        slices = [slice(i, min(i + CHUNK, n)) for i in range(0, n, CHUNK)]
+        workers = min(len(slices), _cores())
+        if workers > 1:
+            with ThreadPoolExecutor(workers) as pool:
+                parts = list(pool.map(one, slices))
+        else:
+            parts = [one(rows) for rows in slices]
+        return _table(stamps, _joined(parts), self.fit_background, self.max_shift_px)
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _joined(parts: list[PixelFit]) -> PixelFit:
+    return PixelFit(
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in PixelFit.__dataclass_fields__}
     )
-    if workers > 1:
-        with ThreadPoolExecutor(workers) as pool:
-            parts = list(pool.map(one, slices))
-    else:
-        parts = [one(rows) for rows in slices]
-    fit = {name: np.concatenate([getattr(part, name) for part in parts]) for name in PixelFit.__dataclass_fields__}
-    return _table(stamps, fit, fit_background, max_shift_px)
 
 
 def _start(stamps: Stamps, rows: slice, noise: NoiseModel, shape_start: FloatArray) -> FloatArray:
@@ -232,21 +255,21 @@ def _start(stamps: Stamps, rows: slice, noise: NoiseModel, shape_start: FloatArr
     return np.column_stack([position, flux, np.tile(shape_start, (len(flux), 1))])
 
 
-def _table(stamps: Stamps, fit: dict[str, Any], fit_background: bool, max_shift_px: float) -> StarTable:
-    theta, covariance = fit["parameters"], fit["covariance"][:, :3, :3]
+def _table(stamps: Stamps, fit: PixelFit, fit_background: bool, max_shift_px: float) -> StarTable:
+    theta = fit.parameters
     flags = np.array(stamps.flags)
-    lost = fit["iterations"] == 0
-    offset = theta[:, :2] + stamps.corner_px - stamps.start_px
-    far = np.hypot(offset[:, 0], offset[:, 1]) > max_shift_px
+    lost = fit.iterations == 0
+    offset = theta[:, :FLUX] + stamps.corner_px - stamps.start_px
+    far = np.hypot(offset[:, X], offset[:, Y]) > max_shift_px
     flags[lost] |= int(StarFlag.NO_DATA)
-    flags[~lost & (far | ~fit["converged"])] |= int(StarFlag.NOT_CONVERGED)
+    flags[~lost & (far | ~fit.converged)] |= int(StarFlag.NOT_CONVERGED)
     return StarTable(
-        x_px=np.where(lost, np.nan, theta[:, 0] + stamps.corner_px[:, 0]),
-        y_px=np.where(lost, np.nan, theta[:, 1] + stamps.corner_px[:, 1]),
-        flux_e=np.where(lost, np.nan, theta[:, 2]),
+        x_px=np.where(lost, np.nan, theta[:, X] + stamps.corner_px[:, X]),
+        y_px=np.where(lost, np.nan, theta[:, Y] + stamps.corner_px[:, Y]),
+        flux_e=np.where(lost, np.nan, theta[:, FLUX]),
         background_e=theta[:, -1] if fit_background else stamps.background_e,
-        covariance=covariance,
-        chi2=fit["chi2"],
-        iterations=fit["iterations"],
+        covariance=fit.covariance[:, : FLUX + 1, : FLUX + 1],
+        chi2=fit.chi2,
+        iterations=fit.iterations,
         flags=flags,
     )

@@ -142,7 +142,7 @@ def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) 
     """Detect and centroid the stars of a frame.
 
     A PSF at rest does not fit a trail: where the camera turned, as its rate tells, positions are first moments under a
-    Gaussian window (`calib.measure.moments.WindowedCentroid`), in a window that holds the trail.
+    Gaussian window (`calib.measure.centroiders.windowed.WindowedCentroid`), in a window that holds the trail.
 
     Parameters
     ----------

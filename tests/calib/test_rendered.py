@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.measure.epsf import EpsfCentroider
+from calib.measure.centroiders.epsf import EpsfCentroider
 from calib.measure.stamps import extract_stamps
 from calib.records import NoiseModel, SensorImage
 

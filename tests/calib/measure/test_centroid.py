@@ -1,14 +1,19 @@
-from dataclasses import replace
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from calib.measure.centroid import get_centroider, list_centroiders
+from calib.measure import centroid
+from calib.measure.centroid import centroider_class, get_centroider, list_centroiders, register_centroider
 from calib.measure.flags import StarFlag, has_flag
-from calib.measure.moments import half_light_radius
 from calib.records import NoiseModel
 from optics.errors import ConfigError, DomainError
 
+ROOT = Path(__file__).parents[3]
 NAMES = ("cog", "tcog", "windowed", "gaussian", "epsf")
 LIKELIHOOD = ("gaussian", "epsf")
 
@@ -32,8 +37,57 @@ def stars(sky):
     return sky.stamps(electrons, x + 0.1, y - 0.1, background_e=4.0)
 
 
-def test_the_five_are_registered():
+def test_the_five_are_registered_under_the_names_they_carry():
     assert list_centroiders() == NAMES
+    for name in NAMES:
+        assert centroider_class(name).name == name
+    labels = [centroider_class(name).label for name in NAMES]
+    assert len(set(labels)) == len(NAMES)
+    assert [name for name in NAMES if centroider_class(name).needs_epsf] == ["epsf"]
+
+
+def test_names_are_read_without_importing_numpy():
+    """A command line checks a configuration's names before anything slow is imported."""
+    code = "import sys; from calib.measure.centroid import list_centroiders as f; f(); print('numpy' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.strip() == "False"
+
+
+@dataclass(frozen=True, kw_only=True)
+class BrightestPixel:
+    """A centroider of a user."""
+
+    name: ClassVar[str] = "brightest"
+    label: ClassVar[str] = "brightest pixel"
+    needs_epsf: ClassVar[bool] = False
+
+    def measure(self, stamps, noise):
+        raise NotImplementedError
+
+
+def test_a_registered_class_is_known_by_its_name(monkeypatch):
+    monkeypatch.setattr(centroid, "_REGISTRY", dict(centroid._REGISTRY))
+    assert register_centroider(BrightestPixel) is BrightestPixel
+    assert register_centroider(BrightestPixel) is BrightestPixel, "twice does no harm"
+    assert list_centroiders() == (*NAMES, "brightest")
+    assert isinstance(get_centroider("brightest"), BrightestPixel)
+
+
+def test_a_class_that_is_no_centroider_is_refused(monkeypatch):
+    monkeypatch.setattr(centroid, "_REGISTRY", dict(centroid._REGISTRY))
+
+    class Plain(BrightestPixel):
+        name = "cog"
+
+    with pytest.raises(ConfigError, match="belongs to CentreOfGravity"):
+        register_centroider(Plain)
+    with pytest.raises(ConfigError, match="no label and no needs_epsf and no measure"):
+        register_centroider(type("Nothing", (), {"name": "nothing"}))
+    with pytest.raises(ConfigError, match="no field epsf"):
+        register_centroider(dataclass(frozen=True)(type("Needy", (BrightestPixel,), {"needs_epsf": True})))
+    undecorated = {"name": "u", "label": "u", "needs_epsf": False, "measure": None}
+    with pytest.raises(ConfigError, match="no dataclass"):
+        register_centroider(type("Undecorated", (), undecorated))
 
 
 def test_misspelt_names_get_the_nearest(sky):
@@ -46,8 +100,12 @@ def test_misspelt_names_get_the_nearest(sky):
     for bad in ({"half_width_px": 0}, {"threshold_sigma": -1.0}):
         with pytest.raises(DomainError, match=next(iter(bad))):
             get_centroider("tcog", **bad)
-    with pytest.raises(DomainError, match="sigma_px"):
+    with pytest.raises(DomainError, match=r"sigma_px = 0.0 px; it must be above 0 px"):
         get_centroider("windowed", sigma_px=0.0)
+    for name in LIKELIHOOD:
+        for bad in ({"max_iterations": 0}, {"tolerance": float("nan")}, {"max_shift_px": -1.0}):
+            with pytest.raises(DomainError, match=next(iter(bad))):
+                get_centroider(name, **({"epsf": sky.epsf(0.7)} if name == "epsf" else {}), **bad)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -168,10 +226,3 @@ def test_far_neighbour_pulls_a_fit_away_and_is_reported(make, sky, noise):
     electrons = 1e5 * sky.gaussian([9.0], [9.0], 0.7) + 200.0 * sky.gaussian([5.0], [5.0], 0.7)
     table = make("epsf", max_shift_px=1.0).measure(sky.stamps(electrons, [6.5], [6.5]), noise)
     assert has_flag(table.flags, StarFlag.NOT_CONVERGED)[0]
-
-
-def test_half_light_radius_of_a_gaussian(sky):
-    """Half the light of a Gaussian lies within 1.1774 sigma (sigma 2 px: the pixel adds 1/12 px^2)."""
-    light = sky.gaussian([15.0], [15.3], 2.0, height=31, width=31)
-    found = half_light_radius(light, np.array([15.0]), np.array([15.3]))[0]
-    assert found == pytest.approx(1.1774 * np.sqrt(4.0 + 1.0 / 12.0), rel=0.02)

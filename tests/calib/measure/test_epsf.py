@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from calib.measure.centroid import get_centroider
-from calib.measure.epsf import EpsfBank, EpsfCentroider, EpsfModel, draw_epsf
+from calib.measure.centroiders.epsf import EpsfCentroider
+from calib.measure.epsf import EpsfBank, EpsfModel, draw_epsf
 from calib.measure.epsf_build import build_epsf
 from calib.measure.flags import StarFlag, has_flag
 from calib.records import NoiseModel

@@ -1,0 +1,38 @@
+"""Centre of gravity of all light in a window, the centroid of the first star trackers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from calib.measure.moments import gravity_table, light_above_background
+from calib.measure.options import check_options, option
+from calib.records import NoiseModel, Stamps, StarTable
+
+__all__ = ["CentreOfGravity"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CentreOfGravity:
+    """Centre of gravity ``x = sum(s x) / sum(s)`` of the light s above the background.
+
+    Attributes
+    ----------
+    half_width_px : int or None
+        The sums run over ``2 half_width_px + 1`` pixels each way around the pixel nearest the start position; None:
+        the whole stamp.
+    """
+
+    name: ClassVar[str] = "cog"
+    label: ClassVar[str] = "centre of gravity"
+    needs_epsf: ClassVar[bool] = False
+
+    half_width_px: int | None = option(3, at_least=1, unit="px")
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+    def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
+        """Position, flux of the window and covariance of every stamp."""
+        light, used = light_above_background(stamps, self.half_width_px)
+        return gravity_table(stamps, noise, weight=light, light=light, used=used)

@@ -1,0 +1,53 @@
+"""Maximum likelihood of a known effective PSF, shifted and scaled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from calib.measure.epsf import EpsfBank, EpsfModel
+from calib.measure.scoring import LikelihoodFit
+from calib.records import NoiseModel, Stamps, StarTable
+from optics.errors import DomainError
+from render.records import EffectivePsf
+
+__all__ = ["EpsfCentroider"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpsfCentroider(LikelihoodFit):
+    """Effective-PSF maximum likelihood of x, y and flux (and background), see `calib.measure.scoring`.
+
+    Positions refer to the origin of the `EffectivePsf`; its scale defines the flux.
+
+    Attributes
+    ----------
+    epsf : EffectivePsf or sequence of EffectivePsf
+        The PSF; of several, ``Stamps.psf_index`` picks each star's own.
+    fit_background, max_shift_px, tolerance, max_iterations
+        As in `calib.measure.scoring.LikelihoodFit`.
+    """
+
+    name: ClassVar[str] = "epsf"
+    label: ClassVar[str] = "ePSF fit"
+    needs_epsf: ClassVar[bool] = True
+
+    epsf: EffectivePsf | Sequence[EffectivePsf]
+
+    def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
+        """Position, flux and covariance of every stamp.
+
+        Raises
+        ------
+        DomainError
+            If ``psf_index`` points beyond the given PSFs.
+        """
+        psfs = (self.epsf,) if isinstance(self.epsf, EffectivePsf) else tuple(self.epsf)
+        bank = EpsfBank(psfs, (stamps.electrons.shape[1], stamps.electrons.shape[2]))
+        if len(stamps) and not (stamps.psf_index.min() >= 0 and stamps.psf_index.max() < len(psfs)):
+            raise DomainError(
+                f"Stamps.psf_index spans {stamps.psf_index.min()} to {stamps.psf_index.max()}; "
+                f"{len(psfs)} PSF(s) are given, indices 0 to {len(psfs) - 1}"
+            )
+        return self.fit(stamps, noise, lambda part, rows: EpsfModel(bank, part.psf_index[rows]))

@@ -1,0 +1,24 @@
+import numpy as np
+import pytest
+
+from calib.measure.moments import FWHM_PER_SIGMA, Moments, half_light_radius, powers
+
+
+def test_moments_are_those_of_two_lone_pixels():
+    """Values 2 and 3 at (x, y) = (1, -2) and (-1, 4) from the origin: sums by hand."""
+    values = np.zeros((1, 7, 3))
+    values[0, 0, 2], values[0, 6, 0] = 2.0, 3.0
+    rows, columns = np.arange(-2.0, 5.0)[None], np.arange(-1.0, 2.0)[None]
+    found = Moments.of(values, powers(rows), powers(columns))
+    assert [float(one[0]) for one in found] == [5.0, -1.0, 8.0, 5.0, -16.0, 56.0]  # 1, x, y, xx, xy, yy
+
+
+def test_full_width_at_half_maximum():
+    assert np.exp(-0.5 * (0.5 * FWHM_PER_SIGMA) ** 2) == pytest.approx(0.5, abs=1e-9)
+
+
+def test_half_light_radius_of_a_gaussian(sky):
+    """Half the light of a Gaussian lies within 1.1774 sigma (sigma 2 px: the pixel adds 1/12 px^2)."""
+    light = sky.gaussian([15.0], [15.3], 2.0, height=31, width=31)
+    found = half_light_radius(light, np.array([15.0]), np.array([15.3]))[0]
+    assert found == pytest.approx(1.1774 * np.sqrt(4.0 + 1.0 / 12.0), rel=0.02)
