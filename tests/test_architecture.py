@@ -21,6 +21,17 @@ FORBIDDEN = {
     "experiments": set(),
 }
 ALLOWED = {"calib": {"render.records"}}
+
+# Rooms of a package, lowest first: a module imports from its own room and from rooms to the left of a "<" before it.
+# Rooms between two "<" know nothing of each other. A new room (or module at the top) has to be put in its place here.
+ORDER = {
+    "optics": "arrays errors units < attitude frames records validate < response < glass < lens light < rays < figures",
+    "render": "engine records < catalogue detector motion < camera < fits sensor sky tracing < plugins"
+    " < bench bodies forward",
+    "calib": "directional fitting records < cameras measure < attitude < calibration",
+}
+# Names that one room may take from another one in spite of the order, by the importing room.
+EXCEPTIONS: dict[str, set[str]] = {}
 LINES = 500
 
 
@@ -57,6 +68,25 @@ def violations(source, room, package=None):
         for name in imported(source, package or room)
         if name.split(".")[0] in FORBIDDEN[room]
         and not any(name == allowed or name.startswith(f"{allowed}.") for allowed in ALLOWED.get(room, ()))
+    )
+
+
+def room_of(name):
+    """Package and room of a dotted name: its first two parts."""
+    package, _, rest = name.partition(".")
+    return package, rest.partition(".")[0]
+
+
+def arrows_up(source, module, order=None, exceptions=None):
+    """What the source text of a module imports from rooms of its package that do not stand below its own."""
+    package, room = room_of(module)
+    levels = [level.split() for level in (order or ORDER[package]).split("<")]
+    below = {other for level in levels[: [room in level for level in levels].index(True)] for other in level}
+    allowed = (EXCEPTIONS if exceptions is None else exceptions).get(f"{package}.{room}", set())
+    return sorted(
+        name
+        for name in imported(source, module.rpartition(".")[0])
+        if room_of(name)[0] == package and room_of(name)[1] not in {room, *below} and name not in allowed
     )
 
 
@@ -103,6 +133,40 @@ def test_imports_stay_in_bounds(path):
 )
 def test_the_rule_sees_what_it_should(source, room, expected):
     assert violations(source, room) == expected
+
+
+@pytest.mark.parametrize("package", ORDER)
+def test_every_room_has_its_place(package):
+    listed = ORDER[package].replace("<", " ").split()
+    inside = [p for p in (ROOT / package).iterdir() if p.suffix == ".py" or (p / "__init__.py").exists()]
+    assert sorted(listed) == sorted(p.stem for p in inside if p.stem != "__init__")
+
+
+ORDERED = [path for path in FILES if len(path.relative_to(ROOT).parts) > 2 or path.stem != "__init__"]
+
+
+@pytest.mark.parametrize("path", [path for path in ORDERED if path.relative_to(ROOT).parts[0] in ORDER], ids=label)
+def test_no_arrow_back_up(path):
+    module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    assert arrows_up(path.read_text(encoding="utf-8"), module) == []
+
+
+@pytest.mark.parametrize(
+    ("source", "module", "expected"),
+    [
+        ("from house.cellar import wine", "house.kitchen.stove", []),
+        ("from house.kitchen.table import plate", "house.kitchen.stove", []),
+        ("from .table import plate", "house.kitchen.stove", []),
+        ("import house.attic.box", "house.kitchen.stove", ["house.attic.box"]),
+        ("def f():\n    from house.hall import coat", "house.kitchen.stove", ["house.hall.coat"]),  # beside it
+        ("from house.hall import door", "house.kitchen.stove", []),  # by exception
+        ("from house import guest", "house.attic", ["house.guest"]),  # the package itself stands above its rooms
+        ("from garden.shed import spade", "house.cellar", []),  # another package: `violations`
+    ],
+)
+def test_the_order_is_seen(source, module, expected):
+    exceptions = {"house.kitchen": {"house.hall.door"}}
+    assert arrows_up(source, module, "cellar < kitchen hall < attic", exceptions) == expected
 
 
 def test_only_the_engine_imports_mitsuba_and_sets_its_variant():
