@@ -243,7 +243,7 @@ def _split(markdown: Any, text: str, blocks: Sequence[Any], name: str) -> dict[s
             page["lead"] += html(part)
     if not page["title"]:
         raise ConfigError(f"report template {name}: a first line '# Title' is needed")
-    ends = [*starts[1:], len(tokens)]
+    ends = [*starts[1:], len(tokens)][: len(starts)]
     parts = (html(tokens[start:end]) for start, end in zip(starts, ends, strict=True))
     page["sections"] = "\n".join(f"<section>\n{part}</section>" for part in parts)
     return page

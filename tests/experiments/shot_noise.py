@@ -13,12 +13,13 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from experiments.harness.cli import command
 from experiments.harness.config import ExperimentConfig, StrictModel
-from experiments.harness.legacy import legacy_command as command
+from experiments.harness.experiment import Experiment
+from experiments.harness.pivot import Pivot
 from experiments.harness.plotting import band_colours, new_figure
-from experiments.harness.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
+from experiments.harness.quantities import Quantities
 from experiments.harness.summary import Criterion, Measured
-from experiments.harness.tables import Column, Table
 from optics.errors import DomainError
 
 
@@ -70,101 +71,52 @@ def deviation_sigma(result):
     return (result.variance_e2 - np.array(result.config.mean_e)) / result.error_e2
 
 
-def table(result):
-    rows = [
-        (
-            level,
-            Measured(value=mean, unit="e-", uncertainty=(level / result.config.samples) ** 0.5),
-            Measured(value=var, uncertainty=err),
-            dev,
-        )
-        for level, mean, var, err, dev in zip(
-            result.config.mean_e,
-            result.mean_e,
-            result.variance_e2,
-            result.error_e2,
-            deviation_sigma(result),
-            strict=True,
-        )
-    ]
-    columns = (
-        Column(name="Level", unit="e⁻", key="level_e", format=".0f"),
-        Column(name="Mean", unit="e⁻", key="mean_e"),
-        Column(name="Variance", unit="e⁻²", key="variance_e2"),
-        Column(name="Deviation", unit="σ", key="deviation_sigma", format="+.2f"),
-    )
-    note = f"Uncertainties are one standard deviation; N = {result.config.samples} per level."
-    return Table(columns=columns, rows=rows, caption="Variance of the signal beside its mean.", note=note)
+def describe(result):
+    q, config = Quantities(), result.config
+    q.axis("level", config.mean_e, "Level", unit="e-", format=".0f", key="level_e")
+    sigma = np.sqrt(np.array(config.mean_e) / config.samples)
+    q.add("mean_e", result.mean_e, "Mean", unit="e-", dims="level", error=sigma, json="")
+    q.add("variance_e2", result.variance_e2, "Variance", unit="e-2", dims="level", error=result.error_e2, json="")
+    q.add("means", result.mean_e, dims="level", json="mean_e")
+    q.add("variances", result.variance_e2, dims="level", json="variance_e2")
+    deviation = deviation_sigma(result)
+    q.add("deviation_sigma", deviation, "Deviation", unit="sigma", dims="level", format="+.2f", json="")
+    worst = Measured(value=float(np.abs(deviation).max()), unit="sigma", n=3)
+    q.add("worst", worst, "Largest deviation", format=".2f")
+    return q
 
 
-def draw(result, width):
+def tables(outcome):
+    note = f"Uncertainties are one standard deviation; N = {outcome.config.samples} per level."
+    columns = "mean_e variance_e2 deviation_sigma"
+    return {
+        "levels": Pivot(rows="level", columns=columns, caption="Variance of the signal beside its mean.", note=note)
+    }
+
+
+def draw(outcome, width="full"):
+    result = outcome.result
     figure, axes = new_figure(width=width, aspect_ratio=0.5 if width == "full" else 0.8)
     for colour, shift in zip(
         band_colours([band.centre_nm for band in result.config.bands]), (0.8, 1.0, 1.25), strict=False
     ):
         axes.errorbar(
-            result.mean_e * shift, result.variance_e2, result.error_e2, fmt="o", color=colour, label=f"shift {shift}"
+            outcome.values("mean_e") * shift,
+            outcome.values("variance_e2"),
+            outcome.errors("variance_e2"),
+            fmt="o",
+            color=colour,
+            label=f"shift {shift}",
         )
     axes.plot(result.mean_e, result.mean_e, color="0.6", zorder=0, label="variance = mean")
-    axes.set(xscale="log", yscale="log", xlabel="mean [e⁻]", ylabel="variance [e⁻²]")
+    axes.set(xscale="log", yscale="log", xlabel=outcome.heading("mean_e"), ylabel=outcome.heading("variance_e2"))
     axes.legend()
     return figure
 
 
-def report(result):
-    halves = Row(
-        [
-            Figure(drawing=draw(result, "half"), caption="The same in half the width, as vectors."),
-            Figure(drawing=draw(result, "half"), caption="And as pixels.", raster=True),
-        ]
-    )
-    return Report(
-        title="Shot noise is as large as its signal says",
-        lead="Poisson numbers are drawn at a few levels; their variance is compared with their mean. "
-        f"Label: {result.config.label or 'none'}.",
-        verdict="The largest deviation is well inside what the number of samples allows.",
-        key_numbers=[
-            KeyNumber(
-                label="Largest deviation", value=float(np.abs(deviation_sigma(result)).max()), unit="σ", format=".2f"
-            ),
-            KeyNumber(label="Levels", value=len(result.config.mean_e)),
-            KeyNumber(
-                label="Variance at the top level",
-                value=Measured(value=result.variance_e2[-1], unit="e⁻²", uncertainty=result.error_e2[-1]),
-                note="expected 2000",
-            ),
-        ],
-        sections=[
-            Section(
-                title="Result",
-                blocks=[
-                    Text("For *Poisson* numbers variance and mean are equal; a **gain error** would tilt the line."),
-                    Equation(
-                        latex=r"\sigma^2 = \frac{1}{N-1}\sum_{i=1}^{N} (n_i - \bar n)^2 = \lambda", note="definition"
-                    ),
-                    table(result),
-                    Figure(drawing=draw(result, "full"), caption="Variance against mean, **log–log**; bars are 1σ."),
-                ],
-            ),
-            Section(title="Two widths", blocks=[halves, Text("First paragraph.\n\nSecond paragraph, x < y & z.")]),
-        ],
-    )
-
-
-def summary(result):
-    worst = float(np.abs(deviation_sigma(result)).max())
-    results = {
-        "variance_e2": result.variance_e2,
-        "mean_e": result.mean_e,
-        "worst": Measured(value=worst, unit="sigma", n=3),
-    }
-    return results, [
-        Criterion(name="largest deviation of a variance", value=worst, limit=result.config.limit_sigma, unit="sigma")
-    ]
-
-
-def tables(result):
-    return {"levels": table(result)}
+def criteria(outcome):
+    worst, limit = outcome.value("worst"), outcome.config.limit_sigma
+    return [Criterion(name="largest deviation of a variance", value=worst.value, limit=limit, unit="sigma")]
 
 
 def files(result, folder):
@@ -172,18 +124,21 @@ def files(result, folder):
     np.save(folder / "frames" / "variance.npy", result.variance_e2)
 
 
-main = command(
-    "shot_noise",
+experiment = Experiment(
+    name="shot_noise",
     config=Config,
     run=run,
-    report=report,
-    summary=summary,
-    quick={"samples": 2000, "bands.1.name": "quick"},
+    quantities=describe,
     tables=tables,
+    criteria=criteria,
+    figures={"draw": draw},
+    report="shot_noise.md",
+    quick={"samples": 2000, "bands.1.name": "quick"},
     show=("levels",),
     files=files,
-    renders=False,
+    renders=lambda config: False,
 )
+main = command(experiment)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -8,16 +8,18 @@ import re
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
 from astropy.table import Table as AstropyTable
+from scipy.io import netcdf_file
 
 from experiments.__main__ import main as starbench
 from experiments.harness import registry
-from experiments.harness.legacy import legacy_command as command
+from experiments.harness.cli import command
 from experiments.harness.registry import found
 from experiments.harness.summary import Criterion
 
@@ -40,7 +42,7 @@ def output(shot_noise, tmp_path_factory):
 def test_run_writes_everything(output):
     status, folder = output
     assert status == 0
-    assert names(folder) == ["frames", "levels.ecsv", "provenance.json", "report.html", "summary.json"]
+    assert names(folder) == ["frames", "levels.ecsv", "provenance.json", "report.html", "results.nc", "summary.json"]
     assert names(folder.parent) == ["shot_noise"]
 
 
@@ -53,12 +55,18 @@ def test_summary_file(output):
     assert [sorted(one) for one in content["criteria"]] == [["limit", "name", "passed", "unit", "value"]]
 
 
-def test_files_agree_with_each_other(output):
+def test_quantities_are_read_back_by_other_programs(output):
+    """ECSV by astropy, netCDF by SciPy's own reader, and the array that the experiment saved itself."""
     folder = output[1]
-    results = json.loads((folder / "summary.json").read_text())["results"]
-    table = AstropyTable.read(folder / "levels.ecsv", format="ascii.ecsv")
-    assert table["variance_e2"].tolist() == results["variance_e2"]
-    assert np.load(folder / "frames" / "variance.npy").tolist() == results["variance_e2"]
+    saved = np.load(folder / "frames" / "variance.npy").tolist()
+    assert json.loads((folder / "summary.json").read_text())["results"]["variance_e2"] == saved
+    assert AstropyTable.read(folder / "levels.ecsv", format="ascii.ecsv")["variance_e2"].tolist() == saved
+    with netcdf_file(folder / "results.nc", mmap=False) as data:
+        variable = data.variables["variance_e2"]
+        assert variable.data.tolist() == saved
+        assert variable.long_name == b"Variance"
+        assert variable.ancillary_variables == b"variance_e2_error"
+        assert variable.dimensions == ("level",)
 
 
 def test_provenance_file(output):
@@ -71,7 +79,13 @@ def test_provenance_file(output):
     assert record["packages"]["numpy"] == np.__version__
     assert 0 < record["stages_s"]["draw"] < record["runtime_s"]
     assert 10 < record["peak_memory_mb"] < 1e5
-    assert sorted(record["files"]) == ["frames/variance.npy", "levels.ecsv", "report.html", "summary.json"]
+    assert sorted(record["files"]) == [
+        "frames/variance.npy",
+        "levels.ecsv",
+        "report.html",
+        "results.nc",
+        "summary.json",
+    ]
     assert str(folder) not in text
     assert str(ROOT) not in text
 
@@ -182,38 +196,27 @@ def test_unwritable_output_is_found_before_the_work(shot_noise, tmp_path, capsys
     def never(config, *, progress):
         raise AssertionError("the work began")
 
-    main = command(
-        "never",
-        config=shot_noise.Config,
-        run=never,
-        report=shot_noise.report,
-        summary=shot_noise.summary,
-        renders=False,
-    )
+    main = command(replace(shot_noise.experiment, run=never))
     (tmp_path / "file").touch()
     assert main(["--out", str(tmp_path / "file" / "below")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_fault_of_the_program_is_not_mistaken_for_a_failed_criterion(shot_noise, tmp_path, capsys):
-    def broken(result):
+    def broken(outcome, width="full"):
         raise ZeroDivisionError
 
-    main = command(
-        "broken", config=shot_noise.Config, run=shot_noise.run, report=broken, summary=shot_noise.summary, renders=False
-    )
+    main = command(replace(shot_noise.experiment, figures={"draw": broken}))
     assert main(["--out", str(tmp_path / "out")]) == 3
     assert "ZeroDivisionError" in capsys.readouterr().err
     assert names(tmp_path) == []
 
 
 def test_criterion_that_is_nan_fails(shot_noise, tmp_path):
-    def nan(result):
-        return {}, [Criterion(name="nan", value=float("nan"), limit=1.0)]
+    def nan(outcome):
+        return [Criterion(name="nan", value=float("nan"), limit=1.0)]
 
-    main = command(
-        "nan", config=shot_noise.Config, run=shot_noise.run, report=shot_noise.report, summary=nan, renders=False
-    )
+    main = command(replace(shot_noise.experiment, criteria=nan))
     assert main(["--out", str(tmp_path / "out"), "--set", "samples=100"]) == 1
 
 
@@ -237,10 +240,11 @@ def test_help_shows_what_the_experiment_is(shot_noise, capsys):
 
 def test_missing_llvm_is_exit_2(tmp_path):
     program = (
-        "import importlib.util, sys; from experiments.harness.legacy import legacy_command as command\n"
+        "import importlib.util, sys; from dataclasses import replace\n"
+        "from experiments.harness.cli import command\n"
         f"spec = importlib.util.spec_from_file_location('shot_noise', {str(SCRIPT)!r})\n"
         "m = importlib.util.module_from_spec(spec); sys.modules['shot_noise'] = m; spec.loader.exec_module(m)\n"
-        "main = command('x', config=m.Config, run=m.run, report=m.report, summary=m.summary)\n"
+        "main = command(replace(m.experiment, renders=lambda config: True))\n"
         "sys.exit(main(sys.argv[1:]))\n"
     )
     done = subprocess.run(

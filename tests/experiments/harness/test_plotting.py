@@ -1,4 +1,4 @@
-"""Blocks of the report and the house style of its figures."""
+"""House style of the figures, their bytes, and colours of light."""
 
 from __future__ import annotations
 
@@ -17,30 +17,7 @@ from experiments.harness.plotting import (
     new_figure,
     wavelength_colour,
 )
-from experiments.harness.report import Equation, Figure, Report, Section, Table, Text, render_html, verdict_line
-from experiments.harness.summary import Criterion
 from optics.errors import DomainError
-
-PROVENANCE = {
-    "experiment": "demo",
-    "seed": 1,
-    "quick": True,
-    "finished_utc": "2026-01-01T00:00:00+00:00",
-    "runtime_s": 1.0,
-    "stages_s": {},
-    "peak_memory_mb": 1.0,
-    "backend": {"variant": None, "llvm": None, "threads": 2},
-    "machine": {"cpu": "cpu", "system": "Linux", "architecture": "x86_64"},
-    "python": "3.11",
-    "packages": {"numpy": "2"},
-    "git": None,
-    "config": {},
-}
-
-
-def page(*blocks, criteria=()):
-    report = Report(title="T & T", lead="lead", sections=[Section(title="S", blocks=list(blocks))])
-    return render_html(report, criteria, PROVENANCE)
 
 
 def drawing(**options):
@@ -50,66 +27,7 @@ def drawing(**options):
     return figure
 
 
-def criterion(passed):
-    return Criterion(name="c", value=0.0 if passed else 2.0, limit=1.0)
-
-
-@pytest.mark.parametrize(
-    ("passed", "line"),
-    [
-        ([], "No criteria were set."),
-        ([True], "The criterion holds."),
-        ([False], "The criterion does not hold."),
-        ([True, True], "All 2 criteria hold."),
-        ([True, False, True], "1 of 3 criteria does not hold."),
-        ([False, False, True], "2 of 3 criteria do not hold."),
-    ],
-)
-def test_verdict_line(passed, line):
-    assert verdict_line([criterion(one) for one in passed]) == line
-
-
-def test_text_is_prose_with_emphasis_and_nothing_else():
-    html = page(Text("One *two* and **three**, 2 * 3 * 4 & <i>x</i>.\n\nNext."))
-    assert "<p>One <em>two</em> and <strong>three</strong>, 2 * 3 * 4 &amp; &lt;i&gt;x&lt;/i&gt;.</p>" in html
-    assert "<p>Next.</p>" in html
-    assert "T &amp; T" in html
-
-
-def test_failed_criterion_is_marked():
-    html = page(criteria=[criterion(True), criterion(False)])
-    assert html.count("✓ yes") == 1
-    assert html.count("✗ no") == 1
-    assert 'class="verdict bad"' in html
-
-
-def test_figures_of_every_source():
-    svg = figure_svg(drawing())
-    html = page(
-        Figure(drawing=drawing(), caption="vector"),
-        Figure(drawing=drawing(), caption="pixels", raster=True),
-        Figure(drawing=figure_png(drawing()), caption="file"),
-        Figure(drawing=svg, caption="ready"),
-    )
-    assert html.count("<svg") == 2
-    assert html.count("data:image/png;base64,iVBOR") == 2
-    assert "Figure 4." in html
-
-
-@pytest.mark.parametrize("wrong", ["<div>", b"GIF89a"])
-def test_figure_of_another_kind_is_refused(wrong):
-    with pytest.raises(DomainError, match="figure 1"):
-        page(Figure(drawing=wrong, caption=""))
-
-
-def test_table_columns_are_escaped():
-    assert "&lt;x&gt;" in page(Table(columns=["<x>"], rows=[("<y>",)]))
-
-
-def test_equation_is_drawn_and_told():
-    html = page(Equation(latex=r"\sigma^2 < \lambda", note="eq. 1"))
-    assert "<svg" in html
-    assert r'aria-label="\sigma^2 &lt; \lambda"' in html
+def test_an_equation_that_cannot_be_set_is_refused():
     with pytest.raises(DomainError, match="cannot be set"):
         equation_svg(r"\nosuchcommand{")
 

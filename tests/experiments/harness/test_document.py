@@ -1,0 +1,178 @@
+"""Reports from Markdown templates: blocks by name, numbers as in tables, a user's text never taken as markup."""
+
+from __future__ import annotations
+
+import re
+from types import SimpleNamespace
+
+import pytest
+
+from experiments.harness.document import render_document
+from experiments.harness.plotting import figure_png, figure_svg, house_style, new_figure
+from experiments.harness.quantities import Outcome, Quantities
+from experiments.harness.report import verdict_line
+from experiments.harness.summary import Criterion
+from experiments.harness.tables import Table
+from optics.errors import ConfigError, DomainError
+
+PROVENANCE = {
+    "experiment": "demo",
+    "seed": 1,
+    "quick": True,
+    "finished_utc": "2026-01-01T00:00:00+00:00",
+    "runtime_s": 1.0,
+    "stages_s": {},
+    "peak_memory_mb": 1.0,
+    "backend": {"variant": None, "llvm": None, "threads": 2},
+    "machine": {"cpu": "cpu", "system": "Linux", "architecture": "x86_64"},
+    "python": "3.11",
+    "packages": {"numpy": "2"},
+    "git": None,
+    "config": {},
+}
+
+
+def drawing():
+    with house_style():
+        figure, axes = new_figure(width="half")
+        axes.plot([0, 1], [0, 1])
+    return figure
+
+
+DRAWINGS = {
+    "plot": drawing,
+    "svg": lambda: figure_svg(drawing()),
+    "png": lambda: figure_png(drawing()),
+    "div": lambda: "<div>",
+    "gif": lambda: b"GIF89a",
+}
+
+
+@pytest.fixture
+def page(tmp_path):
+    def render(body, *, criteria=(), title="# T & T\n\nLead.\n\n## S\n\n", label="plain"):
+        q = Quantities()
+        q.axis("axis", ["x", "y"])
+        q.add("te", [1.0, -2.0], "Error", unit="arcsec", dims="axis", error=[0.012, 0.034])
+        q.add("count", 12345)
+        path = tmp_path / "report.md"
+        path.write_text(title + body, encoding="utf-8")
+        outcome = Outcome(config=SimpleNamespace(label=label), result=None, data=q.dataset)
+        tables = {"t": Table(columns=["<x>"], rows=[("<y>",)], caption="A *table* of <b>.")}
+        return render_document(
+            path, outcome, tables=tables, draw=lambda name: DRAWINGS[name](), criteria=criteria, provenance=PROVENANCE
+        )
+
+    return render
+
+
+def criterion(passed):
+    return Criterion(name="c", value=0.0 if passed else 2.0, limit=1.0)
+
+
+@pytest.mark.parametrize(
+    ("passed", "line"),
+    [
+        ([], "No criteria were set."),
+        ([True], "The criterion holds."),
+        ([False], "The criterion does not hold."),
+        ([True, True], "All 2 criteria hold."),
+        ([True, False, True], "1 of 3 criteria does not hold."),
+        ([False, False, True], "2 of 3 criteria do not hold."),
+    ],
+)
+def test_verdict_line(passed, line):
+    assert verdict_line([criterion(one) for one in passed]) == line
+
+
+def test_prose_and_what_is_said_first(page):
+    html = page(
+        "> In *short*: {{ value('te', axis='x') }}″.\n", title="# T & T\n\nLead one.\n\n", criteria=[criterion(True)]
+    )
+    assert "<h1>T &amp; T</h1>" in html
+    assert "<title>T &amp; T</title>" in html
+    assert "<strong>The criterion holds.</strong> In <em>short</em>: 1.000 ± 0.012″." in html
+    assert '<div class="lead"><p>Lead one.</p>' in html.replace("\n", "")
+
+
+@pytest.mark.parametrize("label", ["<b>7 & 8</b>", "a_b_c *x* `y`", "[a](javascript:b)", "# head", "&lt;", "1. one"])
+def test_text_of_a_user_is_shown_letter_by_letter(page, label):
+    html = page("Label: {{ config.label }}, and so on.", label=label)
+    said = re.search("<p>Label: (.*?), and so on.</p>", html)[1]
+    plain = said.replace("&lt;", "<").replace("&gt;", ">").replace("&quot;", '"').replace("&amp;", "&")
+    assert "<" not in said
+    assert plain == label
+
+
+def test_markup_in_a_template_is_text_too(page):
+    assert "<script" not in page("<script>alert(1)</script>")
+
+
+def test_numbers_are_set_as_in_tables(page):
+    html = page(
+        "{{ value('te', axis='y') }}; {{ value('count') }}; {{ 1e-7 }}; {{ 0.5 | cell('.3f') }}; {{ 6000.0 | g }}"
+    )
+    assert "−2.000 ± 0.034; 12\u2009345; 1.000×10⁻⁷; 0.500; 6000" in html
+
+
+def test_key_numbers_take_unit_and_format_from_the_quantity(page):
+    html = page("{{ numbers(number('Error', value('te', axis='x'), note='3 σ')) }}", title="# T\n\nLead.\n\n")
+    assert '<dt>Error</dt><dd>1.000 ± 0.012 <span class="unit">″</span></dd><dd class="aside">3 σ</dd>' in html
+
+
+def test_criteria_stand_where_the_template_says(page):
+    both = [criterion(True), criterion(False)]
+    first, placed = page("Words.", criteria=both), page("Words.\n\n{{ criteria() }}", criteria=both)
+    assert first.index("<h2>Criteria</h2>") < first.index("Words.")
+    assert placed.index("<h2>Criteria</h2>") > placed.index("Words.")
+    for html in (first, placed):
+        assert html.count("✓ yes") == html.count("✗ no") == html.count("<h2>Criteria</h2>") == 1
+        assert 'class="verdict bad"' in html
+
+
+def test_figures_of_every_source_are_numbered_in_order(page):
+    html = page(
+        "{% call figure('plot') %}vector, **bold**{% endcall %}\n{{ figure('plot', caption='pixels', raster=true) }}\n"
+        "{{ row(figure('png', caption='file'), figure('svg', caption='ready')) }}\n{{ table('t') }}\n"
+    )
+    assert html.count("<svg") == 2
+    assert html.count("data:image/png;base64,iVBOR") == 2
+    assert re.findall(r"Figure (\d)\.</b> (\w+)", html) == [
+        ("1", "vector"),
+        ("2", "pixels"),
+        ("3", "file"),
+        ("4", "ready"),
+    ]
+    assert "<b>Table 1.</b> A <em>table</em> of &lt;b&gt;." in html
+    assert "&lt;x&gt;" in html
+
+
+@pytest.mark.parametrize("wrong", ["div", "gif"])
+def test_figure_of_another_kind_is_refused(page, wrong):
+    with pytest.raises(DomainError, match="figure 1"):
+        page(f"{{{{ figure('{wrong}') }}}}")
+
+
+def test_equation_is_drawn_and_told(page):
+    html = page(r"""{{ equation("\\sigma^2 < \\lambda", "eq. 1") }}""")
+    assert "<svg" in html
+    assert r'aria-label="\sigma^2 &lt; \lambda"' in html
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("{{ table('u') }}", "known: t"),
+        ("{{ value('tee', axis='x') }}", "te"),
+        ("{{ config.lable }}", "lable"),
+        ("{% if %}", "report.md"),
+    ],
+)
+def test_what_there_is_not_is_told(page, body, said):
+    with pytest.raises(ConfigError, match=said):
+        page(body)
+
+
+def test_a_report_has_a_title(page):
+    with pytest.raises(ConfigError, match="Title"):
+        page("words", title="")

@@ -1,0 +1,54 @@
+"""Tables from quantities: what runs down, what runs across, heads and keys."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from experiments.harness.pivot import Pivot, pivot
+from experiments.harness.quantities import Quantities
+from experiments.harness.summary import Measured
+from experiments.harness.tables import to_astropy
+from optics.errors import DomainError
+
+
+@pytest.fixture
+def data():
+    q = Quantities()
+    q.axis("method", ["cog", "epsf"], "Centroider", names=["centre of gravity", "ePSF fit"])
+    q.axis("axis", ["x", "y"], "Axis")
+    q.add("te", [[1.0, 2.0], [3.0, 4.0]], "Error", unit="arcsec", dims="method axis", error=0.1, key="te_arcsec")
+    q.add("bound", [0.5, 0.6], "Bound", unit="arcsec", dims="axis", format=".3f", key="bound_arcsec")
+    q.add("place", np.arange(6.0).reshape(3, 2), "Place", unit="px", dims="star axis", key="place_{axis}_px")
+    q.add("flux", [7.0, 8.0, 9.0], "Flux", unit="e-", dims="star", key="flux_e")
+    return q.dataset
+
+
+def test_rows_and_what_is_repeated(data):
+    table = pivot(data, Pivot(rows="method axis", columns="te bound", caption="c", note="n"))
+    assert [(head.name, head.unit) for head in table.heads] == [
+        ("Centroider", ""),
+        ("Axis", ""),
+        ("Error", "″"),
+        ("Bound", "″"),
+    ]
+    assert table.rows[1] == ("centre of gravity", "y", Measured(value=2.0, unit="arcsec", uncertainty=0.1), 0.6)
+    assert [row[3] for row in table.rows] == [0.5, 0.6, 0.5, 0.6]
+    assert to_astropy(table).colnames == ["centroider", "axis", "te_arcsec", "te_arcsec_error", "bound_arcsec"]
+
+
+def test_a_dimension_spread_over_columns(data):
+    table = pivot(data, Pivot(rows="star", numbered="Star", across="axis", columns="place flux"))
+    assert [head.name for head in table.heads] == ["Star", "Place x", "Place y", "Flux"]
+    assert [head.key for head in table.heads] == ["", "place_x_px", "place_y_px", "flux_e"]
+    assert table.rows[2] == (3, 4.0, 5.0, 9.0)
+
+
+def test_hidden_dimensions_and_a_single_row(data):
+    assert pivot(data, Pivot(rows="method axis", hidden="axis", columns="te")).rows[0][0] == "centre of gravity"
+    assert len(pivot(data, Pivot(columns="bound", across="axis")).rows) == 1
+
+
+def test_a_dimension_that_is_forgotten_is_told(data):
+    with pytest.raises(DomainError, match=r"te.*axis"):
+        pivot(data, Pivot(rows="method", columns="te"))
