@@ -14,7 +14,7 @@ from experiments.chromatic.measure import measure
 from experiments.chromatic.model import band_pairs, bundle_prediction, rms, shifts, table1
 from experiments.laboratory.bench import point_field
 from experiments.laboratory.point_frames import centroiders
-from experiments.laboratory.point_noise import PixelNoise, drawn_positions, expected_windows
+from experiments.laboratory.point_noise import drawn_positions, expected_windows
 from experiments.laboratory.target import corner_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams
@@ -145,7 +145,7 @@ def predict_chromatic(lab: Laboratory, traced: TracedTarget, *, draws: int) -> C
 def _as_centroided(lab: Laboratory, traced: TracedTarget, draws: int) -> tuple[FloatArray, FloatArray]:
     """Mean positions (p, j, b, 2) of the centroider over drawn noise, and their standard deviations."""
     bench, instrument, method = lab.filtered, lab.instrument, lab.filtered.methods[0]
-    noise, rng = PixelNoise.of(instrument), Streams(lab.config.seed).generator("chromatic prediction")
+    noise, rng = instrument.pixel_noise(), Streams(lab.config.seed).generator("chromatic prediction")
     place, error = np.empty_like(traced.place_px), np.empty_like(traced.place_px)
     for p, points in enumerate(traced.direction):
         for band in range(place.shape[2]):

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.identify import build_database
-from calib.records import NoiseModel
 from experiments.dataset.calibrated import calibrated_camera
 from experiments.dataset.detection import CentroidBound, FoundStars, centroid_bound, compare_frame, joined
 from experiments.dataset.facts import FrameFacts
@@ -22,6 +21,7 @@ from experiments.dataset.psf_grid import PsfGrid, render_psf_grid
 from experiments.dataset.solve import SkyMap, SolvedFrame, solve_frame
 from experiments.dataset.truth_file import read_table
 from experiments.dataset.wcs_check import wcs_misses_px
+from experiments.laboratory.readout.noise_model import true_noise
 from optics.arrays import FloatArray
 from render.catalogue.motion import directions_at
 from render.fits.files import read_frame
@@ -134,7 +134,7 @@ def evaluate(folder: Path, scene: Scene, facts: Sequence[FrameFacts], *, advance
     dark = master_dark(scene, frames=verify.dark_frames, streams=streams)
     temperature_k = float(np.median(scene.temperature_k))
     psfs = render_psf_grid(scene, temperature_k=temperature_k, window_px=verify.window_px)
-    reduction = reduction_of(verify, dark, psfs)
+    reduction = reduction_of(scene, dark, psfs)
     calibration = calibrated_camera(scene, Tracer(camera), temperature_k=temperature_k)
     solver = _Solver(scene, calibration)
     size = {"width_px": camera.width_px, "height_px": camera.height_px}
@@ -156,7 +156,6 @@ def evaluate(folder: Path, scene: Scene, facts: Sequence[FrameFacts], *, advance
             example = Example(frame=one.frame, electrons=light, measured=measured, truth=truth)
         advance()
     sky_e = float(np.mean([one.background_e for one in facts]))
-    background_e = sky_e + scene.dark_e
     return Evaluation(
         frames=len(facts),
         temperature_k=temperature_k,
@@ -164,8 +163,8 @@ def evaluate(folder: Path, scene: Scene, facts: Sequence[FrameFacts], *, advance
         solved=tuple(solved),
         without_solver="" if solver.database is not None else WITHOUT_SOLVER,
         stars=joined(stars),
-        bound=_bound(scene, psfs, background_e),
-        background_e=background_e,
+        bound=dataset_bound(scene, psfs, sky_e),
+        background_e=sky_e + scene.instrument.pixel_noise().dark_e,
         empty_frames=verify.dark_frames,
         empty_detections=_in_empty_frames(scene, reduction, sky_e, streams.child("empty")),
         wcs_miss_px=np.concatenate(misses),
@@ -233,23 +232,16 @@ def _in_empty_frames(scene: Scene, reduction: Reduction, sky_e: float, streams: 
     return count
 
 
-def _bound(scene: Scene, psfs: PsfGrid, background_e: float) -> CentroidBound:
-    """Bound with the PSFs of the lens; the noise of the mean dark counts."""
-    detector, verify = scene.instrument.detector, scene.config.verify
+def dataset_bound(scene: Scene, psfs: PsfGrid, sky_e: float) -> CentroidBound:
+    """Bound with the PSFs of the lens on an even sky; dark charge and the noise of the mean dark count."""
+    verify = scene.config.verify
     distance = np.hypot(*(psfs.place_px - scene.instrument.camera.centre_px).T)
     chosen = [int(np.abs(distance - part * distance.max()).argmin()) for part in BOUND_RADII]
-    floor = detector.read_noise_e**2
-    noise = NoiseModel(
-        read_noise_e=float(np.sqrt(floor + (floor + scene.dark_e) / verify.dark_frames)),
-        gain_dn_per_e=detector.gain_dn_per_e,
-        offset_dn=detector.offset_dn,
-        quantised=True,
-    )
     return centroid_bound(
         [psfs.psfs[k] for k in chosen],
         distance[chosen],
-        noise=noise,
-        background_e=background_e,
+        noise=true_noise(scene.instrument, dark_frames=verify.dark_frames),
+        background_e=sky_e,
         window_px=verify.window_px,
-        electrons=(30.0, 10.0 * detector.full_well_e),
+        electrons=(30.0, 10.0 * scene.instrument.detector.full_well_e),
     )

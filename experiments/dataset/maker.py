@@ -101,7 +101,7 @@ class FrameMaker:
             frame=frame,
             band=band,
             on_chip=StarLightOnChip(
-                background_e=sky_e + scene.dark_e,
+                empty_e2=float(scene.instrument.pixel_noise().temporal_e2(sky_e)),
                 pixel_flags=pixel_flags(read.saturated, read.defect, None if hits is None else _struck(hits)),
                 smear_px=smear_px(scene, seen, plan, traced.truth.chief_y_px[:, 0]),
                 axis_share=self._axis_share,

@@ -14,7 +14,8 @@ from calib.measure.centroid import get_centroider
 from calib.measure.find import find_stamps
 from calib.measure.flags import StarFlag, has_flag
 from calib.measure.image import image_from_frame
-from calib.records import SensorImage, StarTable
+from calib.records import NoiseModel, SensorImage, StarTable
+from experiments.laboratory.readout.noise_model import true_noise
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
@@ -23,7 +24,6 @@ from render.detector.readout import expose
 if TYPE_CHECKING:
     from experiments.dataset.psf_grid import PsfGrid
     from experiments.dataset.scene import Scene
-    from experiments.dataset.settings import VerifyConfig
     from render.engine.random import Streams
     from render.records import Frame
 
@@ -56,6 +56,8 @@ class Reduction:
     ----------
     dark_dn : (h, w) float32
         Mean of frames without light.
+    noise : NoiseModel
+        Of a frame minus that mean.
     centroid : str
         Name of a centroider.
     window_px : int
@@ -67,6 +69,7 @@ class Reduction:
     """
 
     dark_dn: NDArray[np.float32]
+    noise: NoiseModel
     centroid: str
     window_px: int
     threshold_sigma: float
@@ -132,10 +135,10 @@ def master_dark(scene: Scene, *, frames: int, streams: Streams) -> NDArray[np.fl
     return np.asarray(total / frames, np.float32)
 
 
-def dark_subtracted(frame: Frame, dark_dn: NDArray[np.float32]) -> SensorImage:
+def dark_subtracted(frame: Frame, reduction: Reduction) -> SensorImage:
     """The frame without its pattern: what is left above the nominal offset is light."""
     image = image_from_frame(frame)
-    return replace(image, dn=image.dn - dark_dn + frame.offset_dn)
+    return replace(image, dn=image.dn - reduction.dark_dn + frame.offset_dn, noise=reduction.noise)
 
 
 def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) -> MeasuredFrame:
@@ -158,7 +161,7 @@ def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) 
     MeasuredFrame
         Empty if nothing was found, or no pixel is usable.
     """
-    image = dark_subtracted(frame, reduction.dark_dn)
+    image = dark_subtracted(frame, reduction)
     try:
         background = estimate_background(image, step_px=BACKGROUND_STEP_PX)
     except DomainError:  # saturated all over
@@ -185,10 +188,12 @@ def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) 
     )
 
 
-def reduction_of(verify: VerifyConfig, dark_dn: NDArray[Any], psfs: PsfGrid | None) -> Reduction:
+def reduction_of(scene: Scene, dark_dn: NDArray[Any], psfs: PsfGrid | None) -> Reduction:
     """The configured reduction."""
+    verify = scene.config.verify
     return Reduction(
         dark_dn=dark_dn,
+        noise=true_noise(scene.instrument, dark_frames=verify.dark_frames),
         centroid=verify.centroid,
         window_px=verify.window_px,
         threshold_sigma=verify.threshold_sigma,

@@ -79,12 +79,6 @@ class Scene:
     sky_light: SkyLight
 
     @property
-    def dark_e(self) -> float:
-        """Mean dark charge of a pixel in an exposure, radiation damage included [e-]."""
-        camera, detector = self.config.camera, self.instrument.detector
-        return detector.mean_dark_e_per_s * detector.dark_factor(camera.chip_temperature_c) * camera.exposure_s
-
-    @property
     def faintest_mag(self) -> float:
         """Faintest star that is rendered: what was asked for, or where the catalogue ends."""
         return min(self.config.sky.faintest_mag, float(np.ceil(100.0 * self.catalogue.catalog.magnitude.max()) / 100.0))

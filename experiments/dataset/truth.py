@@ -91,8 +91,8 @@ class StarLightOnChip:
 
     Attributes
     ----------
-    background_e : float
-        Expected electrons per pixel that are no starlight: sky and dark current.
+    empty_e2 : float
+        Temporal variance of a pixel without starlight [e-^2]: sky, dark charge, read noise, rounding.
     pixel_flags : (h, w) uint8
         Bits of `FLAGS` for single pixels: saturated, defect, cosmic_ray.
     smear_px : (n, 2)
@@ -101,7 +101,7 @@ class StarLightOnChip:
         Part of the light of a star on the axis that the lens lets through.
     """
 
-    background_e: float
+    empty_e2: float
     pixel_flags: NDArray[np.uint8]
     smear_px: FloatArray
     axis_share: float
@@ -136,7 +136,7 @@ def star_rows(
     truth : Truth
         Of these stars in one band, (n, 1).
     detector : Detector
-        Its noise enters the signal-to-noise ratio, its diffusion the spot.
+        Its diffusion widens the spot.
     frame : int
         Number of the frame.
     band : str
@@ -155,7 +155,6 @@ def star_rows(
     electrons = values["electrons_image"]
     rays = values["variance_x_px2"], values["variance_y_px2"]
     sigma = _spot_sigma(np.stack(rays), detector.diffusion_sigma_px)
-    noise = on_chip.background_e + detector.read_noise_e**2 + 1.0 / (12.0 * detector.gain_dn_per_e**2)
     columns = {
         "frame": np.full(n, frame, np.int32),
         "star_id": seen.star_id,
@@ -166,7 +165,7 @@ def star_rows(
         "magnitude": seen.magnitude,
         "temperature_k": seen.temperature_k,
         "electrons": electrons,
-        "snr": flux_snr(electrons, *sigma, noise_e2=noise),
+        "snr": flux_snr(electrons, *sigma, noise_e2=on_chip.empty_e2),
         "smear_x_px": on_chip.smear_px[:, 0],
         "smear_y_px": on_chip.smear_px[:, 1],
         "flags": _flags(values, footprint_px(*rays, detector.diffusion_sigma_px), on_chip),

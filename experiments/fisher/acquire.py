@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from calib.measure.centroid import get_centroider
 from calib.measure.flags import StarFlag, has_flag
+from calib.measure.linear_response import centroid_covariance, linear_response
 from calib.measure.stamps import stamps_from_windows
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.collimator import SingleStar
 from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.windows import linear_response
 from experiments.turntable.bench import Bench, aim
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -342,16 +342,16 @@ def _measured(
             f"{name} acquisition: the star is saturated at column {bundle_px[at, 0]:.0f}, row {bundle_px[at, 1]:.0f}; "
             f"lower evaluation.signal_e ({float(light_e[at].sum()):.0f} e- in the window)"
         )
-    floor = noise.floor_e2 * light_e[0].size
-    faint = stamps.electrons.sum((1, 2)) < SEEN_SIGMA * np.sqrt(floor + light_e.sum((1, 2)))
+    electrons, pixel = light_e.astype(np.float64), instrument.pixel_noise()
+    seen_e2 = pixel.temporal_e2(electrons, dark_frames=dark_frames)
+    faint = stamps.electrons.sum((1, 2)) < SEEN_SIGMA * np.sqrt(seen_e2.sum((1, 2)))
     good = ~(bad | faint)
     if good.mean() < FEWEST_SEEN:
         raise DomainError(
             f"{name} acquisition: the star gives a position at {int(good.sum())} of {len(good)} places only, at least "
             f"{FEWEST_SEEN:.0%} are needed; raise evaluation.signal_e or narrow the window"
         )
-    electrons = light_e.astype(np.float64)
-    variance = _pixel_variance(electrons, instrument, dark_frames)
+    variance = seen_e2 + pixel.response_e2(electrons)
     covariance = np.concatenate(
         [
             _covariance(psfs[first : first + CHUNK], stamps, noise, electrons, variance, first)
@@ -386,16 +386,7 @@ def _covariance(
     part = slice(first, first + len(psfs))
     chosen = replace(stamps.select(part), psf_index=np.arange(len(psfs)))
     gain = linear_response(get_centroider("epsf", epsf=list(psfs)), chosen, noise, light_e[part])
-    return np.asarray(np.einsum("nahw,nhw,nbhw->nab", gain, variance_e2[part], gain))
-
-
-def _pixel_variance(light_e: FloatArray, instrument: Instrument, dark_frames: int) -> FloatArray:
-    """Variance of a pixel of one dark-subtracted frame [e-^2], response pattern included."""
-    detector, config = instrument.detector, instrument.config
-    dark_e = detector.dark_current_e_per_s * detector.dark_factor(config.chip_temperature_c) * config.exposure_s
-    floor = detector.read_noise_e**2 * np.exp(2.0 * detector.read_noise_spread**2) + dark_e  # lognormal map
-    floor += 1.0 / (12.0 * detector.gain_dn_per_e**2)
-    return np.asarray(light_e + floor * (1.0 + 1.0 / dark_frames) + (detector.prnu * light_e) ** 2)
+    return centroid_covariance(gain, variance_e2[part])
 
 
 def _corners(name: str, expected_px: FloatArray, shape: tuple[int, int], window_px: int) -> NDArray[np.int64]:

@@ -16,7 +16,7 @@ from experiments.laboratory.high_frequency import HighFrequencyMeasurement, Step
 from experiments.laboratory.high_frequency_model import HighFrequencyPrediction
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_frames import centroiders, noiseless_positions
-from experiments.laboratory.point_noise import nominal_noise
+from experiments.laboratory.readout.noise_model import nominal_noise
 from experiments.laboratory.step_statistics import document_rms_px
 from optics.arrays import FloatArray
 from render.engine.random import Streams

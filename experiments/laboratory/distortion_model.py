@@ -29,7 +29,7 @@ from experiments.laboratory.distortion_statistics import (
 )
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_frames import centroiders
-from experiments.laboratory.point_noise import PixelNoise, drawn_positions, expected_windows, influence
+from experiments.laboratory.point_noise import drawn_positions, expected_windows, influence
 from experiments.laboratory.point_scene import one_filter
 from experiments.laboratory.targets import GridTarget, grid_directions, survey
 from optics.arrays import FloatArray
@@ -99,17 +99,15 @@ def predict_distortion(
     """
     bench = one_filter(bench)
     rng = Streams(seed).generator("distortion prediction")
-    noise = PixelNoise.of(instrument)
+    noise = instrument.pixel_noise()
     windows = expected_windows(bench, instrument, direction[None], psf)
     mean: dict[str, dict[Reference, FloatArray]] = {}
     scatter: dict[str, dict[Reference, FloatArray]] = {}
     point: dict[str, FloatArray] = {}
     for name, centroider in centroiders(bench.methods, psf).items():
         gain = influence(centroider, instrument, windows)
-        temporal = gain.sigma_px(windows.light_e, noise.floor_e2) / np.sqrt(bench.frames)
-        dark2 = np.einsum("nahw->na", gain.gain_px_per_e**2) * noise.floor_e2 / bench.dark_frames
-        sessions = np.hypot(temporal, np.sqrt(dark2))
-        fixed = noise.prnu * np.sqrt(np.einsum("nahw,nhw->na", gain.gain_px_per_e**2, windows.light_e**2))
+        session_e2 = noise.temporal_e2(windows.light_e, frames=bench.frames, dark_frames=bench.dark_frames)
+        sessions, fixed = gain.sigma_px(session_e2), gain.sigma_px(noise.response_e2(windows.light_e))
         point[name] = np.hypot(sessions, fixed)
         expected = gain.position_px
         if noise_draws:

@@ -12,6 +12,7 @@ import numpy as np
 
 from calib.measure.centroid import get_centroider
 from calib.measure.flags import StarFlag, has_flag
+from calib.measure.linear_response import centroid_variance, linear_response
 from calib.records import NoiseModel, Stamps
 from experiments.harness.summary import Measured
 from experiments.laboratory.distortion_error import grid_residual_px
@@ -21,7 +22,6 @@ from experiments.laboratory.point_frames import PointFrames, measured_positions,
 from experiments.laboratory.points import dark_subtracted
 from experiments.laboratory.step_statistics import document_rms_px, halved_px, jackknife_px
 from experiments.laboratory.temporal_error import temporal_error_arcsec
-from experiments.laboratory.windows import linear_response
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
@@ -241,11 +241,10 @@ def _noise_model_px(series: FrameSeries, reduced: SeriesFrames, method: str) -> 
         centroider = replace(centroider, tolerance=1e-6)  # type: ignore[type-var]  # differences need more digits
     one = stamps.select(slice(0, len(reduced.mean_e)))
     gain = linear_response(centroider, one, noise, reduced.mean_e)
-    variance = np.maximum(reduced.mean_e, 0.0) + noise.read_noise_e**2 + 1.0 / (12.0 * noise.gain_dn_per_e**2)
+    variance = np.maximum(reduced.mean_e, 0.0) + noise.floor_e2
     if series.dark_e is not None:  # the charge that was subtracted still makes noise
-        charge = series.dark_e - noise.offset_dn / noise.gain_dn_per_e
-        variance = variance + max(float(np.median(charge)), 0.0)
-    return np.asarray(np.sqrt(np.einsum("nahw,nhw->na", gain**2, variance)))
+        variance = variance + (series.dark_e - noise.offset_dn / noise.gain_dn_per_e)
+    return np.sqrt(centroid_variance(gain, np.maximum(variance, 0.0)))
 
 
 def temporal_from_frames(folder: FrameFolder, methods: Sequence[str]) -> TemporalFrames:

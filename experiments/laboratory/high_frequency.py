@@ -18,8 +18,8 @@ from experiments.laboratory.bench import Bench
 from experiments.laboratory.hexapod import Hexapod, HexapodPath, step_path, turned
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_frames import Subtraction, centroiders, noiseless_positions, read_points
-from experiments.laboratory.point_noise import nominal_noise
 from experiments.laboratory.point_scene import PointLight, PointScene, scene_of
+from experiments.laboratory.readout.noise_model import nominal_noise
 from experiments.laboratory.step_statistics import (
     common_removed,
     document_rms_px,

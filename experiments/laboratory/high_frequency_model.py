@@ -28,17 +28,17 @@ from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_frames import Subtraction, centroiders, noiseless_positions
 from experiments.laboratory.point_noise import (
     ExpectedWindows,
-    PixelNoise,
     drawn_positions,
     expected_windows,
     influence,
-    nominal_noise,
 )
 from experiments.laboratory.point_scene import one_filter
+from experiments.laboratory.readout.noise_model import nominal_noise
 from experiments.laboratory.step_statistics import document_rms_px, single_rms_px
 from experiments.laboratory.temporal_error import target_place
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
+from render.detector.noise import PixelNoise
 from render.engine.random import Streams
 from render.records import EffectivePsf
 
@@ -165,7 +165,7 @@ def predict_high_frequency(
         windows=windows,
         others=[expected_windows(bench, instrument, direction, psf, one) for one in drawn],
         positions=plan.positions,
-        noise=PixelNoise.of(instrument),
+        noise=instrument.pixel_noise(),
         subtraction=subtraction,
         defect=defect,
         draws=draws,
@@ -223,7 +223,7 @@ class _Model:
             "pattern": np.sqrt(sum((_mean2(part) for part in offsets), np.zeros(2))),
             "defects": _rms([single_rms_px(one) for one in masked]),
         }
-        sigma = gain.sigma_px(windows.light_e, self.noise.floor_e2).reshape(m, stars, 2) / np.sqrt(self.bench.frames)
+        sigma = gain.sigma_px(self.noise.temporal_e2(windows.light_e, frames=self.bench.frames)).reshape(m, stars, 2)
         document, error, lever = [], [], self._lever()
         for draw in range(self.draws):
             fixed = curves[draw % len(curves)] + masked[draw % len(curves)]

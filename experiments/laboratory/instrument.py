@@ -8,6 +8,7 @@ from experiments.laboratory.settings import InstrumentConfig
 from optics.lens.prescription import load_lens
 from optics.lens.system import LensSystem
 from optics.rays.paraxial import axial_paraxial
+from render.detector.noise import PixelNoise
 from render.detector.spec import Detector
 from render.sensor import StarSensor, load_star_sensor
 
@@ -27,6 +28,15 @@ class Instrument(StarSensor):
     """
 
     config: InstrumentConfig
+
+    def pixel_noise(self, detector: Detector | None = None) -> PixelNoise:
+        """Noise of a pixel in one exposure, of the own detector or of another one under its conditions."""
+        config = self.config
+        return PixelNoise.of(
+            self.detector if detector is None else detector,
+            temperature_c=config.chip_temperature_c,
+            exposure_s=config.exposure_s,
+        )
 
 
 def build_instrument(

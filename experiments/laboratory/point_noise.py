@@ -6,7 +6,7 @@ A pixel's electrons, as the reduction sees them, are
 
 temporal noise being photons, dark current, read noise and rounding. To first order a centroid moves by the sum over the
 pixels of g x disturbance; g is the influence of a pixel, found by raising one pixel after the other in a noiseless
-window (`experiments.laboratory.windows.linear_response`). Where that is not enough (a threshold is no linear
+window (`calib.measure.linear_response`). Where that is not enough (a threshold is no linear
 operation), noise is drawn on the noiseless windows and centroided. Positions come from the NumPy trace, PSFs from
 traced bundles; no image is rendered, and the detector chain takes no part.
 """
@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,78 +22,28 @@ from numpy.typing import NDArray
 from calib.measure.centroid import Centroider
 from calib.measure.crlb import fisher_information
 from calib.measure.epsf import EpsfBank, EpsfModel
+from calib.measure.linear_response import centroid_variance, linear_response
 from calib.records import NoiseModel, Stamps
 from experiments.chromatic.model import bundle_prediction
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_frames import measured_positions, noiseless_positions
-from experiments.laboratory.windows import linear_response
+from experiments.laboratory.readout.noise_model import nominal_noise
 from optics.arrays import FloatArray
 from optics.records import freeze
+from render.detector.noise import PixelNoise
 from render.detector.spec import Detector
 from render.records import EffectivePsf
 
 __all__ = [
     "ExpectedWindows",
     "Influence",
-    "PixelNoise",
     "bound_px",
     "drawn_positions",
     "expected_windows",
     "influence",
-    "nominal_noise",
     "sampled_px",
 ]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PixelNoise:
-    """Noise and patterns of a pixel [e-], from the detector's data sheet and the conditions.
-
-    Attributes
-    ----------
-    read_e2 : float
-        Mean variance of the read noise over the pixels (they differ by `Detector.read_noise_spread`, log-normal).
-    read_e4 : float
-        Variance over the pixels of that variance: one chip differs from the next.
-    thermal_e : float
-        Mean dark charge of a frame, normal pixels.
-    rounding_e2 : float
-        Variance of rounding to whole DN.
-    prnu : float
-        Standard deviation of the response over the pixels, relative.
-    offset_e, column_e : float
-        Standard deviation of the offset over the pixels (DSNU and dark-current pattern) and over the columns.
-    """
-
-    read_e2: float
-    read_e4: float
-    thermal_e: float
-    rounding_e2: float
-    prnu: float
-    offset_e: float
-    column_e: float
-
-    @classmethod
-    def of(cls, instrument: Instrument, detector: Detector | None = None) -> Self:
-        """Of an instrument, or of another detector under its conditions."""
-        chip, config = detector or instrument.detector, instrument.config
-        dark_s = chip.dark_factor(config.chip_temperature_c) * config.exposure_s
-        spread2, mean = chip.read_noise_spread**2, float(chip.read_noise_e**2 * np.exp(2.0 * chip.read_noise_spread**2))
-        return cls(
-            read_e2=mean,
-            read_e4=float(mean**2 * np.expm1(4.0 * spread2)),
-            thermal_e=float(chip.dark_current_e_per_s * dark_s),
-            rounding_e2=1.0 / (12.0 * chip.gain_dn_per_e**2),
-            prnu=chip.prnu,
-            offset_e=float(np.hypot(chip.dsnu_e, chip.dark_spread_e_per_s * dark_s)),
-            column_e=chip.column_pattern_e,
-        )
-
-    @property
-    def floor_e2(self) -> float:
-        """Temporal variance of a pixel without light."""
-        return self.read_e2 + self.thermal_e + self.rounding_e2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,14 +127,6 @@ def _bent(light_e: FloatArray, detector: Detector) -> FloatArray:
     return np.asarray(light_e * (1.0 + sum(c * fraction ** (i + 1) for i, c in enumerate(detector.nonlinearity))))
 
 
-def nominal_noise(instrument: Instrument) -> NoiseModel:
-    """The noise model that the readout states to the reduction."""
-    chip = instrument.detector
-    return NoiseModel(
-        read_noise_e=chip.read_noise_e, gain_dn_per_e=chip.gain_dn_per_e, offset_dn=chip.offset_dn, quantised=True
-    )
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Influence:
     """Response of a centroider to the pixels of n windows.
@@ -201,14 +142,14 @@ class Influence:
     position_px: FloatArray
     gain_px_per_e: FloatArray
 
-    def sigma_px(self, light_e: FloatArray, floor_e2: float) -> FloatArray:
-        """Standard deviation (n, 2) by temporal noise of windows (n, h, w)."""
-        return np.asarray(np.sqrt(np.einsum("nahw,nhw->na", self.gain_px_per_e**2, light_e + floor_e2)))
+    def sigma_px(self, variance_e2: FloatArray) -> FloatArray:
+        """Standard deviation (n, 2) by independent noise of this variance in the pixels (n, h, w)."""
+        return np.sqrt(centroid_variance(self.gain_px_per_e, variance_e2))
 
     def device_sigma_px(self, light_e: FloatArray, noise: PixelNoise) -> FloatArray:
-        """By how much `sigma_px` differs from chip to chip (n, 2): read noise differs from pixel to pixel."""
-        of_variance = np.sqrt((self.gain_px_per_e**4).sum((2, 3)) * noise.read_e4)
-        return np.asarray(0.5 * of_variance / np.maximum(self.sigma_px(light_e, noise.floor_e2), 1e-300))
+        """By how much temporal noise differs from chip to chip (n, 2): read noise and dark charge differ by pixel."""
+        of_variance = np.sqrt((self.gain_px_per_e**4).sum((2, 3)) * noise.floor_e4)
+        return np.asarray(0.5 * of_variance / np.maximum(self.sigma_px(noise.temporal_e2(light_e)), 1e-300))
 
 
 def influence(
@@ -295,7 +236,7 @@ def drawn_positions(
         centroider, stated, light_e=windows.light_e, corner_px=windows.corner_px, psf_index=windows.psf_index
     )
     shape = (draws, *windows.light_e.shape)
-    electrons = rng.poisson(windows.light_e + noise.thermal_e, shape) - noise.thermal_e
+    electrons = rng.poisson(windows.light_e + noise.dark_e, shape) - noise.dark_e
     electrons = electrons + np.sqrt(noise.read_e2) * rng.standard_normal(shape)
     electrons = np.rint(electrons * stated.gain_dn_per_e) / stated.gain_dn_per_e
     many = stamps.select(np.tile(np.arange(len(stamps)), draws))

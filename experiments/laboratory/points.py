@@ -187,7 +187,7 @@ class PointReadout:
         self, stamps: Stamps, noise: NoiseModel, light_e: FloatArray, psfs: Mapping[str, Sequence[EffectivePsf]]
     ) -> tuple[dict[str, FloatArray], dict[str, FloatArray], NDArray[np.int64], FloatArray]:
         """Mean and scatter by method; usable frames and effect of fixed patterns for the first method."""
-        bench, detector = self.bench, self.instrument.detector
+        bench = self.bench
         centroiders = {
             m: get_centroider("epsf", epsf=psfs[m]) if m in psfs else get_centroider(m) for m in bench.methods
         }
@@ -198,15 +198,14 @@ class PointReadout:
                 f"centroider {bench.methods[0]!r} gives {fewest} usable frames of {bench.frames} for a target point at "
                 f"the {self.place} position; at least 2 are needed: raise signal_e or frames, or take another centroid"
             )
-        config, rounding_e = self.instrument.config, np.sqrt(1.0 / 12.0) / detector.gain_dn_per_e
-        thermal_e = detector.dark_current_e_per_s * detector.dark_factor(config.chip_temperature_c) * config.exposure_s
+        pixel = self.instrument.pixel_noise()
         pattern = pattern_effect(
             centroiders[bench.methods[0]],
             stamps,
             noise,
             light_e,
-            prnu=detector.prnu,
-            dark_e=float(np.sqrt((detector.read_noise_e**2 + rounding_e**2 + thermal_e) / bench.dark_frames)),
+            prnu=pixel.prnu,
+            dark_e=float(np.sqrt(pixel.floor_e2 / bench.dark_frames)),
             rng=self.streams.generator("predicted pattern"),  # the same patterns for every filter
         )
         mean, sigma = {m: a[0] for m, a in averages.items()}, {m: a[1] for m, a in averages.items()}

@@ -12,7 +12,7 @@ from experiments.harness.summary import Measured
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_frames import SUBTRACTIONS, Subtraction, centroiders, read_points
-from experiments.laboratory.point_noise import PixelNoise, bound_px, expected_windows, influence, sampled_px
+from experiments.laboratory.point_noise import bound_px, expected_windows, influence, sampled_px
 from experiments.laboratory.point_scene import PointLight, PointScene, one_filter, scene_of
 from experiments.laboratory.target import target_directions
 from optics.arrays import FloatArray
@@ -251,7 +251,7 @@ def predict_temporal(
     bench = one_filter(bench)
     direction = target_place(bench, instrument, place_px)[None]
     levels = np.array([bench.signal_e] if levels_e is None else levels_e, float)
-    noise, rng = PixelNoise.of(instrument), Streams(seed).generator("temporal prediction")
+    noise, rng = instrument.pixel_noise(), Streams(seed).generator("temporal prediction")
     methods = centroiders(bench.methods, psf)
     linear: dict[str, list[FloatArray]] = {m: [] for m in methods}
     sampled: dict[str, list[FloatArray]] = {m: [] for m in methods}
@@ -262,7 +262,7 @@ def predict_temporal(
         bound.append(bound_px(windows, noise))
         for name, centroider in methods.items():
             gain = influence(centroider, instrument, windows)
-            linear[name].append(gain.sigma_px(windows.light_e, noise.floor_e2))
+            linear[name].append(gain.sigma_px(noise.temporal_e2(windows.light_e)))
             device[name].append(gain.device_sigma_px(windows.light_e, noise))
             if draws >= 2:
                 sampled[name].append(sampled_px(centroider, instrument, windows, noise, draws=draws, rng=rng))

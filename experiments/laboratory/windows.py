@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from calib.measure.centroid import Centroider, get_centroider
 from calib.measure.flags import StarFlag, has_flag
+from calib.measure.linear_response import centroid_covariance, centroid_variance, linear_response
 from calib.measure.stamps import coarse_position, stamps_from_windows
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.instrument import Instrument
@@ -28,7 +29,7 @@ from render.detector.readout import expose_windows
 from render.engine.random import Streams
 from render.records import EffectivePsf, ExpectedImage, WindowStack
 
-__all__ = ["SEARCH_PX", "StarReadings", "WindowPlan", "linear_response", "read_windows"]
+__all__ = ["SEARCH_PX", "StarReadings", "WindowPlan", "read_windows"]
 
 
 SEARCH_PX = 48
@@ -133,48 +134,17 @@ def read_windows(
             "raise the signal or the number of frames"
         )
     one = stamps.select(slice(0, len(centre)))
-    gain = linear_response(centroider, one, noise, light.astype(np.float64))
-    single, covariance = reader.predict(gain, light.astype(np.float64))
+    light_e, pixel = light.astype(np.float64), instrument.pixel_noise()
+    gain = linear_response(centroider, one, noise, light_e)
+    mean_e2 = pixel.temporal_e2(light_e, frames=plan.frames, dark_frames=plan.dark_frames) + pixel.response_e2(light_e)
     return StarReadings(
         position_px=mean,
-        covariance_px2=covariance,
+        covariance_px2=centroid_covariance(gain, mean_e2),
         temporal_px=temporal,
-        predicted_temporal_px=single,
+        predicted_temporal_px=np.sqrt(centroid_variance(gain, pixel.temporal_e2(light_e))),
         frames_used=used,
         windows=stack,
     )
-
-
-def linear_response(centroider: Centroider, stamps: Stamps, noise: NoiseModel, light_e: FloatArray) -> FloatArray:
-    """Derivative of a centroid by the signal of each pixel [px per e-], by finite differences on noiseless windows.
-
-    Parameters
-    ----------
-    centroider : Centroider
-        The estimator.
-    stamps : Stamps
-        n windows; what matters is their place, start and valid pixels.
-    noise : NoiseModel
-        Noise model handed to the estimator.
-    light_e : (n, h, w)
-        Noiseless light.
-
-    Returns
-    -------
-    (n, 2, h, w)
-        Zero for pixels that are not valid.
-    """
-    count, height, width = light_e.shape
-    step_e = np.maximum(1e-3 * light_e.sum((1, 2)), 1e-3)
-    pixels = height * width
-    raised = np.repeat(light_e[:, None], pixels + 1, axis=1).reshape(count, pixels + 1, pixels)
-    raised[:, np.arange(pixels), np.arange(pixels)] += step_e[:, None]
-    many = replace(stamps.select(np.repeat(np.arange(count), pixels + 1)), electrons=raised.reshape(-1, height, width))
-    table = centroider.measure(many, noise)
-    place = np.stack([table.x_px, table.y_px], axis=-1).reshape(count, pixels + 1, 2)
-    gain = (place[:, :-1] - place[:, -1:]) / step_e[:, None, None]
-    gain = np.where(stamps.valid.reshape(count, pixels, 1), gain, 0.0)
-    return np.ascontiguousarray(np.moveaxis(gain, 2, 1)).reshape(count, 2, height, width)
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,18 +215,6 @@ class _Reader:
             temperature_c=config.chip_temperature_c,
             band=what,
         )
-
-    def predict(self, gain: FloatArray, light_e: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Standard deviation of one frame (n, 2) and covariance of the mean (n, 2, 2)."""
-        detector, config = self.instrument.detector, self.instrument.config
-        thermal_e = detector.dark_current_e_per_s * detector.dark_factor(config.chip_temperature_c) * config.exposure_s
-        floor = detector.read_noise_e**2 * np.exp(2.0 * detector.read_noise_spread**2) + thermal_e  # lognormal map
-        floor += 1.0 / (12.0 * detector.gain_dn_per_e**2)
-        single = light_e + floor
-        mean = single / self.plan.frames + floor / self.plan.dark_frames + (detector.prnu * light_e) ** 2
-        spread = np.einsum("nahw,nhw,nahw->na", gain, single, gain)
-        covariance = np.einsum("nahw,nhw,nbhw->nab", gain, mean, gain)
-        return np.sqrt(spread), covariance
 
 
 def _dark_subtracted(stack: WindowStack, dark: WindowStack) -> tuple[Stamps, NoiseModel]:

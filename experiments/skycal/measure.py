@@ -14,6 +14,7 @@ from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
 from calib.measure.find import find_stamps
 from calib.records import NoiseModel, SensorImage, Stamps, StarTable
+from experiments.laboratory.readout.noise_model import true_noise
 from experiments.skycal.light import BankRenderer
 from optics.arrays import FloatArray
 from optics.records import freeze
@@ -125,7 +126,8 @@ def record(scene: Scene, config: Config, streams: Streams, *, advance: Callable[
     camera, set_up = scene.instrument.camera, scene.instrument.config
     renderer = StarRenderer(camera, exposure_s=set_up.exposure_s, sobol_log2_rays=scene.config.sobol_log2_rays)
     readout = _Readout(scene, streams)
-    reduction = _Reduction(config, readout.dark(config.dark_frames))
+    noise = true_noise(scene.instrument, dark_frames=config.dark_frames)
+    reduction = _Reduction(config, readout.dark(config.dark_frames), noise)
     middle, example = scene.frames // 2, None
     truths: list[_Rendered] = []
     cut: list[Future[Stamps]] = []
@@ -145,7 +147,6 @@ def record(scene: Scene, config: Config, streams: Streams, *, advance: Callable[
             advance()
         stamps = [one.result() for one in cut]
     assert example is not None
-    noise = reduction.noise(example)
     every = _joined(stamps)
     table = _centroids(scene, config, every, noise)
     ends = np.cumsum([len(one) for one in stamps])
@@ -245,6 +246,7 @@ class _Reduction:
 
     config: Config
     dark_dn: NDArray[np.float32]
+    noise: NoiseModel
 
     def detect(self, frame: Frame) -> Stamps:
         """Find the stars of a frame, brightest first, and cut them out."""
@@ -257,22 +259,13 @@ class _Reduction:
             size_px=self.config.window_px,
         )
 
-    def noise(self, frame: Frame) -> NoiseModel:
-        """Noise of a pixel; that of the mean dark frame is added to the read noise."""
-        return NoiseModel(
-            read_noise_e=float(frame.read_noise_e * np.sqrt(1.0 + 1.0 / self.config.dark_frames)),
-            gain_dn_per_e=frame.gain_dn_per_e,
-            offset_dn=frame.offset_dn,
-            quantised=True,
-        )
-
     def _without_dark(self, frame: Frame) -> SensorImage:
         """The frame minus the mean dark frame."""
         return SensorImage(
             dn=np.asarray(frame.dn - self.dark_dn + np.float32(frame.offset_dn), np.float64),
             valid=~frame.defect,
             saturated=frame.saturated,
-            noise=self.noise(frame),
+            noise=self.noise,
             exposure_s=frame.exposure_s,
             source=f"frame {frame.index}",
         )

@@ -199,11 +199,6 @@ class Detector:
         return tuple((start, start + self.gap_px - 1) for start in starts)
 
     @property
-    def mean_dark_e_per_s(self) -> float:
-        """Mean dark current at the reference, radiation damage included, hot pixels of the maker's left out [e-/s]."""
-        return self.dark_current_e_per_s + self.damage_centres_per_px * self.damage_dark_e_per_s
-
-    @property
     def shape(self) -> tuple[int, int]:
         """(rows, columns) of the image."""
         return self.height_px, self.width_px

@@ -142,6 +142,22 @@ def test_the_noise_model_gives_the_scatter(still):
         assert found == pytest.approx(np.sqrt((reduced.predicted_px[method] ** 2).mean()), rel=4.0 / np.sqrt(2 * 60))
 
 
+def test_the_noise_model_knows_the_dark_charge_of_each_pixel(tmp_path, mi, scene, camera):
+    """Half of the pixels with displacement damage, 300 e- on average and none at the median; tolerance as above."""
+    chip = replace(camera.detector, damage_centres_per_px=0.5, damage_dark_e_per_s=86000.0, hot_fraction=0.0)
+    damaged = replace(camera, detector=chip)
+    there = point_scene(replace(scene.bench, signal_e=12000.0, dark_frames=20, frames=12), damaged, "llvm")
+    writer, streams = Writer(tmp_path / "damaged", there), Streams(4)
+    places = target_place(there.bench, damaged, PLACE)
+    image = writer.image(places)
+    writer.lines += ['dark = ["dark_*.fits"]', f"points_px = {nominal_px(damaged, places).tolist()}"]
+    writer.dark(image.shape, streams)
+    writer.series(image, streams, "still", count=12)
+    reduced = temporal_from_frames(read_folder(writer.done(), window_px=WINDOW_PX), ("cog",))
+    ratio = (reduced.series[0].points.sigma_px("cog") / reduced.predicted_px["cog"]) ** 2
+    assert ratio.mean() == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / ratio.size / 11))
+
+
 def test_step_test_from_disk_is_that_in_memory(steps, scene, camera):
     measured = measure_high_frequency(
         scene.bench,

@@ -12,7 +12,7 @@ from calib.measure.crlb import cramer_rao
 from calib.measure.epsf import draw_epsf
 from calib.measure.gaussian import draw_gaussian
 from calib.records import NoiseModel
-from experiments.laboratory.point_noise import ExpectedWindows, PixelNoise, bound_px, influence, sampled_px
+from experiments.laboratory.point_noise import ExpectedWindows, bound_px, influence, sampled_px
 from render.records import EffectivePsf
 
 SIZE, FLUX = 11, 5000.0
@@ -44,12 +44,12 @@ def windows(psf):
 
 @pytest.fixture(scope="module")
 def noise(star_camera):
-    return PixelNoise.of(star_camera)
+    return star_camera.pixel_noise()
 
 
 def test_the_data_sheet_in_numbers(noise):
     assert noise.read_e2 == pytest.approx(13.0**2, rel=0.03)
-    assert noise.thermal_e == pytest.approx(125.0 * 2 ** (-25.0 / 6.5) * 0.1)
+    assert noise.dark_e == pytest.approx(125.0 * 2 ** (-25.0 / 6.5) * 0.1)
     assert noise.rounding_e2 == pytest.approx((1.0 / 0.3) ** 2 / 12.0)
     assert noise.offset_e == pytest.approx(12.0, rel=1e-3)
 
@@ -63,18 +63,10 @@ def test_the_influence_of_a_centre_of_gravity_is_its_lever(star_camera, windows)
         np.testing.assert_allclose(found, np.tile(lever, (SIZE, 1)), rtol=3e-3, atol=1e-9)
 
 
-def test_an_epsf_fit_told_the_true_noise_reaches_the_bound(star_camera, windows, psf):
-    told = PixelNoise(
-        read_e2=13.0**2,
-        read_e4=0.0,
-        thermal_e=0.0,
-        rounding_e2=(1 / 0.3) ** 2 / 12,
-        prnu=0.0,
-        offset_e=0.0,
-        column_e=0.0,
-    )
+def test_an_epsf_fit_told_the_true_noise_reaches_the_bound(star_camera, windows, noise, psf):
+    told = replace(noise, read_e2=13.0**2, dark_e=0.0)
     gain = influence(get_centroider("epsf", epsf=psf), star_camera, windows)
-    np.testing.assert_allclose(gain.sigma_px(windows.light_e, told.floor_e2), bound_px(windows, told), rtol=5e-3)
+    np.testing.assert_allclose(gain.sigma_px(told.temporal_e2(windows.light_e)), bound_px(windows, told), rtol=5e-3)
 
 
 def test_the_bound_agrees_with_one_from_numerical_derivatives(windows, noise):
@@ -93,14 +85,14 @@ def test_drawn_noise_scatters_as_the_influence_says(star_camera, windows, noise,
     draws = 3000
     centroider = get_centroider(method)
     drawn = sampled_px(centroider, star_camera, windows, noise, draws=draws, rng=np.random.default_rng(4))
-    linear = influence(centroider, star_camera, windows).sigma_px(windows.light_e, noise.floor_e2)
+    linear = influence(centroider, star_camera, windows).sigma_px(noise.temporal_e2(windows.light_e))
     np.testing.assert_allclose(drawn, linear, rtol=4.0 / np.sqrt(2.0 * draws) + 0.01)
 
 
 def test_chips_differ_less_when_their_pixels_do(star_camera, windows, noise):
     gain = influence(get_centroider("cog"), star_camera, windows)
-    even = replace(noise, read_e4=0.0)
+    even = replace(noise, read_e4=0.0, dark_pattern_e=0.0)
     assert gain.device_sigma_px(windows.light_e, even).max() == 0.0
     # 49 pixels with levers of equal weight: a fifth of the variance each, over some 20 pixels that count
-    ratio = gain.device_sigma_px(windows.light_e, noise) / gain.sigma_px(windows.light_e, noise.floor_e2)
+    ratio = gain.device_sigma_px(windows.light_e, noise) / gain.sigma_px(noise.temporal_e2(windows.light_e))
     assert np.all((ratio > 0.005) & (ratio < 0.05))

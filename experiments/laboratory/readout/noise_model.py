@@ -1,0 +1,37 @@
+"""What a reduction is told about the noise of a pixel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.records import NoiseModel
+from experiments.laboratory.instrument import Instrument
+
+__all__ = ["nominal_noise", "true_noise"]
+
+
+def nominal_noise(instrument: Instrument) -> NoiseModel:
+    """What the readout itself states: gain, offset, read noise of the median pixel (`render.records.Frame`)."""
+    chip = instrument.detector
+    return NoiseModel(
+        read_noise_e=chip.read_noise_e, gain_dn_per_e=chip.gain_dn_per_e, offset_dn=chip.offset_dn, quantised=True
+    )
+
+
+def true_noise(instrument: Instrument, *, dark_frames: int | None = None) -> NoiseModel:
+    """What somebody who has measured the noise of dark frames knows: everything but light is in the read noise.
+
+    Read noise with its spread over the pixels, dark charge, and the noise of the mean dark frame that was subtracted.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        The camera and its conditions.
+    dark_frames : int, optional
+        Frames in the mean dark frame; none is subtracted without it.
+    """
+    pixel = instrument.pixel_noise()
+    temporal_e2 = float(pixel.temporal_e2(0.0, dark_frames=dark_frames)) - pixel.rounding_e2
+    return replace(nominal_noise(instrument), read_noise_e=float(np.sqrt(temporal_e2)))
