@@ -1,24 +1,42 @@
-"""The lens and light: surfaces, glass, prescriptions, sequential trace, paraxial optics, perturbations, spectra.
+"""The lens and light: prescriptions, perturbations, glass, rays, paraxial optics, spectra, bands, drawings.
 
-A lens is data (`load_lens` reads it, the functions of `optics.lens.perturb` return changed copies), rays are data
-(`star_rays` launches them, `optics.rays.trace.trace` carries them to the image plane), and what they mean is computed
-by plain functions (`optics.rays.spots`, `optics.rays.chief`, `optics.rays.paraxial`). One source of the trace runs on
-NumPy and on Dr.Jit arrays (`optics.rays.trace.trace_program`). No Mitsuba and no randomness here.
+A lens is data: `load_lens` reads it, `tilt` and its like return changed copies. Rays are data: `star_rays` launches
+them, `trace` carries them to the image plane. What they mean is computed by plain functions. One source of the trace
+runs on NumPy and on Dr.Jit arrays (`trace_program`). No Mitsuba and no randomness here.
 
-The public names of the package stand in ``__init__.pyi`` and are loaded when they are first used, so that importing one
-small module stays cheap; everything else is imported from its module (also `trace` and `paraxial`, which are called
-like their modules):
+    from optics import draw_lens, load_lens, paraxial, spot_moments, tilt
+    lens = tilt(load_lens("star_tracker_26mm"), "L6", x_deg=0.05)
+    spots = spot_moments(lens, [0.0, 5.0, 10.0], [0.0, 0.0, 0.0], [500.0, 600.0, 700.0])
+    draw_lens(lens).savefig("lens.png")
 
-================  ======================================================================================================
-optics.lens       surface shapes, the lens record, lens files, tilt, decentre, temperature ...
-optics.glass      catalogue glass, refractive index of air, absolute indices on any array library, surroundings
-optics.rays       compiled lens, sequential trace, launch disk, chief rays, spots, ABCD quantities, light going the
-                  other way
-optics.light      spectral energy distributions, filter bands, photon rates from magnitudes, coatings and transmittance
-optics.frames     frames and pixel conventions
-optics.attitude   attitudes from right ascension, declination and roll, and their errors
-optics.figures    lens drawing, spot diagrams, distortion grid
-================  ======================================================================================================
+Public names (read from ``__init__.pyi``, loaded on first use) and the modules behind them:
+
+==========================  ============================================================================================
+optics.lens.prescription    `load_lens`, `list_lenses`
+optics.lens.system          `LensSystem`, `Surface`
+optics.lens.shapes          `Shape` and its kinds `Plane`, `Sphere`, `Conic`, `EvenAsphere`
+optics.lens.perturb         `tilt`, `decentre`, `despace`, `refocus`, `tilt_image`, `change_temperature`,
+                            `change_index`, `change_radius`, `change_conic`, `change_shape`; what moves: an element,
+                            surfaces, `ALL_SURFACES`, `EVERYTHING`
+optics.glass.catalogue      `get_glass`, `list_glasses`, `Glass`
+optics.glass.media          `Environment`, `CATALOGUE_AIR`, `VACUUM`
+optics.rays.paraxial        `paraxial`, `axial_colour_mm`
+optics.rays.chief           `chief_ray_points`, `plate_scale_mm`, `distortion_map`
+optics.rays.spots           `spot_moments`, `trace_spots`, `lateral_colour`, `vignetting`, `best_focus_shift_mm`
+optics.rays.pupil           `entrance_pupil`, `star_rays`, `gauss_disk`, `sobol_disk`
+optics.rays.trace           `Rays`, `trace`, `trace_program`
+optics.rays.program         `compile_lens`
+optics.rays.reverse         `reverse`
+optics.light.spectrum       `Blackbody`, `TabulatedSed`
+optics.light.band           `TopHat`, `TabulatedBand`, `band_nodes`
+optics.light.photometry     `photon_rate`, `synthetic_magnitude`
+optics.light.transmission   `lens_transmission`, `QuarterWave`, `TabulatedCoating`
+optics.response             `Response`
+optics.figures              `draw_lens`, `draw_spots`, `draw_distortion`
+optics.frames               `field_direction`
+optics.attitude             `attitude_from_angles`, `angles_from_attitude`, `attitude_error_arcsec`
+optics.errors               `StarbenchError`
+==========================  ============================================================================================
 """
 
 import lazy_loader
