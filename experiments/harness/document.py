@@ -6,7 +6,7 @@ Besides ``config``, ``result``, ``data`` and ``outcome`` it knows
 
 =========================  ============================================================================================
 ``value("q", axis="x")``   a quantity by name; printed with its uncertainty, or in its own format
-``table("name")``          a table of the experiment
+``table("name")``          a table of the experiment; ``table("name", Head=[...])`` only the rows with these cells
 ``figure("name", ...)``    a drawing: function NAME of the experiment's figures, called with the outcome and the further
                            arguments; its caption stands in ``{% call figure("name") %} ... {% endcall %}``
 ``row(a, b)``              figures or tables side by side
@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -70,10 +70,16 @@ class _Context:
         one = self.outcome.quantity(name, **at)
         return one if not one.dims else one.values
 
-    def table(self, name: str) -> Markup:
+    def table(self, name: str, **only: Sequence[Any]) -> Markup:
         if name not in self.tables:
             raise unknown_name("table", name, self.tables)
-        return self._mark(self.tables[name])
+        table = self.tables[name]
+        heads = [column.name for column in table.heads]
+        for head, cells in only.items():
+            if head not in heads:
+                raise unknown_name(f"column of table {name!r}:", head, heads)
+            table = replace(table, rows=[row for row in table.rows if row[heads.index(head)] in cells])
+        return self._mark(table)
 
     def figure(
         self, name: str, *arguments: Any, caption: str = "", alt: str = "", raster: bool = False, caller: Any = None

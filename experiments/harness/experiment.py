@@ -133,11 +133,13 @@ class Experiment:
         return Outcome(config=config, result=result, data=self.part(self.quantities)(result).dataset)
 
     def results(self, outcome: Outcome) -> dict[str, Any]:
-        """The ``results`` of ``summary.json``."""
+        """The ``results`` of ``summary.json``; they end with what the process took, if nobody described that."""
+        from experiments.harness.provenance import peak_memory_mb, process_seconds
         from experiments.harness.quantities import to_results
 
-        extra = self.part(self.extra)(outcome.result) if self.extra is not None else {}
-        return to_results(outcome.data) | dict(extra)
+        found = to_results(outcome.data) | (self.part(self.extra)(outcome.result) if self.extra is not None else {})
+        took = {"runtime_s": process_seconds(), "peak_memory_mb": peak_memory_mb()}
+        return found | {key: value for key, value in took.items() if key not in found}
 
     def make_tables(self, outcome: Outcome) -> dict[str, Table]:
         """Tables by name."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import xarray as xr
@@ -31,6 +31,10 @@ class Pivot:
         Dimensions of ``rows`` whose coordinates get no column.
     numbered : str
         Dimensions of ``rows`` without coordinates that get a column of numbers 1, 2, 3 ..., under this head.
+    plain : str
+        Quantities of ``columns`` that are shown without their uncertainty.
+    where : mapping of str to sequence
+        Dimension -> the coordinates that are shown; all of them for the others.
     caption, note : str
         See `experiments.harness.tables.Table`.
     """
@@ -40,6 +44,8 @@ class Pivot:
     across: str = ""
     hidden: str = ""
     numbered: str = ""
+    plain: str = ""
+    where: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     caption: str = ""
     note: str = ""
 
@@ -55,7 +61,9 @@ def pivot(data: xr.Dataset, spec: Pivot) -> Table:
         If a quantity has a dimension that runs neither down nor across.
     """
     rows, across = spec.rows.split(), spec.across
+    data = data.sel({dim: list(shown) for dim, shown in spec.where.items()})
     quantities = [Quantity.of(data, name) for name in spec.columns.split()]
+    quantities = [replace(one, error=None, n=None) if one.name in spec.plain.split() else one for one in quantities]
     for one in quantities:
         left = [dim for dim in one.dims if dim not in rows and dim != across]
         if left:

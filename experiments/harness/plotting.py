@@ -7,8 +7,9 @@ Use it as ``with house_style(): figure, axes = new_figure(); axes.plot(...)``. T
 from __future__ import annotations
 
 import io
+import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any, Literal
@@ -31,6 +32,7 @@ __all__ = [
     "figure_png",
     "figure_svg",
     "house_style",
+    "log_ticks",
     "new_figure",
     "wavelength_colour",
 ]
@@ -136,6 +138,28 @@ def new_figure(
     inches = WIDTH_IN[width]
     figure = Figure(figsize=(inches, inches * aspect_ratio), layout="constrained")
     return figure, figure.subplots(rows, columns, **subplots)
+
+
+def log_ticks(axes: Any, which: Literal["x", "y"], ticks: Iterable[float] | None = None) -> None:
+    """Ticks of a logarithmic axis as plain numbers, none between them; call after the limits are set.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Where.
+    which : {"x", "y"}
+        Which axis.
+    ticks : iterable of float, optional
+        Values; those beyond the limits are left out. 1, 2 and 5 of every decade without it.
+    """
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    low, high = sorted(axes.get_xlim() if which == "x" else axes.get_ylim())
+    if ticks is None:
+        decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+        ticks = (float(f"{digit}e{decade}") for decade in decades for digit in (1, 2, 5))
+    shown = [tick for tick in ticks if low <= tick <= high]
+    axis.set_ticks(shown, [f"{tick:g}" for tick in shown])
+    axis.set_ticks([], minor=True)
 
 
 def figure_svg(figure: Figure, *, prefix: str = "f") -> str:

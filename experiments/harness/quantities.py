@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +91,7 @@ class Quantities:
         format: str = "",
         key: str | None = None,
         json: str | None = None,
+        json_error: str = "",
     ) -> None:
         """Describe a quantity.
 
@@ -116,7 +117,9 @@ class Quantities:
         json : str, optional
             Place in ``summary.json``, if not ``name``: "levels[level].methods[method].measured" is a list over the
             numbered dimension ``level`` of records, in which ``methods`` has a record for every method. Dimensions that
-            are not named follow at the end. "" leaves it out.
+            are not named follow at the end; "found[method][axis].value" nests records of two. "" leaves it out.
+        json_error : str, optional
+            Place of the uncertainty, where it does not stand with the value in one record.
 
         Raises
         ------
@@ -142,7 +145,8 @@ class Quantities:
             self.dataset[name] = (names, array, attrs)
             for part, given in extra.items():
                 whole = np.broadcast_to(np.asarray(given, dtype=np.float64), array.shape)
-                self.dataset[f"{name}_{part}"] = (names, whole.copy(), {"ancillary_of": name})
+                own = {"json": json_error} if part == "error" else {}
+                self.dataset[f"{name}_{part}"] = (names, whole.copy(), {"ancillary_of": name, **own})
         except ValueError as problem:
             raise DomainError(f"quantity {name!r}: {problem}") from None
 
@@ -272,37 +276,47 @@ def to_results(data: xr.Dataset) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for name in names_of(data):
         one = Quantity.of(data, name)
-        if one.json:
-            _put(out, one.json.split("."), one, data)
+        parts = [(one.json, one)]
+        if one.error is not None and (apart := data[f"{name}_error"].attrs.get("json")):
+            plain = replace(one, error=None, n=None)
+            parts = [(one.json, plain), (apart, replace(plain, values=one.error))]
+        for place, part in parts:
+            if place:
+                out = _merged(out, _placed(place.split("."), part, data))
     return out
 
 
-def _put(out: dict[str, Any], path: Sequence[str], one: Quantity, data: xr.Dataset) -> None:
-    matched = re.fullmatch(r"(\w+)(?:\[(\w+)\])?", path[0])
+def _placed(path: Sequence[str], one: Quantity, data: xr.Dataset) -> dict[str, Any]:
+    """A quantity at its place, in nested records that hold nothing else."""
+    matched = re.fullmatch(r"(\w+)((?:\[\w+\])*)", path[0])
     if matched is None:
-        raise ConfigError(f"quantity {one.name!r}: {path[0]!r} in json is not NAME or NAME[DIMENSION]")
-    name, dim = matched.groups()
-    if dim is not None and dim not in one.dims:
-        raise unknown_name(f"dimension of quantity {one.name!r}:", dim, one.dims)
+        raise ConfigError(f"quantity {one.name!r}: {path[0]!r} in json is not NAME or NAME[DIMENSION]...")
+    dims = re.findall(r"\w+", matched[2])
+    for dim in dims:
+        if dim not in one.dims:
+            raise unknown_name(f"dimension of quantity {one.name!r}:", dim, one.dims)
     if len(path) == 1:
-        dims = [dim, *(d for d in one.dims if d != dim)] if dim else list(one.dims)
-        out[name] = _leaf(one, dims, data)
-    elif dim is None:
-        _put(out.setdefault(name, {}), path[1:], one, data)
-    else:
-        keys = _keys(data, dim)
-        whole = out.setdefault(name, [{} for _ in range(data.sizes[dim])] if keys is None else {})
-        for number in range(data.sizes[dim]):
-            inner = whole[number] if keys is None else whole.setdefault(keys[number], {})
-            _put(inner, path[1:], one.at(**{dim: number}), data)
+        dims += [dim for dim in one.dims if dim not in dims]
+        return {matched[1]: _spread(dims, one, data, Quantity.scalar)}
+    return {matched[1]: _spread(dims, one, data, lambda part: _placed(path[1:], part, data))}
 
 
-def _leaf(one: Quantity, dims: Sequence[str], data: xr.Dataset) -> Any:
+def _spread(dims: Sequence[str], one: Quantity, data: xr.Dataset, inner: Callable[[Quantity], Any]) -> Any:
+    """Records or lists along dimensions, with ``inner`` of each part in them."""
     if not dims:
-        return one.scalar()
+        return inner(one)
     keys = _keys(data, dims[0])
-    parts = (_leaf(one.at(**{dims[0]: number}), dims[1:], data) for number in range(data.sizes[dims[0]]))
-    return list(parts) if keys is None else dict(zip(keys, parts, strict=True))
+    parts = [_spread(dims[1:], one.at(**{dims[0]: n}), data, inner) for n in range(data.sizes[dims[0]])]
+    return parts if keys is None else dict(zip(keys, parts, strict=True))
+
+
+def _merged(old: Any, new: Any) -> Any:
+    """Two nestings as one; where both have a value, the new one."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        return old | {key: _merged(old.get(key), value) for key, value in new.items()}
+    if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        return [_merged(*pair) for pair in zip(old, new, strict=True)]
+    return new
 
 
 def _keys(data: xr.Dataset, dim: str) -> list[str] | None:

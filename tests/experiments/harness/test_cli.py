@@ -142,8 +142,15 @@ def test_report_stands_alone_and_is_escaped(output):
 
 def test_same_seed_same_bytes(shot_noise, tmp_path, output):
     assert shot_noise.main(["--out", str(tmp_path / "again"), "--seed", "3", "--set", "label=<b>7 & 8</b>"]) == 0
-    for name in ("summary.json", "levels.ecsv", "frames/variance.npy"):
+    for name in ("levels.ecsv", "frames/variance.npy"):
         assert (tmp_path / "again" / name).read_bytes() == (output[1] / name).read_bytes()
+
+    def numbers(folder):
+        text = (folder / "summary.json").read_text(encoding="utf-8")
+        return re.subn(r'"(runtime_s|peak_memory_mb)": [\d.]+', "", text)
+
+    assert numbers(tmp_path / "again") == numbers(output[1])
+    assert numbers(output[1])[1] == 2
 
     def drawings(folder):
         return re.findall(r"<svg.*?</svg>", (folder / "report.html").read_text(encoding="utf-8"), flags=re.DOTALL)

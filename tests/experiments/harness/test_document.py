@@ -59,6 +59,7 @@ def page(tmp_path):
         path.write_text(title + body, encoding="utf-8")
         outcome = Outcome(config=SimpleNamespace(label=label), result=None, data=q.dataset)
         tables = {"t": Table(columns=["<x>"], rows=[("<y>",)], caption="A *table* of <b>.")}
+        tables["long"] = Table(columns=["Kind"], rows=[("a",), ("b",), ("c",)])
         return render_document(
             path, outcome, tables=tables, draw=lambda name: DRAWINGS[name](), criteria=criteria, provenance=PROVENANCE
         )
@@ -147,6 +148,13 @@ def test_figures_of_every_source_are_numbered_in_order(page):
     assert "&lt;x&gt;" in html
 
 
+def test_some_rows_of_a_table(page):
+    html = page("{{ table('long', Kind=['a', 'c']) }}")
+    assert re.findall(r"<td>(\w)</td>", html) == ["a", "c"]
+    with pytest.raises(ConfigError, match="Kind"):
+        page("{{ table('long', Kin=['a']) }}")
+
+
 @pytest.mark.parametrize("wrong", ["div", "gif"])
 def test_figure_of_another_kind_is_refused(page, wrong):
     with pytest.raises(DomainError, match="figure 1"):
@@ -162,7 +170,7 @@ def test_equation_is_drawn_and_told(page):
 @pytest.mark.parametrize(
     ("body", "said"),
     [
-        ("{{ table('u') }}", "known: t"),
+        ("{{ table('u') }}", "known: long, t"),
         ("{{ value('tee', axis='x') }}", "te"),
         ("{{ config.lable }}", "lable"),
         ("{% if %}", "report.md"),

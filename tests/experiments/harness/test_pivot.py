@@ -49,6 +49,11 @@ def test_hidden_dimensions_and_a_single_row(data):
     assert len(pivot(data, Pivot(columns="bound", across="axis")).rows) == 1
 
 
+def test_some_rows_only_and_values_without_their_uncertainty(data):
+    table = pivot(data, Pivot(rows="method axis", columns="te", plain="te", where={"method": ["epsf"]}))
+    assert table.rows == (("ePSF fit", "x", 3.0), ("ePSF fit", "y", 4.0))
+
+
 def test_a_dimension_that_is_forgotten_is_told(data):
     with pytest.raises(DomainError, match=r"te.*axis"):
         pivot(data, Pivot(rows="method", columns="te"))

@@ -14,6 +14,7 @@ from experiments.harness.plotting import (
     figure_png,
     figure_svg,
     house_style,
+    log_ticks,
     new_figure,
     wavelength_colour,
 )
@@ -62,6 +63,17 @@ def test_style_is_gone_afterwards():
     with house_style():
         assert mpl.rcParams["axes.spines.top"] is False
     assert dict(mpl.rcParams) == before
+
+
+def test_ticks_of_logarithmic_axes_are_plain_numbers_within_the_limits():
+    with house_style():
+        _, axes = new_figure()
+        axes.set(xscale="log", yscale="log", xlim=(0.3, 30.0), ylim=(1200.0, 90.0))
+        log_ticks(axes, "x")
+        log_ticks(axes, "y", (50, 100, 1000, 2000))
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["0.5", "1", "2", "5", "10", "20"]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["100", "1000"]
+    assert len(axes.get_xticks(minor=True)) == 0
 
 
 def channels(colour):

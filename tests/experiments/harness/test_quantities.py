@@ -51,6 +51,27 @@ def test_places_in_the_summary():
     }
 
 
+def test_nested_records_and_an_uncertainty_that_stands_apart():
+    q = Quantities()
+    q.axis("method", ["cog", "epsf"])
+    q.axis("axis", ["x", "y"])
+    values = np.arange(4.0).reshape(2, 2)
+    q.add(
+        "a", values, dims="method axis", error=0.5, json="found[method][axis].seen", json_error="found[method].spread"
+    )
+    q.add("b", 10.0 + values, dims="method axis", json="found[axis][method]")
+    spread = {"x": 0.5, "y": 0.5}
+    assert to_results(q.dataset[["a", "a_error", "method", "axis"]]) == {
+        "found": {
+            "cog": {"x": {"seen": 0.0}, "y": {"seen": 1.0}, "spread": spread},
+            "epsf": {"x": {"seen": 2.0}, "y": {"seen": 3.0}, "spread": spread},
+        }
+    }
+    assert to_results(q.dataset[["b", "method", "axis"]]) == {
+        "found": {"x": {"cog": 10.0, "epsf": 12.0}, "y": {"cog": 11.0, "epsf": 13.0}}
+    }
+
+
 def test_uncertainty_and_samples_travel_with_the_value(q):
     cell = to_results(q.dataset)["te_arcsec"][1]["epsf"]["y"]
     assert cell == Measured(value=7.0, unit="arcsec", uncertainty=0.5, n=30)
