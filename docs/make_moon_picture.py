@@ -39,7 +39,7 @@ from render.detector.spec import Detector, load_detector
 from render.engine import Engine
 from render.engine.random import Streams
 from render.forward import StarRenderer
-from render.plugins.lens_camera import share_camera
+from render.plugins.lens_camera import lens_camera_properties
 from render.records import ExpectedImage, StarField
 
 TARGET = Path(__file__).with_name("pictures") / "moon_through_the_lens.png"
@@ -117,22 +117,16 @@ def moon(camera: Camera, nodes: BandNodes) -> tuple[np.ndarray, tuple[int, int]]
     window = replace(
         camera, width_px=WINDOW_PX, height_px=WINDOW_PX, centre_px=camera.centre_px - np.array([column, row])
     )
-    film = {
-        "type": "hdrfilm", "width": WINDOW_PX, "height": WINDOW_PX, "pixel_format": "luminance",
-        "component_format": "float32", "rfilter": {"type": "box"},
-    }  # fmt: skip
     bodies = moon_scene(towards, north_up(*MOON_DEG), PHASE_DEG, SUN_POSITION_ANGLE_DEG)
     electrons = np.zeros((WINDOW_PX, WINDOW_PX))
     sun = photon_rate(SUN, SUN_V, wavelength_nm=nodes.wavelength_nm) * nodes.weight_nm * nodes.transmission
     for node, (wavelength, rate) in enumerate(zip(nodes.wavelength_nm[0], sun[0], strict=True)):
-        sensor = {
-            "type": "lens_camera",
-            "camera": share_camera(window),
-            "to_world": mi.ScalarTransform4f().translate((-DISTANCE_KM * towards).tolist()),
-            "scene_unit_mm": 1e6,
-            "wavelength_nm": float(wavelength),
-            "film": film,
-        }
+        sensor = lens_camera_properties(
+            window,
+            to_world=mi.ScalarTransform4f().translate((-DISTANCE_KM * towards).tolist()),
+            scene_unit_mm=1e6,
+            wavelength_nm=float(wavelength),
+        )
         scene = mi.load_dict({"type": "scene", "sensor": sensor, **bodies})
         image = mi.render(scene, integrator=mi.load_dict({"type": "path", "max_depth": 2}), spp=SAMPLES, seed=node)
         irradiance = np.array(image, dtype=float)[..., 0]  # of a Sun with unit irradiance

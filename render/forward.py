@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from optics.errors import DomainError, StarbenchError
 from render.camera import Camera
 from render.engine import Engine
-from render.plugins.lens_camera import share_camera
+from render.plugins.lens_camera import lens_camera_properties
 from render.plugins.register import register_plugins
+from render.plugins.star_field import share_motion
 from render.records import ExpectedImage, StarField
-from render.tracing.motion import ExposureMotion, share_motion
+from render.tracing.motion import ExposureMotion
 from render.tracing.tracer import TracedStars
 
 __all__ = ["StarRenderer", "render_stars"]
@@ -53,21 +54,7 @@ class StarRenderer:
         self.camera, self.exposure_s, self.seed = camera, float(exposure_s), int(seed)
         self.traced: TracedStars | None = None
         self._integrator = mi.load_dict({"type": "star_tracer", "sobol_log2_rays": sobol_log2_rays})
-        self._sensor = mi.load_dict(
-            {
-                "type": "lens_camera",
-                "camera": share_camera(camera),
-                "shutter_close": self.exposure_s,
-                "film": {
-                    "type": "hdrfilm",
-                    "width": camera.width_px,
-                    "height": camera.height_px,
-                    "pixel_format": "luminance",
-                    "component_format": "float32",
-                    "rfilter": {"type": "box"},
-                },
-            }
-        )
+        self._sensor = mi.load_dict(lens_camera_properties(camera, shutter_close=self.exposure_s))
 
     def render(
         self,

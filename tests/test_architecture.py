@@ -140,6 +140,8 @@ def test_every_room_has_its_place(package):
     listed = ORDER[package].replace("<", " ").split()
     inside = [p for p in (ROOT / package).iterdir() if p.suffix == ".py" or (p / "__init__.py").exists()]
     assert sorted(listed) == sorted(p.stem for p in inside if p.stem != "__init__")
+    row = f"| `{package}/` | {ORDER[package]} |"
+    assert row in (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 
 
 ORDERED = [path for path in FILES if len(path.relative_to(ROOT).parts) > 2 or path.stem != "__init__"]

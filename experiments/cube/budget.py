@@ -52,8 +52,8 @@ __all__ = [
     "build_budget",
     "face_angles_deg",
     "lean_rates",
-    "left_to_chance",
     "play_trim",
+    "stratified_variance_ratio",
 ]
 
 
@@ -84,7 +84,7 @@ class BudgetRow:
     predicted_arcsec : (3,)
         The same with the noise of pictures and sun sensor, which no case is without.
     measured_arcsec, uncertainty_arcsec : (3,)
-        Monte-Carlo, and its standard deviation (`left_to_chance`).
+        Monte-Carlo, and its standard deviation (`stratified_variance_ratio`).
     acts : (3,) bool
         Axes on which the term is at least a third of the prediction.
     benches : int
@@ -276,7 +276,7 @@ def build_budget(laboratory: Laboratory, cases: Mapping[str, CaseResult], pictur
         noise = _noise(laboratory, result, pictures)
         predicted = np.hypot(term, noise)
         even = [single[key] for key in STRATIFIED if active[key]]
-        chance = left_to_chance(even, predicted, benches=len(result.bench))
+        ratio = stratified_variance_ratio(even, predicted, benches=len(result.bench))
         acts = term > predicted / 3
         if case.improved or not acts.any():  # noise is all there is
             acts = np.ones(3, bool)
@@ -288,7 +288,7 @@ def build_budget(laboratory: Laboratory, cases: Mapping[str, CaseResult], pictur
                 term_arcsec=term,
                 predicted_arcsec=predicted,
                 measured_arcsec=result.rms_arcsec,
-                uncertainty_arcsec=result.rms_arcsec * np.sqrt(chance / (2 * len(result.bench))),
+                uncertainty_arcsec=result.rms_arcsec * np.sqrt(ratio / (2 * len(result.bench))),
                 acts=acts,
                 benches=len(result.bench),
             )
@@ -296,7 +296,7 @@ def build_budget(laboratory: Laboratory, cases: Mapping[str, CaseResult], pictur
     return rows
 
 
-def left_to_chance(even: list[FloatArray], predicted: FloatArray, *, benches: int) -> FloatArray:
+def stratified_variance_ratio(even: list[FloatArray], predicted: FloatArray, *, benches: int) -> FloatArray:
     """Variance of a measured mean square over that of independent draws (3,).
 
     The mean square of a sum of terms holds the mean squares of the terms and their products. Stratified inputs

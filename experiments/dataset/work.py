@@ -1,4 +1,4 @@
-"""Making frames in whatever process: looked up if they are there, otherwise made, written and vouched for."""
+"""Making frames in whatever process: looked up if they are there, otherwise made and written, with their digests."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ __all__ = ["Matched", "geometry_of", "match_frames", "sheet_camera"]
 BRIGHTEST = 40
 """Detections and catalogue stars that the first matching looks at."""
 FIRST_TOLERANCE_PX = 12.0
-"""How far the camera of the data sheet may be off: its focal length, and a distortion nobody has told."""
+"""How far the camera of the data sheet may be off: its focal length, and a distortion that it does not state."""
 FINAL_RADIUS_PX = 2.0
 LEAST_RADIUS_SIGMA = 4.5
 """Search radius of the first matching over the standard deviation of the attitude."""
@@ -172,15 +172,15 @@ def _check_detections(scene: Scene, recording: Recording, config: Config) -> Non
 def _first_match(
     scene: Scene, stars: FrameStars, config: Config, camera: CameraModel, number: int
 ) -> Observations | None:
-    """Brightest stars of one frame, or None where they cannot be told."""
+    """Brightest stars of one frame, or None where they cannot be identified."""
     bright = stars.found.select(slice(BRIGHTEST))
-    told = scene.told_attitude[number]
+    prior = scene.prior_attitude[number]
     sigma_px = config.motion.attitude_error_arcmin * 60.0 / scene.pixel_arcsec
     radius_px = LEAST_RADIUS_SIGMA * sigma_px + FIRST_TOLERANCE_PX
-    rows = _brightest_near(scene, told)
+    rows = _brightest_near(scene, prior)
     pixel = np.column_stack([bright.x_px, bright.y_px])
     found = match_stars(
-        pixel, scene.sky.direction[rows], told, camera, radius_px=radius_px, tolerance_px=FIRST_TOLERANCE_PX
+        pixel, scene.sky.direction[rows], prior, camera, radius_px=radius_px, tolerance_px=FIRST_TOLERANCE_PX
     )
     if not found.ok or len(found.association) < FEWEST_MATCHED:
         return None
@@ -247,12 +247,12 @@ class _Close:
             photon_px=photon,
             in_cam=in_cam,
             right=np.linalg.norm(pixel[rows] - photon, axis=1) < TRUE_PX,
-            count={name: int((fault == code).sum()) for code, name in enumerate(_FATE)},
+            count={name: int((fault == code).sum()) for code, name in enumerate(_OUTCOMES)},
             first_matched=0,
         )
 
     def _faults(self, snr: FloatArray, matched: IntArray) -> IntArray:
-        """Per detection: 0 for those that take part, otherwise the first reason of `_FATE` that holds."""
+        """Per detection: 0 for those that take part, otherwise the number of the first of `_REASONS` that holds."""
         flags = self.stars.found.flags
         unmatched = np.ones(len(flags), bool)
         unmatched[matched] = False
@@ -279,7 +279,9 @@ class _Close:
         return np.where(there, self.stars.photon_px[row], np.nan), np.where(there, self.stars.direction[row], np.nan)
 
 
-_FATE = ("used", "not converged", "saturated", "blended", "at the edge", "defective pixel", "too faint", "not matched")
+_REASONS = ("not converged", "saturated", "blended", "at the edge", "defective pixel", "too faint", "not matched")
+"""For which a detection is rejected, in the order in which they are asked for."""
+_OUTCOMES = ("used", *_REASONS)
 
 
 def _concatenate(parts: list[Matched], first_matched: int) -> Matched:
@@ -288,5 +290,5 @@ def _concatenate(parts: list[Matched], first_matched: int) -> Matched:
         for name in Matched.__dataclass_fields__
         if name not in ("count", "first_matched")
     }
-    total = {name: sum(part.count[name] for part in parts) for name in _FATE}
+    total = {name: sum(part.count[name] for part in parts) for name in _OUTCOMES}
     return Matched(**arrays, count=total, first_matched=first_matched)

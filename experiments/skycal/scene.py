@@ -54,8 +54,8 @@ class Scene:
         Times of the frames.
     attitude : Rotation
         f attitudes, cam from icrs: the truth.
-    told_attitude : Rotation
-        What the user is told, wrong by some arcmin.
+    prior_attitude : Rotation
+        Attitudes that the matching starts from (a star tracker's, say), wrong by some arcmin.
     gyro_rotation, true_gyro_rotation : Rotation
         Gyro body at frame k from gyro body at the first frame, integrated from noisy rates, and the truth.
     installation : Rotation
@@ -69,7 +69,7 @@ class Scene:
     light: StarLight
     time_s: FloatArray
     attitude: Rotation
-    told_attitude: Rotation
+    prior_attitude: Rotation
     gyro_rotation: Rotation
     true_gyro_rotation: Rotation
     installation: Rotation
@@ -145,7 +145,7 @@ def build_scene(name: str, config: Config, streams: Streams) -> Scene:
     )
     record = simulate_gyro(body, gyro, streams)
     attitude, of_body = path.attitude(time_s), body.attitude(time_s)
-    error = streams.generator("told attitude").normal(size=(config.frames, 3))
+    error = streams.generator("told attitude").normal(size=(config.frames, 3))  # another name, other numbers
     error *= config.motion.attitude_error_arcmin * 60.0 * ARCSEC_RAD
     scene = Scene(
         name=name,
@@ -155,7 +155,7 @@ def build_scene(name: str, config: Config, streams: Streams) -> Scene:
         light=star_light([passband(config.sky)], nodes=config.sky.nodes, magnitude_system="G"),
         time_s=time_s,
         attitude=attitude,
-        told_attitude=Rotation.from_rotvec(error) * attitude,
+        prior_attitude=Rotation.from_rotvec(error) * attitude,
         gyro_rotation=integrate_rates(record.time_s, record.rate_rad_per_s, at_s=time_s),
         true_gyro_rotation=of_body * of_body[0].inv(),
         installation=installation,

@@ -107,7 +107,7 @@ class SkyConfig(StrictModel):
 
 
 class MotionConfig(StrictModel):
-    """How the sky moves through the field, and what the user of the camera is told about it."""
+    """How the sky moves through the field, and how well its attitude is known beforehand."""
 
     rate_deg_per_s: float = Field(default=0.5, gt=0, le=20, description="angular speed")
     axis_deg: float = Field(

@@ -37,7 +37,7 @@ from render.camera import Camera
 from render.detector.diffusion import diffuse
 from render.engine import Engine
 from render.motion.trajectory import Trajectory
-from render.plugins.lens_camera import share_camera
+from render.plugins.lens_camera import lens_camera_properties
 from render.plugins.lunar_surface import lommel_seeliger_phase
 from render.plugins.register import register_plugins
 from render.records import ExpectedImage
@@ -389,21 +389,13 @@ def _sensor(
 ) -> dict[str, Any]:
     """The camera in a scene whose origin is the body and whose unit is the body's radius."""
     mi = Engine.active().mitsuba
-    sensor: dict[str, Any] = {
-        "type": "lens_camera",
-        "camera": share_camera(camera),
-        "to_world": mi.ScalarTransform4f().translate((-body.distance_km / body.radius_km * body.direction).tolist()),
-        "scene_unit_mm": body.radius_km * 1e6,
-        "shutter_close": exposure_s,
-        "film": {
-            "type": "hdrfilm",
-            "width": camera.width_px,
-            "height": camera.height_px,
-            "pixel_format": "luminance",
-            "component_format": "float32",
-            "rfilter": {"type": "box"},
-        },
-    }
+    position = -body.distance_km / body.radius_km * body.direction
+    sensor = lens_camera_properties(
+        camera,
+        to_world=mi.ScalarTransform4f().translate(position.tolist()),
+        scene_unit_mm=body.radius_km * 1e6,
+        shutter_close=exposure_s,
+    )
     if motion is not None:
         attitudes, duration_s, line_time_s = motion
         sensor |= {

@@ -43,24 +43,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from optics.errors import BackendError, ConfigError, ConvergenceError, unknown_name
+from optics.errors import BackendError, ConfigError, ConvergenceError
 from optics.frames import light_direction
 from optics.lens.prescription import load_lens
 from optics.rays.paraxial import axial_paraxial
-from optics.rays.program import compile_lens
+from optics.rays.program import LensProgram, compile_lens
 from optics.rays.reverse import HALF_TURN, retraced, reverse
 from optics.rays.trace import OK, Rays, trace, trace_program
 from optics.units import UM_MM
 from render.camera import Camera, launch_disk
 from render.engine.arrays import DrJitArrays
+from render.plugins.handles import Handles
 from render.tracing.sampling import probe_fields
 
-__all__ = ["define", "exit_disk", "share_camera"]
+__all__ = ["define", "exit_disk", "lens_camera_properties", "share_camera"]
 
 EXIT_PUPIL_MARGIN = 1.03
 """The disk that backward rays aim at, in radii of what forward rays fill: room for what lies between those."""
@@ -69,23 +70,33 @@ EXIT_PUPIL_RAYS = 400
 _MITSUBA_FROM_CAM = np.diag([-1.0, -1.0, 1.0])
 """Mitsuba's local frame has +X to the left and +Y up in the image; cam has +X to the right and +Y down."""
 
-_shared: dict[str, Camera] = {}
+_cameras: Handles[Camera] = Handles("camera")
 
 
 def share_camera(camera: Camera) -> str:
-    """Handle by which ``load_dict`` takes a camera record (Mitsuba's properties hold no Python objects).
+    """Handle by which ``load_dict`` takes a camera record, see `render.plugins.handles`."""
+    return _cameras.share(camera)
+
+
+def lens_camera_properties(camera: Camera, **others: Any) -> dict[str, Any]:
+    """Dictionary for ``load_dict``: a ``lens_camera`` made of a record, with a grey float32 film of its size.
 
     Parameters
     ----------
     camera : Camera
-        Kept alive until 64 others have been shared.
+        The record.
+    **others
+        Further properties, e.g. ``shutter_close``.
     """
-    handle = f"camera-{id(camera):x}"
-    _shared.pop(handle, None)
-    _shared[handle] = camera
-    while len(_shared) > 64:
-        _shared.pop(next(iter(_shared)))
-    return handle
+    film = {
+        "type": "hdrfilm",
+        "width": camera.width_px,
+        "height": camera.height_px,
+        "pixel_format": "luminance",
+        "component_format": "float32",
+        "rfilter": {"type": "box"},
+    }
+    return {"type": "lens_camera", "camera": share_camera(camera), "film": film, **others}
 
 
 def _rotation(props: Any) -> np.ndarray:
@@ -103,10 +114,7 @@ def _rotation(props: Any) -> np.ndarray:
 
 def _shared_camera(props: Any, width: int, height: int) -> Camera:
     """The camera of a handle."""
-    handle = str(props["camera"])
-    if handle not in _shared:
-        raise unknown_name("camera handle", handle, _shared)
-    camera = _shared[handle]
+    camera = _cameras.find(str(props["camera"]))
     if (camera.width_px, camera.height_px) != (width, height):
         raise ConfigError(
             f"lens_camera: film of {width} x {height} px for a camera of {camera.width_px} x {camera.height_px} px"
@@ -207,6 +215,32 @@ def exit_disk(camera: Camera) -> tuple[float, float, float, float]:
     return float(centre_x), float(centre_y), reach, radius_mm
 
 
+class _Backward(NamedTuple):
+    """The reversed lens as it is traced; numbers are Dr.Jit arrays of size one.
+
+    Attributes
+    ----------
+    xp : DrJitArrays
+        Array functions.
+    program, theta
+        The compiled lens and its parameters.
+    film_mm : 4 numbers
+        Width, left edge, height and top edge of the film; rows run downwards.
+    turn, rotation : 9 numbers
+        Reversed lens's frame from film; cam from world; row by row.
+    exit_disk_mm : 4 numbers
+        Centre and radius of `exit_disk`.
+    """
+
+    xp: DrJitArrays
+    program: LensProgram
+    theta: Any
+    film_mm: Any
+    turn: Any
+    exit_disk_mm: Any
+    rotation: Any
+
+
 def define(mi: Any, dr: Any) -> type:
     """The plugin class for Mitsuba's active variant."""
 
@@ -228,25 +262,25 @@ def define(mi: Any, dr: Any) -> type:
             if self._motion is not None and not exposure_s > 0:
                 raise ConfigError("lens_camera: motion_rotation needs shutter_open and shutter_close")
             self._opened_s = float(props.get("shutter_open", 0.0))
-            self._backward: tuple[Any, ...] | None = None
+            self._backward: _Backward | None = None
             self._turns: tuple[Any, ...] | None = None
 
-        def _reverse(self) -> tuple[Any, ...]:
-            """Compiled reversed lens, its parameters, and the numbers of `_start`; none of them ends up in a kernel."""
+        def _reversed(self) -> _Backward:
+            """The reversed lens and what surrounds it; none of the numbers ends up in a kernel."""
             if self._backward is None:
                 camera, xp = self.camera, DrJitArrays(mi.Float64)
                 program, theta = compile_lens(reverse(camera.focused_lens))
                 pitch, (cx, cy), turn = camera.pixel_pitch_mm, camera.centre_px, HALF_TURN @ camera.lens.image_rotation
                 film = [camera.width_px * pitch, -(0.5 + cx) * pitch, -camera.height_px * pitch, (0.5 + cy) * pitch]
-                numbers = [*film, *turn.ravel(), *exit_disk(camera), *camera.rotation_cam_from_world.ravel()]
-                self._backward = (program, xp.parameters(theta.tolist()), xp, xp.parameters(numbers))
+                groups = (theta, film, turn.ravel(), exit_disk(camera), camera.rotation_cam_from_world.ravel())
+                self._backward = _Backward(xp, program, *(xp.parameters(group) for group in groups))
             return self._backward
 
-        def _start(self, sample2: Any, sample3: Any, numbers: Any) -> tuple[Any, Any, Any]:
+        def _start(self, sample2: Any, sample3: Any, backward: _Backward) -> tuple[Any, Any, Any]:
             """Point on the detector and direction towards the exit pupil in the reversed lens's frame; weight."""
-            F = mi.Float64
-            width, left, height, top, *turn = numbers[:13]
-            x, y, z, radius = numbers[13:17]
+            F, turn = mi.Float64, backward.turn
+            width, left, height, top = backward.film_mm
+            x, y, z, radius = backward.exit_disk_mm
             x0, y0 = F(sample2.x) * width + left, F(sample2.y) * height + top
             point = mi.Vector3d(*(turn[3 * row] * x0 + turn[3 * row + 1] * y0 for row in range(3)))
             on_disk = mi.warp.square_to_uniform_disk_concentric(sample3)
@@ -261,8 +295,8 @@ def define(mi: Any, dr: Any) -> type:
         ) -> tuple[Any, Any]:
             """Ray into the scene through a detector point (``sample2``) and an exit-pupil point (``sample3``)."""
             F = mi.Float64
-            program, theta, xp, numbers = self._reverse()
-            point, d, weight = self._start(sample2, sample3, numbers)
+            backward = self._reversed()
+            point, d, weight = self._start(sample2, sample3, backward)
             wavelengths, spectrum, hero = self._wavelengths(sample1, active)
             zero = dr.zeros(mi.Int32, dr.width(point))
             rays = Rays(
@@ -277,8 +311,8 @@ def define(mi: Any, dr: Any) -> type:
                 status=zero,
                 failed_at=zero - 1,
             )
-            out = trace_program(program, theta, rays, xp)
-            scale, rotation = 1.0 / self.scene_unit_mm, self._attitude(time, sample2, numbers)
+            out = trace_program(backward.program, backward.theta, rays, backward.xp)
+            scale, rotation = 1.0 / self.scene_unit_mm, self._attitude(time, sample2, backward)
             origin = self._world(rotation, out.x * scale, out.y * scale, 0.0) + self._position
             direction = dr.normalize(mi.Vector3f(self._world(rotation, out.dx, out.dy, out.dz)))
             ok = active & (out.status == OK)  # rays that failed carry numbers that mean nothing
@@ -293,10 +327,10 @@ def define(mi: Any, dr: Any) -> type:
             ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
             return mi.RayDifferential3f(ray), weight
 
-        def _attitude(self, time: Any, sample2: Any, numbers: Any) -> Any:
+        def _attitude(self, time: Any, sample2: Any, backward: _Backward) -> Any:
             """Nine numbers of cam from world, row by row: one attitude for all rays, or each at its own time."""
             if self._motion is None:
-                return numbers[17:26]
+                return backward.rotation
             F, motion = mi.Float64, self._motion
             if self._turns is None:
                 columns = tuple(F(np.ascontiguousarray(motion.quaternion[:, k])) for k in range(4))

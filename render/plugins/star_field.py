@@ -13,7 +13,7 @@ band : str, optional
 rotation : TensorXf64 (3, 3), optional
     ``v_cam = rotation @ v_world`` for the stars, in place of the attitude of the sensor they are seen by.
 motion : str, optional
-    Handle of the camera's motion during the exposure (`render.tracing.motion.share_motion`), in place of an attitude.
+    Handle of the camera's motion during the exposure (`share_motion`), in place of an attitude.
 
 Each tensor may have a leading axis of size one: Mitsuba's property parser takes a tensor whose first axis has three
 entries for a colour, and nanobind says so on the error stream before it falls back to the tensor.
@@ -28,10 +28,18 @@ from typing import Any
 import numpy as np
 
 from optics.errors import ConfigError
+from render.plugins.handles import Handles
 from render.records import StarField
-from render.tracing.motion import shared_motion
+from render.tracing.motion import ExposureMotion
 
-__all__ = ["define"]
+__all__ = ["define", "share_motion"]
+
+_motions: Handles[ExposureMotion] = Handles("motion")
+
+
+def share_motion(motion: ExposureMotion) -> str:
+    """Handle by which ``load_dict`` takes a motion, see `render.plugins.handles`."""
+    return _motions.share(motion)
 
 
 def define(mi: Any, dr: Any) -> type:
@@ -52,7 +60,7 @@ def define(mi: Any, dr: Any) -> type:
             )
             self.stars = StarField(band=tuple(names), **arrays)
             self.rotation = np.array(props["rotation"], float).reshape(3, 3) if "rotation" in props else None
-            self.motion = shared_motion(str(props["motion"])) if "motion" in props else None
+            self.motion = _motions.find(str(props["motion"])) if "motion" in props else None
             self.m_flags = mi.EmitterFlags.DeltaDirection | mi.EmitterFlags.Infinite
 
         def eval(self, si: Any, active: Any = True) -> Any:

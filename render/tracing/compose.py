@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
 from render.records import Truth
-from render.tracing.kernel import StampSums
+from render.tracing.kernel import ARRIVED, FIRST, LOST, OUTSIDE, SECOND, STRIPS, StampSums
 
 __all__ = ["TruthSums", "add_stamps"]
 
@@ -104,9 +104,10 @@ class TruthSums:
         size, moments = sums.pixels.shape[-1], sums.moments
         landed = sums.pixels.sum((2, 3))
         with np.errstate(invalid="ignore", divide="ignore"):
-            mean = moments[..., 3:5] / moments[..., :1]
-            variance = moments[..., 5:7] / moments[..., :1] - mean**2
-            photon = moments[..., 7:9] / moments[..., :1]
+            arrived = moments[..., ARRIVED, None]
+            mean = moments[..., FIRST] / arrived
+            variance = moments[..., SECOND] / arrived - mean**2
+            photon = moments[..., STRIPS] / arrived
         self.bundle_x[stars] = corner_px[..., 0] + mean[..., 0] * size
         self.bundle_y[stars] = corner_px[..., 1] + mean[..., 1] * size
         self.variance_x[stars] = variance[..., 0] * size**2
@@ -114,8 +115,8 @@ class TruthSums:
         self.photon_x[stars] = corner_px[..., 0] + photon[..., 0] * size
         self.photon_y[stars] = corner_px[..., 1] + photon[..., 1] * size
         self.image[stars] = on_image * electrons_in
-        self.vignetted[stars] = moments[..., 1] * electrons_in
-        self.off_edge[stars] = (landed - on_image + moments[..., 2]) * electrons_in
+        self.vignetted[stars] = moments[..., LOST] * electrons_in
+        self.off_edge[stars] = (landed - on_image + moments[..., OUTSIDE]) * electrons_in
 
     def truth(self, electrons_in: FloatArray) -> Truth:
         """The finished record."""

@@ -38,11 +38,18 @@ the strips, in equal parts left and right) goes to the outermost pixel or strip.
 STRIP_ALIASING_PX = 2e-5
 MOST_STRIPS = 1024
 
+ARRIVED, LOST, OUTSIDE = 0, 1, 2
+FIRST, SECOND, STRIPS = slice(3, 5), slice(5, 7), slice(7, 9)
+"""Where the moments of `StampSums` stand: shares of light, then (x, y) of the landing points, of their squares, and of
+the strips."""
+_MOMENTS = STRIPS.stop
+
 _SCALE = 2.0**50
-_MAGIC = 1.5 * 2.0**52
+# Between 2^52 and 2^53 a float64 counts in ones: added to this number, a value below 2^51 is rounded to a whole number
+# that stands in the low 51 bits. One addition and a mask, where processors without AVX-512 have no instruction that
+# makes 64-bit integers of float64, and LLVM falls back on a slow sequence of them.
+_ROUNDING = 1.5 * 2.0**52
 _MASK = (1 << 51) - 1
-_MOMENTS = 9
-"""Sums kept per star and band: light arrived, lost, outside the stamp, x, y, x^2, y^2, and x, y of the strips."""
 
 
 def strips_per_pixel(diffusion_px: float) -> int:
@@ -90,9 +97,10 @@ class StampSums:
     pixels : (s, b, m, m)
         Light per pixel of the stamp.
     moments : (s, b, 9)
-        Light on the stamp, lost in the lens, beside the stamp; then first and second moments of the landing points on
-        the stamp, and first moments of the light over strips of columns and of rows, from the stamp's corner in units
-        of its size. Where cells were asked for in place of pixels the strips are left out.
+        Light on the stamp (`ARRIVED`), lost in the lens (`LOST`), beside the stamp (`OUTSIDE`); `FIRST` and `SECOND`
+        moments of the landing points on the stamp, and first moments of the light over `STRIPS` of columns and of rows,
+        from the stamp's corner in units of its size. Where cells were asked for in place of pixels the strips are left
+        out.
     """
 
     pixels: FloatArray
@@ -135,9 +143,8 @@ class StarKernel:
         self.xp = engine.arrays
         self.program, self.geometry = program, geometry
         self.theta = self.xp.parameters(theta.tolist())
-        self.numbers = self.xp.parameters(
-            [geometry.pitch_mm, *geometry.centre_px, *geometry.pupil_mm, geometry.pupil_radius_mm]
-        )
+        self.pixels = self.xp.parameters([geometry.pitch_mm, *geometry.centre_px])
+        self.disk = self.xp.parameters([*geometry.pupil_mm, geometry.pupil_radius_mm])
         self.direction = direction[:, None] if direction.ndim == 2 else direction
         self.count, self.times = self.direction.shape[:2]
         light = light_direction(self.direction).reshape(-1, 3)
@@ -148,7 +155,7 @@ class StarKernel:
 
     def rays(self, star: Any, px: Any, py: Any, wavelength_nm: Any) -> Rays:
         """Rays of stars through points of the launch disk."""
-        x0, y0, z0, radius = self.numbers[3:]
+        x0, y0, z0, radius = self.disk
         dx, dy, dz = (dr.gather(self.F, component, star) for component in self.light)
         zero = dr.zeros(self.I, 1)
         return Rays(
@@ -166,7 +173,7 @@ class StarKernel:
 
     def launch(self, star: Any, px: Any, py: Any, wavelength_nm: Any) -> tuple[Any, Any, Any]:
         """Column, row [px] and status of rays through points of the launch disk; ``star`` counts times too."""
-        pitch, cx, cy = self.numbers[:3]
+        pitch, cx, cy = self.pixels
         out = trace_program(self.program, self.theta, self.rays(star, px, py, wavelength_nm), self.xp)
         x, y = cx + out.x / pitch, cy - out.y / pitch
         if self.shear is not None:
@@ -262,7 +269,7 @@ class StarKernel:
         """
         llvm = dr.backend_v(self.F) == dr.JitBackend.LLVM
         mode = dr.ReduceMode.Local if together and llvm else dr.ReduceMode.Direct
-        fixed = dr.reinterpret_array(self.U64, value + _MAGIC) & self.U64(_MASK)
+        fixed = dr.reinterpret_array(self.U64, value + _ROUNDING) & self.U64(_MASK)
         dr.scatter_add(target, fixed, index, active, mode=mode)
 
     def _numpy(self, fixed: Any, *shape: int) -> FloatArray:
@@ -336,7 +343,7 @@ class StarKernel:
                 inside = inside & (first >= 0) & (first + len(shares) <= dr.opaque(self.I, limit))
         moments = dr.zeros(self.U64, slots * _MOMENTS)
         base = slot * _MOMENTS
-        kind = dr.select(inside, U(0), dr.select(ok, U(2), U(1)))
+        kind = dr.select(inside, U(ARRIVED), dr.select(ok, U(OUTSIDE), U(LOST)))
         self._add(moments, weight, base + kind, dr.mask_t(F)(True), together=True)
         u, v = x / dr.opaque(F, stamp_px), y / dr.opaque(F, stamp_px)
         centres = []
@@ -348,7 +355,7 @@ class StarKernel:
         if cells_per_px == 1 and not by_strips:  # what strips make of it, in closed form
             centres = [self._strip_centre(v) / dr.opaque(F, stamp_px) for v in (x, y)]
         for k, value in enumerate((u, v, u * u, v * v, *centres)):
-            self._add(moments, weight * value, base + (3 + k), inside, together=True)
+            self._add(moments, weight * value, base + (FIRST.start + k), inside, together=True)
         (column, along_x), (row, along_y) = cells
         pixels, edge = dr.zeros(self.U64, slots * size**2), dr.opaque(U, size)
         origin = (slot * edge + U(row)) * edge + U(column)

@@ -20,14 +20,14 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
-from optics.errors import ConvergenceError, DomainError, unknown_name
+from optics.errors import ConvergenceError, DomainError
 from optics.records import freeze
 from render.camera import Camera
 from render.motion.trajectory import Trajectory
 from render.tracing.damping import HIGHEST_FREQUENCY, MOTION_TOLERANCE, damped_frequencies, frequencies_up_to, transfer
 from render.tracing.ideal_lens import IdealLens
 
-__all__ = ["NODE_LADDER", "ExposureMotion", "exposure_motion", "gauss_times", "share_motion", "shared_motion"]
+__all__ = ["NODE_LADDER", "ExposureMotion", "exposure_motion", "gauss_times"]
 
 
 PANEL = 24
@@ -40,8 +40,6 @@ NODE_LADDER = (
 PATH_ERROR_PX = 1e-4
 """Of the spline that carries the attitude between its knots (rolling shutter)."""
 MOST_KNOTS = 1 << 14
-
-_shared: dict[str, ExposureMotion] = {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -225,32 +223,3 @@ def _spline(trajectory: Trajectory, mid: Rotation, focal_px: float, start_s: flo
     raise ConvergenceError(
         f"the attitude between {start_s:g} and {end_s:g} s changes too fast for {MOST_KNOTS} samples to follow it"
     )
-
-
-def share_motion(motion: ExposureMotion) -> str:
-    """Handle by which ``load_dict`` takes a motion (Mitsuba's properties hold no Python objects).
-
-    Parameters
-    ----------
-    motion : ExposureMotion
-        Kept alive until 64 others have been shared.
-    """
-    handle = f"motion-{id(motion):x}"
-    _shared.pop(handle, None)
-    _shared[handle] = motion
-    while len(_shared) > 64:
-        _shared.pop(next(iter(_shared)))
-    return handle
-
-
-def shared_motion(handle: str) -> ExposureMotion:
-    """The motion of a handle.
-
-    Raises
-    ------
-    ConfigError
-        If there is none.
-    """
-    if handle not in _shared:
-        raise unknown_name("motion handle", handle, _shared)
-    return _shared[handle]

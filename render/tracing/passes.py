@@ -12,7 +12,7 @@ from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from render.camera import Camera
 from render.tracing.compose import TruthSums, add_stamps
-from render.tracing.kernel import StampSums, StarKernel, reach_px, strips_per_pixel
+from render.tracing.kernel import LOST, OUTSIDE, StampSums, StarKernel, reach_px, strips_per_pixel
 from render.tracing.pupil_points import OutlinePoints, PupilPoints, TablePoints
 from render.tracing.sampling import PupilPlan, bounding_points
 
@@ -158,14 +158,14 @@ class Passes:
                 stars, corner = members[todo[part]], np.floor(low[part]) - 0.5
                 pupil = group.points(stars)
                 collected = self.splat(pupil, stars, corner, stamp_px)
-                outside = np.asarray((collected.moments[..., 2] > LIGHT).any(1))
+                outside = np.asarray((collected.moments[..., OUTSIDE] > LIGHT).any(1))
                 if stamp_px == STAMP_LIMIT_PX and outside.any():
                     self._check_size(stars[outside], low[part][outside], high[part][outside])
                     outside[:] = False
-                lost = np.asarray((collected.moments[..., 1] > LIGHT).any(1) & (group.plan.mode != "sobol"))
+                lost = np.asarray((collected.moments[..., LOST] > LIGHT).any(1) & (group.plan.mode != "sobol"))
                 cut.append(stars[lost])
                 redo.append(todo[part[outside & ~lost]])
-                collected.moments[..., 1] += self.beside(pupil, stars)
+                collected.moments[..., LOST] += self.beside(pupil, stars)
                 keep = ~(outside | lost)
                 if not keep.all():
                     stars, corner, collected = stars[keep], corner[keep], collected.take(keep)

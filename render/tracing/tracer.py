@@ -16,7 +16,7 @@ from render.records import StarField, Truth
 from render.tracing.compose import TruthSums
 from render.tracing.damping import TOLERANCE
 from render.tracing.ideal_lens import IdealLens
-from render.tracing.kernel import StarKernel
+from render.tracing.kernel import LOST, StarKernel
 from render.tracing.motion import ExposureMotion
 from render.tracing.passes import PASS_BYTES, Light, Passes
 from render.tracing.paths import StarPaths, at_rest, pick_times, star_paths
@@ -229,7 +229,7 @@ class Tracer:
             for part in (group.members[i : i + step] for i in range(0, len(group.members), step)):
                 pupil = group.points(part)
                 collected = passes.splat(pupil, part, corner[part], stamp_px, cells_per_px)
-                light_in = 1.0 - collected.moments[..., 1] - passes.beside(pupil, part)
+                light_in = 1.0 - collected.moments[..., LOST] - passes.beside(pupil, part)
                 result[part] = collected.pixels / light_in[..., None, None]
         return result
 

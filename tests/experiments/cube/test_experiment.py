@@ -12,7 +12,7 @@ from experiments.cube import bench as cube_bench
 from experiments.cube import budget as cube_budget
 from experiments.cube import montecarlo as cube_montecarlo
 from experiments.cube.bench import Case, Truth, build_table, concentric_angles, draw_truths
-from experiments.cube.budget import beam_rates, geometric_error, lean_rates, left_to_chance, play_trim
+from experiments.cube.budget import beam_rates, geometric_error, lean_rates, play_trim, stratified_variance_ratio
 from experiments.cube.checks import reflected_spot_mm, spot_profile
 from experiments.cube.settings import Config
 from experiments.cube.tables import PUBLISHED_TRIMS, published_rates
@@ -57,9 +57,9 @@ def test_bars_of_stratified_benches():
     for i in range(100):
         even = np.array([t.lean for t in draw_truths(Config(benches={"count": 50}), Streams(i))])
         squares.append(np.mean((2.0 * even + generator.standard_normal(50)) ** 2))
-    chance = left_to_chance([np.full(3, 2.0)], np.full(3, np.sqrt(5.0)), benches=50)
-    assert np.std(squares) == pytest.approx(np.sqrt(chance[0] * 2 / 50) * 5.0, rel=0.25)
-    assert left_to_chance([np.ones(3)], np.ones(3), benches=50) == pytest.approx(np.full(3, 0.02))
+    ratio = stratified_variance_ratio([np.full(3, 2.0)], np.full(3, np.sqrt(5.0)), benches=50)
+    assert np.std(squares) == pytest.approx(np.sqrt(ratio[0] * 2 / 50) * 5.0, rel=0.25)
+    assert stratified_variance_ratio([np.ones(3)], np.ones(3), benches=50) == pytest.approx(np.full(3, 0.02))
 
 
 def test_benches_do_not_depend_on_their_order():

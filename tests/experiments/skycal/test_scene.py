@@ -65,9 +65,9 @@ def test_motion_has_the_asked_speed_and_the_gyro_feels_it(config, scene):
     assert 0 < np.degrees(drift[-1]) < 5 * (walk + bias)
 
 
-def test_told_attitude_is_wrong_by_what_was_asked(config):
+def test_prior_attitude_is_wrong_by_what_was_asked(config):
     many = build_scene("wide", config.model_copy(update={"frames": 120}), Streams(4).child("wide"))
-    error = (many.told_attitude * many.attitude.inv()).as_rotvec()
+    error = (many.prior_attitude * many.attitude.inv()).as_rotvec()
     sigma = np.radians(config.motion.attitude_error_arcmin / 60)
     assert error.std() == pytest.approx(sigma, rel=5 / np.sqrt(2 * error.size))
 
@@ -91,7 +91,7 @@ def test_window_is_the_middle_of_the_detector(config, scene):
 
 def test_the_same_seed_gives_the_same_scene(config, scene):
     again = build_scene("wide", config, Streams(3).child("wide"))
-    assert np.array_equal(again.told_attitude.as_quat(), scene.told_attitude.as_quat())
+    assert np.array_equal(again.prior_attitude.as_quat(), scene.prior_attitude.as_quat())
     assert np.array_equal(again.gyro_rotation.as_quat(), scene.gyro_rotation.as_quat())
     assert isinstance(again.attitude, Rotation)
 

@@ -16,7 +16,7 @@ from optics.lens.prescription import load_lens
 from optics.rays.reverse import retraced
 from optics.rays.trace import Rays, trace
 from render.camera import Camera, launch_disk
-from render.plugins.lens_camera import exit_disk, share_camera
+from render.plugins.lens_camera import exit_disk, lens_camera_properties
 from render.tracing.tracer import Tracer
 
 LENSES = ("star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm")
@@ -24,16 +24,8 @@ LENSES = ("star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm")
 
 def path_image(mi, camera, contents, *, spp, seed=0, **sensor):
     """Irradiance (h, w) of a scene through the lens."""
-    film = {
-        "type": "hdrfilm",
-        "width": camera.width_px,
-        "height": camera.height_px,
-        "rfilter": {"type": "box"},
-        "pixel_format": "luminance",
-        "component_format": "float32",
-    }
     scene = {"type": "scene", "integrator": {"type": "path", "max_depth": 2}, **contents}
-    scene["sensor"] = {"type": "lens_camera", "camera": share_camera(camera), "film": film, **sensor}
+    scene["sensor"] = lens_camera_properties(camera, **sensor)
     return np.array(mi.render(mi.load_dict(scene), spp=spp, seed=seed), dtype=float)[..., 0]
 
 
@@ -188,14 +180,7 @@ def test_motion_refused(mi, changes, text):
     camera = Camera(lens=load_lens("star_camera_206mm"), width_px=4, height_px=4, pixel_pitch_mm=0.01)
     settings = {"motion_duration_s": 1.0, "line_time_s": 0.0, "shutter_close": 1.0, "count": 3} | changes
     table = np.broadcast_to(np.eye(3), (1, settings.pop("count"), 3, 3))
-    film = {"type": "hdrfilm", "width": 4, "height": 4}
     with pytest.raises((ConfigError, RuntimeError), match=text):
         mi.load_dict(
-            {
-                "type": "lens_camera",
-                "camera": share_camera(camera),
-                "film": film,
-                "motion_rotation": mi.TensorXf64(np.ascontiguousarray(table)),
-                **settings,
-            }
+            lens_camera_properties(camera, motion_rotation=mi.TensorXf64(np.ascontiguousarray(table)), **settings)
         )

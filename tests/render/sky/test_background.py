@@ -13,7 +13,7 @@ from optics.light.spectrum import Blackbody
 from optics.response import Response
 from render.camera import Camera
 from render.catalogue.motion import earth_observer
-from render.plugins.lens_camera import share_camera
+from render.plugins.lens_camera import lens_camera_properties
 from render.sky.background import UniformSky, background_map, sky_background
 from render.sky.zodiacal import ecliptic_from_icrs, zodiacal_radiance
 
@@ -30,16 +30,10 @@ def test_etendue_against_rays_that_go_backwards(mi, name):
     """The map is made of rays from the sky; Mitsuba's path integrator starts on the detector."""
     camera = small(name)
     etendue = background_map(camera, LINE, nodes=1).etendue_mm2_sr[..., 0].astype(float)
-    film = {"type": "hdrfilm", "width": 16, "height": 16, "pixel_format": "luminance", "component_format": "float32"}
     scene = {
         "type": "scene",
         "sky": {"type": "constant", "radiance": 1.0},
-        "sensor": {
-            "type": "lens_camera",
-            "camera": share_camera(camera),
-            "wavelength_nm": 600.0,
-            "film": {**film, "rfilter": {"type": "box"}},
-        },
+        "sensor": lens_camera_properties(camera, wavelength_nm=600.0),
     }
     integrator = mi.load_dict({"type": "path", "max_depth": 2})
     rendered = np.array(mi.render(mi.load_dict(scene), integrator=integrator, spp=8192), dtype=float)[..., 0]
