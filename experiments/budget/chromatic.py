@@ -13,6 +13,7 @@ from experiments.chromatic.evaluate import evaluate
 from experiments.chromatic.measure import measure
 from experiments.chromatic.model import band_pairs, bundle_prediction, rms, shifts, table1
 from experiments.laboratory.bench import point_field
+from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.point_frames import centroiders
 from experiments.laboratory.point_noise import drawn_positions, expected_windows
 from experiments.laboratory.target import corner_directions
@@ -107,7 +108,7 @@ def trace_target(lab: Laboratory) -> TracedTarget:
     bench, instrument = lab.filtered, lab.instrument
     direction = corner_directions(bench.target, instrument)
     psf: list[list[list[EffectivePsf]]] = []
-    if bench.methods[0] != "epsf":
+    if not needs_epsf(bench.methods[0]):
         tracer, half = epsf_tracer(instrument.camera), bench.window_px // 2 + 2
         psf = [render_epsf(tracer, point_field(bench, instrument, one), half_size_px=half) for one in direction]
     return TracedTarget(direction, bundle_prediction(bench, instrument, direction), psf)

@@ -12,6 +12,7 @@ from experiments.chromatic.settings import FilterConfig
 from experiments.distortion import settings as distortion_settings
 from experiments.harness.config import ExperimentConfig, StrictModel
 from experiments.hsfe import settings as hsfe_settings
+from experiments.laboratory.centroid_methods import CentroiderName
 from experiments.laboratory.point_settings import SourceConfig
 from experiments.laboratory.settings import InstrumentConfig, TargetConfig
 
@@ -26,7 +27,6 @@ __all__ = [
     "TornadoConfig",
 ]
 
-Method = Literal["epsf", "gaussian", "windowed", "tcog", "cog"]
 _HIGHEST = 1e7
 
 
@@ -164,7 +164,7 @@ class Config(ExperimentConfig):
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position (ACC18: at least 30)")
     dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off, per position")
     window_px: int = Field(default=13, ge=7, le=63, description="window around a point, odd")
-    centroid: Method = Field(default="epsf", description="centroider")
+    centroid: CentroiderName = Field(default="epsf", description="centroider")
     attitude: AttitudeConfig = AttitudeConfig()
     tolerances: ToleranceConfig = ToleranceConfig()
     tornado: TornadoConfig = TornadoConfig()

@@ -17,6 +17,7 @@ from experiments.budget.chromatic import ChromaticTerm, measure_chromatic, predi
 from experiments.budget.combine import Budget, Value, combine
 from experiments.budget.laboratory import Laboratory
 from experiments.laboratory.bench import Bench
+from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.distortion_error import measure_distortion
 from experiments.laboratory.distortion_model import predict_distortion
 from experiments.laboratory.hexapod import Hexapod
@@ -258,7 +259,7 @@ def _predicted_steps(
 
 def noise_draws(lab: Laboratory, wanted: int) -> int:
     """Noisy copies behind mean centroids; a fit of the true PSF has no bias that noise could change."""
-    return 0 if lab.bench.methods[0] == "epsf" else wanted
+    return 0 if needs_epsf(lab.bench.methods[0]) else wanted
 
 
 _STEP_PARTS = {"document": "document_px", "single": "single_px", "roll": "roll_px"}

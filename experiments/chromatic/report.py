@@ -22,6 +22,7 @@ from experiments.chromatic.tables import all_tables, moved_label
 from experiments.harness.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
 from experiments.harness.summary import Measured
 from experiments.harness.tables import Table, cell_text
+from experiments.laboratory.centroid_methods import needs_epsf
 
 if TYPE_CHECKING:
     from experiments.chromatic.result import Result
@@ -224,7 +225,7 @@ def _frames_text(result: Result) -> str:
         for radius, centre in zip(result.centred.measurement.rms_spot_um, config.filters.centres_nm, strict=True)
     )
     model = ": the pixel model of each point is rendered from the lens, its origin is the mean of the traced rays"
-    model = model if config.centroid == "epsf" else ""
+    model = model if needs_epsf(config.centroid) else ""
     return (
         f"Every point gives {config.signal_e:g} e⁻ per frame behind every filter; a V = 7.5 star of "
         f"{config.stars.reference_k:g} K gives {result.star_e:.0f} e⁻ through the full pass band in the same "

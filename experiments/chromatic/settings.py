@@ -7,11 +7,10 @@ from typing import Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.laboratory.centroid_methods import MethodName
 from experiments.laboratory.settings import InstrumentConfig, StarsConfig, TargetConfig
 
 __all__ = ["Config", "DecentreConfig", "FilterConfig"]
-
-Method = Literal["epsf", "epsf_reference", "gaussian", "windowed", "tcog", "cog"]
 
 
 class FilterConfig(StrictModel):
@@ -59,8 +58,8 @@ class Config(ExperimentConfig):
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position and filter")
     dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off, per position")
     window_px: int = Field(default=13, ge=7, le=63, description="window around a point, odd")
-    centroid: Method = Field(default="epsf", description="centroider that counts")
-    compare: tuple[Method, ...] = Field(
+    centroid: MethodName = Field(default="epsf", description="centroider that counts")
+    compare: tuple[MethodName, ...] = Field(
         default=("epsf_reference", "gaussian", "windowed", "tcog", "cog"), description="others shown beside it"
     )
     decentre: DecentreConfig = DecentreConfig()

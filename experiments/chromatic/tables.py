@@ -10,20 +10,14 @@ import numpy as np
 from experiments.chromatic.model import PUBLISHED_TABLE1_PX
 from experiments.harness.summary import Measured
 from experiments.harness.tables import Cell, Column, Table
+from experiments.laboratory.centroid_methods import MethodLabels
 
 if TYPE_CHECKING:
     from experiments.chromatic.result import Result
 
 __all__ = ["all_tables", "moved_label"]
 
-METHOD_NAMES = {
-    "epsf": "ePSF of each filter",
-    "epsf_reference": "ePSF of the reference filter",
-    "gaussian": "Gaussian fit",
-    "windowed": "windowed (XWIN)",
-    "tcog": "thresholded centre of gravity",
-    "cog": "centre of gravity",
-}
+METHOD_NAMES = MethodLabels(own="PSF of each filter", reference="PSF of the reference filter")
 
 
 def moved_label(result: Result) -> str:

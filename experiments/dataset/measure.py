@@ -15,6 +15,7 @@ from calib.measure.find import find_stamps
 from calib.measure.flags import StarFlag, has_flag
 from calib.measure.image import image_from_frame
 from calib.records import NoiseModel, SensorImage, StarTable
+from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.readout.noise_model import true_noise
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -65,7 +66,7 @@ class Reduction:
     threshold_sigma : float
         Detection limit.
     psfs : PsfGrid or None
-        For the centroider "epsf".
+        For a centroider that needs one.
     """
 
     dark_dn: NDArray[np.float32]
@@ -197,5 +198,5 @@ def reduction_of(scene: Scene, dark_dn: NDArray[Any], psfs: PsfGrid | None) -> R
         centroid=verify.centroid,
         window_px=verify.window_px,
         threshold_sigma=verify.threshold_sigma,
-        psfs=psfs if verify.centroid == "epsf" else None,
+        psfs=psfs if needs_epsf(verify.centroid) else None,
     )

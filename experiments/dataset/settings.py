@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 from pydantic import Field, field_validator, model_validator
 
 from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.laboratory.centroid_methods import CentroiderName
 from experiments.laboratory.settings import InstrumentConfig
 
 __all__ = [
@@ -251,7 +252,7 @@ class VerifyConfig(StrictModel):
         default=6, ge=0, le=1000, description="frames made again by a run that is killed and taken up; 0 or 1: none"
     )
     dark_frames: int = Field(default=20, ge=1, le=1000, description="frames without light in the mean dark")
-    centroid: Literal["epsf", "gaussian", "windowed", "tcog", "cog"] = Field(default="epsf", description="centroider")
+    centroid: CentroiderName = Field(default="epsf", description="centroider")
     window_px: int = Field(default=7, ge=5, le=31, description="window of the centroider")
     threshold_sigma: float = Field(default=5.0, gt=0, le=100, description="detection limit")
 

@@ -7,7 +7,8 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from experiments.harness.config import StrictModel
-from experiments.laboratory.point_settings import Method, PointConfig
+from experiments.laboratory.centroid_methods import MethodName
+from experiments.laboratory.point_settings import PointConfig
 
 __all__ = ["Config", "GridConfig", "StudyConfig"]
 
@@ -41,8 +42,8 @@ class Config(PointConfig):
         default="calibrated", description="how target coordinates become pixels, for the figures that count"
     )
     window_px: int = Field(default=15, ge=7, le=63, description="window around a point, odd")
-    centroid: Method = Field(default="epsf", description="centroider that counts")
-    compare: tuple[Method, ...] = Field(default=("cog", "gaussian"), description="others on the same frames")
+    centroid: MethodName = Field(default="epsf", description="centroider that counts")
+    compare: tuple[MethodName, ...] = Field(default=("cog", "gaussian"), description="others on the same frames")
     surveys: int = Field(default=200, ge=2, le=5000, description="independent surveys of the target, same frames")
     draws: int = Field(default=200, ge=10, le=5000, description="draws behind the prediction")
     map_rows: int = Field(default=17, ge=5, le=101, description="rows of the dense map; twice as many columns")

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from experiments.harness.progress import Progress
 from experiments.harness.summary import Criterion, Measured
+from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.distortion_statistics import DistortionStatistics
 from experiments.laboratory.frame_folder import FrameFolder, read_folder
 from experiments.laboratory.frame_reduction import (
@@ -77,9 +78,9 @@ def run_folder(test: Test, config: PointConfig, *, progress: Progress) -> Folder
     from experiments.harness.provenance import peak_memory_mb, process_seconds
 
     assert config.frames_folder is not None
-    methods = tuple(m for m in config.methods if not m.startswith("epsf"))
+    methods = tuple(m for m in config.methods if not needs_epsf(m))
     if not methods:
-        raise ConfigError("frames from outside come without a PSF: name another centroid than epsf, e.g. gaussian")
+        raise ConfigError("frames from outside come without a PSF: name a centroid that needs none, e.g. gaussian")
     with progress.stage("read"):
         folder = read_folder(config.frames_folder, window_px=config.window_px)
     reduced: TemporalFrames | StepFrames | GridFrames

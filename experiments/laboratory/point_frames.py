@@ -9,11 +9,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.measure.centroid import Centroider, get_centroider
+from calib.measure.centroid import Centroider
 from calib.measure.flags import StarFlag, has_flag
 from calib.measure.stamps import ring_background, stamps_from_windows
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench import Bench
+from experiments.laboratory.centroid_methods import method_centroiders
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_scene import PointLight
 from experiments.laboratory.points import dark_subtracted
@@ -72,10 +73,8 @@ class PointFrames:
 
 
 def centroiders(methods: Sequence[str], psf: Sequence[EffectivePsf]) -> dict[str, Centroider]:
-    """Centroiders by name; "epsf" knows the PSF of each point, "epsf_reference" that of the middle one for all."""
-    middle = [psf[len(psf) // 2]] * len(psf)
-    known = {"epsf": list(psf), "epsf_reference": middle}
-    return {m: get_centroider("epsf", epsf=known[m]) if m in known else get_centroider(m) for m in methods}
+    """Centroiders by method; the PSF for all points is that of the middle one."""
+    return method_centroiders(methods, own=psf, reference=psf[len(psf) // 2])
 
 
 def read_points(

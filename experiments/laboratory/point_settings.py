@@ -2,32 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from pydantic import Field, field_validator, model_validator
 
 from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.laboratory.centroid_methods import MethodLabels, MethodName
 from experiments.laboratory.settings import InstrumentConfig, TargetConfig
 
 if TYPE_CHECKING:
     from experiments.laboratory.bench import Bench
     from experiments.laboratory.instrument import Instrument
 
-__all__ = ["FRAMES_OPTION", "METHOD_NAMES", "Method", "PointConfig", "SourceConfig", "check_bench", "make_bench"]
-
-Method = Literal["epsf", "epsf_reference", "gaussian", "windowed", "tcog", "cog"]
+__all__ = ["FRAMES_OPTION", "METHOD_NAMES", "PointConfig", "SourceConfig", "check_bench", "make_bench"]
 
 FRAMES_OPTION = {"frames": ("frames_folder", "Reduce the FITS frames of a folder that holds frames.toml.")}
 """Command-line option of the three tests (`experiments.harness.cli.command`)."""
 
-METHOD_NAMES = {
-    "epsf": "ePSF fit",
-    "epsf_reference": "middle ePSF",
-    "gaussian": "Gaussian fit",
-    "windowed": "windowed",
-    "tcog": "thresholded CoG",
-    "cog": "centre of gravity",
-}
+METHOD_NAMES = MethodLabels()
 
 
 class SourceConfig(StrictModel):
@@ -59,13 +51,13 @@ class PointConfig(ExperimentConfig):
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position and level (ACC18: at least 30)")
     dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off")
     window_px: int = Field(default=13, ge=7, le=63, description="window around a point, odd")
-    centroid: Method = Field(default="cog", description="centroider that counts; ACC18 names the centre of gravity")
-    compare: tuple[Method, ...] = Field(
+    centroid: MethodName = Field(default="cog", description="centroider that counts; ACC18 names the centre of gravity")
+    compare: tuple[MethodName, ...] = Field(
         default=("tcog", "windowed", "gaussian", "epsf"), description="others on the same frames"
     )
 
     @property
-    def methods(self) -> tuple[Method, ...]:
+    def methods(self) -> tuple[MethodName, ...]:
         """All centroiders, the one that counts first."""
         return tuple(dict.fromkeys((self.centroid, *self.compare)))
 

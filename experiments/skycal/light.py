@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from calib.measure.centroid import get_centroider
 from calib.records import NoiseModel, Stamps, StarTable
+from experiments.laboratory.centroid_methods import needs_epsf
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
@@ -163,22 +164,22 @@ class PsfBank:
         ranks = np.argsort(-weight, axis=1, kind="stable")
         return np.take_along_axis(index, ranks, 1), np.take_along_axis(weight, ranks, 1)
 
-    def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
-        """Centroids with the PSF of each star's place.
+    def measure(self, stamps: Stamps, noise: NoiseModel, centroider: str = "epsf") -> StarTable:
+        """Centroids with the PSF of each star's place, by a centroider that needs one.
 
         A small change of the PSF moves the fit in proportion to it, so that the positions found with the PSFs around a
         star, weighted as one would weight the PSFs themselves, give the position that the interpolated PSF would give.
         The fits share their noise: the weights, some of them negative, do not raise it.
         """
-        centroider = get_centroider("epsf", epsf=self.psfs)
+        fit = get_centroider(centroider, epsf=self.psfs)
         index, weight = self.neighbours(stamps.start_px[:, 0], stamps.start_px[:, 1])
-        first = centroider.measure(replace(stamps, psf_index=index[:, 0]), noise)
+        first = fit.measure(replace(stamps, psf_index=index[:, 0]), noise)
         start = np.column_stack([first.x_px, first.y_px])
         start = np.where(np.isfinite(start), start, stamps.start_px)
         x, y, flux = (weight[:, 0] * value for value in (first.x_px, first.y_px, first.flux_e))
         flags = first.flags
         for rank in range(1, index.shape[1]):
-            table = centroider.measure(replace(stamps, psf_index=index[:, rank], start_px=start), noise)
+            table = fit.measure(replace(stamps, psf_index=index[:, rank], start_px=start), noise)
             share = weight[:, rank]
             x, y, flux = x + share * table.x_px, y + share * table.y_px, flux + share * table.flux_e
             flags = flags | table.flags
@@ -246,13 +247,14 @@ def own_colour_centroids(scene: Scene, recording: Recording, matched: Matched, c
     from calib.measure.flags import StarFlag, has_flag
 
     renderer = BankRenderer(scene, config)
+    centroider = config.centroid if needs_epsf(config.centroid) else "epsf"
     colour, member = colour_classes(scene.sky.temperature_k[matched.star])
     position = np.full((len(matched), 2), np.nan)
     for number, temperature in enumerate(colour):
         bank = renderer.render(float(temperature))
         mine = np.flatnonzero(member == number)
         stamps = recording.stamps.select(matched.row[mine])
-        table = bank.measure(replace(stamps, start_px=matched.pixel_px[mine]), recording.noise)
+        table = bank.measure(replace(stamps, start_px=matched.pixel_px[mine]), recording.noise, centroider)
         bad = has_flag(table.flags, StarFlag.NOT_CONVERGED | StarFlag.NO_DATA)
         position[mine] = np.where(bad[:, None], np.nan, np.column_stack([table.x_px, table.y_px]))
     return position

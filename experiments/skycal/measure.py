@@ -14,6 +14,7 @@ from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
 from calib.measure.find import find_stamps
 from calib.records import NoiseModel, SensorImage, Stamps, StarTable
+from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.readout.noise_model import true_noise
 from experiments.skycal.light import BankRenderer
 from optics.arrays import FloatArray
@@ -199,8 +200,8 @@ def _centroids(scene: Scene, config: Config, stamps: Stamps, noise: NoiseModel) 
     """Centroids of all frames at once, so that PSFs are prepared once."""
     if not len(stamps):
         return StarTable.empty()
-    if config.centroid == "epsf":
-        return BankRenderer(scene, config).render(config.sky.reference_k).measure(stamps, noise)
+    if needs_epsf(config.centroid):
+        return BankRenderer(scene, config).render(config.sky.reference_k).measure(stamps, noise, config.centroid)
     return get_centroider(config.centroid).measure(stamps, noise)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from experiments.harness.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
 from experiments.harness.summary import Measured
 from experiments.harness.tables import Table, cell_text
+from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.skycal.calibrate import METHODS
 from experiments.skycal.evaluate import PARTS
 from experiments.skycal.figures import (
@@ -159,7 +160,7 @@ def _frames_text(result: Result) -> str:
         f"A mean of {config.dark_frames} dark frames is subtracted. Stars are found by a matched filter over the whole "
         f"frame, without looking at the catalogue. The centroider is *{config.centroid}*"
     )
-    if config.centroid == "epsf":
+    if needs_epsf(config.centroid):
         text += (
             f": PSFs of one colour ({config.sky.reference_k:g} K) rendered from the prescription on a grid over the "
             "field, "

@@ -9,6 +9,7 @@ from typing import Literal
 from pydantic import Field, field_validator, model_validator
 
 from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.laboratory.centroid_methods import CentroiderName
 from experiments.laboratory.settings import InstrumentConfig
 
 __all__ = [
@@ -159,7 +160,7 @@ class Config(ExperimentConfig):
     start: StartConfig = StartConfig()
     frames: int = Field(default=60, ge=FEWEST_FRAMES, le=10000, description="frames per camera")
     dark_frames: int = Field(default=20, ge=1, le=1000, description="frames without light, averaged and subtracted")
-    centroid: Literal["epsf", "gaussian", "windowed"] = Field(
+    centroid: CentroiderName = Field(
         default="epsf", description="centroider; epsf: the PSF of the reference colour at each place of the field"
     )
     window_px: int = Field(default=13, ge=7, le=63, description="window around a star, odd")
