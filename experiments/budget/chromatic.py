@@ -9,20 +9,19 @@ import numpy as np
 
 from experiments.budget.combine import Value
 from experiments.budget.laboratory import Laboratory
-from experiments.chromatic.evaluate import evaluate
-from experiments.chromatic.measure import measure
-from experiments.chromatic.model import band_pairs, bundle_prediction, rms, shifts, table1
 from experiments.laboratory.bench import point_field
 from experiments.laboratory.centroid_methods import needs_epsf
+from experiments.laboratory.chromatic_error import measure_chromatic, reduce_chromatic, rms, shifts, table1
 from experiments.laboratory.point_frames import centroiders
 from experiments.laboratory.point_noise import drawn_positions, expected_windows
+from experiments.laboratory.ray_prediction import bundle_prediction
 from experiments.laboratory.target import corner_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import EffectivePsf
 from render.tracing.psf import epsf_tracer, render_epsf
 
-__all__ = ["ChromaticTerm", "TracedTarget", "measure_chromatic", "predict_chromatic", "trace_target"]
+__all__ = ["ChromaticTerm", "TracedTarget", "measured_term", "predicted_term", "trace_target"]
 
 
 ROUNDING_PX = 1e-6
@@ -74,10 +73,6 @@ class ChromaticTerm:
         )
 
 
-def _pairs(lab: Laboratory) -> list[tuple[str, int, int]]:
-    return band_pairs([band.centre_nm for band in lab.filtered.filters], lab.filtered.reference)
-
-
 @dataclass(frozen=True, slots=True)
 class TracedTarget:
     """Target points in the four corners: what depends on the light alone.
@@ -114,7 +109,7 @@ def trace_target(lab: Laboratory) -> TracedTarget:
     return TracedTarget(direction, bundle_prediction(bench, instrument, direction), psf)
 
 
-def predict_chromatic(lab: Laboratory, traced: TracedTarget, *, draws: int) -> ChromaticTerm:
+def predicted_term(lab: Laboratory, traced: TracedTarget, *, draws: int) -> ChromaticTerm:
     """Positions by ray trace, or where the centroider puts them on PSFs with noise.
 
     Parameters
@@ -129,7 +124,7 @@ def predict_chromatic(lab: Laboratory, traced: TracedTarget, *, draws: int) -> C
     place, error = traced.place_px, np.zeros_like(traced.place_px)
     if traced.psf:
         place, error = _as_centroided(lab, traced, draws)
-    pairs = _pairs(lab)
+    pairs = lab.filtered.pairs
     shift, sigma = shifts(place, pairs), {}
     for name, high, low in pairs:
         square = (error[:, :, high] ** 2 + error[:, :, low] ** 2).sum((0, 1))
@@ -159,9 +154,7 @@ def _as_centroided(lab: Laboratory, traced: TracedTarget, draws: int) -> tuple[F
     return place, error
 
 
-def measure_chromatic(
-    lab: Laboratory, streams: Streams, *, advance: Callable[[], None] = lambda: None
-) -> ChromaticTerm:
+def measured_term(lab: Laboratory, streams: Streams, *, advance: Callable[[], None] = lambda: None) -> ChromaticTerm:
     """The target in the four corners behind every filter, rendered, read out, reduced.
 
     Parameters
@@ -173,8 +166,8 @@ def measure_chromatic(
     advance : callable
         Called after each corner.
     """
-    measured = measure(lab.filtered, lab.instrument, streams, advance=advance)
-    found = evaluate(lab.filtered, lab.instrument, measured, _pairs(lab))
+    measured = measure_chromatic(lab.filtered, lab.instrument, streams, advance=advance)
+    found = reduce_chromatic(lab.filtered, lab.instrument, measured)
     return ChromaticTerm(
         table1_px=found.table1_px,
         sigma_px=found.table1_sigma_px,

@@ -48,8 +48,8 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.budget.terms import Psfs, measure_terms, predict_terms, steps_of
     from experiments.budget.tolerances import tolerance_study
     from experiments.budget.tune import differences
-    from experiments.chromatic.checks import check_light
     from experiments.harness.provenance import peak_memory_mb, process_seconds
+    from experiments.laboratory.checks import check_light
     from experiments.laboratory.target import corner_directions
     from render.engine.random import Streams
 

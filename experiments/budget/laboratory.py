@@ -89,7 +89,7 @@ def build_laboratory(config: Config, lens: LensSystem | None = None) -> Laborato
     StarbenchError
         On an unknown lens, detector or element, values that do not go together, wavelengths that no data cover.
     """
-    from experiments.chromatic.checks import check_wavelengths
+    from experiments.laboratory.checks import check_wavelengths
 
     detector = overridden(load_detector(config.instrument.detector), config.detector)
     prescription = moved_lens(load_lens(config.instrument.lens), config.moved) if lens is None else lens

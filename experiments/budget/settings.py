@@ -8,13 +8,17 @@ from typing import ClassVar, Literal
 from pydantic import Field, model_validator
 
 from experiments.budget.range import SweepRange, check_range, leaf_keys, parse_sweep
-from experiments.chromatic.settings import FilterConfig
-from experiments.distortion import settings as distortion_settings
 from experiments.harness.config import ExperimentConfig, StrictModel
-from experiments.hsfe import settings as hsfe_settings
+from experiments.laboratory import settings as laboratory_settings
 from experiments.laboratory.centroid_methods import CentroiderName
 from experiments.laboratory.point_settings import SourceConfig
-from experiments.laboratory.settings import InstrumentConfig, TargetConfig
+from experiments.laboratory.settings import (
+    FilterConfig,
+    GridTargetConfig,
+    HexapodConfig,
+    InstrumentConfig,
+    TargetConfig,
+)
 
 __all__ = [
     "AttitudeConfig",
@@ -68,13 +72,13 @@ class MovedConfig(StrictModel):
     despace_um: float = Field(default=0.0, ge=-3000, le=3000, description="along the light")
 
 
-class StepConfig(hsfe_settings.StepConfig):
+class StepConfig(laboratory_settings.StepConfig):
     """The step test (ACC18 section 1.3)."""
 
     places: int = Field(default=6, ge=1, le=20, description="places of the field where the test is made; RMS of them")
 
 
-class GridConfig(distortion_settings.GridConfig):
+class GridConfig(GridTargetConfig):
     """The grid target (ACC18 section 1.4.2) and its reduction; three times its marking error is the term C2."""
 
     order: int = Field(default=3, ge=1, le=7, description="of the polynomial (ACC18: 3)")
@@ -158,7 +162,7 @@ class Config(ExperimentConfig):
     target: TargetConfig = TargetConfig(pitch_px=150.4)  # not whole pixels: points at all fractions of a pixel
     source: SourceConfig = SourceConfig()
     filters: FilterConfig = FilterConfig()
-    hexapod: hsfe_settings.HexapodConfig = hsfe_settings.HexapodConfig()
+    hexapod: HexapodConfig = HexapodConfig()
     steps: StepConfig = StepConfig()
     grid: GridConfig = GridConfig()
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position (ACC18: at least 30)")

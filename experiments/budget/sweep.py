@@ -19,7 +19,7 @@ from experiments.budget.laboratory import Laboratory, build_laboratory
 from experiments.budget.range import SweepRange, value_at, with_value
 from experiments.budget.settings import Config
 from experiments.budget.terms import Measurement, Psfs, measure_terms, predict_terms
-from experiments.chromatic.model import expected_spots
+from experiments.laboratory.ray_prediction import expected_spots
 from experiments.laboratory.target import corner_directions
 from optics.arrays import FloatArray
 from optics.errors import StarbenchError
@@ -160,7 +160,7 @@ def coarse_budget(config: Config, psfs: Psfs) -> Budget:
     StarbenchError
         Where the laboratory refuses the configuration.
     """
-    from experiments.chromatic.checks import check_light
+    from experiments.laboratory.checks import check_light
 
     few, factor = _coarse(config)
     lab = build_laboratory(few)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.budget.chromatic import ChromaticTerm, measure_chromatic, predict_chromatic, trace_target
+from experiments.budget.chromatic import ChromaticTerm, measured_term, predicted_term, trace_target
 from experiments.budget.combine import Budget, Value, combine
 from experiments.budget.laboratory import Laboratory
 from experiments.laboratory.bench import Bench
@@ -190,7 +190,7 @@ def predict_terms(
     te = Value(arcsec=temporal.sampled_te_arcsec(method), uncertainty_arcsec=temporal.te_uncertainty_arcsec(method))
     hsfe, causes, single = _predicted_steps(lab, psfs, step_draws, ideal_platform=ideal_platform)
     traced = psfs.once(lab, lab.filtered, "chromatic", lambda: trace_target(lab))
-    chromatic = predict_chromatic(lab, traced, draws=draws)
+    chromatic = predicted_term(lab, traced, draws=draws)
     found, scatter = _predicted_distortion(lab, psfs, draws, seed)
     budget = combine(
         {
@@ -321,7 +321,7 @@ def measure_terms(
     advance()
     te = temporal.te_arcsec(method)
     hsfe, single, places = _measured_steps(lab, scene, root.child("HSFE"), advance)
-    chromatic = measure_chromatic(lab, root.child("LSFE-S"), advance=advance)
+    chromatic = measured_term(lab, root.child("LSFE-S"), advance=advance)
     grid = lab.config.grid
     distortion = measure_distortion(
         bench,

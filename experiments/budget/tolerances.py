@@ -17,8 +17,8 @@ import numpy as np
 
 from experiments.budget.laboratory import Laboratory
 from experiments.budget.settings import ToleranceConfig
-from experiments.chromatic.model import band_pairs, shifts, table1
 from experiments.laboratory.bench import point_field
+from experiments.laboratory.chromatic_error import shifts, table1
 from experiments.laboratory.target import corner_directions
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
@@ -119,7 +119,7 @@ class _Probe:
         grid = camera.nominal_direction(self.grid_px[:, 0], self.grid_px[:, 1], self.instrument.focal_length_mm)
         stars = np.concatenate([self.corners.reshape(-1, 3), grid])
         self.stars = point_field(lab.filtered, self.instrument, stars)
-        self.pairs = band_pairs([band.centre_nm for band in lab.filtered.filters], lab.filtered.reference)
+        self.pairs = lab.filtered.pairs
 
     def trace(self, lens: LensSystem) -> _Traced:
         camera = replace(self.instrument.camera, lens=lens)

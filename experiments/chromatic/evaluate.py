@@ -2,81 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from scipy.stats import norm
 
-from experiments.chromatic.measure import Measurement
-from experiments.chromatic.model import after_calibration, bundle_prediction, rms, shifts, table1
-from experiments.chromatic.result import Evaluation, Result
+from experiments.chromatic.result import Result
 from experiments.harness.summary import Criterion, Measured
-from experiments.laboratory.bench import Bench
-from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.chromatic_error import ChromaticReduction, rms
 from optics.arrays import FloatArray
 from optics.rays.pupil import entrance_pupil
 
-__all__ = ["criteria", "evaluate", "lsfe_arcsec", "results", "rule_of_third"]
+__all__ = ["criteria", "lsfe_arcsec", "results", "rule_of_third"]
 
 
 SIGMA_LIMIT = 3.0
 
 
-def evaluate(
-    bench: Bench, instrument: Instrument, measured: Measurement, pairs: Sequence[tuple[str, int, int]]
-) -> Evaluation:
-    """Reduce one measurement as ACC18 does and compare it with truth and prediction."""
-    method = bench.methods[0]
-    mean, single = measured.mean_px[method], measured.sigma_px[method]
-    found = shifts(mean, pairs)
-    photon, bundle = shifts(measured.photon_px, pairs), shifts(measured.bundle_px, pairs)
-    predicted = shifts(bundle_prediction(bench, instrument, measured.direction), pairs)
-    pattern = shifts(measured.pattern_px, pairs)
-    # pooled over the points of a position: one point's own estimate from 30 frames would have pulls of Student's law
-    of_mean = (single**2).mean(1, keepdims=True) / measured.frames_used[..., None]
-    sigma, sigma_table = {}, {}
-    for name, high, low in pairs:
-        temporal = of_mean[..., high, :] + of_mean[..., low, :]
-        sigma[name] = np.sqrt(temporal + (pattern[name] ** 2).mean(0))
-        count = temporal.shape[0] * temporal.shape[1]
-        sigma_table[name] = np.sqrt(temporal.sum((0, 1)) / (2 * count) ** 2 + (table1(pattern[name]) ** 2).mean(0))
-    place = measured.nominal_px - instrument.camera.centre_px
-    pulls = np.stack([(found[n] - photon[n]) / sigma[n] for n, _, _ in pairs])
-    distance = np.linalg.norm(mean - measured.photon_px, axis=-1)
-    return Evaluation(
-        measurement=measured,
-        shift_px=found,
-        photon_shift_px=photon,
-        bundle_shift_px=bundle,
-        predicted_shift_px=predicted,
-        shift_sigma_px=sigma,
-        table1_px={n: table1(v) for n, v in found.items()},
-        table1_sigma_px=sigma_table,
-        photon_table1_px={n: table1(v) for n, v in photon.items()},
-        bundle_table1_px={n: table1(v) for n, v in bundle.items()},
-        predicted_table1_px={n: table1(v) for n, v in predicted.items()},
-        method_table1_px={
-            m: {n: table1(v) for n, v in shifts(measured.mean_px[m], pairs).items()} for m in bench.methods
-        },
-        residual_px=_residuals(found, place),
-        photon_residual_px=_residuals(photon, place),
-        largest_pull=float(np.abs(pulls).max()),
-        chi2=float((pulls**2).mean()),
-        chi2_n=int(pulls.size),
-        truth_bias_px=(float(distance.max()), float(np.sqrt((distance**2).mean()))),
-    )
-
-
-def _residuals(shift_px: Mapping[str, FloatArray], place_px: FloatArray) -> dict[str, dict[str, float]]:
-    """RMS length of the shifts of each pair, as found and after each calibration."""
-    return {
-        name: {step: float(np.linalg.norm(rms(left))) for step, left in after_calibration(shift, place_px).items()}
-        for name, shift in shift_px.items()
-    }
-
-
-def lsfe_arcsec(result: Result, evaluation: Evaluation) -> tuple[Measured, Measured]:
+def lsfe_arcsec(result: Result, evaluation: ChromaticReduction) -> tuple[Measured, Measured]:
     """ACC18's chromatic LSFE per axis, 3 sigma: the largest entry of Table 1, divided by 3, times 3, in arcsec."""
     scale = result.instrument.pixel_arcsec
     out = []
@@ -97,7 +41,7 @@ def rule_of_third(result: Result) -> dict[str, float]:
     }
 
 
-def _pull(evaluation: Evaluation, against: Mapping[str, FloatArray]) -> float:
+def _pull(evaluation: ChromaticReduction, against: Mapping[str, FloatArray]) -> float:
     """Largest distance of a Table 1 entry from another value, in standard deviations."""
     return float(
         max(
@@ -181,7 +125,7 @@ def _xy(values: FloatArray) -> dict[str, float]:
     return {"x": float(values[0]), "y": float(values[1])}
 
 
-def _evaluation_summary(result: Result, evaluation: Evaluation) -> dict[str, Any]:
+def _evaluation_summary(result: Result, evaluation: ChromaticReduction) -> dict[str, Any]:
     count = result.config.frames * int(np.prod(evaluation.measurement.nominal_px.shape[:2]))
     return {
         "table1_px": {n: _xy(v) for n, v in evaluation.table1_px.items()},
@@ -203,7 +147,7 @@ def _evaluation_summary(result: Result, evaluation: Evaluation) -> dict[str, Any
     }
 
 
-def _methods_summary(evaluation: Evaluation) -> dict[str, Any]:
+def _methods_summary(evaluation: ChromaticReduction) -> dict[str, Any]:
     """Table 1 by every centroider."""
     return {m: {n: _xy(v) for n, v in entries.items()} for m, entries in evaluation.method_table1_px.items()}
 

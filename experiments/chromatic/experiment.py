@@ -20,7 +20,7 @@ from experiments.harness.summary import Criterion
 from optics.arrays import FloatArray
 
 if TYPE_CHECKING:
-    from experiments.chromatic.model import Solution
+    from experiments.chromatic.perturbation import Solution
     from experiments.chromatic.result import Result
     from experiments.harness.report import Report
     from experiments.harness.tables import Table
@@ -47,18 +47,17 @@ def run(config: Config, *, progress: Progress) -> Result:
         saturated, a wavelength outside the range of a glass or of the quantum efficiency.
     """
 
-    from experiments.chromatic.evaluate import evaluate
-    from experiments.chromatic.measure import measure
-    from experiments.chromatic.model import bundle_prediction, paraxial_prediction, shifts
     from experiments.chromatic.result import Result
     from experiments.chromatic.stars import electrons_of_star, stellar_shift
     from experiments.harness.provenance import peak_memory_mb, process_seconds
+    from experiments.laboratory.chromatic_error import measure_chromatic, reduce_chromatic, shifts
     from experiments.laboratory.instrument import build_instrument
+    from experiments.laboratory.ray_prediction import bundle_prediction, paraxial_prediction
     from experiments.laboratory.target import CORNERS
     from render.engine.random import Streams
 
     instrument = build_instrument(config.instrument)
-    bench, pairs, direction = _prepare(config, instrument)
+    bench, direction = _prepare(config, instrument)
     paraxial_px = paraxial_prediction(bench, instrument, direction)
     solutions = _solve(config, bench, instrument, direction, progress)
     chosen = _choose(config, bench, solutions)
@@ -67,16 +66,16 @@ def run(config: Config, *, progress: Progress) -> Result:
     found = {}
     for label, stage_label, one in (("centred", "centred lens", instrument), ("moved", "moved element", moved)):
         with progress.stage(stage_label, total=len(CORNERS)) as stage:
-            measured = measure(bench, one, streams.child(label), advance=stage.advance)
-        found[label] = evaluate(bench, one, measured, pairs)
+            measured = measure_chromatic(bench, one, streams.child(label), advance=stage.advance)
+        found[label] = reduce_chromatic(bench, one, measured)
     with progress.stage("stars"):
         stellar, moved_stellar = (stellar_shift(config.stars, one) for one in (instrument, moved))
-        field_shift = shifts(bundle_prediction(bench, instrument, stellar.direction[None]), pairs)
+        field_shift = shifts(bundle_prediction(bench, instrument, stellar.direction[None]), bench.pairs)
         star_e = electrons_of_star(config.stars, instrument, magnitude=7.5, temperature_k=config.stars.reference_k)
     return Result(
         config=config,
+        bench=bench,
         instrument=instrument,
-        pairs=pairs,
         centred=found["centred"],
         moved=found["moved"],
         paraxial_px=paraxial_px,
@@ -91,20 +90,17 @@ def run(config: Config, *, progress: Progress) -> Result:
     )
 
 
-def _prepare(config: Config, instrument: Instrument) -> tuple[Bench, Sequence[tuple[str, int, int]], FloatArray]:
-    """Laboratory, pairs of bands and target points; whatever can be refused without rendering is refused here."""
-    from experiments.chromatic.checks import check_light, check_wavelengths
-    from experiments.chromatic.model import band_pairs
+def _prepare(config: Config, instrument: Instrument) -> tuple[Bench, FloatArray]:
+    """Laboratory and target points; whatever can be refused without rendering is refused here."""
     from experiments.chromatic.stars import passband
     from experiments.laboratory.bench import Bench
+    from experiments.laboratory.checks import check_light, check_wavelengths
     from experiments.laboratory.target import corner_directions
     from optics.errors import unknown_name
     from optics.light.band import TopHat
     from optics.light.spectrum import Blackbody
 
     filters = config.filters
-    reference = filters.centres_nm.index(filters.reference_nm)
-    pairs = band_pairs(filters.centres_nm, reference)
     bench = Bench(
         target=config.target,
         lamp=Blackbody(temperature_k=config.lamp_k),
@@ -112,7 +108,7 @@ def _prepare(config: Config, instrument: Instrument) -> tuple[Bench, Sequence[tu
             TopHat(centre_nm=c, width_nm=filters.width_nm, edge_nm=filters.edge_nm, name=f"{c:g} nm")
             for c in filters.centres_nm
         ],
-        reference=reference,
+        reference=filters.centres_nm.index(filters.reference_nm),
         signal_e=config.signal_e,
         frames=config.frames,
         dark_frames=config.dark_frames,
@@ -121,20 +117,21 @@ def _prepare(config: Config, instrument: Instrument) -> tuple[Bench, Sequence[tu
     )
     bands = [("filters.centres_nm", band) for band in bench.filters]
     check_wavelengths(instrument, [*bands, ("stars.passband_nm", passband(config.stars))])
-    if config.decentre.pair not in [name for name, _, _ in pairs]:
-        raise unknown_name("decentre.pair", config.decentre.pair, [name for name, _, _ in pairs])
+    names = [name for name, _, _ in bench.pairs]
+    if config.decentre.pair not in names:
+        raise unknown_name("decentre.pair", config.decentre.pair, names)
     if config.decentre.element != "auto":
         instrument.camera.lens.indices_of(config.decentre.element)
     direction = corner_directions(config.target, instrument)
     check_light(bench, instrument, direction)
-    return bench, pairs, direction
+    return bench, direction
 
 
 def _solve(
     config: Config, bench: Bench, instrument: Instrument, direction: FloatArray, progress: Progress
 ) -> list[Solution]:
     """The movement of every element, decentre and tilt, that gives the published number."""
-    from experiments.chromatic.model import solve_perturbation
+    from experiments.chromatic.perturbation import solve_perturbation
 
     moves = [(element, kind) for kind in ("decentre", "tilt") for element in instrument.camera.lens.elements]
     return [
@@ -161,7 +158,7 @@ def _moved(config: Config, instrument: Instrument, chosen: Solution) -> Instrume
 
 def _choose(config: Config, bench: Bench, solutions: Sequence[Solution]) -> Solution:
     """The configured element, or the one whose movement of the wanted kind is smallest."""
-    from experiments.chromatic.checks import check_motion
+    from experiments.chromatic.perturbation import check_motion
     from optics.errors import ConvergenceError
 
     wanted = config.decentre

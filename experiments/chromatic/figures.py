@@ -13,8 +13,8 @@ from experiments.harness.plotting import INK, MARKERS, PALETTE, band_colours, ne
 from optics.arrays import FloatArray
 
 if TYPE_CHECKING:
-    from experiments.chromatic.measure import Measurement
-    from experiments.chromatic.result import Evaluation, Result
+    from experiments.chromatic.result import Result
+    from experiments.laboratory.chromatic_error import ChromaticMeasurement, ChromaticReduction
 
 __all__ = [
     "arrow_map",
@@ -28,9 +28,9 @@ __all__ = [
 ]
 
 
-def spot_gallery(result: Result, evaluation: Evaluation) -> Figure:
+def spot_gallery(result: Result, evaluation: ChromaticReduction) -> Figure:
     """One target point behind each filter: noiseless, one frame, mean of all frames."""
-    measured: Measurement = evaluation.measurement
+    measured: ChromaticMeasurement = evaluation.measurement
     centres = result.config.filters.centres_nm
     figure, axes = new_figure(3, len(centres), aspect_ratio=1.0, width="half", sharex=True, sharey=True)
     size = result.config.window_px
@@ -84,19 +84,19 @@ def _arrows(axis: Any, place: FloatArray, shift: FloatArray, scale: float, **sty
     )
 
 
-def arrow_map(result: Result, evaluation: Evaluation, title: str) -> Figure:
+def arrow_map(result: Result, evaluation: ChromaticReduction, title: str) -> Figure:
     """Shift of every point over the field, one panel per pair of bands."""
     return arrow_panels(result, [(evaluation, name, f"{name} nm, {title}") for name, _, _ in result.pairs])
 
 
-def arrow_panels(result: Result, panels: Sequence[tuple[Evaluation, str, str]]) -> Figure:
+def arrow_panels(result: Result, panels: Sequence[tuple[ChromaticReduction, str, str]]) -> Figure:
     """Shift of every point over the field, the ray-trace prediction beneath; each panel has its own scale.
 
     Parameters
     ----------
     result : Result
         The run.
-    panels : sequence of (Evaluation, str, str)
+    panels : sequence of (ChromaticReduction, str, str)
         What is shown: lens, pair of bands, title.
     """
     figure, axes = new_figure(1, len(panels), aspect_ratio=0.33, sharey=True, squeeze=False)
@@ -128,7 +128,7 @@ def _field_frame(result: Result, axis: Any, key_px: float, scale: float) -> None
     axis.set(xticks=range(0, width + 1, 1024), yticks=range(0, height + 1, 512))
 
 
-def fig7(result: Result, evaluation: Evaluation) -> Figure:
+def fig7(result: Result, evaluation: ChromaticReduction) -> Figure:
     """ACC18 Fig. 7 redrawn: the shift of every point, position after position, with what the ray trace predicts."""
     names = [name for name, _, _ in result.pairs]
     figure, axes = new_figure(len(names), 2, aspect_ratio=0.5, sharex=True)

@@ -17,7 +17,7 @@ from experiments.chromatic.figures import (
     star_shifts,
     target_image,
 )
-from experiments.chromatic.model import PUBLISHED_TABLE1_PX
+from experiments.chromatic.result import PUBLISHED_TABLE1_PX
 from experiments.chromatic.tables import all_tables, moved_label
 from experiments.harness.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
 from experiments.harness.summary import Measured

@@ -1,64 +1,23 @@
-"""Records of the chromatic test: what one lens shows, and all of a run."""
+"""Record of the chromatic test, and the published numbers."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from experiments.chromatic.measure import Measurement
-from experiments.chromatic.model import Solution
+from experiments.chromatic.perturbation import Solution
 from experiments.chromatic.settings import Config
 from experiments.chromatic.stars import StellarShift
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.chromatic_error import ChromaticReduction
 from experiments.laboratory.instrument import Instrument
 from optics.arrays import FloatArray
 
-__all__ = ["Evaluation", "Result"]
+__all__ = ["PUBLISHED_TABLE1_PX", "Result"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Evaluation:
-    """Reduction of one lens's measurement; pairs of bands are keys such as "800-600".
-
-    Attributes
-    ----------
-    measurement : Measurement
-        The frames' centroids and the truth.
-    shift_px, photon_shift_px, bundle_shift_px, predicted_shift_px : dict of str to (p, j, 2)
-        Shifts of eq. 15: measured, of the noiseless light, of the traced bundle, by ray trace alone.
-    shift_sigma_px : dict of str to (p, j, 2)
-        Standard deviation of a measured shift: frames and predicted fixed pattern.
-    table1_px, table1_sigma_px, photon_table1_px, bundle_table1_px, predicted_table1_px : dict of str to (2,)
-        Eq. 16 of each, with the standard deviation of the measured.
-    method_table1_px : dict of str to dict of str to (2,)
-        Eq. 16 by every centroider.
-    residual_px, photon_residual_px : dict of str to dict of str to float
-        RMS length of the shift as found and after calibration of the band: of the measured, of the noiseless light.
-    largest_pull : float
-        Largest |measured - photon| / sigma of all points, pairs and axes.
-    chi2 : float
-        Mean of ((measured - photon) / sigma)^2 over all points, pairs and axes; ``chi2_n`` of them.
-    truth_bias_px : (2,)
-        Largest and RMS distance of the mean centroid from the photon centroid.
-    """
-
-    measurement: Measurement
-    shift_px: Mapping[str, FloatArray]
-    photon_shift_px: Mapping[str, FloatArray]
-    bundle_shift_px: Mapping[str, FloatArray]
-    predicted_shift_px: Mapping[str, FloatArray]
-    shift_sigma_px: Mapping[str, FloatArray]
-    table1_px: Mapping[str, FloatArray]
-    table1_sigma_px: Mapping[str, FloatArray]
-    photon_table1_px: Mapping[str, FloatArray]
-    bundle_table1_px: Mapping[str, FloatArray]
-    predicted_table1_px: Mapping[str, FloatArray]
-    method_table1_px: Mapping[str, Mapping[str, FloatArray]]
-    residual_px: Mapping[str, Mapping[str, float]]
-    photon_residual_px: Mapping[str, Mapping[str, float]]
-    largest_pull: float
-    chi2: float
-    chi2_n: int
-    truth_bias_px: tuple[float, float]
+PUBLISHED_TABLE1_PX = {"600-500": (-1e-4, 5e-3), "800-600": (0.12, 7e-3)}
+"""ACC18 Table 1, (X, Y)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,11 +28,9 @@ class Result:
     ----------
     config : Config
         Settings.
-    instrument : Instrument
-        The centred camera.
-    pairs : sequence of (str, int, int)
-        Pairs of bands.
-    centred, moved : Evaluation
+    bench, instrument
+        The laboratory with the centred lens.
+    centred, moved : ChromaticReduction
         The lens as designed; with the element of ``chosen`` moved.
     paraxial_px : (p, j, b, 2)
         Paraxial lateral colour of the centred lens.
@@ -94,10 +51,10 @@ class Result:
     """
 
     config: Config
+    bench: Bench
     instrument: Instrument
-    pairs: Sequence[tuple[str, int, int]]
-    centred: Evaluation
-    moved: Evaluation
+    centred: ChromaticReduction
+    moved: ChromaticReduction
     paraxial_px: FloatArray
     solutions: Sequence[Solution]
     chosen: Solution
@@ -107,3 +64,8 @@ class Result:
     star_e: float
     runtime_s: float
     peak_memory_mb: float
+
+    @property
+    def pairs(self) -> Sequence[tuple[str, int, int]]:
+        """Pairs of bands; see `experiments.laboratory.bench.band_pairs`."""
+        return self.bench.pairs

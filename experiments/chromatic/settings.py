@@ -4,37 +4,13 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from experiments.harness.config import ExperimentConfig, StrictModel
 from experiments.laboratory.centroid_methods import MethodName
-from experiments.laboratory.settings import InstrumentConfig, StarsConfig, TargetConfig
+from experiments.laboratory.settings import FilterConfig, InstrumentConfig, StarsConfig, TargetConfig
 
-__all__ = ["Config", "DecentreConfig", "FilterConfig"]
-
-
-class FilterConfig(StrictModel):
-    """Interference filters; ``reference_nm`` is the one that the others are compared with."""
-
-    centres_nm: tuple[float, ...] = Field(default=(500.0, 600.0, 800.0), min_length=2, description="band centres")
-    reference_nm: float = Field(default=600.0, description="centre of the reference band; one of centres_nm")
-    width_nm: float = Field(default=100.0, gt=0, le=400, description="full width at half maximum")
-    edge_nm: float = Field(default=10.0, ge=0, le=100, description="length of each edge, 0 to 100 %")
-
-    @field_validator("centres_nm")
-    @classmethod
-    def _different(cls, values: tuple[float, ...]) -> tuple[float, ...]:
-        if len({f"{value:g}" for value in values}) != len(values):
-            raise ValueError("a centre is given twice")
-        return values
-
-    @field_validator("reference_nm")
-    @classmethod
-    def _one_of_them(cls, value: float, info: ValidationInfo) -> float:
-        centres = info.data.get("centres_nm")  # absent if it is wrong itself, which is said then
-        if centres is not None and value not in centres:
-            raise ValueError(f"it is none of centres_nm = {list(centres)}")
-        return value
+__all__ = ["Config", "DecentreConfig"]
 
 
 class DecentreConfig(StrictModel):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from experiments.chromatic.model import PUBLISHED_TABLE1_PX
+from experiments.chromatic.result import PUBLISHED_TABLE1_PX
 from experiments.harness.summary import Measured
 from experiments.harness.tables import Cell, Column, Table
 from experiments.laboratory.centroid_methods import MethodLabels

@@ -9,21 +9,9 @@ from pydantic import Field, model_validator
 from experiments.harness.config import StrictModel
 from experiments.laboratory.centroid_methods import MethodName
 from experiments.laboratory.point_settings import PointConfig
+from experiments.laboratory.settings import GridTargetConfig
 
-__all__ = ["Config", "GridConfig", "StudyConfig"]
-
-
-class GridConfig(StrictModel):
-    """The surveyed target: 32 points, measured to 0.5 arcsec (3 sigma)."""
-
-    rows: int = Field(default=4, ge=2, le=60, description="points along a column of the detector")
-    columns: int = Field(default=8, ge=2, le=60, description="points along a row of the detector")
-    edge_px: float = Field(default=60.0, ge=0, description="distance of the outermost points from the detector's edge")
-    jitter_px: float = Field(default=5.0, ge=0, le=100, description="spread of the points about the regular grid")
-    marking_error_arcsec: float = Field(
-        default=0.5 / 3.0, ge=0, le=60, description="error of a measured place, 1 sigma"
-    )
-    roll_arcmin: float = Field(default=3.0, ge=-600, le=600, description="target against detector")
+__all__ = ["Config", "StudyConfig"]
 
 
 class StudyConfig(StrictModel):
@@ -36,7 +24,7 @@ class StudyConfig(StrictModel):
 class Config(PointConfig):
     """The published run: ACC18 gives the 32 points, their marking error, the cubic polynomial and N >= 30."""
 
-    target: GridConfig = GridConfig()
+    target: GridTargetConfig = GridTargetConfig()
     order: int = Field(default=3, ge=1, le=9, description="of the polynomial")
     reference: Literal["nominal", "aligned", "calibrated"] = Field(
         default="calibrated", description="how target coordinates become pixels, for the figures that count"

@@ -42,7 +42,7 @@ def prepare(config: Config) -> Instrument:
     StarbenchError
         On anything that the user can mend.
     """
-    from experiments.chromatic.checks import check_wavelengths
+    from experiments.laboratory.checks import check_wavelengths
 
     axes = len(build_table(config.table).axis)
     check_table("table", config.table, axes)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.measure.epsf import draw_epsf
-from experiments.chromatic.model import bundle_prediction
 from experiments.hsfe.settings import Config
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.hexapod import Hexapod, turned
@@ -16,6 +15,7 @@ from experiments.laboratory.high_frequency import HighFrequencyMeasurement, Step
 from experiments.laboratory.high_frequency_model import HighFrequencyPrediction
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_frames import centroiders, noiseless_positions
+from experiments.laboratory.ray_prediction import bundle_prediction
 from experiments.laboratory.readout.noise_model import nominal_noise
 from experiments.laboratory.step_statistics import document_rms_px
 from optics.arrays import FloatArray

@@ -13,7 +13,7 @@ from optics.light.spectrum import Sed
 from optics.rays.pupil import entrance_pupil
 from render.records import StarField
 
-__all__ = ["Bench", "point_field"]
+__all__ = ["Bench", "band_pairs", "point_field"]
 
 
 NODES = 16
@@ -53,6 +53,21 @@ class Bench:
     dark_frames: int
     window_px: int
     methods: Sequence[str]
+
+    @property
+    def pairs(self) -> list[tuple[str, int, int]]:
+        """Differences between the filters; see `band_pairs`."""
+        return band_pairs([band.centre_nm for band in self.filters], self.reference)
+
+
+def band_pairs(centres_nm: Sequence[float], reference: int) -> list[tuple[str, int, int]]:
+    """Name, minuend and subtrahend of each difference as ACC18 eq. 15 has them: the longer wavelength first."""
+    pairs = []
+    for band in range(len(centres_nm)):
+        if band != reference:
+            high, low = (band, reference) if centres_nm[band] > centres_nm[reference] else (reference, band)
+            pairs.append((f"{centres_nm[high]:g}-{centres_nm[low]:g}", high, low))
+    return pairs
 
 
 def point_field(bench: Bench, instrument: Instrument, direction: FloatArray) -> StarField:

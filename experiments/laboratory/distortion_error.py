@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.chromatic.model import bundle_prediction
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.distortion_statistics import (
     DistortionStatistics,
@@ -22,6 +21,7 @@ from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_frames import read_points
 from experiments.laboratory.point_scene import PointLight, PointScene, one_filter, scene_of
 from experiments.laboratory.points import nominal_px
+from experiments.laboratory.ray_prediction import bundle_prediction
 from experiments.laboratory.targets import GridTarget, grid_directions, survey
 from optics.arrays import FloatArray
 from optics.records import freeze

@@ -106,7 +106,7 @@ def check_bench(bench: Bench, instrument: Instrument, direction: object) -> None
     """
     import numpy as np
 
-    from experiments.chromatic.checks import check_light, check_wavelengths
+    from experiments.laboratory.checks import check_light, check_wavelengths
     from experiments.laboratory.points import nominal_px
     from optics.errors import DomainError
 

@@ -1,12 +1,20 @@
-"""Configuration tables that experiments share: the instrument, the target, the stars. Light to import."""
+"""Configuration tables that experiments share: instrument, targets, filters, platform, stars. Light to import."""
 
 from __future__ import annotations
 
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from experiments.harness.config import StrictModel
 
-__all__ = ["InstrumentConfig", "StarsConfig", "TargetConfig"]
+__all__ = [
+    "FilterConfig",
+    "GridTargetConfig",
+    "HexapodConfig",
+    "InstrumentConfig",
+    "StarsConfig",
+    "StepConfig",
+    "TargetConfig",
+]
 
 
 class InstrumentConfig(StrictModel):
@@ -32,6 +40,59 @@ class TargetConfig(StrictModel):
     columns: int = Field(default=5, ge=1, le=50, description="points along a row")
     pitch_px: float = Field(default=150.0, gt=0, description="spacing of the points as the camera sees it")
     edge_px: float = Field(default=150.0, ge=0, description="distance of the outermost points from the detector's edge")
+
+
+class GridTargetConfig(StrictModel):
+    """The surveyed target: 32 points, measured to 0.5 arcsec (3 sigma)."""
+
+    rows: int = Field(default=4, ge=2, le=60, description="points along a column of the detector")
+    columns: int = Field(default=8, ge=2, le=60, description="points along a row of the detector")
+    edge_px: float = Field(default=60.0, ge=0, description="distance of the outermost points from the detector's edge")
+    jitter_px: float = Field(default=5.0, ge=0, le=100, description="spread of the points about the regular grid")
+    marking_error_arcsec: float = Field(
+        default=0.5 / 3.0, ge=0, le=60, description="error of a measured place, 1 sigma"
+    )
+    roll_arcmin: float = Field(default=3.0, ge=-600, le=600, description="target against detector")
+
+
+class FilterConfig(StrictModel):
+    """Interference filters; ``reference_nm`` is the one that the others are compared with."""
+
+    centres_nm: tuple[float, ...] = Field(default=(500.0, 600.0, 800.0), min_length=2, description="band centres")
+    reference_nm: float = Field(default=600.0, description="centre of the reference band; one of centres_nm")
+    width_nm: float = Field(default=100.0, gt=0, le=400, description="full width at half maximum")
+    edge_nm: float = Field(default=10.0, ge=0, le=100, description="length of each edge, 0 to 100 %")
+
+    @field_validator("centres_nm")
+    @classmethod
+    def _different(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        if len({f"{value:g}" for value in values}) != len(values):
+            raise ValueError("a centre is given twice")
+        return values
+
+    @field_validator("reference_nm")
+    @classmethod
+    def _one_of_them(cls, value: float, info: ValidationInfo) -> float:
+        centres = info.data.get("centres_nm")  # absent if it is wrong itself, which is said then
+        if centres is not None and value not in centres:
+            raise ValueError(f"it is none of centres_nm = {list(centres)}")
+        return value
+
+
+class HexapodConfig(StrictModel):
+    """Errors of the hexapod, standard deviations; ACC18 names a PI H-840 but no figures, these are of its class."""
+
+    step_error_arcsec: float = Field(default=0.4, ge=0, le=60, description="pitch and yaw reached against commanded")
+    roll_error_arcsec: float = Field(default=1.0, ge=0, le=60, description="roll reached against commanded")
+    reading_error_arcsec: float = Field(default=0.2, ge=0, le=60, description="pose reported against reached")
+
+
+class StepConfig(StrictModel):
+    """Positions along a line over the detector."""
+
+    positions: int = Field(default=12, ge=2, le=200, description="M; ACC18 counts 0, 0.2 ... 2.0 px as 12, which is 11")
+    step_px: float = Field(default=0.2, gt=0, description="length of a step of the image")
+    direction_deg: float = Field(default=45.0, ge=-360, le=360, description="of the motion, from column towards row")
 
 
 class StarsConfig(StrictModel):

@@ -203,7 +203,7 @@ def _check_field(name: str, instrument: Instrument) -> None:
 
 def _check_light(name: str, instrument: Instrument, sky: SkyConfig) -> None:
     """Refuse a pass band that nothing is known about."""
-    from experiments.chromatic.checks import check_wavelengths
+    from experiments.laboratory.checks import check_wavelengths
 
     del name
     check_wavelengths(instrument, [("sky.passband_nm", passband(sky))])

@@ -111,7 +111,7 @@ def run(config: Config, *, progress: Progress) -> Result:
 
 def _prepare(config: Config) -> Instrument:
     """The camera; whatever can be refused without rendering is refused here."""
-    from experiments.chromatic.checks import check_wavelengths
+    from experiments.laboratory.checks import check_wavelengths
     from experiments.laboratory.turntable import axis_directions
     from experiments.turntable.measure import build_star, build_table, camera_under_test, check_table, grid_px
     from experiments.turntable.reduce import check_count

@@ -4,25 +4,15 @@ import json
 import re
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.table import Table
 
-from calib.measure.stamps import stamps_from_windows
-from experiments.chromatic.evaluate import evaluate
 from experiments.chromatic.experiment import Config, main
-from experiments.chromatic.measure import measure
-from experiments.chromatic.model import band_pairs, bundle_prediction, shifts, table1
-from experiments.laboratory.instrument import build_instrument
-from experiments.laboratory.points import common_shift, pattern_effect
-from experiments.laboratory.target import corner_directions
-from optics.lens.perturb import decentre
-from render.engine.random import Streams
+from experiments.laboratory.chromatic_error import table1
 
 ROOT = Path(__file__).parents[3]
 SMALL = {
@@ -183,58 +173,6 @@ def test_rendered_image_is_locked(result):
         result.centred.measurement.example.electrons[0, 0, 0] = 1.0
 
 
-def testcommon_shift_is_what_most_detections_agree_on():
-    rng = np.random.default_rng(1)
-    offset = np.concatenate([rng.normal([31.0, -12.0], 0.5, (25, 2)), rng.uniform(-80, 80, (60, 2))])
-    assert common_shift(offset) == pytest.approx([31.0, -12.0], abs=0.5)
-    assert common_shift(np.full((3, 2), 500.0)) == pytest.approx([0, 0])
-
-
-def quick_measure(bench, instrument, seed):
-    return measure(bench, instrument, Streams(seed).child("test"), advance=lambda: None)
-
-
-def with_sensor(instrument, sensor_seed, **changes):
-    return replace(instrument, detector=replace(instrument.detector, sensor_seed=sensor_seed, **changes))
-
-
-@pytest.fixture(scope="module")
-def measured(engine, bench_of, small_camera):
-    return quick_measure(bench_of(rows=1, columns=2, frames=2, dark_frames=2), small_camera, 1)
-
-
-def test_inputs_unchanged(measured, bench_of, small_camera):
-    bench = bench_of(rows=1, columns=2, frames=2, dark_frames=2)
-    direction = corner_directions(bench.target, small_camera)
-    before, mean = direction.copy(), measured.mean_px["epsf"].copy()
-    bundle_prediction(bench, small_camera, direction)
-    evaluate(bench, small_camera, measured, band_pairs((500.0, 600.0, 800.0), 1))
-    assert np.array_equal(direction, before)
-    assert np.array_equal(measured.mean_px["epsf"], mean)
-    assert np.array_equal(measured.direction, direction)
-
-
-@pytest.mark.slow
-def test_same_seed_same_numbers_another_seed_others(engine, measured, bench_of, small_camera):
-    bench = bench_of(rows=1, columns=2, frames=2, dark_frames=2)
-    one = measured.mean_px["epsf"]
-    same, other = (quick_measure(bench, small_camera, seed).mean_px["epsf"] for seed in (1, 2))
-    assert np.array_equal(one, same)
-    assert not np.any(one == other)
-    assert np.abs(one - other).max() < 0.1
-
-
-@pytest.mark.slow
-def test_moved_image_is_found_again(engine, bench_of, small_camera):
-    """The target is looked for where the lens puts it, up to 80 px away; its comatic spots are not given up."""
-    bench = bench_of(frames=2, dark_frames=2)
-    moved = build_instrument(small_camera.config, decentre(small_camera.camera.lens, "L2", -0.4, 0.1))
-    measured = quick_measure(bench, moved, 3)
-    expected = bundle_prediction(bench, moved, measured.direction)
-    assert np.abs(measured.nominal_px - expected[:, :, 1]).max() > 40
-    assert np.abs(measured.mean_px["epsf"] - expected).max() < 0.1
-
-
 @pytest.mark.slow
 def test_same_seed_same_summary(tmp_path, small_detector):
     texts = []
@@ -263,91 +201,6 @@ def test_command_of_the_readme(tmp_path):
     assert done.stderr == ""
     assert "criteria hold" in done.stdout
     assert (tmp_path / "out" / "report.html").is_file()
-
-
-RUNS = 40
-
-
-@pytest.mark.slow
-def test_uncertainties_of_table_1_are_as_stated(engine, bench_of, small_camera):
-    """40 cameras (fixed patterns) and noise seeds: the entries scatter about the truth as their sigma says.
-
-    Two pairs share the 600 nm band (correlation 1/2, so 1/4 between their squares) and the two axes are independent:
-    the variance of the mean of 160 squared pulls is 2.5/160, and four standard deviations are allowed.
-    """
-    pairs = band_pairs((500.0, 600.0, 800.0), 1)
-    bench = bench_of()
-    pulls = []
-    for seed in range(RUNS):
-        camera = with_sensor(small_camera, 1000 + seed)
-        found = evaluate(bench, camera, quick_measure(bench, camera, seed), pairs)
-        pulls.append([(found.table1_px[n] - found.photon_table1_px[n]) / found.table1_sigma_px[n] for n, _, _ in pairs])
-    pulls = np.array(pulls)
-    spread = np.sqrt(2.5 / pulls.size)
-    assert abs((pulls**2).mean() - 1) < 4 * spread
-    # no bias: the mean of 40 independent pulls per entry, the largest of four
-    assert np.abs(pulls.mean(0)).max() * np.sqrt(RUNS) < 4
-
-
-SENSORS = 40
-
-
-@pytest.mark.slow
-def test_effect_of_the_fixed_pattern_is_predicted(engine, bench_of, small_camera):
-    """The prediction draws response patterns; here 40 sensors are made, and their mean centroids scatter.
-
-    16 points x 2 axes x 40 sensors, against 48 predicted patterns for each of those: the relative standard deviation of
-    their variances is sqrt(2 / 1280) and sqrt(2 / 61440), together 4.0 %; four of them are allowed. The filters do not
-    count, the pattern is common to them. The temporal part is taken off.
-    """
-    bench = bench_of(frames=40, dark_frames=100)
-    place, temporal, predicted = [], [], []
-    for seed in range(SENSORS):
-        camera = with_sensor(small_camera, 2000 + seed, prnu=0.05)
-        measured = quick_measure(bench, camera, seed)
-        place.append(measured.mean_px["epsf"] - measured.photon_px)
-        temporal.append((measured.sigma_px["epsf"] ** 2 / measured.frames_used[..., None]).mean())
-        predicted.append((measured.pattern_px**2).mean((0, 1, 2)))
-    found = np.var(place, axis=0, ddof=1).mean((0, 1)) - np.mean(temporal)  # (b, 2)
-    spread = np.sqrt(2 / (32 * SENSORS) + 2 / (32 * 48 * SENSORS))
-    assert found.mean() > 10 * np.mean(temporal)
-    assert abs(found.mean() / np.mean(predicted) - 1) < 4 * spread
-
-
-@pytest.mark.slow
-def test_pattern_that_filters_share_cancels_in_part(engine, bench_of, small_camera):
-    """A fixed pattern moves a point alike behind two filters, so a shift suffers less than sqrt(2) of one position."""
-    measured = quick_measure(bench_of(), small_camera, 1)
-    pattern = shifts(measured.pattern_px, band_pairs((500.0, 600.0, 800.0), 1))
-    single = np.sqrt((measured.pattern_px**2).mean())
-    for shift in pattern.values():
-        assert np.sqrt((shift**2).mean()) < 1.2 * single
-
-
-def testpattern_effect_on_a_centre_of_gravity(measured):
-    """No PRNU and no dark noise: nothing moves. With PRNU: the closed form of a centre of gravity."""
-
-    class Centre:
-        def measure(self, stamps, noise):
-            index = np.arange(stamps.electrons.shape[1])
-            total = stamps.electrons.sum((1, 2))
-            return SimpleNamespace(
-                x_px=(stamps.electrons.sum(1) * index).sum(1) / total,
-                y_px=(stamps.electrons.sum(2) * index).sum(1) / total,
-            )
-
-    stamps, noise = stamps_from_windows(measured.windows[0], background_e=0.0, start_px=measured.photon_px[0, :, 0])
-    light = np.random.default_rng(2).uniform(10, 20, (2, 13, 13))
-    still = pattern_effect(Centre(), stamps, noise, light, prnu=0.0, dark_e=0.0, rng=np.random.default_rng(3))
-    assert np.all(still == 0)
-    moved = pattern_effect(Centre(), stamps, noise, light, prnu=0.01, dark_e=0.0, rng=np.random.default_rng(3))
-    # centroid of independent pixel errors: var = prnu^2 sum (x - c)^2 e^2 / (sum e)^2
-    index = np.arange(13)
-    total = light.sum((1, 2))
-    centre = (light.sum(1) * index).sum(1) / total
-    variance = 1e-4 * ((index - centre[:, None]) ** 2 * (light**2).sum(1)).sum(1) / total**2
-    # 48 patterns x 2 points: the variance is known to sqrt(2 / 96) = 14 %; four of them
-    assert (moved[..., 0] ** 2).mean() == pytest.approx(variance.mean(), rel=0.58)
 
 
 def test_defaults_are_the_published_run():

@@ -1,4 +1,4 @@
-"""What the chromatic test refuses before its long work: light that no data cover, points that cannot be seen."""
+"""What is refused before long work: light that no data cover, target points that the camera cannot see."""
 
 from __future__ import annotations
 
@@ -6,17 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from experiments.chromatic.model import Solution, expected_spots
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.points import SEARCH_MARGIN_PX
+from experiments.laboratory.ray_prediction import expected_spots
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.frames import field_angles_deg
 from optics.light.band import Band
 from optics.rays.spots import best_focus_shift_mm
 
-__all__ = ["check_light", "check_motion", "check_wavelengths"]
+__all__ = ["check_light", "check_wavelengths"]
 
 
 def check_wavelengths(instrument: Instrument, bands: Sequence[tuple[str, Band]]) -> None:
@@ -85,32 +84,4 @@ def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
             f"the image of a target point has an RMS radius of {widest:.1f} px, for which window_px = "
             f"{bench.window_px} is too small (at least four RMS radii); best focus for these filters is at "
             f"instrument.defocus_mm = {best:.3f} mm (it is {instrument.config.defocus_mm:g} mm), or enlarge the window"
-        )
-
-
-def check_motion(bench: Bench, chosen: Solution, wanted_px: float) -> None:
-    """Refuse a moved element that carries the target's image out of the search area or off the detector.
-
-    Parameters
-    ----------
-    bench : Bench
-        The laboratory.
-    chosen : Solution
-        Movement to be rendered.
-    wanted_px : float
-        The mean shift it is to give.
-
-    Raises
-    ------
-    DomainError
-        Naming the movement and the room there is.
-    """
-    moves = float(np.abs(chosen.boresight_px).max())
-    room = min(float(SEARCH_MARGIN_PX), bench.target.edge_px - bench.window_px // 2 - 1)
-    if moves > room:
-        raise DomainError(
-            f"a mean shift of decentre.wanted_px = {wanted_px:g} px takes a {chosen.kind} of {chosen.element} by "
-            f"{chosen.amount:.0f} {chosen.unit}, which moves the whole image by {moves:.0f} px; at most {room:.0f} px "
-            f"can be followed (target.edge_px = {bench.target.edge_px:g} px, and {SEARCH_MARGIN_PX} px in any case): "
-            "lower decentre.wanted_px or name another decentre.element"
         )

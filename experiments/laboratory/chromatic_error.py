@@ -1,0 +1,268 @@
+"""Chromatic error of a camera (ACC18 eq. 13-16): a point target in the corners of the field, behind every filter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.laboratory.bench import Bench, point_field
+from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.points import PointMeasurement, PointReadout
+from experiments.laboratory.ray_prediction import bundle_prediction
+from experiments.laboratory.target import CORNERS, corner_directions
+from optics.arrays import FloatArray
+from render.engine.random import Streams
+from render.forward import StarRenderer
+from render.records import ExpectedImage, WindowStack
+from render.tracing.psf import epsf_tracer
+
+__all__ = [
+    "ChromaticMeasurement",
+    "ChromaticReduction",
+    "after_calibration",
+    "measure_chromatic",
+    "reduce_chromatic",
+    "rms",
+    "shifts",
+    "table1",
+]
+
+
+def shifts(position_px: FloatArray, pairs: Sequence[tuple[str, int, int]]) -> dict[str, FloatArray]:
+    """Shift (..., 2) of every point for each pair of bands, from positions (..., b, 2); ACC18 eq. 15."""
+    return {name: position_px[..., high, :] - position_px[..., low, :] for name, high, low in pairs}
+
+
+def table1(shift_px: FloatArray) -> FloatArray:
+    """Signed mean over positions and points, halved (ACC18 eq. 16): (..., p, j, 2) -> (..., 2)."""
+    return np.asarray(shift_px.mean((-3, -2)) / 2.0)
+
+
+def rms(shift_px: FloatArray) -> FloatArray:
+    """Root mean square per axis over positions and points, (p, j, 2) -> (2,)."""
+    return np.asarray(np.sqrt((shift_px**2).mean((0, 1))))
+
+
+def after_calibration(shift_px: FloatArray, from_centre_px: FloatArray) -> dict[str, FloatArray]:
+    """Shifts that remain when a camera model has parameters of its own for the band.
+
+    Parameters
+    ----------
+    shift_px : (p, j, 2)
+        Shifts of the points.
+    from_centre_px : (p, j, 2)
+        Their places, from the principal point.
+
+    Returns
+    -------
+    dict of str to (p, j, 2)
+        ``as found``; without the mean (a principal point per band); without the scale (a focal length per band, least
+        squares); without both, fitted together.
+    """
+    shift, place = shift_px.reshape(-1, 2), from_centre_px.reshape(-1, 2)
+    one = np.zeros((len(shift), 2, 3))
+    one[:, 0, 0] = one[:, 1, 1] = 1.0
+    one[:, :, 2] = place
+    design, data = one.reshape(-1, 3), shift.ravel()
+    columns = {"as found": [], "principal point": [0, 1], "focal length": [2], "both": [0, 1, 2]}
+    left = {}
+    for name, use in columns.items():
+        fit = design[:, use] @ np.linalg.lstsq(design[:, use], data, rcond=None)[0] if use else np.zeros_like(data)
+        left[name] = (data - fit).reshape(shift_px.shape)
+    return left
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChromaticMeasurement:
+    """Centroids and truth of one lens; p positions, j points, b filters.
+
+    Attributes
+    ----------
+    direction : (p, j, 3)
+        Unit vectors in cam.
+    nominal_px : (p, j, 2)
+        Where an ideal lens would image the points.
+    chief_px, bundle_px, photon_px : (p, j, b, 2)
+        Truth.
+    mean_px : dict of str to (p, j, b, 2)
+        Mean centroid over the frames, by method.
+    sigma_px : dict of str to (p, j, b, 2)
+        Standard deviation of a single frame's centroid.
+    pattern_px : (q, p, j, b, 2)
+        Predicted effect of q fixed patterns on the first method's centroids, common to the filters.
+    frames_used : (p, j, b)
+        Frames that converged, first method.
+    rms_spot_um : (b,)
+        RMS spot radius of the traced bundles.
+    example : ExpectedImage
+        Noiseless image of the first position.
+    windows : tuple of WindowStack
+        Readout of the first position, per filter.
+    """
+
+    direction: FloatArray
+    nominal_px: FloatArray
+    chief_px: FloatArray
+    bundle_px: FloatArray
+    photon_px: FloatArray
+    mean_px: Mapping[str, FloatArray]
+    sigma_px: Mapping[str, FloatArray]
+    pattern_px: FloatArray
+    frames_used: NDArray[np.int64]
+    rms_spot_um: FloatArray
+    example: ExpectedImage
+    windows: tuple[WindowStack, ...]
+
+
+def measure_chromatic(
+    bench: Bench, instrument: Instrument, streams: Streams, *, advance: Callable[[], None]
+) -> ChromaticMeasurement:
+    """Run the test on one lens.
+
+    Parameters
+    ----------
+    bench, instrument
+        The laboratory.
+    streams : Streams
+        Root of the noise of this run.
+    advance : callable
+        Called after each position.
+
+    Raises
+    ------
+    DomainError
+        If points are not detected, or saturated.
+    """
+    camera = instrument.camera
+    renderer, tracer = StarRenderer(camera, exposure_s=instrument.config.exposure_s), epsf_tracer(camera)
+    first: ExpectedImage | None = None
+    parts: list[PointMeasurement] = []
+    for place, direction in zip(CORNERS, corner_directions(bench.target, instrument), strict=True):
+        stars = point_field(bench, instrument, direction)
+        expected = renderer.render(stars)
+        first = first or expected
+        parts.append(PointReadout(tracer, bench, instrument, streams.child(place), place).measure(stars, expected))
+        advance()
+    assert first is not None
+    return ChromaticMeasurement(
+        direction=np.stack([part.direction for part in parts]),
+        nominal_px=np.stack([part.nominal_px for part in parts]),
+        chief_px=np.stack([part.chief_px for part in parts]),
+        bundle_px=np.stack([part.bundle_px for part in parts]),
+        photon_px=np.stack([part.photon_px for part in parts]),
+        mean_px={m: np.stack([part.mean_px[m] for part in parts]) for m in bench.methods},
+        sigma_px={m: np.stack([part.sigma_px[m] for part in parts]) for m in bench.methods},
+        pattern_px=np.stack([part.pattern_px for part in parts], axis=1),
+        frames_used=np.stack([part.frames_used for part in parts]),
+        rms_spot_um=np.stack([part.spot_um for part in parts]).mean((0, 1)),
+        example=first,
+        windows=parts[0].windows,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChromaticReduction:
+    """Reduction of one lens's measurement; pairs of bands are keys such as "800-600".
+
+    Attributes
+    ----------
+    measurement : ChromaticMeasurement
+        The frames' centroids and the truth.
+    shift_px, photon_shift_px, bundle_shift_px, predicted_shift_px : dict of str to (p, j, 2)
+        Shifts of eq. 15: measured, of the noiseless light, of the traced bundle, by ray trace alone.
+    shift_sigma_px : dict of str to (p, j, 2)
+        Standard deviation of a measured shift: frames and predicted fixed pattern.
+    table1_px, table1_sigma_px, photon_table1_px, bundle_table1_px, predicted_table1_px : dict of str to (2,)
+        Eq. 16 of each, with the standard deviation of the measured.
+    method_table1_px : dict of str to dict of str to (2,)
+        Eq. 16 by every centroider.
+    residual_px, photon_residual_px : dict of str to dict of str to float
+        RMS length of the shift as found and after calibration of the band: of the measured, of the noiseless light.
+    largest_pull : float
+        Largest |measured - photon| / sigma of all points, pairs and axes.
+    chi2 : float
+        Mean of ((measured - photon) / sigma)^2 over all points, pairs and axes; ``chi2_n`` of them.
+    truth_bias_px : (2,)
+        Largest and RMS distance of the mean centroid from the photon centroid.
+    """
+
+    measurement: ChromaticMeasurement
+    shift_px: Mapping[str, FloatArray]
+    photon_shift_px: Mapping[str, FloatArray]
+    bundle_shift_px: Mapping[str, FloatArray]
+    predicted_shift_px: Mapping[str, FloatArray]
+    shift_sigma_px: Mapping[str, FloatArray]
+    table1_px: Mapping[str, FloatArray]
+    table1_sigma_px: Mapping[str, FloatArray]
+    photon_table1_px: Mapping[str, FloatArray]
+    bundle_table1_px: Mapping[str, FloatArray]
+    predicted_table1_px: Mapping[str, FloatArray]
+    method_table1_px: Mapping[str, Mapping[str, FloatArray]]
+    residual_px: Mapping[str, Mapping[str, float]]
+    photon_residual_px: Mapping[str, Mapping[str, float]]
+    largest_pull: float
+    chi2: float
+    chi2_n: int
+    truth_bias_px: tuple[float, float]
+
+
+def reduce_chromatic(bench: Bench, instrument: Instrument, measured: ChromaticMeasurement) -> ChromaticReduction:
+    """Reduce one measurement as ACC18 does and set it beside truth and prediction.
+
+    Parameters
+    ----------
+    bench, instrument
+        The laboratory.
+    measured : ChromaticMeasurement
+        Centroids and truth.
+    """
+    pairs, method = bench.pairs, bench.methods[0]
+    mean, single = measured.mean_px[method], measured.sigma_px[method]
+    found = shifts(mean, pairs)
+    photon, bundle = shifts(measured.photon_px, pairs), shifts(measured.bundle_px, pairs)
+    predicted = shifts(bundle_prediction(bench, instrument, measured.direction), pairs)
+    pattern = shifts(measured.pattern_px, pairs)
+    # pooled over the points of a position: one point's own estimate from 30 frames would have pulls of Student's law
+    of_mean = (single**2).mean(1, keepdims=True) / measured.frames_used[..., None]
+    sigma, sigma_table = {}, {}
+    for name, high, low in pairs:
+        temporal = of_mean[..., high, :] + of_mean[..., low, :]
+        sigma[name] = np.sqrt(temporal + (pattern[name] ** 2).mean(0))
+        count = temporal.shape[0] * temporal.shape[1]
+        sigma_table[name] = np.sqrt(temporal.sum((0, 1)) / (2 * count) ** 2 + (table1(pattern[name]) ** 2).mean(0))
+    place = measured.nominal_px - instrument.camera.centre_px
+    pulls = np.stack([(found[n] - photon[n]) / sigma[n] for n, _, _ in pairs])
+    distance = np.linalg.norm(mean - measured.photon_px, axis=-1)
+    return ChromaticReduction(
+        measurement=measured,
+        shift_px=found,
+        photon_shift_px=photon,
+        bundle_shift_px=bundle,
+        predicted_shift_px=predicted,
+        shift_sigma_px=sigma,
+        table1_px={n: table1(v) for n, v in found.items()},
+        table1_sigma_px=sigma_table,
+        photon_table1_px={n: table1(v) for n, v in photon.items()},
+        bundle_table1_px={n: table1(v) for n, v in bundle.items()},
+        predicted_table1_px={n: table1(v) for n, v in predicted.items()},
+        method_table1_px={
+            m: {n: table1(v) for n, v in shifts(measured.mean_px[m], pairs).items()} for m in bench.methods
+        },
+        residual_px=_residuals(found, place),
+        photon_residual_px=_residuals(photon, place),
+        largest_pull=float(np.abs(pulls).max()),
+        chi2=float((pulls**2).mean()),
+        chi2_n=int(pulls.size),
+        truth_bias_px=(float(distance.max()), float(np.sqrt((distance**2).mean()))),
+    )
+
+
+def _residuals(shift_px: Mapping[str, FloatArray], place_px: FloatArray) -> dict[str, dict[str, float]]:
+    """RMS length of the shifts of each pair, as found and after each calibration."""
+    return {
+        name: {step: float(np.linalg.norm(rms(left))) for step, left in after_calibration(shift, place_px).items()}
+        for name, shift in shift_px.items()
+    }

@@ -1,0 +1,79 @@
+"""Where target points are imaged, predicted by ray trace alone: no renderer, image or noise takes part."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.instrument import Instrument
+from optics.arrays import FloatArray
+from optics.frames import field_angles_deg
+from optics.light.band import band_nodes
+from optics.rays.paraxial import lateral_colour_mm
+from optics.rays.pupil import PupilSamples, entrance_pupil, gauss_disk, sobol_disk
+from optics.rays.spots import spot_moments
+
+__all__ = ["bundle_prediction", "expected_spots", "paraxial_prediction"]
+
+COARSE = gauss_disk(5, 12)
+PREDICTION_NODES = 11
+"""Wavelength nodes of the predictions; another number than the renderer's on purpose."""
+
+
+def _shares(bench: Bench, instrument: Instrument) -> tuple[FloatArray, FloatArray]:
+    """Wavelength nodes (b, k) of the predictions and the share of the light each stands for."""
+    nodes = band_nodes(bench.filters, PREDICTION_NODES)
+    light = nodes.weight_nm * nodes.transmission * bench.lamp.photon_density(nodes.wavelength_nm)
+    light = light * instrument.camera.response_at(nodes.wavelength_nm)
+    return nodes.wavelength_nm, light / light.sum(1, keepdims=True)
+
+
+def expected_spots(
+    bench: Bench, instrument: Instrument, direction: FloatArray, samples: PupilSamples = COARSE
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean (p, j, b, 2), RMS radius (p, j, b) [px] and transmitted area (p, j, b) [mm^2] of the ray bundles.
+
+    Photon-weighted, by the NumPy trace alone: no renderer, image or noise takes part. NaN where no ray arrives.
+    """
+    camera = instrument.camera
+    wavelength, share = _shares(bench, instrument)
+    field_x, field_y = field_angles_deg(direction.reshape(-1, 3))
+    spot = spot_moments(camera.focused_lens, field_x, field_y, wavelength.ravel(), samples=samples)
+    x, y, second, area = (
+        v.reshape(-1, *share.shape) for v in (spot.x_mm, spot.y_mm, spot.xx_mm2 + spot.yy_mm2, spot.transmitted_mm2)
+    )
+    light = share * area / np.maximum((share * area).sum(2, keepdims=True), 1e-300)
+    mean_x, mean_y = ((v * light).sum(2) for v in (x, y))
+    apart = (x - mean_x[..., None]) ** 2 + (y - mean_y[..., None]) ** 2
+    radius = np.sqrt(((second + apart) * light).sum(2)) / camera.pixel_pitch_mm
+    shape = (*direction.shape[:2], len(share))
+    place = np.stack(camera.to_pixel(mean_x, mean_y), axis=-1).reshape(*shape, 2)
+    return place, radius.reshape(shape), (area * share).sum(2).reshape(shape)
+
+
+def bundle_prediction(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
+    """Photon-weighted bundle means (p, j, b, 2) [px] by the NumPy trace, without renderer, image or noise.
+
+    A few rays are enough for a round clear pupil; where apertures cut the light, thousands of them find the cut.
+    """
+    place, _, area = expected_spots(bench, instrument, direction)
+    if np.allclose(area, entrance_pupil(instrument.camera.focused_lens).area_mm2, rtol=1e-9):
+        return place
+    fine, points = sobol_disk(4096, seed=1), direction.reshape(-1, 3)
+    parts = [expected_spots(bench, instrument, part[None], fine)[0][0] for part in np.array_split(points, len(points))]
+    return np.concatenate(parts).reshape(place.shape)
+
+
+def paraxial_prediction(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
+    """Positions (p, j, b, 2) [px] relative to the reference band by paraxial lateral colour of the centred lens.
+
+    The chief ray's height is averaged over the light of each band: over 100 nm it is far from linear in wavelength.
+    """
+    camera = instrument.camera
+    wavelength, share = _shares(bench, instrument)
+    tangent = direction.reshape(-1, 3)[:, :2] / direction.reshape(-1, 3)[:, 2:]
+    # the paraxial chief ray is linear in the tangent of the field
+    height_mm = lateral_colour_mm(camera.focused_lens, 1.0, wavelength) / np.tan(np.radians(1.0))
+    per_tangent = (height_mm * share).sum(1)
+    per_tangent = (per_tangent - per_tangent[bench.reference]) / camera.pixel_pitch_mm
+    return (tangent[:, None, :] * per_tangent[:, None]).reshape(*direction.shape[:2], len(share), 2)

@@ -1,0 +1,251 @@
+"""ACC18's chromatic statistic, and what calibrations of each band leave of a shift: hand-made fields;
+and the statistics of measurements on many simulated cameras."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from calib.measure.stamps import stamps_from_windows
+from experiments.laboratory.bench import band_pairs
+from experiments.laboratory.chromatic_error import (
+    after_calibration,
+    measure_chromatic,
+    reduce_chromatic,
+    rms,
+    shifts,
+    table1,
+)
+from experiments.laboratory.instrument import build_instrument
+from experiments.laboratory.points import common_shift, pattern_effect
+from experiments.laboratory.ray_prediction import bundle_prediction
+from experiments.laboratory.target import corner_directions
+from optics.lens.perturb import decentre
+from render.engine.random import Streams
+
+
+@pytest.fixture
+def field():
+    """Places (4, 25, 2) of the target's points from the centre, and a generator."""
+    grid = np.stack(np.meshgrid(np.arange(-2, 3) * 150.0, np.arange(-2, 3) * 150.0), axis=-1).reshape(25, 2)
+    centres = np.array([[-1600, -570], [1600, -570], [-1600, 570], [1600, 570.0]])
+    return centres[:, None] + grid
+
+
+def test_pairs_put_the_longer_wavelength_first():
+    assert band_pairs((500.0, 600.0, 800.0), 1) == [("600-500", 1, 0), ("800-600", 2, 1)]
+    assert band_pairs((800.0, 600.0, 500.0), 1) == [("800-600", 0, 1), ("600-500", 1, 2)]
+    assert band_pairs((500.0, 600.0, 800.0), 0) == [("600-500", 1, 0), ("800-500", 2, 0)]
+    assert band_pairs((656.3, 486.1), 0) == [("656.3-486.1", 0, 1)]
+
+
+def test_shift_is_longer_minus_shorter_wavelength():
+    position = np.zeros((4, 25, 3, 2))
+    position[..., 0, :], position[..., 2, :] = [1.0, 2.0], [10.0, 20.0]
+    found = shifts(position, band_pairs((500.0, 600.0, 800.0), 1))
+    assert np.all(found["600-500"] == [-1.0, -2.0])
+    assert np.all(found["800-600"] == [10.0, 20.0])
+
+
+def test_eq_16_of_an_odd_field_vanishes_and_of_a_constant_is_half(field):
+    odd = field * 1e-4 + field * (field**2).sum(-1, keepdims=True) * 1e-11
+    assert np.abs(odd).max() > 0.2
+    assert table1(odd) == pytest.approx([0, 0], abs=1e-15)
+    assert table1(odd + np.array([0.24, -0.1])) == pytest.approx([0.12, -0.05], abs=1e-15)
+
+
+def test_eq_16_counts_every_point_alike():
+    one = np.zeros((4, 25, 2))
+    one[2, 7] = [200.0, -400.0]
+    assert table1(one) == pytest.approx([1.0, -2.0])  # 200 / (2 * 4 * 25)
+    assert table1(np.stack([one, 2 * one])) == pytest.approx(np.array([[1.0, -2.0], [2.0, -4.0]]))
+
+
+def test_rms_is_per_axis():
+    shift = np.zeros((4, 25, 2))
+    shift[:, :, 0] = 0.3 * np.where(np.arange(25) % 2, 1, -1)
+    shift[:2, :, 1] = 0.4
+    assert rms(shift) == pytest.approx([0.3, 0.4 / np.sqrt(2)])
+
+
+def test_calibration_of_a_pure_offset(field):
+    left = after_calibration(np.broadcast_to([0.2, -0.1], field.shape), field)
+    assert np.abs(left["as found"] - [0.2, -0.1]).max() == 0
+    assert np.abs(left["principal point"]).max() < 1e-14
+    # the four positions lie symmetrically: no scale looks like an offset
+    assert np.abs(left["focal length"] - [0.2, -0.1]).max() < 1e-14
+    assert np.abs(left["both"]).max() < 1e-14
+
+
+def test_calibration_of_a_pure_scale(field):
+    left = after_calibration(1e-4 * field, field)
+    assert np.abs(left["principal point"] - 1e-4 * field).max() < 1e-14
+    assert np.abs(left["focal length"]).max() < 1e-14
+    assert np.abs(left["both"]).max() < 1e-14
+
+
+def test_calibration_of_both_on_one_side_of_the_field(field):
+    """Away from symmetry the two parameters mix; fitted together they still find each its own."""
+    place = field[:1] + np.array([5000.0, 3000.0])
+    left = after_calibration(1e-4 * place + [0.2, -0.1], place)
+    assert np.abs(left["both"]).max() < 1e-12
+    assert np.abs(left["focal length"]).max() > 1e-3
+    assert np.abs(left["principal point"]).max() > 1e-3
+
+
+def test_calibration_leaves_the_cubic(field):
+    """What is left is orthogonal to what was fitted, and is the cubic minus its own best scale."""
+    squared = (field**2).sum(-1, keepdims=True)
+    cubic = 1e-11 * squared * field
+    left = after_calibration(cubic + 3e-5 * field + [0.05, 0.02], field)["both"]
+    scale = (squared**2).sum() / squared.sum()  # sum(r^3 r) / sum(r r)
+    assert np.abs(left - 1e-11 * (squared - scale) * field).max() < 1e-13
+    assert (left * field).sum() == pytest.approx(0, abs=1e-9)
+    assert left.sum((0, 1)) == pytest.approx([0, 0], abs=1e-11)
+
+
+def test_calibration_leaves_its_inputs_alone(field):
+    shift, place = 1e-4 * field, field.copy()
+    before = shift.copy()
+    after_calibration(shift, place)["as found"][:] = 7.0
+    assert np.array_equal(place, field)
+    assert np.array_equal(shift, before)
+
+
+def test_common_shift_is_what_most_detections_agree_on():
+    rng = np.random.default_rng(1)
+    offset = np.concatenate([rng.normal([31.0, -12.0], 0.5, (25, 2)), rng.uniform(-80, 80, (60, 2))])
+    assert common_shift(offset) == pytest.approx([31.0, -12.0], abs=0.5)
+    assert common_shift(np.full((3, 2), 500.0)) == pytest.approx([0, 0])
+
+
+def quick_measure(bench, instrument, seed):
+    return measure_chromatic(bench, instrument, Streams(seed).child("test"), advance=lambda: None)
+
+
+def with_sensor(instrument, sensor_seed, **changes):
+    return replace(instrument, detector=replace(instrument.detector, sensor_seed=sensor_seed, **changes))
+
+
+@pytest.fixture(scope="module")
+def measured(engine, bench_of, small_camera):
+    return quick_measure(bench_of(rows=1, columns=2, frames=2, dark_frames=2), small_camera, 1)
+
+
+def test_inputs_unchanged(measured, bench_of, small_camera):
+    bench = bench_of(rows=1, columns=2, frames=2, dark_frames=2)
+    direction = corner_directions(bench.target, small_camera)
+    before, mean = direction.copy(), measured.mean_px["epsf"].copy()
+    bundle_prediction(bench, small_camera, direction)
+    reduce_chromatic(bench, small_camera, measured)
+    assert np.array_equal(direction, before)
+    assert np.array_equal(measured.mean_px["epsf"], mean)
+    assert np.array_equal(measured.direction, direction)
+
+
+@pytest.mark.slow
+def test_same_seed_same_numbers_another_seed_others(engine, measured, bench_of, small_camera):
+    bench = bench_of(rows=1, columns=2, frames=2, dark_frames=2)
+    one = measured.mean_px["epsf"]
+    same, other = (quick_measure(bench, small_camera, seed).mean_px["epsf"] for seed in (1, 2))
+    assert np.array_equal(one, same)
+    assert not np.any(one == other)
+    assert np.abs(one - other).max() < 0.1
+
+
+@pytest.mark.slow
+def test_moved_image_is_found_again(engine, bench_of, small_camera):
+    """The target is looked for where the lens puts it, up to 80 px away; its comatic spots are not given up."""
+    bench = bench_of(frames=2, dark_frames=2)
+    moved = build_instrument(small_camera.config, decentre(small_camera.camera.lens, "L2", -0.4, 0.1))
+    measured = quick_measure(bench, moved, 3)
+    expected = bundle_prediction(bench, moved, measured.direction)
+    assert np.abs(measured.nominal_px - expected[:, :, 1]).max() > 40
+    assert np.abs(measured.mean_px["epsf"] - expected).max() < 0.1
+
+
+RUNS = 40
+
+
+@pytest.mark.slow
+def test_uncertainties_of_table_1_are_as_stated(engine, bench_of, small_camera):
+    """40 cameras (fixed patterns) and noise seeds: the entries scatter about the truth as their sigma says.
+
+    Two pairs share the 600 nm band (correlation 1/2, so 1/4 between their squares) and the two axes are independent:
+    the variance of the mean of 160 squared pulls is 2.5/160, and four standard deviations are allowed.
+    """
+    bench = bench_of()
+    pulls = []
+    for seed in range(RUNS):
+        camera = with_sensor(small_camera, 1000 + seed)
+        found = reduce_chromatic(bench, camera, quick_measure(bench, camera, seed))
+        pulls.append(
+            [(found.table1_px[n] - found.photon_table1_px[n]) / found.table1_sigma_px[n] for n, _, _ in bench.pairs]
+        )
+    pulls = np.array(pulls)
+    spread = np.sqrt(2.5 / pulls.size)
+    assert abs((pulls**2).mean() - 1) < 4 * spread
+    # no bias: the mean of 40 independent pulls per entry, the largest of four
+    assert np.abs(pulls.mean(0)).max() * np.sqrt(RUNS) < 4
+
+
+SENSORS = 40
+
+
+@pytest.mark.slow
+def test_effect_of_the_fixed_pattern_is_predicted(engine, bench_of, small_camera):
+    """The prediction draws response patterns; here 40 sensors are made, and their mean centroids scatter.
+
+    16 points x 2 axes x 40 sensors, against 48 predicted patterns for each of those: the relative standard deviation of
+    their variances is sqrt(2 / 1280) and sqrt(2 / 61440), together 4.0 %; four of them are allowed. The filters do not
+    count, the pattern is common to them. The temporal part is taken off.
+    """
+    bench = bench_of(frames=40, dark_frames=100)
+    place, temporal, predicted = [], [], []
+    for seed in range(SENSORS):
+        camera = with_sensor(small_camera, 2000 + seed, prnu=0.05)
+        measured = quick_measure(bench, camera, seed)
+        place.append(measured.mean_px["epsf"] - measured.photon_px)
+        temporal.append((measured.sigma_px["epsf"] ** 2 / measured.frames_used[..., None]).mean())
+        predicted.append((measured.pattern_px**2).mean((0, 1, 2)))
+    found = np.var(place, axis=0, ddof=1).mean((0, 1)) - np.mean(temporal)  # (b, 2)
+    spread = np.sqrt(2 / (32 * SENSORS) + 2 / (32 * 48 * SENSORS))
+    assert found.mean() > 10 * np.mean(temporal)
+    assert abs(found.mean() / np.mean(predicted) - 1) < 4 * spread
+
+
+@pytest.mark.slow
+def test_pattern_that_filters_share_cancels_in_part(engine, bench_of, small_camera):
+    """A fixed pattern moves a point alike behind two filters, so a shift suffers less than sqrt(2) of one position."""
+    measured = quick_measure(bench_of(), small_camera, 1)
+    pattern = shifts(measured.pattern_px, band_pairs((500.0, 600.0, 800.0), 1))
+    single = np.sqrt((measured.pattern_px**2).mean())
+    for shift in pattern.values():
+        assert np.sqrt((shift**2).mean()) < 1.2 * single
+
+
+def test_pattern_effect_on_a_centre_of_gravity(measured):
+    """No PRNU and no dark noise: nothing moves. With PRNU: the closed form of a centre of gravity."""
+
+    class Centre:
+        def measure(self, stamps, noise):
+            index = np.arange(stamps.electrons.shape[1])
+            total = stamps.electrons.sum((1, 2))
+            return SimpleNamespace(
+                x_px=(stamps.electrons.sum(1) * index).sum(1) / total,
+                y_px=(stamps.electrons.sum(2) * index).sum(1) / total,
+            )
+
+    stamps, noise = stamps_from_windows(measured.windows[0], background_e=0.0, start_px=measured.photon_px[0, :, 0])
+    light = np.random.default_rng(2).uniform(10, 20, (2, 13, 13))
+    still = pattern_effect(Centre(), stamps, noise, light, prnu=0.0, dark_e=0.0, rng=np.random.default_rng(3))
+    assert np.all(still == 0)
+    moved = pattern_effect(Centre(), stamps, noise, light, prnu=0.01, dark_e=0.0, rng=np.random.default_rng(3))
+    # centroid of independent pixel errors: var = prnu^2 sum (x - c)^2 e^2 / (sum e)^2
+    index = np.arange(13)
+    total = light.sum((1, 2))
+    centre = (light.sum(1) * index).sum(1) / total
+    variance = 1e-4 * ((index - centre[:, None]) ** 2 * (light**2).sum(1)).sum(1) / total**2
+    # 48 patterns x 2 points: the variance is known to sqrt(2 / 96) = 14 %; four of them
+    assert (moved[..., 0] ** 2).mean() == pytest.approx(variance.mean(), rel=0.58)
