@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +12,7 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.records import freeze
 
-__all__ = ["Response", "check_table", "checked_wavelength"]
+__all__ = ["Curve", "Response", "check_table", "checked_wavelength"]
 
 ROUNDING = 1e-12
 
@@ -83,8 +83,8 @@ def check_table(wavelength_nm: FloatArray, value: FloatArray, what: str, *, uppe
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Response:
-    """A fraction (0 ... 1) tabulated over wavelength: quantum efficiency, transmittance or reflectance.
+class Curve:
+    """Values tabulated over wavelength; what they are and what holds outside the table, each kind of curve says.
 
     Attributes
     ----------
@@ -93,12 +93,12 @@ class Response:
     wavelength_nm : (n,)
         Increasing wavelengths [nm].
     value : (n,)
-        Fraction at each of them.
+        Value at each of them.
 
     Raises
     ------
     DomainError
-        Unequal lengths, NaN, wavelengths not increasing, a value outside 0 ... 1.
+        Unequal lengths, NaN, wavelengths not increasing, a value outside the range of the kind.
     ConfigError
         No source.
     """
@@ -107,14 +107,22 @@ class Response:
     source: str
     wavelength_nm: FloatArray
     value: FloatArray
+    noun: ClassVar[str] = "curve"
+    largest: ClassVar[float] = 1.0
+    """Largest value that makes sense; a fraction does not exceed 1."""
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
         wave = freeze(self, "wavelength_nm", shape=("n",), sizes=sizes)
         value = freeze(self, "value", shape=("n",), sizes=sizes)
-        check_table(wave, value, self.name, upper=1.0)
+        check_table(wave, value, self.title, upper=self.largest)
         if not self.source:
-            raise ConfigError(f"{self.name}: a curve needs a source; say where its numbers come from")
+            raise ConfigError(f"{self.title} needs a source; say where its numbers come from")
+
+    @property
+    def title(self) -> str:
+        """What to call it in messages."""
+        return f"{self.noun} {self.name!r}"
 
     @property
     def range_nm(self) -> tuple[float, float]:
@@ -132,13 +140,24 @@ class Response:
         Returns
         -------
         numpy.ndarray
-            Fractions, the same shape.
+            Values, the same shape.
 
         Raises
         ------
         DomainError
             Outside the table; a curve is never extrapolated.
         """
-        wave = checked_wavelength(wavelength_nm, self.range_nm, self.name, "the table ends there")
+        wave = checked_wavelength(wavelength_nm, self.range_nm, self.title, "the table ends there")
         result: Any = np.interp(wave, self.wavelength_nm, self.value)
         return np.asarray(result)
+
+
+class Response(Curve):
+    """A fraction (0 ... 1) tabulated over wavelength: quantum efficiency, transmittance or reflectance; see `Curve`."""
+
+    __slots__ = ()
+
+    @property
+    def title(self) -> str:
+        """Its name, which says what it is."""
+        return self.name

@@ -74,14 +74,16 @@ class IndexFormula:
 
     def index(self, theta: Sequence[Any], wavelength_nm: Any, xp: ArrayNamespace) -> Any:
         """Absolute refractive index at each wavelength."""
-        air = 1.0 + theta[self.at] * kohlrausch_refractivity(wavelength_nm)
+        air_density, rest = theta[self.at], self.at + 1
+        air = 1.0 + air_density * kohlrausch_refractivity(wavelength_nm)
         if self.terms == 0:
             return air
-        at_b, at_c, end = (self.at + 2 + i * self.terms for i in range(3))
-        relative = xp.sqrt(sellmeier_squared(wavelength_nm, theta[at_b:at_c], theta[at_c:end]))
-        absolute = relative * air + theta[self.at + 1]
+        perturbation, b_at = theta[rest], rest + 1
+        c_at, thermal_at = b_at + self.terms, b_at + 2 * self.terms
+        relative = xp.sqrt(sellmeier_squared(wavelength_nm, theta[b_at:c_at], theta[c_at:thermal_at]))
+        absolute = relative * air + perturbation
         if self.thermal:
-            absolute = absolute + thermal_change(wavelength_nm, relative, *theta[end : end + 3])
+            absolute = absolute + thermal_change(wavelength_nm, relative, *theta[thermal_at : thermal_at + 3])
         return absolute
 
 

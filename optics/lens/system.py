@@ -150,6 +150,16 @@ class LensSystem:
             self.surfaces[self.stop_index].medium == AMBIENT and isinstance(self.surfaces[self.stop_index].shape, Plane)
         )
 
+    @property
+    def poses(self) -> tuple[tuple[FloatArray, FloatArray], ...]:
+        """(position [mm], rotation) of every surface and, last, of the image plane, in the lens frame."""
+        return (*((s.position_mm, s.rotation) for s in self.surfaces), (self.image_position_mm, self.image_rotation))
+
+    @property
+    def media(self) -> tuple[tuple[str, float], ...]:
+        """(name, index offset) of what lies before the first surface and after each one."""
+        return ((AMBIENT, 0.0), *((s.medium, s.index_offset) for s in self.surfaces))
+
     def indices(self, wavelength_nm: FloatArray | float) -> FloatArray:
         """Absolute refractive index before the first surface and after each one.
 
@@ -170,13 +180,12 @@ class LensSystem:
         """
         self.check_wavelength(wavelength_nm)
         wavelength = np.asarray(wavelength_nm, float)
-        keys = [(AMBIENT, 0.0)] + [(s.medium, s.index_offset) for s in self.surfaces]
         known = {}
-        for name, offset in dict.fromkeys(keys):
+        for name, offset in dict.fromkeys(self.media):
             glass = None if name == AMBIENT else self.glasses[name]
             numbers, terms, thermal = index_parameters(glass, self.environment, offset)
             known[name, offset] = IndexFormula(at=0, terms=terms, thermal=thermal).index(numbers, wavelength, NUMPY)
-        return np.stack([known[key] for key in keys])
+        return np.stack([known[medium] for medium in self.media])
 
     def check_wavelength(self, wavelength_nm: FloatArray | float) -> None:
         """Raise DomainError if a wavelength is outside the range of one of the glasses."""

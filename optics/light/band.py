@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.records import freeze
-from optics.response import check_table
+from optics.response import Curve
 
 __all__ = ["Band", "BandNodes", "TabulatedBand", "TopHat", "band_nodes", "piecewise_nodes"]
 
@@ -121,7 +121,7 @@ class TopHat:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TabulatedBand:
+class TabulatedBand(Curve):
     """A measured filter curve, linear between its points and zero outside them.
 
     Attributes
@@ -141,20 +141,12 @@ class TabulatedBand:
         No source.
     """
 
-    name: str
-    source: str
-    wavelength_nm: FloatArray
-    value: FloatArray
+    noun: ClassVar[str] = "band"
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        wave = freeze(self, "wavelength_nm", shape=("n",), sizes=sizes)
-        value = freeze(self, "value", shape=("n",), sizes=sizes)
-        check_table(wave, value, f"band {self.name!r}", upper=1.0)
-        if not value.any():
-            raise DomainError(f"band {self.name!r} is opaque everywhere")
-        if not self.source:
-            raise ConfigError(f"band {self.name!r} needs a source; say where its numbers come from")
+        Curve.__post_init__(self)
+        if not self.value.any():
+            raise DomainError(f"{self.title} is opaque everywhere")
 
     @property
     def breakpoints_nm(self) -> FloatArray:
@@ -163,23 +155,7 @@ class TabulatedBand:
         return self.wavelength_nm[max(lit[0] - 1, 0) : lit[-1] + 2]
 
     def transmission(self, wavelength_nm: ArrayLike) -> FloatArray:
-        """Fraction let through.
-
-        Parameters
-        ----------
-        wavelength_nm : array_like
-            Wavelengths [nm], any shape.
-
-        Returns
-        -------
-        numpy.ndarray
-            The same shape.
-
-        Raises
-        ------
-        DomainError
-            NaN.
-        """
+        """Fraction let through at wavelengths [nm] of any shape, 0 outside the table; DomainError on NaN."""
         wave = _finite_wavelength(wavelength_nm, self.name)
         return np.asarray(np.interp(wave, self.wavelength_nm, self.value, left=0.0, right=0.0))
 

@@ -186,11 +186,12 @@ def synthetic_magnitude(sed: Sed, *, system: str = "V") -> float:
     return scale.zero_point - 2.5 * float(np.log10(scale.scale * signal))
 
 
-def _magnitudes(magnitude: ArrayLike) -> FloatArray:
+def _brightening(sed: Sed, magnitude: ArrayLike, system: str) -> FloatArray:
+    """Factor on a spectrum that gives it the magnitude; shape of ``magnitude``."""
     values = np.asarray(magnitude, dtype=np.float64)
     if not np.isfinite(values).all():
         raise DomainError(f"magnitude {values[~np.isfinite(values)].flat[0]} is not finite")
-    return values
+    return np.asarray(10.0 ** (-0.4 * (values - synthetic_magnitude(sed, system=system))))
 
 
 def photon_rate(sed: Sed, magnitude: ArrayLike, *, wavelength_nm: ArrayLike, system: str = "V") -> FloatArray:
@@ -219,8 +220,7 @@ def photon_rate(sed: Sed, magnitude: ArrayLike, *, wavelength_nm: ArrayLike, sys
     DomainError
         Magnitude not finite, spectrum that does not cover the passband or the wavelengths.
     """
-    dimming = 10.0 ** (-0.4 * (_magnitudes(magnitude) - synthetic_magnitude(sed, system=system)))
-    return np.multiply.outer(dimming, sed.photon_density(wavelength_nm))
+    return np.multiply.outer(_brightening(sed, magnitude, system), sed.photon_density(wavelength_nm))
 
 
 def band_photon_rate(sed: Sed, magnitude: ArrayLike, bands: Sequence[Band], *, system: str = "V") -> FloatArray:
@@ -247,6 +247,5 @@ def band_photon_rate(sed: Sed, magnitude: ArrayLike, bands: Sequence[Band], *, s
     ConfigError, DomainError
         As `photon_rate`.
     """
-    dimming = 10.0 ** (-0.4 * (_magnitudes(magnitude) - synthetic_magnitude(sed, system=system)))
     rates = [band_integral(band, sed.photon_density, breakpoints_nm=sed.breakpoints_nm, order=8) for band in bands]
-    return np.multiply.outer(dimming, np.array(rates))
+    return np.multiply.outer(_brightening(sed, magnitude, system), np.array(rates))

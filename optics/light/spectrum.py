@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,8 +16,7 @@ from scipy import constants
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
-from optics.records import freeze
-from optics.response import check_table, checked_wavelength
+from optics.response import Curve, checked_wavelength
 
 __all__ = ["PHOTON_J_NM", "Blackbody", "Sed", "TabulatedSed", "sed_from_astropy", "sed_from_colour"]
 
@@ -106,7 +105,7 @@ class Blackbody:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TabulatedSed:
+class TabulatedSed(Curve):
     """A measured or modelled spectrum, interpolated linearly in the quantity that was tabulated.
 
     Attributes
@@ -128,28 +127,16 @@ class TabulatedSed:
         Unknown quantity, no source.
     """
 
-    name: str
-    source: str
-    wavelength_nm: FloatArray
-    value: FloatArray
     quantity: Literal["photon", "power"]
+    noun: ClassVar[str] = "spectrum"
+    largest: ClassVar[float] = math.inf
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        wave = freeze(self, "wavelength_nm", shape=("n",), sizes=sizes)
-        value = freeze(self, "value", shape=("n",), sizes=sizes)
-        check_table(wave, value, f"spectrum {self.name!r}")
-        if not value.any():
-            raise DomainError(f"spectrum {self.name!r} is zero everywhere")
+        Curve.__post_init__(self)
+        if not self.value.any():
+            raise DomainError(f"{self.title} is zero everywhere")
         if self.quantity not in ("photon", "power"):
-            raise ConfigError(f"spectrum {self.name!r}: quantity {self.quantity!r} is neither 'photon' nor 'power'")
-        if not self.source:
-            raise ConfigError(f"spectrum {self.name!r} needs a source; say where its numbers come from")
-
-    @property
-    def range_nm(self) -> tuple[float, float]:
-        """First and last wavelength [nm]."""
-        return float(self.wavelength_nm[0]), float(self.wavelength_nm[-1])
+            raise ConfigError(f"{self.title}: quantity {self.quantity!r} is neither 'photon' nor 'power'")
 
     @property
     def breakpoints_nm(self) -> FloatArray:
@@ -172,11 +159,10 @@ class TabulatedSed:
         Raises
         ------
         DomainError
-            Outside the table; a spectrum is never extrapolated.
+            Outside the table.
         """
-        wave = checked_wavelength(wavelength_nm, self.range_nm, f"spectrum {self.name!r}", "the table ends there")
-        value = np.interp(wave, self.wavelength_nm, self.value)
-        return np.asarray(value if self.quantity == "photon" else value * wave / PHOTON_J_NM)
+        value = self.interpolate(wavelength_nm)
+        return value if self.quantity == "photon" else value * np.asarray(wavelength_nm, float) / PHOTON_J_NM
 
 
 def sed_from_colour(distribution: Any, *, quantity: Literal["photon", "power"] = "power") -> TabulatedSed:

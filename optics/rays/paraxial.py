@@ -61,8 +61,8 @@ class ParaxialLens:
 
 
 def _require_centred(lens: LensSystem) -> None:
-    poses = [(s.position_mm, s.rotation, f"surface {i}") for i, s in enumerate(lens.surfaces)]
-    for position, rotation, what in [*poses, (lens.image_position_mm, lens.image_rotation, "image plane")]:
+    for i, (position, rotation) in enumerate(lens.poses):
+        what = f"surface {i}" if i < len(lens.surfaces) else "image plane"
         if np.any(position[:2] != 0.0) or not np.array_equal(rotation[:, 2], [0.0, 0.0, 1.0]):
             raise DomainError(
                 f"lens {lens.name!r}: {what} is tilted or decentred; paraxial quantities exist for centred lenses only"

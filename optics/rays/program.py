@@ -81,14 +81,13 @@ class _Vector:
 
 def _media(lens: LensSystem, vector: _Vector) -> tuple[list[IndexFormula], list[int]]:
     """Index formulas of the distinct media, and for each surface the number of the medium that follows it."""
-    keys = [(AMBIENT, 0.0)] + [(s.medium, s.index_offset) for s in lens.surfaces]
-    distinct = list(dict.fromkeys(keys))
+    distinct = list(dict.fromkeys(lens.media))
     formulas = []
     for name, offset in distinct:
         glass = None if name == AMBIENT else lens.glasses[name]
         numbers, terms, thermal = index_parameters(glass, lens.environment, offset)
         formulas.append(IndexFormula(at=vector.add(numbers), terms=terms, thermal=thermal))
-    return formulas, [distinct.index(key) for key in keys]
+    return formulas, [distinct.index(medium) for medium in lens.media]
 
 
 def compile_lens(lens: LensSystem, *, general: bool = False) -> tuple[LensProgram, FloatArray]:
@@ -110,10 +109,9 @@ def compile_lens(lens: LensSystem, *, general: bool = False) -> tuple[LensProgra
     """
     vector = _Vector()
     media, medium_of = _media(lens, vector)
-    poses = [(s.position_mm, s.rotation) for s in lens.surfaces] + [(lens.image_position_mm, lens.image_rotation)]
     steps = []
     position, rotation = np.zeros(3), np.eye(3)
-    for i, (new_position, new_rotation) in enumerate(poses):
+    for i, (new_position, new_rotation) in enumerate(lens.poses):
         surface = lens.surfaces[i] if i < len(lens.surfaces) else None
         turn = new_rotation.T @ rotation
         shift = new_rotation.T @ (position - new_position)

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from optics.errors import DomainError
-from optics.lens.system import AMBIENT, LensSystem
+from optics.lens.system import LensSystem
 from optics.rays.trace import OK, Rays
 
 __all__ = ["retraced", "reverse"]
@@ -34,7 +34,6 @@ def reverse(lens: LensSystem) -> LensSystem:
         Surfaces in reverse order; see the module for its frame. Reversing twice gives back a lens whose image plane is
         untilted and which is otherwise the same.
     """
-    before = [(AMBIENT, 0.0)] + [(s.medium, s.index_offset) for s in lens.surfaces[:-1]]
     surfaces = tuple(
         replace(
             surface,
@@ -44,7 +43,7 @@ def reverse(lens: LensSystem) -> LensSystem:
             medium=medium,
             index_offset=offset,
         )
-        for surface, (medium, offset) in zip(reversed(lens.surfaces), reversed(before), strict=True)
+        for surface, (medium, offset) in zip(reversed(lens.surfaces), reversed(lens.media[:-1]), strict=True)
     )
     return replace(
         lens,

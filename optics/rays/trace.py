@@ -121,6 +121,10 @@ class Rays:
         return self.status == OK
 
 
+Visitor = Callable[[int, Rays], None]
+"""What `trace_program` calls with the number of every surface and the rays on it, in its vertex frame."""
+
+
 def _into_frame(step: Step, theta: Any, p: tuple[Any, Any, Any], d: tuple[Any, Any, Any]) -> tuple[Any, Any]:
     """Point and direction in the step's vertex frame."""
     x, y, z = p
@@ -178,7 +182,7 @@ def trace_program(
     theta: Any,
     rays: Rays,
     xp: ArrayNamespace,
-    visit: Callable[[int, Rays], None] | None = None,
+    visit: Visitor | None = None,
 ) -> Rays:
     """Trace rays through a compiled lens to its image plane.
 
@@ -191,7 +195,7 @@ def trace_program(
     xp : ArrayNamespace
         Array library of the rays.
     visit : callable, optional
-        Called with the number of every surface and the rays on it, in its vertex frame.
+        See `Visitor`.
 
     Returns
     -------
@@ -203,7 +207,15 @@ def trace_program(
         rays = _cross(number, step, theta, index, rays, xp)
         if visit is not None:
             visit(number, rays)
-    return replace(rays, z=rays.z + 0.0 * rays.x)  # a plane leaves z as the number 0
+    # the image plane is flat, so that z is the plain number 0; adding 0 x makes it an array of the rays' own library
+    return replace(rays, z=rays.z + 0.0 * rays.x)
+
+
+def _trace_on_numpy(lens: LensSystem, rays: Rays, visit: Visitor | None = None) -> Rays:
+    lens.check_wavelength(rays.wavelength_nm)
+    program, theta = compile_lens(lens)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        return trace_program(program, NUMPY.parameters(theta), rays, NUMPY, visit)
 
 
 def trace(lens: LensSystem, rays: Rays) -> Rays:
@@ -226,10 +238,7 @@ def trace(lens: LensSystem, rays: Rays) -> Rays:
     DomainError
         If a wavelength is outside the range of one of the glasses.
     """
-    lens.check_wavelength(rays.wavelength_nm)
-    program, theta = compile_lens(lens)
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        return trace_program(program, NUMPY.parameters(theta), rays, NUMPY)
+    return _trace_on_numpy(lens, rays)
 
 
 def trace_path(lens: LensSystem, rays: Rays) -> NDArray[np.float64]:
@@ -252,15 +261,12 @@ def trace_path(lens: LensSystem, rays: Rays) -> NDArray[np.float64]:
     DomainError
         If a wavelength is outside the range of one of the glasses.
     """
-    lens.check_wavelength(rays.wavelength_nm)
-    program, theta = compile_lens(lens)
-    values = NUMPY.parameters(theta)
-    poses = [(s.position_mm, s.rotation) for s in lens.surfaces] + [(lens.image_position_mm, lens.image_rotation)]
     points = [np.stack([rays.x, rays.y, rays.z], axis=-1)]
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        index = [medium.index(values, rays.wavelength_nm, NUMPY) for medium in program.media]
-        for number, (step, (position, rotation)) in enumerate(zip(program.steps, poses, strict=True)):
-            rays = _cross(number, step, values, index, rays, NUMPY)
-            local = np.stack(np.broadcast_arrays(rays.x, rays.y, rays.z), axis=-1)
-            points.append(np.where((rays.status == OK)[..., None], local @ rotation.T + position, np.nan))
+
+    def keep(number: int, rays: Rays) -> None:
+        position, rotation = lens.poses[number]
+        local = np.stack(np.broadcast_arrays(rays.x, rays.y, rays.z), axis=-1)
+        points.append(np.where((rays.status == OK)[..., None], local @ rotation.T + position, np.nan))
+
+    _trace_on_numpy(lens, rays, keep)
     return np.stack(points)

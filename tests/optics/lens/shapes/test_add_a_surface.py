@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 
 from optics.glass.catalogue import get_glass
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[4]
 PAGE = (ROOT / "docs" / "extending" / "add_a_surface.md").read_text(encoding="utf-8")
 KINDS = Path("tests", "optics", "lens", "shapes", "test_kinds.py")
 REGISTRY = Path("optics", "lens", "shapes", "registry.py")
