@@ -11,8 +11,8 @@ where it looks in truth, after the best rotation was removed (`calib.cameras.lin
 beside the Cramer-Rao bound of a free attitude in every frame. RMS over the trials; SciPy and OpenCV get only the first
 3 of them (dense SciPy 1), so that their error is a sample. Times are medians over the trials, of the calibration alone.
 
-* ours: "free" is `calibrate_free_attitude`, "ACC" gets the turns of a perfect gyro besides, "interstar" knows no
-  attitude. All start from 20 mm, no distortion, and nothing known of the attitudes.
+* ours: "free" fits an attitude of its own to every frame, "ACC" gets the turns of a perfect gyro besides, "interstar"
+  knows no attitude. All start from 20 mm, no distortion, and nothing known of the attitudes.
 * SciPy: `scipy.optimize.least_squares` on the same residuals with derivatives by finite differences, dense and with the
   sparsity told; start camera as ours, attitudes by Wahba's problem.
 * tetra3rs: `calibrate_camera` with its default options, with a polynomial of order 5 and little clipping, and with its
@@ -48,11 +48,11 @@ from scipy.spatial.transform import Rotation
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from calib.attitude.link import link_attitudes
-from calib.calibration.attitude_correlated import calibrate_attitude_correlated
-from calib.calibration.bounds import bound_free_attitude
-from calib.calibration.fit import start_attitudes
-from calib.calibration.free_attitude import calibrate_free_attitude
-from calib.calibration.interstar import calibrate_interstar
+from calib.calibration.attitude_correlated import AttitudeCorrelated
+from calib.calibration.bound import bound as cramer_rao_bound
+from calib.calibration.calibrate import calibrate
+from calib.calibration.free_attitudes import FreeAttitudes, start_attitudes
+from calib.calibration.no_attitude import NoAttitude
 from calib.calibration.observations import Observations
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
@@ -179,10 +179,13 @@ def ours(sky: Sky) -> dict[str, Method]:
         return float(np.sqrt(stars.covariance_px2[0, 0, 0]))
 
     return {
-        "starbench free attitudes": lambda o: outcome(calibrate_free_attitude(o, start), sigma(o)),
-        "starbench ACC (perfect gyro)": lambda o: outcome(calibrate_attitude_correlated(o, sky.gyro, start), sigma(o)),
-        "starbench interstar, weighted": lambda o: outcome(calibrate_interstar(o, start, weighting="full"), sigma(o)),
-        "starbench interstar, as in ACF17": lambda o: outcome(calibrate_interstar(o, start), sigma(o)),
+        name: lambda o, family=family: outcome(calibrate(o, start, family), sigma(o))  # type: ignore[misc]
+        for name, family in {
+            "starbench free attitudes": FreeAttitudes(),
+            "starbench ACC (perfect gyro)": AttitudeCorrelated(gyro_rotation=sky.gyro),
+            "starbench interstar, weighted": NoAttitude(weighting="full"),
+            "starbench interstar, as in ACF17": NoAttitude(),
+        }.items()
     }
 
 
@@ -355,7 +358,7 @@ def report(sky: Sky, fov_deg: float, sigma_px: float, trials: int, seed: int) ->
     """One table; whether the targets are met."""
     template = sky.measured(sigma_px, np.random.default_rng(seed))
     truth = sky.camera.unproject(GRID)
-    bound = bound_free_attitude(template, sky.camera, sky.attitude)
+    bound = cramer_rao_bound(template, sky.camera, FreeAttitudes(attitude=sky.attitude))
     limit = line_of_sight_map(sky.camera, truth, GRID, covariance=bound.camera_covariance).predicted_rms_arcsec
     spread = line_of_sight_spread(sky.camera, bound.camera_covariance, trials)
     scores: dict[str, Score | str] = {}

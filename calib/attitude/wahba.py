@@ -24,11 +24,14 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from optics.arrays import FloatArray
+from optics.arrays import FloatArray, IntArray
 
-__all__ = ["adjugate3", "rotation_quest", "rotation_svd"]
+__all__ = ["adjugate3", "rotation_quest", "rotation_svd", "rotations_of_groups"]
 
 NEWTON_STEPS = 60
+ROBUST_STEPS = 20
+LEAST_MISS = 1e-5
+"""Reweighting of `rotations_of_groups`: steps, and the distance [rad] below which a star counts no more."""
 
 
 def rotation_svd(profile: FloatArray) -> FloatArray:
@@ -38,6 +41,44 @@ def rotation_svd(profile: FloatArray) -> FloatArray:
     u = u.copy()
     u[:, :, 2] *= np.sign(parity)[:, None]
     return np.asarray(u @ vt)
+
+
+def rotations_of_groups(
+    seen: FloatArray, reference: FloatArray, group: IntArray, groups: int, *, robust: bool
+) -> FloatArray:
+    """Rotations R with ``seen = R reference`` of groups of directions, all groups at once.
+
+    Parameters
+    ----------
+    seen, reference : (n, 3)
+        Directions; rows of ``seen`` with NaN do not count.
+    group : (n,) int
+        What each belongs to, 0 .. groups - 1.
+    groups : int
+        Number of groups g.
+    robust : bool
+        Least sum of distances instead of squares, by reweighting with 1 / distance (Weiszfeld 1937, Tohoku Math. J. 43,
+        355), so that wrong matches do not turn a group away.
+
+    Returns
+    -------
+    (g, 3, 3)
+        Rotation matrices; the identity where a group is empty.
+    """
+    good = np.all(np.isfinite(seen), axis=1)
+    seen = np.where(good[:, None], seen, 0.0)
+    products = (seen[:, :, None] * reference[:, None, :]).reshape(-1, 9)
+    weight = good.astype(np.float64)
+    rotation = np.broadcast_to(np.eye(3), (groups, 3, 3))
+    for _ in range(ROBUST_STEPS if robust else 1):
+        columns = [np.bincount(group, weight * products[:, i], minlength=groups) for i in range(9)]
+        profile = np.asarray(np.stack(columns, axis=1).reshape(-1, 3, 3), np.float64)
+        empty = ~np.any(profile, axis=(1, 2))
+        profile[empty] = np.eye(3)
+        rotation = rotation_svd(profile)
+        miss = np.linalg.norm(seen - np.einsum("nij,nj->ni", rotation[group], reference), axis=1)
+        weight = good / np.maximum(miss, LEAST_MISS)
+    return rotation
 
 
 def adjugate3(m: FloatArray) -> FloatArray:

@@ -13,47 +13,30 @@ so that e_k is a plain random walk whose steps have the variance N^2 dt in every
 with the residuals (e_k - e_(k-1)) / (N sqrt(dt)) and b / sigma_b beside those of the stars. The walk couples
 neighbouring frames only: the frames' part of the normal equations is a band. N -> 0 is ACC
 (`calib.calibration.attitude_correlated`); N -> infinity is a free attitude in every frame
-(`calib.calibration.free_attitude`), where the installation is no longer seen.
+(`calib.calibration.free_attitudes`), where the installation is no longer seen.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import exponential, right_jacobian
-from calib.calibration.attitude_correlated import (
-    ANGLE_NAMES,
-    GyroLink,
-    LinkState,
-    linked_parity,
-    start_link,
-    without_rounding,
-)
-from calib.calibration.fit import (
-    fit_stages,
-    frames_with,
-    free_stages,
-    packed,
-    refused,
-    verdict,
-)
+from calib.calibration.attitude_correlated import AttitudeCorrelated, LinkState
+from calib.calibration.attitude_family import RotationFamily
 from calib.calibration.observations import Observations
-from calib.calibration.record import Calibration
-from calib.calibration.star_problem import Prior, StarProblem, StarState, free_mask
+from calib.calibration.star_problem import Prior
 from calib.cameras.base import CameraModel
-from calib.fitting.robust_loss import Loss, get_loss
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from optics.records import freeze, locked
 from optics.units import DEG_RAD
 
-__all__ = ["BIAS_NAMES", "GyroNoise", "GyroWalk", "WalkState", "calibrate_gyro_linked"]
+__all__ = ["BIAS_NAMES", "GyroLinked", "GyroNoise", "WalkState"]
 
-METHOD = "gyro_linked"
 BIAS_NAMES = ("bias1_rad_per_s", "bias2_rad_per_s", "bias3_rad_per_s")
 LEAST_WALK = 1e-12  # rad/sqrt(s): 3e-9 deg/sqrt(h), far below any gyro; keeps the prior finite
 
@@ -102,86 +85,141 @@ class WalkState:
     walk: FloatArray
 
 
-class GyroWalk:
-    """Pose family of frames linked by a gyro with random walk and bias.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GyroLinked(RotationFamily):
+    """Frames linked by a gyro with angle random walk and bias.
 
-    Parameters
+    Attributes
     ----------
-    turn : (f, 3, 3)
-        Measured turns of the body from the first frame.
+    gyro_rotation : Rotation
+        f measured rotations, gyro body at frame k from gyro body at the first frame.
     time_s : (f,)
-        Times of the frames, increasing.
+        Times of the frames [s], increasing: frames are numbered in the order of time.
     noise : GyroNoise
-        Prior knowledge; without a bias sigma the bias is no unknown.
+        The gyro's angle random walk and the prior of its bias; without a bias sigma the bias is no unknown.
+    first_attitude, installation : Rotation or None
+        As in `AttitudeCorrelated`.
+    link : AttitudeCorrelated
+        The same frames with the gyro taken as perfect.
+    lever_s : (f, 3, 3)
+        B_k, how far the body is off per rate of bias.
+
+    Raises
+    ------
+    DomainError
+        If there is not one time per gyro rotation, or times do not increase.
     """
 
-    def __init__(self, turn: FloatArray, time_s: FloatArray, noise: GyroNoise) -> None:
-        self._link = GyroLink(turn)
-        self._frames = len(turn)
-        self._with_bias = noise.bias_sigma_rad_per_s > 0
-        self._bias_information = noise.bias_sigma_rad_per_s**-2 if self._with_bias else 0.0
-        walk = max(noise.angle_random_walk_rad_per_sqrt_s, LEAST_WALK)
-        self._step_information = 1.0 / (walk**2 * np.diff(time_s))
-        self.lever = _bias_levers(turn, time_s)
-        self.names = ANGLE_NAMES + (BIAS_NAMES if self._with_bias else ())
-        self.block_size = 3
-        self.block_unknowns = 3 * (self._frames - 1)
-        self.prior_terms = 3 * (self._frames - 1) + (3 if self._with_bias else 0)
+    gyro_rotation: Rotation
+    time_s: FloatArray
+    noise: GyroNoise
+    first_attitude: Rotation | None = None
+    installation: Rotation | None = None
+    link: AttitudeCorrelated = field(init=False, repr=False)
+    lever_s: FloatArray = field(init=False, repr=False)
+    _step_information: FloatArray = field(init=False, repr=False)
+    _bias_information: float = field(init=False, repr=False)
 
-    def start(self, link: LinkState) -> WalkState:
-        """State without gyro errors."""
-        return WalkState(link, np.zeros(3), np.zeros((self._frames, 3)))
+    method: ClassVar[str] = "gyro_linked"
+    per_frame: ClassVar[str] = "gyro rotations"
 
-    def rotations(self, state: WalkState) -> FloatArray:
+    def __post_init__(self) -> None:
+        link = AttitudeCorrelated(
+            gyro_rotation=self.gyro_rotation, first_attitude=self.first_attitude, installation=self.installation
+        )
+        time = freeze(self, "time_s", shape=("f",), finite=False)
+        if len(time) != len(link.turn):
+            raise DomainError(
+                f"GyroLinked: {len(link.turn)} gyro rotations and {len(time)} times; one of each per frame is needed"
+            )
+        if not (np.all(np.isfinite(time)) and np.all(np.diff(time) > 0)):
+            raise DomainError("GyroLinked.time_s: times must be finite and increase [s]; number the frames in order")
+        walk = max(self.noise.angle_random_walk_rad_per_sqrt_s, LEAST_WALK)
+        bias = self.noise.bias_sigma_rad_per_s
+        for name, value in (
+            ("link", link),
+            ("lever_s", locked(_bias_levers(link.turn, time))),
+            ("_step_information", 1.0 / (walk**2 * np.diff(time))),
+            ("_bias_information", bias**-2 if bias > 0 else 0.0),
+        ):
+            object.__setattr__(self, name, value)
+
+    @property
+    def _bias_names(self) -> tuple[str, ...]:
+        return BIAS_NAMES if self._bias_information else ()
+
+    @property
+    def frames(self) -> int:
+        """Number of gyro rotations."""
+        return len(self.time_s)
+
+    def names(self, stars: Observations) -> tuple[str, ...]:
+        """The document's angles, and the bias if it is an unknown."""
+        return self.link.names(stars) + self._bias_names
+
+    def frame_unknowns(self, stars: Observations) -> int:
+        """The walk of every frame but the first."""
+        return 3 * (self.frames - 1)
+
+    @property
+    def prior_terms(self) -> int:
+        """Steps of the walk, and the bias."""
+        return 3 * (self.frames - 1) + len(self._bias_names)
+
+    def start_pose(self, stars: Observations, model: CameraModel, *, robust: bool) -> WalkState:
+        """No gyro errors."""
+        link = self.link.start_pose(stars, model, robust=robust)
+        return WalkState(link, np.zeros(3), np.zeros((self.frames, 3)))
+
+    def rotations(self, pose: WalkState) -> FloatArray:
         """Eq. 6 with the corrected gyro."""
-        a = state.link.installation
-        return np.asarray(a @ self._body(state) @ (a.T @ state.link.first))
+        a = pose.link.installation
+        return np.asarray(a @ self._body(pose) @ (a.T @ pose.link.first))
 
-    def _error(self, state: WalkState) -> FloatArray:
-        return np.asarray(self.lever @ state.bias + state.walk)
+    def _error(self, pose: WalkState) -> FloatArray:
+        return np.asarray(self.lever_s @ pose.bias + pose.walk)
 
-    def _body(self, state: WalkState) -> FloatArray:
-        return np.asarray(self._link.turn @ exponential(self._error(state)))
+    def _body(self, pose: WalkState) -> FloatArray:
+        return np.asarray(self.link.turn @ exponential(self._error(pose)))
 
-    def rates(self, state: WalkState, rotation: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+    def rates(self, pose: WalkState, rotation: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """Those of ACC, then the bias; the walk of each frame."""
-        linked = rotation @ state.link.first.T
-        block = state.link.installation @ self._body(state) @ right_jacobian(self._error(state))
-        parts = [linked, without_rounding(np.eye(3) - linked)]
-        if self._with_bias:
-            parts.append(block @ self.lever)
+        common, _ = self.link.rates(pose.link, rotation)
+        block = pose.link.installation @ self._body(pose) @ right_jacobian(self._error(pose))
+        if self._bias_names:
+            common = np.concatenate([common, block @ self.lever_s], axis=2)
         block[0] = 0.0  # the walk begins at the first frame
-        return np.concatenate(parts, axis=2), block
+        return common, block
 
-    def move(self, state: WalkState, common: FloatArray, block: FloatArray | None) -> WalkState:
+    def move(self, pose: WalkState, common: FloatArray, block: FloatArray | None) -> WalkState:
         """Turn first attitude and installation, change bias and walk."""
         assert block is not None
-        walk = state.walk + block
+        walk = pose.walk + block
         walk[0] = 0.0
-        bias = state.bias + common[6:] if self._with_bias else state.bias
-        return WalkState(self._link.move(state.link, common[:6], None), bias, walk)
+        bias = pose.bias + common[6:] if self._bias_names else pose.bias
+        return WalkState(self.link.move(pose.link, common[:6], None), bias, walk)
 
-    def penalty(self, state: WalkState) -> float:
+    def penalty(self, pose: WalkState) -> float:
         """Squares of the gyro's steps and of its bias over their variances."""
-        steps = np.sum(np.diff(state.walk, axis=0) ** 2, axis=1)
-        return float(self._step_information @ steps + self._bias_information * (state.bias @ state.bias))
+        steps = np.sum(np.diff(pose.walk, axis=0) ** 2, axis=1)
+        return float(self._step_information @ steps + self._bias_information * (pose.bias @ pose.bias))
 
-    def prior(self, state: WalkState) -> Prior | None:
+    def prior(self, pose: WalkState) -> Prior | None:
         """A tridiagonal chain for the walk, a diagonal for the bias."""
         q = self._step_information
         inside = np.concatenate([[1.0], q])  # the first frame's walk is no unknown: any positive number
         inside[1:-1] += q[1:]
-        flow = q[:, None] * np.diff(state.walk, axis=0)
-        gradient = np.zeros((self._frames, 3))
+        flow = q[:, None] * np.diff(pose.walk, axis=0)
+        gradient = np.zeros((self.frames, 3))
         gradient[1:] += flow
         gradient[1:-1] -= flow[1:]
         coupling = -q[:, None, None] * np.eye(3)
         coupling[:1] = 0.0
-        size = len(self.names)
-        common = np.zeros((size, size))
-        common[6:, 6:] = self._bias_information * np.eye(size - 6)
-        common_gradient = np.zeros(size)
-        common_gradient[6:] = self._bias_information * state.bias[: size - 6]
+        biases = len(self._bias_names)
+        common = np.zeros((6 + biases, 6 + biases))
+        common[6:, 6:] = self._bias_information * np.eye(biases)
+        common_gradient = np.zeros(6 + biases)
+        common_gradient[6:] = self._bias_information * pose.bias[:biases]
         return Prior(
             common=common,
             gradient=common_gradient,
@@ -190,13 +228,21 @@ class GyroWalk:
             coupling=coupling,
         )
 
-    def reported(self, state: WalkState) -> tuple[FloatArray, FloatArray]:
+    def reported(self, pose: WalkState) -> tuple[FloatArray, FloatArray]:
         """Angles, then the bias."""
-        value, derivative = self._link.reported(state.link)
-        size = len(self.names)
-        full = np.eye(size)
+        value, derivative = self.link.reported(pose.link)
+        biases = len(self._bias_names)
+        full = np.eye(6 + biases)
         full[:6, :6] = derivative
-        return np.concatenate([value, state.bias[: size - 6]]), full
+        return np.concatenate([value, pose.bias[:biases]]), full
+
+    def installation_of(self, pose: WalkState) -> Rotation:
+        """cam from gyro body."""
+        return self.link.installation_of(pose.link)
+
+    def parity(self, stars: Observations, model: CameraModel) -> str:
+        """As with a perfect gyro."""
+        return self.link.parity(stars, model)
 
 
 def _bias_levers(turn: FloatArray, time_s: FloatArray) -> FloatArray:
@@ -205,112 +251,3 @@ def _bias_levers(turn: FloatArray, time_s: FloatArray) -> FloatArray:
     # G(t) = exp(step s) G_k; the integral of exp(-step s) over s is the right Jacobian of the step
     pieces = turn[:-1].swapaxes(1, 2) @ right_jacobian(step) * np.diff(time_s)[:, None, None]
     return np.concatenate([np.zeros((1, 3, 3)), np.cumsum(pieces, axis=0)])
-
-
-def calibrate_gyro_linked(
-    observations: Observations,
-    gyro_rotation: Rotation,
-    start_model: CameraModel,
-    *,
-    time_s: ArrayLike,
-    noise: GyroNoise,
-    start_attitude: Rotation | None = None,
-    start_installation: Rotation | None = None,
-    two_step: bool = True,
-    loss: str | Loss = "linear",
-    free: Sequence[str] | None = None,
-) -> Calibration:
-    """Calibrate a camera, its first attitude and its installation with a gyro of stated noise.
-
-    Parameters
-    ----------
-    observations : Observations
-        Measured stars; frame numbers in the order of time.
-    gyro_rotation : Rotation
-        f rotations, gyro body at frame k from gyro body at the first frame.
-    start_model : CameraModel
-        Start of the camera; fixed parameters keep their value.
-    time_s : (f,)
-        Times of the frames [s].
-    noise : GyroNoise
-        The gyro's angle random walk and the prior of its bias.
-    start_attitude, start_installation, two_step, loss, free
-        As in `calib.calibration.attitude_correlated.calibrate_attitude_correlated`.
-
-    Returns
-    -------
-    Calibration
-        ``solution`` holds the free camera parameters, the angles, and the bias [rad/s] if it has a prior sigma.
-
-    Raises
-    ------
-    DomainError
-        If gyro rotations or times do not match the frames, or times do not increase.
-    ConfigError
-        On an unknown parameter or loss.
-    """
-    chosen, mask = get_loss(loss), free_mask(start_model, free)
-    turn = gyro_rotation.as_matrix().reshape(-1, 3, 3)
-    time = checked_times(time_s, turn, observations.frames)
-    selection = frames_with(observations, start_model, 1)
-    stars = selection.observations
-    link = start_link(
-        stars,
-        turn,
-        start_model,
-        start_attitude=start_attitude,
-        start_installation=start_installation,
-        robust=chosen.name != "linear",
-    )
-    family = GyroWalk(turn, time, noise)
-    start = family.start(link)
-    names = (*(n for n, moves in zip(start_model.parameter_names, mask, strict=True) if moves), *family.names)
-    surplus = 2 * len(stars.frame) + family.prior_terms - len(names) - family.block_unknowns
-    if surplus <= 0:
-        return refused(
-            METHOD,
-            names,
-            start_model,
-            message=f"{len(stars.frame)} stars give {2 * len(stars.frame)} measurements for {len(names)} unknowns",
-            selection=selection,
-            unknowns=len(names),
-            attitude=family.rotations(start),
-            installation=Rotation.from_matrix(link.installation),
-        )
-    fit, spread = fit_stages(
-        lambda stage: StarProblem(stars, start_model, stage, family),
-        StarState(np.array(start_model.parameters), start),
-        free_stages(start_model, mask, two_step=two_step),
-        chosen,
-    )
-
-    status, message = verdict(fit, spread, chosen, lambda: linked_parity(stars, turn, start_model))
-    return packed(
-        METHOD,
-        fit,
-        start_model,
-        mask,
-        selection=selection,
-        status=status,
-        message=message,
-        attitude=family.rotations(fit.state.pose),
-        installation=Rotation.from_matrix(fit.state.pose.link.installation),
-    )
-
-
-def checked_times(time_s: ArrayLike, turn: FloatArray, frames: int) -> FloatArray:
-    """Times (f,) that match the gyro's rotations and the frames.
-
-    Raises
-    ------
-    DomainError
-        If they do not.
-    """
-    time = np.asarray(time_s, dtype=np.float64)
-    if len(turn) != frames or time.shape != (frames,):
-        raise DomainError(
-            f"{len(turn)} gyro rotations and {time.size} times for {frames} frames; one of each is needed"
-        )
-    if not (np.all(np.isfinite(time)) and np.all(np.diff(time) > 0)):
-        raise DomainError("the times of the frames must be finite and increase [s]; number the frames in their order")
-    return time

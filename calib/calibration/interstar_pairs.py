@@ -1,4 +1,4 @@
-"""Angles between the stars of a frame, as least-squares problems; the mathematics of `calib.calibration.interstar`.
+"""Angles between the stars of a frame, as least-squares problems; the mathematics of `calib.calibration.no_attitude`.
 
 Frames are padded to the longest one, a missing star being the zero vector: every product with it vanishes, so that no
 mask is needed. With u_i the direction of the measured star i by the present camera and r_i its catalogue direction, the
@@ -33,12 +33,13 @@ from typing import Literal
 import numpy as np
 
 from calib.calibration.observations import Observations
+from calib.calibration.stages import free_names
 from calib.cameras.base import CameraModel, unproject_jacobian
 from calib.fitting.arrow import ArrowSystem, Step
 from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.errors import DomainError
 
-__all__ = ["PairProblem", "Pairs", "StarFrames", "WeightedPairProblem", "pair_covariance"]
+__all__ = ["PairProblem", "Pairs", "StarFrames", "WeightedPairProblem", "pair_covariance", "typical_sigma"]
 
 Pairs = Literal["all", "consecutive"]
 
@@ -206,8 +207,8 @@ class PairEvaluation:
     penalty: float = 0.0
 
 
-class PairProblem:
-    """Misclosures of pairs with equal weights; the state of the least-squares problem is the camera parameters.
+class _CameraProblem:
+    """What both problems share: the state is the vector of all camera parameters, of which the free ones move.
 
     Parameters
     ----------
@@ -217,27 +218,18 @@ class PairProblem:
         Layout of the camera.
     free : (p,) bool
         Parameters that move.
-    sigma : float
-        Typical standard deviation of a misclosure, the same for all: it scales residuals, not weights.
     """
 
-    def __init__(self, stars: StarFrames, model: CameraModel, free: BoolArray, sigma: float) -> None:
-        self.stars, self.model, self.free, self.sigma = stars, model, free, sigma
-        self.names = tuple(n for n, moves in zip(model.parameter_names, free, strict=True) if moves)
-        self.unknowns, self.prior_terms = len(self.names), 0
+    prior_terms = 0
 
-    def evaluate(self, state: FloatArray) -> PairEvaluation:
-        """Misclosures over the typical sigma (m, 1)."""
-        seen = self.stars.directions(self.model.with_parameters(state), self.free) if np.isfinite(state).all() else None
-        if seen is None:
-            return PairEvaluation(np.full((len(self.stars.pair[0]), 1), np.nan), None)
-        return PairEvaluation(self.stars.misclosure(seen.unit)[self.stars.pair][:, None] / self.sigma, seen)
+    def __init__(self, stars: StarFrames, model: CameraModel, free: BoolArray) -> None:
+        self.stars, self.model, self.free = stars, model, free
+        self.names = free_names(model, free)
+        self.unknowns = len(self.names)
 
-    def system(self, evaluation: PairEvaluation, weight: FloatArray) -> ArrowSystem:
-        """Normal equations."""
-        assert evaluation.seen is not None
-        normal, gradient = self.stars.normal_equations(evaluation.seen, weight)
-        return ArrowSystem(common=normal / self.sigma**2, gradient=gradient / self.sigma**2)
+    def directions(self, state: FloatArray) -> Directions | None:
+        """Directions by the camera of a state; None where it is not finite or a pixel has no direction."""
+        return self.stars.directions(self.model.with_parameters(state), self.free) if np.isfinite(state).all() else None
 
     def move(self, state: FloatArray, step: Step) -> FloatArray:
         """Parameters after a step."""
@@ -247,7 +239,42 @@ class PairProblem:
 
     def reported(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The free parameters."""
-        return state[self.free], np.eye(self.unknowns)
+        return state[self.free], np.eye(len(self.names))
+
+
+class PairProblem(_CameraProblem):
+    """Misclosures of pairs with equal weights.
+
+    Parameters
+    ----------
+    stars, model, free
+        Stars and pairs, camera, and the parameters (p,) that move.
+    sigma : float
+        Typical standard deviation of a misclosure, the same for all: it scales residuals, not weights.
+    """
+
+    def __init__(self, stars: StarFrames, model: CameraModel, free: BoolArray, sigma: float) -> None:
+        super().__init__(stars, model, free)
+        self.sigma = sigma
+
+    @classmethod
+    def at(cls, stars: StarFrames, model: CameraModel, free: BoolArray) -> PairProblem:
+        """The problem with the typical sigma at a camera."""
+        seen = stars.directions(model, free)
+        return cls(stars, model, free, 1.0 if seen is None else typical_sigma(stars, seen))
+
+    def evaluate(self, state: FloatArray) -> PairEvaluation:
+        """Misclosures over the typical sigma (m, 1)."""
+        seen = self.directions(state)
+        if seen is None:
+            return PairEvaluation(np.full((len(self.stars.pair[0]), 1), np.nan), None)
+        return PairEvaluation(self.stars.misclosure(seen.unit)[self.stars.pair][:, None] / self.sigma, seen)
+
+    def system(self, evaluation: PairEvaluation, weight: FloatArray) -> ArrowSystem:
+        """Normal equations."""
+        assert evaluation.seen is not None
+        normal, gradient = self.stars.normal_equations(evaluation.seen, weight)
+        return ArrowSystem(common=normal / self.sigma**2, gradient=gradient / self.sigma**2)
 
 
 def typical_sigma(stars: StarFrames, seen: Directions) -> float:
@@ -290,29 +317,29 @@ def pair_covariance(problem: PairProblem, evaluation: PairEvaluation, weight: Fl
     return np.asarray(root @ root.T)
 
 
-class WeightedPairProblem:
+class WeightedPairProblem(_CameraProblem):
     """All pairs of every frame, weighted by the pseudo-inverse of their covariance, taken at one camera and kept.
 
     Parameters
     ----------
-    stars : StarFrames
-        Stars.
-    model : CameraModel
-        Camera at which the weights are taken.
-    free : (p,) bool
-        Parameters that move.
+    stars, model, free
+        Stars, camera at which the weights are taken, and the parameters (p,) that move.
+
+    Raises
+    ------
+    DomainError
+        If a pixel has no direction by the camera.
     """
 
     def __init__(self, stars: StarFrames, model: CameraModel, free: BoolArray) -> None:
-        self.stars, self.model, self.free = stars, model, free
-        self.names = tuple(n for n, moves in zip(model.parameter_names, free, strict=True) if moves)
+        super().__init__(stars, model, free)
         seen = stars.directions(model, free)
         if seen is None:
             raise DomainError("weights of interstar angles: a pixel has no direction by this camera")
         frames = len(seen.unit)
         size = np.bincount(stars.table, minlength=frames)
         # turns of the frames are unknowns in disguise: a frame of n stars gives 2 n - 3 measurements
-        self.unknowns, self.prior_terms = len(self.names) + 3 * frames, 0
+        self.unknowns += 3 * frames
         self._frozen = seen
         self._blocks, self._low, self._core = self._weights(seen, size)
 
@@ -349,8 +376,7 @@ class WeightedPairProblem:
 
     def evaluate(self, state: FloatArray) -> PairEvaluation:
         """z (m, 2), one row per star."""
-        stars = self.stars
-        seen = stars.directions(self.model.with_parameters(state), self.free) if np.isfinite(state).all() else None
+        stars, seen = self.stars, self.directions(state)
         if seen is None:
             return PairEvaluation(np.full((len(stars.table), 2), np.nan), None)
         across = stars.misclosure(seen.unit) @ self._frozen.unit  # misclosures themselves: no digits are lost
@@ -376,13 +402,3 @@ class WeightedPairProblem:
         residual = stars.padded(evaluation.residual).reshape(-1)
         weighted = rows * np.repeat(stars.padded(weight).reshape(-1), 2)[:, None]
         return ArrowSystem(common=rows.T @ weighted, gradient=weighted.T @ residual)
-
-    def move(self, state: FloatArray, step: Step) -> FloatArray:
-        """Parameters after a step."""
-        out = state.copy()
-        out[self.free] += step.common
-        return out
-
-    def reported(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The free parameters."""
-        return state[self.free], np.eye(len(self.names))

@@ -1,9 +1,9 @@
 """Least-squares problem of stars seen by one camera in many attitudes.
 
 The measured position of star j in frame k is that of ``v = R_k r_j`` through the camera. All unknowns of the attitudes
-enter through rotations R_k (cam from reference); how R_k depends on them is the business of a pose family (free in
-every frame, linked by a gyro, set by a turntable), which only says by which rotation vector w, in cam, R_k turns when
-an unknown changes. With ``g`` a row of the camera's derivative by direction,
+enter through rotations R_k (cam from reference); how R_k depends on them is known to `FrameRotations` (free in every
+frame, linked by a gyro, set by a turntable), which only says by which rotation vector w, in cam, R_k turns when an
+unknown changes. With ``g`` a row of the camera's derivative by direction,
 
     g . (w x v) = w . (v x g),
 
@@ -14,20 +14,19 @@ frame, one batched product; the family's unknowns follow from small products per
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.calibration.observations import Observations
+from calib.calibration.stages import free_names
 from calib.cameras.base import CameraModel
 from calib.fitting.arrow import ArrowSystem, Step
-from optics.arrays import FloatArray, IntArray
-from optics.errors import unknown_name
+from optics.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["PoseFamily", "Prior", "StarProblem", "StarState", "free_mask", "whitening"]
+__all__ = ["FrameRotations", "Prior", "StarProblem", "StarState", "whitening"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,7 +36,7 @@ class Prior:
     Attributes
     ----------
     common : (a, a)
-        Information on the family's common unknowns.
+        Information on the common unknowns.
     gradient : (a,)
         Its gradient.
     block : (f, b, b)
@@ -55,57 +54,52 @@ class Prior:
     coupling: FloatArray | None = None
 
 
-class PoseFamily(Protocol):
+class FrameRotations(ABC):
     """How the attitudes of the frames depend on unknowns."""
 
-    @property
-    def names(self) -> tuple[str, ...]:
+    __slots__ = ()
+
+    @abstractmethod
+    def names(self, stars: Observations) -> tuple[str, ...]:
         """Names of the common unknowns as reported, (a,)."""
-        ...
+
+    @abstractmethod
+    def frame_unknowns(self, stars: Observations) -> int:
+        """Number of the unknowns of single frames, all frames together."""
 
     @property
-    def block_size(self) -> int:
-        """Unknowns of each frame alone."""
-        ...
-
-    @property
-    def block_unknowns(self) -> int:
-        """Number of all of them together."""
-        ...
-
-    @property
+    @abstractmethod
     def prior_terms(self) -> int:
         """Number of prior residuals."""
-        ...
 
-    def rotations(self, state: Any) -> FloatArray:
+    @abstractmethod
+    def rotations(self, pose: Any) -> FloatArray:
         """Attitudes (f, 3, 3), cam from reference."""
-        ...
 
-    def rates(self, state: Any, rotation: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+    @abstractmethod
+    def rates(self, pose: Any, rotation: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """Rotation vectors in cam per common unknown (f, 3, a), and per unknown of the frame (f, 3, b)."""
-        ...
 
-    def move(self, state: Any, common: FloatArray, block: FloatArray | None) -> Any:
+    @abstractmethod
+    def move(self, pose: Any, common: FloatArray, block: FloatArray | None) -> Any:
         """State after a step."""
-        ...
 
-    def penalty(self, state: Any) -> float:
+    def penalty(self, pose: Any) -> float:
         """Sum of squares of the prior residuals."""
-        ...
+        return 0.0
 
-    def prior(self, state: Any) -> Prior | None:
+    def prior(self, pose: Any) -> Prior | None:
         """Normal equations of the prior residuals."""
-        ...
+        return None
 
-    def reported(self, state: Any) -> tuple[FloatArray, FloatArray]:
+    def reported(self, pose: Any) -> tuple[FloatArray, FloatArray]:
         """Common unknowns (a,) as reported, and their derivatives (a, a) by the step."""
-        ...
+        return np.zeros(0), np.zeros((0, 0))
 
 
 @dataclass(frozen=True, slots=True)
 class StarState:
-    """Camera parameters (p,), all of them, and the state of the pose family."""
+    """Camera parameters (p,), all of them, and the state of the attitudes."""
 
     camera: FloatArray
     pose: Any
@@ -133,22 +127,8 @@ def whitening(covariance: FloatArray) -> FloatArray:
     return out
 
 
-def free_mask(model: CameraModel, free: Sequence[str] | None) -> NDArray[np.bool_]:
-    """Which camera parameters may move (p,).
-
-    Raises
-    ------
-    ConfigError
-        On an unknown name.
-    """
-    for name in free or ():
-        if name not in model.parameter_names:
-            raise unknown_name("camera parameter", name, model.parameter_names)
-    return np.array([free is None or name in free for name in model.parameter_names])
-
-
 class StarProblem:
-    """Stars through a camera, in the attitudes of a pose family; a problem of `calib.fitting.least_squares`.
+    """Stars through a camera in attitudes that are unknown; a problem of `calib.fitting.least_squares`.
 
     Parameters
     ----------
@@ -158,17 +138,14 @@ class StarProblem:
         Camera; its parameters are only the layout, values come from the state.
     free : (p,) bool
         Camera parameters that may move.
-    family : PoseFamily
+    family : FrameRotations
         Attitudes.
     """
 
-    def __init__(
-        self, observations: Observations, model: CameraModel, free: NDArray[np.bool_], family: PoseFamily
-    ) -> None:
+    def __init__(self, observations: Observations, model: CameraModel, free: BoolArray, family: FrameRotations) -> None:
         self.observations, self.model, self.free, self.family = observations, model, free, family
-        camera_names = tuple(n for n, is_free in zip(model.parameter_names, free, strict=True) if is_free)
-        self.names = camera_names + tuple(family.names)
-        self.unknowns = len(self.names) + family.block_unknowns
+        self.names = free_names(model, free) + family.names(observations)
+        self.unknowns = len(self.names) + family.frame_unknowns(observations)
         self.prior_terms = family.prior_terms
         self._white = whitening(observations.covariance_px2)
         alone = bool(np.all(self._white[:, 1, 0] == 0))
@@ -271,7 +248,7 @@ class StarProblem:
         return StarState(camera, self.family.move(state.pose, step.common[q:], step.block))
 
     def reported(self, state: StarState) -> tuple[FloatArray, FloatArray]:
-        """Free camera parameters and the family's common unknowns."""
+        """Free camera parameters and the common unknowns."""
         value, derivative = self.family.reported(state.pose)
         q = int(self.free.sum())
         full = np.eye(q + len(value))

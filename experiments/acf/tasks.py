@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import angles_of_rotation, link_attitudes
-from calib.calibration.attitude_correlated import calibrate_attitude_correlated
-from calib.calibration.free_attitude import calibrate_free_attitude
-from calib.calibration.gyro_linked import GyroNoise, calibrate_gyro_linked
-from calib.calibration.interstar import calibrate_interstar
+from calib.calibration.attitude_correlated import AttitudeCorrelated
+from calib.calibration.calibrate import calibrate
+from calib.calibration.free_attitudes import FreeAttitudes
+from calib.calibration.gyro_linked import GyroLinked, GyroNoise
+from calib.calibration.no_attitude import NoAttitude
 from calib.calibration.observations import Observations
 from calib.calibration.record import Calibration
 from calib.cameras.brown_conrady import BrownConrady
@@ -179,28 +180,26 @@ def _calibrate(task: Task, sky: _Sky, observed: Observations, method: Method, li
     start = start_camera(task.config, build_camera(task.config, task.point.pixel_um).geometry)
     if link is None:
         if method == "free":
-            return calibrate_free_attitude(observed, start)
-        return calibrate_interstar(observed, start, weighting="none" if method == "iac" else "full")
+            return calibrate(observed, start, FreeAttitudes())
+        return calibrate(observed, start, NoAttitude(weighting="none" if method == "iac" else "full"))
     turned = link.rotation[sky.kept]
     if method == "acc":
         known = task.config.start.phi_from_stars or task.point.own_sky
-        return calibrate_attitude_correlated(
-            observed,
-            turned,
-            start,
-            start_attitude=None if known else Rotation.identity(),
-            start_installation=Rotation.identity(),
+        family = AttitudeCorrelated(
+            gyro_rotation=turned,
+            first_attitude=None if known else Rotation.identity(),
+            installation=Rotation.identity(),
         )
+        return calibrate(observed, start, family)
     bias, walk = link.noise
     scene = build_scene(task.config, task.point.pixel_um)
-    return calibrate_gyro_linked(
-        observed,
-        turned,
-        start,
+    linked = GyroLinked(
+        gyro_rotation=turned,
         time_s=scene.time_s[sky.kept],
         noise=GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=walk, bias_deg_per_h=bias),
-        start_installation=Rotation.identity(),
+        installation=Rotation.identity(),
     )
+    return calibrate(observed, start, linked)
 
 
 def _one(task: Task, sky: _Sky, observed: Observations, method: Method, link: _Link | None) -> dict[str, Any]:

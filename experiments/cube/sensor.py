@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import increment_per_angle, rotation_of_angles
+from calib.calibration.calibrate import calibrate
 from calib.calibration.observations import Observations
-from calib.calibration.turntable import INSTALLATION_NAMES, STAR_NAMES, TableErrors, calibrate_turntable
+from calib.calibration.turntable import INSTALLATION_NAMES, STAR_NAMES, TableErrors, TurntableAttitudes
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.fitting.solution import Solution
 from experiments.cube.bench import Laboratory, Truth
@@ -218,14 +219,13 @@ def fit_sensor(
         frame=np.arange(count),
         sigma_px=CENTROID_SIGMA_PX,
     )
-    errors = None
+    errors = TableErrors()
     if free:
         errors = TableErrors(axis_rate=nominal.lean_rates(reading_rad), axis_names=(LEAN_NAME,))
-    calibration = calibrate_turntable(
+    calibration = calibrate(
         observations,
-        nominal.rotation(reading_rad),
         BrownConrady.create(geometry, focal_length_mm=config.sensor.gap_mm),
-        errors=errors,
+        TurntableAttitudes(table_rotation=nominal.rotation(reading_rad), errors=errors),
         free=FREE,
     )
     solution = calibration.solution

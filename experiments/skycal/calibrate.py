@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from calib.calibration.attitude_correlated import calibrate_attitude_correlated
-from calib.calibration.free_attitude import calibrate_free_attitude
-from calib.calibration.gyro_linked import GyroNoise, calibrate_gyro_linked
+from calib.calibration.attitude_correlated import AttitudeCorrelated
+from calib.calibration.attitude_family import AttitudeFamily
+from calib.calibration.calibrate import calibrate
+from calib.calibration.free_attitudes import FreeAttitudes
+from calib.calibration.gyro_linked import GyroLinked, GyroNoise
 from calib.calibration.observations import Observations
 from calib.calibration.record import Calibration
 from calib.cameras import BrownConrady, Polynomial
@@ -166,19 +168,17 @@ class Bench:
         start, free = start_camera(self.scene, self.config, model)
         stars, loss = self.observations(data), LOSS if data in self.robust else "linear"
         scene, gyro = self.scene, self.config.gyro
-        if method == "free":
-            made = calibrate_free_attitude(stars, start, loss=loss, free=free)
-        elif method == "linked":
+        family: AttitudeFamily = FreeAttitudes()
+        if method == "linked":
             noise = GyroNoise.from_data_sheet(
                 angle_random_walk_deg_per_sqrt_h=gyro.angle_random_walk_deg_per_sqrt_h,
                 bias_deg_per_h=gyro.bias_deg_per_h,
             )
-            made = calibrate_gyro_linked(
-                stars, scene.gyro_rotation, start, time_s=scene.time_s, noise=noise, loss=loss, free=free
-            )
-        else:
+            family = GyroLinked(gyro_rotation=scene.gyro_rotation, time_s=scene.time_s, noise=noise)
+        elif method != "free":
             turn = scene.true_gyro_rotation if method == "acc_true" else scene.gyro_rotation
-            made = calibrate_attitude_correlated(stars, turn, start, loss=loss, free=free)
+            family = AttitudeCorrelated(gyro_rotation=turn)
+        made = calibrate(stars, start, family, loss=loss, free=free)
         return self.judge(made, method=method, model=model, data=data)
 
     def judge(self, made: Calibration, *, method: str, model: str, data: str) -> Judged:
@@ -205,7 +205,7 @@ class Bench:
             frame=np.zeros(len(self.chart.pixel_px), np.int64),
             sigma_px=1.0,
         )
-        made = calibrate_free_attitude(grid, start, free=free)
+        made = calibrate(grid, start, FreeAttitudes(), free=free)
         return self.judge(made, method="free", model=model, data="chart")
 
     def residuals(self, judged: Judged) -> FloatArray:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.association import associate, match_stars
-from calib.calibration.free_attitude import calibrate_free_attitude
+from calib.calibration.calibrate import calibrate
+from calib.calibration.free_attitudes import FreeAttitudes
 from calib.calibration.observations import Observations
 from calib.cameras import BrownConrady
 from calib.cameras.base import CameraModel, SensorGeometry
@@ -140,7 +141,7 @@ def match_frames(scene: Scene, recording: Recording, config: Config) -> Matched:
             f"see more stars ({scene.name}.faintest_mag, {scene.name}.instrument.exposure_s) or come nearer to its "
             f"focal length (start.sheet_error_fraction = {config.start.sheet_error_fraction:g})"
         )
-    rough = calibrate_free_attitude(_merged(good, scene.frames), camera, loss="tukey")
+    rough = calibrate(_merged(good, scene.frames), camera, FreeAttitudes(), loss="tukey")
     if not rough.converged:
         raise DomainError(f"{scene.name}: no camera fits the first matches ({rough.solution.message})")
     assert rough.attitude is not None

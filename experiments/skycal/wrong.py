@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.calibration.free_attitude import calibrate_free_attitude
+from calib.calibration.calibrate import calibrate
+from calib.calibration.free_attitudes import FreeAttitudes
 from experiments.skycal.calibrate import LOSS, Bench, Judged, rms, start_camera
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ def _run(bench: Bench, clean: Judged, streams: Streams, fraction: float, loss: s
         names[mine] = np.roll(mine, 1)
     mixed = replace(stars, direction=stars.direction[names], star=stars.star[names])
     start, free = start_camera(bench.scene, bench.config, clean.model)
-    made = calibrate_free_attitude(mixed, start, loss=loss, free=free)
+    made = calibrate(mixed, start, FreeAttitudes(), loss=loss, free=free)
     found = bench.judge(made, method="free", model=clean.model, data=clean.data)
     wrong, weight = names != np.arange(len(stars)), made.solution.robust_weight
     caught = float(np.mean(weight[wrong] < NO_WEIGHT)) if len(weight) == len(stars) and wrong.any() else float("nan")

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.calibration.free_attitude import calibrate_free_attitude
+from calib.calibration.calibrate import calibrate
+from calib.calibration.free_attitudes import FreeAttitudes
 from calib.calibration.observations import Observations
 from calib.cameras.line_of_sight import line_of_sight_map
 from experiments.laboratory.instrument import Instrument, build_instrument
@@ -81,7 +82,7 @@ def _point(label: str, instrument: Instrument, traced: TracedMap) -> LensPoint:
         frame=np.zeros(count, np.int64)[inside],
         sigma_px=MODEL_SIGMA_PX,
     )
-    found = calibrate_free_attitude(observations, start_model(instrument, None))
+    found = calibrate(observations, start_model(instrument, None), FreeAttitudes())
     line = line_of_sight_map(found.model, np.array(traced.direction[inside]), traced.pixel_px[inside])
     cosine = float((traced.direction[inside] @ traced.direction[inside].T).min())
     return LensPoint(

@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.calibration.calibrate import calibrate
 from calib.calibration.observations import Observations
 from calib.calibration.record import Calibration
-from calib.calibration.turntable import TableErrors, calibrate_turntable, star_direction
+from calib.calibration.turntable import TableErrors, TurntableAttitudes, star_direction
 from calib.cameras import BrownConrady, CameraModel, SensorGeometry
 from calib.cameras.line_of_sight import LineOfSightMap, line_of_sight_map
 from experiments.laboratory.instrument import Instrument
@@ -128,13 +129,12 @@ def reduce_data(
     )
     sigma = table.reading_noise_arcsec * ARCSEC_RAD
     noisy = table.reading_noise_arcsec > READING_FLOOR_ARCSEC
-    errors = TableErrors(
-        axis_rate=table.lean_rates(data.reading_rad) if leans else None,
-        axis_names=tuple(f"lean{i + 1}_rad" for i in range(len(table.axis) - 1)) if leans else (),
-        reading_rate=table.angle_rates(data.reading_rad)[:, noisy] if noisy.any() else None,
-        reading_sigma_rad=sigma[noisy] if noisy.any() else None,
-    )
-    return calibrate_turntable(observations, table.rotation(data.reading_rad), start, errors=errors)
+    errors = TableErrors(reading_rate=table.angle_rates(data.reading_rad)[:, noisy], reading_sigma_rad=sigma[noisy])
+    if leans:
+        names = tuple(f"lean{i + 1}_rad" for i in range(len(table.axis) - 1))
+        errors = replace(errors, axis_rate=table.lean_rates(data.reading_rad), axis_names=names, axis_sigma_rad=None)
+    family = TurntableAttitudes(table_rotation=table.rotation(data.reading_rad), errors=errors)
+    return calibrate(observations, start, family)
 
 
 def judge(calibration: Calibration, data: Data, table: Turntable, traced: TracedMap) -> Reduction:

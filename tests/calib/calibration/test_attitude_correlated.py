@@ -8,8 +8,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import angles_of_rotation, link_attitudes, rotation_of_angles
-from calib.calibration.attitude_correlated import ANGLE_NAMES, calibrate_attitude_correlated
-from calib.calibration.free_attitude import calibrate_free_attitude
+from calib.calibration.attitude_correlated import ANGLE_NAMES, AttitudeCorrelated
+from calib.calibration.calibrate import calibrate
+from calib.calibration.free_attitudes import FreeAttitudes
 from optics.errors import DomainError
 
 ZERO = Rotation.identity()
@@ -19,8 +20,11 @@ ZERO = Rotation.identity()
 def test_exact_data_give_the_truth_from_the_document_s_start(scenes, two_step):
     """0 px, 20 mm, no distortion, phi = 0, theta = 0 (ACF17, table 2); the truth is 62 deg away."""
     scene = scenes.make_scene(frames=20, rate_deg=1.5, sigma_px=0.0)
-    found = calibrate_attitude_correlated(
-        scene.observations, scene.gyro, scenes.START, start_attitude=ZERO, start_installation=ZERO, two_step=two_step
+    found = calibrate(
+        scene.observations,
+        scenes.START,
+        AttitudeCorrelated(gyro_rotation=scene.gyro, first_attitude=ZERO, installation=ZERO),
+        two_step=two_step,
     )
     assert found.converged
     assert found.solution.names == (*scenes.CAMERA.parameter_names, *ANGLE_NAMES)
@@ -42,7 +46,7 @@ def test_same_minimum_and_covariance_as_scipy_in_the_document_s_angles(scenes):
         return ((scenes.CAMERA.with_parameters(p[:8]).project(v) - observed.pixel_px) / 0.05).ravel()
 
     theirs = least_squares(residuals, np.zeros(14), jac="3-point", xtol=1e-14, ftol=1e-14, gtol=1e-12)
-    found = calibrate_attitude_correlated(observed, scene.gyro, scenes.START).solution
+    found = calibrate(observed, scenes.START, AttitudeCorrelated(gyro_rotation=scene.gyro)).solution
     assert np.abs((found.value - scene.truth - theirs.x * scale) / found.sigma).max() < 1e-3
     covariance = np.linalg.inv(theirs.jac.T @ theirs.jac) * np.outer(scale, scale)
     np.testing.assert_allclose(found.sigma, np.sqrt(np.diagonal(covariance)), rtol=1e-3)
@@ -56,7 +60,7 @@ def test_pulls_are_unit(scenes):
     rng = np.random.default_rng(6)
     pulls = []
     for _ in range(40):
-        found = calibrate_attitude_correlated(scene.noisy(rng), scene.gyro, scenes.START)
+        found = calibrate(scene.noisy(rng), scenes.START, AttitudeCorrelated(gyro_rotation=scene.gyro))
         assert found.converged
         pulls.append(found.solution.pulls(scene.truth))
     assert np.all(np.abs(np.mean(np.square(pulls), axis=0) - 1.0) < 5 * np.sqrt(2.0 / 40))
@@ -64,17 +68,17 @@ def test_pulls_are_unit(scenes):
 
 def test_one_star_per_frame_is_enough(scenes):
     scene = scenes.make_scene(frames=40, stars=1, rate_deg=1.0)
-    found = calibrate_attitude_correlated(scene.observations, scene.gyro, scenes.START)
+    found = calibrate(scene.observations, scenes.START, AttitudeCorrelated(gyro_rotation=scene.gyro))
     assert found.converged
     assert np.all(np.abs(found.solution.pulls(scene.truth)) < 5)
-    assert calibrate_free_attitude(scene.observations, scenes.START).solution.status == "refused"
+    assert calibrate(scene.observations, scenes.START, FreeAttitudes()).solution.status == "refused"
 
 
 @pytest.mark.parametrize("theta_deg", [(88.0, 120.0, -60.0), (90.0, 30.0, 10.0), (-45.0, 179.0, 5.0)])
 def test_any_installation_is_found(scenes, theta_deg):
     """Far from the identity, at and near the gimbal lock of the reported angles."""
     scene = scenes.make_scene(frames=12, rate_deg=2.0, theta_deg=theta_deg)
-    found = calibrate_attitude_correlated(scene.observations, scene.gyro, scenes.START)
+    found = calibrate(scene.observations, scenes.START, AttitudeCorrelated(gyro_rotation=scene.gyro))
     assert found.converged
     assert (found.installation * scene.installation.inv()).magnitude() < 2e-3
     np.testing.assert_allclose(angles_of_rotation(found.installation), found.solution.value[11:], atol=1e-12)
@@ -83,7 +87,7 @@ def test_any_installation_is_found(scenes, theta_deg):
 
 def test_a_turn_about_one_axis_does_not_show_the_installation_about_it(scenes):
     scene = scenes.make_scene(frames=12, rate_deg=1.5, single_axis=True)
-    found = calibrate_attitude_correlated(scene.observations, scene.gyro, scenes.START)
+    found = calibrate(scene.observations, scenes.START, AttitudeCorrelated(gyro_rotation=scene.gyro))
     assert found.solution.status == "singular"
     assert not found.converged
     sigma = found.solution.sigma
@@ -96,7 +100,7 @@ def test_a_turn_about_one_axis_does_not_show_the_installation_about_it(scenes):
 
 def test_no_turn_at_all(scenes):
     scene = scenes.make_scene(frames=6, stars=20, rate_deg=0.0)
-    found = calibrate_attitude_correlated(scene.observations, scene.gyro, scenes.START)
+    found = calibrate(scene.observations, scenes.START, AttitudeCorrelated(gyro_rotation=scene.gyro))
     assert found.solution.status == "singular"
     assert "theta1_rad, theta2_rad, theta3_rad" in found.solution.message
     assert np.all(np.abs(found.solution.pulls(scene.truth)[:8]) < 5)
@@ -106,8 +110,10 @@ def test_better_than_free_attitudes_and_more_so_for_few_stars(scenes):
     gain = []
     for stars in (3, 30):
         scene = scenes.make_scene(frames=20, stars=stars)
-        linked = calibrate_attitude_correlated(scene.observations, scene.gyro, scenes.START).solution.sigma
-        loose = calibrate_free_attitude(scene.observations, scenes.START).solution.sigma
+        linked = calibrate(
+            scene.observations, scenes.START, AttitudeCorrelated(gyro_rotation=scene.gyro)
+        ).solution.sigma
+        loose = calibrate(scene.observations, scenes.START, FreeAttitudes()).solution.sigma
         gain.append(loose[:2] / linked[:2])
     assert np.all(gain[0] > 1.3)
     assert np.all(gain[1] > 1.0)
@@ -119,11 +125,11 @@ def test_two_thousand_stars_take_milliseconds(scenes):
     import time
 
     scene = scenes.make_scene(frames=30, stars=34, rate_deg=0.5)
-    calibrate_attitude_correlated(scene.observations, scene.gyro, scenes.START)
+    calibrate(scene.observations, scenes.START, AttitudeCorrelated(gyro_rotation=scene.gyro))
     times = []
     for _ in range(5):
         start = time.perf_counter()
-        calibrate_attitude_correlated(scene.observations, scene.gyro, scenes.START)
+        calibrate(scene.observations, scenes.START, AttitudeCorrelated(gyro_rotation=scene.gyro))
         times.append(time.perf_counter() - start)
     assert min(times) < 0.1
 
@@ -131,14 +137,16 @@ def test_two_thousand_stars_take_milliseconds(scenes):
 def test_bad_input(scenes):
     scene = scenes.make_scene(frames=6, stars=5)
     with pytest.raises(DomainError, match="5 gyro rotations for 6 frames"):
-        calibrate_attitude_correlated(scene.observations, scene.gyro[:5], scenes.START)
+        calibrate(scene.observations, scenes.START, AttitudeCorrelated(gyro_rotation=scene.gyro[:5]))
     few = scene.observations.select(np.arange(7) * 4)
-    refused = calibrate_attitude_correlated(few, scene.gyro, scenes.START).solution
+    refused = calibrate(few, scenes.START, AttitudeCorrelated(gyro_rotation=scene.gyro)).solution
     assert refused.status == "refused"
-    assert "7 stars give 14 measurements for 14 unknowns" in refused.message
+    assert "7 star positions give 14 independent measurements for 14 unknowns" in refused.message
     away = Rotation.from_rotvec([np.pi, 0.0, 0.0]) * scene.attitude[0]
-    behind = calibrate_attitude_correlated(
-        scene.observations, scene.gyro, scenes.START, start_attitude=away, start_installation=ZERO
+    behind = calibrate(
+        scene.observations,
+        scenes.START,
+        AttitudeCorrelated(gyro_rotation=scene.gyro, first_attitude=away, installation=ZERO),
     )
     assert behind.solution.status == "refused"
     assert "outside the domain" in behind.solution.message

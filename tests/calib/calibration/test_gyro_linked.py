@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.calibration.attitude_correlated import calibrate_attitude_correlated
-from calib.calibration.free_attitude import calibrate_free_attitude
-from calib.calibration.gyro_linked import GyroNoise, calibrate_gyro_linked
+from calib.calibration.attitude_correlated import AttitudeCorrelated
+from calib.calibration.calibrate import calibrate
+from calib.calibration.free_attitudes import FreeAttitudes
+from calib.calibration.gyro_linked import GyroLinked, GyroNoise
 from optics.errors import DomainError
 
 GOOD = GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=0.05, bias_deg_per_h=5.0)
@@ -38,13 +39,13 @@ def test_data_sheet_units():
 
 def test_a_perfect_gyro_is_acc(scenes):
     scene = scenes.make_scene(frames=10, stars=4)
-    acc = calibrate_attitude_correlated(scene.observations, scene.gyro, scenes.START).solution
-    found = calibrate_gyro_linked(
+    acc = calibrate(scene.observations, scenes.START, AttitudeCorrelated(gyro_rotation=scene.gyro)).solution
+    found = calibrate(
         scene.observations,
-        scene.gyro,
         scenes.START,
-        time_s=np.arange(10.0),
-        noise=GyroNoise(angle_random_walk_rad_per_sqrt_s=0.0),
+        GyroLinked(
+            gyro_rotation=scene.gyro, time_s=np.arange(10.0), noise=GyroNoise(angle_random_walk_rad_per_sqrt_s=0.0)
+        ),
     ).solution
     assert found.names == acc.names
     assert np.abs((found.value - acc.value) / acc.sigma).max() < 1e-3
@@ -54,10 +55,10 @@ def test_a_perfect_gyro_is_acc(scenes):
 
 def test_a_useless_gyro_is_a_free_attitude_in_every_frame(scenes):
     scene = scenes.make_scene(frames=10, stars=5)
-    free = calibrate_free_attitude(scene.observations, scenes.START).solution
+    free = calibrate(scene.observations, scenes.START, FreeAttitudes()).solution
     noise = GyroNoise(angle_random_walk_rad_per_sqrt_s=3.0)
-    found = calibrate_gyro_linked(
-        scene.observations, scene.gyro, scenes.START, time_s=np.arange(10.0), noise=noise
+    found = calibrate(
+        scene.observations, scenes.START, GyroLinked(gyro_rotation=scene.gyro, time_s=np.arange(10.0), noise=noise)
     ).solution
     assert np.abs((found.value[:8] - free.value) / free.sigma).max() < 1e-2
     np.testing.assert_allclose(found.sigma[:8], free.sigma, rtol=1e-3)
@@ -69,7 +70,9 @@ def test_more_noise_tells_less(scenes):
     sigma = []
     for walk in (1e-6, 1e-4, 1e-3, 1e-2):
         noise = GyroNoise(angle_random_walk_rad_per_sqrt_s=walk)
-        found = calibrate_gyro_linked(scene.observations, scene.gyro, scenes.START, time_s=np.arange(10.0), noise=noise)
+        found = calibrate(
+            scene.observations, scenes.START, GyroLinked(gyro_rotation=scene.gyro, time_s=np.arange(10.0), noise=noise)
+        )
         sigma.append(found.solution.sigma[:8])
     assert np.all(np.diff(sigma, axis=0) > 0)
 
@@ -78,7 +81,9 @@ def test_bias_and_walk_are_found(scenes):
     scene = scenes.make_scene(frames=20, stars=20, rate_deg=1.5)
     noise = GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=0.01, bias_deg_per_h=100.0)
     gyro, bias = noisy_gyro(scene, noise, np.random.default_rng(4))
-    found = calibrate_gyro_linked(scene.observations, gyro, scenes.START, time_s=np.arange(20.0), noise=noise)
+    found = calibrate(
+        scene.observations, scenes.START, GyroLinked(gyro_rotation=gyro, time_s=np.arange(20.0), noise=noise)
+    )
     assert found.converged
     truth = np.concatenate([scene.truth, bias])
     assert np.all(np.abs(found.solution.pulls(truth)) < 5)
@@ -87,7 +92,7 @@ def test_bias_and_walk_are_found(scenes):
     assert np.all(np.abs(bias) > 3 * found.solution.sigma[-3:])
     assert (found.attitude * scene.attitude.inv()).magnitude().max() < 3e-4
     # ACC with the same gyro takes the drift for distortion and installation, and its residuals say so
-    acc = calibrate_attitude_correlated(scene.observations, gyro, scenes.START).solution
+    acc = calibrate(scene.observations, scenes.START, AttitudeCorrelated(gyro_rotation=gyro)).solution
     assert acc.reduced_chi2 > 2.0
 
 
@@ -99,7 +104,9 @@ def test_pulls_are_unit(scenes):
     pulls, chi2 = [], []
     for _ in range(100):
         gyro, bias = noisy_gyro(scene, GOOD, rng, steps=10)
-        found = calibrate_gyro_linked(scene.noisy(rng), gyro, scenes.START, time_s=np.arange(10.0), noise=GOOD).solution
+        found = calibrate(
+            scene.noisy(rng), scenes.START, GyroLinked(gyro_rotation=gyro, time_s=np.arange(10.0), noise=GOOD)
+        ).solution
         assert found.converged
         pulls.append(found.pulls(np.concatenate([scene.truth, bias])))
         chi2.append(found.chi2)
@@ -110,10 +117,12 @@ def test_pulls_are_unit(scenes):
 
 def test_bad_input(scenes):
     scene = scenes.make_scene(frames=6, stars=5)
-    common = {"noise": GOOD}
-    with pytest.raises(DomainError, match="5 gyro rotations and 6 times for 6 frames"):
-        calibrate_gyro_linked(scene.observations, scene.gyro[:5], scenes.START, time_s=np.arange(6.0), **common)
+    with pytest.raises(DomainError, match="5 gyro rotations and 6 times; one of each per frame"):
+        GyroLinked(gyro_rotation=scene.gyro[:5], time_s=np.arange(6.0), noise=GOOD)
+    family = GyroLinked(gyro_rotation=scene.gyro[:5], time_s=np.arange(5.0), noise=GOOD)
+    with pytest.raises(DomainError, match="5 gyro rotations for 6 frames"):
+        calibrate(scene.observations, scenes.START, family)
     with pytest.raises(DomainError, match="must be finite and increase"):
-        calibrate_gyro_linked(scene.observations, scene.gyro, scenes.START, time_s=np.arange(6.0)[::-1], **common)
+        GyroLinked(gyro_rotation=scene.gyro, time_s=np.arange(6.0)[::-1], noise=GOOD)
     with pytest.raises(DomainError, match="not negative"):
         GyroNoise(angle_random_walk_rad_per_sqrt_s=-1e-6)

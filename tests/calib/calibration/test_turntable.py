@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.calibration.calibrate import calibrate
 from calib.calibration.observations import Observations
-from calib.calibration.turntable import TableErrors, calibrate_turntable, star_direction
+from calib.calibration.turntable import TableErrors, TurntableAttitudes, star_direction
 from optics.errors import DomainError
 
 STAR = np.array([0.02, -0.01, 1.0]) / np.linalg.norm([0.02, -0.01, 1.0])
@@ -77,7 +78,7 @@ class Bench:
 @pytest.mark.parametrize("axes", [2, 3])
 def test_exact_data_give_the_truth(scenes, axes):
     bench = Bench(scenes, sigma_px=0.0, axes=axes)
-    found = calibrate_turntable(bench.observations, bench.table(bench.angle), scenes.START)
+    found = calibrate(bench.observations, scenes.START, TurntableAttitudes(table_rotation=bench.table(bench.angle)))
     assert found.converged
     np.testing.assert_allclose(found.solution.value, bench.truth, rtol=2e-5, atol=1e-9)
     np.testing.assert_allclose(star_direction(found), STAR, atol=1e-9)
@@ -92,7 +93,9 @@ def test_pulls_are_unit(scenes):
     bench = Bench(scenes, count=150)
     rng, pulls, chi2 = np.random.default_rng(1), [], []
     for _ in range(50):
-        found = calibrate_turntable(bench.measured(rng), bench.table(bench.angle), scenes.START).solution
+        found = calibrate(
+            bench.measured(rng), scenes.START, TurntableAttitudes(table_rotation=bench.table(bench.angle))
+        ).solution
         assert found.converged
         pulls.append(found.pulls(bench.truth))
         chi2.append(found.reduced_chi2)
@@ -104,9 +107,11 @@ def test_a_leaning_axis_is_found_or_spoils_the_fit(scenes):
     lean = np.deg2rad(60.0 / 3600)
     bench = Bench(scenes, count=600, lean=lean, sigma_px=0.01)
     table = bench.table(bench.angle)
-    ignored = calibrate_turntable(bench.observations, table, scenes.START).solution
+    ignored = calibrate(bench.observations, scenes.START, TurntableAttitudes(table_rotation=table)).solution
     errors = TableErrors(axis_rate=bench.lean_rates(bench.angle), axis_names=("lean_rad",))
-    found = calibrate_turntable(bench.observations, table, scenes.START, errors=errors).solution
+    found = calibrate(
+        bench.observations, scenes.START, TurntableAttitudes(table_rotation=table, errors=errors)
+    ).solution
     assert found.converged
     assert np.all(np.abs(found.pulls([*bench.truth, lean])) < 5)
     assert found.value[-1] > 10 * found.sigma[-1]
@@ -121,8 +126,10 @@ def test_a_known_axis_is_not_changed_by_a_tight_prior(scenes):
     errors = TableErrors(
         axis_rate=bench.lean_rates(bench.angle), axis_names=("lean_rad",), axis_sigma_rad=np.array([1e-9])
     )
-    plain = calibrate_turntable(bench.observations, table, scenes.START).solution
-    found = calibrate_turntable(bench.observations, table, scenes.START, errors=errors).solution
+    plain = calibrate(bench.observations, scenes.START, TurntableAttitudes(table_rotation=table)).solution
+    found = calibrate(
+        bench.observations, scenes.START, TurntableAttitudes(table_rotation=table, errors=errors)
+    ).solution
     np.testing.assert_allclose(found.sigma[:-1], plain.sigma, rtol=1e-4)
     assert found.sigma[-1] == pytest.approx(1e-9, rel=1e-3)
     assert found.degrees_of_freedom == plain.degrees_of_freedom
@@ -135,7 +142,7 @@ def test_reading_errors_count_as_they_move_the_star(scenes):
     rates = bench.angle_rates(bench.angle)
     errors = TableErrors(reading_rate=rates, reading_sigma_rad=10 * sigma)
     table = bench.table(bench.angle)
-    found = calibrate_turntable(bench.observations, table, scenes.START, errors=errors)
+    found = calibrate(bench.observations, scenes.START, TurntableAttitudes(table_rotation=table, errors=errors))
     h = 1e-7
     moved = [
         (
@@ -147,7 +154,7 @@ def test_reading_errors_count_as_they_move_the_star(scenes):
     ]
     spread = sum(100 * s**2 * m[:, :, None] * m[:, None, :] for s, m in zip(sigma, moved, strict=True))
     wider = replace(bench.observations, covariance_px2=bench.observations.covariance_px2 + spread)
-    other = calibrate_turntable(wider, table, scenes.START)
+    other = calibrate(wider, scenes.START, TurntableAttitudes(table_rotation=table))
     np.testing.assert_allclose(found.solution.sigma, other.solution.sigma, rtol=1e-3)  # at slightly other places
     assert np.abs((found.solution.value - other.solution.value) / other.solution.sigma).max() < 1e-2
     assert found.solution.chi2 == pytest.approx(other.solution.chi2, rel=1e-3)
@@ -159,7 +166,7 @@ def test_one_axis_does_not_tell_star_and_installation_apart(scenes):
     angle = bench.angle * [1.0, 0.0]
     line = scenes.CAMERA.project(bench.seen(angle, bench.inner))
     observed = replace(bench.observations, pixel_px=line)
-    found = calibrate_turntable(observed, bench.table(angle), scenes.START).solution
+    found = calibrate(observed, scenes.START, TurntableAttitudes(table_rotation=bench.table(angle))).solution
     assert not found.converged or found.sigma[1] > 1.0
     assert found.status == "singular"
     assert "theta" in found.message
@@ -173,7 +180,9 @@ def test_near_degeneracy_of_a_narrow_field_is_shown(scenes):
     for bench in (wide, narrow):
         free = ("x0_px", "y0_px", "focal_length_mm")
         start = bench.camera.with_parameters(bench.camera.parameters + np.array([3.0, 3.0, 0.1, 0, 0, 0, 0, 0]))
-        found = calibrate_turntable(bench.observations, bench.table(bench.angle), start, free=free).solution
+        found = calibrate(
+            bench.observations, start, TurntableAttitudes(table_rotation=bench.table(bench.angle)), free=free
+        ).solution
         assert found.converged
         sigma = found.sigma
         # multiple correlation of the principal point with everything else together
@@ -202,26 +211,33 @@ def test_a_target_of_several_stars_has_three_angles(scenes):
         sigma_px=0.05,
         frames=bench.count,
     )
-    found = calibrate_turntable(observed, bench.table(bench.angle), scenes.START).solution
+    found = calibrate(observed, scenes.START, TurntableAttitudes(table_rotation=bench.table(bench.angle))).solution
     assert found.names[8:11] == ("target1_rad", "target2_rad", "target3_rad")
     truth = np.concatenate([bench.camera.parameters, twist.as_rotvec(), np.deg2rad(THETA_DEG)])
     assert np.all(np.abs(found.pulls(truth)) < 5)
     with pytest.raises(DomainError, match="no single star"):
-        star_direction(calibrate_turntable(observed, bench.table(bench.angle), scenes.START))
+        star_direction(calibrate(observed, scenes.START, TurntableAttitudes(table_rotation=bench.table(bench.angle))))
 
 
 def test_starts_and_wrong_positions(scenes):
     bench = Bench(scenes)
     table = bench.table(bench.angle)
-    plain = calibrate_turntable(bench.observations, table, scenes.START).solution
-    given = calibrate_turntable(
-        bench.observations, table, scenes.START, start_star=STAR, start_installation=bench.installation
+    plain = calibrate(bench.observations, scenes.START, TurntableAttitudes(table_rotation=table)).solution
+    given = calibrate(
+        bench.observations,
+        scenes.START,
+        TurntableAttitudes(table_rotation=table, star=STAR, installation=bench.installation),
     ).solution
     assert np.abs((given.value - plain.value) / plain.sigma).max() < 1e-3
     rng = np.random.default_rng(0)
     wrong = rng.random(bench.count) < 0.1
     pixel = np.where(wrong[:, None], rng.uniform(0, 1023, (bench.count, 2)), bench.observations.pixel_px)
-    robust = calibrate_turntable(replace(bench.observations, pixel_px=pixel), table, scenes.START, loss="tukey")
+    robust = calibrate(
+        replace(bench.observations, pixel_px=pixel),
+        scenes.START,
+        TurntableAttitudes(table_rotation=table),
+        loss="tukey",
+    )
     assert robust.converged
     assert np.all(np.abs(robust.solution.pulls(bench.truth)) < 5)
 
@@ -230,20 +246,21 @@ def test_bad_input(scenes):
     bench = Bench(scenes, count=40)
     table = bench.table(bench.angle)
     with pytest.raises(DomainError, match=f"3 table rotations for {bench.count} frames"):
-        calibrate_turntable(bench.observations, table[:3], scenes.START)
+        calibrate(bench.observations, scenes.START, TurntableAttitudes(table_rotation=table[:3]))
     errors = TableErrors(axis_rate=np.zeros((3, 1, 3)), axis_names=("lean_rad",))
     with pytest.raises(DomainError, match="axis_rate: shape"):
-        calibrate_turntable(bench.observations, table, scenes.START, errors=errors)
-    errors = TableErrors(reading_rate=np.zeros((bench.count, 2, 3)), reading_sigma_rad=np.array([0.0, 1e-6]))
+        TurntableAttitudes(table_rotation=table, errors=errors)
     with pytest.raises(DomainError, match="2 positive values"):
-        calibrate_turntable(bench.observations, table, scenes.START, errors=errors)
+        TableErrors(reading_rate=np.zeros((bench.count, 2, 3)), reading_sigma_rad=np.array([0.0, 1e-6]))
+    with pytest.raises(DomainError, match="axis_rate: shape"):
+        TableErrors(axis_rate=np.zeros((bench.count, 1, 3)))
     with pytest.raises(DomainError, match="unit vector"):
-        calibrate_turntable(bench.observations, table, scenes.START, start_star=[0.0, 1.0, 1.0])
+        TurntableAttitudes(table_rotation=table, star=[0.0, 1.0, 1.0])
     few = bench.observations.select(np.arange(6))
-    refused = calibrate_turntable(few, table, scenes.START).solution
+    refused = calibrate(few, scenes.START, TurntableAttitudes(table_rotation=table)).solution
     assert refused.status == "refused"
-    assert "6 positions give 12 measurements for 13 unknowns" in refused.message
+    assert "6 star positions give 12 independent measurements for 13 unknowns" in refused.message
     mirrored = replace(bench.observations, pixel_px=bench.observations.pixel_px[:, ::-1])
-    found = calibrate_turntable(mirrored, table, scenes.START).solution
+    found = calibrate(mirrored, scenes.START, TurntableAttitudes(table_rotation=table)).solution
     assert found.status == "refused"
     assert "180 deg from where it was said to be: the image is mirrored" in found.message

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.calibration.attitude_correlated import calibrate_attitude_correlated
-from calib.calibration.free_attitude import calibrate_free_attitude
-from calib.calibration.gyro_linked import GyroNoise, calibrate_gyro_linked
-from calib.calibration.interstar import calibrate_interstar
+from calib.calibration.attitude_correlated import AttitudeCorrelated
+from calib.calibration.calibrate import calibrate
+from calib.calibration.free_attitudes import FreeAttitudes
+from calib.calibration.gyro_linked import GyroLinked, GyroNoise
+from calib.calibration.no_attitude import NoAttitude
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.polynomial import Polynomial
@@ -19,6 +20,7 @@ from optics.frames import pixel_to_tetra3, pixel_to_tetra3rs
 
 METHODS = ("acc", "linked", "free", "interstar")
 LONG = (*METHODS[:3], pytest.param("interstar", marks=pytest.mark.slow))  # where interstar angles wander for long
+NOISE = GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=0.005, bias_deg_per_h=0.03)
 
 
 @pytest.fixture(scope="module")
@@ -26,18 +28,14 @@ def scene(scenes):
     return scenes.make_scene(seed=9, frames=15, stars=20)
 
 
-def calibrate(method, scenes, scene, observations, start=None, **options):
-    """Any of the estimators that work on the sky."""
-    start = start or scenes.START
-    if method == "acc":
-        return calibrate_attitude_correlated(observations, scene.gyro, start, **options)
-    if method == "linked":
-        noise = GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=0.005, bias_deg_per_h=0.03)
-        time = np.arange(float(observations.frames))
-        return calibrate_gyro_linked(observations, scene.gyro, start, time_s=time, noise=noise, **options)
-    if method == "free":
-        return calibrate_free_attitude(observations, start, **options)
-    return calibrate_interstar(observations, start, **options)
+def family(method, scene):
+    """Any of the families that work on the sky."""
+    return {
+        "acc": lambda: AttitudeCorrelated(gyro_rotation=scene.gyro),
+        "linked": lambda: GyroLinked(gyro_rotation=scene.gyro, time_s=np.arange(float(len(scene.gyro))), noise=NOISE),
+        "free": FreeAttitudes,
+        "interstar": NoAttitude,
+    }[method]()
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -49,7 +47,7 @@ def test_mirrored_sky(scenes, scene, method, how):
         "rows turned round": pixel * [1.0, -1.0] + [0.0, 1023.0],
         "axes exchanged": pixel[:, ::-1],
     }[how]
-    found = calibrate(method, scenes, scene, replace(scene.observations, pixel_px=flipped)).solution
+    found = calibrate(replace(scene.observations, pixel_px=flipped), scenes.START, family(method, scene)).solution
     assert found.status == "refused"
     assert "the sky is mirrored" in found.message
     assert "\n" not in found.message
@@ -60,11 +58,11 @@ def test_mirrored_sky_and_a_flexible_camera(scenes, scene, loss):
     """A polynomial could mirror the image itself."""
     direction = scenes.CAMERA.unproject(scenes.GEOMETRY.grid_px(9))
     start = Polynomial.create(scenes.GEOMETRY, focal_length_mm=25.6, degree=3)
-    good = calibrate_free_attitude(scene.observations, start, loss=loss)
+    good = calibrate(scene.observations, start, FreeAttitudes(), loss=loss)
     assert good.converged
     assert np.abs(good.model.project(direction) - scenes.CAMERA.project(direction)).max() < 20.0  # turned a little
     flipped = scene.observations.pixel_px * [-1.0, 1.0] + [1023.0, 0.0]
-    found = calibrate_free_attitude(replace(scene.observations, pixel_px=flipped), start, loss=loss).solution
+    found = calibrate(replace(scene.observations, pixel_px=flipped), start, FreeAttitudes(), loss=loss).solution
     assert found.status == "refused"
     assert "mirrored" in found.message
 
@@ -73,7 +71,7 @@ def test_mirrored_sky_and_a_flexible_camera(scenes, scene, loss):
 def test_half_a_turn_of_the_image_is_no_mirror(scenes, scene, method):
     """Both axes turned round is a rotation: it must be fitted, not refused."""
     turned = replace(scene.observations, pixel_px=1023.0 - scene.observations.pixel_px)
-    found = calibrate(method, scenes, scene, turned)
+    found = calibrate(turned, scenes.START, family(method, scene))
     assert found.converged
     assert found.model.value("x0_px") == pytest.approx(-10.0, abs=5.0)
 
@@ -85,13 +83,13 @@ def test_positions_from_the_centre_of_the_image(scenes, scene, method):
     with pytest.raises(
         DomainError, match=r"star positions lie outside the detector of 1024 x 1024 px .* optics.frames"
     ):
-        calibrate(method, scenes, scene, replace(scene.observations, pixel_px=pixel))
+        calibrate(replace(scene.observations, pixel_px=pixel), scenes.START, family(method, scene))
 
 
 def test_positions_as_y_and_x(scenes, scene):
     """A list in the convention of tetra3: mirrored."""
     pixel = np.column_stack(pixel_to_tetra3(*scene.observations.pixel_px.T))
-    found = calibrate_free_attitude(replace(scene.observations, pixel_px=pixel), scenes.START).solution
+    found = calibrate(replace(scene.observations, pixel_px=pixel), scenes.START, FreeAttitudes()).solution
     assert found.status == "refused"
     assert "exchange the axes" in found.message
 
@@ -99,9 +97,8 @@ def test_positions_as_y_and_x(scenes, scene):
 @pytest.mark.parametrize("method", LONG)
 def test_positions_in_millimetres(scenes, scene, method):
     """They fit, as a camera of a hundredth of the focal length at the edge of the detector; the coverage tells."""
-    found = calibrate(
-        method, scenes, scene, replace(scene.observations, pixel_px=scene.observations.pixel_px * 0.01)
-    ).solution
+    observed = replace(scene.observations, pixel_px=scene.observations.pixel_px * 0.01)
+    found = calibrate(observed, scenes.START, family(method, scene)).solution
     assert not found.converged or "stars reach only 1 of 16 parts of the detector" in found.message
 
 
@@ -110,7 +107,7 @@ def test_positions_in_millimetres(scenes, scene, method):
 def test_focal_length_in_metres_or_pixels(scenes, scene, method, focal_length_mm):
     """A start a hundred or a thousand times off: the answer is right or refused."""
     start = BrownConrady.create(scenes.GEOMETRY, focal_length_mm=focal_length_mm)
-    found = calibrate(method, scenes, scene, scene.observations, start)
+    found = calibrate(scene.observations, start, family(method, scene))
     if found.converged:
         pull = (found.model.parameters - scenes.CAMERA.parameters) / np.sqrt(np.diagonal(found.covariance))
         assert np.all(np.abs(pull) < 5)
@@ -122,7 +119,7 @@ def test_focal_length_in_metres_or_pixels(scenes, scene, method, focal_length_mm
 def test_wrong_pixel_pitch_is_only_a_matter_of_names(scenes, scene, method):
     """Only focal length over pitch shows in the stars: a pitch twice too large gives a focal length twice too large."""
     coarse = SensorGeometry(width_px=1024, height_px=1024, pixel_pitch_mm=0.02)
-    found = calibrate(method, scenes, scene, scene.observations, BrownConrady.create(coarse, focal_length_mm=40.0))
+    found = calibrate(scene.observations, BrownConrady.create(coarse, focal_length_mm=40.0), family(method, scene))
     assert found.converged
     assert found.model.value("focal_length_mm") == pytest.approx(51.2, rel=1e-3)
 
@@ -132,11 +129,11 @@ def test_too_small_a_sigma_is_refused(scenes, scene, method):
     """Noise of 1 px stated as 0.05 px; and 0.15 px stated as 0.05 px: fitted, but not without a word."""
     covariance = scene.observations.covariance_px2
     worse = replace(scene.noisy(np.random.default_rng(0), 1.0), covariance_px2=covariance)
-    found = calibrate(method, scenes, scene, worse).solution
+    found = calibrate(worse, scenes.START, family(method, scene)).solution
     assert found.status == "refused"
     assert "times the stated sigma" in found.message
     slightly = replace(scene.noisy(np.random.default_rng(0), 0.15), covariance_px2=covariance)
-    found = calibrate(method, scenes, scene, slightly).solution
+    found = calibrate(slightly, scenes.START, family(method, scene)).solution
     assert found.converged
     assert "which the covariance does not include" in found.message
 
@@ -145,7 +142,7 @@ def test_too_small_a_sigma_is_refused(scenes, scene, method):
 def test_no_field_coverage(scenes, method):
     """All stars in a corner: flagged, and the covariance says that nothing is known elsewhere."""
     scene = scenes.make_scene(frames=15, stars=20, area_px=(50.0, 200.0), rate_deg=0.2)
-    found = calibrate(method, scenes, scene, scene.observations)
+    found = calibrate(scene.observations, scenes.START, family(method, scene))
     assert not found.converged or "stars reach only 1 of 16 parts of the detector" in found.solution.message
     if found.converged:
         assert found.solution.sigma[0] > 5.0
@@ -157,17 +154,17 @@ def test_one_place_in_every_frame_determines_nothing(scenes):
     """Every star on the same pixel."""
     scene = scenes.make_scene(frames=15, stars=3, area_px=(500.0, 500.0), sigma_px=0.0)
     for method in METHODS:
-        found = calibrate(method, scenes, scene, scene.observations).solution
+        found = calibrate(scene.observations, scenes.START, family(method, scene)).solution
         assert not found.converged, method
 
 
 @pytest.mark.parametrize("method", ["acc", "linked", "free"])
 def test_ten_percent_wrong_matches_are_survived(scenes, scene, method):
     observed, wrong = scene.with_wrong_matches(0.1, np.random.default_rng(1))
-    plain = calibrate(method, scenes, scene, observed).solution
+    plain = calibrate(observed, scenes.START, family(method, scene)).solution
     assert plain.status == "refused"
     assert 'take the loss "tukey"' in plain.message
-    found = calibrate(method, scenes, scene, observed, loss="tukey")
+    found = calibrate(observed, scenes.START, family(method, scene), loss="tukey")
     assert found.converged
     assert f"{wrong.sum()} stars do not fit" in found.solution.message
     names = len(found.solution.names)
@@ -183,7 +180,7 @@ def test_ten_percent_wrong_matches_are_survived(scenes, scene, method):
 def test_mostly_wrong_matches_are_refused(scenes, scene, method, part):
     observed, _ = scene.with_wrong_matches(part, np.random.default_rng(2))
     for loss in ("huber", "tukey"):
-        found = calibrate(method, scenes, scene, observed, loss=loss).solution
+        found = calibrate(observed, scenes.START, family(method, scene), loss=loss).solution
         assert found.status == "refused"
         assert "wrong" in found.message or "do not fit" in found.message
 
@@ -195,7 +192,7 @@ def test_sparse_frames_cannot_tell_wrong_stars(scenes):
         scene = scenes.make_scene(seed=seed, frames=15, stars=2)
         observed, _ = scene.with_wrong_matches(0.1, np.random.default_rng(seed))
         for method in ("free", "interstar"):
-            found = calibrate(method, scenes, scene, observed, loss="tukey")
+            found = calibrate(observed, scenes.START, family(method, scene), loss="tukey")
             if found.converged:
                 pull = (found.model.parameters - scenes.CAMERA.parameters) / np.sqrt(np.diagonal(found.covariance))
                 assert np.all(np.abs(pull) < 5)
@@ -206,21 +203,21 @@ def test_sparse_frames_cannot_tell_wrong_stars(scenes):
 def test_stars_of_another_frame(scenes, scene, method):
     """Frame numbers shifted by one: every star list meets the wrong directions."""
     direction = np.roll(scene.observations.direction, 20, axis=0)
-    found = calibrate(method, scenes, scene, replace(scene.observations, direction=direction)).solution
+    found = calibrate(replace(scene.observations, direction=direction), scenes.START, family(method, scene)).solution
     assert found.status == "refused"
 
 
 @pytest.mark.parametrize("method", ["acc", "linked"])
 def test_gyro_turns_the_other_way(scenes, scene, method):
     backwards = replace(scene, gyro=scene.gyro.inv())
-    found = calibrate(method, scenes, backwards, scene.observations).solution
+    found = calibrate(scene.observations, scenes.START, family(method, backwards)).solution
     assert found.status == "refused"
 
 
 def test_inputs_are_not_changed(scenes, scene):
     before = (scene.observations.pixel_px.copy(), scenes.START.parameters.copy(), scene.gyro.as_quat())
     for method in METHODS:
-        calibrate(method, scenes, scene, scene.observations, loss="tukey")
+        calibrate(scene.observations, scenes.START, family(method, scene), loss="tukey")
     np.testing.assert_array_equal(scene.observations.pixel_px, before[0])
     np.testing.assert_array_equal(scenes.START.parameters, before[1])
     np.testing.assert_array_equal(scene.gyro.as_quat(), before[2])

@@ -9,7 +9,8 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.calibration.free_attitude import calibrate_free_attitude
+from calib.calibration.calibrate import calibrate
+from calib.calibration.free_attitudes import FreeAttitudes
 from calib.calibration.observations import Observations
 from calib.cameras.per_band import PerBand
 from optics.errors import ConfigError, DomainError
@@ -17,7 +18,7 @@ from optics.errors import ConfigError, DomainError
 
 def test_exact_data_give_the_truth_from_the_document_s_start(scenes):
     scene = scenes.make_scene(sigma_px=0.0)
-    found = calibrate_free_attitude(scene.observations, scenes.START)
+    found = calibrate(scene.observations, scenes.START, FreeAttitudes())
     assert found.converged
     # three radial coefficients are nearly one another's: judge by the pixels, then loosely by the values
     direction = scenes.CAMERA.unproject(scenes.GEOMETRY.grid_px(9))
@@ -44,7 +45,7 @@ def stacked(scene, start):
 
 def test_same_minimum_and_covariance_as_scipy(scenes):
     scene = scenes.make_scene(seed=3, frames=6, stars=10)
-    found = calibrate_free_attitude(scene.observations, scenes.START)
+    found = calibrate(scene.observations, scenes.START, FreeAttitudes())
     residuals, scale = stacked(scene, scenes.CAMERA)
     theirs = least_squares(residuals, np.zeros(len(scale)), jac="3-point", xtol=1e-14, ftol=1e-14, gtol=1e-12)
     sigma = found.solution.sigma
@@ -65,7 +66,7 @@ def test_pulls_are_unit(scenes):
     rng = np.random.default_rng(5)
     pulls, chi2 = [], []
     for _ in range(40):
-        found = calibrate_free_attitude(scene.noisy(rng), scenes.CAMERA, two_step=False)
+        found = calibrate(scene.noisy(rng), scenes.CAMERA, FreeAttitudes(), two_step=False)
         assert found.converged
         pulls.append(found.solution.pulls(scenes.CAMERA.parameters))
         chi2.append(found.solution.reduced_chi2)
@@ -78,8 +79,8 @@ def test_pulls_are_unit(scenes):
 def test_order_and_start_attitude_make_no_difference(scenes):
     scene = scenes.make_scene(seed=1)
     shuffled = scene.observations.select(np.random.default_rng(0).permutation(len(scene.observations)))
-    one = calibrate_free_attitude(scene.observations, scenes.START)
-    other = calibrate_free_attitude(shuffled, scenes.START, start_attitude=scene.attitude, two_step=False)
+    one = calibrate(scene.observations, scenes.START, FreeAttitudes())
+    other = calibrate(shuffled, scenes.START, FreeAttitudes(attitude=scene.attitude), two_step=False)
     assert np.abs((one.model.parameters - other.model.parameters) / one.solution.sigma).max() < 1e-3
     assert other.solution.chi2 == pytest.approx(one.solution.chi2, rel=1e-9)
 
@@ -96,10 +97,10 @@ def test_correlated_position_errors_are_weighted(scenes):
     for _ in range(40):
         shift = rng.standard_normal(scene.exact_px.shape) @ root.T
         observed = replace(scene.observations, pixel_px=scene.exact_px + shift, covariance_px2=covariance)
-        found = calibrate_free_attitude(observed, scenes.CAMERA, two_step=False)
+        found = calibrate(observed, scenes.CAMERA, FreeAttitudes(), two_step=False)
         pulls.append(found.solution.pulls(scenes.CAMERA.parameters))
     assert np.all(np.abs(np.mean(np.square(pulls), axis=0) - 1.0) < 5 * np.sqrt(2.0 / 40))
-    isotropic = calibrate_free_attitude(scene.noisy(rng, 0.1 / np.sqrt(2)), scenes.CAMERA).solution.sigma
+    isotropic = calibrate(scene.noisy(rng, 0.1 / np.sqrt(2)), scenes.CAMERA, FreeAttitudes()).solution.sigma
     assert np.all(found.solution.sigma < 0.95 * isotropic)
     assert found.solution.sigma[2] < 0.3 * isotropic[2]
 
@@ -107,7 +108,7 @@ def test_correlated_position_errors_are_weighted(scenes):
 def test_fixed_parameters_keep_their_value(scenes):
     scene = scenes.make_scene(camera=scenes.NARROW)
     start = scenes.NARROW.with_parameters([0.0, 0.0, 80.0, 0, 0, 0, 0, 0])
-    found = calibrate_free_attitude(scene.observations, start, free=("focal_length_mm",))
+    found = calibrate(scene.observations, start, FreeAttitudes(), free=("focal_length_mm",))
     assert found.solution.names == ("focal_length_mm",)
     np.testing.assert_array_equal(found.model.parameters[[0, 1, 3, 4, 5, 6, 7]], 0.0)
     assert np.count_nonzero(found.covariance) == 1
@@ -116,9 +117,9 @@ def test_fixed_parameters_keep_their_value(scenes):
 def test_frames_with_one_star_are_left_out(scenes):
     scene = scenes.make_scene(frames=6, stars=12)
     keep = (scene.observations.frame != 4) | (np.arange(len(scene.observations)) == 48)
-    found = calibrate_free_attitude(scene.observations.select(keep), scenes.START)
-    without = calibrate_free_attitude(
-        scene.observations.select(scene.observations.frame != 4), scenes.START
+    found = calibrate(scene.observations.select(keep), scenes.START, FreeAttitudes())
+    without = calibrate(
+        scene.observations.select(scene.observations.frame != 4), scenes.START, FreeAttitudes()
     )  # frame 4 is empty here
     assert found.converged
     assert "1 frames with fewer than 2 stars" in found.solution.message
@@ -132,7 +133,7 @@ def test_frames_of_very_different_size(scenes):
     scene = scenes.make_scene(frames=21, stars=600, rate_deg=0.5)
     rank = np.arange(len(scene.observations)) % 600
     few = scene.observations.select((scene.observations.frame == 0) | (rank < 3))
-    found = calibrate_free_attitude(few, scenes.START)
+    found = calibrate(few, scenes.START, FreeAttitudes())
     assert found.converged
     assert np.all(np.abs(found.solution.pulls(scenes.CAMERA.parameters)) < 5)
 
@@ -152,14 +153,14 @@ def test_other_camera_models_need_no_change(scenes):
         sigma_px=0.05,
         band=band,
     ).select(np.all((exact > 1) & (exact < 1022), axis=1))
-    found = calibrate_free_attitude(observed, start)
+    found = calibrate(observed, start, FreeAttitudes())
     assert found.converged
     assert np.all(np.abs(found.solution.pulls(truth.parameters)) < 5)
 
 
 def test_bad_input(scenes):
     scene = scenes.make_scene(frames=4, stars=5)
-    with pytest.raises(DomainError, match="3 start attitudes for 4 frames"):
-        calibrate_free_attitude(scene.observations, scenes.START, start_attitude=scene.attitude[:3])
+    with pytest.raises(DomainError, match="3 attitudes for 4 frames"):
+        calibrate(scene.observations, scenes.START, FreeAttitudes(attitude=scene.attitude[:3]))
     with pytest.raises(ConfigError, match="unknown camera parameter 'focal_length_px'"):
-        calibrate_free_attitude(scene.observations, scenes.START, free=("focal_length_px",))
+        calibrate(scene.observations, scenes.START, FreeAttitudes(), free=("focal_length_px",))

@@ -1,0 +1,162 @@
+"""Cramer-Rao bound of a calibration: the covariance at the truth, without noise in the data.
+
+For normal errors of known covariance the Fisher information is J^T J of the whitened residuals at the true unknowns;
+its inverse bounds the covariance of every unbiased estimator. Frames' own unknowns are eliminated exactly. The truth is
+the camera and what the attitude family holds (attitudes, installation); the family's gyro or table errors are zero.
+
+Two of the families do not reach the bound of what they are given, by construction. What they should scatter by is also
+here: `scatter_of_perfect_gyro` for a gyro taken as perfect that is not, and ``NoAttitude(weighting="none")``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calib.calibration.attitude_family import AttitudeFamily
+from calib.calibration.gyro_linked import GyroLinked
+from calib.calibration.observations import Observations
+from calib.calibration.stages import free_mask
+from calib.calibration.star_problem import StarState
+from calib.cameras.base import CameraModel
+from calib.fitting.least_squares import Problem, covariance_of, transformed_covariance
+from optics.arrays import BoolArray, FloatArray
+from optics.errors import DomainError
+from optics.records import freeze
+
+__all__ = ["Bound", "bound", "scatter_of_perfect_gyro"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bound:
+    """Predicted covariance of a calibration.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Common unknowns, as in ``Calibration.solution.names``.
+    covariance : (p, p)
+        Their covariance; infinite on the diagonal for what is not determined.
+    camera_covariance : (P, P)
+        Covariance of all camera parameters, zero rows for those that are held: what `calib.cameras.line_of_sight`
+        needs.
+    condition : float
+        Condition number of the scaled Jacobian, frames eliminated.
+    """
+
+    names: tuple[str, ...]
+    covariance: FloatArray
+    camera_covariance: FloatArray
+    condition: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "covariance", shape=(len(self.names), len(self.names)), finite=False)
+        freeze(self, "camera_covariance", shape=("P", "P"), finite=False, sizes={})
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Standard deviations (p,)."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance)))
+
+
+def bound(
+    observations: Observations,
+    model: CameraModel,
+    attitude_family: AttitudeFamily,
+    *,
+    free: Sequence[str] | None = None,
+) -> Bound:
+    """Cramer-Rao bound of `calib.calibration.calibrate.calibrate`; of unweighted interstar angles their covariance.
+
+    Parameters
+    ----------
+    observations : Observations
+        Stars. Measured positions do not enter, except for `NoAttitude`, where they are the true ones, and for what the
+        family does not hold and takes from the stars.
+    model : CameraModel
+        True camera.
+    attitude_family : AttitudeFamily
+        The family with the true attitudes and installation, true turns of the gyro or the table.
+    free : sequence of str, optional
+        Camera parameters that are unknown; all by default.
+
+    Raises
+    ------
+    DomainError
+        If the truth puts stars behind the camera, or the family's data do not match the frames.
+    ConfigError
+        On an unknown parameter.
+    """
+    mask = free_mask(model, free)
+    stars = _enough(observations, attitude_family)
+    problem = attitude_family.problem(stars, model, mask)
+    state = attitude_family.start(stars, model)
+    evaluation, covariance, condition = _inverse_information(problem, state)
+    _, derivative = problem.reported(state)
+    covariance = attitude_family.scatter(problem, evaluation, transformed_covariance(covariance, derivative))
+    return _bound(problem.names, covariance, condition, mask)
+
+
+def scatter_of_perfect_gyro(
+    observations: Observations, model: CameraModel, gyro: GyroLinked, *, free: Sequence[str] | None = None
+) -> Bound:
+    """Covariance of ACC, which takes the gyro as perfect, when it has noise and bias.
+
+    The estimate is linear in the errors e of stars and z of the gyro: H^-1 (J^T e + B z), so that its covariance is
+    H^-1 + H^-1 B P B^T H^-1, with the walk P_kl = N^2 min(t_k, t_l) + sigma_b^2 L_k L_l^T. A bias counts with its prior
+    sigma: for a gyro with one fixed bias that is the mean over its directions.
+
+    Parameters
+    ----------
+    observations, model, free
+        As in `bound`.
+    gyro : GyroLinked
+        The gyro as it is, with the true first attitude and installation.
+    """
+    mask = free_mask(model, free)
+    stars = _enough(observations, gyro)
+    state = gyro.start(stars, model)
+    bare, bare_state = gyro.link.problem(stars, model, mask), StarState(state.camera, state.pose.link)
+    _, inverse, condition = _inverse_information(bare, bare_state)
+    problem = gyro.problem(stars, model, mask)
+    border = problem.system(problem.evaluate(state), np.ones(len(stars))).border
+    assert border is not None
+    size = len(bare.names)
+    elapsed = gyro.time_s - np.min(gyro.time_s)
+    walk = gyro.noise.angle_random_walk_rad_per_sqrt_s**2 * np.minimum.outer(elapsed, elapsed)
+    lever = gyro.lever_s.reshape(-1, 3)
+    error = np.kron(walk, np.eye(3)) + gyro.noise.bias_sigma_rad_per_s**2 * lever @ lever.T
+    finite = np.where(np.isfinite(inverse), inverse, 0.0)
+    gain = finite @ border[:, :size].transpose(1, 0, 2).reshape(size, -1)
+    _, derivative = bare.reported(bare_state)
+    covariance = transformed_covariance(inverse + gain @ error @ gain.T, derivative)
+    return _bound(bare.names, covariance, condition, mask)
+
+
+def _enough(observations: Observations, family: AttitudeFamily) -> Observations:
+    """Stars of frames that hold information."""
+    family.check(observations)
+    count = np.bincount(observations.frame, minlength=observations.frames)
+    return observations.select((count >= family.least_stars)[observations.frame])
+
+
+def _inverse_information(problem: Problem, state: Any) -> tuple[Any, FloatArray, float]:
+    """Evaluation at a state, covariance of the steps of the common unknowns, condition number."""
+    evaluation = problem.evaluate(state)
+    if not np.isfinite(evaluation.residual).all():
+        raise DomainError(
+            "bound of a calibration: the truth puts stars behind the camera, or pixels where it sees no direction"
+        )
+    reduced = problem.system(evaluation, np.ones(len(evaluation.residual))).reduce()
+    covariance, condition, _ = covariance_of(reduced, problem.names)
+    return evaluation, covariance, condition
+
+
+def _bound(names: tuple[str, ...], covariance: FloatArray, condition: float, mask: BoolArray) -> Bound:
+    count = int(mask.sum())
+    camera = np.zeros((len(mask), len(mask)))
+    camera[np.ix_(mask, mask)] = covariance[:count, :count]
+    return Bound(names=names, covariance=covariance, camera_covariance=camera, condition=condition)

@@ -1,0 +1,134 @@
+"""Judgement of a finished fit: whether it may be used, and what is wrong with it if not.
+
+A calibration is refused, with its reason, when the typical residual is far above the stated sigma, when too many stars
+do not fit, when those that fit are too few to tell wrong stars from right ones, or when the sky is mirrored. The
+numbers stay in the record, for whoever wants to see what went wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from calib.fitting.solution import Solution
+from optics.arrays import BoolArray, FloatArray, IntArray
+
+__all__ = ["LARGEST_RMS", "SAME_SPREAD", "WRONG_PULL", "parity_hint", "verdict"]
+
+LARGEST_RMS = 10.0  # typical residual over the stated sigma above which a fit is refused
+LARGEST_WRONG_PART = 0.4  # part of the stars that do not fit above which a robust fit is refused
+SAME_SPREAD = 1.2  # a typical residual this close to the stated sigma is the stated sigma
+WRONG_PULL = 6.0  # length of a star's residual [sigma] beyond which it counts as a wrong match
+
+
+def verdict(
+    solution: Solution,
+    hint: Callable[[], str],
+    *,
+    spread: float,
+    degrees_of_freedom: int,
+    wrong: BoolArray | None = None,
+    left_out: int = 0,
+) -> tuple[str, str]:
+    """Status and message of a finished fit.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    hint : callable
+        What could be the cause; asked only when the fit is refused or did not converge.
+    spread : float
+        Typical residual over the stated sigma.
+    degrees_of_freedom : int
+        Independent measurements minus unknowns, without the stars that were left out.
+    wrong : (n,) bool or None
+        Stars that do not fit; None where no robust loss has looked for them.
+    left_out : int
+        Stars without any weight.
+    """
+    if solution.status == "refused":
+        reason = solution.message
+    elif wrong is None:
+        reason = _too_far_off(spread)
+    else:
+        reason = _too_many_wrong(spread, wrong, left_out, degrees_of_freedom)
+    if reason or solution.status in ("stalled", "iteration_limit"):
+        message = "; ".join(part for part in (reason or solution.message, hint()) if part)
+        return "refused" if reason else solution.status, message
+    message = solution.message
+    if wrong is not None and wrong.any():
+        message += f"; {np.count_nonzero(wrong)} stars do not fit"
+    if spread > 1.0 + 5.0 / np.sqrt(2.0 * max(degrees_of_freedom, 1)) and spread > SAME_SPREAD:
+        message += f"; residuals are {spread:.2f} times the stated sigma, which the covariance does not include"
+    return solution.status, message
+
+
+def _too_far_off(spread: float) -> str:
+    """Reason to refuse a least-squares fit, or nothing."""
+    if not spread > LARGEST_RMS:
+        return ""
+    return (
+        f"residuals are {spread:.3g} times the stated sigma, more than {LARGEST_RMS:g}: wrong matches (take the loss "
+        '"tukey"), a wrong camera model or too small a sigma'
+    )
+
+
+def _too_many_wrong(spread: float, wrong: BoolArray, left_out: int, degrees_of_freedom: int) -> str:
+    """Reason to refuse a robust fit, or nothing.
+
+    Every wrong star that is found costs two degrees of freedom; without a surplus as large as what was left out,
+    almost any stars can be made to fit by leaving out the right ones.
+    """
+    part = float(np.mean(wrong)) if len(wrong) else 0.0
+    if spread > LARGEST_RMS:
+        return (
+            f"the typical residual is {spread:.3g} times the stated sigma, more than {LARGEST_RMS:g}: about half of "
+            "the matches are wrong, or the camera model or the sigma is"
+        )
+    if part > LARGEST_WRONG_PART:
+        return f"{100 * part:.0f} % of the stars do not fit, more than {100 * LARGEST_WRONG_PART:g} %"
+    if degrees_of_freedom < 1 or (left_out > 0 and degrees_of_freedom < 2 * left_out):
+        return (
+            f"{left_out} stars do not fit, and the rest has only {max(degrees_of_freedom, 0)} degrees of freedom, too "
+            "few to tell wrong stars from right ones"
+        )
+    return ""
+
+
+def parity_hint(seen: FloatArray, reference: FloatArray, group: IntArray, groups: int) -> str:
+    """Hint on parity: whether reflections fit the directions better than rotations do.
+
+    The profile matrix of Wahba's problem, sum of u_seen u_reference^T, has the singular values s1 >= s2 >= s3; the best
+    rotation reaches s1 + s2 + d s3 with the parity d = +-1, the best reflection s1 + s2 - d s3 (Markley 1988, J.
+    Astronaut. Sci. 36, 245).
+
+    Parameters
+    ----------
+    seen, reference : (n, 3)
+        Directions in cam by a camera, and in the reference frame; rows with NaN do not count.
+    group : (n,) int
+        Stars that share one rotation; groups of fewer than three stars have no parity.
+    groups : int
+        Number of groups.
+
+    Returns
+    -------
+    str
+        A line that says so, or nothing.
+    """
+    good = np.all(np.isfinite(seen), axis=1)
+    products = (seen[good][:, :, None] * reference[good][:, None, :]).reshape(-1, 9)
+    profile = np.stack([np.bincount(group[good], products[:, i], minlength=groups) for i in range(9)], axis=1)
+    u, size, vt = np.linalg.svd(profile.reshape(-1, 3, 3))
+    parity = np.sign(np.linalg.det(u) * np.linalg.det(vt))
+    enough = np.bincount(group[good], minlength=groups) >= 3
+    total = float(np.count_nonzero(good)) - float(np.sum(size[:, :2]))  # loss without the third part
+    third = float(np.sum((parity * size[:, 2])[enough]))
+    if third < 0 and abs(third) > 0.5 * abs(total - abs(third)):
+        return (
+            "the sky is mirrored: reflections fit better than rotations; exchange the axes "
+            "(row, column) -> (column, row) or turn one of them round"
+        )
+    return ""

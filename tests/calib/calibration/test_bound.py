@@ -1,0 +1,156 @@
+"""Cramer-Rao bounds: equal to what the estimators state at the truth, and to what they scatter by."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.calibration.attitude_correlated import AttitudeCorrelated
+from calib.calibration.bound import bound, scatter_of_perfect_gyro
+from calib.calibration.calibrate import calibrate
+from calib.calibration.free_attitudes import FreeAttitudes
+from calib.calibration.gyro_linked import GyroLinked, GyroNoise
+from calib.calibration.no_attitude import NoAttitude
+from calib.calibration.observations import Observations
+from calib.calibration.turntable import TurntableAttitudes
+from optics.errors import DomainError
+
+NOISE = GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=0.05, bias_deg_per_h=1.0)
+
+
+@pytest.fixture(scope="module")
+def scene(scenes):
+    return scenes.make_scene(frames=10, stars=6, sigma_px=0.0)
+
+
+def blind(method, scene, noise=NOISE):
+    """A family that knows nothing of attitudes and installation."""
+    time = np.arange(float(len(scene.gyro)))
+    return {
+        "free": FreeAttitudes(),
+        "acc": AttitudeCorrelated(gyro_rotation=scene.gyro),
+        "linked": GyroLinked(gyro_rotation=scene.gyro, time_s=time, noise=noise),
+        "full": NoAttitude(weighting="full"),
+        "none": NoAttitude(),
+    }[method]
+
+
+def true(method, scene, noise=NOISE):
+    """The same family at the truth."""
+    family = blind(method, scene, noise)
+    if method == "free":
+        return replace(family, attitude=scene.attitude)
+    if method in ("acc", "linked"):
+        return replace(family, first_attitude=scene.attitude[0], installation=scene.installation)
+    return family
+
+
+@pytest.mark.parametrize("method", ["free", "acc", "linked", "full", "none"])
+def test_estimators_on_exact_data_state_the_bound(scenes, scene, method):
+    """No noise in the data, the noise stated: each estimator's covariance is its bound."""
+    limit = bound(scene.observations, scenes.CAMERA, true(method, scene))
+    found = calibrate(scene.observations, scenes.START, blind(method, scene))
+    assert limit.names == found.solution.names
+    np.testing.assert_allclose(limit.sigma, found.solution.sigma, rtol=1e-4)
+    assert limit.condition == pytest.approx(found.solution.condition, rel=1e-3)
+    sigma = limit.sigma[:8]
+    np.testing.assert_allclose(
+        limit.camera_covariance / np.outer(sigma, sigma), found.covariance / np.outer(sigma, sigma), atol=1e-3
+    )
+
+
+def test_who_knows_more_has_the_smaller_bound(scenes, scene):
+    sigma = {
+        method: bound(scene.observations, scenes.CAMERA, true(method, scene)).sigma[:8]
+        for method in ("free", "acc", "linked", "full", "none")
+    }
+    assert np.all(sigma["acc"] < sigma["linked"])
+    assert np.all(sigma["linked"] < sigma["free"])
+    assert np.all(sigma["free"] < sigma["none"])
+    np.testing.assert_allclose(sigma["full"], sigma["free"], rtol=1e-4)
+    # a gyro believed to be perfect that is not: worse than one whose noise is known
+    believed = scatter_of_perfect_gyro(scene.observations, scenes.CAMERA, true("linked", scene))
+    assert np.all(believed.sigma[:8] > sigma["linked"])
+    nothing = true("linked", scene, GyroNoise(angle_random_walk_rad_per_sqrt_s=0.0))
+    perfect = scatter_of_perfect_gyro(scene.observations, scenes.CAMERA, nothing)
+    np.testing.assert_allclose(perfect.sigma[:8], sigma["acc"], rtol=1e-9)
+
+
+def test_fewer_unknowns_and_empty_frames(scenes, scene):
+    free, family = ("x0_px", "y0_px", "focal_length_mm"), true("free", scene)
+    few = bound(scene.observations, scenes.CAMERA, family, free=free)
+    every = bound(scene.observations, scenes.CAMERA, family)
+    assert few.names == free
+    assert np.all(few.sigma < every.sigma[:3])
+    assert np.count_nonzero(few.camera_covariance) == 9
+    # a frame left with one star holds no information
+    alone = scene.observations.select((scene.observations.frame > 0) | (np.arange(len(scene.observations)) == 0))
+    gone = scene.observations.select(scene.observations.frame > 0)
+    np.testing.assert_allclose(
+        bound(alone, scenes.CAMERA, family).sigma, bound(gone, scenes.CAMERA, family).sigma, rtol=1e-9
+    )
+
+
+def test_no_bound(scenes, scene):
+    away = FreeAttitudes(attitude=Rotation.from_rotvec([np.pi, 0.0, 0.0]) * scene.attitude)
+    with pytest.raises(DomainError, match="behind the camera"):
+        bound(scene.observations, scenes.CAMERA, away)
+    with pytest.raises(DomainError, match="3 gyro rotations for 10 frames"):
+        bound(scene.observations, scenes.CAMERA, AttitudeCorrelated(gyro_rotation=scene.gyro[:3]))
+
+
+def test_turntable_bound(scenes):
+    rng = np.random.default_rng(0)
+    star = np.array([0.0, 0.0, 1.0])
+    angle = np.deg2rad(rng.uniform(-8, 8, (200, 2)))
+    table = Rotation.from_rotvec(np.outer(angle[:, 0], [0, 1, 0])) * Rotation.from_rotvec(
+        np.outer(angle[:, 1], [1, 0, 0])
+    )
+    installation = Rotation.from_rotvec([0.01, 0.02, 0.03])
+    exact = scenes.CAMERA.project(installation.apply(table.inv().apply(star)))
+    observed = Observations.isotropic(
+        pixel_px=exact, direction=np.tile(star, (200, 1)), frame=np.arange(200), sigma_px=0.05
+    )
+    limit = bound(observed, scenes.CAMERA, TurntableAttitudes(table_rotation=table, installation=installation))
+    found = calibrate(observed, scenes.START, TurntableAttitudes(table_rotation=table)).solution
+    assert limit.names == found.names
+    np.testing.assert_allclose(limit.sigma, found.sigma, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_scatter_of_acc_with_an_imperfect_gyro_is_predicted(scenes, scene):
+    """200 realisations of stars, bias and walk: each standard deviation within 5 of its sigmas (1 / sqrt(400))."""
+    gyro_linked = true("linked", scene)
+    predicted = scatter_of_perfect_gyro(scene.observations, scenes.CAMERA, gyro_linked)
+    rng, errors = np.random.default_rng(11), []
+    for _ in range(200):
+        walk = np.cumsum(rng.normal(0.0, NOISE.angle_random_walk_rad_per_sqrt_s, (10, 3)), axis=0)
+        walk -= walk[0]
+        drift = gyro_linked.lever_s @ rng.normal(0.0, NOISE.bias_sigma_rad_per_s, 3) + walk
+        gyro = scene.gyro * Rotation.from_rotvec(-drift)
+        found = calibrate(scene.noisy(rng), scenes.START, AttitudeCorrelated(gyro_rotation=gyro))
+        assert found.converged
+        errors.append(found.solution.value - scene.truth)
+    ratio = np.std(errors, axis=0) / predicted.sigma
+    assert np.all(np.abs(ratio - 1.0) < 5 / np.sqrt(400))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["free", "acc", "full", "none"])
+def test_estimators_reach_their_bound(scenes, method):
+    """200 realisations of sparse noisy frames, from the document's start: scatter over bound within 5 sigma of 1."""
+    scene = scenes.make_scene(frames=15, stars=5, sigma_px=0.0)
+    rng, errors = np.random.default_rng(12), []
+    template = scene.noisy(np.random.default_rng(0), 0.2)
+    limit = bound(template, scenes.CAMERA, true(method, scene))
+    for _ in range(200):
+        found = calibrate(scene.noisy(rng, 0.2), scenes.START, blind(method, scene))
+        assert found.converged
+        errors.append(found.solution.value - scene.truth[: len(limit.names)])
+    ratio = np.std(errors, axis=0) / limit.sigma
+    assert np.all(np.abs(ratio - 1.0) < 5 / np.sqrt(400))
+    mean = np.mean(errors, axis=0) / limit.sigma * np.sqrt(200)
+    assert np.all(np.abs(mean) < 5)

@@ -1,0 +1,116 @@
+"""Calibration from interstar angles, as published and fully weighted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.calibration.calibrate import calibrate
+from calib.calibration.free_attitudes import FreeAttitudes
+from calib.calibration.no_attitude import NoAttitude
+from optics.errors import ConfigError, DomainError
+
+
+@pytest.mark.parametrize(
+    ("family", "options"),
+    [
+        (NoAttitude(), {}),
+        (NoAttitude(pairs="consecutive"), {}),
+        (NoAttitude(weighting="full"), {}),
+        (NoAttitude(), {"two_step": False}),
+    ],
+)
+def test_exact_data_give_the_truth(scenes, family, options):
+    scene = scenes.make_scene(sigma_px=0.0)
+    found = calibrate(scene.observations, scenes.START, family, **options)
+    assert found.converged
+    direction = scenes.CAMERA.unproject(scenes.GEOMETRY.grid_px(9))
+    np.testing.assert_allclose(found.model.project(direction), scenes.CAMERA.project(direction), atol=1e-5)
+    assert (found.attitude * scene.attitude.inv()).magnitude().max() < 1e-7
+    assert found.installation is None
+
+
+def test_full_weights_lose_nothing(scenes):
+    """The same information as a free attitude in every frame: same estimate, covariance, sum of squares."""
+    scene = scenes.make_scene(seed=4, frames=10, stars=15)
+    few = scene.observations.select(np.random.default_rng(1).random(len(scene.observations)) < 0.7)  # 5 to 14 per frame
+    free = calibrate(few, scenes.START, FreeAttitudes()).solution
+    found = calibrate(few, scenes.START, NoAttitude(weighting="full")).solution
+    assert np.abs((found.value - free.value) / free.sigma).max() < 0.02  # second order of the noise
+    np.testing.assert_allclose(found.sigma, free.sigma, rtol=1e-3)
+    assert found.chi2 == pytest.approx(free.chi2, rel=1e-3)
+    assert found.degrees_of_freedom == free.degrees_of_freedom
+
+
+def test_two_stars_per_frame(scenes):
+    scene = scenes.make_scene(frames=40, stars=2)
+    free = calibrate(scene.observations, scenes.START, FreeAttitudes()).solution
+    found = calibrate(scene.observations, scenes.START, NoAttitude(weighting="full")).solution
+    assert found.converged
+    np.testing.assert_allclose(found.sigma, free.sigma, rtol=2e-2)
+    assert np.abs((found.value - free.value) / free.sigma).max() < 0.2
+
+
+def test_unweighted_is_worse_and_says_by_how_much(scenes):
+    """40 realisations: the covariance with the correlations of pairs is right, the naive one would be too small."""
+    scene = scenes.make_scene(frames=8, stars=12)
+    rng = np.random.default_rng(7)
+    pulls, excess = [], []
+    for _ in range(40):
+        observed = scene.noisy(rng)
+        found = calibrate(observed, scenes.CAMERA, NoAttitude(), two_step=False).solution
+        pulls.append(found.pulls(scenes.CAMERA.parameters))
+        excess.append(found.sigma)
+    assert np.all(np.abs(np.mean(np.square(pulls), axis=0) - 1.0) < 5 * np.sqrt(2.0 / 40))
+    free = calibrate(observed, scenes.CAMERA, FreeAttitudes()).solution.sigma
+    assert np.all(np.mean(excess, axis=0) > 1.05 * free)
+
+
+def test_a_mirrored_sky_is_refused_though_all_angles_fit(scenes):
+    scene = scenes.make_scene()
+    flipped = scene.observations.pixel_px * [-1.0, 1.0] + [1023.0, 0.0]
+    from dataclasses import replace
+
+    found = calibrate(replace(scene.observations, pixel_px=flipped), scenes.START, NoAttitude()).solution
+    assert found.status == "refused"
+    assert "the sky is mirrored" in found.message
+    assert found.reduced_chi2 < 1.5
+
+
+@pytest.mark.parametrize("weighting", ["none", "full"])
+def test_ten_percent_wrong_matches_are_survived(scenes, weighting):
+    scene = scenes.make_scene(frames=20, stars=25)
+    observed, wrong = scene.with_wrong_matches(0.1, np.random.default_rng(3))
+    found = calibrate(observed, scenes.START, NoAttitude(weighting=weighting), loss="tukey")
+    assert found.converged
+    assert f"{wrong.sum()} stars do not fit" in found.solution.message
+    np.testing.assert_array_equal(found.used, ~wrong)
+    assert np.all(np.abs(found.solution.pulls(scenes.CAMERA.parameters)) < 5)
+    assert calibrate(observed, scenes.START, NoAttitude()).solution.status == "refused"
+
+
+def test_sixty_percent_wrong_matches_are_refused(scenes):
+    scene = scenes.make_scene(frames=12, stars=25)
+    observed, _ = scene.with_wrong_matches(0.6, np.random.default_rng(3))
+    found = calibrate(observed, scenes.START, NoAttitude(), loss="tukey").solution
+    assert found.status == "refused"
+    assert "wrong" in found.message
+
+
+def test_too_few_stars(scenes):
+    scene = scenes.make_scene(frames=8, stars=2)
+    found = calibrate(scene.observations, scenes.START, NoAttitude()).solution
+    assert found.status == "refused"
+    assert "8 independent measurements for 8 unknowns" in found.message
+    alone = scenes.make_scene(frames=30, stars=1)
+    found = calibrate(alone.observations, scenes.START, NoAttitude()).solution
+    assert found.status == "refused"
+    assert "0 independent measurements" in found.message
+
+
+def test_bad_input(scenes):
+    with pytest.raises(ConfigError, match="weighting 'some'"):
+        NoAttitude(weighting="some")
+    crowded = scenes.make_scene(frames=1, stars=6000)
+    with pytest.raises(DomainError, match="keep the brightest 5477 stars"):
+        calibrate(crowded.observations, scenes.START, NoAttitude())
