@@ -1,0 +1,188 @@
+"""The page "add a centroider", followed: its file and its line of the registry, then what it promises."""
+
+import contextlib
+import importlib
+import io
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+import calib.measure.centroiders
+from calib.measure import centroid
+from calib.measure.centroid import get_centroider, list_centroiders
+from calib.records import NoiseModel, Stamps
+from experiments.harness.config import load_config
+from experiments.laboratory.point_settings import METHOD_NAMES
+from optics.errors import ConfigError, DomainError
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGE = (ROOT / "docs" / "extending" / "add_a_centroider.md").read_text(encoding="utf-8")
+FILE = Path(re.search(r"^`(calib/measure/centroiders/\w+\.py)`:$", PAGE, re.M)[1])
+SOURCE, LINE, SCRIPT = re.findall(r"```python\n(.*?)```", PAGE, re.S)
+COMMANDS = re.findall(r"^python -m experiments\.(\w+) (.*)$", PAGE, re.M)
+REGISTRY = Path("calib", "measure", "centroid.py")
+
+SIZE, SIGMA_PX, FLUX_E, SKY_E, READ_NOISE_E = 11, 0.7, 8000.0, 20.0, 6.0
+NOISE = NoiseModel(read_noise_e=READ_NOISE_E)
+
+
+def changed_registry():
+    """The text of the registry with the page's line."""
+    text = (ROOT / REGISTRY).read_text(encoding="utf-8")
+    changed, count = re.subn(r"^(_REGISTRY: .*\{\n)", lambda found: found[1] + LINE, text, flags=re.M)
+    assert count == 1
+    return changed
+
+
+@pytest.fixture
+def followed(tmp_path, monkeypatch):
+    """The page's file beside the other centroiders, its line in the registry; gone after the test."""
+    (tmp_path / FILE.name).write_text(SOURCE, encoding="utf-8")
+    monkeypatch.setattr(calib.measure.centroiders, "__path__", [*calib.measure.centroiders.__path__, str(tmp_path)])
+    name, target = re.fullmatch(r'\s*"(\w+)": "([\w.:]+)",\n', LINE).groups()
+    monkeypatch.setattr(centroid, "_REGISTRY", {**centroid._REGISTRY, name: target})
+    importlib.invalidate_caches()
+    yield name
+    sys.modules.pop(target.partition(":")[0], None)
+    with contextlib.suppress(AttributeError):
+        delattr(calib.measure.centroiders, FILE.stem)
+
+
+def drawn(x, y):
+    """Shares (n, SIZE, SIZE) of Gaussian stars in square pixels, by differences of the error function."""
+
+    def along(centre):
+        edge = np.arange(SIZE + 1) - 0.5 - np.asarray(centre)[:, None]
+        return 0.5 * np.diff(erf(edge / (np.sqrt(2.0) * SIGMA_PX)))
+
+    return along(y)[:, :, None] * along(x)[:, None, :]
+
+
+def windows(electrons, x, y, background_e=SKY_E):
+    n = len(electrons)
+    return Stamps(
+        electrons=electrons,
+        valid=np.ones(electrons.shape, bool),
+        corner_px=np.zeros((n, 2), np.int64),
+        background_e=np.full(n, background_e),
+        start_px=np.column_stack([np.rint(x), np.rint(y)]),
+        flags=np.zeros(n, np.uint32),
+        psf_index=np.zeros(n, np.int64),
+    )
+
+
+def share_left(harmonic):
+    """What a Gaussian and a square pixel leave of a Fourier component: their transforms, multiplied."""
+    frequency = harmonic / SIZE
+    return np.exp(-2.0 * (np.pi * SIGMA_PX * frequency) ** 2) * np.sinc(frequency)
+
+
+def closed_form_sigma_px(harmonic):
+    """The formula of the page."""
+    pixels = (READ_NOISE_E**2 + SKY_E) * SIZE**2 / 2.0 + FLUX_E * (1.0 - share_left(2 * harmonic)) / 2.0
+    return SIZE / (2.0 * np.pi * harmonic) * np.sqrt(pixels) / (FLUX_E * share_left(harmonic))
+
+
+def bound_px():
+    """Cramer-Rao bound of x of a star in the middle of a pixel, the other parameters known: 1 / sqrt(information)."""
+    middle = np.array([SIZE // 2])
+    slope = FLUX_E * (drawn(middle + 1e-4, middle) - drawn(middle - 1e-4, middle)) / 2e-4
+    return float((slope**2 / (FLUX_E * drawn(middle, middle) + SKY_E + READ_NOISE_E**2)).sum() ** -0.5)
+
+
+@pytest.mark.parametrize("harmonic", [1, 2])
+def test_places_are_right_at_every_phase_whatever_the_background(followed, harmonic):
+    """Of the components beside the one used, sampling folds back less than 4e-4 of the next: 1e-3 px."""
+    phase = SIZE // 2 + (np.arange(12) + 0.5) / 12 - 0.5
+    x, y = (one.ravel() for one in np.meshgrid(phase, phase))
+    electrons = FLUX_E * drawn(x, y) + SKY_E
+    measure = get_centroider(followed, harmonic=harmonic).measure
+    right = measure(windows(electrons, x, y), NOISE)
+    assert np.abs(right.x_px - x).max() < 1e-3
+    assert np.abs(right.y_px - y).max() < 1e-3
+    wrong = measure(windows(electrons, x, y, background_e=0.5 * SKY_E), NOISE)
+    assert wrong.x_px == pytest.approx(right.x_px, abs=1e-10)
+
+
+@pytest.mark.parametrize("harmonic", [1, 2])
+def test_covariance_and_scatter_are_those_of_the_closed_form(followed, harmonic):
+    rng, n = np.random.default_rng(4), 4000
+    x, y = SIZE // 2 + rng.uniform(-0.5, 0.5, (2, n))
+    expected = FLUX_E * drawn(x, y) + SKY_E
+    electrons = rng.poisson(expected) + rng.normal(0.0, READ_NOISE_E, expected.shape)
+    table = get_centroider(followed, harmonic=harmonic).measure(windows(electrons, x, y), NOISE)
+    sigma = closed_form_sigma_px(harmonic)
+    assert np.sqrt(np.mean(table.sigma_x_px**2)) == pytest.approx(sigma, rel=0.01)
+    error = np.concatenate([table.x_px - x, table.y_px - y])
+    spread = 5.0 / np.sqrt(2.0 * len(error))
+    assert error.std() == pytest.approx(sigma, rel=spread)
+    assert abs(error.mean()) < 5.0 * sigma / np.sqrt(len(error))
+    assert error.std() > bound_px()
+    assert ((table.x_px - x) / table.sigma_x_px).std() == pytest.approx(1.0, abs=5.0 / np.sqrt(2.0 * n))
+    # flux is the sum of the window: its error goes with the light, and the covariance says how
+    flux_error = table.flux_e - FLUX_E
+    assert flux_error.std() == pytest.approx(np.sqrt(FLUX_E + SIZE**2 * (SKY_E + READ_NOISE_E**2)), rel=spread * 1.5)
+
+
+def test_options_are_held_to_their_range_and_the_name_is_known(followed):
+    assert followed in list_centroiders()
+    with pytest.raises(DomainError, match=r"harmonic = 5; it must be at least 1 and at most 4"):
+        get_centroider(followed, harmonic=5)
+    with pytest.raises(ConfigError, match="did you mean harmonic"):
+        get_centroider(followed, harmonics=1)
+
+
+def test_the_script_finds_its_star(followed):
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        exec(SCRIPT, {})  # the page's own words
+    x, y, sigma = (float(number) for number in re.findall(r"[\d.]+(?:e-?\d+)?", said.getvalue()))
+    assert abs(x - 40.25) < 5.0 * sigma < 0.1
+    assert abs(y - 20.5) < 5.0 * sigma
+
+
+def test_every_configuration_takes_the_name(followed):
+    assert [name for name, _ in COMMANDS] == ["temporal", "chromatic", "dataset"]
+    others = [("hsfe", "--set centroid="), ("distortion", "--set centroid="), ("budget", "--set centroid=")]
+    others += [("skycal", "--set centroid=")]
+    for name, text in [*COMMANDS, *((name, text + followed) for name, text in others)]:
+        module = importlib.import_module(f"experiments.{name}.settings")
+        option, setting = shlex.split(text)
+        assert option == "--set"
+        assert followed in str(load_config(module.Config, settings=[setting]).model_dump())
+        with pytest.raises(ConfigError, match=f"did you mean {followed}"):
+            load_config(module.Config, settings=[setting.replace(followed, "fouriers")])
+        assert followed in str(module.Config.model_json_schema())
+    assert METHOD_NAMES[followed] == "Fourier phase"
+
+
+def test_it_keeps_the_promises_of_every_centroider(tmp_path):
+    """In a copy of the program, changed as the page says, the tests that all centroiders share run on the new one."""
+    shutil.copytree(ROOT / "calib", tmp_path / "calib", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / FILE).write_text(SOURCE, encoding="utf-8")
+    (tmp_path / REGISTRY).write_text(changed_registry(), encoding="utf-8")
+    for room in ("optics", "render"):
+        (tmp_path / room).symlink_to(ROOT / room)
+    tests = Path("tests", "calib")
+    (tmp_path / tests / "measure").mkdir(parents=True)
+    for one in (tests / "conftest.py", tests / "measure" / "test_centroid.py"):
+        shutil.copy(ROOT / one, tmp_path / one)
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--import-mode=importlib", "-k", "fourier"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert int(re.search(r"(\d+) passed", done.stdout)[1]) >= 9
