@@ -183,11 +183,12 @@ def test_the_order_is_seen(source, module, expected):
     assert arrows_up(source, module, "cellar < kitchen hall < attic", exceptions) == expected
 
 
-def test_only_the_engine_imports_mitsuba_and_sets_its_variant():
+def test_only_the_engine_loads_drjit_and_mitsuba_and_sets_the_variant():
     texts = {label(path): path.read_text(encoding="utf-8") for path in FILES}
     assert [name for name, text in texts.items() if calls_set_variant(text)] == ["render/engine/engine.py"]
-    users = [name for name, text in texts.items() if any(i.split(".")[0] == "mitsuba" for i in imported(text, "x"))]
-    assert users == ["render/engine/engine.py"]
+    for library, door in (("mitsuba", "render/engine/engine.py"), ("drjit", "render/engine/jit.py")):
+        users = [name for name, text in texts.items() if any(room_of(i)[0] == library for i in imported(text, "x"))]
+        assert users == [door], library
     assert calls_set_variant("import mitsuba as mi\nmi.set_variant('llvm_ad_rgb')")
     assert calls_set_variant("from mitsuba import set_variant")
     assert not calls_set_variant("'''call set_variant'''  # set_variant")

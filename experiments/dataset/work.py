@@ -59,7 +59,7 @@ def prepare(job: Job, threads: int | None = None) -> FrameMaker:
     key = (job.config, job.backend)
     if key not in _MAKERS:
         Engine.start(job.backend)
-        import drjit as dr
+        from render.engine.jit import dr
 
         if threads is not None:
             dr.set_thread_count(threads)

@@ -15,7 +15,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -25,6 +24,7 @@ from optics.records import freeze
 from render.bench.scene import plate_mesh, rectangle_at
 from render.bench.trace import OVERSCAN, from_fixed, phase_points, to_fixed
 from render.engine import Engine
+from render.engine.jit import dr
 
 __all__ = ["MaskSensor", "mask_scene", "trace_mask"]
 

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
@@ -26,6 +25,7 @@ from optics.errors import DomainError
 from render.bench.camera import BenchCamera
 from render.bench.scene import BenchGeometry
 from render.engine import Engine
+from render.engine.jit import dr
 
 __all__ = ["Landing", "land", "trace_screen"]
 

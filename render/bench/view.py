@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +17,7 @@ from render.bench.camera import BenchCamera
 from render.bench.scene import BenchGeometry, CubePose, face_matrices, frame_around, plate_mesh
 from render.bench.trace import continued, start_rays
 from render.engine import Engine
+from render.engine.jit import dr
 
 __all__ = ["beam_in_dust", "overview_scene", "overview_sensor", "render_overview"]
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from render.detector.maps import DISPLACEMENTS, PixelMaps
 from render.detector.spec import Detector
+from render.engine.jit import dr
 from render.engine.philox import normal, split_key
 from render.engine.poisson import INVERSION_LIMIT, poisson
 from render.engine.random import Streams

@@ -74,7 +74,7 @@ def window_deposit(
 
 
 def _scattered(types: Any, size: int, place: NDArray[np.int64], charge: NDArray[np.float64]) -> Any:
-    import drjit as dr
+    from render.engine.jit import dr
 
     deposit = dr.zeros(types.Float32, size)
     dr.scatter(deposit, types.Float32(charge.astype(np.float32)), types.UInt32(place.astype(np.uint32)))

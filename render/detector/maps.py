@@ -164,7 +164,7 @@ def _recipe(detector: Detector) -> _Recipe:
 
 @lru_cache(maxsize=2)
 def _full_maps(recipe: _Recipe, types: Any) -> PixelMaps:
-    import drjit as dr
+    from render.engine.jit import dr
 
     index = dr.arange(types.UInt32, recipe.width_px * recipe.height_px)
     row = index // recipe.width_px
@@ -172,8 +172,7 @@ def _full_maps(recipe: _Recipe, types: Any) -> PixelMaps:
 
 
 def _maps(recipe: _Recipe, types: Any, column: Any, row: Any) -> PixelMaps:
-    import drjit as dr
-
+    from render.engine.jit import dr
     from render.engine.philox import normal, philox4x32, split_key
 
     streams = Streams(recipe.sensor_seed).child("sensor")
@@ -217,8 +216,7 @@ def _maps(recipe: _Recipe, types: Any, column: Any, row: Any) -> PixelMaps:
 
 def _damage(types: Any, p: SimpleNamespace, pixel: Any, centres_key: tuple[Any, Any], key: tuple[Any, Any]) -> Any:
     """Dark current of the damage centres: a Poisson number of exponential variates, each from its own counter."""
-    import drjit as dr
-
+    from render.engine.jit import dr
     from render.engine.philox import philox4x32
     from render.engine.poisson import poisson
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-import drjit as dr
+from render.engine.jit import dr
 
 __all__ = ["DrJitArrays"]
 

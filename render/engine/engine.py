@@ -9,10 +9,11 @@ from __future__ import annotations
 import importlib
 import sys
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from optics.errors import BackendError
-from render.engine.llvm import check_llvm, import_drjit
+from render.engine.llvm import check_llvm
 
 if TYPE_CHECKING:
     from render.engine.arrays import DrJitArrays
@@ -151,11 +152,12 @@ def _usable(backend: str) -> str:
     """``llvm`` or ``cuda``, as asked for, after a check that it works here; ``drjit.llvm`` can be imported then."""
     if backend not in BACKENDS:
         raise BackendError(f"backend = {backend!r} does not exist; choose one of {', '.join(BACKENDS)}")
-    dr, said = import_drjit()
+    from render.engine.jit import SAID, dr
+
     has_gpu = bool(dr.has_backend(dr.JitBackend.CUDA))
     if backend == "cuda" and not has_gpu:
         raise BackendError("backend 'cuda' is not available: no NVIDIA GPU or driver was found; use backend 'llvm'")
     if backend == "cuda" or (backend == "auto" and has_gpu):
         return "cuda"
-    check_llvm(dr.detail.llvm_version(), dr.__version__, said=said)
+    check_llvm(dr.detail.llvm_version(), version("drjit"), said=SAID)
     return "llvm"

@@ -1,27 +1,18 @@
-"""The LLVM library that Dr.Jit needs on a processor: found, checked, and its absence said in one line.
-
-Dr.Jit looks for LLVM once, when it is first imported, and says what went wrong on the standard error stream of the
-process, below Python. The first import therefore happens here, with that stream caught, so that a caller sees one
-sentence that says what to do.
-"""
+"""The LLVM library that Dr.Jit needs on a processor: found, checked, and its absence said in one line."""
 
 from __future__ import annotations
 
 import ctypes
-import importlib
 import os
 import re
 import sys
-import tempfile
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from glob import glob
 from pathlib import Path
-from typing import Any
 
 from optics.errors import BackendError
 
-__all__ = ["check_llvm", "find_llvm", "import_drjit", "llvm_version"]
+__all__ = ["check_llvm", "find_llvm", "llvm_version", "point_to_llvm"]
 
 _LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 _INSTALL = "install it with: apt-get install libllvm15"
@@ -43,32 +34,13 @@ _SEARCHED_HERE = (
 _NUMBERED = re.compile(r"libLLVM(?:-|\.so\.|\.)(\d+)")
 
 
-def import_drjit() -> tuple[Any, str]:
-    """Load Dr.Jit, pointed to a library that its own search would miss.
-
-    Returns
-    -------
-    module, str
-        ``drjit``, and what it printed while loading.
-
-    Raises
-    ------
-    BackendError
-        Dr.Jit is not installed.
-    """
-    if "drjit" in sys.modules:
-        return sys.modules["drjit"], ""
-    if _LIBRARY_VARIABLE not in os.environ and not _found_by_drjit():
-        library = find_llvm([*os.environ.get("LD_LIBRARY_PATH", "").split(":"), f"{sys.prefix}/lib", *_SEARCHED_HERE])
-        if library is not None:
-            os.environ[_LIBRARY_VARIABLE] = str(library)
-    try:
-        with _caught_stderr() as said:
-            dr = importlib.import_module("drjit")
-    except ImportError as error:
-        reason = (str(error).splitlines() or ["no reason given"])[0]
-        raise BackendError(f"Dr.Jit cannot be loaded ({reason}); pip install 'drjit==1.4.0'") from None
-    return dr, "".join(said)
+def point_to_llvm() -> None:
+    """Name the library in the environment where Dr.Jit's own search would miss it."""
+    if _LIBRARY_VARIABLE in os.environ or _found_by_drjit():
+        return
+    library = find_llvm([*os.environ.get("LD_LIBRARY_PATH", "").split(":"), f"{sys.prefix}/lib", *_SEARCHED_HERE])
+    if library is not None:
+        os.environ[_LIBRARY_VARIABLE] = str(library)
 
 
 def llvm_version() -> str | None:
@@ -153,23 +125,3 @@ def _found_by_drjit() -> bool:
     except OSError:
         return any(glob(f"{folder}/libLLVM*.so.*") for folder in _SEARCHED_BY_DRJIT)
     return True
-
-
-@contextmanager
-def _caught_stderr() -> Iterator[list[str]]:
-    """Catch what compiled code writes to file descriptor 2 meanwhile; the list is filled on leaving."""
-    said: list[str] = []
-    if sys.stderr is not None:
-        sys.stderr.flush()
-    kept = os.dup(2)
-    with tempfile.TemporaryFile() as caught:
-        os.dup2(caught.fileno(), 2)
-        try:
-            yield said
-        finally:
-            if sys.stderr is not None:
-                sys.stderr.flush()
-            os.dup2(kept, 2)
-            os.close(kept)
-            caught.seek(0)
-            said.append(caught.read().decode(errors="replace"))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import drjit as dr
+from render.engine.jit import dr
 
 __all__ = ["normal", "philox4x32", "split_key", "uniform", "uniform64"]
 

@@ -18,8 +18,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import drjit as dr
-
+from render.engine.jit import dr
 from render.engine.philox import philox4x32, uniform64
 
 __all__ = ["INVERSION_LIMIT", "poisson"]

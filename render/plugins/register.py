@@ -26,7 +26,7 @@ def register_plugins() -> tuple[type, type, type]:
     BackendError
         Mitsuba's variant is one without Dr.Jit arrays.
     """
-    import drjit as dr
+    from render.engine.jit import dr
 
     engine = Engine.active()
     mi, variant = engine.mitsuba, engine.variant

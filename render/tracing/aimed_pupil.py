@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-import drjit as dr
 import numpy as np
 
 from optics.arrays import BoolArray, FloatArray, IntArray
@@ -20,6 +19,7 @@ from optics.lens.system import LensSystem
 from optics.rays.program import LensProgram, compile_lens
 from optics.rays.trace import OK, VIGNETTED, Rays, trace_program
 from render.engine import Engine
+from render.engine.jit import dr
 from render.tracing.kernel import StarKernel
 
 __all__ = ["AimedLens", "Chiefs", "Rims", "aimed_lens", "find_chiefs", "find_rims", "find_stop_rims"]

@@ -17,7 +17,6 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +25,7 @@ from optics.frames import light_direction
 from optics.rays.program import LensProgram
 from optics.rays.trace import OK, Rays, trace_program
 from render.engine import Engine
+from render.engine.jit import dr
 from render.tracing.pupil_points import OutlinePoints, PupilPoints
 
 __all__ = ["Geometry", "StampSums", "StarKernel", "reach_px", "strips_per_pixel"]

@@ -11,11 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
+from render.engine.jit import dr
 
 __all__ = ["OutlinePoints", "PupilPoints", "SobolPoints", "TablePoints"]
 

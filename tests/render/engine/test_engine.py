@@ -27,10 +27,10 @@ except BackendError as error:
 """
 
 
-def in_new_process(backend: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def in_new_process(backend: str, program: str = PROGRAM, **environment: str) -> subprocess.CompletedProcess[str]:
     """Dr.Jit looks for LLVM once per process, so each case needs its own."""
     return subprocess.run(
-        [sys.executable, "-c", PROGRAM, backend],
+        [sys.executable, "-c", program, backend],
         cwd=ROOT,
         env={**os.environ, **environment},
         capture_output=True,
@@ -46,6 +46,12 @@ def test_missing_llvm_is_one_line_with_the_install_command(tmp_path):
     assert done.stdout.count("\n") == 1
     assert "apt-get install libllvm15" in done.stdout
     assert "does not exist" in done.stdout
+
+
+def test_dr_jit_is_silent_whatever_is_imported_first(tmp_path):
+    program = f"import render.tracing.kernel, render.detector.chain\n{PROGRAM}"
+    done = in_new_process("llvm", program, DRJIT_LIBLLVM_PATH=str(tmp_path / "libLLVM.so"))
+    assert (done.returncode, done.stderr, done.stdout.count("\n")) == (2, "", 1)
 
 
 def test_file_that_is_no_library(tmp_path):

@@ -1,0 +1,63 @@
+"""Dr.Jit for all of render: ``from render.engine.jit import dr``.
+
+Dr.Jit looks for LLVM once, when it is first imported, and says what went wrong on the standard error stream of the
+process, below Python. The first import therefore happens here, with that stream caught, so that a caller of
+`render.engine.Engine.start` sees one sentence that says what to do.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from optics.errors import BackendError
+from render.engine.llvm import point_to_llvm
+
+__all__ = ["SAID", "dr"]
+
+
+def _loaded() -> tuple[Any, str]:
+    """Dr.Jit, and what it printed while loading."""
+    if "drjit" in sys.modules:
+        return sys.modules["drjit"], ""
+    point_to_llvm()
+    try:
+        with _caught_stderr() as said:
+            module = importlib.import_module("drjit")
+    except ImportError as error:
+        reason = (str(error).splitlines() or ["no reason given"])[0]
+        raise BackendError(f"Dr.Jit cannot be loaded ({reason}); pip install 'drjit==1.4.0'") from None
+    return module, "".join(said)
+
+
+@contextmanager
+def _caught_stderr() -> Iterator[list[str]]:
+    """Catch what compiled code writes to file descriptor 2 meanwhile; the list is filled on leaving."""
+    said: list[str] = []
+    if sys.stderr is not None:
+        sys.stderr.flush()
+    kept = os.dup(2)
+    with tempfile.TemporaryFile() as caught:
+        os.dup2(caught.fileno(), 2)
+        try:
+            yield said
+        finally:
+            if sys.stderr is not None:
+                sys.stderr.flush()
+            os.dup2(kept, 2)
+            os.close(kept)
+            caught.seek(0)
+            said.append(caught.read().decode(errors="replace"))
+
+
+if TYPE_CHECKING:
+    import drjit as dr
+
+    SAID: str
+else:
+    dr, SAID = _loaded()
