@@ -241,17 +241,17 @@ class StarTable:
     @property
     def sigma_x_px(self) -> FloatArray:
         """Standard deviation of x [px]."""
-        return np.sqrt(self.covariance[:, 0, 0])
+        return np.sqrt(self.covariance[:, X, X])
 
     @property
     def sigma_y_px(self) -> FloatArray:
         """Standard deviation of y [px]."""
-        return np.sqrt(self.covariance[:, 1, 1])
+        return np.sqrt(self.covariance[:, Y, Y])
 
     @property
     def sigma_flux_e(self) -> FloatArray:
         """Standard deviation of the flux [e-]."""
-        return np.sqrt(self.covariance[:, 2, 2])
+        return np.sqrt(self.covariance[:, FLUX, FLUX])
 
     def _correlation(self, i: int, j: int) -> FloatArray:
         return np.asarray(self.covariance[:, i, j] / np.sqrt(self.covariance[:, i, i] * self.covariance[:, j, j]))
@@ -259,17 +259,17 @@ class StarTable:
     @property
     def correlation_xy(self) -> FloatArray:
         """Correlation of x and y."""
-        return self._correlation(0, 1)
+        return self._correlation(X, Y)
 
     @property
     def correlation_x_flux(self) -> FloatArray:
         """Correlation of x and flux."""
-        return self._correlation(0, 2)
+        return self._correlation(X, FLUX)
 
     @property
     def correlation_y_flux(self) -> FloatArray:
         """Correlation of y and flux."""
-        return self._correlation(1, 2)
+        return self._correlation(Y, FLUX)
 
     def select(self, rows: Any) -> StarTable:
         """The stars picked by an index array, a mask or a slice."""

@@ -12,7 +12,9 @@ chi-square where the points scatter more than they say.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +25,9 @@ from optics.records import freeze
 
 __all__ = ["CircleFit", "EllipseFit", "fit_circle", "fit_ellipse"]
 
+
+DistanceTo = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+"""Signed distances (n,) of points (n, 2) from a curve of given parameters (k,), and their derivatives (n, k)."""
 
 STEPS = 50
 CLIP_SIGMA = 4.0
@@ -129,17 +134,8 @@ def fit_circle(points: ArrayLike, *, sigma: ArrayLike | None = None, clip_sigma:
     ConvergenceError
         The iteration did not settle.
     """
-    point, error, stated = _checked(points, sigma, least=4)
-    used = np.ones(len(point), bool)
-    for _ in range(CLIP_ROUNDS):
-        value = _gauss_newton(point[used], error[used], _taubin(point[used]), _circle_distance)
-        distance, _ = _circle_distance(point, value)
-        kept = _inliers(distance, error, used, clip_sigma, stated)
-        if np.array_equal(kept, used) or kept.sum() < 4:
-            break
-        used = kept
-    covariance, rms, chi2 = _quality(point[used], error[used], value, _circle_distance, stated)
-    return CircleFit(centre=value[:2], radius=float(value[2]), covariance=covariance, rms=rms, chi2=chi2, used=used)
+    (x, y, radius), fit = _robust_fit(points, sigma, clip_sigma, start=_taubin, distance_to=_circle_distance, least=4)
+    return CircleFit(centre=np.array([x, y]), radius=float(radius), **fit)
 
 
 def fit_ellipse(points: ArrayLike, *, sigma: ArrayLike | None = None, clip_sigma: float = CLIP_SIGMA) -> EllipseFit:
@@ -161,29 +157,41 @@ def fit_ellipse(points: ArrayLike, *, sigma: ArrayLike | None = None, clip_sigma
     DomainError, ConvergenceError
         As `fit_circle`.
     """
-    point, error, stated = _checked(points, sigma, least=6)
-    used = np.ones(len(point), bool)
-    for _ in range(CLIP_ROUNDS):
-        value = _gauss_newton(point[used], error[used], _direct_ellipse(point[used]), _ellipse_distance)
-        distance, _ = _ellipse_distance(point, value)
-        kept = _inliers(distance, error, used, clip_sigma, stated)
-        if np.array_equal(kept, used) or kept.sum() < 6:
-            break
-        used = kept
-    covariance, rms, chi2 = _quality(point[used], error[used], value, _ellipse_distance, stated)
+    value, fit = _robust_fit(points, sigma, clip_sigma, start=_direct_ellipse, distance_to=_ellipse_distance, least=6)
     x, y, a, b, angle = value
-    order = [0, 1, 2, 3, 4]
     if b > a:
-        a, b, angle, order = b, a, angle + np.pi / 2, [0, 1, 3, 2, 4]
+        a, b, angle = b, a, angle + np.pi / 2
+        swapped = [0, 1, 3, 2, 4]  # x, y, the other half axis, this one, angle
+        fit["covariance"] = fit["covariance"][np.ix_(swapped, swapped)]
     return EllipseFit(
         centre=np.array([x, y]),
         semi_axes=np.array([a, b]),
         angle_rad=float((angle + np.pi / 2) % np.pi - np.pi / 2),
-        covariance=covariance[np.ix_(order, order)],
-        rms=rms,
-        chi2=chi2,
-        used=used,
+        **fit,
     )
+
+
+def _robust_fit(
+    points: ArrayLike,
+    sigma: ArrayLike | None,
+    clip_sigma: float,
+    *,
+    start: Callable[[FloatArray], FloatArray],
+    distance_to: DistanceTo,
+    least: int,
+) -> tuple[FloatArray, dict[str, Any]]:
+    """Parameters of a curve, points far off it rejected; covariance, rms, chi2 and the points used, by field name."""
+    point, error, stated = _checked(points, sigma, least=least)
+    used = np.ones(len(point), bool)
+    for _ in range(CLIP_ROUNDS):
+        value = _gauss_newton(point[used], error[used], start(point[used]), distance_to)
+        distance, _ = distance_to(point, value)
+        kept = _inliers(distance, error, used, clip_sigma, stated)
+        if np.array_equal(kept, used) or kept.sum() < least:
+            break
+        used = kept
+    covariance, rms, chi2 = _quality(point[used], error[used], value, distance_to, stated)
+    return value, {"covariance": covariance, "rms": rms, "chi2": chi2, "used": used}
 
 
 def _checked(points: ArrayLike, sigma: ArrayLike | None, *, least: int) -> tuple[FloatArray, FloatArray, bool]:
@@ -271,11 +279,10 @@ def _ellipse_distance(point: FloatArray, value: FloatArray) -> tuple[FloatArray,
     return distance, jacobian
 
 
-def _gauss_newton(point: FloatArray, error: FloatArray, start: FloatArray, model: object) -> FloatArray:
+def _gauss_newton(point: FloatArray, error: FloatArray, start: FloatArray, distance_to: DistanceTo) -> FloatArray:
     """Levenberg's damped iteration on the weighted distances."""
-    assert callable(model)
     value, damping = start.copy(), 1e-6
-    distance, jacobian = model(point, value)
+    distance, jacobian = distance_to(point, value)
     cost = float(np.sum((distance / error) ** 2))
     size = max(float(np.ptp(point)), 1e-300)
     for _ in range(STEPS):
@@ -285,7 +292,7 @@ def _gauss_newton(point: FloatArray, error: FloatArray, start: FloatArray, model
         lifted = normal + damping * np.diag(np.maximum(np.diag(normal), 1e-12 * np.trace(normal)))
         step = -np.linalg.lstsq(lifted, gradient, rcond=None)[0]
         trial = value + step
-        new_distance, new_jacobian = model(point, trial)
+        new_distance, new_jacobian = distance_to(point, trial)
         new_cost = float(np.sum((new_distance / error) ** 2))
         if new_cost <= cost * (1 + 1e-12):
             value, distance, jacobian = trial, new_distance, new_jacobian
@@ -313,13 +320,12 @@ def _inliers(
 
 
 def _quality(
-    point: FloatArray, error: FloatArray, value: FloatArray, model: object, stated: bool
+    point: FloatArray, error: FloatArray, value: FloatArray, distance_to: DistanceTo, stated: bool
 ) -> tuple[FloatArray, float, float]:
     """Covariance, RMS distance and chi-square per degree of freedom."""
-    assert callable(model)
-    distance, jacobian = model(point, value)
+    distance, jacobian = distance_to(point, value)
     weighted = jacobian / error[:, None]
     freedom = max(len(point) - len(value), 1)
     chi2 = float(np.sum((distance / error) ** 2)) / freedom
     covariance = np.linalg.pinv(weighted.T @ weighted) * (max(chi2, 1.0) if stated else chi2)
-    return covariance, float(np.sqrt(np.mean(distance**2))), chi2 if stated else float("nan")
+    return np.asarray(covariance), float(np.sqrt(np.mean(distance**2))), chi2 if stated else float("nan")

@@ -88,7 +88,7 @@ def detect(
     if not len(x):
         return StarTable.empty()
     regions = label(bright, connectivity=2)
-    keep, flags = _judge(
+    keep, flags = _flag_maxima(
         image, light=light, regions=regions, filtered=filtered, x=x, y=y, spike_fraction=spike_fraction
     )
     x, y, flags = x[keep], y[keep], flags[keep]
@@ -121,7 +121,7 @@ def _local_maxima(values: FloatArray, candidates: NDArray[np.bool_]) -> tuple[ND
     return y[keep], x[keep]
 
 
-def _judge(
+def _flag_maxima(
     image: SensorImage,
     *,
     light: FloatArray,
@@ -135,15 +135,15 @@ def _judge(
     height, width = light.shape
     flags = np.zeros(len(x), np.uint32)
     region = regions[y, x]
-    crowd = np.bincount(region, minlength=regions.max() + 1)
-    burnt = np.bincount(regions[image.saturated], minlength=len(crowd)) > 0
-    burnt[0] = False
-    flags[(crowd[region] > 1) & ~burnt[region]] |= int(StarFlag.BLEND)
-    flags[burnt[region]] |= int(StarFlag.SATURATED)
-    best = np.full(len(crowd), -1)
+    maxima_per_region = np.bincount(region, minlength=regions.max() + 1)
+    region_saturated = np.bincount(regions[image.saturated], minlength=len(maxima_per_region)) > 0
+    region_saturated[0] = False
+    flags[(maxima_per_region[region] > 1) & ~region_saturated[region]] |= int(StarFlag.BLEND)
+    flags[region_saturated[region]] |= int(StarFlag.SATURATED)
+    best = np.full(len(maxima_per_region), -1)
     rising = np.argsort(filtered[y, x], kind="stable")
     best[region[rising]] = rising  # the highest maximum of each region is written last
-    keep = ~burnt[region] | (best[region] == np.arange(len(x)))
+    keep = ~region_saturated[region] | (best[region] == np.arange(len(x)))
     near_y = np.clip(y[:, None] + np.arange(-1, 2), 0, height - 1)[:, :, None]
     near_x = np.clip(x[:, None] + np.arange(-1, 2), 0, width - 1)[:, None, :]
     box = light[near_y, near_x]

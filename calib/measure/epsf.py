@@ -61,8 +61,10 @@ class EpsfBank:
             coefficients[row, first + low :, first + low :][: len(inner), : len(inner)] = inner
         pixels = length // step
         phases = coefficients.reshape(len(psfs), pixels, step, pixels, step).transpose(0, 2, 4, 1, 3)
+        # [psf, phase of the row, of the column, first row, first column, row and column in the window]
         self._patches = sliding_window_view(np.ascontiguousarray(phases), window, axis=(3, 4))
-        self._last = np.array(self._patches.shape[3:5]) * step - 4
+        first_rows, first_columns = self._patches.shape[3:5]
+        self._last = np.array([first_rows, first_columns]) * step - 4  # its four taps stay inside the table
 
     def __len__(self) -> int:
         return len(self._patches)

@@ -132,7 +132,8 @@ def fit_pixels(
         step = (inverse @ score[:, :, None])[:, :, 0]
         sigma = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
         small = np.all(np.abs(step[:, : FLUX + 1]) <= tolerance * sigma[:, : FLUX + 1], axis=1)
-        step *= np.minimum(1.0, np.min(limit / np.maximum(np.abs(step), 1e-300), axis=1))[:, None]
+        no_zero = np.maximum(np.abs(step), 1e-300)  # a step of exactly 0 is no division by 0
+        step *= np.minimum(1.0, np.min(limit / no_zero, axis=1))[:, None]
         moved = now + step
         moved[:, FLUX] = np.maximum(moved[:, FLUX], 1e-3 * np.abs(now[:, FLUX]) + 1e-6)  # a star has no negative light
         good &= np.all(np.isfinite(moved), axis=1)

@@ -2,8 +2,8 @@
 
 Names, their checks and their labels come from the registry (`calib.measure.centroid`): a centroider that is added there
 can be named in every experiment. A centroider that needs an ePSF makes two *methods* where an experiment has several
-PSFs: under its own name every place (and filter) is measured with the PSF of that place, as ``NAME_reference`` all are
-measured with one of them.
+PSFs: under its own name every place and filter is measured with the PSF of that place and filter, as ``NAME_reference``
+all are measured with the PSF of one place or one filter.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ def needs_epsf(method: str) -> bool:
 
 
 def list_methods() -> tuple[str, ...]:
-    """Names of all centroiders, and of those that need an ePSF with one for all."""
+    """Names of all centroiders, and of those that need an ePSF with the reference one."""
     names = list_centroiders()
     return (*names, *(f"{name}{_REFERENCE}" for name in names if centroider_class(name).needs_epsf))
 
 
 def _split(method: str) -> tuple[str, bool]:
-    """Name of the centroider, and whether one ePSF stands for all."""
+    """Name of the centroider, and whether it is given the reference ePSF."""
     if method in list_centroiders():  # needs no look at the classes
         return method, False
     if method not in list_methods():
@@ -89,7 +89,7 @@ class MethodLabels(Mapping[str, str]):
     Attributes
     ----------
     own, reference : str
-        What an experiment calls the ePSF of each place, and the one for all; "" where that needs no word.
+        What an experiment calls the ePSF of each place, and the reference one; "" where that needs no word.
     """
 
     own: str = ""
@@ -108,7 +108,7 @@ class MethodLabels(Mapping[str, str]):
 
 
 def method_centroiders(
-    methods: Iterable[str], *, own: Sequence[EffectivePsf], reference: EffectivePsf
+    methods: Iterable[str], *, own: Sequence[EffectivePsf], reference: Sequence[EffectivePsf]
 ) -> dict[str, Centroider]:
     """Centroiders by method.
 
@@ -116,10 +116,8 @@ def method_centroiders(
     ----------
     methods : iterable of str
         Of `list_methods`.
-    own : sequence of EffectivePsf
-        PSF of each place, as ``Stamps.psf_index`` counts them.
-    reference : EffectivePsf
-        The one that ``NAME_reference`` uses for all places.
+    own, reference : sequence of EffectivePsf
+        PSF of each place, as ``Stamps.psf_index`` counts them; those that ``NAME_reference`` uses instead.
 
     Raises
     ------
@@ -129,6 +127,6 @@ def method_centroiders(
     found = {}
     for method in methods:
         name, shared = _split(method)
-        options = {"epsf": [reference] * len(own) if shared else list(own)} if needs_epsf(method) else {}
+        options = {"epsf": list(reference if shared else own)} if needs_epsf(method) else {}
         found[method] = get_centroider(name, **options)
     return found

@@ -74,7 +74,7 @@ class PointFrames:
 
 def centroiders(methods: Sequence[str], psf: Sequence[EffectivePsf]) -> dict[str, Centroider]:
     """Centroiders by method; the PSF for all points is that of the middle one."""
-    return method_centroiders(methods, own=psf, reference=psf[len(psf) // 2])
+    return method_centroiders(methods, own=psf, reference=[psf[len(psf) // 2]] * len(psf))
 
 
 def read_points(

@@ -98,7 +98,7 @@ def test_labels_tell_the_centroider_and_the_epsf_it_is_given(template):
 
 def test_each_place_gets_its_own_psf_or_all_get_the_same(template):
     own = [psf(0), psf(1), psf(2)]
-    made = method_centroiders(("cog", "template", "template_reference"), own=own, reference=own[1])
+    made = method_centroiders(("cog", "template", "template_reference"), own=own, reference=[own[1]] * 3)
     assert [type(one).__name__ for one in made.values()] == ["CentreOfGravity", "Template", "Template"]
     assert all(a is b for a, b in zip(made["template"].epsf, own, strict=True))
     assert [one is own[1] for one in made["template_reference"].epsf] == [True] * 3
