@@ -1,0 +1,22 @@
+"""The inverse model: from images to stars, camera models, attitudes and calibrations. Runs on any FITS image.
+
+`find_stars` measures the stars of an image, `fit_camera` makes a camera model, `identify_stars` tells which stars they
+are, `solve_attitude` where the camera looks; each is one function over the parts below it.
+
+The public names of the package stand in ``__init__.pyi`` and are loaded when they are first used, so that importing one
+small module stays cheap; everything else is imported from its module:
+
+=================  =====================================================================================================
+calib.measure      background, detection, stamps, centroiders, their bound, circles
+calib.cameras      camera models and their fit to a known map, line-of-sight maps
+calib.attitude     Wahba's problem, identification, association, attitudes linked by gyros
+calib.calibration  camera models and attitudes from many frames, with their bounds
+calib.directional  directions on the sphere: the Fisher distribution
+calib.fitting      least squares, robust loss, solutions
+calib.figures      stars marked in an image, residuals
+=================  =====================================================================================================
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -11,6 +11,7 @@ from astropy import units
 from astropy.table import Table
 from numpy.typing import NDArray
 
+from calib.flags import UNFIT, StarFlag, has_flag
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
@@ -237,6 +238,22 @@ class StarTable:
             iterations=np.empty(0, np.int64),
             flags=np.empty(0, np.uint32),
         )
+
+    @property
+    def pixel_px(self) -> FloatArray:
+        """Positions (n, 2), column and row; NaN where there is none."""
+        return np.column_stack([self.x_px, self.y_px])
+
+    @property
+    def fit(self) -> NDArray[np.bool_]:
+        """Whether each star (n,) may count in an attitude: measured, and no flag against it (`UNFIT`)."""
+        known = np.isfinite(self.covariance).all(axis=(1, 2)) & np.isfinite(self.x_px) & np.isfinite(self.y_px)
+        return known & ~has_flag(self.flags, UNFIT)
+
+    @property
+    def sharp(self) -> NDArray[np.bool_]:
+        """Detections (n,) that are sharper than a star or sit on a pixel that is known to be bad."""
+        return has_flag(self.flags, StarFlag.SPIKE | StarFlag.DEFECT)
 
     @property
     def sigma_x_px(self) -> FloatArray:

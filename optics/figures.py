@@ -1,6 +1,7 @@
-"""Drawings an optics engineer expects: the lens with ray fans, spot diagrams, distortion.
+"""Drawings an optics engineer expects: the lens with ray fans, spot diagrams, distortion; images of stars.
 
-Every function returns a `matplotlib.figure.Figure` made without pyplot, so nothing global is touched and nothing leaks.
+Every function returns a `matplotlib.figure.Figure`, or the axes it drew into, made without pyplot, so nothing global is
+touched and nothing leaks.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+from scipy.ndimage import grey_dilation
 
 from optics.arrays import FloatArray
 from optics.frames import field_direction, light_direction
@@ -20,7 +23,7 @@ from optics.rays.pupil import PupilSamples, entrance_pupil, gauss_disk
 from optics.rays.spots import trace_spots
 from optics.rays.trace import Rays, trace_path
 
-__all__ = ["draw_distortion", "draw_lens", "draw_spots", "wavelength_colour"]
+__all__ = ["draw_distortion", "draw_image", "draw_lens", "draw_spots", "wavelength_colour"]
 
 
 FIELD_COLOURS = ("#1f5fa8", "#2a8c4a", "#c0392b", "#8e44ad", "#d68910", "#117a8b")
@@ -286,3 +289,48 @@ def draw_distortion(
     wave = lens.design_wavelength_nm if wavelength_nm is None else wavelength_nm
     figure.suptitle(f"{lens.name}, {wave:g} nm: chief rays, largest displacement {1e3 * largest:.2f} µm", fontsize=10)
     return figure
+
+
+def draw_image(
+    values: ArrayLike,
+    axes: Axes | None = None,
+    *,
+    percentiles: tuple[float, float] = (60.0, 99.97),
+    grow: int = 2,
+    widest_px: int = 700,
+) -> Axes:
+    """Image of a star field, made to be looked at: faint stars visible, bright ones not burnt out, none lost.
+
+    Parameters
+    ----------
+    values : (h, w)
+        Pixels, e.g. digital numbers or electrons.
+    axes : matplotlib.axes.Axes, optional
+        Where; in a new figure if left out.
+    percentiles : (float, float)
+        Of the pixels, that are shown black, and from which on brightness is compressed to white (asinh).
+    grow : int
+        Stars are enlarged to at least so many drawn pixels.
+    widest_px : int
+        Wider images are drawn coarser, every block by its brightest pixel.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        In pixels: (column, row), row 0 on top.
+    """
+    image = np.asarray(values, np.float32)
+    height, width = image.shape
+    if axes is None:
+        size = (6.4, float(np.clip(6.4 * height / width, 1.5, 10.0)))
+        axes = Figure(figsize=size, layout="constrained").add_subplot()
+    block = max(1, round(width / widest_px))
+    rows, columns = height // block * block, width // block * block
+    coarse = image[:rows, :columns].reshape(rows // block, block, columns // block, block).max((1, 3))
+    low, high = np.percentile(coarse, percentiles)
+    scale = max(0.05 * (high - low), 1e-12)
+    shown = np.arcsinh(np.clip(grey_dilation(coarse, grow) - low, 0, None) / scale)
+    axes.imshow(shown, cmap="gray", extent=(-0.5, columns - 0.5, rows - 0.5, -0.5), interpolation="bilinear")
+    axes.grid(visible=False)
+    axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="column [px]", ylabel="row [px]")
+    return axes

@@ -1,0 +1,25 @@
+"""The forward model: real sky, star sensor, frames with their truth.
+
+A star sensor is a lens and a detector by name (`load_star_sensor`), the sky a catalogue as an observer sees it
+(`load_sky`), and a frame what the sensor gives out in an attitude (`observe`, `SkySimulator`). Below them, for scenes
+of one's own: stars as light at wavelengths (`StarField`), electrons without noise (`StarRenderer`), the detector
+(`expose`), and the plugins of Mitsuba (`render.plugins`).
+
+The public names of the package stand in ``__init__.pyi`` and are loaded when they are first used, so that importing one
+small module stays cheap and needs no Mitsuba; everything else is imported from its module:
+
+================  ======================================================================================================
+render.catalogue  star catalogues: Gaia offline, files, services; motion, temperatures, search tree
+render.sky        stars of a field and their light, zodiacal light, uniform skies
+render.tracing    stars through lenses: pupils, quadrature, images, truth
+render.detector   EMVA 1288 detectors: noise, maps, readout, radiation, cosmic rays
+render.motion     trajectories, jitter, gyros
+render.bodies     Moon, planets, bodies lit by the Sun
+render.fits       FITS files and world coordinates
+render.engine     where Dr.Jit and Mitsuba run; random streams
+================  ======================================================================================================
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -11,7 +11,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
-__all__ = ["EffectivePsf", "ExpectedImage", "Frame", "StarField", "Truth", "WindowStack"]
+__all__ = ["EffectivePsf", "ExpectedImage", "Frame", "PixelMap", "StarField", "Truth", "WindowStack"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -240,3 +240,32 @@ class EffectivePsf:
             raise DomainError(f"EffectivePsf.values has size {values.shape[0]}; an odd size of at least 3 is needed")
         if self.oversampling < 1:
             raise DomainError(f"EffectivePsf.oversampling = {self.oversampling}; it must be at least 1")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PixelMap:
+    """Where a camera puts stars, without noise: what a camera model is fitted to.
+
+    Attributes
+    ----------
+    direction : (n, 3)
+        Unit vectors in cam.
+    pixel_px : (n, 2)
+        Column and row.
+    width_px, height_px : int
+        Size of the detector.
+    pixel_pitch_mm, focal_length_mm : float
+        Nominal values, where a fit may start.
+    """
+
+    direction: FloatArray
+    pixel_px: FloatArray
+    width_px: int
+    height_px: int
+    pixel_pitch_mm: float
+    focal_length_mm: float
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "direction", shape=("n", 3), sizes=sizes)
+        freeze(self, "pixel_px", shape=("n", 2), sizes=sizes)

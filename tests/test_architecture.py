@@ -27,8 +27,8 @@ ALLOWED = {"calib": {"render.records"}}
 ORDER = {
     "optics": "arrays errors units < attitude frames records validate < response < glass < lens light < rays < figures",
     "render": "engine records < catalogue detector motion < camera < fits sensor sky tracing < plugins"
-    " < bench bodies forward",
-    "calib": "directional fitting records < cameras measure < attitude < calibration",
+    " < bench bodies forward mapping < observation",
+    "calib": "directional fitting flags < records < cameras measure < attitude < calibration figures",
 }
 # What experiments share is below them; experiments know nothing of each other's inside.
 EXPERIMENTS = {path.parent.name for path in ROOT.glob("experiments/*/__init__.py")} - {"harness", "laboratory"}

@@ -30,7 +30,7 @@ from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from optics.records import freeze
 
-__all__ = ["Association", "StarMatch", "associate", "match_stars"]
+__all__ = ["Association", "StarMatch", "associate", "match_stars", "pixel_angle_rad"]
 
 
 MAX_CANDIDATES = 600  # candidates from which proposals are made
@@ -238,7 +238,7 @@ def _checked(
     return pixel, direction
 
 
-def _pixel_angle_rad(model: CameraModel) -> float:
+def pixel_angle_rad(model: CameraModel) -> float:
     """Angle of a pixel in the middle of the detector [rad]."""
     middle = model.geometry.centre_px
     ray = model.unproject(middle + np.array([[-0.5, 0.0], [0.5, 0.0]]))
@@ -251,7 +251,7 @@ def _pairs_within(
     corners = model.unproject(model.geometry.corners_px)
     axis_cosine = np.nanmin(np.append(corners[:, 2], 1.0))
     # A little more than the field, so that the exact question is asked of few stars only.
-    reach = 1.2 * np.arccos(np.clip(axis_cosine, -1.0, 1.0)) + radius_px * _pixel_angle_rad(model)
+    reach = 1.2 * np.arccos(np.clip(axis_cosine, -1.0, 1.0)) + radius_px * pixel_angle_rad(model)
     boresight = attitude.inv().apply([0.0, 0.0, 1.0])
     near = np.flatnonzero(direction @ boresight >= np.cos(min(reach, np.pi)))
     v_cam = attitude.apply(direction[near]) if len(near) else np.empty((0, 3))
@@ -298,7 +298,7 @@ def _match(
             f"{usable} usable detections and {stars} catalogue stars within {radius_px:g} px of one of them: at least "
             "3 of both are needed",
         )
-    tolerance_rad = tolerance_px * _pixel_angle_rad(model)
+    tolerance_rad = tolerance_px * pixel_angle_rad(model)
     best, tried = _best_proposal(v_cam[pairs.detected], direction[pairs.catalogue], pairs, tolerance_rad)
     association, solution = _refined(pixel, v_cam, direction, best, model, tolerance_px, band)
     area = model.geometry.width_px * model.geometry.height_px

@@ -19,17 +19,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from calib.cameras.base import CameraModel, checked_vectors
+from calib.cameras.aligned import AlignedCamera
+from calib.cameras.base import CameraModel, SensorGeometry, checked_vectors
+from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.line_of_sight import LineOfSightMap, line_of_sight_map
+from calib.cameras.polynomial import Polynomial
 from calib.fitting.least_squares import DenseProblem, solve
 from calib.fitting.solution import Solution
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from render.records import PixelMap
 
-__all__ = ["MapFit", "fit_to_map"]
+__all__ = ["MapFit", "fit_camera", "fit_to_map"]
 
 
 TURN_NAMES = ("turn_x_rad", "turn_y_rad", "turn_z_rad")
+GOOD_PX = 2e-3
+"""A model that follows the lens this closely is good enough: a tenth of what a bright star's centroid is known to."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +61,11 @@ class MapFit:
     residual_px: FloatArray
     line_of_sight: LineOfSightMap
     solution: Solution
+
+    @property
+    def camera(self) -> CameraModel:
+        """The model in the cam of the map: what turns pixels into the directions that the map knows."""
+        return AlignedCamera.create(self.model, self.rotation)
 
     @property
     def rms_px(self) -> float:
@@ -142,6 +153,35 @@ def fit_to_map(
         ),
         solution=fit.solution,
     )
+
+
+def fit_camera(known: PixelMap, *, good_px: float = GOOD_PX) -> MapFit:
+    """The simplest of some distortion models that follows a map: Brown-Conrady, polynomials of degree 5 and 7.
+
+    Parameters
+    ----------
+    known : PixelMap
+        Of the camera, as its calibration would find it (`render.mapping.pixel_map`).
+    good_px : float
+        A model that is nowhere farther off than this is good enough.
+
+    Returns
+    -------
+    MapFit
+        The best of the models if none is good enough. ``fit_camera(...).camera`` is the camera model for star
+        identification and attitudes.
+    """
+    geometry = SensorGeometry(width_px=known.width_px, height_px=known.height_px, pixel_pitch_mm=known.pixel_pitch_mm)
+    models: list[CameraModel] = [
+        BrownConrady.create(geometry, focal_length_mm=known.focal_length_mm),
+        *(Polynomial.create(geometry, focal_length_mm=known.focal_length_mm, degree=degree) for degree in (5, 7)),
+    ]
+    fits: list[MapFit] = []
+    for model in models:
+        fits.append(fit_to_map(model, known.direction, known.pixel_px))
+        if fits[-1].max_px < good_px:
+            break
+    return min(fits, key=lambda fit: fit.max_px)
 
 
 def left_jacobian(vector: FloatArray) -> FloatArray:

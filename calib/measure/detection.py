@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from skimage.measure import label
 
+from calib.flags import StarFlag
 from calib.measure.background import Background, estimate_background
-from calib.measure.flags import StarFlag
 from calib.measure.image import as_image
 from calib.measure.moments import FWHM_PER_SIGMA
 from calib.measure.stamps import parabola_peak

@@ -21,10 +21,10 @@ from scipy import sparse
 from scipy.ndimage import correlate1d, spline_filter
 from scipy.sparse.linalg import spsolve
 
+from calib.flags import StarFlag, has_flag
 from calib.measure.centroiders.epsf import EpsfCentroider
 from calib.measure.centroiders.gaussian import GaussianCentroider
 from calib.measure.epsf import cubic_weights
-from calib.measure.flags import StarFlag, has_flag
 from calib.records import NoiseModel, Stamps, StarTable
 from optics.arrays import FloatArray
 from optics.errors import DomainError

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from astropy.io import fits
 from astropy.utils.exceptions import AstropyWarning
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from calib.measure.background import estimate_background
 from calib.records import NoiseModel, SensorImage
 from optics.errors import ConfigError, DomainError
 from render.records import Frame
 
-__all__ = ["as_image", "image_from_frame", "read_image", "sensor_image"]
+__all__ = ["as_image", "image_from_frame", "read_image", "sensor_image", "subtract_dark"]
 
 _GAIN_KEYS = ("EGAIN", "CCDGAIN", "GAIN")  # electrons per DN
 _READ_NOISE_KEYS = ("RDNOISE", "READNOIS", "ENOISE", "RON")  # electrons
@@ -59,6 +60,27 @@ def image_from_frame(frame: Frame) -> SensorImage:
         exposure_s=frame.exposure_s,
         source=f"frame {frame.index}, band {frame.band}",
     )
+
+
+def subtract_dark(frame: Frame, dark_dn: ArrayLike) -> SensorImage:
+    """A rendered frame without its fixed pattern: what is left above the nominal offset is light.
+
+    Parameters
+    ----------
+    frame : Frame
+        Raw readout.
+    dark_dn : (h, w)
+        Mean of frames without light, of the same exposure time and temperature [DN].
+
+    Raises
+    ------
+    DomainError
+        Sizes that differ.
+    """
+    image, dark = image_from_frame(frame), np.asarray(dark_dn)
+    if dark.shape != image.dn.shape:
+        raise DomainError(f"dark of shape {dark.shape} for a frame of shape {image.dn.shape}; they must agree")
+    return replace(image, dn=image.dn - dark + frame.offset_dn)
 
 
 def sensor_image(

@@ -24,7 +24,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.measure.flags import StarFlag
+from calib.flags import StarFlag
 from calib.measure.options import check_options, option
 from calib.records import FLUX, NoiseModel, Stamps, StarTable, X, Y
 from optics.arrays import FloatArray

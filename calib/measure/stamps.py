@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import correlate1d
 from scipy.spatial import cKDTree
 
+from calib.flags import StarFlag
 from calib.measure.background import Background
-from calib.measure.flags import StarFlag
 from calib.records import NoiseModel, SensorImage, Stamps
 from optics.arrays import FloatArray
 from optics.errors import DomainError

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
+from calib.flags import UNFIT, StarFlag, has_flag
 from calib.measure.crlb import fisher_information
 from calib.measure.epsf import draw_epsf
-from calib.measure.flags import StarFlag, has_flag
 from calib.records import NoiseModel
-from experiments.dataset.measure import SMEAR_PX, UNFIT, MeasuredFrame
+from experiments.dataset.measure import SMEAR_PX, MeasuredFrame
 from experiments.dataset.truth import FLAGS
 from optics.arrays import FloatArray
 from optics.records import freeze
@@ -133,7 +133,7 @@ def compare_frame(
         lonely = back_distance > NEAR_PX + smear[back] / 2.0  # a faint trail may break up
     found = partner >= 0
     error = np.full((n, 2), np.nan)
-    error[found] = measured.pixel_px[partner[found]] - star[found]
+    error[found] = measured.stars.pixel_px[partner[found]] - star[found]
     flags = np.zeros(n, np.uint32)
     flags[found] = measured.stars.flags[partner[found]]
     middle = np.array([(width_px - 1) / 2, (height_px - 1) / 2])
@@ -143,14 +143,14 @@ def compare_frame(
         electrons=np.asarray(truth["electrons"])[lit],
         flags=np.asarray(truth["flags"], np.int32)[lit],
         found=found,
-        fit=found & ((flags & np.uint32(int(UNFIT))) == 0),
+        fit=found & ~has_flag(flags, UNFIT),
         blend_seen=has_flag(flags, StarFlag.BLEND),
         error_px=error,
         smear_px=smear,
         position_px=star,
         radius_px=np.hypot(*(star - middle).T) if n else np.zeros(0),
         false=np.full(np.count_nonzero(lonely), frame),
-        false_spike=measured.sharp[lonely],
+        false_spike=measured.stars.sharp[lonely],
         frames=1,
     )
 

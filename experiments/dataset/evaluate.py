@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.identify import build_database
-from experiments.dataset.calibrated import calibrated_camera
+from calib.cameras.fit import MapFit, fit_camera
 from experiments.dataset.detection import CentroidBound, FoundStars, centroid_bound, compare_frame, joined
 from experiments.dataset.facts import FrameFacts
 from experiments.dataset.measure import MeasuredFrame, Reduction, empty_frame, master_dark, measure_frame, reduction_of
@@ -25,10 +25,9 @@ from experiments.laboratory.readout.noise_model import true_noise
 from optics.arrays import FloatArray
 from render.catalogue.motion import directions_at
 from render.fits.files import read_frame
-from render.tracing.tracer import Tracer
+from render.mapping import pixel_map
 
 if TYPE_CHECKING:
-    from calib.cameras.fit import MapFit
     from experiments.dataset.scene import Scene
     from render.engine.random import Streams
 
@@ -135,7 +134,8 @@ def evaluate(folder: Path, scene: Scene, facts: Sequence[FrameFacts], *, advance
     temperature_k = float(np.median(scene.temperature_k))
     psfs = render_psf_grid(scene, temperature_k=temperature_k, window_px=verify.window_px)
     reduction = reduction_of(scene, dark, psfs)
-    calibration = calibrated_camera(scene, Tracer(camera), temperature_k=temperature_k)
+    known = pixel_map(scene.instrument, scene.light, temperature_k=temperature_k)
+    calibration = fit_camera(known)
     solver = _Solver(scene, calibration)
     size = {"width_px": camera.width_px, "height_px": camera.height_px}
     stars, solved, misses = [], [], [np.zeros(0)]
@@ -196,7 +196,7 @@ class _Solver:
 
     def turned(self, facts: FrameFacts, measured: MeasuredFrame) -> FloatArray:
         """Centroids (n, 2) carried to the middle of the exposure of the middle row, by the rate that a gyro tells."""
-        camera, model, pixel = self.scene.config.camera, self.calibration.model, measured.pixel_px
+        camera, model, pixel = self.scene.config.camera, self.calibration.model, measured.stars.pixel_px
         if not (camera.line_time_us and any(facts.rate_deg_per_s)):
             return pixel
         middle = (self.scene.instrument.camera.height_px - 1) / 2.0
@@ -228,7 +228,7 @@ def _in_empty_frames(scene: Scene, reduction: Reduction, sky_e: float, streams: 
     count = 0
     for frame in range(scene.config.verify.dark_frames):
         found = measure_frame(empty_frame(scene, frame, sky_e=sky_e, streams=streams), reduction)
-        count += int(np.count_nonzero(~found.sharp))
+        count += int(np.count_nonzero(~found.stars.sharp))
     return count
 
 

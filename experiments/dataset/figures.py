@@ -10,6 +10,7 @@ from matplotlib.patches import Circle
 
 from experiments.dataset.statistics import centroid_bins, completeness, solver
 from experiments.harness.plotting import INK, PALETTE, new_figure
+from optics.figures import draw_image
 
 if TYPE_CHECKING:
     from experiments.dataset.evaluate import Evaluation
@@ -18,28 +19,18 @@ if TYPE_CHECKING:
 __all__ = ["attitude_errors", "centroid_curve", "completeness_curves", "example_frame", "sky_coverage"]
 
 MAGNITUDE_STEP = 0.25
-WIDEST = 700
 
 
 def example_frame(evaluation: Evaluation) -> Figure:
     """The first frame: detections circled by what they are."""
-    from scipy.ndimage import grey_dilation
-
     example = evaluation.example
     assert example is not None
     height, width = example.electrons.shape
     figure, axis = new_figure(aspect_ratio=min(0.75, 0.08 + 0.92 * height / width))
-    block = max(1, round(width / WIDEST))
-    rows, columns = height // block * block, width // block * block
-    coarse = example.electrons[:rows, :columns].reshape(rows // block, block, columns // block, block).max((1, 3))
-    low, high = np.percentile(coarse, (60.0, 99.97))
-    shown = np.arcsinh(np.clip(grey_dilation(coarse, 2) - low, 0, None) / (0.05 * (high - low)))
-    axis.imshow(shown, cmap="gray", extent=(-0.5, columns - 0.5, rows - 0.5, -0.5), interpolation="bilinear")
+    draw_image(example.electrons, axis)
     place, fit = example.measured.detected_px, example.measured.fit
     axis.scatter(*place[fit].T, s=26, facecolors="none", edgecolors=PALETTE[5], linewidths=0.8)
     axis.scatter(*place[~fit].T, s=26, marker="s", facecolors="none", edgecolors=PALETTE[4], linewidths=0.8)
-    axis.grid(visible=False)
-    axis.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="column [px]", ylabel="row [px]")
     return figure
 
 

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
 from calib.measure.find import find_stamps
-from calib.measure.flags import StarFlag, has_flag
-from calib.measure.image import image_from_frame
-from calib.records import NoiseModel, SensorImage, StarTable
+from calib.measure.image import subtract_dark
+from calib.records import NoiseModel, StarTable
 from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.readout.noise_model import true_noise
 from optics.arrays import FloatArray
@@ -37,16 +36,6 @@ SMEAR_PX = 0.25
 """Trails up to this length are measured like stars at rest."""
 BACKGROUND_STEP_PX = 4
 """The sky is flat over hundreds of pixels; every 16th pixel gives its level to a fraction of an electron."""
-UNFIT = (
-    StarFlag.SATURATED
-    | StarFlag.EDGE
-    | StarFlag.BLEND
-    | StarFlag.DEFECT
-    | StarFlag.SPIKE
-    | StarFlag.NOT_CONVERGED
-    | StarFlag.NO_DATA
-)
-"""Flags that keep a star out of an attitude."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,16 +91,6 @@ class MeasuredFrame:
         """The same stars at other positions (n, 2)."""
         return replace(self, stars=replace(self.stars, x_px=pixel_px[:, 0], y_px=pixel_px[:, 1]))
 
-    @property
-    def sharp(self) -> NDArray[np.bool_]:
-        """Detections (n,) that are sharper than a star or sit on a pixel that is known to be bad."""
-        return has_flag(self.stars.flags, StarFlag.SPIKE) | has_flag(self.stars.flags, StarFlag.DEFECT)
-
-    @property
-    def pixel_px(self) -> FloatArray:
-        """Centroids (n, 2); NaN where there is none."""
-        return np.column_stack([self.stars.x_px, self.stars.y_px])
-
 
 def empty_frame(scene: Scene, frame: int, *, sky_e: float, streams: Streams) -> Frame:
     """A frame without stars on an even background [e-], exposed like those of the dataset."""
@@ -136,12 +115,6 @@ def master_dark(scene: Scene, *, frames: int, streams: Streams) -> NDArray[np.fl
     return np.asarray(total / frames, np.float32)
 
 
-def dark_subtracted(frame: Frame, reduction: Reduction) -> SensorImage:
-    """The frame without its pattern: what is left above the nominal offset is light."""
-    image = image_from_frame(frame)
-    return replace(image, dn=image.dn - reduction.dark_dn + frame.offset_dn, noise=reduction.noise)
-
-
 def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) -> MeasuredFrame:
     """Detect and centroid the stars of a frame.
 
@@ -162,7 +135,7 @@ def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) 
     MeasuredFrame
         Empty if nothing was found, or no pixel is usable.
     """
-    image = dark_subtracted(frame, reduction)
+    image = replace(subtract_dark(frame, reduction.dark_dn), noise=reduction.noise)
     try:
         background = estimate_background(image, step_px=BACKGROUND_STEP_PX)
     except DomainError:  # saturated all over
@@ -181,10 +154,9 @@ def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) 
         stamps = replace(stamps, psf_index=reduction.psfs.nearest(stamps.start_px[:, 0], stamps.start_px[:, 1]))
         options = {"epsf": reduction.psfs.psfs}
     stars = get_centroider("windowed" if moving else reduction.centroid, **options).measure(stamps, image.noise)
-    known = np.isfinite(stars.covariance).all(axis=(1, 2)) & np.isfinite(stars.x_px) & np.isfinite(stars.y_px)
     return MeasuredFrame(
         stars=stars,
-        fit=((stars.flags & np.uint32(int(UNFIT))) == 0) & known,
+        fit=stars.fit,
         detected_px=stamps.start_px,
     )
 

@@ -21,7 +21,7 @@ from optics.units import ARCSEC_RAD
 from render.catalogue.index import SkyIndex, build_index
 from render.catalogue.motion import Observer, earth_observer
 from render.catalogue.record import StarCatalog
-from render.catalogue.temperature import TYPICAL_TEMPERATURE_K, colour_temperature
+from render.catalogue.temperature import star_temperature
 from render.detector.radiation import aged
 from render.fits.wcs import LensWcs, lens_wcs
 from render.sky.field import FieldOfView, SkyField, StarLight, field_of, field_of_view, star_light
@@ -110,7 +110,7 @@ def build_scene(config: Config) -> Scene:
         instrument=instrument,
         catalogue=build_index(catalogue),
         row=bright,
-        temperature_k=_temperatures(catalogue, config.sky),
+        temperature_k=star_temperature(catalogue, config.sky.temperature),
         view=field_of_view(instrument.camera, margin_px=MARGIN_PX + _path_px(plan, instrument)),
         light=light,
         plan=plan,
@@ -185,16 +185,6 @@ def seen_at(scene: Scene, attitude: Rotation) -> SkyField:
         epoch_year=scene.config.sky.epoch_year,
         observer=scene.observer,
     )
-
-
-def _temperatures(catalogue: StarCatalog, config: CatalogueConfig) -> FloatArray:
-    """Of every star; a typical one where nothing is known."""
-    by_colour = colour_temperature(catalogue.bp_rp_mag, catalogue.b_v_mag)
-    first, second = by_colour, catalogue.effective_temperature_k
-    if config.temperature == "effective":
-        first, second = second, first
-    kelvin = np.where(np.isnan(first), second, first)
-    return np.where(np.isnan(kelvin), TYPICAL_TEMPERATURE_K, kelvin)
 
 
 def _no_star(catalogue: StarCatalog, config: CatalogueConfig) -> str:

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.association import associate
 from calib.attitude.identify import Identification, identify
-from calib.attitude.solve import solve_wahba
+from calib.attitude.star_attitude import FEWEST, MATCH_PX, balanced_attitude
 from calib.cameras.base import CameraModel
 from experiments.dataset.measure import MeasuredFrame
 from optics.arrays import FloatArray
@@ -28,13 +27,6 @@ from optics.records import freeze
 from optics.units import RAD_ARCSEC
 
 __all__ = ["SkyMap", "SolvedFrame", "solve_frame"]
-
-
-MATCH_PX = 1.0
-LARGEST_COMMON_PX = 0.5
-FEWEST = 3
-CLIP_SIGMA, CLIP_ROUNDS = 3.5, 6
-"""Stars that lie farther off are no longer asked: undetected blends, wrong partners. Of good ones 0.2 % lie there."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,9 +143,10 @@ def solve_frame(
         tetra3rs is missing.
     """
     # patterns are made of the brightest stars: those that are saturated or blended must not be missing from them
-    seen = np.isfinite(measured.pixel_px).all(axis=1) & np.isfinite(measured.stars.flux_e) & ~measured.sharp
-    found = identify(measured.pixel_px[seen], model, database, flux=measured.stars.flux_e[seen], catalogue=sky.by_id)
-    pixel = measured.pixel_px[measured.fit]
+    stars = measured.stars
+    seen = np.isfinite(stars.pixel_px).all(axis=1) & np.isfinite(stars.flux_e) & ~stars.sharp
+    found = identify(stars.pixel_px[seen], model, database, flux=stars.flux_e[seen], catalogue=sky.by_id)
+    pixel = stars.pixel_px[measured.fit]
     common: dict[str, Any] = {
         "frame": frame,
         "detected": len(measured.stars),
@@ -205,31 +198,5 @@ def _weighted(
     covariance = measured.stars.covariance[measured.fit][pairs.detected]
     variance = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2.0
     v_cam, v_ref = model.unproject(pixel[pairs.detected]), sky.direction[pairs.catalogue]
-    kept = np.ones(len(v_cam), bool)
-    for _ in range(CLIP_ROUNDS):
-        solution, common_px = _balanced(v_cam[kept], v_ref[kept], variance[kept], pixel_arcsec / RAD_ARCSEC)
-        miss = np.linalg.norm(v_cam - solution.rotation.apply(v_ref), axis=1) / (pixel_arcsec / RAD_ARCSEC)
-        good = miss < CLIP_SIGMA * np.sqrt(variance + common_px**2)
-        if np.array_equal(good, kept) or np.count_nonzero(good) < max(FEWEST, len(kept) // 2):
-            break
-        kept = good
+    solution, kept, common_px = balanced_attitude(v_cam, v_ref, variance, pixel_arcsec / RAD_ARCSEC)
     return solution, int(kept.sum()), common_px
-
-
-def _balanced(v_cam: FloatArray, v_ref: FloatArray, variance_px2: FloatArray, pixel_rad: float) -> tuple[Any, float]:
-    """Attitude with the common error [px] that makes the residuals as large as they should be."""
-
-    def solved(common_px: float) -> Any:
-        return solve_wahba(v_cam, v_ref, sigma_rad=pixel_rad * np.sqrt(variance_px2 + common_px**2))
-
-    def excess(common_px: float) -> float:
-        miss = np.linalg.norm(v_cam - solved(common_px).rotation.apply(v_ref), axis=1) / pixel_rad
-        typical = float(np.median(miss**2 / (variance_px2 + common_px**2))) / (2.0 * np.log(2.0))
-        return typical - (2 * len(miss) - 3) / (2 * len(miss))
-
-    if excess(0.0) <= 0.0:
-        return solved(0.0), 0.0
-    if excess(LARGEST_COMMON_PX) > 0.0:
-        return solved(LARGEST_COMMON_PX), LARGEST_COMMON_PX
-    common_px = float(brentq(excess, 0.0, LARGEST_COMMON_PX, xtol=1e-3))
-    return solved(common_px), common_px

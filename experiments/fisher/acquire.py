@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.flags import StarFlag, has_flag
 from calib.measure.centroid import get_centroider
-from calib.measure.flags import StarFlag, has_flag
 from calib.measure.linear_response import centroid_covariance, linear_response
 from calib.measure.stamps import stamps_from_windows
 from calib.records import NoiseModel, Stamps

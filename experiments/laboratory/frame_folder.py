@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from calib.flags import StarFlag, has_flag
 from calib.measure.background import estimate_background
 from calib.measure.detection import detect
-from calib.measure.flags import StarFlag, has_flag
 from calib.measure.image import sensor_image
 from experiments.harness.config import StrictModel
 from experiments.laboratory.points import common_shift

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.flags import StarFlag, has_flag
 from calib.measure.centroid import get_centroider
-from calib.measure.flags import StarFlag, has_flag
 from calib.measure.linear_response import centroid_variance, linear_response
 from calib.records import NoiseModel, Stamps
 from experiments.harness.summary import Measured

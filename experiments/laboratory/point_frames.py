@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.flags import StarFlag, has_flag
 from calib.measure.centroid import Centroider
-from calib.measure.flags import StarFlag, has_flag
 from calib.measure.stamps import ring_background, stamps_from_windows
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench import Bench

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.flags import StarFlag, has_flag
 from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
 from calib.measure.detection import detect
-from calib.measure.flags import StarFlag, has_flag
 from calib.measure.image import sensor_image
 from calib.measure.stamps import stamps_from_windows
 from calib.records import NoiseModel, Stamps, StarTable

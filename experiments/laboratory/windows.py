@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.flags import StarFlag, has_flag
 from calib.measure.centroid import Centroider, get_centroider
-from calib.measure.flags import StarFlag, has_flag
 from calib.measure.linear_response import centroid_covariance, centroid_variance, linear_response
 from calib.measure.stamps import coarse_position, stamps_from_windows
 from calib.records import NoiseModel, Stamps

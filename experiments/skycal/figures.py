@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from calib.measure.flags import StarFlag, has_flag
+from calib.flags import StarFlag, has_flag
 from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
 from experiments.harness.tables import cell_text
 from experiments.skycal.calibrate import METHODS, rms
@@ -18,6 +18,7 @@ from experiments.skycal.evaluate import PARTS
 from experiments.skycal.result import CameraResult
 from experiments.skycal.settings import parse_model_name
 from optics.arrays import FloatArray
+from optics.figures import draw_image
 
 __all__ = [
     "centroid_errors",
@@ -67,18 +68,14 @@ def _frame(axis: Any, camera: CameraResult, *, labels: bool = True) -> None:
 
 def sky_frame(camera: CameraResult, *, half: bool = False) -> Figure:
     """One frame with the stars that were matched; columns less their medians, stars enlarged."""
-    from scipy.ndimage import gaussian_filter, grey_dilation
+    from scipy.ndimage import gaussian_filter
 
     example = camera.recording.example
     height, width = example.dn.shape
     figure, axis = new_figure(width="half" if half else "full", aspect_ratio=0.1 + 0.9 * height / width)
     light = gaussian_filter(example.dn.astype(np.float32) - np.median(example.dn, axis=0).astype(np.float32), 0.8)
-    block = max(1, round(width / (600 if half else 1200)))
-    rows, columns = height // block * block, width // block * block
-    coarse = light[:rows, :columns].reshape(rows // block, block, columns // block, block).max((1, 3))
-    low, high = np.percentile(coarse, (99.0 if half else 98.0, 99.98))
-    shown = np.arcsinh(np.clip(grey_dilation(coarse, 3 if half else 5) - low, 0, None) / (0.05 * (high - low)))
-    axis.imshow(shown, cmap="gray", extent=(-0.5, columns - 0.5, rows - 0.5, -0.5), interpolation="bilinear")
+    kind = {"widest_px": 600, "grow": 3} if half else {"widest_px": 1200, "grow": 5}
+    draw_image(light, axis, percentiles=(99.0 if half else 98.0, 99.98), **kind)
     frame = camera.recording.frames[camera.recording.example_index]
     mine = (camera.matched.frame == camera.recording.example_index) & camera.evaluation.used
     place, star = camera.matched.pixel_px[mine], camera.matched.star[mine]

@@ -244,7 +244,7 @@ def own_colour_centroids(scene: Scene, recording: Recording, matched: Matched, c
     The origin of a PSF is the mean of the rays of its own colour, so that these positions estimate where the star's own
     light fell. NaN where the fit does not converge.
     """
-    from calib.measure.flags import StarFlag, has_flag
+    from calib.flags import StarFlag, has_flag
 
     renderer = BankRenderer(scene, config)
     centroider = config.centroid if needs_epsf(config.centroid) else "epsf"

@@ -15,7 +15,7 @@ from calib.calibration.free_attitudes import FreeAttitudes
 from calib.calibration.observations import Observations
 from calib.cameras import BrownConrady
 from calib.cameras.base import CameraModel, SensorGeometry
-from calib.measure.flags import StarFlag, has_flag
+from calib.flags import StarFlag, has_flag
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from optics.records import freeze

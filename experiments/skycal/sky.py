@@ -145,21 +145,20 @@ def random_sky(faintest_mag: float, rng: np.random.Generator) -> Sky:
 def _gaia_sky(faintest_mag: float) -> Sky:
     """Stars of Gaia DR3 and Hipparcos; those without a colour get a typical one."""
     from render.catalogue.gaia import load_gaia
-    from render.catalogue.temperature import TYPICAL_TEMPERATURE_K, colour_temperature
+    from render.catalogue.temperature import star_temperature
 
     catalog = load_gaia()
     limit = float(np.nanmax(catalog.magnitude))
     if faintest_mag > np.ceil(limit):
         raise DomainError(f"faintest_mag = {faintest_mag:g} mag; {catalog.name} ends at G = {limit:.1f}")
     rows = np.flatnonzero(catalog.magnitude <= faintest_mag)
-    kelvin = colour_temperature(catalog.bp_rp_mag[rows], catalog.b_v_mag[rows])
     return Sky(
         name=f"Gaia DR3 and Hipparcos to G = {faintest_mag:g}",
         attribution=catalog.attribution,
         id=catalog.id[rows],
         direction=catalog.direction[rows],
         magnitude=catalog.magnitude[rows],
-        temperature_k=np.where(np.isnan(kelvin), TYPICAL_TEMPERATURE_K, kelvin),
+        temperature_k=star_temperature(catalog.select(rows)),
     )
 
 

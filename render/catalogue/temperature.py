@@ -30,11 +30,16 @@ from __future__ import annotations
 import io
 from functools import cache
 from importlib.resources import files
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from optics.arrays import FloatArray
+from optics.errors import ConfigError
+
+if TYPE_CHECKING:
+    from render.catalogue.record import StarCatalog
 
 __all__ = [
     "B_V_RANGE_MAG",
@@ -42,6 +47,7 @@ __all__ = [
     "TYPICAL_TEMPERATURE_K",
     "colour_temperature",
     "effective_temperature",
+    "star_temperature",
 ]
 
 
@@ -129,3 +135,34 @@ def colour_temperature(bp_rp_mag: ArrayLike | None = None, b_v_mag: ArrayLike | 
     scaled = 0.92 * np.clip(blue, *B_V_RANGE_MAG)
     by_blue = 4600.0 * (1.0 / (scaled + 1.7) + 1.0 / (scaled + 0.62))
     return np.asarray(np.where(np.isnan(by_red), by_blue, by_red))
+
+
+def star_temperature(
+    stars: StarCatalog,
+    kind: Literal["colour", "effective"] = "colour",
+    *,
+    typical_k: float = TYPICAL_TEMPERATURE_K,
+) -> FloatArray:
+    """Temperature [K] of the black body that stands for each star of a catalogue when it is rendered.
+
+    Parameters
+    ----------
+    stars : StarCatalog
+        n stars.
+    kind : {"colour", "effective"}
+        The black body that has the star's colour, or the star's effective temperature. A star without the one gets the
+        other.
+    typical_k : float
+        For stars that have neither; NaN leaves them without.
+
+    Raises
+    ------
+    ConfigError
+        Unknown kind.
+    """
+    if kind not in ("colour", "effective"):
+        raise ConfigError(f"temperature = {kind!r}; 'colour' or 'effective' is needed")
+    known = (colour_temperature(stars.bp_rp_mag, stars.b_v_mag), stars.effective_temperature_k)
+    first, second = known if kind == "colour" else known[::-1]
+    kelvin = np.where(np.isnan(first), second, first)
+    return np.where(np.isnan(kelvin), typical_k, kelvin)

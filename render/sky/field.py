@@ -26,7 +26,7 @@ from render.camera import Camera
 from render.catalogue.index import SkyIndex
 from render.catalogue.motion import Observer, directions_at
 from render.catalogue.record import StarCatalog
-from render.catalogue.temperature import TYPICAL_TEMPERATURE_K, colour_temperature
+from render.catalogue.temperature import TYPICAL_TEMPERATURE_K, star_temperature
 from render.records import StarField
 from render.sky.star_light import StarLight, star_light
 
@@ -346,14 +346,8 @@ def star_field(
             f"bands were prepared for {light.magnitude_system} magnitudes, the catalogue has "
             f"{field.stars.magnitude_system}; star_light(..., magnitude_system={field.stars.magnitude_system!r})"
         )
-    if temperature not in ("colour", "effective"):
-        raise ConfigError(f"temperature = {temperature!r}; 'colour' or 'effective' is needed")
-    by_colour = colour_temperature(field.stars.bp_rp_mag, field.stars.b_v_mag)
-    known = (by_colour, field.stars.effective_temperature_k)
-    first, second = known if temperature == "colour" else known[::-1]
-    kelvin = np.where(np.isnan(first), second, first)
-    if typical_temperature_k is not None:
-        kelvin = np.where(np.isnan(kelvin), typical_temperature_k, kelvin)
+    typical_k = math.nan if typical_temperature_k is None else typical_temperature_k
+    kelvin = star_temperature(field.stars, temperature, typical_k=typical_k)
     if np.isnan(kelvin).any():
         at = int(np.argmax(np.isnan(kelvin)))
         raise DomainError(f"star {field.stars.id[at]} has no colour, so no temperature; give typical_temperature_k")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from calib.measure.flags import StarFlag, describe_flags, has_flag
+from calib.flags import StarFlag, describe_flags, has_flag
 from calib.records import NoiseModel, SensorImage, Stamps, StarTable
 from optics.errors import DomainError
 

@@ -1,4 +1,4 @@
-"""The package's own names."""
+"""The package's own names; what all packages keep to is in tests/test_public_names.py."""
 
 import re
 import subprocess
@@ -10,20 +10,6 @@ import pytest
 import optics
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def test_every_public_name_loads_and_only_these_are_listed():
-    for name in optics.__all__:
-        assert getattr(optics, name) is not None
-    assert set(dir(optics)) == set(optics.__all__)
-
-
-def test_names_are_not_hidden_by_modules_of_the_same_name():
-    import optics.figures
-    import optics.rays.spots
-
-    modules = {name for name in vars(optics) if getattr(getattr(optics, name), "__name__", "").startswith("optics.")}
-    assert not modules & set(optics.__all__)
 
 
 def test_help_names_everything_public_beside_its_module():

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.measure.flags import StarFlag
+from calib.flags import StarFlag
 from calib.measure.moments import (
     FWHM_PER_SIGMA,
     Moments,

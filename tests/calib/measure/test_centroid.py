@@ -7,9 +7,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from calib.flags import StarFlag, has_flag
 from calib.measure import centroid
 from calib.measure.centroid import centroider_class, get_centroider, list_centroiders, register_centroider
-from calib.measure.flags import StarFlag, has_flag
 from calib.records import NoiseModel
 from optics.errors import ConfigError, DomainError
 

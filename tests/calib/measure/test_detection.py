@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from calib.flags import StarFlag, has_flag
 from calib.measure.background import estimate_background
 from calib.measure.detection import detect
-from calib.measure.flags import StarFlag, has_flag
 from calib.records import NoiseModel, SensorImage, StarTable
 from optics.errors import DomainError
 

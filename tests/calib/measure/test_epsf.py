@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.flags import StarFlag, has_flag
 from calib.measure.centroid import get_centroider
 from calib.measure.centroiders.epsf import EpsfCentroider
 from calib.measure.epsf import EpsfBank, EpsfModel, draw_epsf
 from calib.measure.epsf_build import build_epsf
-from calib.measure.flags import StarFlag, has_flag
 from calib.records import NoiseModel
 from optics.errors import DomainError
 

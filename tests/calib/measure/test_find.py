@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.flags import StarFlag, has_flag
 from calib.measure.detection import detect
 from calib.measure.find import find_stamps, find_stars
-from calib.measure.flags import StarFlag, has_flag
 from calib.measure.image import sensor_image
 from calib.records import NoiseModel
 from optics.errors import ConfigError, DomainError

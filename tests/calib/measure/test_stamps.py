@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from calib.measure.flags import StarFlag
+from calib.flags import StarFlag
 from calib.measure.stamps import coarse_position, extract_stamps, ring_background, stamps_from_windows
 from calib.records import NoiseModel, SensorImage
 from optics.errors import DomainError

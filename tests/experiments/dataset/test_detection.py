@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.measure.flags import StarFlag
+from calib.flags import StarFlag
 from calib.records import NoiseModel, StarTable
 from experiments.dataset.detection import centroid_bound, compare_frame, joined
 from experiments.dataset.measure import MeasuredFrame

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
-from calib.measure.flags import StarFlag
+from calib.flags import StarFlag
 from calib.records import StarTable
 from experiments.dataset.measure import MeasuredFrame
 from experiments.dataset.solve import SkyMap, SolvedFrame, solve_frame

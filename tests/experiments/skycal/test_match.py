@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from calib.cameras import BrownConrady
-from calib.measure.flags import StarFlag
+from calib.flags import StarFlag
 from calib.records import NoiseModel, Stamps, StarTable
 from experiments.skycal.calibrate import chance_of, rms
 from experiments.skycal.light import PsfBank, colour_classes

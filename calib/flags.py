@@ -7,7 +7,7 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["StarFlag", "describe_flags", "has_flag"]
+__all__ = ["UNFIT", "StarFlag", "describe_flags", "has_flag"]
 
 
 class StarFlag(IntFlag):
@@ -36,6 +36,18 @@ class StarFlag(IntFlag):
     SPIKE = 16
     NOT_CONVERGED = 32
     NO_DATA = 64
+
+
+UNFIT = (
+    StarFlag.SATURATED
+    | StarFlag.EDGE
+    | StarFlag.BLEND
+    | StarFlag.DEFECT
+    | StarFlag.SPIKE
+    | StarFlag.NOT_CONVERGED
+    | StarFlag.NO_DATA
+)
+"""Flags that keep a star out of an attitude."""
 
 
 def has_flag(flags: NDArray[np.uint32], flag: StarFlag) -> NDArray[np.bool_]:

@@ -1,0 +1,322 @@
+"""From the measured stars of one frame to its attitude: identify them, then let all of them vote.
+
+The weights are the centroids' own covariances and a common error that nobody modelled (undersampling, colour): the one
+with which the residuals are as large as they should be, after R. C. Paule and J. Mandel, J. Res. NBS 87, 377 (1982),
+here by their median. Stars farther off than 3.5 sigma are left out: undetected blends, wrong partners.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+from calib.attitude.association import associate, match_stars, pixel_angle_rad
+from calib.attitude.identify import Identification, build_database, identify
+from calib.attitude.solve import AttitudeSolution, solve_wahba
+from calib.cameras.base import CameraModel
+from calib.records import StarTable
+from optics.arrays import FloatArray
+from optics.attitude import attitude_error_arcsec
+from optics.records import freeze
+from optics.units import RAD_DEG
+
+__all__ = ["KnownStars", "StarAttitude", "balanced_attitude", "identify_stars", "solve_attitude"]
+
+
+MATCH_PX = 1.0
+LARGEST_COMMON_PX = 0.5
+FEWEST = 3
+CLIP_SIGMA, CLIP_ROUNDS = 3.5, 6
+"""Stars that lie farther off are no longer asked: undetected blends, wrong partners. Of good ones 0.2 % lie there."""
+FIELD_MARGIN = 0.06
+"""A database of patterns is made for fields this much narrower and wider than the camera's."""
+BRIGHTEST = 60
+"""Detections that a rough attitude is matched with: about as deep as the catalogue, or chance matches abound."""
+
+
+class KnownStars(Protocol):
+    """The catalogue that attitudes are solved with, such as `render.sky.sky.Sky`."""
+
+    @property
+    def id(self) -> NDArray[np.int64]:
+        """Identifiers (n,)."""
+        ...
+
+    @property
+    def direction(self) -> FloatArray:
+        """Unit vectors (n, 3) along icrs, as the camera sees them: aberration included if the frame has it."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class StarAttitude:
+    """Attitude of a frame from its stars.
+
+    Attributes
+    ----------
+    solution : AttitudeSolution
+        Rotation cam from icrs, covariance, status.
+    detected, catalogue : (k,) int64
+        Rows of the stars that it was made of: in the star table and in the catalogue.
+    residual_px : (k, 2)
+        Measured position minus that of the catalogue star in this attitude.
+    common_px : float
+        Common centroid error per axis that the residuals ask for, beside the covariances; NaN if too few stars.
+    """
+
+    solution: AttitudeSolution
+    detected: NDArray[np.int64]
+    catalogue: NDArray[np.int64]
+    residual_px: FloatArray
+    common_px: float
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "detected", shape=("k",), dtype=np.int64, sizes=sizes)
+        freeze(self, "catalogue", shape=("k",), dtype=np.int64, sizes=sizes)
+        freeze(self, "residual_px", shape=("k", 2), sizes=sizes)
+
+    def __repr__(self) -> str:
+        x, y, z = self.sigma_arcsec
+        return f"<StarAttitude {self.solution.status}: {len(self)} stars, sigma {x:.3g}, {y:.3g}, {z:.3g} arcsec>"
+
+    def __len__(self) -> int:
+        return len(self.detected)
+
+    @property
+    def ok(self) -> bool:
+        """Whether the attitude can be used."""
+        return self.solution.ok
+
+    @property
+    def rotation(self) -> Rotation:
+        """Attitude, cam from icrs."""
+        return self.solution.rotation
+
+    @property
+    def sigma_arcsec(self) -> FloatArray:
+        """Predicted standard deviation (3,) about cam x, y (across the boresight) and z (roll)."""
+        return self.solution.sigma_arcsec
+
+    def error_arcsec(self, truth: Rotation) -> FloatArray:
+        """Error (3,) about cam x, y (across the boresight) and z (roll) against a true attitude, cam from icrs."""
+        return attitude_error_arcsec(self.rotation, truth)
+
+
+def identify_stars(
+    stars: StarTable,
+    model: CameraModel,
+    known: KnownStars,
+    *,
+    near: Rotation | None = None,
+    radius_px: float = 50.0,
+    tolerance_px: float = 2.0,
+    database: Any = None,
+) -> Identification:
+    """Which stars of the sky the stars of a frame are: lost in space, or near an attitude that is roughly known.
+
+    Parameters
+    ----------
+    stars : StarTable
+        Measured stars (`calib.find_stars`); hot pixels are told by their flags and left out.
+    model : CameraModel
+        The camera.
+    known : KnownStars
+        The sky.
+    near : Rotation, optional
+        Rough attitude, cam from icrs. Left out, tetra3rs searches the whole sky (``pip install 'starbench[solve]'``).
+    radius_px : float
+        How far from its place the rough attitude may put a star.
+    tolerance_px : float
+        How far from its place the right attitude may put it.
+    database : tetra3rs.SolverDatabase, optional
+        Patterns (`calib.attitude.identify.build_database`); made for the field of the camera, and kept, if left out.
+
+    Returns
+    -------
+    Identification
+        ``ok``, or a status that says why not; ``detected`` counts in ``stars``.
+
+    Raises
+    ------
+    ConfigError
+        tetra3rs is needed and missing.
+    """
+    usable = np.flatnonzero(np.isfinite(stars.pixel_px).all(axis=1) & np.isfinite(stars.flux_e) & ~stars.sharp)
+    pixel, flux = stars.pixel_px[usable], stars.flux_e[usable]
+    if near is not None:
+        bright = usable[np.argsort(-flux, kind="stable")[:BRIGHTEST]]
+        return _near(stars.pixel_px, bright, model, known, near, radius_px=radius_px, tolerance_px=tolerance_px)
+    patterns = _database(round(_field_deg(model), 1)) if database is None else database
+    found = identify(pixel, model, patterns, flux=flux, catalogue=_ById(known))
+    if found.status == "no_match":  # the catalogue may count its stars in another way than the patterns do
+        found = identify(pixel, model, patterns, flux=flux)
+    return replace(found, detected=usable[found.detected])
+
+
+def solve_attitude(
+    stars: StarTable, identified: Identification, model: CameraModel, known: KnownStars, *, match_px: float = MATCH_PX
+) -> StarAttitude:
+    """Attitude from all stars of a frame that lie near a star of the catalogue.
+
+    Parameters
+    ----------
+    stars : StarTable
+        Measured stars; those without a flag against them (`StarTable.fit`) are used.
+    identified : Identification
+        Gives the attitude that stars are looked up with (`identify_stars`).
+    model : CameraModel
+        The camera.
+    known : KnownStars
+        The sky.
+    match_px : float
+        Largest distance of a star from its place.
+
+    Returns
+    -------
+    StarAttitude
+        Not `ok`, and without a star, if none were identified.
+    """
+    nothing = np.empty(0, np.int64)
+    if not identified.ok or identified.attitude is None:
+        none = solve_wahba(np.empty((0, 3)), np.empty((0, 3)))
+        return StarAttitude(
+            solution=none, detected=nothing, catalogue=nothing, residual_px=np.empty((0, 2)), common_px=float("nan")
+        )
+    fit = np.flatnonzero(stars.fit)
+    pixel = stars.pixel_px[fit]
+    pairs = associate(pixel, known.direction, identified.attitude.rotation, model, radius_px=match_px)
+    if len(pairs) < FEWEST:
+        return StarAttitude(
+            solution=identified.attitude,
+            detected=nothing,
+            catalogue=nothing,
+            residual_px=np.empty((0, 2)),
+            common_px=float("nan"),
+        )
+    covariance = stars.covariance[fit[pairs.detected]]
+    variance = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2.0
+    v_cam, v_ref = model.unproject(pixel[pairs.detected]), known.direction[pairs.catalogue]
+    solution, kept, common_px = balanced_attitude(v_cam, v_ref, variance, pixel_angle_rad(model))
+    place = model.project(solution.rotation.apply(v_ref))
+    return StarAttitude(
+        solution=solution,
+        detected=fit[pairs.detected][kept],
+        catalogue=pairs.catalogue[kept],
+        residual_px=(pixel[pairs.detected] - place)[kept],
+        common_px=common_px,
+    )
+
+
+def balanced_attitude(
+    v_cam: FloatArray, v_ref: FloatArray, variance_px2: FloatArray, pixel_rad: float
+) -> tuple[AttitudeSolution, NDArray[np.bool_], float]:
+    """Attitude with outliers left out and a common error that makes the residuals as large as they should be.
+
+    Parameters
+    ----------
+    v_cam, v_ref : (n, 3)
+        Directions as measured and of the catalogue.
+    variance_px2 : (n,)
+        Variance of each centroid per axis.
+    pixel_rad : float
+        Angle of a pixel.
+
+    Returns
+    -------
+    AttitudeSolution, (n,) bool, float
+        Attitude, stars that it was made of, common error [px].
+    """
+    v_ref = np.array(v_ref)  # SciPy's rotations refuse write-locked arrays, such as those of records
+    kept = np.ones(len(v_cam), bool)
+    for _ in range(CLIP_ROUNDS):
+        solution, common_px = _balanced(v_cam[kept], v_ref[kept], variance_px2[kept], pixel_rad)
+        miss = np.linalg.norm(v_cam - solution.rotation.apply(v_ref), axis=1) / pixel_rad
+        good = miss < CLIP_SIGMA * np.sqrt(variance_px2 + common_px**2)
+        if np.array_equal(good, kept) or np.count_nonzero(good) < max(FEWEST, len(kept) // 2):
+            break
+        kept = good
+    return solution, kept, common_px
+
+
+def _balanced(
+    v_cam: FloatArray, v_ref: FloatArray, variance_px2: FloatArray, pixel_rad: float
+) -> tuple[AttitudeSolution, float]:
+    def solved(common_px: float) -> AttitudeSolution:
+        return solve_wahba(v_cam, v_ref, sigma_rad=pixel_rad * np.sqrt(variance_px2 + common_px**2))
+
+    def excess(common_px: float) -> float:
+        miss = np.linalg.norm(v_cam - solved(common_px).rotation.apply(v_ref), axis=1) / pixel_rad
+        typical = float(np.median(miss**2 / (variance_px2 + common_px**2))) / (2.0 * np.log(2.0))
+        return typical - (2 * len(miss) - 3) / (2 * len(miss))
+
+    if excess(0.0) <= 0.0:
+        return solved(0.0), 0.0
+    if excess(LARGEST_COMMON_PX) > 0.0:
+        return solved(LARGEST_COMMON_PX), LARGEST_COMMON_PX
+    common_px = float(brentq(excess, 0.0, LARGEST_COMMON_PX, xtol=1e-3))
+    return solved(common_px), common_px
+
+
+def _near(
+    pixel: FloatArray,
+    rows: NDArray[np.int64],
+    model: CameraModel,
+    known: KnownStars,
+    near: Rotation,
+    *,
+    radius_px: float,
+    tolerance_px: float,
+) -> Identification:
+    found = match_stars(
+        pixel[rows], known.direction, near, model, radius_px=radius_px, tolerance_px=min(tolerance_px, radius_px)
+    )
+    status = {"matched": "identified"}.get(found.status, found.status)
+    return Identification(
+        status=status,
+        message=found.message,
+        attitude=found.attitude,
+        detected=rows[found.association.detected],
+        catalogue_id=np.asarray(known.id)[found.association.catalogue],
+        direction=known.direction[found.association.catalogue],
+        chance=found.chance,
+    )
+
+
+def _field_deg(model: CameraModel) -> float:
+    """Horizontal field of view."""
+    middle = model.geometry.centre_px
+    edge = np.array([model.geometry.width_px / 2, 0.0])
+    left, right = model.unproject(np.stack([middle - edge, middle + edge]))
+    return float(np.arccos(np.clip(left @ right, -1.0, 1.0)) * RAD_DEG)
+
+
+@lru_cache(maxsize=4)
+def _database(field_deg: float) -> Any:
+    return build_database(min_fov_deg=field_deg * (1.0 - FIELD_MARGIN), max_fov_deg=field_deg * (1.0 + FIELD_MARGIN))
+
+
+class _ById(Mapping[int, FloatArray]):
+    """Directions of a catalogue by identifier, without a dictionary of the whole sky."""
+
+    def __init__(self, known: KnownStars) -> None:
+        self._known, self._order = known, np.argsort(known.id, kind="stable")
+
+    def __getitem__(self, identifier: int) -> FloatArray:
+        place = int(np.searchsorted(self._known.id, identifier, sorter=self._order))
+        if place == len(self._order) or self._known.id[self._order[place]] != identifier:
+            raise KeyError(identifier)
+        return np.asarray(self._known.direction[self._order[place]])
+
+    def __len__(self) -> int:
+        return len(self._order)
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(np.asarray(self._known.id)[self._order].tolist())

@@ -1,0 +1,86 @@
+"""A camera model whose axes are turned against those of the camera, as one model.
+
+Some models cannot put their axis where the camera has it (`calib.cameras.polynomial`), and a fit then finds a small
+rotation beside the parameters: the model's cam from the camera's, v_model = R v_cam. Here
+
+    project(v) = model.project(R v),   unproject(pixel) = R^T model.unproject(pixel)
+
+so that directions mean those of the camera, and attitudes solved with them are the camera's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from calib.cameras.base import CameraModel, Projection, checked_vectors
+from optics.arrays import FloatArray
+from optics.records import freeze
+
+__all__ = ["AlignedCamera"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlignedCamera(CameraModel):
+    """A camera model with a fixed alignment; its parameters are those of the model.
+
+    Attributes
+    ----------
+    geometry, parameters
+        Of the model.
+    model : CameraModel
+        The family; its parameters play no part beside ``parameters``.
+    rotation_model_from_cam : (3, 3)
+        Proper rotation.
+    """
+
+    model: CameraModel
+    rotation_model_from_cam: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze(self, "rotation_model_from_cam", shape=(3, 3))
+        object.__setattr__(self, "model", self.model.with_parameters(self.parameters))
+        CameraModel.__post_init__(self)
+
+    @classmethod
+    def create(cls, model: CameraModel, rotation: Rotation) -> Self:
+        """The model behind a rotation, model's cam from the camera's."""
+        return cls(
+            geometry=model.geometry,
+            parameters=model.parameters,
+            model=model,
+            rotation_model_from_cam=rotation.as_matrix(),
+        )
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Those of the model."""
+        return self.model.parameter_names
+
+    @property
+    def pinhole_names(self) -> tuple[str, ...]:
+        """Those of the model."""
+        return self.model.pinhole_names
+
+    @property
+    def parameter_scales(self) -> FloatArray:
+        """Those of the model."""
+        return self.model.parameter_scales
+
+    def project(self, direction: ArrayLike, band: ArrayLike | None = None) -> FloatArray:
+        """Pixels (n, 2) of directions (n, 3) in cam."""
+        return self.model.project(checked_vectors(direction, 3, "direction") @ self.rotation_model_from_cam.T, band)
+
+    def project_jacobian(self, direction: ArrayLike, band: ArrayLike | None = None) -> Projection:
+        """Pixels (n, 2), their derivatives by direction (n, 2, 3) and parameters (n, 2, p)."""
+        turned = checked_vectors(direction, 3, "direction") @ self.rotation_model_from_cam.T
+        at = self.model.project_jacobian(turned, band)
+        return Projection(at.pixel_px, at.by_direction @ self.rotation_model_from_cam, at.by_parameter)
+
+    def unproject(self, pixel_px: ArrayLike, band: ArrayLike | None = None) -> FloatArray:
+        """Unit vectors (n, 3) in cam that are imaged at pixels (n, 2)."""
+        return np.asarray(self.model.unproject(pixel_px, band) @ self.rotation_model_from_cam)

@@ -1,0 +1,106 @@
+"""Drawings of what was measured: stars marked in an image, residuals of an attitude. Axes are made without pyplot."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from calib.attitude.identify import Identification
+from calib.attitude.star_attitude import StarAttitude
+from calib.measure.image import as_image
+from calib.records import SensorImage, StarTable
+from optics.figures import draw_image
+from render.records import Frame
+
+__all__ = ["draw_residuals", "mark_stars", "show_image"]
+
+
+IDENTIFIED, FIT, UNFIT = "#59d98e", "#4aa3df", "#ff5d8f"
+
+
+def show_image(image: SensorImage | Frame | NDArray[np.float64], axes: Axes | None = None) -> Axes:
+    """Draw an image of any origin, faint stars visible and bright ones not burnt out.
+
+    Parameters
+    ----------
+    image : SensorImage, Frame or (h, w) array
+        The image.
+    axes : matplotlib.axes.Axes, optional
+        Where; in a new figure if left out. ``axes.figure.savefig("stars.png")`` keeps it.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        In pixels: (column, row), row 0 on top.
+    """
+    sensor = as_image(image)
+    return draw_image(np.where(sensor.valid, sensor.dn, np.median(sensor.dn)), axes)
+
+
+def mark_stars(axes: Axes, stars: StarTable, identified: Identification | StarAttitude | None = None) -> Axes:
+    """Mark measured stars in an image.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Of `show_image` or ``Observation.show``.
+    stars : StarTable
+        Circles; crosses where a flag speaks against the star.
+    identified : Identification or StarAttitude, optional
+        Green circles around those that were identified or made the attitude.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The same.
+    """
+    mine = np.zeros(len(stars), bool)
+    if identified is not None:
+        mine[identified.detected] = True
+    groups: tuple[tuple[Any, dict[str, Any]], ...] = (
+        (mine, {"label": "identified", "edgecolors": IDENTIFIED, "facecolors": "none", "s": 34}),
+        (~mine & stars.fit, {"label": "star", "edgecolors": FIT, "facecolors": "none", "s": 26}),
+        (~mine & ~stars.fit, {"label": "flagged", "color": UNFIT, "marker": "x", "s": 14}),
+    )
+    for rows, style in groups:
+        if rows.any():
+            label = f"{np.count_nonzero(rows)} {style.pop('label')}"
+            axes.scatter(*stars.pixel_px[rows].T, linewidths=0.8, label=label, **style)
+    if len(stars):
+        axes.legend(loc="upper left", fontsize=7, labelcolor="white", facecolor="black", framealpha=0.6)
+    return axes
+
+
+def draw_residuals(attitude: StarAttitude, stars: StarTable, axes: Axes | None = None, *, scale: float = 500.0) -> Axes:
+    """Residuals of the stars of an attitude as arrows over the detector: what a camera model or a centroider missed.
+
+    Parameters
+    ----------
+    attitude : StarAttitude
+        Of `solve_attitude`.
+    stars : StarTable
+        That it was made of.
+    axes : matplotlib.axes.Axes, optional
+        Where; in a new figure if left out.
+    scale : float
+        How much longer than the residuals the arrows are.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        In pixels: (column, row), row 0 on top.
+    """
+    if axes is None:
+        axes = Figure(figsize=(6.4, 6.0), layout="constrained").add_subplot()
+        axes.invert_yaxis()
+    x, y = stars.pixel_px[attitude.detected].T
+    dx, dy = attitude.residual_px.T
+    axes.quiver(x, y, scale * dx, scale * dy, angles="xy", scale_units="xy", scale=1.0, width=2e-3, color=FIT)
+    axes.set(xlabel="column [px]", ylabel="row [px]", aspect="equal")
+    rms = np.sqrt(np.mean(attitude.residual_px**2)) if len(attitude) else np.nan
+    axes.set_title(f"{len(attitude)} stars, {rms:.3f} px RMS per axis, arrows {scale:g} times enlarged", fontsize=9)
+    return axes

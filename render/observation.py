@@ -1,0 +1,294 @@
+"""From a star sensor and an attitude to a frame of the real sky: stars, lens, diffuse light, detector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from optics.attitude import angles_from_attitude
+from optics.errors import ConfigError
+from optics.light.band import Band
+from render.detector.readout import expose
+from render.engine.random import Streams
+from render.forward import StarRenderer
+from render.records import ExpectedImage, Frame, Truth
+from render.sensor import StarSensor
+from render.sky.background import BackgroundMap, UniformSky, background_map, sky_background
+from render.sky.field import SkyField, field_of_view
+from render.sky.sky import Sky, load_sky
+from render.sky.star_light import star_light
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["Observation", "SkySimulator", "observe"]
+
+
+NODES = 6
+MARGIN_PX = 16.0
+"""Stars beside the detector within this distance are rendered too: their spots reach onto it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Observation:
+    """One frame of the sky with all that is known of it.
+
+    Attributes
+    ----------
+    frame : Frame
+        What the detector gave out.
+    expected : ExpectedImage
+        Electrons that it was made of, noiseless, diffuse light included, with the truth of every star.
+    field : SkyField
+        The stars of the truth, in the same order: catalogue rows, directions.
+    attitude : Rotation
+        cam from icrs.
+    sensor : StarSensor
+        Camera and detector.
+    sky : Sky
+        All stars that there are; what a star identifier may know.
+    """
+
+    frame: Frame
+    expected: ExpectedImage
+    field: SkyField
+    attitude: Rotation
+    sensor: StarSensor
+    sky: Sky
+
+    def __repr__(self) -> str:
+        ra, dec, roll = angles_from_attitude(self.attitude)
+        height, width = self.frame.dn.shape
+        return (
+            f"<Observation at ra {ra:.4f}, dec {dec:.4f}, roll {roll:.4f} deg: {width} x {height} px, "
+            f"{self.frame.exposure_s:g} s, {len(self.field)} stars>"
+        )
+
+    @property
+    def truth(self) -> Truth:
+        """Where the light of every star went."""
+        assert self.expected.truth is not None
+        return self.expected.truth
+
+    def to_table(self) -> Any:
+        """Truth as an `astropy.table.Table`: a row per star, what it is, where it is, how many electrons it gave."""
+        from astropy import units
+        from astropy.table import Table
+
+        stars, table = self.field.stars, Table()
+        x, y, z = self.field.direction.T
+        table["star_id"] = np.array(stars.id)
+        table["ra"] = np.degrees(np.arctan2(y, x)) % 360.0 * units.deg
+        table["dec"] = np.degrees(np.arcsin(z)) * units.deg
+        table["magnitude"] = stars.magnitude * units.mag
+        table["temperature"] = self.sky.temperature_k[self.field.row] * units.K
+        for name in Truth.__dataclass_fields__:
+            base, unit = name.rsplit("_", 1) if name.endswith(("_px", "_px2")) else (name, "")
+            table[base] = getattr(self.truth, name)[:, 0]
+            table[base].unit = {"px": units.pix, "px2": units.pix**2}.get(unit, units.electron)
+        return table
+
+    def show(self, axes: Axes | None = None, *, brightest: int = 12) -> Axes:
+        """Draw the frame.
+
+        Parameters
+        ----------
+        axes : matplotlib.axes.Axes, optional
+            Where; in a new figure if left out. ``axes.figure.savefig("frame.png")`` keeps it.
+        brightest : int
+            So many stars are named by their magnitude.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            In pixels: (column, row), row 0 on top. `calib.mark_stars` draws measured stars into it.
+        """
+        from optics.figures import draw_image
+
+        axes = draw_image(self.frame.dn, axes)
+        truth, magnitude = self.truth, self.field.stars.magnitude
+        lit = np.flatnonzero(truth.electrons_image[:, 0] > 0)
+        for star in lit[np.argsort(magnitude[lit], kind="stable")][:brightest]:
+            axes.annotate(
+                f"{magnitude[star]:.1f}",
+                (truth.photon_x_px[star, 0], truth.photon_y_px[star, 0]),
+                xytext=(6, 5),
+                textcoords="offset points",
+                color="#f4d35e",
+                fontsize=7,
+            )
+        axes.set_title(f"{self.frame.exposure_s:g} s, {self.frame.band}, {len(lit)} stars", fontsize=9)
+        return axes
+
+
+class SkySimulator:
+    """Renders frames of the sky with one star sensor; prepared once, for many attitudes.
+
+    Parameters
+    ----------
+    sensor : StarSensor
+        Camera and detector (`render.sensor.load_star_sensor`).
+    sky : Sky, optional
+        The stars; the built-in sky to G = 8 if left out.
+    exposure_s : float
+        Exposure time.
+    passband : Band, optional
+        Filter in front of the camera (`StarSensor.passband`); all that lens and detector are known for if left out.
+    nodes : int
+        Wavelengths at which it is sampled.
+    temperature_c : float, optional
+        Temperature of the detector; its reference temperature if left out.
+    background_e_per_s : float
+        Electrons per second in every pixel that come from anywhere.
+    zodiacal : bool
+        Whether there is zodiacal light, as seen from the Earth or the observer of the sky.
+    uniform : UniformSky, optional
+        Other light of the sky.
+    seed : int
+        Of the noise.
+
+    Raises
+    ------
+    StarbenchError
+        A detector that sees beyond the lens's field, a pass band beyond what is known, exposure not positive, an engine
+        that is missing.
+
+    Examples
+    --------
+    >>> simulator = SkySimulator(sensor, exposure_s=0.2)  # doctest: +SKIP
+    >>> observations = [simulator.observe(attitude, frame=k) for k, attitude in enumerate(attitudes)]  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        sensor: StarSensor,
+        sky: Sky | None = None,
+        *,
+        exposure_s: float = 0.2,
+        passband: Band | None = None,
+        nodes: int = NODES,
+        temperature_c: float | None = None,
+        background_e_per_s: float = 0.0,
+        zodiacal: bool = False,
+        uniform: UniformSky | None = None,
+        seed: int = 0,
+    ) -> None:
+        sensor.check_field()
+        self.sensor, self.sky = sensor, load_sky() if sky is None else sky
+        band = sensor.passband() if passband is None else passband
+        system = self.sky.catalog.magnitude_system
+        self.light = star_light([band], nodes=nodes, magnitude_system=system)
+        self.view = field_of_view(sensor.camera, margin_px=MARGIN_PX)
+        self.diffuse: BackgroundMap | None = None
+        self.zodiacal, self.uniform = zodiacal, uniform
+        if zodiacal or uniform is not None:
+            self.diffuse = background_map(sensor.camera, [band])
+        self.temperature_c, self.background_e_per_s = temperature_c, background_e_per_s
+        self.exposure_s, self._streams = exposure_s, Streams(seed)
+        self._renderer = StarRenderer(sensor.camera, exposure_s=exposure_s)
+
+    def observe(self, attitude: Rotation, *, frame: int = 0) -> Observation:
+        """Expose one frame.
+
+        Parameters
+        ----------
+        attitude : Rotation
+            cam from icrs (`optics.attitude_from_angles`), the same for the whole exposure.
+        frame : int
+            Number of the frame: another number, other noise.
+
+        Raises
+        ------
+        ConfigError
+            Not a single rotation.
+        DomainError
+            The Sun within 15 deg of a pixel, with zodiacal light.
+        """
+        if not isinstance(attitude, Rotation) or not attitude.single:
+            raise ConfigError(
+                "attitude must be one scipy Rotation, cam from icrs; optics.attitude_from_angles makes it"
+            )
+        field = self.sky.field(self.view, attitude)
+        stars = self.sky.star_field(field, self.light)
+        expected = self._renderer.render(stars, rotation_cam_from_world=field.rotation_cam_from_icrs)
+        if self.diffuse is not None:
+            rate = sky_background(
+                self.diffuse,
+                attitude,
+                epoch_year=self.sky.epoch_year,
+                observer=self.sky.observer,
+                zodiacal=self.zodiacal,
+                uniform=self.uniform,
+            )
+            expected = replace(expected, electrons=expected.electrons + rate * np.float32(expected.exposure_s))
+        return Observation(
+            frame=expose(
+                expected,
+                self.sensor.detector,
+                streams=self._streams,
+                frame=frame,
+                temperature_c=self.temperature_c,
+                background_e_per_s=self.background_e_per_s,
+            ),
+            expected=expected,
+            field=field,
+            attitude=attitude,
+            sensor=self.sensor,
+            sky=self.sky,
+        )
+
+    def dark_dn(self, *, frames: int = 20) -> NDArray[np.float32]:
+        """Mean (h, w) [DN] of so many frames without light, exposed like the others: a master dark.
+
+        `calib.subtract_dark` takes the fixed pattern and the dark current out of a frame with it.
+        """
+        total = np.zeros(self.sensor.detector.shape)
+        for frame in range(frames):
+            total += expose(
+                np.zeros(self.sensor.detector.shape, np.float32),
+                self.sensor.detector,
+                streams=self._streams.child("dark"),
+                frame=frame,
+                exposure_s=self.exposure_s,
+                temperature_c=self.temperature_c,
+                band="dark",
+            ).dn
+        return np.asarray(total / frames, np.float32)
+
+
+def observe(
+    sensor: StarSensor,
+    attitude: Rotation,
+    sky: Sky | None = None,
+    *,
+    exposure_s: float = 0.2,
+    seed: int = 0,
+    **settings: Any,
+) -> Observation:
+    """One frame of the sky; `SkySimulator` makes many of them.
+
+    Parameters
+    ----------
+    sensor : StarSensor
+        Camera and detector (`load_star_sensor`).
+    attitude : Rotation
+        cam from icrs (`optics.attitude_from_angles`).
+    sky : Sky, optional
+        The stars (`load_sky`); the built-in sky to G = 8 if left out.
+    exposure_s : float
+        Exposure time.
+    seed : int
+        Of the noise.
+    **settings
+        Any other setting of `SkySimulator`: ``passband=``, ``temperature_c=``, ``zodiacal=`` ...
+
+    Raises
+    ------
+    StarbenchError
+        As `SkySimulator`.
+    """
+    return SkySimulator(sensor, sky, exposure_s=exposure_s, seed=seed, **settings).observe(attitude)

@@ -1,0 +1,144 @@
+"""The sky of one observer at one time: which stars there are, where they are seen, and in which light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.records import freeze
+from render.catalogue.index import SkyIndex, build_index
+from render.catalogue.motion import Observer, directions_at, earth_observer
+from render.catalogue.record import StarCatalog
+from render.catalogue.temperature import star_temperature
+from render.records import StarField
+from render.sky.field import FieldOfView, SkyField, field_of
+from render.sky.star_light import StarLight
+
+__all__ = ["Sky", "load_sky"]
+
+
+FAINTEST_MAG = 8.0
+EPOCH_YEAR = 2016.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Sky:
+    """Stars as one observer sees them; made by `load_sky`.
+
+    Attributes
+    ----------
+    index : SkyIndex
+        n catalogue stars with their search tree.
+    direction : (n, 3)
+        Where they are seen, unit vectors along icrs: moved to the epoch, parallax and aberration included if there
+        is an observer. Attitudes are solved with these.
+    temperature_k : (n,)
+        Temperatures of the black bodies that stand for them.
+    epoch_year : float
+        Julian year of the exposure.
+    observer : Observer or None
+        Where the camera is; None is the barycentre of the solar system.
+    """
+
+    index: SkyIndex
+    direction: FloatArray
+    temperature_k: FloatArray
+    epoch_year: float
+    observer: Observer | None = None
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {"n": len(self.index)}
+        freeze(self, "direction", shape=("n", 3), sizes=sizes)
+        freeze(self, "temperature_k", shape=("n",), sizes=sizes)
+
+    def __repr__(self) -> str:
+        seen_from = "the barycentre" if self.observer is None else "an observer"
+        return f"<Sky of {len(self)} stars of {self.catalog.name}, seen from {seen_from} in {self.epoch_year:g}>"
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    @property
+    def catalog(self) -> StarCatalog:
+        """The stars at the epoch of the catalogue."""
+        return self.index.catalog
+
+    @property
+    def id(self) -> NDArray[np.int64]:
+        """Identifiers (n,): Gaia's source_id, -HIP, or what the catalogue counts by."""
+        return self.catalog.id
+
+    @property
+    def magnitude(self) -> FloatArray:
+        """Magnitudes (n,) in the system of the catalogue."""
+        return self.catalog.magnitude
+
+    def field(self, view: FieldOfView, attitude: Rotation) -> SkyField:
+        """Stars that a camera sees in an attitude, cam from icrs; `SkyField.row` counts in this sky."""
+        return field_of(self.index, view, attitude, epoch_year=self.epoch_year, observer=self.observer)
+
+    def star_field(self, field: SkyField, light: StarLight) -> StarField:
+        """The stars of a field with their light, ready to be rendered."""
+        return light.stars(field.direction, field.stars.magnitude, self.temperature_k[field.row])
+
+
+def load_sky(
+    catalogue: StarCatalog | None = None,
+    *,
+    faintest_mag: float = FAINTEST_MAG,
+    epoch_year: float = EPOCH_YEAR,
+    observer: Observer | Literal["earth"] | None = None,
+    temperature: Literal["colour", "effective"] = "colour",
+) -> Sky:
+    """Stars down to a magnitude, as an observer sees them.
+
+    Parameters
+    ----------
+    catalogue : StarCatalog, optional
+        The stars (`render.catalogue.read.read_catalog` for files); Gaia DR3 and Hipparcos to G = 10 if left out, which
+        come with the program and need no network.
+    faintest_mag : float
+        Faintest star, in the magnitudes of the catalogue. A star tracker of 13 mm aperture centroids stars to about 7
+        in 0.2 s.
+    epoch_year : float
+        Julian year of the exposures. Stars of the built-in sky have no proper motion and stay at 2016.0.
+    observer : Observer or "earth", optional
+        Adds parallax, deflection by the Sun and aberration (20 arcsec); left out: seen from the barycentre.
+    temperature : {"colour", "effective"}
+        Temperature of the black body that stands for a star (`render.catalogue.temperature.star_temperature`).
+
+    Raises
+    ------
+    ConfigError
+        The built-in catalogue is missing.
+    DomainError
+        No star is bright enough; epoch out of range.
+    """
+    whole = _gaia() if catalogue is None else catalogue
+    bright = np.flatnonzero(whole.magnitude <= faintest_mag)
+    if not len(bright):
+        raise DomainError(f"faintest_mag = {faintest_mag:g}: catalogue {whole.name} has no star that bright; raise it")
+    stars = whole.select(bright)
+    seen_from = earth_observer(epoch_year) if observer == "earth" else observer
+    assert not isinstance(seen_from, str)
+    return Sky(
+        index=build_index(stars),
+        direction=directions_at(stars, epoch_year, seen_from),
+        temperature_k=star_temperature(stars, temperature),
+        epoch_year=epoch_year,
+        observer=seen_from,
+    )
+
+
+@cache
+def _gaia() -> StarCatalog:
+    from render.catalogue.gaia import load_gaia
+
+    return load_gaia()

@@ -1,0 +1,104 @@
+"""Attitude of one frame from measured stars: invented stars whose errors are known, with wrong ones among them."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.attitude.star_attitude import identify_stars, solve_attitude
+from calib.cameras import BrownConrady, SensorGeometry
+from calib.flags import StarFlag
+from calib.records import StarTable
+from optics.attitude import attitude_from_angles
+from optics.records import locked
+
+GEOMETRY = SensorGeometry(width_px=1024, height_px=1024, pixel_pitch_mm=5.5e-3)
+MODEL = BrownConrady.create(GEOMETRY, focal_length_mm=25.6, q1_per_mm2=-1e-4)
+TRUTH = attitude_from_angles(120.0, 35.0, 200.0)
+
+
+def random_sky(count=20_000):
+    v = np.random.default_rng(5).normal(size=(count, 3))
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    return SimpleNamespace(id=locked(np.arange(count) * 7, np.int64), direction=locked(v))  # locked as records are
+
+
+def measured(sky, *, sigma_px=0.05, common_px=0.0, false=10, seed=0):
+    """Stars of the sky in the field as a star table that states sigma_px, with errors of both kinds."""
+    rng = np.random.default_rng(seed)
+    v = TRUTH.apply(np.array(sky.direction))
+    row = np.flatnonzero(MODEL.visible(v))
+    place = MODEL.project(v[row]) + rng.normal(0.0, np.hypot(sigma_px, common_px), (len(row), 2))
+    place = np.vstack([place, rng.uniform(0, 1023, (false, 2))])
+    n = len(place)
+    covariance = np.zeros((n, 3, 3))
+    covariance[:] = np.diag([sigma_px**2, sigma_px**2, 1.0])
+    stars = StarTable(
+        x_px=place[:, 0],
+        y_px=place[:, 1],
+        flux_e=rng.uniform(1e3, 1e4, n),
+        background_e=np.zeros(n),
+        covariance=covariance,
+        chi2=np.ones(n),
+        iterations=np.ones(n, np.int64),
+        flags=np.zeros(n, np.uint32),
+    )
+    return stars, row
+
+
+def solved(sky, stars, near):
+    return solve_attitude(stars, identify_stars(stars, MODEL, sky, near=near), MODEL, sky)
+
+
+def test_errors_are_as_large_as_predicted_with_and_without_a_common_error():
+    sky = random_sky()
+    near = Rotation.from_rotvec(np.radians([0.2, -0.3, 0.5])) * TRUTH
+    for common_px in (0.0, 0.15):
+        pulls, common = [], []
+        for seed in range(40):
+            stars, row = measured(sky, common_px=common_px, seed=seed)
+            one = solved(sky, stars, near)
+            assert one.ok
+            matched = one.detected < len(row)
+            assert (row[one.detected[matched]] == one.catalogue[matched]).all()
+            pulls.append(one.error_arcsec(TRUTH) / one.sigma_arcsec)
+            common.append(one.common_px)
+        # a chi-square of 120 degrees of freedom: its mean is 1 +- sqrt(2 / 120); the scale itself is estimated
+        assert np.mean(np.square(pulls)) == pytest.approx(1.0, abs=5 * np.sqrt(2 / 120))
+        assert np.median(common) == pytest.approx(common_px, abs=0.02)
+
+
+def test_identification_names_stars_and_rows():
+    sky = random_sky()
+    stars, row = measured(sky)
+    found = identify_stars(stars, MODEL, sky, near=TRUTH)
+    assert found.ok
+    mine = found.detected < len(row)
+    assert (found.catalogue_id[mine] == 7 * row[found.detected[mine]]).all()
+    assert np.array_equal(found.direction, sky.direction[found.catalogue_id // 7])
+
+
+def test_flagged_stars_do_not_vote():
+    sky = random_sky()
+    stars, row = measured(sky, false=0)
+    flags = np.zeros(len(stars), np.uint32)
+    flags[:3] = [int(StarFlag.BLEND), int(StarFlag.SATURATED), int(StarFlag.SPIKE)]
+    flagged = StarTable(
+        **{name: getattr(stars, name) for name in StarTable.__dataclass_fields__ if name != "flags"}, flags=flags
+    )
+    one = solved(sky, flagged, TRUTH)
+    assert not set(one.detected) & {0, 1, 2}
+    assert len(one) > 0.8 * (len(row) - 3)
+    assert flagged.sharp.tolist()[:4] == [False, False, True, False]
+
+
+def test_nothing_identified_is_an_attitude_that_is_not_ok():
+    sky = random_sky()
+    stars, _ = measured(sky)
+    lost = identify_stars(stars, MODEL, sky, near=attitude_from_angles(300.0, -35.0, 0.0))
+    assert lost.status == "no_match"
+    one = solve_attitude(stars, lost, MODEL, sky)
+    assert (one.ok, len(one)) == (False, 0)
+    empty = identify_stars(StarTable.empty(), MODEL, sky, near=TRUTH)
+    assert empty.status == "too_few"

@@ -1,0 +1,117 @@
+"""Frames of the sky by name and angles: where astropy says that stars are, with the light that a catalogue says."""
+
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+
+from optics.attitude import attitude_from_angles
+from optics.errors import ConfigError, DomainError
+from optics.light.photometry import photon_rate
+from optics.light.spectrum import Blackbody
+from render.camera import launch_disk
+from render.catalogue.motion import earth_observer
+from render.observation import SkySimulator, observe
+from render.sensor import load_star_sensor
+from render.sky.background import UniformSky
+from render.sky.sky import load_sky
+
+ORION = (83.8, -1.2)
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return load_star_sensor("star_tracker_26mm", "cmv4000", window_px=512)
+
+
+@pytest.fixture(scope="module")
+def sky():
+    return load_sky(faintest_mag=6.0)
+
+
+@pytest.fixture(scope="module")
+def simulator(sensor, sky):
+    return SkySimulator(sensor, sky, exposure_s=0.1, seed=3)
+
+
+@pytest.fixture(scope="module")
+def observation(simulator):
+    return simulator.observe(attitude_from_angles(*ORION, 90.0))
+
+
+def test_the_belt_of_orion_is_where_astropy_puts_it(observation, sensor):
+    """Tangent plane by astropy's offsets, roll 90 deg: up in the image is east, so a step north goes along +x."""
+    table = observation.to_table()
+    belt = table[np.argsort(table["magnitude"])[:3]]
+    offset = SkyCoord(belt["ra"], belt["dec"]).transform_to(SkyCoord(*ORION, unit="deg").skyoffset_frame())
+    north = np.tan(offset.lat.rad) / np.cos(offset.lon.rad)
+    east = np.tan(offset.lon.rad)
+    scale = 3600 * np.degrees(1.0) / sensor.pixel_arcsec
+    expected = np.column_stack([255.5 + scale * north, 255.5 - scale * east])
+    found = np.column_stack([belt["photon_x"], belt["photon_y"]])
+    assert np.abs(found - expected).max() < 0.4  # px at 100 px from the axis: distortion, focus
+    assert np.ptp(found, axis=0).max() > 100
+
+
+def test_same_seed_same_frame_and_another_number_other_noise(simulator, observation):
+    attitude = observation.attitude
+    again, other = simulator.observe(attitude), simulator.observe(attitude, frame=1)
+    assert np.array_equal(again.frame.dn, observation.frame.dn)
+    assert np.array_equal(again.expected.electrons, other.expected.electrons)
+    assert (other.frame.dn != again.frame.dn).mean() > 0.5
+
+
+def test_light_is_the_integral_over_the_pass_band(observation, sensor):
+    """Electrons of every star against a sum over 1 nm steps; the rendering has 6 wavelengths."""
+    table, wavelength = observation.to_table(), np.arange(400.5, 1000.0)
+    through = sensor.passband().transmission(wavelength) * sensor.camera.response_at(wavelength)
+    area_mm2 = launch_disk(sensor.camera).area_mm2
+    cosine = observation.field.direction @ observation.attitude.as_matrix()[2]
+    for star in range(len(table)):
+        sed = Blackbody(temperature_k=float(table["temperature"][star]))
+        rate = photon_rate(sed, float(table["magnitude"][star]), wavelength_nm=wavelength, system="G")
+        electrons = (rate * through).sum() * area_mm2 * cosine[star] * 0.1
+        assert table["electrons_in"][star] == pytest.approx(electrons, rel=1e-2)
+
+
+def test_diffuse_light_is_added_where_it_is_asked_for(sensor, sky):
+    attitude = attitude_from_angles(*ORION)
+    bright = observe(sensor, attitude, sky, uniform=UniformSky(magnitude_per_arcsec2=15.0))
+    dark = observe(sensor, attitude, sky)
+    extra = bright.expected.electrons - dark.expected.electrons
+    assert extra.min() > 0
+    assert extra.std() < 0.05 * extra.mean()
+    assert bright.frame.dn.mean() - dark.frame.dn.mean() == pytest.approx(0.3 * extra.mean(), rel=0.05)  # gain
+
+
+def test_an_observer_on_the_earth_sees_stars_aberrated(sky):
+    moving = load_sky(faintest_mag=6.0, observer="earth")
+    ours = np.degrees(np.arccos(np.clip((moving.direction * sky.direction).sum(1), -1, 1))) * 3600
+    speed = np.linalg.norm(earth_observer(2016.0).velocity_km_per_s) / 299792.458
+    assert ours.max() == pytest.approx(np.degrees(speed) * 3600, rel=0.02)
+    assert np.array_equal(moving.id, sky.id)
+
+
+def test_a_master_dark_is_the_pattern_without_the_noise(simulator, sensor):
+    dark = simulator.dark_dn(frames=4)
+    one = simulator.dark_dn(frames=1)
+    assert dark.shape == sensor.detector.shape
+    assert np.median(dark) == pytest.approx(sensor.detector.offset_dn, abs=10)
+    assert np.median(np.abs(one - dark)) > 0
+
+
+def test_axes_show_the_frame_without_pyplot(observation):
+    axes = observation.show(brightest=3)
+    assert axes.get_ylim() == (511.5, -0.5)  # row 0 on top
+    assert len(axes.texts) == 3
+    assert observation.show(axes) is axes
+
+
+def test_what_cannot_be_observed_is_refused(sensor, sky):
+    with pytest.raises(DomainError, match="made for"):
+        SkySimulator(load_star_sensor("star_tracker_26mm", "cmv4000"), sky)
+    with pytest.raises(ConfigError, match="one scipy Rotation"):
+        observe(sensor, np.eye(3), sky)
+    with pytest.raises(DomainError, match="raise it"):
+        load_sky(faintest_mag=-5.0)
+    with pytest.raises(DomainError, match="exposure_s"):
+        observe(sensor, attitude_from_angles(*ORION), sky, exposure_s=0.0)

@@ -1,0 +1,50 @@
+"""The packages' own names: they load, they are what completion and help show, and importing a package stays cheap."""
+
+import pydoc
+import subprocess
+import sys
+from importlib import import_module
+
+import pytest
+
+PACKAGES = ("optics", "render", "calib")
+HEAVY = ("numpy", "scipy", "matplotlib", "mitsuba", "drjit", "astropy", "skimage")
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_every_public_name_loads_is_documented_and_alone_in_the_listing(name):
+    package = import_module(name)
+    for public in package.__all__:
+        value = getattr(package, public)
+        if callable(value):
+            assert value.__doc__, public
+            assert value.__module__.startswith(f"{name}."), public  # where help() says that it lives
+    assert sorted(package.__all__) == dir(package)
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_names_are_not_hidden_by_modules_of_the_same_name(name):
+    package = import_module(name)
+    modules = {module.split(".")[1] for module in sys.modules if module.startswith(f"{name}.")}
+    assert not modules & set(package.__all__)
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_help_shows_the_public_names(name):
+    package = import_module(name)
+    text = pydoc.plain(pydoc.render_doc(package))
+    listed = text[text.index("PACKAGE CONTENTS") :]
+    for public in package.__all__:
+        assert public in listed
+
+
+def test_importing_the_packages_imports_nothing_heavy():
+    code = f"import sys, {', '.join(PACKAGES)}; print([name for name in {HEAVY!r} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_sky_and_stars_need_no_mitsuba():
+    code = "import sys; from render import load_sky, load_star_sensor; print('mitsuba' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
