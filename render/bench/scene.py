@@ -247,6 +247,19 @@ def plate_mesh(hole_mm: float, half_mm: float, *, sides: int = HOLE_SIDES, mater
     return mesh
 
 
+def screen_and_mirrors(geometry: BenchGeometry, pose: CubePose) -> dict[str, Any]:
+    """The white screen with its aperture and the polished faces of the cube, by name, for ``load_dict``."""
+    white = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": geometry.screen_reflectance}}
+    shapes: dict[str, Any] = {"screen": plate_mesh(geometry.aperture_mm, geometry.screen_mm / 2, material=white)}
+    for name, matrix in face_matrices(geometry, pose).items():
+        shapes[f"face{name}"] = {
+            "type": "rectangle",
+            "to_world": Engine.active().mitsuba.ScalarTransform4f(matrix),
+            "bsdf": {"type": "conductor", "material": geometry.metal},
+        }
+    return shapes
+
+
 def bench_scene(geometry: BenchGeometry, pose: CubePose, *, covered: bool) -> Any:
     """The scene that the light of the simulator meets.
 
@@ -264,21 +277,11 @@ def bench_scene(geometry: BenchGeometry, pose: CubePose, *, covered: bool) -> An
     mitsuba.Scene
     """
     mi = Engine.active().mitsuba
-    white = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": geometry.screen_reflectance}}
-    content: dict[str, Any] = {
-        "type": "scene",
-        "screen": plate_mesh(geometry.aperture_mm, geometry.screen_mm / 2, material=white),
-    }
+    content = {"type": "scene", **screen_and_mirrors(geometry, pose)}
     if covered:
         sheet = rectangle_at(np.array([0, 0, -COVER_GAP_MM]), np.diag([1.0, -1.0, -1.0]), 5.0, 5.0)
         sheet[:3, :2] *= geometry.aperture_mm / 5.0
         content["cover"] = {"type": "disk", "to_world": mi.ScalarTransform4f(sheet), "bsdf": _sheet(geometry)}
-    for name, matrix in face_matrices(geometry, pose).items():
-        content[f"face{name}"] = {
-            "type": "rectangle",
-            "to_world": mi.ScalarTransform4f(matrix),
-            "bsdf": {"type": "conductor", "material": geometry.metal},
-        }
     return mi.load_dict(content, optimize=False)  # merging turns the rectangles into a mesh of float32 vertices
 
 

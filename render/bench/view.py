@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
 from render.bench.camera import BenchCamera
-from render.bench.scene import BenchGeometry, CubePose, face_matrices, frame_around, plate_mesh
+from render.bench.scene import BenchGeometry, CubePose, frame_around, screen_and_mirrors
 from render.bench.trace import continued, start_rays
 from render.engine import Engine
 from render.engine.jit import dr
@@ -69,7 +69,6 @@ def overview_scene(geometry: BenchGeometry, pose: CubePose, table: FloatArray, c
     mitsuba.Scene
     """
     mi = Engine.active().mitsuba
-    white = {"type": "twosided", "b": {"type": "diffuse", "reflectance": geometry.screen_reflectance}}
     content: dict[str, Any] = {
         "type": "scene",
         "room": {"type": "constant", "radiance": 0.35},
@@ -83,7 +82,7 @@ def overview_scene(geometry: BenchGeometry, pose: CubePose, table: FloatArray, c
             "to_world": _matrix([0, -195, -330], [330, 15, 620]),
             "bsdf": _paint(0.32),
         },
-        "screen": plate_mesh(geometry.aperture_mm, geometry.screen_mm / 2, material=white),
+        **screen_and_mirrors(geometry, pose),
     }
     content |= _stands(geometry, camera)
     content |= _payload(geometry, pose, table)
@@ -125,8 +124,7 @@ def _stands(geometry: BenchGeometry, camera: BenchCamera) -> dict[str, Any]:
 
 
 def _payload(geometry: BenchGeometry, pose: CubePose, table: FloatArray) -> dict[str, Any]:
-    """What the table carries: inner ring, sun sensor, cube with its polished faces."""
-    mi = Engine.active().mitsuba
+    """What the table carries: inner ring, sun sensor, body of the cube."""
     x, centre = geometry.crossing_mm, pose.centre_mm
     side, reach = geometry.cube_mm, 3.7 * geometry.cube_mm
     toward = np.asarray(table)
@@ -146,7 +144,7 @@ def _payload(geometry: BenchGeometry, pose: CubePose, table: FloatArray) -> dict
         )
     }
     box = centre + toward @ np.array([0.0, 0.0, side / 2 + 16])
-    shapes: dict[str, Any] = {
+    return {
         **ring,
         "inner_axle": _tube(x + toward @ [0, -reach, 0], x + toward @ [0, -0.9 * side, 14], 5, 0.5),
         "inner_axle2": _tube(x + toward @ [0, reach, 0], x + toward @ [0, 0.9 * side, 14], 5, 0.5),
@@ -161,13 +159,6 @@ def _payload(geometry: BenchGeometry, pose: CubePose, table: FloatArray) -> dict
             "bsdf": {"type": "diffuse", "reflectance": 0.15},
         },
     }
-    for name, matrix in face_matrices(geometry, pose).items():
-        shapes[f"face{name}"] = {
-            "type": "rectangle",
-            "to_world": mi.ScalarTransform4f(matrix),
-            "bsdf": {"type": "conductor", "material": geometry.metal},
-        }
-    return shapes
 
 
 def overview_sensor(geometry: BenchGeometry, *, width_px: int, height_px: int, close: bool = False) -> Any:

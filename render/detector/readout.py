@@ -338,6 +338,11 @@ def _has_crosstalk(detector: Detector) -> bool:
 
 
 def _unpack(packed: NDArray[np.uint32]) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-    """(numbers, whether saturated) as views where that can be: the records copy."""
-    halves = packed.astype("<u4", copy=False)[..., None].view("<u2")
-    return halves[..., 0], halves.view(np.bool_)[..., 2]  # a byte of 0 or 1 is a truth value
+    """Numbers and saturation flags of the words that `render.detector.chain` packs them into (bits 0-15, bit 16).
+
+    Both are views on the little-endian words, whose third byte is the flag: the records copy them, and one pass over a
+    frame of 8 megapixels is enough.
+    """
+    words = packed.astype("<u4", copy=False)[..., None]
+    number, flag = words.view("<u2")[..., 0], words.view(np.uint8)[..., 2]
+    return number, flag.view(np.bool_)  # a byte of 0 or 1 is a truth value

@@ -2,7 +2,7 @@
 
 Time is integrated by Gauss-Legendre nodes over a row's own exposure. Their number is found by trial: the image of a
 star that moves is convolved with its path, and the first number is taken whose damped characteristic function of the
-path (`render.tracing.damping`), at the centre and the corners of the detector, agrees with the next one's to the
+path (`render.tracing.convergence`), at the centre and the corners of the detector, agrees with the next one's to the
 tolerance. The spot is taken for a point, as some are nearly: about 4 nodes per pixel of the path with a diffusion of
 0.18 px. Where stars are seen at these nodes is `render.tracing.paths`.
 """
@@ -24,7 +24,13 @@ from optics.errors import ConvergenceError, DomainError
 from optics.records import freeze
 from render.camera import Camera
 from render.motion.trajectory import Trajectory
-from render.tracing.damping import HIGHEST_FREQUENCY, MOTION_TOLERANCE, damped_frequencies, frequencies_up_to, transfer
+from render.tracing.convergence import (
+    HIGHEST_FREQUENCY,
+    MOTION_TOLERANCE,
+    damped_frequencies,
+    frequencies_up_to,
+    transfer,
+)
 from render.tracing.ideal_lens import IdealLens
 
 __all__ = ["NODE_LADDER", "ExposureMotion", "exposure_motion", "gauss_times"]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from optics.arrays import FloatArray, IntArray
 from render.tracing.aimed_pupil import AimedLens, Chiefs, Rims, find_stop_rims
 from render.tracing.kernel import StarKernel
-from render.tracing.pupil_points import OutlinePoints
+from render.tracing.pupil_points import OutlinePoints, bounding_outline
 
 __all__ = ["GOLDEN", "NodePicks", "Outlines", "find_outlines", "node_picks", "node_turns", "rings"]
 
@@ -185,13 +185,10 @@ class Outlines:
 
     def bounding(self, stars: IntArray) -> OutlinePoints:
         """Points that bound the landing points at the wavelengths of `NodePicks.ends`: the rim, and fewer inside."""
-        azimuth = 2.0 * np.pi * np.arange(ARMS) / ARMS
-        radius = self.radius[stars][:, :, self.picks.ends()[0]]
+        azimuth = 2.0 * np.pi * np.arange(ARMS)[None] / ARMS
         every, half = np.arange(ARMS), np.arange(0, ARMS, 2)
-        arm = np.concatenate([every, half, half + 1, half])
-        ring = np.repeat([1.0 - 1e-6, 0.8, 0.5, 0.2], [ARMS, *3 * (ARMS // 2,)])
-        flat = np.full(len(ring), 1.0 / len(ring))
-        return OutlinePoints(self.chief[stars], azimuth[None], radius, radius**2, arm.astype(np.uint32), ring, flat)
+        radius = self.radius[stars][:, :, self.picks.ends()[0]]
+        return bounding_outline(self.chief[stars], azimuth, radius, (every, half, half + 1, half))
 
     def _at(self, azimuth: FloatArray, stars: IntArray) -> FloatArray:
         """Radii (s, b, k, a) of smooth outlines at azimuths (k, a), by their Fourier series."""

@@ -17,7 +17,7 @@ from optics.rays.program import compile_lens
 from optics.rays.pupil import EntrancePupil
 from render.camera import Camera, launch_disk
 from render.tracing.aimed_pupil import AimedLens, Chiefs, aimed_lens, find_chiefs
-from render.tracing.damping import MOTION_TOLERANCE, TOLERANCE
+from render.tracing.convergence import MOTION_TOLERANCE, TOLERANCE
 from render.tracing.ideal_lens import IdealLens
 from render.tracing.kernel import Geometry, StarKernel
 from render.tracing.outlines import NodePicks, Outlines, find_outlines, node_picks

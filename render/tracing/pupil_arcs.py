@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from optics.arrays import FloatArray, IntArray
 from render.tracing.aimed_pupil import AimedLens, find_rims
 from render.tracing.outlines import GOLDEN, NodePicks, rings
-from render.tracing.pupil_points import OutlinePoints
+from render.tracing.pupil_points import OutlinePoints, bounding_outline
 
 __all__ = ["ARC_LADDER", "Arcs", "find_arcs"]
 
@@ -83,12 +83,9 @@ class Arcs:
     def bounding(self, stars: IntArray) -> OutlinePoints:
         """Points that bound the landing points at the wavelengths of `NodePicks.ends`: the rim, and fewer inside."""
         at = np.searchsorted(self.stars, stars)
+        arms = np.arange(0, COARSE, 2), *(np.arange(first, COARSE, 6) for first in range(3))
         radius = self.radius[at][:, :, self.picks.ends()[0]]
-        arms = [np.arange(0, COARSE, 2), *(np.arange(i, COARSE, 6) for i in range(3))]
-        ring = np.repeat([1.0 - 1e-6, 0.8, 0.5, 0.2], [len(arm) for arm in arms])
-        flat = np.full(len(ring), 1.0 / len(ring))
-        arm = np.concatenate(arms).astype(np.uint32)
-        return OutlinePoints(self.centre[at], _coarse_azimuth()[None], radius, radius**2, arm, ring, flat)
+        return bounding_outline(self.centre[at], _coarse_azimuth(), radius, arms)
 
 
 def _coarse_azimuth() -> FloatArray:

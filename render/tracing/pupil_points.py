@@ -8,16 +8,20 @@ uniform scrambling (Owen 1995) by hashing (Laine & Karras 2011; Burley 2020, JCG
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from optics.arrays import FloatArray
+from optics.arrays import FloatArray, IntArray
 from render.engine.jit import dr
 
-__all__ = ["OutlinePoints", "PupilPoints", "SobolPoints", "TablePoints"]
+__all__ = ["OutlinePoints", "PupilPoints", "SobolPoints", "TablePoints", "bounding_outline"]
+
+
+BOUNDING_RINGS = (1.0 - 1e-6, 0.8, 0.5, 0.2)
 
 
 class PupilPoints(Protocol):
@@ -125,6 +129,23 @@ class OutlinePoints:
             for axis in (0, 1)
         )
         return px, py, dr.gather(F, F(self.share.ravel()), at) * dr.gather(F, F(self.ring_weight), point)
+
+
+def bounding_outline(
+    centre: FloatArray, azimuth: FloatArray, radius: FloatArray, arms: Sequence[IntArray]
+) -> OutlinePoints:
+    """Points that bound where the light inside outlines lands: on the rim, and on three rings inside.
+
+    Parameters
+    ----------
+    centre, azimuth, radius
+        As in `OutlinePoints`.
+    arms : 4 arrays
+        Azimuths that are used on each of `BOUNDING_RINGS`.
+    """
+    ring = np.repeat(BOUNDING_RINGS, [len(arm) for arm in arms])
+    weight = np.full(len(ring), 1.0 / len(ring))
+    return OutlinePoints(centre, azimuth, radius, radius**2, np.concatenate(arms).astype(np.uint32), ring, weight)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
 from optics.rays.pupil import gauss_disk
-from render.tracing.damping import TOLERANCE, damped_frequencies, transfer
+from render.tracing.convergence import TOLERANCE, damped_frequencies, transfer
 from render.tracing.outlines import node_turns
 from render.tracing.pupil_points import PupilPoints, SobolPoints, TablePoints
 

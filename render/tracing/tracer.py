@@ -14,7 +14,7 @@ from optics.rays.pupil import EntrancePupil, gauss_disk
 from render.camera import Camera
 from render.records import StarField, Truth
 from render.tracing.compose import TruthSums
-from render.tracing.damping import TOLERANCE
+from render.tracing.convergence import TOLERANCE
 from render.tracing.ideal_lens import IdealLens
 from render.tracing.kernel import LOST, StarKernel
 from render.tracing.motion import ExposureMotion

@@ -12,7 +12,7 @@ from scipy.stats import qmc
 
 from optics.lens.prescription import load_lens
 from render.tracing import pupil_points
-from render.tracing.damping import TOLERANCE
+from render.tracing.convergence import TOLERANCE
 from render.tracing.pupil_points import SobolPoints
 from render.tracing.sampling import LADDER, bounding_points, probe_fields, sobol_plan, staggered
 from render.tracing.tracer import Tracer

@@ -1,4 +1,5 @@
-"""Frequencies that a pixel value can hold, and how much of each is left of it: what sums over rays are judged by."""
+"""When a sum over rays is converged: frequencies that a pixel value can hold, and how much charge diffusion leaves of
+each."""
 
 from __future__ import annotations
 
