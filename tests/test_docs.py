@@ -1,10 +1,13 @@
 """The documents: their links lead somewhere, their code runs."""
 
+import ast
+import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -18,22 +21,63 @@ def test_relative_links_lead_to_files(page):
     assert not missing
 
 
-@pytest.mark.slow
-def test_the_library_script_runs_and_measures(tmp_path):
-    source = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "library.md").read_text(encoding="utf-8"), re.S)[0]
-    script = tmp_path / "script.py"
-    script.write_text(source, encoding="utf-8")
+def scripts(page):
+    """Python blocks of a page."""
+    return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.S)
+
+
+def run_script(source, folder):
+    """Standard output of a script that is run in a folder of its own."""
+    (folder / "script.py").write_text(source, encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, "-W", "error::UserWarning", str(script)],
-        cwd=tmp_path,
-        env={**__import__("os").environ, "PYTHONPATH": str(ROOT)},
+        [sys.executable, "-W", "error::UserWarning", "script.py"],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
         check=False,
         timeout=120,
     )
     assert done.returncode == 0, done.stderr
-    errors = [float(value) for value in re.findall(r"error ([+-][\d.]+)", done.stdout)]
+    return done.stdout
+
+
+def numbers(text):
+    return np.array([float(value) for value in re.findall(r"-?\d+\.\d*(?:e-?\d+)?", text)])
+
+
+def test_the_ten_lines_are_ten_and_the_same_everywhere():
+    script = scripts("README.md")[0]
+    statements = [node for node in ast.parse(script).body if not isinstance(node, ast.Import | ast.ImportFrom)]
+    assert len(statements) <= 10
+    assert not any(";" in line.split("#")[0] for line in script.splitlines())
+    assert script == scripts("docs/library.md")[0]
+
+
+@pytest.mark.parametrize("known", ["lost in space", "roughly"])
+def test_the_ten_lines_find_the_attitude(tmp_path, known):
+    script = scripts("README.md")[0]
+    if known == "roughly":  # 0.1 deg off, as without tetra3rs
+        script = script.replace(
+            "observation.sky)  # lost", "observation.sky, near=attitude_from_angles(83.7, -1.1, 30.2))  #"
+        )
+        assert "near=attitude" in script
+    else:
+        pytest.importorskip("tetra3rs")
+    said = run_script(script, tmp_path).split("predicted")
+    error, sigma = numbers(said[0]), numbers(said[1])
+    assert error.shape == sigma.shape == (3,)
+    assert (np.abs(error) < 5.0 * sigma).all()
+    # the bound of 200 stars of 0.05 px: 44.3 arcsec x 0.05 / sqrt(200), and for the roll over the field's half-width
+    assert 0.1 < sigma[0] < 0.4
+    assert sigma[2] == pytest.approx(sigma[0] / 0.1, rel=0.5)
+    assert (tmp_path / "orion.png").stat().st_size > 20_000
+
+
+@pytest.mark.slow
+def test_the_script_with_stars_of_ones_own_runs_and_measures(tmp_path):
+    said = run_script(scripts("docs/library.md")[1], tmp_path)
+    errors = [float(value) for value in re.findall(r"error ([+-][\d.]+)", said)]
     assert len(errors) == 10  # every star, nothing else
     assert max(map(abs, errors)) < 0.1  # a Gaussian on a spot with coma; a slip of half a pixel would show
     assert (tmp_path / "frame.fits").exists()
