@@ -24,6 +24,7 @@ from .flags import StarFlag as StarFlag
 from .measure.background import estimate_background as estimate_background
 from .measure.centroid import get_centroider as get_centroider
 from .measure.centroid import list_centroiders as list_centroiders
+from .measure.centroid import register_centroider as register_centroider
 from .measure.detection import detect as detect
 from .measure.find import find_stars as find_stars
 from .measure.image import read_image as read_image

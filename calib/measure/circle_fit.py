@@ -23,7 +23,7 @@ from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.records import freeze
 
-__all__ = ["CircleFit", "EllipseFit", "fit_circle", "fit_ellipse"]
+__all__ = ["CircleFit", "CurveFit", "EllipseFit", "fit_circle", "fit_ellipse"]
 
 
 DistanceTo = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
@@ -35,17 +35,15 @@ CLIP_ROUNDS = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CircleFit:
-    """A circle.
+class CurveFit:
+    """What every fit of a closed curve tells.
 
     Attributes
     ----------
     centre : (2,)
         Its centre, in the unit of the points.
-    radius : float
-        Its radius.
-    covariance : (3, 3)
-        Of (x, y, radius).
+    covariance : (k, k)
+        Of the parameters.
     rms : float
         Of the orthogonal distances of the points used.
     chi2 : float
@@ -55,7 +53,6 @@ class CircleFit:
     """
 
     centre: FloatArray
-    radius: float
     covariance: FloatArray
     rms: float
     chi2: float
@@ -63,51 +60,48 @@ class CircleFit:
 
     def __post_init__(self) -> None:
         freeze(self, "centre", shape=(2,))
-        freeze(self, "covariance", shape=(3, 3))
+        freeze(self, "covariance", shape=("k", "k"), sizes={})
         freeze(self, "used", shape=("n",), dtype=np.bool_)
 
     @property
     def sigma(self) -> FloatArray:
-        """Standard deviations of (x, y, radius)."""
+        """Standard deviations of the parameters, in the order of the covariance."""
         return np.sqrt(np.diag(self.covariance))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class EllipseFit:
-    """An ellipse.
+class CircleFit(CurveFit):
+    """A circle; parameters x, y, radius, and the attributes of `CurveFit`.
 
     Attributes
     ----------
-    centre : (2,)
-        Its centre.
-    semi_axes : (2,)
-        The longer and the shorter half axis.
-    angle_rad : float
-        Direction of the longer one from +x towards +y, -pi/2 to pi/2.
-    covariance : (5, 5)
-        Of (x, y, a, b, angle). For a circle the angle means nothing and its variance is huge.
-    rms, chi2, used
-        As in `CircleFit`.
+    radius : float
+        Its radius.
     """
 
-    centre: FloatArray
+    radius: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EllipseFit(CurveFit):
+    """An ellipse; parameters x, y, a, b, angle, and the attributes of `CurveFit`.
+
+    Of a circle the angle means nothing and its variance is huge.
+
+    Attributes
+    ----------
+    semi_axes : (2,)
+        The longer and the shorter half axis, a and b.
+    angle_rad : float
+        Direction of the longer one from +x towards +y, -pi/2 to pi/2.
+    """
+
     semi_axes: FloatArray
     angle_rad: float
-    covariance: FloatArray
-    rms: float
-    chi2: float
-    used: NDArray[np.bool_]
 
     def __post_init__(self) -> None:
-        freeze(self, "centre", shape=(2,))
+        CurveFit.__post_init__(self)
         freeze(self, "semi_axes", shape=(2,))
-        freeze(self, "covariance", shape=(5, 5))
-        freeze(self, "used", shape=("n",), dtype=np.bool_)
-
-    @property
-    def sigma(self) -> FloatArray:
-        """Standard deviations of (x, y, a, b, angle)."""
-        return np.sqrt(np.diag(self.covariance))
 
 
 def fit_circle(points: ArrayLike, *, sigma: ArrayLike | None = None, clip_sigma: float = CLIP_SIGMA) -> CircleFit:

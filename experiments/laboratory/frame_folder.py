@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from calib.flags import StarFlag, has_flag
-from calib.measure.background import estimate_background
 from calib.measure.detection import detect
 from calib.measure.image import sensor_image
 from experiments.harness.config import StrictModel
@@ -367,7 +366,7 @@ class _Reader:
             quantised=False,
             source=name,
         )
-        table = detect(image, estimate_background(image))
+        table = detect(image)
         table = table.select(~has_flag(table.flags, StarFlag.SPIKE)) if len(table) else table
         position = np.column_stack([table.x_px, table.y_px])
         wanted = s.points if reference is None else len(reference)

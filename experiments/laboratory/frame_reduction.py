@@ -255,7 +255,7 @@ def temporal_from_frames(folder: FrameFolder, methods: Sequence[str]) -> Tempora
     folder : FrameFolder
         From `read_folder`.
     methods : sequence of str
-        Centroiders without a PSF: "cog", "tcog", "windowed", "gaussian".
+        Centroiders that need no ePSF.
 
     Raises
     ------
