@@ -58,6 +58,7 @@ from optics.rays.trace import OK, Rays, trace, trace_program
 from optics.units import UM_MM
 from render.camera import Camera, launch_disk
 from render.engine.arrays import DrJitArrays
+from render.engine.jit import dr
 from render.plugins.handles import Handles
 from render.tracing.sampling import probe_fields
 
@@ -241,7 +242,7 @@ class _Backward(NamedTuple):
     rotation: Any
 
 
-def define(mi: Any, dr: Any) -> type:
+def define(mi: Any) -> type:
     """The plugin class for Mitsuba's active variant."""
 
     class LensCamera(mi.Sensor):

@@ -14,6 +14,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from render.engine.jit import dr
+
 __all__ = ["define", "lommel_seeliger_phase"]
 
 
@@ -25,7 +27,7 @@ def lommel_seeliger_phase(phase_rad: float) -> float:
     return 1.0 - math.sin(half) * math.tan(half) * math.log(1.0 / math.tan(0.5 * half))
 
 
-def define(mi: Any, dr: Any) -> type:
+def define(mi: Any) -> type:
     """The plugin class for Mitsuba's active variant."""
 
     class LunarSurface(mi.BSDF):

@@ -26,16 +26,14 @@ def register_plugins() -> tuple[type, type, type]:
     BackendError
         Mitsuba's variant is one without Dr.Jit arrays.
     """
-    from render.engine.jit import dr
-
     engine = Engine.active()
     mi, variant = engine.mitsuba, engine.variant
     if variant not in _registered:
-        emitter, sensor = star_field.define(mi, dr), lens_camera.define(mi, dr)
-        integrator = star_tracer.define(mi, dr, emitter, sensor)
+        emitter, sensor = star_field.define(mi), lens_camera.define(mi)
+        integrator = star_tracer.define(mi, emitter, sensor)
         mi.register_emitter("star_field", emitter)
         mi.register_sensor("lens_camera", sensor)
         mi.register_integrator("star_tracer", integrator)
-        mi.register_bsdf("lunar_surface", lunar_surface.define(mi, dr))
+        mi.register_bsdf("lunar_surface", lunar_surface.define(mi))
         _registered[variant] = (emitter, sensor, integrator)
     return _registered[variant]

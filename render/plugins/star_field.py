@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from optics.errors import ConfigError
+from render.engine.jit import dr
 from render.plugins.handles import Handles
 from render.records import StarField
 from render.tracing.motion import ExposureMotion
@@ -42,7 +43,7 @@ def share_motion(motion: ExposureMotion) -> str:
     return _motions.share(motion)
 
 
-def define(mi: Any, dr: Any) -> type:
+def define(mi: Any) -> type:
     """The plugin class for Mitsuba's active variant."""
 
     class StarFieldEmitter(mi.Emitter):

@@ -13,6 +13,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from optics.errors import ConfigError
 from render.tracing.tracer import TracedStars, Tracer
 
@@ -22,7 +24,7 @@ KEPT = 8
 """Cameras (with a seed each) whose compiled lens is kept for the next image."""
 
 
-def define(mi: Any, dr: Any, emitter_class: Any, camera_class: Any) -> type:
+def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
     """The plugin class for Mitsuba's active variant."""
 
     class StarTracer(mi.AdjointIntegrator):
@@ -51,7 +53,7 @@ def define(mi: Any, dr: Any, emitter_class: Any, camera_class: Any) -> type:
                 raise ConfigError(
                     f"star_tracer: the scene holds {len(fields)} star_field emitters; exactly one is needed"
                 )
-            number = int(dr.slice(seed)) if dr.is_array_v(seed) else int(seed)
+            number = int(np.asarray(seed).item())  # a number, or a Dr.Jit array of one
             key = (id(camera), number)
             if key not in self._tracers:  # the sensor is kept too, so that its id stays taken
                 while len(self._tracers) >= KEPT:
