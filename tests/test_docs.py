@@ -21,6 +21,12 @@ def test_relative_links_lead_to_files(page):
     assert not missing
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_scripts_and_tests_that_a_page_names_are_there(page):
+    named = re.findall(r"\b(?:tests|benchmarks)/[\w/]+\.py", page.read_text(encoding="utf-8"))
+    assert [path for path in named if not (ROOT / path).exists()] == []
+
+
 def scripts(page):
     """Python blocks of a page."""
     return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.S)
