@@ -12,9 +12,9 @@ from experiments.budget.laboratory import Laboratory
 from experiments.laboratory.bench import point_field
 from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.chromatic_error import measure_chromatic, reduce_chromatic, rms, shifts, table1
-from experiments.laboratory.point_frames import centroiders
 from experiments.laboratory.point_noise import drawn_positions, expected_windows
 from experiments.laboratory.ray_prediction import bundle_prediction
+from experiments.laboratory.readout.centroids import centroiders
 from experiments.laboratory.target import corner_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from experiments.laboratory.bench import Bench, point_field
 from experiments.laboratory.chromatic_error import rms, shifts, table1
 from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.points import SEARCH_MARGIN_PX
+from experiments.laboratory.readout.search import SEARCH_MARGIN_PX
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.lens.perturb import decentre, tilt

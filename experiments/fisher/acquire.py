@@ -18,19 +18,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.flags import StarFlag, has_flag
 from calib.measure.centroid import get_centroider
 from calib.measure.linear_response import centroid_covariance, linear_response
-from calib.measure.stamps import stamps_from_windows
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.collimator import SingleStar
 from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.readout.centroids import measured_positions
+from experiments.laboratory.readout.stamps import dark_subtracted, refuse_saturated
+from experiments.laboratory.readout.windows import WindowReader, cut_windows, window_corners
 from experiments.turntable.bench import Bench, aim
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 from optics.units import ARCSEC_RAD, DEG_RAD
-from render.detector.readout import expose_windows
 from render.engine.random import Streams
 from render.forward import StarRenderer
 from render.records import EffectivePsf, StarField, WindowStack
@@ -291,32 +291,16 @@ def acquire(
     truth = expected.truth
     assert truth is not None
     bundle = np.column_stack([truth.bundle_x_px, truth.bundle_y_px]).reshape(count, instants, 2).mean(1)
-    corner = _corners(name, expected_px, expected.electrons.shape[:2], window_px)
-    index = np.arange(window_px)
-    rows, columns = corner[:, 1, None, None] + index[:, None], corner[:, 0, None, None] + index
-    window_e = np.asarray(expected.electrons[rows, columns, 0])
+    size = instrument.camera.width_px, instrument.camera.height_px
+    where = f"{name} acquisition"
+    corner = window_corners(expected_px, window_px, size, where=where, advice="raise evaluation.edge_px")
+    window_e = cut_windows(expected.electrons[:, :, 0], corner, window_px)
     _check_inside(name, window_e, truth.electrons_in.reshape(count, instants).sum(1), expected_px, window_px)
 
-    def expose(electrons: NDArray[Any], frames: int, band: str) -> WindowStack:
-        return expose_windows(
-            electrons,
-            corner,
-            instrument.detector,
-            streams=streams,
-            frames=frames,
-            exposure_s=exposure_s,
-            temperature_c=instrument.config.chip_temperature_c,
-            band=f"{name} {band}",
-        )
-
-    stack, dark = expose(window_e, 1, "star"), expose(np.zeros_like(window_e), dark_frames, "dark")
-    stamps, noise = stamps_from_windows(stack, background_e=0.0, start_px=expected_px)
-    pedestal = dark.dn.mean(0) / dark.gain_dn_per_e - noise.offset_dn / noise.gain_dn_per_e
-    stamps = replace(
-        stamps,
-        electrons=np.where(stamps.valid, stamps.electrons - pedestal, 0.0),
-        psf_index=np.arange(count),
-    )
+    reader = WindowReader(instrument, streams)
+    stack = reader.expose(window_e, corner, frames=1, label=f"{name} star")
+    dark_e = reader.dark(corner, window_px, frames=dark_frames, label=f"{name} dark")
+    stamps, noise = dark_subtracted(stack, dark_e, start_px=expected_px)
     return _measured(name, places, stamps, noise, list(psfs), window_e, bundle, stack, instrument, dark_frames)
 
 
@@ -333,19 +317,13 @@ def _measured(
     dark_frames: int,
 ) -> Acquisition:
     """Centroids and their covariance; places without a position are dropped."""
-    found = get_centroider("epsf", epsf=list(psfs)).measure(stamps, noise)
-    bad = has_flag(found.flags, StarFlag.NOT_CONVERGED | StarFlag.NO_DATA)
-    saturated = has_flag(stamps.flags, StarFlag.SATURATED)
-    if saturated.any():
-        at = int(np.argmax(saturated))
-        raise DomainError(
-            f"{name} acquisition: the star is saturated at column {bundle_px[at, 0]:.0f}, row {bundle_px[at, 1]:.0f}; "
-            f"lower evaluation.signal_e ({float(light_e[at].sum()):.0f} e- in the window)"
-        )
+    advice = f"lower evaluation.signal_e (up to {float(light_e.sum((1, 2)).max()):.0f} e- in a window)"
+    refuse_saturated(stamps, len(stamps), where=f"{name} acquisition", advice=advice)
+    position = measured_positions(get_centroider("epsf", epsf=list(psfs)), stamps, noise, 1)[0]
     electrons, pixel = light_e.astype(np.float64), instrument.pixel_noise()
     seen_e2 = pixel.temporal_e2(electrons, dark_frames=dark_frames)
     faint = stamps.electrons.sum((1, 2)) < SEEN_SIGMA * np.sqrt(seen_e2.sum((1, 2)))
-    good = ~(bad | faint)
+    good = np.isfinite(position[:, 0]) & ~faint
     if good.mean() < FEWEST_SEEN:
         raise DomainError(
             f"{name} acquisition: the star gives a position at {int(good.sum())} of {len(good)} places only, at least "
@@ -366,7 +344,7 @@ def _measured(
             reading_rad=places.reading_rad[good],
             rate_rad_per_s=places.rate_rad_per_s[good],
         ),
-        position_px=np.column_stack([found.x_px, found.y_px])[good],
+        position_px=position[good],
         covariance_px2=covariance[good],
         bundle_px=bundle_px[good],
         windows=stack,
@@ -387,18 +365,6 @@ def _covariance(
     chosen = replace(stamps.select(part), psf_index=np.arange(len(psfs)))
     gain = linear_response(get_centroider("epsf", epsf=list(psfs)), chosen, noise, light_e[part])
     return centroid_covariance(gain, variance_e2[part])
-
-
-def _corners(name: str, expected_px: FloatArray, shape: tuple[int, int], window_px: int) -> NDArray[np.int64]:
-    corner = np.rint(expected_px).astype(np.int64) - window_px // 2
-    off = np.any((corner < 0) | (corner + window_px > np.array(shape[::-1])), axis=1)
-    if off.any():
-        at = int(np.argmax(off))
-        raise DomainError(
-            f"{name} acquisition: the window of {window_px} px at column {expected_px[at, 0]:.0f}, row "
-            f"{expected_px[at, 1]:.0f} leaves the detector of {shape[1]} x {shape[0]} px; raise evaluation.edge_px"
-        )
-    return corner
 
 
 def _check_inside(

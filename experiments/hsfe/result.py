@@ -14,8 +14,8 @@ from experiments.laboratory.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import HighFrequencyMeasurement, StepPlan
 from experiments.laboratory.high_frequency_model import HighFrequencyPrediction
 from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_frames import centroiders, noiseless_positions
 from experiments.laboratory.ray_prediction import bundle_prediction
+from experiments.laboratory.readout.centroids import centroiders, noiseless_positions
 from experiments.laboratory.readout.noise_model import nominal_noise
 from experiments.laboratory.step_statistics import document_rms_px
 from optics.arrays import FloatArray

@@ -144,7 +144,7 @@ def measure_chromatic(
         stars = point_field(bench, instrument, direction)
         expected = renderer.render(stars)
         first = first or expected
-        parts.append(PointReadout(tracer, bench, instrument, streams.child(place), place).measure(stars, expected))
+        parts.append(PointReadout(bench, instrument, streams.child(place), place).measure(stars, expected, tracer))
         advance()
     assert first is not None
     return ChromaticMeasurement(

@@ -28,9 +28,9 @@ from experiments.laboratory.distortion_statistics import (
     without_pointing,
 )
 from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_frames import centroiders
 from experiments.laboratory.point_noise import drawn_positions, expected_windows, influence
 from experiments.laboratory.point_scene import one_filter
+from experiments.laboratory.readout.centroids import centroiders
 from experiments.laboratory.targets import GridTarget, grid_directions, survey
 from optics.arrays import FloatArray
 from render.engine.random import Streams

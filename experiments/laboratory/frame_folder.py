@@ -29,7 +29,8 @@ from calib.flags import StarFlag, has_flag
 from calib.measure.detection import detect
 from calib.measure.image import sensor_image
 from experiments.harness.config import StrictModel
-from experiments.laboratory.points import common_shift
+from experiments.laboratory.readout.search import match_points
+from experiments.laboratory.readout.windows import cut_windows, window_corners
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.units import ARCSEC_RAD
@@ -178,7 +179,8 @@ def read_folder(folder: str | Path, *, window_px: int) -> FrameFolder:
         dark = reader.dark(dark_files[number])
         reference = series[0].found_px if series else nominal
         found = reader.find(mean, defect, dark, len(files[number]), reference, names[number])
-        corner = reader.corners(found, window_px, names[number])
+        advice = "move the target, or take a smaller window_px"
+        corner = window_corners(found, window_px, reader.size, where=names[number], advice=advice)
         windows = reader.cut(files[number], corner, window_px)
         series.append(
             FrameSeries(
@@ -186,7 +188,7 @@ def read_folder(folder: str | Path, *, window_px: int) -> FrameFolder:
                 name=names[number],
                 windows=windows,
                 found_px=found,
-                dark_e=None if dark is None else _cut(dark, corner, window_px) / settings.gain_dn_per_e,
+                dark_e=None if dark is None else cut_windows(dark, corner, window_px) / settings.gain_dn_per_e,
             )
         )
     width, height = reader.size
@@ -291,12 +293,6 @@ def _table(path: Path) -> tuple[str, FloatArray]:
     raise ConfigError(f"{path.name}: columns x_px and y_px, or tan_x and tan_y, are needed; it has {table.colnames}")
 
 
-def _cut(image: NDArray[Scalar], corner: NDArray[np.int64], size: int) -> NDArray[Scalar]:
-    """Windows (j, size, size) of an image."""
-    index = np.arange(size)
-    return image[corner[:, 1, None, None] + index[:, None], corner[:, 0, None, None] + index]
-
-
 class _Reader:
     """Reads frames one at a time: a series of large frames need not fit into memory."""
 
@@ -378,46 +374,25 @@ class _Reader:
         if reference is None:
             brightest = position[:wanted]
             return brightest[np.lexsort((brightest[:, 0], brightest[:, 1]))]
-        return self._matched(position, reference, name)
-
-    def _matched(self, position: FloatArray, reference: FloatArray, name: str) -> FloatArray:
-        offset = position[:, None] - reference[None]
-        distance = np.linalg.norm(offset - common_shift(offset.reshape(-1, 2)), axis=2)
-        nearest = distance.argmin(0)
-        missing = distance[nearest, np.arange(len(reference))] > self.settings.match_px
-        if missing.any():
-            at = reference[int(np.argmax(missing))]
-            raise DomainError(
-                f"{name}: {int(missing.sum())} of {len(reference)} target points not detected, e.g. the one at column "
-                f"{at[0]:.1f}, row {at[1]:.1f}; correct the coordinates or raise match_px ({self.settings.match_px:g})"
-            )
-        if len(np.unique(nearest)) < len(nearest):
-            raise DomainError(f"{name}: two target points are one detection; lower match_px or part them")
-        return position[nearest]
-
-    def corners(self, found: FloatArray, window_px: int, name: str) -> NDArray[np.int64]:
-        """First pixels (j, 2) of the windows; they must lie on the detector."""
-        corner = np.rint(found).astype(np.int64) - window_px // 2
-        off = np.any((corner < 0) | (corner + window_px > np.array(self.size)), axis=1)
-        if off.any():
-            at = found[int(np.argmax(off))]
-            raise DomainError(
-                f"{name}: {int(off.sum())} of {len(found)} target points lie within {window_px // 2} px of the edge of "
-                f"the detector, e.g. at column {at[0]:.0f}, row {at[1]:.0f} of {self.size[0]} x {self.size[1]} px; "
-                "move the target, or take a smaller window_px"
-            )
-        return corner
+        return match_points(
+            position,
+            reference,
+            match_px=s.match_px,
+            where=name,
+            unseen=f"correct the coordinates or raise match_px ({s.match_px:g})",
+            merged="lower match_px or part them",
+        )
 
     def cut(self, files: Sequence[Path], corner: NDArray[np.int64], window_px: int) -> WindowStack:
         """Windows of all frames."""
         s, dn, saturated = self.settings, [], []
         defect = np.zeros((len(corner), window_px, window_px), bool)
         for frame in self.frames(files):
-            cut = _cut(frame.dn, corner, window_px)
-            full = _cut(frame.saturated, corner, window_px)
+            cut = cut_windows(frame.dn, corner, window_px)
+            full = cut_windows(frame.saturated, corner, window_px)
             dn.append(cut)
             saturated.append(full if s.saturation_dn is None else full | (cut.astype(float) >= s.saturation_dn))
-            defect |= _cut(frame.defect, corner, window_px)
+            defect |= cut_windows(frame.defect, corner, window_px)
         return WindowStack(
             dn=np.stack(dn),
             saturated=np.stack(saturated),

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.flags import StarFlag, has_flag
 from calib.measure.centroid import get_centroider
 from calib.measure.linear_response import centroid_variance, linear_response
 from calib.records import NoiseModel, Stamps
@@ -18,8 +17,9 @@ from experiments.harness.summary import Measured
 from experiments.laboratory.distortion_error import grid_residual_px
 from experiments.laboratory.distortion_statistics import DistortionStatistics, Reference, distortion_statistics
 from experiments.laboratory.frame_folder import FrameFolder, FrameSeries
-from experiments.laboratory.point_frames import PointFrames, measured_positions, reduce_windows
-from experiments.laboratory.points import dark_subtracted
+from experiments.laboratory.point_frames import PointFrames
+from experiments.laboratory.readout.centroids import measured_positions, refuse_few_frames
+from experiments.laboratory.readout.stamps import dark_subtracted, refuse_saturated, ring_subtracted
 from experiments.laboratory.step_statistics import document_rms_px, halved_px, jackknife_px
 from experiments.laboratory.temporal_error import temporal_error_arcsec
 from optics.arrays import FloatArray
@@ -199,29 +199,19 @@ class GridFrames:
 
 def _stamps(series: FrameSeries) -> tuple[Stamps, NoiseModel]:
     if series.dark_e is None:
-        return reduce_windows(series.windows, None, series.found_px)
-    return dark_subtracted(series.windows, series.dark_e, series.found_px)
+        return ring_subtracted(series.windows, series.found_px)
+    return dark_subtracted(series.windows, series.dark_e)
 
 
 def _reduce(series: FrameSeries, methods: Sequence[str]) -> SeriesFrames:
     """Centroids of a series."""
     stamps, noise = _stamps(series)
     frames = len(series.windows.dn)
-    full = has_flag(stamps.flags, StarFlag.SATURATED).reshape(frames, -1).any(0)
-    if full.any():
-        at = series.found_px[int(np.argmax(full))]
-        raise DomainError(
-            f"{series.name}: {int(full.sum())} target points are saturated, e.g. at column {at[0]:.0f}, row "
-            f"{at[1]:.0f}; lower the lamp or the exposure"
-        )
+    advice = "lower the lamp or the exposure"
+    refuse_saturated(stamps, len(series.found_px), where=f"{series.name}, target points", advice=advice)
     position = {m: measured_positions(get_centroider(m), stamps, noise, frames) for m in methods}
     for method, values in position.items():
-        fewest = int(np.isfinite(values[..., 0]).sum(0).min())
-        if fewest < 2:
-            raise DomainError(
-                f"{series.name}: centroider {method!r} gives {fewest} usable frames of {frames} for a target point; at "
-                "least 2 are needed: raise the signal or the number of frames, or leave this centroider out"
-            )
+        refuse_few_frames(values, method, where=series.name)
     mean = stamps.electrons.reshape(frames, *series.windows.defect.shape).mean(0)
     light = mean - stamps.background_e[: len(mean), None, None]
     return SeriesFrames(

@@ -17,8 +17,9 @@ from experiments.harness.summary import Measured
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.hexapod import Hexapod, HexapodPath, step_path, turned
 from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_frames import Subtraction, centroiders, noiseless_positions, read_points
+from experiments.laboratory.point_frames import Subtraction, read_points
 from experiments.laboratory.point_scene import PointLight, PointScene, scene_of
+from experiments.laboratory.readout.centroids import centroiders, noiseless_positions
 from experiments.laboratory.readout.noise_model import nominal_noise
 from experiments.laboratory.step_statistics import (
     common_removed,

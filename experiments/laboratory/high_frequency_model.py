@@ -25,7 +25,7 @@ from experiments.laboratory.bench import Bench
 from experiments.laboratory.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import CAUSES, StepPlan
 from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_frames import Subtraction, centroiders, noiseless_positions
+from experiments.laboratory.point_frames import Subtraction
 from experiments.laboratory.point_noise import (
     ExpectedWindows,
     drawn_positions,
@@ -33,6 +33,7 @@ from experiments.laboratory.point_noise import (
     influence,
 )
 from experiments.laboratory.point_scene import one_filter
+from experiments.laboratory.readout.centroids import centroiders, noiseless_positions
 from experiments.laboratory.readout.noise_model import nominal_noise
 from experiments.laboratory.step_statistics import document_rms_px, single_rms_px
 from experiments.laboratory.temporal_error import target_place

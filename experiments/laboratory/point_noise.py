@@ -26,8 +26,8 @@ from calib.measure.linear_response import centroid_variance, linear_response
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_frames import measured_positions, noiseless_positions
 from experiments.laboratory.ray_prediction import bundle_prediction
+from experiments.laboratory.readout.centroids import measured_positions, noiseless_positions
 from experiments.laboratory.readout.noise_model import nominal_noise
 from optics.arrays import FloatArray
 from optics.records import freeze

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from experiments.laboratory.bench import Bench, point_field
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.points import PointReadout, nominal_px
+from experiments.laboratory.readout.windows import cut_windows
 from optics.arrays import FloatArray
 from optics.records import freeze
 from render.engine.random import Streams
@@ -114,11 +115,7 @@ class PointScene:
         truth = expected.truth
         assert truth is not None
         nominal = nominal_px(self.instrument, direction)
-        readout = PointReadout(self.tracer, self.bench, self.instrument, streams, place)
-        found = readout.find(expected, nominal)
-        corner = readout.corners(found)
-        index = np.arange(self.bench.window_px)
-        rows, columns = corner[:, 1, None, None] + index[:, None], corner[:, 0, None, None] + index
+        found, corner = PointReadout(self.bench, self.instrument, streams, place).corners(expected, nominal)
         return PointLight(
             direction=direction,
             nominal_px=nominal,
@@ -126,7 +123,7 @@ class PointScene:
             photon_px=np.column_stack([truth.photon_x_px[:, 0], truth.photon_y_px[:, 0]]),
             found_px=found,
             corner_px=corner,
-            light_e=expected.electrons[rows, columns, 0].astype(np.float64),
+            light_e=cut_windows(expected.electrons[:, :, 0], corner, self.bench.window_px).astype(np.float64),
             psf=tuple(psf) if psf is not None else self.psfs(direction),
         )
 

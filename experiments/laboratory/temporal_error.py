@@ -11,9 +11,10 @@ from scipy.special import gammaln
 from experiments.harness.summary import Measured
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_frames import SUBTRACTIONS, Subtraction, centroiders, read_points
+from experiments.laboratory.point_frames import SUBTRACTIONS, Subtraction, read_points
 from experiments.laboratory.point_noise import bound_px, expected_windows, influence, sampled_px
 from experiments.laboratory.point_scene import PointLight, PointScene, one_filter, scene_of
+from experiments.laboratory.readout.centroids import centroiders
 from experiments.laboratory.target import target_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from experiments.laboratory.collimator import SingleStar
 from experiments.laboratory.instrument import Instrument, build_instrument
+from experiments.laboratory.readout.search import SEARCH_PX
 from experiments.laboratory.turntable import Turntable, axis_directions, build_turntable
-from experiments.laboratory.windows import SEARCH_PX, StarReadings, WindowPlan, read_windows
+from experiments.laboratory.windows import StarReadings, WindowPlan, read_windows
 from experiments.turntable.bench import Bench, Visits, visit
 from experiments.turntable.settings import Config, TableConfig
 from optics.arrays import FloatArray

@@ -18,8 +18,9 @@ from experiments.laboratory.chromatic_error import (
     table1,
 )
 from experiments.laboratory.instrument import build_instrument
-from experiments.laboratory.points import common_shift, pattern_effect
+from experiments.laboratory.points import pattern_effect
 from experiments.laboratory.ray_prediction import bundle_prediction
+from experiments.laboratory.readout.search import common_shift
 from experiments.laboratory.target import corner_directions
 from optics.lens.perturb import decentre
 from render.engine.random import Streams

@@ -56,7 +56,7 @@ def within(measured: np.ndarray, predicted: np.ndarray) -> None:
 
 
 @pytest.fixture(scope="module")
-def visits(mi, camera):
+def visits(engine, camera):
     """A star of 12000 e- at 12 x 8 places, with its PSFs."""
     from experiments.laboratory.collimator import SingleStar
     from optics.light.band import TopHat
@@ -73,7 +73,7 @@ def visits(mi, camera):
     )
     field = star.seen(direction, camera)
     expected = StarRenderer(camera.camera, exposure_s=camera.config.exposure_s).render(field)
-    psfs = [row[0] for row in render_epsf(epsf_tracer(mi, camera.camera), field, half_size_px=7)]
+    psfs = [row[0] for row in render_epsf(epsf_tracer(camera.camera), field, half_size_px=7)]
     return star, direction, expected, psfs
 
 
@@ -81,7 +81,7 @@ def test_mean_centroids_of_a_star_that_visits_places(visits, camera):
     _, _, expected, psfs = visits
     truth = np.column_stack([expected.truth.bundle_x_px, expected.truth.bundle_y_px])
     plan = WindowPlan(size_px=13, frames=20, dark_frames=4)
-    found = read_windows(expected, truth, psfs, camera, plan, streams=Streams(8), backend="llvm")
+    found = read_windows(expected, truth, psfs, camera, plan, streams=Streams(8))
     within(found.temporal_px**2, found.predicted_temporal_px**2)
     within((found.position_px - truth) ** 2, np.einsum("nii->ni", found.covariance_px2))
 
@@ -110,38 +110,37 @@ def test_centroids_of_single_frames_on_the_turntable(visits, camera):
         window_px=13,
         dark_frames=2,
         streams=Streams(3),
-        backend="llvm",
     )
     assert taken.lost == 0
     within((taken.position_px - taken.bundle_px) ** 2, np.einsum("nii->ni", taken.covariance_px2))
 
 
-def test_fixed_patterns_of_a_point_target(mi, bench_of, camera):
+def test_fixed_patterns_of_a_point_target(engine, bench_of, camera):
     """Few dark frames, many frames: the mean centroids are off by the noise of the dark frames and by PRNU."""
     bench = bench_of(rows=12, columns=10, frames=50, dark_frames=2, centres_nm=(600.0,), reference=0)
     bench = replace(bench, target=bench.target.model_copy(update={"pitch_px": 40.4}))
     stars = point_field(bench, camera, target_place(bench, camera, PLACE))
     expected = StarRenderer(camera.camera, exposure_s=camera.config.exposure_s).render(stars)
-    readout = PointReadout(epsf_tracer(mi, camera.camera), bench, camera, Streams(5), "middle", "llvm")
-    found = readout.measure(stars, expected)
+    readout = PointReadout(bench, camera, Streams(5), "middle")
+    found = readout.measure(stars, expected, epsf_tracer(camera.camera))
     off2 = (found.mean_px["epsf"] - found.photon_px) ** 2 - found.sigma_px["epsf"] ** 2 / found.frames_used[..., None]
     within(off2, found.pattern_px**2)
 
 
-def test_temporal_error_of_a_point_target(mi, bench_of, camera):
+def test_temporal_error_of_a_point_target(engine, bench_of, camera):
     bench = bench_of(rows=10, columns=8, frames=30, dark_frames=30, methods=("epsf", "cog"))
     bench = replace(bench, target=bench.target.model_copy(update={"pitch_px": 40.4}))
-    scene = point_scene(bench, camera, "llvm")
+    scene = point_scene(bench, camera)
     psf = scene.psfs(target_place(scene.bench, camera, PLACE))
     levels = {"levels_e": [6000.0], "place_px": PLACE}
-    measured = measure_temporal(bench, camera, streams=Streams(1), backend="llvm", scene=scene, **levels)
+    measured = measure_temporal(bench, camera, streams=Streams(1), scene=scene, **levels)
     predicted = predict_temporal(bench, camera, psf=psf, draws=0, **levels)
     for method in bench.methods:
         within(measured.sigma_px["dark"][method][0] ** 2, predicted.linear_px[method][0] ** 2)
 
 
 @pytest.fixture(scope="module")
-def dataset(mi, chip_file):
+def dataset(engine, chip_file):
     """Frames of the sky through the chip; the pixel variance of a frame without stars, measured."""
     from experiments.dataset.maker import FrameMaker
     from experiments.dataset.scene import build_scene
@@ -153,7 +152,7 @@ def dataset(mi, chip_file):
         pointing=ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1),
         verify=VerifyConfig(dark_frames=3),
     )
-    maker = FrameMaker(mi, build_scene(config))
+    maker = FrameMaker(build_scene(config))
     return maker, maker.make(0)
 
 
@@ -164,10 +163,10 @@ def empty_pixels(scene, sky_e: float, dark_frames: int) -> np.ndarray:
     detector, sky, night = scene.instrument.detector, Streams(1), Streams(2)
     frames = []
     for number in range(40):
-        one = empty_frame(scene, number, sky_e=sky_e, streams=sky, backend="llvm")
+        one = empty_frame(scene, number, sky_e=sky_e, streams=sky)
         dn = one.dn.astype(float)
         for k in range(dark_frames):
-            dark = empty_frame(scene, number * dark_frames + k, sky_e=0.0, streams=night, backend="llvm")
+            dark = empty_frame(scene, number * dark_frames + k, sky_e=0.0, streams=night)
             dn = dn - dark.dn / dark_frames
         frames.append(dn[~one.defect] / detector.gain_dn_per_e)
     return np.var(frames, axis=0, ddof=1)
@@ -184,7 +183,7 @@ def test_signal_to_noise_ratio_of_the_truth(dataset):
     within(empty_pixels(maker.scene, made.background_e, 0), stated)
 
 
-def test_bound_of_the_dataset(dataset, mi):
+def test_bound_of_the_dataset(dataset, engine):
     """The bound of a faint star is that of a background with the measured variance of a pixel."""
     from calib.records import NoiseModel
     from experiments.dataset.detection import centroid_bound
@@ -193,7 +192,7 @@ def test_bound_of_the_dataset(dataset, mi):
 
     maker, made = dataset
     scene = maker.scene
-    psfs = render_psf_grid(mi, scene, temperature_k=5800.0, window_px=scene.config.verify.window_px)
+    psfs = render_psf_grid(scene, temperature_k=5800.0, window_px=scene.config.verify.window_px)
     stated = dataset_bound(scene, psfs, made.background_e)
     variance = empty_pixels(scene, made.background_e, scene.config.verify.dark_frames)
     nearest = int(np.hypot(*(psfs.place_px - scene.instrument.camera.centre_px).T).argmin())

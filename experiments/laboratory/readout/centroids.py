@@ -1,0 +1,107 @@
+"""Centroids of every window in every frame, and of the noiseless light; what frames say together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.flags import StarFlag, has_flag
+from calib.measure.centroid import Centroider
+from calib.records import NoiseModel, Stamps
+from experiments.laboratory.centroid_methods import method_centroiders
+from experiments.laboratory.readout.stamps import centre_of_gravity
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from render.records import EffectivePsf
+
+__all__ = ["centroiders", "frame_statistics", "measured_positions", "noiseless_positions", "refuse_few_frames"]
+
+
+FEWEST_FRAMES = 2
+"""A scatter needs two."""
+
+
+def centroiders(methods: Sequence[str], psf: Sequence[EffectivePsf]) -> dict[str, Centroider]:
+    """Centroiders by method; the PSF for all points is that of the middle one."""
+    return method_centroiders(methods, own=psf, reference=[psf[len(psf) // 2]] * len(psf))
+
+
+def measured_positions(centroider: Centroider, stamps: Stamps, noise: NoiseModel, frames: int) -> FloatArray:
+    """Positions (f, n, 2) of n windows in f frames; NaN where the centroider failed."""
+    table = centroider.measure(stamps, noise)
+    position = np.stack([table.x_px, table.y_px], axis=-1).reshape(frames, -1, 2)
+    bad = has_flag(table.flags, StarFlag.NOT_CONVERGED | StarFlag.NO_DATA).reshape(frames, -1)
+    return np.where(bad[..., None], np.nan, position)
+
+
+def frame_statistics(position_px: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+    """Mean (n, 2), standard deviation of a frame (n, 2) and number of usable frames (n,) of positions (f, n, 2).
+
+    Mean and standard deviation are NaN where fewer than two frames are usable.
+    """
+    count = np.isfinite(position_px[..., 0]).sum(0)
+    enough = (count >= FEWEST_FRAMES)[:, None]
+    filled = np.where(enough, position_px, 0.0)
+    mean, sigma = np.nanmean(filled, axis=0), np.nanstd(filled, axis=0, ddof=1)
+    return np.where(enough, mean, np.nan), np.where(enough, sigma, np.nan), count
+
+
+def refuse_few_frames(position_px: FloatArray, method: str, *, where: str) -> None:
+    """Refuse positions (f, n, 2) of which a window has fewer than two.
+
+    Raises
+    ------
+    DomainError
+        Naming the centroider and the window.
+    """
+    count = np.isfinite(position_px[..., 0]).sum(0)
+    if count.min() < FEWEST_FRAMES:
+        raise DomainError(
+            f"{where}: centroider {method!r} gives {count.min()} usable frames of {len(position_px)} at place "
+            f"{count.argmin()}; at least {FEWEST_FRAMES} are needed: raise the signal or the number of frames, or take "
+            "another centroider"
+        )
+
+
+def noiseless_positions(
+    centroider: Centroider,
+    noise: NoiseModel,
+    *,
+    light_e: FloatArray,
+    corner_px: NDArray[np.int64],
+    valid: NDArray[np.bool_] | None = None,
+    psf_index: NDArray[np.int64] | None = None,
+) -> tuple[FloatArray, Stamps]:
+    """What a centroider makes of windows (n, h, w) without noise: positions (n, 2), and the stamps it was given.
+
+    Parameters
+    ----------
+    centroider : Centroider
+        The estimator.
+    noise : NoiseModel
+        Noise model handed to it.
+    light_e : (n, h, w)
+        Expected electrons.
+    corner_px : (n, 2)
+        First pixels.
+    valid : (n, h, w) bool, optional
+        Pixels that may be used; all without it.
+    psf_index : (n,), optional
+        Which PSF belongs to which window; in order without it.
+    """
+    count = len(light_e)
+    usable = np.ones(light_e.shape, bool) if valid is None else valid
+    light = np.where(usable, np.maximum(light_e, 0.0), 0.0)
+    stamps = Stamps(
+        electrons=light,
+        valid=usable,
+        corner_px=corner_px,
+        background_e=np.zeros(count),
+        start_px=corner_px + centre_of_gravity(light),
+        flags=np.zeros(count, np.uint32),
+        psf_index=np.arange(count) if psf_index is None else psf_index,
+    )
+    table = centroider.measure(stamps, noise)
+    return np.column_stack([table.x_px, table.y_px]), stamps

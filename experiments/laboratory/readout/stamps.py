@@ -1,0 +1,110 @@
+"""Stamps of a windowed readout, without what is not light; where centroiders start."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.flags import StarFlag, has_flag
+from calib.measure.stamps import ring_background, stamps_from_windows
+from calib.records import NoiseModel, Stamps
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from render.records import WindowStack
+
+__all__ = ["centre_of_gravity", "dark_subtracted", "refuse_saturated", "ring_subtracted"]
+
+
+NEAR_PX = 3
+"""Reach of the centre of gravity where fixed patterns are left in."""
+
+
+def centre_of_gravity(light_e: FloatArray) -> FloatArray:
+    """Column and row (n, 2) in windows (n, h, w) of their positive light."""
+    light = np.maximum(light_e, 0.0)
+    light = light / np.maximum(light.sum((1, 2), keepdims=True), 1e-300)
+    _, height, width = light.shape
+    return np.column_stack([light.sum(1) @ np.arange(width), light.sum(2) @ np.arange(height)])
+
+
+def dark_subtracted(
+    stack: WindowStack, dark_e: FloatArray, *, start_px: FloatArray | None = None
+) -> tuple[Stamps, NoiseModel]:
+    """Stamps minus the mean dark frame; with the lamp off there is no light, so no background is left.
+
+    Parameters
+    ----------
+    stack : WindowStack
+        f frames of n windows.
+    dark_e : (n, h, w)
+        Mean of frames without light, offset included.
+    start_px : (n, 2), optional
+        Where centroiders start. Without it at the centre of gravity of the mean frame: the tail of a spot draws it away
+        from the detection.
+
+    Returns
+    -------
+    Stamps, NoiseModel
+        f n stamps, frame by frame, each with the number of its window as ``psf_index``; the noise that the readout
+        states.
+    """
+    frames, count, height, width = stack.dn.shape
+    stamps, noise = stamps_from_windows(stack, background_e=0.0, start_px=stack.corner_px.astype(np.float64))
+    pedestal = dark_e - noise.offset_dn / noise.gain_dn_per_e
+    electrons = np.where(stamps.valid, stamps.electrons - np.tile(pedestal, (frames, 1, 1)), 0.0)
+    if start_px is None:
+        start_px = stack.corner_px + centre_of_gravity(electrons.reshape(frames, count, height, width).mean(0))
+    return replace(
+        stamps,
+        electrons=electrons,
+        start_px=np.tile(start_px, (frames, 1)),
+        psf_index=np.tile(np.arange(count), frames),
+    ), noise
+
+
+def ring_subtracted(stack: WindowStack, found_px: FloatArray) -> tuple[Stamps, NoiseModel]:
+    """Stamps minus the nominal offset and one background value per window; fixed patterns stay.
+
+    The background is that of the outermost ring of the mean frame; centroiders start at its centre of gravity within
+    3 px of the detection, where patterns far from the light do not count.
+
+    Parameters
+    ----------
+    stack : WindowStack
+        f frames of n windows.
+    found_px : (n, 2)
+        Where the light was detected.
+    """
+    frames, count, height, width = stack.dn.shape
+    stamps, noise = stamps_from_windows(stack, background_e=0.0, start_px=found_px)
+    mean = stamps.electrons.reshape(frames, count, height, width).mean(0)
+    valid = ~stack.defect
+    level = ring_background(mean, valid)
+    at = np.rint(found_px - stack.corner_px)
+    near_x, near_y = (np.abs(np.arange(n) - at[:, k, None]) <= NEAR_PX for k, n in enumerate((width, height)))
+    near = near_y[:, :, None] & near_x[:, None, :]
+    gravity = centre_of_gravity(np.where(near & valid, mean - level[:, None, None], 0.0))
+    return replace(
+        stamps,
+        background_e=np.tile(level, frames),
+        start_px=np.tile(stack.corner_px + gravity, (frames, 1)),
+        psf_index=np.tile(np.arange(count), frames),
+    ), noise
+
+
+def refuse_saturated(stamps: Stamps, windows: int, *, where: str, advice: str) -> None:
+    """Refuse a readout of ``windows`` windows in which any is saturated in any frame.
+
+    Raises
+    ------
+    DomainError
+        Naming one of them.
+    """
+    full = has_flag(stamps.flags, StarFlag.SATURATED).reshape(-1, windows).any(0)
+    if full.any():
+        x, y = stamps.start_px[int(np.argmax(full))]
+        raise DomainError(
+            f"{where}: saturated at {int(full.sum())} of {windows} places, e.g. at column {x:.0f}, row {y:.0f}; "
+            f"{advice}"
+        )

@@ -1,0 +1,91 @@
+"""Windows of a detector: where they stand, the light in them, their readout."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from experiments.laboratory.instrument import Instrument
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from render.detector.readout import expose_windows
+from render.engine.random import Streams
+from render.records import WindowStack
+
+__all__ = ["WindowReader", "cut_windows", "window_corners"]
+
+
+@dataclass(frozen=True, slots=True)
+class WindowReader:
+    """Reads windows out under the conditions of an instrument.
+
+    Attributes
+    ----------
+    instrument : Instrument
+        Detector, exposure time, chip temperature.
+    streams : Streams
+        Root of the noise.
+    """
+
+    instrument: Instrument
+    streams: Streams
+
+    def expose(self, light_e: ArrayLike, corner_px: NDArray[np.int64], *, frames: int, label: str) -> WindowStack:
+        """Frames of windows (n, h, w) with their first pixels at ``corner_px``; ``label`` names the random streams."""
+        config = self.instrument.config
+        return expose_windows(
+            light_e,
+            corner_px,
+            self.instrument.detector,
+            streams=self.streams,
+            frames=frames,
+            exposure_s=config.exposure_s,
+            temperature_c=config.chip_temperature_c,
+            band=label,
+        )
+
+    def dark(self, corner_px: NDArray[np.int64], size_px: int, *, frames: int, label: str = "dark") -> FloatArray:
+        """Mean (n, h, w) [e-] of frames without light, offset included."""
+        stack = self.expose(np.zeros((len(corner_px), size_px, size_px)), corner_px, frames=frames, label=label)
+        return np.asarray(stack.dn.mean(0) / stack.gain_dn_per_e)
+
+
+def window_corners(
+    centre_px: FloatArray, size_px: int, detector_px: tuple[int, int], *, where: str, advice: str
+) -> NDArray[np.int64]:
+    """First pixels (n, 2) of windows around places.
+
+    Parameters
+    ----------
+    centre_px : (n, 2)
+        The places (column, row).
+    size_px : int
+        Side of the windows, odd.
+    detector_px : (int, int)
+        Columns and rows of the detector.
+    where, advice : str
+        What the message calls the place of the measurement, and what it advises.
+
+    Raises
+    ------
+    DomainError
+        If a window leaves the detector.
+    """
+    corner = np.rint(centre_px).astype(np.int64) - size_px // 2
+    off = np.any((corner < 0) | (corner + size_px > np.array(detector_px)), axis=1)
+    if off.any():
+        x, y = centre_px[int(np.argmax(off))]
+        raise DomainError(
+            f"{where}: {int(off.sum())} of {len(off)} windows of {size_px} px leave the detector of {detector_px[0]} x "
+            f"{detector_px[1]} px, e.g. the one at column {x:.0f}, row {y:.0f}; {advice}"
+        )
+    return corner
+
+
+def cut_windows(image: NDArray[Any], corner_px: NDArray[np.int64], size_px: int) -> NDArray[Any]:
+    """Windows (n, size, size, ...) of an image (h, w, ...)."""
+    index = np.arange(size_px)
+    return np.asarray(image[corner_px[:, 1, None, None] + index[:, None], corner_px[:, 0, None, None] + index])
