@@ -16,11 +16,12 @@ from calib.attitude.identify import build_database
 from calib.cameras.fit import MapFit, fit_camera
 from experiments.dataset.detection import CentroidBound, FoundStars, centroid_bound, compare_frame, joined
 from experiments.dataset.facts import FrameFacts
-from experiments.dataset.measure import MeasuredFrame, Reduction, empty_frame, master_dark, measure_frame, reduction_of
+from experiments.dataset.measure import MeasuredFrame, Reduction, measure_frame, reduction_of
 from experiments.dataset.psf_grid import PsfGrid, render_psf_grid
 from experiments.dataset.solve import SkyMap, SolvedFrame, solve_frame
 from experiments.dataset.truth_file import read_table
 from experiments.dataset.wcs_check import wcs_misses_px
+from experiments.laboratory.readout.frames import empty_frame, mean_dark_frame
 from experiments.laboratory.readout.noise_model import true_noise
 from optics.arrays import FloatArray
 from render.catalogue.motion import directions_at
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 __all__ = ["Evaluation", "Example", "evaluate"]
 
 
+EMPTY = "empty"
+"""Random streams of frames without stars."""
 FIELD_MARGIN = 0.06
 """The database of patterns is made for fields this much narrower and wider than the camera's."""
 BOUND_RADII = (0.0, 0.5, 0.9)
@@ -130,7 +133,7 @@ def evaluate(folder: Path, scene: Scene, facts: Sequence[FrameFacts], *, advance
     """
     verify, camera = scene.config.verify, scene.instrument.camera
     streams = scene.plan.streams.child("verify")
-    dark = master_dark(scene, frames=verify.dark_frames, streams=streams)
+    dark = mean_dark_frame(scene.instrument, verify.dark_frames, streams=streams, label=EMPTY)
     temperature_k = float(np.median(scene.temperature_k))
     psfs = render_psf_grid(scene, temperature_k=temperature_k, window_px=verify.window_px)
     reduction = reduction_of(scene, dark, psfs)
@@ -227,7 +230,8 @@ def _in_empty_frames(scene: Scene, reduction: Reduction, sky_e: float, streams: 
     """Detections without a flag in frames of an even background: what noise alone makes."""
     count = 0
     for frame in range(scene.config.verify.dark_frames):
-        found = measure_frame(empty_frame(scene, frame, sky_e=sky_e, streams=streams), reduction)
+        empty = empty_frame(scene.instrument, frame, sky_e=sky_e, streams=streams, label=EMPTY)
+        found = measure_frame(empty, reduction)
         count += int(np.count_nonzero(~found.stars.sharp))
     return count
 

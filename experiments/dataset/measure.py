@@ -12,22 +12,20 @@ from numpy.typing import NDArray
 from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
 from calib.measure.find import find_stamps
-from calib.measure.image import subtract_dark
 from calib.records import NoiseModel, StarTable
 from experiments.laboratory.centroid_methods import needs_epsf
+from experiments.laboratory.readout.frames import dark_subtracted_frame
 from experiments.laboratory.readout.noise_model import true_noise
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
-from render.detector.readout import expose
 
 if TYPE_CHECKING:
     from experiments.dataset.psf_grid import PsfGrid
     from experiments.dataset.scene import Scene
-    from render.engine.random import Streams
     from render.records import Frame
 
-__all__ = ["SMEAR_PX", "MeasuredFrame", "Reduction", "empty_frame", "master_dark", "measure_frame", "reduction_of"]
+__all__ = ["SMEAR_PX", "MeasuredFrame", "Reduction", "measure_frame", "reduction_of"]
 
 
 FWHM_PX = 1.8
@@ -92,29 +90,6 @@ class MeasuredFrame:
         return replace(self, stars=replace(self.stars, x_px=pixel_px[:, 0], y_px=pixel_px[:, 1]))
 
 
-def empty_frame(scene: Scene, frame: int, *, sky_e: float, streams: Streams) -> Frame:
-    """A frame without stars on an even background [e-], exposed like those of the dataset."""
-    camera, detector = scene.config.camera, scene.instrument.detector
-    return expose(
-        np.zeros(detector.shape, np.float32),
-        detector,
-        streams=streams,
-        frame=frame,
-        exposure_s=camera.exposure_s,
-        temperature_c=camera.chip_temperature_c,
-        background_e_per_s=sky_e / camera.exposure_s,
-        band="empty",
-    )
-
-
-def master_dark(scene: Scene, *, frames: int, streams: Streams) -> NDArray[np.float32]:
-    """Mean of frames without light [DN], of the same exposure time and temperature as the dataset."""
-    total = np.zeros(scene.instrument.detector.shape)
-    for frame in range(frames):
-        total += empty_frame(scene, frame, sky_e=0.0, streams=streams).dn
-    return np.asarray(total / frames, np.float32)
-
-
 def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) -> MeasuredFrame:
     """Detect and centroid the stars of a frame.
 
@@ -135,7 +110,7 @@ def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) 
     MeasuredFrame
         Empty if nothing was found, or no pixel is usable.
     """
-    image = replace(subtract_dark(frame, reduction.dark_dn), noise=reduction.noise)
+    image = dark_subtracted_frame(frame, reduction.dark_dn, reduction.noise)
     try:
         background = estimate_background(image, step_px=BACKGROUND_STEP_PX)
     except DomainError:  # saturated all over

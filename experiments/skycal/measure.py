@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
 from calib.measure.find import find_stamps
-from calib.records import NoiseModel, SensorImage, Stamps, StarTable
+from calib.records import NoiseModel, Stamps, StarTable
 from experiments.laboratory.centroid_methods import needs_epsf
+from experiments.laboratory.readout.frames import dark_subtracted_frame, mean_dark_frame
 from experiments.laboratory.readout.noise_model import true_noise
 from experiments.skycal.light import BankRenderer
 from optics.arrays import FloatArray
@@ -128,7 +129,8 @@ def record(scene: Scene, config: Config, streams: Streams, *, advance: Callable[
     renderer = StarRenderer(camera, exposure_s=set_up.exposure_s, sobol_log2_rays=scene.config.sobol_log2_rays)
     readout = _Readout(scene, streams)
     noise = true_noise(scene.instrument, dark_frames=config.dark_frames)
-    reduction = _Reduction(config, readout.dark(config.dark_frames), noise)
+    dark_dn = mean_dark_frame(scene.instrument, config.dark_frames, streams=streams.child("dark"))
+    reduction = _Reduction(config, dark_dn, noise)
     middle, example = scene.frames // 2, None
     truths: list[_Rendered] = []
     cut: list[Future[Stamps]] = []
@@ -225,21 +227,6 @@ class _Readout:
             background_e_per_s=self.scene.config.background_e_per_s,
         )
 
-    def dark(self, count: int) -> NDArray[np.float32]:
-        """Mean of frames without light [DN]."""
-        detector, set_up = self.scene.instrument.detector, self.scene.instrument.config
-        nothing, total = np.zeros(detector.shape, np.float32), np.zeros(detector.shape, np.float32)
-        for number in range(count):
-            total += expose(
-                nothing,
-                detector,
-                streams=self.streams.child("dark"),
-                frame=number,
-                exposure_s=set_up.exposure_s,
-                temperature_c=set_up.chip_temperature_c,
-            ).dn
-        return total / np.float32(count)
-
 
 @dataclass(frozen=True, slots=True)
 class _Reduction:
@@ -251,22 +238,11 @@ class _Reduction:
 
     def detect(self, frame: Frame) -> Stamps:
         """Find the stars of a frame, brightest first, and cut them out."""
-        image = self._without_dark(frame)
+        image = dark_subtracted_frame(frame, self.dark_dn, self.noise)
         return find_stamps(
             image,
             background=estimate_background(image, box_px=BACKGROUND_BOX_PX, step_px=BACKGROUND_STEP_PX),
             threshold_sigma=self.config.threshold_sigma,
             fwhm_px=FWHM_PX,
             size_px=self.config.window_px,
-        )
-
-    def _without_dark(self, frame: Frame) -> SensorImage:
-        """The frame minus the mean dark frame."""
-        return SensorImage(
-            dn=np.asarray(frame.dn - self.dark_dn + np.float32(frame.offset_dn), np.float64),
-            valid=~frame.defect,
-            saturated=frame.saturated,
-            noise=self.noise,
-            exposure_s=frame.exposure_s,
-            source=f"frame {frame.index}",
         )

@@ -16,6 +16,7 @@ from experiments.laboratory.bench import point_field
 from experiments.laboratory.instrument import build_instrument
 from experiments.laboratory.point_scene import point_scene
 from experiments.laboratory.points import PointReadout
+from experiments.laboratory.readout.frames import empty_frame
 from experiments.laboratory.readout.noise_model import true_noise
 from experiments.laboratory.settings import InstrumentConfig
 from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
@@ -158,15 +159,13 @@ def dataset(engine, chip_file):
 
 def empty_pixels(scene, sky_e: float, dark_frames: int) -> np.ndarray:
     """Temporal variance (pixels,) of an empty sky less the mean of fresh dark frames; without dark frames for 0."""
-    from experiments.dataset.measure import empty_frame
-
     detector, sky, night = scene.instrument.detector, Streams(1), Streams(2)
     frames = []
     for number in range(40):
-        one = empty_frame(scene, number, sky_e=sky_e, streams=sky)
+        one = empty_frame(scene.instrument, number, sky_e=sky_e, streams=sky)
         dn = one.dn.astype(float)
         for k in range(dark_frames):
-            dark = empty_frame(scene, number * dark_frames + k, sky_e=0.0, streams=night)
+            dark = empty_frame(scene.instrument, number * dark_frames + k, streams=night)
             dn = dn - dark.dn / dark_frames
         frames.append(dn[~one.defect] / detector.gain_dn_per_e)
     return np.var(frames, axis=0, ddof=1)
