@@ -13,9 +13,8 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from experiments.chromatic.experiment import Config, run
+from experiments.chromatic.experiment import Config, experiment, run
 from experiments.chromatic.figures import arrow_panels
-from experiments.chromatic.tables import moved_label
 from experiments.harness.plotting import figure_png, house_style
 from experiments.harness.progress import Progress
 from optics.figures import draw_lens
@@ -28,13 +27,12 @@ TARGET = Path(__file__).with_name("pictures") / "chromatic.png"
 def main() -> None:
     """Run, draw, stack."""
     Engine.start("auto")
-    result = run(Config(), progress=Progress())
-    pair, drawing = result.config.decentre.pair, draw_lens(result.instrument.camera.lens)
+    config = Config()
+    outcome = experiment.outcome(config, run(config, progress=Progress()))
+    pair, drawing = config.decentre.pair, draw_lens(outcome.result.instrument.camera.lens)
     with house_style():
-        maps = arrow_panels(
-            result,
-            [(result.centred, pair, f"{pair} nm, centred"), (result.moved, pair, f"{pair} nm, {moved_label(result)}")],
-        )
+        titles = zip(("centred", "moved"), outcome.names("lens"), strict=True)
+        maps = arrow_panels(outcome, [(lens, pair, f"{pair} nm, {title}") for lens, title in titles])
         images = [Image.open(io.BytesIO(figure_png(figure))).convert("RGBA") for figure in (drawing, maps)]
     scaled = [image.resize((WIDTH_PX, round(image.height * WIDTH_PX / image.width))) for image in images]
     sheet = Image.new("RGBA", (WIDTH_PX, sum(image.height for image in scaled)), "white")

@@ -8,26 +8,24 @@ vanishes for a centred lens, which movement of which element gives its 0.12 px, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from experiments.chromatic.settings import Config
-from experiments.harness.legacy import legacy_command as command
+from experiments.harness.cli import command
+from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
-from experiments.harness.summary import Criterion
 from optics.arrays import FloatArray
 
 if TYPE_CHECKING:
     from experiments.chromatic.perturbation import Solution
     from experiments.chromatic.result import Result
-    from experiments.harness.report import Report
-    from experiments.harness.tables import Table
     from experiments.laboratory.bench import Bench
     from experiments.laboratory.instrument import Instrument
 
-__all__ = ["Config", "main", "report", "run", "summary", "tables"]
+__all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
@@ -49,7 +47,6 @@ def run(config: Config, *, progress: Progress) -> Result:
 
     from experiments.chromatic.result import Result
     from experiments.chromatic.stars import electrons_of_star, stellar_shift
-    from experiments.harness.provenance import peak_memory_mb, process_seconds
     from experiments.laboratory.chromatic_error import measure_chromatic, reduce_chromatic, shifts
     from experiments.laboratory.instrument import build_instrument
     from experiments.laboratory.ray_prediction import bundle_prediction, paraxial_prediction
@@ -85,8 +82,6 @@ def run(config: Config, *, progress: Progress) -> Result:
         moved_stellar=moved_stellar,
         field_shift_px={name: shift[0] for name, shift in field_shift.items()},
         star_e=star_e,
-        runtime_s=process_seconds(),
-        peak_memory_mb=peak_memory_mb(),
     )
 
 
@@ -180,27 +175,6 @@ def _choose(config: Config, bench: Bench, solutions: Sequence[Solution]) -> Solu
     return chosen
 
 
-def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:
-    """What goes into ``summary.json``."""
-    from experiments.chromatic.evaluate import criteria, results
-
-    return results(result), criteria(result)
-
-
-def tables(result: Result) -> Mapping[str, Table]:
-    """Tables written beside the report."""
-    from experiments.chromatic.tables import all_tables
-
-    return all_tables(result)
-
-
-def report(result: Result) -> Report:
-    """What ``report.html`` shows."""
-    from experiments.chromatic.report import build_report
-
-    return build_report(result)
-
-
 def files(result: Result, folder: Any) -> None:
     """One frame as FITS: the first position behind the reference filter, the whole detector."""
     from render.detector.readout import expose
@@ -218,14 +192,18 @@ def files(result: Result, folder: Any) -> None:
     write_frame(frame, folder / "frame_upper_left.fits")
 
 
-main = command(
-    "chromatic",
+experiment = Experiment(
+    name="chromatic",
     config=Config,
     run=run,
-    report=report,
-    summary=summary,
-    tables=tables,
+    takes="30 s (--quick: 20 s)",
+    examples={
+        "--quick": "a small run",
+        "--set decentre.element=L3 --set decentre.kind=tilt": "another element of the lens moved",
+        "--set centroid=cog --set instrument.defocus_mm=0.03": "another centroider, out of focus",
+    },
     show=("table1",),
     files=files,
     quick={"frames": 6, "dark_frames": 20, "stars.grid": 3, "target.rows": 3, "target.columns": 3, "compare": ["cog"]},
 )
+main = command(experiment)

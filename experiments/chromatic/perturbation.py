@@ -37,7 +37,7 @@ class Solution:
     element, kind : str
         Which, and how: ``decentre`` or ``tilt``.
     amount : float
-        um for a decentre, arcmin for a tilt; NaN when none up to the limit does.
+        um for a decentre, arcmin for a tilt; NaN, as all below, when none up to the limit does.
     table1_px : dict of str to (2,)
         ACC18's statistic at this amount, by ray trace.
     rms_px : dict of str to (2,)
@@ -57,6 +57,17 @@ class Solution:
     def unit(self) -> str:
         """Unit of `amount`."""
         return "um" if self.kind == "decentre" else "arcmin"
+
+    @property
+    def shown_unit(self) -> str:
+        """The same for readers."""
+        return self.unit.replace("um", "µm")
+
+    @property
+    def label(self) -> str:
+        """What is moved, and how far, e.g. "L2 decentred +117 µm"."""
+        verb, digits = ("decentred", 0) if self.kind == "decentre" else ("tilted", 1)
+        return f"{self.element} {verb} {self.amount:+.{digits}f} {self.shown_unit}"
 
     def apply(self, lens: LensSystem, axis: int) -> LensSystem:
         """The lens with the element moved by this amount; see `perturbed`."""
@@ -111,8 +122,8 @@ def solve_perturbation(
     def excess(amount: float) -> float:
         return float(table1(shifts(means(amount), bench.pairs)[pair])[axis]) - wanted_px
 
-    amount = _root(excess, _LIMIT[kind])
-    found = means(amount if np.isfinite(amount) else 0.0)
+    amount, rest = _root(excess, _LIMIT[kind]), means(0.0)
+    found = means(amount) if np.isfinite(amount) else np.full_like(rest, np.nan)
     every = shifts(found, bench.pairs)
     return Solution(
         element=element,
@@ -120,7 +131,7 @@ def solve_perturbation(
         amount=amount * _UNIT[kind],
         table1_px={name: table1(shift) for name, shift in every.items()},
         rms_px={name: rms(shift) for name, shift in every.items()},
-        boresight_px=(found - means(0.0))[:, :, bench.reference].mean((0, 1)),
+        boresight_px=(found - rest)[:, :, bench.reference].mean((0, 1)),
     )
 
 

@@ -46,8 +46,6 @@ class Result:
         The same stars through the lens with the moved element.
     star_e : float
         Electrons of a V = 7.5 star of the reference temperature through the full pass band.
-    runtime_s, peak_memory_mb : float
-        Of the process up to the end of the run.
     """
 
     config: Config
@@ -62,8 +60,6 @@ class Result:
     field_shift_px: Mapping[str, FloatArray]
     moved_stellar: StellarShift
     star_e: float
-    runtime_s: float
-    peak_memory_mb: float
 
     @property
     def pairs(self) -> Sequence[tuple[str, int, int]]:

@@ -33,8 +33,9 @@ class Pivot:
         Dimensions of ``rows`` without coordinates that get a column of numbers 1, 2, 3 ..., under this head.
     plain : str
         Quantities of ``columns`` that are shown without their uncertainty.
-    where : mapping of str to sequence
-        Dimension -> the coordinates that are shown; all of them for the others.
+    where : mapping of str to sequence or str
+        Dimension -> the coordinates that are shown, all of them for the others; or the one that the table is of, and
+        the dimension needs no place in it.
     caption, note : str
         See `experiments.harness.tables.Table`.
     """
@@ -45,7 +46,7 @@ class Pivot:
     hidden: str = ""
     numbered: str = ""
     plain: str = ""
-    where: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    where: Mapping[str, Sequence[Any] | str] = field(default_factory=dict)
     caption: str = ""
     note: str = ""
 
@@ -61,7 +62,7 @@ def pivot(data: xr.Dataset, spec: Pivot) -> Table:
         If a quantity has a dimension that runs neither down nor across.
     """
     rows, across = spec.rows.split(), spec.across
-    data = data.sel({dim: list(shown) for dim, shown in spec.where.items()})
+    data = data.sel({dim: shown if isinstance(shown, str) else list(shown) for dim, shown in spec.where.items()})
     quantities = [Quantity.of(data, name) for name in spec.columns.split()]
     quantities = [replace(one, error=None, n=None) if one.name in spec.plain.split() else one for one in quantities]
     for one in quantities:

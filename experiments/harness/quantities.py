@@ -90,8 +90,8 @@ class Quantities:
         n: ArrayLike | None = None,
         format: str = "",
         key: str | None = None,
-        json: str | None = None,
-        json_error: str = "",
+        json: str | Mapping[str, str] | None = None,
+        json_error: str | Mapping[str, str] = "",
     ) -> None:
         """Describe a quantity.
 
@@ -114,11 +114,12 @@ class Quantities:
         key : str, optional
             Column name in ECSV files, if not ``name``; ``{dim}`` stands for the coordinate of a dimension that a table
             spreads over columns.
-        json : str, optional
+        json : str or mapping, optional
             Place in ``summary.json``, if not ``name``: "levels[level].methods[method].measured" is a list over the
             numbered dimension ``level`` of records, in which ``methods`` has a record for every method. Dimensions that
-            are not named follow at the end; "found[method][axis].value" nests records of two. "" leaves it out.
-        json_error : str, optional
+            are not named follow at the end; "found[method][axis].value" nests records of two. "" leaves it out. A
+            mapping gives the parts at coordinates of the first dimension places of their own.
+        json_error : str or mapping, optional
             Place of the uncertainty, where it does not stand with the value in one record.
 
         Raises
@@ -136,7 +137,7 @@ class Quantities:
             array = array.astype(object)
         if array.ndim != len(names):
             raise DomainError(f"quantity {name!r} has shape {array.shape} for dimensions {' '.join(names) or '(none)'}")
-        attrs = {"long_name": label or name, "units": unit or found_unit, "format": format}
+        attrs: dict[str, Any] = {"long_name": label or name, "units": unit or found_unit, "format": format}
         attrs |= {"key": name if key is None else key, "json": name if json is None else json}
         extra = {part: given for part, given in (("error", error), ("n", n)) if given is not None}
         if extra:
@@ -177,8 +178,10 @@ class Quantity:
 
     Attributes
     ----------
-    name, label, unit, format, key, json : str
+    name, label, unit, format, key : str
         As described (`Quantities.add`).
+    json : str or mapping
+        As described.
     dims : tuple of str
         Names of the dimensions.
     values : array
@@ -192,7 +195,7 @@ class Quantity:
     unit: str
     format: str
     key: str
-    json: str
+    json: str | Mapping[str, str]
     dims: tuple[str, ...]
     values: NDArray[Any]
     error: NDArray[np.float64] | None
@@ -280,10 +283,22 @@ def to_results(data: xr.Dataset) -> dict[str, Any]:
         if one.error is not None and (apart := data[f"{name}_error"].attrs.get("json")):
             plain = replace(one, error=None, n=None)
             parts = [(one.json, plain), (apart, replace(plain, values=one.error))]
-        for place, part in parts:
-            if place:
+        for json, whole in parts:
+            for place, part in _apart(json, whole, data):
                 out = _merged(out, _placed(place.split("."), part, data))
     return out
+
+
+def _apart(json: str | Mapping[str, str], one: Quantity, data: xr.Dataset) -> list[tuple[str, Quantity]]:
+    """Parts of a quantity that have places of their own."""
+    if isinstance(json, str):
+        return [(json, one)] if json else []
+    dim = one.dims[0]
+    known = _keys(data, dim) or []
+    for key in json:
+        if key not in known:
+            raise unknown_name(f"{dim} of quantity {one.name!r}:", key, known)
+    return [(place, one.at(**{dim: known.index(key)})) for key, place in json.items()]
 
 
 def _placed(path: Sequence[str], one: Quantity, data: xr.Dataset) -> dict[str, Any]:

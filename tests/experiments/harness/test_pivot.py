@@ -52,6 +52,8 @@ def test_hidden_dimensions_and_a_single_row(data):
 def test_some_rows_only_and_values_without_their_uncertainty(data):
     table = pivot(data, Pivot(rows="method axis", columns="te", plain="te", where={"method": ["epsf"]}))
     assert table.rows == (("ePSF fit", "x", 3.0), ("ePSF fit", "y", 4.0))
+    of_one = pivot(data, Pivot(rows="axis", columns="te", plain="te", where={"method": "cog"}))
+    assert of_one.rows == (("x", 1.0), ("y", 2.0))
 
 
 def test_a_dimension_that_is_forgotten_is_told(data):

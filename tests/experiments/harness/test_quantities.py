@@ -72,6 +72,23 @@ def test_nested_records_and_an_uncertainty_that_stands_apart():
     }
 
 
+def test_parts_with_places_of_their_own():
+    q = Quantities()
+    q.axis("lens", ["centred", "moved"])
+    places = {"centred": "found", "moved": "other.found"}
+    errors = {"centred": "sigma", "moved": "other.sigma"}
+    q.add("a", [1.0, 2.0], dims="lens", error=[0.1, 0.2], json=places, json_error=errors)
+    q.add("b", [[1, 2], [3, 4]], dims="lens star", json={"moved": "other.stars"})
+    assert to_results(q.dataset) == {
+        "found": 1.0,
+        "sigma": 0.1,
+        "other": {"found": 2.0, "sigma": 0.2, "stars": [3, 4]},
+    }
+    q.add("c", [1.0, 2.0], dims="lens", json={"tilted": "found"})
+    with pytest.raises(ConfigError, match="lens of quantity 'c'"):
+        to_results(q.dataset)
+
+
 def test_uncertainty_and_samples_travel_with_the_value(q):
     cell = to_results(q.dataset)["te_arcsec"][1]["epsf"]["y"]
     assert cell == Measured(value=7.0, unit="arcsec", uncertainty=0.5, n=30)

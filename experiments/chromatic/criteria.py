@@ -1,0 +1,99 @@
+"""What has to hold for a chromatic test to count as passed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.stats import norm
+
+from experiments.harness.quantities import Outcome
+from experiments.harness.summary import Criterion
+from optics.rays.pupil import entrance_pupil
+
+__all__ = ["criteria"]
+
+
+SIGMA_LIMIT = 3.0
+"""With 3 sigma for each of eight entries of Table 1, one seed in fifty fails by chance."""
+
+
+def criteria(outcome: Outcome) -> list[Criterion]:
+    """Both lenses: frames against light, light against rays and prediction; and the wanted mean shift."""
+    found = [
+        criterion
+        for lens, label in (("centred", "centred lens"), ("moved", "moved element"))
+        for criterion in _of_lens(outcome, lens, label)
+    ]
+    wanted = outcome.config.decentre
+    reached = outcome.value("table1_px", lens="moved", pair=wanted.pair, axis=wanted.axis)
+    found.append(
+        Criterion(
+            name=f"moved element: the wanted {wanted.wanted_px:g} px is measured",
+            value=abs(reached.value - wanted.wanted_px) / reached.uncertainty,
+            limit=SIGMA_LIMIT,
+            unit="sigma",
+        )
+    )
+    return found
+
+
+def _of_lens(outcome: Outcome, lens: str, label: str) -> list[Criterion]:
+    evaluation = getattr(outcome.result, lens)
+    photon, bundle = evaluation.measurement.photon_px, evaluation.measurement.bundle_px
+    light = [
+        Criterion(
+            name=f"{label}: light on the detector, before pixels, against the traced bundle",
+            value=float(np.nanmax(np.abs(photon - bundle))),
+            limit=1e-4,
+            unit="px",
+        )
+    ]
+    if entrance_pupil(outcome.result.instrument.camera.lens).exact:  # else both are Sobol sums, good to some 1e-3 px
+        apart = outcome.values("photon_shift_px", lens=lens) - outcome.values("predicted_shift_px", lens=lens)
+        light.append(
+            Criterion(
+                name=f"{label}: noiseless light against ray-trace prediction, largest shift",
+                value=float(np.abs(apart).max()),
+                limit=1e-4,
+                unit="px",
+            )
+        )
+    return [
+        Criterion(
+            name=f"{label}: Table 1 measured against noiseless photon centroid",
+            value=_largest_pull(outcome, lens, "photon_table1_px"),
+            limit=SIGMA_LIMIT,
+            unit="sigma",
+        ),
+        Criterion(
+            name=f"{label}: Table 1 measured against ray-trace prediction",
+            value=_largest_pull(outcome, lens, "predicted_table1_px"),
+            limit=SIGMA_LIMIT,
+            unit="sigma",
+        ),
+        Criterion(
+            name=f"{label}: largest deviation of a single shift from the noiseless light",
+            value=outcome.value("largest_pull", lens=lens),
+            limit=_two_sided_limit(evaluation.chi2_n),
+            unit="sigma",
+        ),
+        Criterion(
+            name=f"{label}: mean squared deviation in units of its variance, off 1 by",
+            value=abs(outcome.value("mean_squared_pull", lens=lens) - 1.0),
+            # the two pairs share the reference band, so their pulls are correlated by 1/2
+            limit=4.0 * float(np.sqrt(2.5 / evaluation.chi2_n)),
+        ),
+        *light,
+    ]
+
+
+def _largest_pull(outcome: Outcome, lens: str, against: str) -> float:
+    """Largest distance of a Table 1 entry from another value, in standard deviations."""
+    apart: Any = outcome.values("table1_px", lens=lens) - outcome.values(against, lens=lens)
+    return float(np.abs(apart / outcome.errors("table1_px", lens=lens)).max())
+
+
+def _two_sided_limit(count: int, false_alarm: float = 0.01) -> float:
+    """Standard deviations that the largest of ``count`` normal deviates exceeds with probability ``false_alarm``."""
+    return float(norm.isf(false_alarm / (2 * count)))
