@@ -97,7 +97,9 @@ def calibrate(
     attitude_family.check(observations)
     selection = select_stars(observations, model, attitude_family.least_stars)
     stars = selection.stars
-    start = attitude_family.start(selection.on_detector, model, robust=chosen.name != "linear")
+    # frames with too few stars are no part of the fit, but get the attitude of the start
+    shown = observations if attitude_family.least_stars > 1 else stars
+    start = attitude_family.start(shown, model, robust=chosen.name != "linear")
     names = free_names(model, mask) + attitude_family.names(stars)
     independent = attitude_family.independent(stars)
     if independent > len(names):

@@ -22,17 +22,14 @@ class Selection:
 
     Attributes
     ----------
-    on_detector : Observations
-        Stars on the detector.
     stars : Observations
-        Those of them in frames with enough stars; frame numbers as before.
+        Stars on the detector in frames with enough of them; frame numbers as before.
     used : (n,) bool
         Which of all stars ``stars`` are.
     note : str
         What was left out, for the message; empty if nothing was.
     """
 
-    on_detector: Observations
     stars: Observations
     used: BoolArray
     note: str
@@ -65,7 +62,6 @@ def select_stars(observations: Observations, model: CameraModel, least: int) -> 
     if outside.any():
         notes.append(f"{np.count_nonzero(outside)} stars outside the detector were left out")
     return Selection(
-        on_detector=observations.select(~outside) if outside.any() else observations,
         stars=observations if used.all() else observations.select(used),
         used=used,
         note="; ".join(notes),
