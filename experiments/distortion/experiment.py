@@ -7,20 +7,19 @@ predicted by ray trace, and judged by the error that the correction really has b
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from experiments.distortion.settings import Config
+from experiments.harness.cli import command
+from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
-from experiments.harness.summary import Criterion
-from experiments.laboratory.point_command import point_command
+from experiments.laboratory.own_frames.experiment import own_frames
+from experiments.laboratory.point_settings import FRAMES_OPTION
 
 if TYPE_CHECKING:
     from experiments.distortion.result import Result
-    from experiments.harness.report import Report
-    from experiments.harness.tables import Table
 
-__all__ = ["Config", "main", "report", "run", "summary", "tables"]
+__all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
@@ -40,24 +39,17 @@ def run(config: Config, *, progress: Progress) -> Result:
         saturated, too few points for the polynomial, light beyond the range of the data.
     """
     from experiments.distortion.result import Result, correction_maps, forecasts
-    from experiments.harness.provenance import peak_memory_mb, process_seconds
     from experiments.laboratory.distortion_error import dense_grid, measure_distortion, traced_bundles
     from experiments.laboratory.distortion_model import predict_distortion
-    from experiments.laboratory.instrument import build_instrument
-    from experiments.laboratory.point_scene import point_scene
-    from experiments.laboratory.point_settings import check_bench, make_bench
-    from experiments.laboratory.settings import TargetConfig
+    from experiments.laboratory.point_scene import point_laboratory, prepared_scene
     from experiments.laboratory.targets import GridTarget, grid_directions
     from render.engine.random import Streams
 
-    instrument = build_instrument(config.instrument)
-    bench = make_bench(config, TargetConfig())  # a multi-star target that this test does not use
+    bench, instrument = point_laboratory(config)
     target = GridTarget(**config.target.model_dump())
     streams = Streams(config.seed).child("distortion")
     direction = grid_directions(target, instrument, streams.generator("target"))
-    check_bench(bench, instrument, direction[None])
-    with progress.stage("prepare"):
-        scene = point_scene(bench, instrument)
+    scene = prepared_scene(bench, instrument, direction[None], progress)
     with progress.stage("frames", total=2) as stage:
         measured = measure_distortion(
             bench,
@@ -75,7 +67,7 @@ def run(config: Config, *, progress: Progress) -> Result:
             instrument,
             target,
             direction,
-            psf=scene.psfs(direction),
+            psf=measured.light.psf,
             order=config.order,
             draws=config.draws,
             seed=config.seed,
@@ -93,39 +85,19 @@ def run(config: Config, *, progress: Progress) -> Result:
         predicted=predicted,
         maps=maps,
         forecast=forecast,
-        runtime_s=process_seconds(),
-        peak_memory_mb=peak_memory_mb(),
     )
 
 
-def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:
-    """What goes into ``summary.json``."""
-    from experiments.distortion.evaluate import criteria, results
-
-    return results(result), criteria(result)
-
-
-def tables(result: Result) -> Mapping[str, Table]:
-    """Tables written beside the report."""
-    from experiments.distortion.tables import all_tables
-
-    return all_tables(result)
-
-
-def report(result: Result) -> Report:
-    """What ``report.html`` shows."""
-    from experiments.distortion.report import build_report
-
-    return build_report(result)
-
-
-main = point_command(
-    "distortion",
+experiment = Experiment(
+    name="distortion",
     config=Config,
     run=run,
-    report=report,
-    summary=summary,
-    tables=tables,
+    takes="30 s (--quick: 9 s)",
+    examples={
+        "--quick": "a small run",
+        "--set target.rows=8 --set target.columns=16 --set order=5": "more points, a higher order",
+        "--frames my_frames": "reduce the FITS frames of a laboratory",
+    },
     show=("distortion",),
     quick={
         "compare": ["cog"],
@@ -136,4 +108,7 @@ main = point_command(
         "study.rows": [4, 8],
         "study.orders": [1, 3, 5],
     },
+    options=FRAMES_OPTION,
+    instead=own_frames("distortion"),
 )
+main = command(experiment)

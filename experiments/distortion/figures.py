@@ -2,162 +2,112 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.distortion.evaluate import noise_removed_arcsec
-from experiments.distortion.result import PUBLISHED_ARCSEC
-from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
+from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure
+from experiments.harness.quantities import Outcome
+from experiments.laboratory.point_figures import arrows, detector_outline
 
-if TYPE_CHECKING:
-    from experiments.distortion.result import Result
-
-__all__ = ["forecast_plot", "map_panels", "point_arrows", "survey_histogram"]
+__all__ = ["forecasts", "map_panels", "point_residuals", "survey_histogram"]
 
 
-def _frame(result: Result, axis: Any) -> None:
-    """Outline of the detector and its seams."""
-    camera, chip = result.instrument.camera, result.instrument.detector
-    axis.plot(
-        [-0.5, camera.width_px - 0.5, camera.width_px - 0.5, -0.5, -0.5],
-        [-0.5, -0.5, camera.height_px - 0.5, camera.height_px - 0.5, -0.5],
-        color="#8a9099",
-        linewidth=0.8,
-    )
-    for seam in range(1, chip.chips):
-        axis.axvline(seam * (chip.chip_width_px + chip.gap_px) - 0.5, color="#c3c8ce", linewidth=0.8)
-    axis.set(xlim=(-150, camera.width_px + 150), ylim=(camera.height_px + 150, -150), aspect="equal")
-    axis.grid(visible=False)
-
-
-def point_arrows(result: Result) -> Figure:
+def point_residuals(outcome: Outcome) -> Figure:
     """Residuals at the target's points: found, and left by the polynomial."""
-    first, light = result.config.methods[0], result.measured.light
+    result, camera = outcome.result, outcome.result.instrument.camera
     figure, axes = new_figure(2, 2, aspect_ratio=0.68, sharex=True, sharey=True)
-    panels = []
     for row, reference in enumerate(("aligned", "calibrated")):
-        s = result.measured.statistics(first, reference)  # type: ignore[arg-type]
-        panels += [
+        s = result.measured.statistics(outcome.config.methods[0], reference)
+        for panel, values, title in (
             (axes[row, 0], s.d_px, f"d, {reference}"),
             (axes[row, 1], s.left_px, f"left by the polynomial, {reference}"),
-        ]
-    for axis, values, title in panels:
-        arcsec = values * result.instrument.pixel_arcsec
-        length = float(np.sqrt((arcsec**2).sum(1).max()))
-        scale = 300.0 / length
-        axis.quiver(
-            *light.nominal_px.T,
-            *arcsec.T,
-            angles="xy",
-            scale_units="xy",
-            scale=1 / scale,
-            color=PALETTE[0],
-            width=0.005,
-        )
-        _frame(result, axis)
-        axis.set_title(f"{title}; longest {length:.2f}″")
-    for axis in axes[:, 0]:
-        axis.set_ylabel("row [px]")
-    for axis in axes[1]:
-        axis.set_xlabel("column [px]")
+        ):
+            error = values * result.instrument.pixel_arcsec
+            place = outcome.values("nominal_px")
+            longest = arrows(panel, place, error, longest_px=300.0, color=PALETTE[0], width=0.005)
+            detector_outline(panel, camera.width_px, camera.height_px, result.instrument)
+            panel.set_title(f"{title}; longest {longest:.2f}″")
+    for panel in axes[:, 0]:
+        panel.set_ylabel("row [px]")
+    for panel in axes[1]:
+        panel.set_xlabel("column [px]")
     return figure
 
 
-def map_panels(result: Result) -> Figure:
+def map_panels(outcome: Outcome) -> Figure:
     """ACC18 Fig. 8 on a dense grid: distortion, and what the correction leaves."""
-    one = result.maps[result.config.reference].first
+    result, camera = outcome.result, outcome.result.instrument.camera
+    one = result.maps[outcome.config.reference].first
     figure, axes = new_figure(1, 2, aspect_ratio=0.36, sharey=True)
     rows, columns = one.shape
     step = max(1, rows // 8)
-    for axis, values, title in (
+    some = np.zeros((rows, columns), bool)
+    some[::step, ::step] = True
+    for panel, values, title in (
         (axes[0], one.uncorrected_px, "distortion"),
         (axes[1], one.corrected_px, "left by the correction"),
     ):
-        arcsec = values * result.instrument.pixel_arcsec
-        size = np.linalg.norm(arcsec, axis=1).reshape(rows, columns)
-        camera = result.instrument.camera
-        image = axis.imshow(
-            size,
+        error = values * result.instrument.pixel_arcsec
+        size = np.linalg.norm(error, axis=1)
+        image = panel.imshow(
+            size.reshape(rows, columns),
             extent=(-0.5, camera.width_px - 0.5, camera.height_px - 0.5, -0.5),
             cmap="YlGnBu",
             vmin=0.0,
             interpolation="bilinear",
         )
-        some = np.zeros((rows, columns), bool)
-        some[::step, ::step] = True
         keep = some.ravel()
-        axis.quiver(
-            *one.nominal_px[keep].T,
-            *arcsec[keep].T,
-            angles="xy",
-            scale_units="xy",
-            scale=float(size.max()) / 420.0,
-            color=INK,
-            width=0.0028,
-        )
-        _frame(result, axis)
-        axis.set(title=title, xlabel="column [px]")
-        bar = figure.colorbar(image, ax=axis, orientation="horizontal", shrink=0.7, aspect=30)
+        reach = 420.0 * size[keep].max() / size.max()
+        arrows(panel, one.nominal_px[keep], error[keep], longest_px=reach, color=INK, width=0.0028)
+        detector_outline(panel, camera.width_px, camera.height_px, result.instrument)
+        panel.set(title=title, xlabel="column [px]")
+        bar = figure.colorbar(image, ax=panel, orientation="horizontal", shrink=0.7, aspect=30)
         bar.set_label("length [″]")
         bar.outline.set_visible(False)
-    axes[0].plot(*result.measured.light.nominal_px.T, "+", color=PALETTE[1], markersize=4)
+    axes[0].plot(*outcome.values("nominal_px").T, "+", color=PALETTE[1], markersize=4)
     axes[0].set_ylabel("row [px]")
     return figure
 
 
-def survey_histogram(result: Result) -> Figure:
+def survey_histogram(outcome: Outcome) -> Figure:
     """sigma_C1 of many surveys of one target, the published values, and what marking error alone gives."""
-    first, reference = result.config.methods[0], result.config.reference
-    every = result.scale * result.measured.over_surveys(first, reference)[:, 2]
-    figure, axis = new_figure(aspect_ratio=0.34)
+    every = outcome.values("survey_c1_arcsec")
+    figure, panel = new_figure(aspect_ratio=0.34)
     bins = np.linspace(0.0, max(1.15 * float(every.max()), 0.6), 40)
-    for number, letter in enumerate("xy"):
-        axis.hist(
-            every[:, number],
-            bins=bins.tolist(),
-            color=PALETTE[number],
-            alpha=0.55,
-            label=f"{letter}, {len(every)} surveys",
-        )
-        axis.axvline(PUBLISHED_ARCSEC[number], color=PALETTE[number], linewidth=1.4, dashes=(4, 2))
-        axis.annotate(
-            f"published, {letter}",
-            (PUBLISHED_ARCSEC[number], 0.97),
+    for values, axis, published, colour in zip(
+        every.T, "xy", outcome.values("published_arcsec"), PALETTE, strict=False
+    ):
+        panel.hist(values, bins=bins.tolist(), color=colour, alpha=0.55, label=f"{axis}, {len(every)} surveys")
+        panel.axvline(published, color=colour, linewidth=1.4, dashes=(4, 2))
+        panel.annotate(
+            f"published, {axis}",
+            (published, 0.97),
             xycoords=("data", "axes fraction"),
             xytext=(3, 0),
             textcoords="offset points",
             va="top",
         )
-    axis.axvline(noise_removed_arcsec(result), color=INK, linewidth=1.2, label="marking error alone, RMS")
-    axis.set(xlabel="σC1, 3 σ [″]", ylabel="surveys", xlim=(0, bins[-1]))
-    axis.legend(loc="center right")
+    alone = float(outcome.values("noise_removed_arcsec"))
+    panel.axvline(alone, color=INK, linewidth=1.2, label="marking error alone, RMS")
+    panel.set(xlabel=outcome.heading("survey_c1_arcsec"), ylabel="surveys", xlim=(0, bins[-1]))
+    panel.legend(loc="center right")
     return figure
 
 
-def forecast_plot(result: Result) -> Figure:
+def forecasts(outcome: Outcome) -> Figure:
     """Map error against the number of points, for several orders."""
-    figure, axis = new_figure(aspect_ratio=0.42)
-    orders = sorted({one.order for one in result.forecast})
-    for order, colour, marker in zip(orders, PALETTE, MARKERS, strict=False):
-        mine = [one for one in result.forecast if one.order == order]
-        points = [one.points for one in mine]
-        total = [float(np.sqrt(((result.scale * one.rms_px) ** 2).mean())) for one in mine]
-        bias = [float(np.sqrt(((result.scale * one.bias_px) ** 2).mean())) for one in mine]
-        axis.plot(points, total, color=colour, marker=marker, markerfacecolor="white", label=f"order {order}")
-        axis.plot(points, bias, color=colour, linewidth=0.9, dashes=(1.5, 2))
-    seen = np.sqrt((result.maps["aligned"].rms_px ** 2).mean())
-    here = result.config.target.rows * result.config.target.columns
-    axis.plot([here], [result.scale * seen], "*", color=INK, markersize=10, label="seen in this test")
-    axis.set(xscale="log", yscale="log", xlabel="points of the grid", ylabel="map error, 3 σ [″]")
-    ticks = sorted({one.points for one in result.forecast})
-    axis.set_xticks(ticks, [str(t) for t in ticks])
-    axis.set_xticks([], minor=True)
-    low = min(0.02, 0.8 * float(result.scale * seen))
-    axis.set_ylim(low, None)
-    shown = [t for t in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5) if low <= t <= axis.get_ylim()[1]]
-    axis.set_yticks(shown, [f"{t:g}" for t in shown])
-    axis.set_yticks([], minor=True)
-    axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    figure, panel = new_figure(aspect_ratio=0.42)
+    points, orders = outcome.values("forecast_points"), outcome.values("forecast_order")
+    for order, colour, marker in zip(np.unique(orders), PALETTE, MARKERS, strict=False):
+        mine = orders == order
+        total, bias = (outcome.values(f"{name}_arcsec")[mine] for name in ("map_error", "distortion_left"))
+        panel.plot(points[mine], total, color=colour, marker=marker, markerfacecolor="white", label=f"order {order}")
+        panel.plot(points[mine], bias, color=colour, linewidth=0.9, dashes=(1.5, 2))
+    seen = float(np.sqrt((outcome.values("map_all_surveys_arcsec", reference="aligned") ** 2).mean()))
+    panel.plot(outcome.values("points"), seen, "*", color=INK, markersize=10, label="seen in this test")
+    panel.set(xscale="log", yscale="log", xlabel="points of the grid", ylabel="map error, 3 σ [″]")
+    panel.set_ylim(min(0.02, 0.8 * seen), None)
+    log_ticks(panel, "x", sorted(set(points.tolist())))
+    log_ticks(panel, "y")
+    panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure

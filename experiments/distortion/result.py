@@ -1,4 +1,4 @@
-"""Record of the distortion test, the published numbers, and the maps that judge a correction."""
+"""Record of the distortion test, and the maps that judge a correction."""
 
 from __future__ import annotations
 
@@ -16,13 +16,7 @@ from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.targets import GridTarget
 from optics.arrays import FloatArray
 
-__all__ = ["MARKING_ARCSEC", "PUBLISHED_ARCSEC", "CorrectionMap", "Result", "correction_maps", "forecasts"]
-
-
-PUBLISHED_ARCSEC = (0.29, 0.41)
-"""ACC18 section 2.3.2: sigma_LSFE-C1, x and y, 3 sigma."""
-MARKING_ARCSEC = 0.5
-"""ACC18 section 2.3.3: marking error, 3 sigma."""
+__all__ = ["CorrectionMap", "Result", "correction_maps", "forecasts"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,8 +51,6 @@ class Result:
         True map errors, first method.
     forecast : tuple of MapForecast
         Map errors to be expected of other targets and polynomials.
-    runtime_s, peak_memory_mb : float
-        Of the process up to the end of the run.
     """
 
     config: Config
@@ -67,13 +59,22 @@ class Result:
     predicted: DistortionPrediction
     maps: Mapping[Reference, CorrectionMap]
     forecast: tuple[MapForecast, ...]
-    runtime_s: float
-    peak_memory_mb: float
 
     @property
     def scale(self) -> float:
         """From px, 1 sigma, to arcsec, 3 sigma."""
         return self.measured.arcsec_3sigma
+
+    @property
+    def terms(self) -> int:
+        """Terms of the polynomial, per axis."""
+        return (self.config.order + 1) * (self.config.order + 2) // 2
+
+    @property
+    def forecast_here(self) -> MapForecast:
+        """The forecast of the configured target and order."""
+        wanted = (self.config.target.rows * self.config.target.columns, self.config.order)
+        return next(one for one in self.forecast if (one.points, one.order) == wanted)
 
 
 def correction_maps(

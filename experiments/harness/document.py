@@ -1,7 +1,7 @@
 """``report.html`` from a Markdown template: prose in ``report.md``, tables and figures called by name.
 
-A template is Jinja in Markdown. Its ``# title`` comes first, then the lead; a block quote holds the verdict,
-``numbers`` the figures shown large, and every ``## head`` begins a section.
+A template is Jinja in Markdown; reports that are alike extend one beside them. Its ``# title`` comes first, then the
+lead; a block quote holds the verdict, ``numbers`` the figures shown large, and every ``## head`` begins a section.
 Besides ``config``, ``result``, ``data`` and ``outcome`` it knows
 
 =========================  ============================================================================================
@@ -136,21 +136,27 @@ def _general(value: Any) -> Markup:
     return Markup(f"{value:g}".replace("-", "\N{MINUS SIGN}"))
 
 
-def _typeset(context: _Context, template: str, name: str) -> str:
+def _typeset(context: _Context, path: Path) -> str:
     """The Markdown of a template, with marks for its blocks."""
-    from jinja2 import Environment, StrictUndefined, TemplateError
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined, TemplateError
 
-    environment = Environment(undefined=StrictUndefined, finalize=_shown, trim_blocks=True, lstrip_blocks=True)
+    environment = Environment(
+        loader=FileSystemLoader(path.parent),
+        undefined=StrictUndefined,
+        finalize=_shown,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     environment.filters |= {"cell": _cell, "g": _general, "md": Markup}
     known = ("value", "table", "figure", "row", "equation", "numbers", "number", "criteria")
     environment.globals |= {call: getattr(context, call) for call in known}
     outcome = context.outcome
     try:
-        return environment.from_string(template).render(
+        return environment.get_template(path.name).render(
             config=outcome.config, result=outcome.result, data=outcome.data, outcome=outcome
         )
     except TemplateError as error:
-        raise ConfigError(f"report template {name}: {error}") from error
+        raise ConfigError(f"report template {path.name}: {error}") from error
 
 
 def render_document(
@@ -193,7 +199,7 @@ def render_document(
     from markdown_it import MarkdownIt
 
     context = _Context(outcome, {name: one for name, one in tables.items() if isinstance(one, Table)}, draw)
-    text = _typeset(context, path.read_text(encoding="utf-8"), path.name)
+    text = _typeset(context, path)
     markdown = MarkdownIt("commonmark", {"html": False}).enable("table")
     page = _split(markdown, text, context.blocks, path.name)
     environment = Environment(

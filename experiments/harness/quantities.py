@@ -391,6 +391,10 @@ class Outcome:
         label = f"{dim}_label"
         return [str(one) for one in self.data.coords[label if label in self.data.coords else dim].values]
 
+    def label(self, dim: str, key: Any) -> str:
+        """What readers see for one coordinate of a dimension."""
+        return self.names(dim)[self.data.coords[dim].values.tolist().index(key)]
+
     def _position(self, name: str, dim: str, key: Any) -> int:
         if dim not in self.data[name].dims:
             raise unknown_name(f"dimension of quantity {name!r}:", dim, [str(d) for d in self.data[name].dims])

@@ -7,20 +7,19 @@ off one by one on the same random streams; the S-curve is what is left of an ima
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from experiments.harness.cli import command
+from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
-from experiments.harness.summary import Criterion
 from experiments.hsfe.settings import Config
-from experiments.laboratory.point_command import point_command
+from experiments.laboratory.own_frames.experiment import own_frames
+from experiments.laboratory.point_settings import FRAMES_OPTION
 
 if TYPE_CHECKING:
-    from experiments.harness.report import Report
-    from experiments.harness.tables import Table
     from experiments.hsfe.result import Result
 
-__all__ = ["Config", "main", "report", "run", "summary", "tables"]
+__all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
@@ -39,31 +38,24 @@ def run(config: Config, *, progress: Progress) -> Result:
         On anything the user can mend: unknown lens or detector, target off the detector, a step larger than the window,
         points not detected or saturated, light beyond the range of the data.
     """
-    from experiments.harness.provenance import peak_memory_mb, process_seconds
     from experiments.hsfe.result import Result, geometry_study, s_curves
     from experiments.laboratory.hexapod import Hexapod, turned
     from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
     from experiments.laboratory.high_frequency_model import predict_high_frequency
-    from experiments.laboratory.instrument import build_instrument
-    from experiments.laboratory.point_scene import point_scene
-    from experiments.laboratory.point_settings import check_bench, make_bench
+    from experiments.laboratory.point_scene import point_laboratory, prepared_scene
     from experiments.laboratory.temporal_error import target_place
     from render.detector.maps import sensor_maps
     from render.engine.random import Streams
 
-    instrument = build_instrument(config.instrument)
-    bench = make_bench(config, config.target)
+    bench, instrument = point_laboratory(config, config.target)
     plan, hexapod = StepPlan(**config.steps.model_dump()), Hexapod(**config.hexapod.model_dump())
     plan.check(bench)
     rest = target_place(bench, instrument, config.place_px)
     streams = Streams(config.seed).child("hsfe")
     path = plan.path(instrument, hexapod, streams.generator("hexapod"))
-    check_bench(bench, instrument, turned(rest, path.true_rad))
-    with progress.stage("prepare"):
-        scene = point_scene(bench, instrument)
-        psf = scene.psfs(rest)
-        defect = sensor_maps(instrument.detector).defect
+    scene = prepared_scene(bench, instrument, turned(rest, path.true_rad), progress)
     with progress.stage("before the test"):
+        psf, defect = scene.psfs(rest), sensor_maps(instrument.detector).defect
         before = predict_high_frequency(
             bench,
             instrument,
@@ -114,39 +106,19 @@ def run(config: Config, *, progress: Progress) -> Result:
         after=after,
         curves=curves,
         geometry=geometry,
-        runtime_s=process_seconds(),
-        peak_memory_mb=peak_memory_mb(),
     )
 
 
-def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:
-    """What goes into ``summary.json``."""
-    from experiments.hsfe.evaluate import criteria, results
-
-    return results(result), criteria(result)
-
-
-def tables(result: Result) -> Mapping[str, Table]:
-    """Tables written beside the report."""
-    from experiments.hsfe.tables import all_tables
-
-    return all_tables(result)
-
-
-def report(result: Result) -> Report:
-    """What ``report.html`` shows."""
-    from experiments.hsfe.report import build_report
-
-    return build_report(result)
-
-
-main = point_command(
-    "hsfe",
+experiment = Experiment(
+    name="hsfe",
     config=Config,
     run=run,
-    report=report,
-    summary=summary,
-    tables=tables,
+    takes="40 s (--quick: 12 s)",
+    examples={
+        "--quick": "a small run",
+        "--set steps.step_px=0.5 --set subtraction=raw": "longer steps, fixed patterns left in",
+        "--frames my_frames": "reduce the FITS frames of a laboratory",
+    },
     show=("hsfe",),
     quick={
         "steps.positions": 6,
@@ -154,4 +126,7 @@ main = point_command(
         "target.columns": 3,
         "compare": ["gaussian", "epsf"],
     },
+    options=FRAMES_OPTION,
+    instead=own_frames("hsfe"),
 )
+main = command(experiment)

@@ -1,4 +1,4 @@
-"""Record of the step test, the published numbers, and two small studies: S-curves, and what the hexapod leaves."""
+"""Record of the step test, and two small studies: S-curves, and what the hexapod leaves."""
 
 from __future__ import annotations
 
@@ -22,11 +22,9 @@ from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import EffectivePsf
 
-__all__ = ["PUBLISHED_ARCSEC", "Geometry", "Result", "SCurve", "geometry_study", "s_curves"]
+__all__ = ["Geometry", "Result", "SCurve", "geometry_study", "s_curves"]
 
 
-PUBLISHED_ARCSEC = (1.08, 1.01)
-"""ACC18 section 2.2: HSFE, x and y, 3 sigma."""
 PHASES = 101
 PATHS = 20
 
@@ -88,8 +86,6 @@ class Result:
         S-curves of the middle star.
     geometry : tuple of Geometry
         Hexapods of different quality.
-    runtime_s, peak_memory_mb : float
-        Of the process up to the end of the run.
     """
 
     config: Config
@@ -99,8 +95,6 @@ class Result:
     after: HighFrequencyPrediction
     curves: SCurve
     geometry: tuple[Geometry, ...]
-    runtime_s: float
-    peak_memory_mb: float
 
 
 def s_curves(bench: Bench, instrument: Instrument, psf: Sequence[EffectivePsf], direction: FloatArray) -> SCurve:

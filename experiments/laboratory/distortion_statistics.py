@@ -33,6 +33,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 __all__ = [
+    "LABELS",
     "REFERENCES",
     "DistortionStatistics",
     "Reference",
@@ -51,6 +52,8 @@ REFERENCES: Mapping[Reference, str] = {
     "aligned": "shift, roll and scale fitted",
     "calibrated": "camera model from an earlier session",
 }
+LABELS = ("σδ, found", "σΔδ, left", "σC1, removed")
+"""What readers call the three numbers: sigma_d, sigma_D, sigma_C1."""
 
 
 def polynomial_terms(place: FloatArray, order: int) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Light of point targets on the detector: rendered without noise, found by detection, cut into windows."""
+"""Laboratory of a test with point targets, and their light: rendered without noise, detected, cut into windows."""
 
 from __future__ import annotations
 
@@ -8,11 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.harness.progress import Progress
 from experiments.laboratory.bench import Bench, point_field
-from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.checks import check_light, check_wavelengths
+from experiments.laboratory.filter_wheel import open_wheel
+from experiments.laboratory.instrument import Instrument, build_instrument
+from experiments.laboratory.point_settings import PointConfig
 from experiments.laboratory.points import PointReadout, nominal_px
 from experiments.laboratory.readout.windows import cut_windows
+from experiments.laboratory.settings import TargetConfig
 from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.light.spectrum import Blackbody
 from optics.records import freeze
 from render.engine.random import Streams
 from render.forward import StarRenderer
@@ -20,7 +27,15 @@ from render.records import EffectivePsf
 from render.tracing.psf import epsf_tracer, render_epsf
 from render.tracing.tracer import Tracer
 
-__all__ = ["PointLight", "PointScene", "one_filter", "point_scene", "scene_of"]
+__all__ = [
+    "PointLight",
+    "PointScene",
+    "one_filter",
+    "point_laboratory",
+    "point_scene",
+    "prepared_scene",
+    "scene_of",
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,3 +164,53 @@ def point_scene(bench: Bench, instrument: Instrument) -> PointScene:
     camera = instrument.camera
     renderer = StarRenderer(camera, exposure_s=instrument.config.exposure_s)
     return PointScene(one_filter(bench), instrument, renderer, epsf_tracer(camera))
+
+
+def point_laboratory(config: PointConfig, target: TargetConfig | None = None) -> tuple[Bench, Instrument]:
+    """Bench and instrument of a configuration; a test without the multi-star target leaves it out."""
+    source = config.source
+    bench = Bench(
+        target=target or TargetConfig(),
+        lamp=Blackbody(temperature_k=source.lamp_k),
+        filters=[open_wheel(*source.passband_nm, source.edge_nm).select("open")],
+        reference=0,
+        signal_e=source.signal_e,
+        frames=config.frames,
+        dark_frames=config.dark_frames,
+        window_px=config.window_px,
+        methods=config.methods,
+    )
+    return bench, build_instrument(config.instrument)
+
+
+def prepared_scene(bench: Bench, instrument: Instrument, direction: FloatArray, progress: Progress) -> PointScene:
+    """Scene of a test, after a look at whether it can be done.
+
+    Parameters
+    ----------
+    bench, instrument
+        The laboratory.
+    direction : (m, j, 3)
+        Unit vectors in cam towards the target points, at all places where they will stand.
+    progress : Progress
+        Where to report.
+
+    Raises
+    ------
+    DomainError
+        On light that no data cover, spots too wide for the window, or points beside the detector.
+    """
+    check_wavelengths(instrument, [("source.passband_nm", band) for band in bench.filters])
+    nominal = nominal_px(instrument, direction.reshape(-1, 3))
+    camera, half = instrument.camera, bench.window_px // 2 + 1
+    off = np.any((nominal < half) | (nominal > np.array([camera.width_px, camera.height_px]) - 1 - half), axis=1)
+    if off.any():
+        at = nominal[int(np.argmax(off))]
+        raise DomainError(
+            f"{int(off.sum())} of {len(nominal)} target points lie off the detector or within {half} px of its edge, "
+            f"e.g. at column {at[0]:.0f}, row {at[1]:.0f} of {camera.width_px} x {camera.height_px} px; move the "
+            "target, or make it smaller"
+        )
+    check_light(bench, instrument, direction)
+    with progress.stage("prepare"):
+        return point_scene(bench, instrument)

@@ -1,25 +1,17 @@
-"""Configuration that the tests with point targets share (temporal, hsfe, distortion), and the bench it describes."""
+"""Configuration that the tests with point targets share (temporal, hsfe, distortion). Light to import."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 from pydantic import Field, field_validator, model_validator
 
 from experiments.harness.config import ExperimentConfig, StrictModel
-from experiments.laboratory.centroid_methods import MethodLabels, MethodName
+from experiments.laboratory.centroid_methods import MethodName
 from experiments.laboratory.settings import InstrumentConfig, TargetConfig
 
-if TYPE_CHECKING:
-    from experiments.laboratory.bench import Bench
-    from experiments.laboratory.instrument import Instrument
-
-__all__ = ["FRAMES_OPTION", "METHOD_NAMES", "PointConfig", "SourceConfig", "check_bench", "make_bench"]
+__all__ = ["FRAMES_OPTION", "PointConfig", "SourceConfig", "StarTargetConfig"]
 
 FRAMES_OPTION = {"frames": ("frames_folder", "Reduce the FITS frames of a folder that holds frames.toml.")}
 """Command-line option of the three tests (`experiments.harness.cli.command`)."""
-
-METHOD_NAMES = MethodLabels()
 
 
 class SourceConfig(StrictModel):
@@ -68,58 +60,10 @@ class PointConfig(ExperimentConfig):
         return self
 
 
-def make_bench(config: PointConfig, target: TargetConfig) -> Bench:
-    """The laboratory of a configuration."""
-    from experiments.laboratory.bench import Bench
-    from experiments.laboratory.filter_wheel import open_wheel
-    from optics.light.spectrum import Blackbody
+class StarTargetConfig(PointConfig):
+    """Of the tests with the multi-star target, which stands somewhere on the detector."""
 
-    source = config.source
-    wheel = open_wheel(*source.passband_nm, source.edge_nm)
-    return Bench(
-        target=target,
-        lamp=Blackbody(temperature_k=source.lamp_k),
-        filters=[wheel.select("open")],
-        reference=0,
-        signal_e=source.signal_e,
-        frames=config.frames,
-        dark_frames=config.dark_frames,
-        window_px=config.window_px,
-        methods=config.methods,
+    target: TargetConfig = TargetConfig(pitch_px=150.4)
+    place_px: tuple[float, float] | None = Field(
+        default=None, description="middle of the target on the detector; the middle of the first chip if left out"
     )
-
-
-def check_bench(bench: Bench, instrument: Instrument, direction: object) -> None:
-    """Refuse light that no data cover, spots too wide for the window, points beside the detector.
-
-    Parameters
-    ----------
-    bench, instrument
-        The laboratory.
-    direction : (m, j, 3)
-        Target points.
-
-    Raises
-    ------
-    DomainError
-        One line: what, and what to change.
-    """
-    import numpy as np
-
-    from experiments.laboratory.checks import check_light, check_wavelengths
-    from experiments.laboratory.points import nominal_px
-    from optics.errors import DomainError
-
-    points = np.asarray(direction, float)
-    check_wavelengths(instrument, [("source.passband_nm", band) for band in bench.filters])
-    nominal = nominal_px(instrument, points.reshape(-1, 3))
-    camera, half = instrument.camera, bench.window_px // 2 + 1
-    off = np.any((nominal < half) | (nominal > np.array([camera.width_px, camera.height_px]) - 1 - half), axis=1)
-    if off.any():
-        at = nominal[int(np.argmax(off))]
-        raise DomainError(
-            f"{int(off.sum())} of {len(nominal)} target points lie off the detector or within {half} px of its edge, "
-            f"e.g. at column {at[0]:.0f}, row {at[1]:.0f} of {camera.width_px} x {camera.height_px} px; move the "
-            "target, or make it smaller"
-        )
-    check_light(bench, instrument, points)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from experiments.harness.cli import command
 from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
-from experiments.laboratory.point_command import frames_instead
+from experiments.laboratory.own_frames.experiment import own_frames
 from experiments.laboratory.point_settings import FRAMES_OPTION
 from experiments.temporal.settings import Config
 
@@ -38,19 +38,13 @@ def run(config: Config, *, progress: Progress) -> Result:
         On anything the user can mend: unknown lens or detector, target off the detector, points not detected or
         saturated, light beyond the range of the data.
     """
-    from experiments.harness.provenance import peak_memory_mb, process_seconds
     from experiments.laboratory.brightness import BrightnessControl
-    from experiments.laboratory.instrument import build_instrument
-    from experiments.laboratory.point_scene import point_scene
-    from experiments.laboratory.point_settings import check_bench, make_bench
+    from experiments.laboratory.point_scene import point_laboratory, prepared_scene
     from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
     from experiments.temporal.result import Result, level_for
     from render.engine.random import Streams
 
-    instrument = build_instrument(config.instrument)
-    bench = make_bench(config, config.target)
-    direction = target_place(bench, instrument, config.place_px)
-    check_bench(bench, instrument, direction[None])
+    bench, instrument = point_laboratory(config, config.target)
     streams = Streams(config.seed).child("temporal")
     brightness = config.brightness
     control = BrightnessControl(
@@ -60,9 +54,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     )
     wanted = control.levels_e(brightness.levels)
     reached = control.reached_e(wanted, streams.generator("brightness"))
-    with progress.stage("prepare"):
-        scene = point_scene(bench, instrument)
-        psf = scene.psfs(direction)
+    scene = prepared_scene(bench, instrument, target_place(bench, instrument, config.place_px)[None], progress)
     with progress.stage("frames", total=len(reached) + 1) as stage:
         measured, nominal = (
             measure_temporal(
@@ -78,6 +70,7 @@ def run(config: Config, *, progress: Progress) -> Result:
             for levels_e, root in ((reached, streams), (None, streams.child("nominal")))
         )
     with progress.stage("prediction"):
+        psf = nominal.light.psf
         predicted = predict_temporal(
             bench, instrument, psf=psf, levels_e=reached, place_px=config.place_px, draws=config.draws, seed=config.seed
         )
@@ -93,8 +86,6 @@ def run(config: Config, *, progress: Progress) -> Result:
         predicted=predicted,
         predicted_nominal=at_nominal,
         published_level_e=levels,
-        runtime_s=process_seconds(),
-        peak_memory_mb=peak_memory_mb(),
     )
 
 
@@ -118,6 +109,6 @@ experiment = Experiment(
         "compare": ["tcog", "epsf"],
     },
     options=FRAMES_OPTION,
-    instead=frames_instead("temporal"),
+    instead=own_frames("temporal"),
 )
 main = command(experiment)

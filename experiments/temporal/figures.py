@@ -2,27 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
+from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure
 from experiments.harness.quantities import Outcome
-from experiments.laboratory.point_settings import METHOD_NAMES
+from experiments.laboratory.point_figures import centroid_cloud
 from experiments.laboratory.temporal_error import small_sample_factor
 
 __all__ = ["frame_cloud", "level_curves", "ratio_plot", "star_scatter", "target_frame"]
-
-
-def plain_log(axis: Any, which: str, ticks: tuple[float, ...]) -> None:
-    """Ticks of a logarithmic axis as plain numbers."""
-    side = axis.xaxis if which == "x" else axis.yaxis
-    low, high = axis.get_xlim() if which == "x" else axis.get_ylim()
-    shown = [t for t in ticks if low <= t <= high]
-    side.set_ticks(shown, [f"{t:g}" for t in shown])
-    side.set_ticks([], minor=True)
 
 
 def level_curves(outcome: Outcome) -> Figure:
@@ -45,11 +34,11 @@ def level_curves(outcome: Outcome) -> Figure:
         panel.text(signal[-1], published * 1.05, f"published {published}″", ha="right")
         panel.set(xscale="log", yscale="log", xlabel="signal [e⁻ per star and frame]", title=axis)
         panel.set_ylim(0.75 * min(bound), None)
-        plain_log(panel, "x", (500, 1000, 2000, 5000, 10000, 20000, 50000))
-        plain_log(panel, "y", (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10))
+        log_ticks(panel, "x")
+        log_ticks(panel, "y")
     axes[0].set_ylabel("temporal error, 3 σ [″]")
     handles = [
-        Line2D([], [], color=colour, marker=marker, markerfacecolor="white", label=METHOD_NAMES[method])
+        Line2D([], [], color=colour, marker=marker, markerfacecolor="white", label=outcome.label("method", method))
         for method, colour, marker in styles
     ]
     handles.append(Line2D([], [], color=INK, linewidth=1.0, label="Cramér-Rao bound"))
@@ -77,7 +66,7 @@ def ratio_plot(outcome: Outcome) -> Figure:
                 linewidth=0.9,
             )
         panel.set(xscale="log", xlabel="signal [e⁻]", title=axis)
-        plain_log(panel, "x", (500, 1000, 2000, 5000, 10000, 20000, 50000))
+        log_ticks(panel, "x")
     axes[0].set_ylabel("measured / predicted")
     return figure
 
@@ -104,22 +93,12 @@ def target_frame(outcome: Outcome) -> Figure:
 
 def frame_cloud(outcome: Outcome) -> Figure:
     """Centroids of all frames of all stars about their means, with the predicted 3 sigma ellipse."""
-    result = outcome.result
-    first = result.config.methods[0]
-    position = result.nominal.position_px[first]
-    place = (position - np.nanmean(position, axis=0)) * result.instrument.pixel_arcsec
-    figure, axis = new_figure(width="half", aspect_ratio=1.0)
-    axis.plot(*place.reshape(-1, 2).T, ".", color=PALETTE[0], markersize=1.6, alpha=0.5)
-    turn = np.linspace(0, 2 * np.pi, 181)
-    for values, colour, label in (
-        (result.predicted_nominal.sampled_te_arcsec(first), PALETTE[1], "predicted 3 σ"),
-        (result.predicted_nominal.bound_te_arcsec(), INK, "Cramér-Rao 3 σ"),
-    ):
-        axis.plot(values[0] * np.cos(turn), values[1] * np.sin(turn), color=colour, label=label)
-    reach = 1.15 * float(np.nanmax(np.abs(place)))
-    axis.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x [″]", ylabel="y [″]", aspect="equal")
-    axis.legend(loc="upper right")
-    return figure
+    result, first = outcome.result, outcome.config.methods[0]
+    ellipses = {
+        "predicted 3 σ": outcome.values("drawn_arcsec", method=first),
+        "Cramér-Rao 3 σ": outcome.values("bound_arcsec"),
+    }
+    return centroid_cloud(result.nominal.position_px[first], result.instrument.pixel_arcsec, ellipses)
 
 
 def star_scatter(outcome: Outcome) -> Figure:

@@ -6,13 +6,12 @@ import numpy as np
 
 from experiments.harness.quantities import Quantities
 from experiments.harness.summary import Measured
-from experiments.laboratory.point_settings import METHOD_NAMES
+from experiments.laboratory.point_quantities import point_quantities
+from experiments.laboratory.published import ACC18_ARCSEC
 from experiments.laboratory.temporal_error import TemporalMeasurement, TemporalPrediction, small_sample_factor
-from experiments.temporal.result import PUBLISHED_ARCSEC, Result
+from experiments.temporal.result import Result
 
 __all__ = ["describe", "ratio"]
-
-XY = ["x", "y"]
 
 
 def ratio(
@@ -34,12 +33,13 @@ def ratio(
 
 def describe(result: Result) -> Quantities:
     """Quantities of a run: at the signal of the source, at every level, star by star."""
-    q, methods = Quantities(), result.config.methods
-    q.axis("method", methods, "Centroider", names=METHOD_NAMES)
-    q.axis("axis", XY, "Axis")
+    methods = result.config.methods
+    q = point_quantities(methods)
     _nominal(q, result)
     _levels(q, result)
-    q.add("published_arcsec", PUBLISHED_ARCSEC, "Published", unit="arcsec", dims="axis", json="published_arcsec_3sigma")
+    q.add(
+        "published_arcsec", ACC18_ARCSEC["TE"], "Published", unit="arcsec", dims="axis", json="published_arcsec_3sigma"
+    )
     q.add(
         "published_signal_e",
         [result.published_level_e[m] for m in methods],
@@ -51,50 +51,25 @@ def describe(result: Result) -> Quantities:
     q.add("source_signal_e", result.config.source.signal_e, "Signal", unit="e-", json="signal_e")
     _stars(q, result)
     q.add("frames", result.measured.frames, "Frames")
-    q.add("stars", len(result.measured.light.photon_px), "Stars")
+    q.add("stars", len(result.measured.light), "Stars")
     q.add("pixel_arcsec", result.measured.pixel_arcsec, "Angle of a pixel", unit="arcsec")
-    q.add("runtime_s", result.runtime_s, "Run time", unit="s")
-    q.add("peak_memory_mb", result.peak_memory_mb, "Peak memory", unit="MB")
     return q
 
 
 def _nominal(q: Quantities, result: Result) -> None:
     """At the signal of the source, by every centroider."""
     methods, measured, predicted = result.config.methods, result.nominal, result.predicted_nominal
-    angle = {"unit": "arcsec", "dims": "method axis"}
-    q.add(
-        "dark_arcsec",
-        [measured.te_arcsec(m) for m in methods],
-        "Dark sub.",
-        **angle,
-        json="temporal_error_arcsec_3sigma",
-    )
-    q.add("raw_arcsec", [measured.te_arcsec(m, 0, "raw") for m in methods], "Raw", **angle, json="raw_arcsec_3sigma")
-    q.add(
-        "influence_arcsec",
-        [predicted.te_arcsec(m) for m in methods],
-        "Influence",
-        **angle,
-        format=".4f",
-        json="predicted_linear_arcsec_3sigma",
-    )
-    q.add(
-        "drawn_arcsec",
-        [predicted.sampled_te_arcsec(m) for m in methods],
-        "Drawn noise",
-        **angle,
-        format=".4f",
-        json="predicted_arcsec_3sigma",
-    )
+    for name, label, format, json, of in (
+        ("dark_arcsec", "Dark sub.", "", "temporal_error_arcsec_3sigma", measured.te_arcsec),
+        ("raw_arcsec", "Raw", "", "raw_arcsec_3sigma", lambda m: measured.te_arcsec(m, 0, "raw")),
+        ("influence_arcsec", "Influence", ".4f", "predicted_linear_arcsec_3sigma", predicted.te_arcsec),
+        ("drawn_arcsec", "Drawn noise", ".4f", "predicted_arcsec_3sigma", predicted.sampled_te_arcsec),
+    ):
+        values = [of(m) for m in methods]
+        q.add(name, values, label, unit="arcsec", dims="method axis", format=format, json=json)
     q.add("ratio", [ratio(measured, predicted, m, 0) for m in methods], "Ratio", dims="method axis")
-    q.add(
-        "bound_arcsec",
-        predicted.bound_te_arcsec(),
-        "Cramér-Rao",
-        unit="arcsec",
-        dims="axis",
-        json="cramer_rao_arcsec_3sigma",
-    )
+    bound, place = predicted.bound_te_arcsec(), "cramer_rao_arcsec_3sigma"
+    q.add("bound_arcsec", bound, "Cramér-Rao", unit="arcsec", dims="axis", json=place)
 
 
 def _levels(q: Quantities, result: Result) -> None:
@@ -129,6 +104,7 @@ def _levels(q: Quantities, result: Result) -> None:
 def _stars(q: Quantities, result: Result) -> None:
     """Every star at the signal of the source, by the centroider that counts."""
     first, nominal, predicted = result.config.methods[0], result.nominal, result.predicted_nominal
+    q.axis("star", np.arange(len(nominal.light)) + 1, "Star")
     for key, label, values in (
         ("light", "Light", nominal.light.photon_px),
         ("sigma", "Measured σ", nominal.sigma_px["dark"][first][0]),

@@ -1,4 +1,4 @@
-"""Record of the temporal-error test, and the published numbers."""
+"""Record of the temporal-error test, and the signal that the published number belongs to."""
 
 from __future__ import annotations
 
@@ -9,16 +9,13 @@ import numpy as np
 
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.published import ACC18_ARCSEC
 from experiments.laboratory.temporal_error import TemporalMeasurement, TemporalPrediction, predict_temporal
 from experiments.temporal.settings import Config
 from optics.arrays import FloatArray
 from render.records import EffectivePsf
 
-__all__ = ["PUBLISHED_ARCSEC", "Result", "level_for"]
-
-
-PUBLISHED_ARCSEC = (1.14, 1.23)
-"""ACC18 section 2.1: TE, x and y, 3 sigma."""
+__all__ = ["Result", "level_for"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,8 +34,6 @@ class Result:
         At the signal of the source.
     published_level_e : dict of str to (2,)
         Signal at which each centroider would show the published numbers, x and y, by prediction; NaN outside 50 to 2e4.
-    runtime_s, peak_memory_mb : float
-        Of the process up to the end of the run.
     """
 
     config: Config
@@ -48,8 +43,6 @@ class Result:
     predicted: TemporalPrediction
     predicted_nominal: TemporalPrediction
     published_level_e: Mapping[str, FloatArray]
-    runtime_s: float
-    peak_memory_mb: float
 
 
 def level_for(
@@ -68,7 +61,7 @@ def level_for(
     found = predict_temporal(one, instrument, psf=psf, levels_e=few, place_px=place_px, draws=0)
     te = np.stack([found.te_arcsec(method, level) for level in range(len(few))])
     out = np.full(2, np.nan)
-    for axis, wanted in enumerate(PUBLISHED_ARCSEC):
+    for axis, wanted in enumerate(ACC18_ARCSEC["TE"]):
         for low in range(len(few) - 2, -1, -1):  # from bright to faint: a threshold may leave nothing of a faint star
             above, below = te[low, axis], te[low + 1, axis]
             if below < wanted <= above:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pydantic import Field, model_validator
 
 from experiments.harness.config import StrictModel
-from experiments.laboratory.point_settings import PointConfig
-from experiments.laboratory.settings import TargetConfig
+from experiments.laboratory.point_settings import StarTargetConfig
 
 __all__ = ["BrightnessConfig", "Config"]
 
@@ -28,13 +27,9 @@ class BrightnessConfig(StrictModel):
         return self
 
 
-class Config(PointConfig):
+class Config(StarTargetConfig):
     """The published run: ACC18 gives 25 stars, at least 30 frames and 5.5 arcsec per pixel."""
 
-    target: TargetConfig = TargetConfig(pitch_px=150.4)
-    place_px: tuple[float, float] | None = Field(
-        default=None, description="middle of the target on the detector; the middle of the first chip if left out"
-    )
     frames: int = Field(default=100, ge=2, le=10000, description="frames per level (ACC18: at least 30)")
     brightness: BrightnessConfig = BrightnessConfig()
     draws: int = Field(default=100, ge=2, le=5000, description="noisy copies behind the sampled prediction")

@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from experiments.harness.pivot import Pivot, pivot
 from experiments.harness.quantities import Outcome
 from experiments.harness.tables import Table
-from experiments.laboratory.point_settings import METHOD_NAMES
-from experiments.temporal.result import PUBLISHED_ARCSEC
 
 __all__ = ["tables"]
 
@@ -16,12 +14,12 @@ __all__ = ["tables"]
 def tables(outcome: Outcome) -> Mapping[str, Table | Pivot]:
     """Tables by file name."""
     signal = f"{outcome.config.source.signal_e:g} e⁻"
-    result = outcome.result
+    result, published = outcome.result, outcome.values("published_arcsec")
     main = Pivot(
         rows="method axis",
         columns="dark_arcsec raw_arcsec influence_arcsec drawn_arcsec ratio",
         caption=f"Temporal error (3 σ) of one star at {signal} per frame, dark-subtracted and raw; published "
-        f"{PUBLISHED_ARCSEC[0]}″ in x and {PUBLISHED_ARCSEC[1]}″ in y.",
+        f"{published[0]}″ in x and {published[1]}″ in y.",
         note=f"{result.nominal.frames} frames of {len(result.nominal.light)} stars. Measured values carry the "
         "small-sample factor of a standard deviation, as the document's do; it is taken out of *Ratio*, measured over "
         "drawn noise.",
@@ -35,10 +33,9 @@ def tables(outcome: Outcome) -> Mapping[str, Table | Pivot]:
         ),
         "stars": Pivot(
             rows="star",
-            numbered="Star",
             across="axis",
             columns="star_light_px star_sigma_px star_predicted_px star_bound_px",
-            caption=f"Standard deviation of each star, {METHOD_NAMES[outcome.config.methods[0]]}, at {signal}.",
+            caption=f"Standard deviation of each star, {outcome.names('method')[0]}, at {signal}.",
         ),
     }
 

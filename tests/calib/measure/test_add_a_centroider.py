@@ -20,7 +20,7 @@ from calib.measure import centroid
 from calib.measure.centroid import get_centroider, list_centroiders
 from calib.records import NoiseModel, Stamps
 from experiments.harness.config import load_config
-from experiments.laboratory.point_settings import METHOD_NAMES
+from experiments.laboratory.centroid_methods import MethodLabels
 from optics.errors import ConfigError, DomainError
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -161,7 +161,7 @@ def test_every_configuration_takes_the_name(followed):
         with pytest.raises(ConfigError, match=f"did you mean {followed}"):
             load_config(module.Config, settings=[setting.replace(followed, "fouriers")])
         assert followed in str(module.Config.model_json_schema())
-    assert METHOD_NAMES[followed] == "Fourier phase"
+    assert MethodLabels()[followed] == "Fourier phase"
 
 
 def test_it_keeps_the_promises_of_every_centroider(tmp_path):

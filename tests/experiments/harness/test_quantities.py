@@ -98,6 +98,8 @@ def test_uncertainty_and_samples_travel_with_the_value(q):
     assert outcome.values("te_arcsec", method="cog").tolist() == [[0.0, 1.0], [4.0, 5.0], [8.0, 9.0]]
     assert outcome.heading("te_arcsec") == "Error [″]"
     assert outcome.names("method") == ["centre of gravity", "ePSF fit"]
+    assert outcome.label("method", "epsf") == "ePSF fit"
+    assert outcome.label("axis", "y") == "y"
 
 
 def test_sequences_of_measured_values_bring_their_own_uncertainty_and_unit():

@@ -16,7 +16,7 @@ from calib.records import NoiseModel, Stamps
 from experiments.harness.summary import Measured
 from experiments.laboratory.distortion_error import grid_residual_px
 from experiments.laboratory.distortion_statistics import DistortionStatistics, Reference, distortion_statistics
-from experiments.laboratory.frame_folder import FrameFolder, FrameSeries
+from experiments.laboratory.own_frames.folder import FrameFolder, FrameSeries
 from experiments.laboratory.point_frames import PointFrames
 from experiments.laboratory.readout.centroids import measured_positions, refuse_few_frames
 from experiments.laboratory.readout.stamps import dark_subtracted, refuse_saturated, ring_subtracted

@@ -9,15 +9,15 @@ import pytest
 
 from experiments.laboratory.bench import point_field
 from experiments.laboratory.distortion_error import measure_distortion
-from experiments.laboratory.frame_folder import read_folder
-from experiments.laboratory.frame_reduction import (
+from experiments.laboratory.hexapod import Hexapod, turned
+from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
+from experiments.laboratory.instrument import build_instrument
+from experiments.laboratory.own_frames.folder import read_folder
+from experiments.laboratory.own_frames.reduction import (
     distortion_from_frames,
     hsfe_from_frames,
     temporal_from_frames,
 )
-from experiments.laboratory.hexapod import Hexapod, turned
-from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
-from experiments.laboratory.instrument import build_instrument
 from experiments.laboratory.point_scene import point_scene
 from experiments.laboratory.points import nominal_px
 from experiments.laboratory.settings import InstrumentConfig

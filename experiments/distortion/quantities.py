@@ -1,0 +1,167 @@
+"""The numbers of the distortion test, each described once; arcsec, 3 sigma."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from experiments.distortion.result import Result
+from experiments.harness.quantities import Quantities, Quantity
+from experiments.laboratory.distortion_statistics import LABELS, REFERENCES
+from experiments.laboratory.point_quantities import point_quantities
+from experiments.laboratory.published import ACC18_ARCSEC
+
+__all__ = ["describe"]
+
+
+def describe(result: Result) -> Quantities:
+    """Quantities of a run: the document's numbers, the true map, forecasts, point by point."""
+    config = result.config
+    q = point_quantities(config.methods)
+    q.axis("reference", list(REFERENCES), "Coordinates")
+    q.axis("number", ["sigma_d", "sigma_left", "sigma_c1"], "Number", names=LABELS)
+    _numbers(q, result)
+    published, place = ACC18_ARCSEC["LSFE-C1"], "published_sigma_c1_arcsec_3sigma"
+    q.add("published_arcsec", published, "Published σC1", unit="arcsec", dims="axis", json=place)
+    for name, value, label, json in (
+        ("marking_arcsec", 3.0 * config.target.marking_error_arcsec, "Marking error", "marking_error"),
+        ("published_marking_arcsec", ACC18_ARCSEC["LSFE-C2"][0], "Published marking error", "published_marking_error"),
+        (
+            "noise_removed_arcsec",
+            _noise_removed_arcsec(result),
+            "Marking error alone",
+            "sigma_c1_of_marking_error_alone",
+        ),
+    ):
+        q.add(name, value, label, unit="arcsec", format=".2f", json=f"{json}_arcsec_3sigma")
+    _surveys(q, result)
+    _maps(q, result)
+    _forecasts(q, result)
+    _points(q, result)
+    q.add("points", config.target.rows * config.target.columns, "Points")
+    q.add("frames", result.measured.frames, "Frames")
+    q.add("pixel_arcsec", result.instrument.pixel_arcsec, "Angle of a pixel", unit="arcsec")
+    return q
+
+
+def _numbers(q: Quantities, result: Result) -> None:
+    """Found, left and removed, by centroider and coordinates: of the survey that counts, of all surveys, predicted."""
+    methods, measured, scale = result.config.methods, result.measured, result.scale
+    statistics = [[measured.statistics(m, r) for r in REFERENCES] for m in methods]
+    one = scale * np.array([[[s.sigma_d_px, s.sigma_left_px, s.sigma_c1_px] for s in row] for row in statistics])
+    every = scale * np.array([[measured.over_surveys(m, r) for r in REFERENCES] for m in methods])
+    expected, scatter = (
+        scale * np.array([[of[m][r] for r in REFERENCES] for m in methods])
+        for of in (result.predicted.mean_px, result.predicted.scatter_px)
+    )
+    rms, spread = np.sqrt((every**2).mean(2)), every.std(2, ddof=1)
+    place = "methods_arcsec_3sigma[method][reference][number]."
+    apart = f"{place}scatter_of_surveys"
+    common: dict[str, Any] = {"unit": "arcsec", "dims": "method reference number axis"}
+    q.add("one_survey_arcsec", one, "One survey", **common, format=".3f", json=f"{place}one_survey")
+    q.add(
+        "all_surveys_arcsec", rms, "All surveys", **common, error=spread, json=f"{place}over_surveys", json_error=apart
+    )
+    q.add("predicted_arcsec", expected, "Predicted", **common, format=".3f", json=f"{place}predicted")
+    q.add("predicted_scatter_arcsec", scatter, "Predicted scatter from survey to survey", **common, json="")
+    counts = q.dataset.sel({"method": methods[0], "reference": result.config.reference, "number": "sigma_c1"})
+    place = "sigma_c1_arcsec_3sigma."
+    for name, json in (("one_survey", "one_survey"), ("all_surveys", "over_surveys"), ("predicted", "predicted")):
+        part = Quantity.of(counts, f"{name}_arcsec")
+        apart = f"{place}scatter_of_surveys"
+        described = {"unit": "arcsec", "dims": "axis", "json": place + json, "json_error": apart}
+        q.add(f"c1_{name}_arcsec", part.values, f"σC1, {part.label.lower()}", **described, error=part.error)
+
+
+def _noise_removed_arcsec(result: Result) -> float:
+    """What a polynomial removes of nothing but marking error: sqrt((k - 1) / (W - 1)) of it."""
+    config = result.config
+    points, terms = config.target.rows * config.target.columns, result.terms
+    return float(3.0 * config.target.marking_error_arcsec * np.sqrt((terms - 1) / (points - 1)))
+
+
+def _surveys(q: Quantities, result: Result) -> None:
+    """sigma_C1 of every survey, by the centroider and the coordinates that count."""
+    every = result.scale * result.measured.over_surveys(result.config.methods[0], result.config.reference)[:, 2]
+    q.add("survey_c1_arcsec", every, "σC1, 3 σ", unit="arcsec", dims="survey axis", json="")
+    above = 100.0 * (every >= np.array(ACC18_ARCSEC["LSFE-C1"])).mean(0)
+    q.add(
+        "surveys_above_published",
+        above,
+        "Surveys that reach the published value",
+        unit="%",
+        dims="axis",
+        format=".0f",
+        json="",
+    )
+
+
+def _maps(q: Quantities, result: Result) -> None:
+    """True error of the correction over the whole detector."""
+    maps = [result.maps[reference] for reference in REFERENCES]
+    for name, label, json, px in (
+        ("uncorrected", "Distortion", "uncorrected", [one.first.uncorrected_rms_px for one in maps]),
+        ("one_survey", "Left, one survey", "one_survey", [one.first.rms_px for one in maps]),
+        ("all_surveys", "Left, all surveys", "over_surveys", [np.sqrt((one.rms_px**2).mean(0)) for one in maps]),
+    ):
+        described = {"unit": "arcsec", "dims": "reference axis", "format": ".3f", "key": f"{name}_arcsec"}
+        place = f"true_map_arcsec_3sigma[reference].{json}"
+        q.add(f"map_{name}_arcsec", result.scale * np.array(px), label, **described, json=place)
+
+
+def _forecasts(q: Quantities, result: Result) -> None:
+    """Map errors to be expected of other grids and polynomials, per axis and as the mean square of both axes."""
+    q.add(
+        "forecast_points",
+        [one.points for one in result.forecast],
+        "Points",
+        dims="forecast",
+        key="points",
+        json="forecasts[forecast].points",
+    )
+    q.add(
+        "forecast_order",
+        [one.order for one in result.forecast],
+        "Order",
+        dims="forecast",
+        key="order",
+        json="forecasts[forecast].order",
+    )
+    for name, label, px, place in (
+        (
+            "distortion_left",
+            "Distortion left",
+            [one.bias_px for one in result.forecast],
+            "forecasts[forecast].distortion_left_arcsec_3sigma",
+        ),
+        (
+            "errors_carried",
+            "Errors carried in",
+            [one.noise_px for one in result.forecast],
+            "forecasts[forecast].errors_carried_arcsec_3sigma",
+        ),
+        ("map_error", "Map error", [one.rms_px for one in result.forecast], ""),
+    ):
+        axes = result.scale * np.array(px)
+        q.add(f"{name}_axes_arcsec", axes, label, unit="arcsec", dims="forecast axis", json=place)
+        both = np.sqrt((axes**2).mean(1))
+        q.add(f"{name}_arcsec", both, label, unit="arcsec", dims="forecast", format=".4f", json="")
+    here = result.scale * result.forecast_here.rms_px
+    q.add("forecast_arcsec", here, "Map error, forecast", unit="arcsec", dims="axis", json="forecast_map_arcsec_3sigma")
+
+
+def _points(q: Quantities, result: Result) -> None:
+    """Every target point, by the centroider and the coordinates that count."""
+    first, light = result.config.methods[0], result.measured.light
+    s = result.measured.statistics(first, result.config.reference)
+    q.axis("point", np.arange(len(light)) + 1, "Point")
+    for name, label, values in (
+        ("nominal", "Nominal", light.nominal_px),
+        ("measured", "Measured", result.measured.session_px[first][1]),
+        ("light", "Light", light.photon_px),
+        ("ray_trace", "Ray trace", result.predicted.bundle_px),
+        ("d", "d", s.d_px),
+        ("left", "Left", s.left_px),
+    ):
+        q.add(f"{name}_px", values, label, unit="px", dims="point axis", key=f"{name}_{{axis}}_px", json="")
