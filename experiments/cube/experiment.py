@@ -9,20 +9,17 @@ arcsec.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from experiments.cube.settings import Config
-from experiments.harness.legacy import legacy_command as command
+from experiments.harness.cli import command
+from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
 
 if TYPE_CHECKING:
     from experiments.cube.result import Result
-    from experiments.harness.report import Report
-    from experiments.harness.summary import Criterion
-    from experiments.harness.tables import Table
 
-__all__ = ["Config", "main", "report", "run", "summary", "tables"]
+__all__ = ["Config", "experiment", "main", "run"]
 
 VIEW_PX = (760, 440)
 
@@ -49,7 +46,6 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.cube.montecarlo import CASES, SensorCache, run_bench, run_cases
     from experiments.cube.result import Result
     from experiments.cube.verify import check_light, repeatability
-    from experiments.harness.provenance import peak_memory_mb, process_seconds
 
     with progress.stage("bench"):
         laboratory = build_laboratory(config)
@@ -87,8 +83,6 @@ def run(config: Config, *, progress: Progress) -> Result:
         light=light,
         repeatability=again,
         views=views,
-        runtime_s=process_seconds(),
-        peak_memory_mb=peak_memory_mb(),
     )
 
 
@@ -116,44 +110,23 @@ def _views(config: Config, laboratory: Any, truth: Any) -> list[Any]:
     ]
 
 
-def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:
-    """What goes into ``summary.json``."""
-    from experiments.cube.result import criteria, results
-
-    return results(result), criteria(result)
-
-
-def tables(result: Result) -> Mapping[str, Table]:
-    """Tables written beside the report."""
-    from experiments.cube.tables import all_tables
-
-    return all_tables(result)
-
-
-def report(result: Result) -> Report:
-    """What ``report.html`` shows."""
-    from experiments.cube.report import build_report
-
-    return build_report(result)
-
-
-QUICK: dict[str, Any] = {
-    "benches.count": 6,
-    "benches.log2_particles": 17,
-    "benches.shown_log2_particles": 19,
-    "benches.view_samples": 8,
-    "sensor.grid": 7,
-}
-
-SHOWN: Sequence[str] = ("trims", "budget")
-
-main = command(
-    "cube",
+experiment = Experiment(
+    name="cube",
     config=Config,
     run=run,
-    report=report,
-    summary=summary,
-    tables=tables,
-    show=SHOWN,
-    quick=QUICK,
+    takes="3 min (--quick: 17 s)",
+    examples={
+        "--quick": "six benches instead of a hundred",
+        "--set camera.mounting_arcsec=0.5 --set trim.stop_px=0.3": "a stiffer mount, a stricter stop rule",
+    },
+    extra="quantities:trim_tables",
+    show=("trims", "budget"),
+    quick={
+        "benches.count": 6,
+        "benches.log2_particles": 17,
+        "benches.shown_log2_particles": 19,
+        "benches.view_samples": 8,
+        "sensor.grid": 7,
+    },
 )
+main = command(experiment)

@@ -11,6 +11,7 @@ from matplotlib.patches import Rectangle
 from calib.measure.circle_fit import CircleFit
 from experiments.cube.trim import Picture
 from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
+from experiments.harness.quantities import Outcome
 from optics.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -19,13 +20,13 @@ if TYPE_CHECKING:
 __all__ = ["budget_bars", "error_dots", "pictures", "spot_edge", "sun_sensor", "trim_paths", "view"]
 
 
-AXES = "xyz"
 BEAM = np.array([1.0, 0.58, 0.08])
 PAPER = np.array([1.0, 0.99, 0.965])
 
 
-def view(result: Result, number: int) -> Figure:
+def view(outcome: Outcome, number: int) -> Figure:
     """A view of the bench: bodies in grey under room light, the traced beam in orange."""
+    result: Result = outcome.result
     from scipy.ndimage import gaussian_filter
 
     bodies, beam = result.views[number]
@@ -48,8 +49,9 @@ def _outline(axis: Any, picture: Picture, circle: CircleFit, **style: Any) -> No
     axis.plot(*picture.camera.to_pixel(circle.centre[None]).T, "+", markersize=7, **style)
 
 
-def pictures(result: Result, face: int) -> Figure:
+def pictures(outcome: Outcome, face: int) -> Figure:
     """Aperture, first and last spot of a face with the fitted circles."""
+    result: Result = outcome.result
     trim = result.shown.trims[face]
     figure, axes = new_figure(1, 3, aspect_ratio=0.42, sharex=True, sharey=True)
     glowing, first, last = trim.pictures
@@ -75,8 +77,9 @@ def _window(picture: Picture, result: Result) -> tuple[FloatArray, FloatArray]:
     return np.maximum(corners.min(0), -0.5), np.minimum(corners.max(0), size)
 
 
-def spot_edge(result: Result) -> Figure:
+def spot_edge(outcome: Outcome) -> Figure:
     """Profile of the spot, and how far it moves, both beside the closed forms."""
+    result: Result = outcome.result
     light, geometry = result.light, result.laboratory.geometry
     figure, (left, right) = new_figure(1, 2, aspect_ratio=0.36)
     left.plot(light.radius_mm, light.closed_profile, color=PALETTE[0], label="two circles overlapping")
@@ -93,8 +96,9 @@ def spot_edge(result: Result) -> Figure:
     return figure
 
 
-def trim_paths(result: Result) -> Figure:
+def trim_paths(outcome: Outcome) -> Figure:
     """Offsets of the spot, trim after trim, and the square in which the trimming stops."""
+    result: Result = outcome.result
     trims = result.shown.trims
     figure, axes = new_figure(1, 2, aspect_ratio=0.5, squeeze=False)
     stop = result.config.trim.stop_px
@@ -118,8 +122,9 @@ def trim_paths(result: Result) -> Figure:
     return figure
 
 
-def sun_sensor(result: Result) -> Figure:
+def sun_sensor(outcome: Outcome) -> Figure:
     """A spot of the sun sensor, and what the fit leaves of all spots."""
+    result: Result = outcome.result
     run, sensor = result.shown_run, result.shown.sensor
     figure, (left, right) = new_figure(1, 2, aspect_ratio=0.46, width_ratios=(1, 1.25))
     shown = left.imshow(run.stamp / 1e3)
@@ -150,26 +155,23 @@ def residuals_px(result: Result) -> FloatArray:
     return np.asarray(run.pixel_px - fitted.spot_px(sun))
 
 
-def budget_bars(result: Result) -> Figure:
+def budget_bars(outcome: Outcome) -> Figure:
     """Predicted (bars) and measured (marks) error of each axis, case by case."""
     figure, axis = new_figure(aspect_ratio=0.46)
-    rows = list(result.budget)
-    for i, letter in enumerate(AXES):
-        place = np.arange(len(rows)) + (i - 1) * 0.26
-        predicted = [row.predicted_arcsec[i] for row in rows]
-        measured = [row.measured_arcsec[i] for row in rows]
-        sigma = [row.uncertainty_arcsec[i] for row in rows]
+    count = outcome.data.sizes["row"]
+    for i, letter in enumerate("xyz"):
+        place = np.arange(count) + (i - 1) * 0.26
+        predicted, measured = outcome.values("predicted", axis=letter), outcome.values("measured", axis=letter)
+        sigma = outcome.errors("measured", axis=letter)
         axis.bar(place, predicted, width=0.22, color=PALETTE[i], alpha=0.3, label=f"{letter} predicted")
         axis.errorbar(place, measured, yerr=sigma, fmt=MARKERS[i], color=PALETTE[i], label=f"{letter} measured")
-    for at, row in enumerate(rows):
-        if row.published_arcsec:
-            axis.plot([at - 0.42, at + 0.42], [row.published_arcsec] * 2, color=INK, linewidth=1.0, linestyle="--")
+    for at, published in enumerate(outcome.values("published_arcsec")):
+        axis.plot([at - 0.42, at + 0.42], [published] * 2, color=INK, linewidth=1.0, linestyle="--")
     axis.plot([], [], color=INK, linewidth=1.0, linestyle="--", label="CUBE09")
     axis.axhline(4.0, color="#8a9099", linewidth=0.8)
-    axis.text(len(rows) - 0.5, 4.04, "claim: 4″", ha="right", fontsize=8)
-    labels = [_wrapped(row.label) for row in rows]
-    axis.set(xticks=range(len(rows)), ylabel="error of R_sp, 1 sigma [arcsec]", ylim=(0, 4.6))
-    axis.set_xticklabels(labels, fontsize=7.5)
+    axis.text(count - 0.5, 4.04, "claim: 4″", ha="right", fontsize=8)
+    axis.set(xticks=range(count), ylabel="error of R_sp, 1 sigma [arcsec]", ylim=(0, 4.6))
+    axis.set_xticklabels([_wrapped(label) for label in outcome.values("meaning")], fontsize=7.5)
     axis.grid(visible=False, axis="x")
     axis.legend(ncols=4, loc="upper center", bbox_to_anchor=(0.5, 1.16), columnspacing=1.2)
     return figure
@@ -181,8 +183,9 @@ def _wrapped(text: str, width: int = 14) -> str:
     return "\n".join(textwrap.wrap(text, width))
 
 
-def error_dots(result: Result) -> Figure:
+def error_dots(outcome: Outcome) -> Figure:
     """Errors of R_sp bench by bench: as performed, and the same pictures reduced better."""
+    result: Result = outcome.result
     figure, axes = new_figure(1, 3, aspect_ratio=0.36)
     pairs = ((0, 1), (0, 2), (1, 2))
     reach = 1.1 * float(np.abs(result.cases["procedure"].error_arcsec).max())
@@ -199,7 +202,7 @@ def error_dots(result: Result) -> Figure:
             )
         angle = np.linspace(0, 2 * np.pi, 181)
         axis.plot(4 * np.cos(angle), 4 * np.sin(angle), color="#8a9099", linewidth=0.8)
-        axis.set(xlabel=f"about {AXES[i]} [arcsec]", ylabel=f"about {AXES[j]} [arcsec]", aspect="equal")
+        axis.set(xlabel=f"about {'xyz'[i]} [arcsec]", ylabel=f"about {'xyz'[j]} [arcsec]", aspect="equal")
         axis.set(xlim=(-reach, reach), ylim=(-reach, reach))
     axes[0].legend(loc="upper left", fontsize=7)
     return figure

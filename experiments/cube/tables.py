@@ -2,90 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from experiments.cube.budget import PUBLISHED_ARCSEC
-from experiments.cube.result import eq14_arcsec, sensor_error_arcsec, sigma1_arcsec
+from experiments.cube.published import PUBLISHED_TRIMS
+from experiments.harness.pivot import Pivot
+from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Measured
 from experiments.harness.tables import Cell, Column, Table
 from optics.units import RAD_ARCSEC
 
 if TYPE_CHECKING:
     from experiments.cube.result import Result
-    from experiments.cube.trim import FaceTrim
 
-__all__ = ["LEAST_MOVE_DEG", "PUBLISHED_TRIMS", "all_tables", "published_rates"]
-
-PUBLISHED_TRIMS = {
-    "XY": (
-        (181.400, 0.550, 4.912, 19.429),
-        (181.390, 0.540, 5.282, 12.243),
-        (181.390, 0.532, 6.307, 5.181),
-        (181.395, 0.531, 2.385, 3.558),
-        (181.398, 0.530, 0.034, 2.404),
-        (181.398, 0.528, 0.057, 0.771),
-        (181.398, 0.528, 0.057, 0.771),
-    ),
-    "YZ": (
-        (91.400, -0.070, 12.575, 20.226),
-        (91.380, -0.050, 11.729, 2.557),
-        (91.385, -0.050, 1.326, 1.323),
-        (91.386, -0.050, 0.857, 1.897),
-        (91.386, -0.048, 0.320, 0.442),
-    ),
-}
-"""CUBE09 Table 1: large angle, small angle [deg], offsets x, y [px] without their signs."""
-
-LEAST_MOVE_DEG = 0.005
-"""Angles are printed to 0.001 deg: a rate from a smaller move means little."""
+__all__ = ["tables"]
 
 
-def published_rates() -> NDArray[np.float64]:
-    """Motion of the spot per 0.001 deg (n, 2) [px], for every move of an angle in Table 1 of at least `LEAST_MOVE_DEG`.
-
-    The offsets have no signs: the first column takes both on one side of the aperture, the second on opposite sides.
-    """
-    rates = []
-    for trims in PUBLISHED_TRIMS.values():
-        for before, after in pairwise(trims):
-            for axis in (0, 1):
-                steps = abs(after[axis] - before[axis]) / 0.001
-                if steps > LEAST_MOVE_DEG / 0.001 - 0.1:
-                    old, new = before[2 + axis], after[2 + axis]
-                    rates.append((abs(old - new) / steps, (old + new) / steps))
-    return np.array(rates)
-
-
-def _trims(result: Result) -> Table:
-    rows: list[tuple[Cell, ...]] = []
-    for trim in result.shown.trims:
-        for number, row in enumerate(trim.rows):
-            x, y = (
-                Measured(value=float(v), uncertainty=float(s)) for v, s in zip(row.offset_px, row.sigma_px, strict=True)
-            )
-            rows.append((trim.face, number + 1, row.inner_deg, row.outer_deg, x, y))
-    return Table(
-        columns=(
-            "Face",
-            Column(name="Trim", key="trim"),
-            Column(name="Inner", unit="deg", key="inner_deg", format=".4f"),
-            Column(name="Outer", unit="deg", key="outer_deg", format=".4f"),
-            Column(name="Offset x", unit="px", key="offset_x_px"),
-            Column(name="Offset y", unit="px", key="offset_y_px"),
-        ),
-        rows=rows,
-        caption="Trims of the shown bench, as in CUBE09 Table 1: spot minus aperture, from the pictures.",
-        note="One standard deviation from the two circle fits. One pixel on the screen is "
-        f"{sigma1_arcsec(result):.2f} arcsec of the face.",
-    )
-
-
-def _published_trims(result: Result) -> Table:
+def _published_trims() -> Table:
     rows = [(face, i + 1, *row) for face, trims in PUBLISHED_TRIMS.items() for i, row in enumerate(trims)]
     return Table(
         columns=(
@@ -101,61 +36,39 @@ def _published_trims(result: Result) -> Table:
     )
 
 
-def _budget(result: Result) -> Table:
-    rows: list[tuple[Cell, ...]] = []
-    for row in result.budget:
-        cells: list[Cell] = [row.label, PUBLISHED_ARCSEC.get(row.name)]
-        for axis in range(3):
-            cells.append(float(row.predicted_arcsec[axis]))
-            cells.append(
-                Measured(value=float(row.measured_arcsec[axis]), uncertainty=float(row.uncertainty_arcsec[axis]))
-            )
-        cells.append(row.ratio)
-        rows.append(tuple(cells))
+def _budget(outcome: Outcome) -> Table:
+    """Prediction and measurement stand side by side, axis by axis."""
     columns: list[Column | str] = ["Term", Column(name="CUBE09", unit="″", key="published_arcsec", format=".2f")]
-    for letter in "xyz":
-        columns.append(Column(name=f"{letter} pred.", unit="″", key=f"predicted_{letter}_arcsec", format=".2f"))
-        columns.append(Column(name=f"{letter} meas.", unit="″", key=f"measured_{letter}_arcsec"))
+    for axis in "xyz":
+        columns.append(Column(name=f"{axis} pred.", unit="″", key=f"predicted_{axis}_arcsec", format=".2f"))
+        columns.append(Column(name=f"{axis} meas.", unit="″", key=f"measured_{axis}_arcsec"))
     columns.append(Column(name="Ratio", key="predicted_over_measured", format=".3f"))
+    rows: list[tuple[Cell, ...]] = []
+    for row in range(outcome.data.sizes["row"]):
+        pairs = [
+            (float(outcome.values("predicted", row=row, axis=a)), outcome.value("measured", row=row, axis=a))
+            for a in "xyz"
+        ]
+        cells = [cell for pair in pairs for cell in pair]
+        published, ratio = outcome.value("published_arcsec", row=row), outcome.value("predicted_over_measured", row=row)
+        rows.append((outcome.value("meaning", row=row), None if np.isnan(published) else published, *cells, ratio))
     return Table(
         columns=columns,
         rows=rows,
         caption="Error of R_sp, 1 sigma per axis of the cube frame: predicted by geometry, measured on benches.",
-        note=f"{len(result.truths)} rendered benches; RMS about the truth, bars for their stratified "
+        note=f"{outcome.value('benches')} rendered benches; RMS about the truth, bars for their stratified "
         "misalignments. Predictions contain the noise of pictures "
         "and sun sensor. Ratio: predicted over measured, over the axes on which the term acts. Eq. 14 with the right "
-        f"eq. 13 is {eq14_arcsec(result):.2f} arcsec for every axis.",
+        f"eq. 13 is {outcome.value('eq14_arcsec'):.2f} arcsec for every axis.",
     )
 
 
-def _benches(result: Result) -> Table:
-    rows: list[tuple[Cell, ...]] = []
-    for name, case in result.cases.items():
-        for truth, bench in zip(result.truths, case.bench, strict=True):
-            rows.append((name, truth.number, *(float(e) for e in bench.error_arcsec), *_counts(bench.trims)))
-    return Table(
-        columns=(
-            "Case",
-            Column(name="Bench", key="bench"),
-            *(Column(name=f"Error {axis}", unit="″", key=f"error_{axis}_arcsec") for axis in "xyz"),
-            Column(name="Settings, first face", key="settings_first"),
-            Column(name="Settings, second face", key="settings_second"),
-        ),
-        rows=rows,
-        caption="Error of R_sp, bench by bench.",
-    )
-
-
-def _counts(trims: Sequence[FaceTrim]) -> tuple[int, int]:
-    """Settings of the table for the first and the last face."""
-    return len(trims[0].rows), len(trims[-1].rows)
-
-
-def _sensor(result: Result) -> Table:
+def _sensor(outcome: Outcome) -> Table:
+    result: Result = outcome.result
     sensor = result.shown.sensor
     truth = result.truths[0]
     sigma = np.sqrt(np.diag(sensor.covariance_rad2)) * RAD_ARCSEC
-    error = sensor_error_arcsec(result)
+    error = outcome.values("r_sr_error_arcsec")
     rows: list[tuple[Cell, ...]] = [
         (f"R_sr, error about {axis}", "″", 0.0, Measured(value=float(error[i]), uncertainty=float(sigma[i])))
         for i, axis in enumerate("xyz")
@@ -178,12 +91,25 @@ def _sensor(result: Result) -> Table:
     )
 
 
-def all_tables(result: Result) -> Mapping[str, Table]:
+def tables(outcome: Outcome) -> Mapping[str, Table | Pivot]:
     """All tables by file name."""
     return {
-        "trims": _trims(result),
-        "published_trims": _published_trims(result),
-        "budget": _budget(result),
-        "sensor": _sensor(result),
-        "benches": _benches(result),
+        "trims": Pivot(
+            rows="setting",
+            hidden="setting",
+            across="direction",
+            columns="trim_face trim trim_inner_deg trim_outer_deg trim_offset_px",
+            caption="Trims of the shown bench, as in CUBE09 Table 1: spot minus aperture, from the pictures.",
+            note="One standard deviation from the two circle fits. One pixel on the screen is "
+            f"{outcome.value('eq13_arcsec'):.2f} arcsec of the face.",
+        ),
+        "published_trims": _published_trims(),
+        "budget": _budget(outcome),
+        "sensor": _sensor(outcome),
+        "benches": Pivot(
+            rows="case bench",
+            across="axis",
+            columns="bench_error settings_first settings_second",
+            caption="Error of R_sp, bench by bench.",
+        ),
     }

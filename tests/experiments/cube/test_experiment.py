@@ -14,8 +14,8 @@ from experiments.cube import montecarlo as cube_montecarlo
 from experiments.cube.bench import Case, Truth, build_table, concentric_angles, draw_truths
 from experiments.cube.budget import beam_rates, geometric_error, lean_rates, play_trim, stratified_variance_ratio
 from experiments.cube.checks import reflected_spot_mm, spot_profile
+from experiments.cube.published import PUBLISHED_TRIMS, published_rates
 from experiments.cube.settings import Config
-from experiments.cube.tables import PUBLISHED_TRIMS, published_rates
 from render.bench.scene import CubePose
 from render.bench.sensor import MaskSensor
 from render.engine.random import Streams
