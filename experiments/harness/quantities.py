@@ -24,6 +24,9 @@ from optics.errors import ConfigError, DomainError, unknown_name
 
 __all__ = ["Outcome", "Quantities", "Quantity", "shown_unit", "to_results", "write_netcdf"]
 
+Places = str | Mapping[str, str | Sequence[str]]
+WHOLE = "*"
+
 _SHOWN = {"arcsec": "″", "arcmin": "′", "deg": "°", "um": "µm", "e-": "e⁻", "e-/s": "e⁻/s", "sigma": "σ"}
 
 
@@ -90,8 +93,8 @@ class Quantities:
         n: ArrayLike | None = None,
         format: str = "",
         key: str | None = None,
-        json: str | Mapping[str, str] | None = None,
-        json_error: str | Mapping[str, str] = "",
+        json: Places | None = None,
+        json_error: Places = "",
     ) -> None:
         """Describe a quantity.
 
@@ -118,7 +121,8 @@ class Quantities:
             Place in ``summary.json``, if not ``name``: "levels[level].methods[method].measured" is a list over the
             numbered dimension ``level`` of records, in which ``methods`` has a record for every method. Dimensions that
             are not named follow at the end; "found[method][axis].value" nests records of two. "" leaves it out. A
-            mapping gives the parts at coordinates of the first dimension places of their own.
+            mapping gives the parts at coordinates of the first dimension places of their own, one or several, and the
+            whole the place under "*".
         json_error : str or mapping, optional
             Place of the uncertainty, where it does not stand with the value in one record.
 
@@ -195,7 +199,7 @@ class Quantity:
     unit: str
     format: str
     key: str
-    json: str | Mapping[str, str]
+    json: Places
     dims: tuple[str, ...]
     values: NDArray[Any]
     error: NDArray[np.float64] | None
@@ -289,16 +293,19 @@ def to_results(data: xr.Dataset) -> dict[str, Any]:
     return out
 
 
-def _apart(json: str | Mapping[str, str], one: Quantity, data: xr.Dataset) -> list[tuple[str, Quantity]]:
+def _apart(json: Places, one: Quantity, data: xr.Dataset) -> list[tuple[str, Quantity]]:
     """Parts of a quantity that have places of their own."""
     if isinstance(json, str):
         return [(json, one)] if json else []
     dim = one.dims[0]
     known = _keys(data, dim) or []
-    for key in json:
-        if key not in known:
+    parts: list[tuple[str, Quantity]] = []
+    for key, places in json.items():
+        if key not in (WHOLE, *known):
             raise unknown_name(f"{dim} of quantity {one.name!r}:", key, known)
-    return [(place, one.at(**{dim: known.index(key)})) for key, place in json.items()]
+        part = one if key == WHOLE else one.at(**{dim: known.index(key)})
+        parts += [(place, part) for place in ([places] if isinstance(places, str) else places)]
+    return parts
 
 
 def _placed(path: Sequence[str], one: Quantity, data: xr.Dataset) -> dict[str, Any]:

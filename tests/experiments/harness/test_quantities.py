@@ -89,6 +89,17 @@ def test_parts_with_places_of_their_own():
         to_results(q.dataset)
 
 
+def test_the_whole_and_a_part_with_several_places():
+    q = Quantities()
+    q.axis("method", ["free", "linked"])
+    q.add("a", [[1, 2], [3, 4]], dims="method star", json={"*": "methods[method].a", "free": ["headline.a", "again"]})
+    assert to_results(q.dataset) == {
+        "methods": {"free": {"a": [1, 2]}, "linked": {"a": [3, 4]}},
+        "headline": {"a": [1, 2]},
+        "again": [1, 2],
+    }
+
+
 def test_uncertainty_and_samples_travel_with_the_value(q):
     cell = to_results(q.dataset)["te_arcsec"][1]["epsf"]["y"]
     assert cell == Measured(value=7.0, unit="arcsec", uncertainty=0.5, n=30)
