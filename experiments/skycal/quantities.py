@@ -1,0 +1,292 @@
+"""The numbers of the calibration under the sky, each described once.
+
+What every camera has runs along the dimension ``camera``; what differs in number from camera to camera (models,
+parameters, places of the map, stars) has a name that begins with the camera's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from experiments.harness.quantities import Places, Quantities
+from experiments.harness.summary import Measured
+from experiments.skycal.calibrate import METHODS, Judged
+from experiments.skycal.evaluate import PARTS
+from experiments.skycal.result import CameraResult, Result
+from experiments.skycal.settings import model_label
+
+__all__ = ["describe"]
+
+XY = ["x", "y"]
+DATA = {"measured": "as measured", "corrected": "star colours known"}
+"""Centroids that cameras are calibrated with: of one PSF; of the star's own PSF, its colour shift taken off."""
+METHOD_NAMES = {
+    "free": "free attitudes",
+    "acc": "ACC, gyro taken as perfect",
+    "linked": "gyro of stated noise",
+    "acc_true": "ACC with a truly perfect gyro",
+}
+PART_NAMES = {
+    "mismatch": "camera model",
+    "chromatic": "star colours",
+    "noise": "noise and pixels",
+    "psf": "PSF of one colour",
+}
+POSITIONS = ("measured", "own", "light", "reference")
+
+
+def describe(result: Result) -> Quantities:
+    """Quantities of a run: cameras, stars, map errors, what they are made of, and the maps and stars themselves."""
+    q, cameras = Quantities(), list(result.cameras.values())
+    q.axis("camera", list(result.cameras), "Lens", names=[camera.short for camera in cameras])
+    q.axis("axis", XY, "Axis")
+    q.axis("method", list(METHODS), "Attitudes", names=METHOD_NAMES)
+    q.axis("data", list(DATA), "Centroids", names=DATA)
+    q.axis("part", list(PARTS), "Part", names=PART_NAMES)
+    _set_up(q, cameras)
+    _stars(q, cameras)
+    for data in DATA:
+        _map_errors(q, cameras, data)
+    _noise_map(q, cameras)
+    _parts(q, cameras)
+    _wrong_matches(q, cameras)
+    for camera in cameras:
+        _models(q, camera)
+        _parameters(q, camera)
+        _map(q, camera)
+        _star_list(q, camera)
+    return q
+
+
+def _each(cameras: Sequence[CameraResult], part: Callable[[CameraResult], Any]) -> list[Any]:
+    return [part(camera) for camera in cameras]
+
+
+def _set_up(q: Quantities, cameras: Sequence[CameraResult]) -> None:
+    """What was calibrated, under which sky."""
+    for name, label, unit, part in (
+        ("lens", "Lens", "", lambda c: c.scene.instrument.camera.lens.name),
+        ("detector", "Detector", "", lambda c: c.scene.instrument.detector.name),
+        ("pixel_arcsec", "Angle of a pixel", "arcsec", lambda c: c.scene.pixel_arcsec),
+        ("sky", "Sky", "", lambda c: c.scene.sky.name),
+        ("frames", "Frames", "", lambda c: c.scene.frames),
+        ("camera_model", "Camera model", "", lambda c: c.scene.config.model),
+    ):
+        q.add(name, _each(cameras, part), label, unit=unit, dims="camera", json=f"rendered[camera].{name}")
+    field = _each(cameras, lambda c: c.scene.instrument.field_deg)
+    q.add("field_deg", field, "Field", unit="deg", dims="camera side", format=".1f", json="rendered[camera].field_deg")
+
+
+def _stars(q: Quantities, cameras: Sequence[CameraResult]) -> None:
+    """What became of the stars and of the detections, all frames together."""
+    q.axis("outcome", list(cameras[0].matched.count), "Detections")
+    count = _each(cameras, lambda c: list(c.matched.count.values()))
+    q.add("detections", count, "Detections", dims="camera outcome", json="rendered[camera].detections[outcome]")
+    for name, label, json, part in (
+        ("rendered", "rendered", "", lambda c: sum(len(one.star) for one in c.recording.frames)),
+        ("frames_matched", "Frames matched", "frames_matched", lambda c: c.matched.first_matched),
+        ("stars", "used", "stars", lambda c: int(c.evaluation.used.sum())),
+        ("stars_per_frame", "Stars used per frame", "stars_per_frame", lambda c: c.stars_per_frame),
+        ("wrong_matches", "Wrong matches", "wrong_matches", lambda c: int((~c.matched.right).sum())),
+        ("wrong_used", "of them wrong", "", lambda c: int((~c.matched.right[c.evaluation.used]).sum())),
+    ):
+        q.add(name, _each(cameras, part), label, dims="camera", json=json and f"rendered[camera].{json}")
+    floor = _each(cameras, lambda c: (c.evaluation.floor_px, c.evaluation.corrected_floor_px))
+    place = "rendered[camera].centroid_floor_px[data]"
+    q.add("centroid_floor_px", floor, "Error beyond noise", unit="px", dims="camera data", format=".3f", json=place)
+
+
+def _map_errors(q: Quantities, cameras: Sequence[CameraResult], data: str) -> None:
+    """Line of sight of the calibrated cameras against the traced lens, by how attitudes are treated."""
+    whole = {"measured": "map_error_arcsec", "corrected": "map_error_corrected_arcsec"}[data]
+    also = {"predicted": ["rendered[camera].noise_map_arcsec.predicted"]} if data == "corrected" else {}
+    label = {"measured": "Measured", "corrected": "Colours known"}[data]
+
+    def each(part: Callable[[Judged], Any]) -> list[list[Any]]:
+        return [[part(camera.of(data, method=method)) for camera in cameras] for method in METHODS]
+
+    def places(name: str) -> Places:
+        inner = f"rendered[camera].methods_arcsec[method].{data}.{name}"
+        return {"*": inner, "free": [f"rendered[camera].{whole}.{name}", *also.get(name, [])]}
+
+    angle = {"unit": "arcsec", "dims": "method camera"}
+    for name, head, key, size in (
+        ("rms", label, f"{data}_arcsec", lambda m: m.rms_arcsec),
+        ("max", "largest", "largest_arcsec", lambda m: m.max_arcsec),
+    ):
+        q.add(f"{data}_{name}_arcsec", each(size), head, **angle, format=".4f", key=key, json=places(name))
+    q.add(
+        f"{data}_predicted_arcsec",
+        each(lambda m: m.predicted_arcsec),
+        "predicted",
+        **angle,
+        error=each(lambda m: m.predicted_spread_arcsec),
+        json=places("predicted"),
+        json_error=places("predicted_spread"),
+    )
+    for name, of_fit in (
+        ("status", lambda m: m.calibration.solution.status),
+        ("iterations", lambda m: m.calibration.solution.iterations),
+    ):
+        q.add(f"{data}_{name}", each(of_fit), name.capitalize(), dims="method camera", json=places(name))
+    for name, label, unit, format, part in (
+        ("sigma_x0_px", "σ of x0", "px", ".3f", lambda m: _sigma(m, "x0_px")),
+        ("sigma_f_um", "σ of f", "um", ".3f", lambda m: 1e3 * _sigma(m, "focal_length_mm")),
+        ("reduced_chi2", "χ² per degree", "", ".2f", lambda m: m.calibration.solution.reduced_chi2),
+    ):
+        json = {"free": f"rendered[camera].{name}"} if (data, name) == ("measured", "reduced_chi2") else ""
+        q.add(f"{data}_{name}", each(part), label, unit=unit, dims="method camera", format=format, key=name, json=json)
+
+
+def _sigma(judged: Judged, parameter: str) -> float:
+    solution = judged.calibration.solution
+    return float(dict(zip(solution.names, solution.sigma, strict=True)).get(parameter, np.nan))
+
+
+def _noise_map(q: Quantities, cameras: Sequence[CameraResult]) -> None:
+    """What noise alone does to the map, beside what the covariance predicts."""
+    q.add(
+        "noise_map_rms_arcsec",
+        _each(cameras, lambda c: c.noise_map_rms_arcsec),
+        "noise only",
+        unit="arcsec",
+        dims="camera",
+        format=".4f",
+        key="noise_arcsec",
+        json="rendered[camera].noise_map_arcsec.rms",
+    )
+    for name, json, part in (
+        ("noise_map_probability", "rendered[camera].noise_map_arcsec.probability", lambda c: c.noise_map_chance),
+        ("linked_map_probability", "", lambda c: c.linked_map_chance),
+    ):
+        q.add(name, _each(cameras, part), "Probability of such a noise map", dims="camera", json=json)
+
+
+def _parts(q: Quantities, cameras: Sequence[CameraResult]) -> None:
+    """What the map error is made of."""
+    q.add(
+        "part_rms_arcsec",
+        _each(cameras, lambda c: [c.evaluation.part_rms_arcsec[part] for part in PARTS]),
+        "RMS",
+        unit="arcsec",
+        dims="camera part",
+        format=".2g",
+        key="{part}_arcsec",
+        json="rendered[camera].parts_arcsec[part]",
+    )
+    q.add(
+        "quadrature_arcsec",
+        _each(cameras, lambda c: c.evaluation.quadrature_arcsec),
+        "RSS",
+        unit="arcsec",
+        dims="camera",
+        format=".4f",
+        json="rendered[camera].quadrature_arcsec",
+    )
+    pairs = list(combinations(PARTS, 2))
+    q.axis("pair", [", ".join(pair) for pair in pairs], "Parts")
+    q.add(
+        "part_correlation",
+        _each(cameras, lambda c: [c.evaluation.alike(*pair) for pair in pairs]),
+        "ρ",
+        dims="camera pair",
+        format="+.2f",
+        json="rendered[camera].parts_correlation[pair]",
+    )
+
+
+def _wrong_matches(q: Quantities, cameras: Sequence[CameraResult]) -> None:
+    """Calibrations with wrong matches put in on purpose."""
+    for name, label, unit, place, of in (
+        ("loss", "Loss", "", "loss", "loss"),
+        ("fraction", "Wrong matches", "", "fraction", "fraction"),
+        ("status", "Status", "", "status", "status"),
+        ("rms_arcsec", "Map error, RMS", "arcsec", "map_error_arcsec", "rms_arcsec"),
+        ("apart_arcsec", "From the clean map", "arcsec", "apart_arcsec", "apart_arcsec"),
+        ("caught", "Caught", "", "caught_fraction", "caught_fraction"),
+    ):
+        values = [[getattr(one, of) for one in camera.evaluation.wrong] for camera in cameras]
+        json = f"rendered[camera].wrong_matches_put_in[trial].{place}"
+        q.add(f"wrong_{name}", values, label, unit=unit, dims="camera trial", json=json)
+
+
+def _models(q: Quantities, camera: CameraResult) -> None:
+    """Camera models fitted to the same stars: what they cannot describe, what noise does to them, what comes out."""
+    models, dim = camera.scene.config.models, f"{camera.name}_model"
+    q.axis(dim, models, "Model", key="model", names=[model_label(model) for model in models])
+    free = [len(camera.of("measured", model=model).calibration.solution.names) for model in models]
+    q.add(f"{dim}_parameters", free, "Free", dims=dim, key="parameters", json="")
+    for name, label, json, format, part in (
+        ("direct_arcsec", "Own limit", "direct", ".2g", lambda m: camera.evaluation.direct[m].rms_arcsec),
+        ("mismatch_arcsec", "Noiseless", "reference", ".2g", lambda m: camera.of("reference", model=m).rms_arcsec),
+        ("predicted_arcsec", "Noise", "", ".4f", lambda m: camera.of("corrected", model=m).predicted_arcsec),
+        ("measured_arcsec", "Measured", "measured", ".4f", lambda m: camera.of("measured", model=m).rms_arcsec),
+        ("corrected_arcsec", "Colours known", "corrected", ".4f", lambda m: camera.of("corrected", model=m).rms_arcsec),
+        (
+            "measured_predicted_arcsec",
+            "Predicted as measured",
+            "predicted",
+            ".4f",
+            lambda m: camera.of("measured", model=m).predicted_arcsec,
+        ),
+    ):
+        place = json and f"rendered.{camera.name}.models_arcsec[{dim}].{json}"
+        values = [part(model) for model in models]
+        q.add(f"{dim}_{name}", values, label, unit="arcsec", dims=dim, format=format, key=name, json=place)
+    status = [camera.of("measured", model=model).calibration.solution.status for model in models]
+    place = f"rendered.{camera.name}.models_arcsec[{dim}].status"
+    q.add(f"{dim}_status", status, "Status", dims=dim, key="status", json=place)
+
+
+def _parameters(q: Quantities, camera: CameraResult) -> None:
+    """Of the calibration that counts; ideal to distorted, in mm from the principal point."""
+    solution, used = camera.total.calibration.solution, int(camera.evaluation.used.sum())
+    for name, value, sigma in zip(solution.names, solution.value, solution.sigma, strict=True):
+        one = Measured(value=float(value), unit=_unit(name), uncertainty=float(sigma), n=used)
+        q.add(f"{camera.name}_{name}", one, name, json=f"rendered.{camera.name}.parameters.{name}")
+
+
+def _unit(name: str) -> str:
+    """Unit that the name of a parameter ends in."""
+    return f"1/{name.rpartition('_per_')[2]}" if "_per_" in name else name.rpartition("_")[2]
+
+
+def _map(q: Quantities, camera: CameraResult) -> None:
+    """Line-of-sight error over the detector, its prediction and its parts; model minus traced lens."""
+    evaluation, fine, chart = camera.evaluation, camera.of("corrected"), camera.evaluation.chart
+    dims = f"{camera.name}_row {camera.name}_column axis"
+    shape = (chart.rows, chart.columns, 2)
+    place = {"unit": "px", "dims": dims, "key": "{axis}_px", "json": ""}
+    q.add(f"{camera.name}_map_px", np.reshape(chart.pixel_px, shape), "Place", **place)
+    for name, label, values in (
+        ("error", "Error", camera.total.error_arcsec),
+        ("sigma", "Predicted σ", camera.total.sigma_arcsec),
+        ("corrected_error", "Error, colours known", fine.error_arcsec),
+        ("corrected_sigma", "Predicted σ, colours known", fine.sigma_arcsec),
+        *((part, PART_NAMES[part].capitalize(), evaluation.part_arcsec[part]) for part in PARTS),
+    ):
+        key = f"{name}_{{axis}}_arcsec"
+        whole = np.reshape(values, shape)
+        q.add(f"{camera.name}_{name}_arcsec", whole, label, unit="arcsec", dims=dims, key=key, json="")
+
+
+def _star_list(q: Quantities, camera: CameraResult) -> None:
+    """Every star that was calibrated with."""
+    matched, used, sky = camera.matched, camera.evaluation.used, camera.scene.sky
+    star, dim = matched.star[used], f"{camera.name}_star"
+    for name, label, unit, key, values in (
+        ("frame", "Frame", "", "frame", matched.frame[used]),
+        ("id", "Star", "", "star", sky.id[star]),
+        ("magnitude", "G", "mag", "g_mag", sky.magnitude[star]),
+        ("temperature", "Colour temperature", "K", "temperature_k", sky.temperature_k[star]),
+        ("snr", "Signal-to-noise ratio", "", "snr", matched.snr[used]),
+    ):
+        q.add(f"{dim}_{name}", values, label, unit=unit, dims=dim, key=key, json="")
+    position = {kind: camera.evaluation.position_px[kind][used] for kind in POSITIONS}
+    for kind, values in (position | {"residual": camera.evaluation.residual_px}).items():
+        key = f"{kind}_{{axis}}_px"
+        q.add(f"{dim}_{kind}_px", values, kind.capitalize(), unit="px", dims=f"{dim} axis", key=key, json="")
