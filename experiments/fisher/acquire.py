@@ -26,7 +26,7 @@ from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.readout.centroids import measured_positions
 from experiments.laboratory.readout.stamps import dark_subtracted, refuse_saturated
 from experiments.laboratory.readout.windows import WindowReader, cut_windows, window_corners
-from experiments.turntable.bench import Bench, aim
+from experiments.laboratory.single_star.bench import Bench, aim
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze

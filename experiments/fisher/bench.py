@@ -31,32 +31,26 @@ from experiments.fisher.predict import (
     table_covariance_px2,
     tangent_maps,
 )
-from experiments.fisher.prepare import evaluation_px, turntable_config
-from experiments.fisher.reduce import Evaluation, calibrated_bench, evaluate, expected_px
+from experiments.fisher.prepare import evaluation_px
+from experiments.fisher.reduce import Evaluation, evaluate, expected_px
 from experiments.fisher.settings import Config
 from experiments.harness.progress import Progress
 from experiments.laboratory.collimator import SingleStar, star_direction
 from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.turntable import Turntable
-from experiments.turntable.bench import Bench
-from experiments.turntable.bound import reading_covariance_px2
-from experiments.turntable.measure import (
-    Measurement,
-    averaged,
-    build_bench,
-    build_star,
-    build_table,
-    measure,
-)
-from experiments.turntable.reduce import (
-    LARGEST_REDUCED_CHI2,
+from experiments.laboratory.single_star.bench import Bench
+from experiments.laboratory.single_star.derivatives import reading_covariance_px2
+from experiments.laboratory.single_star.measure import Measurement, measure
+from experiments.laboratory.single_star.reduce import (
     Data,
+    calibrated_bench,
+    check_fit,
     check_parity,
     reduce_data,
     start_model,
 )
+from experiments.laboratory.single_star.setup import averaged, build_bench, build_star, build_table
+from experiments.laboratory.turntable import Turntable
 from optics.arrays import FloatArray
-from optics.errors import DomainError
 from optics.units import RAD_ARCSEC
 from render.engine.random import Streams
 from render.forward import StarRenderer
@@ -68,6 +62,11 @@ __all__ = ["BenchRun", "Case", "SameData", "run_bench"]
 PATH_PER_PX = 4
 """Instants per pixel of the streak by which a PSF is smeared."""
 EXTRA_PSF_PX = 2
+ADVICE = (
+    "too few places (grid.columns, grid.rows) or too little motion for the unknowns, errors of the table that are not "
+    "in its reading noise (table.encoder_amplitude_arcsec), or a lens that the camera model does not describe"
+)
+"""What to look at when a calibration does not fit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,10 +173,9 @@ def run_bench(config: Config, instrument: Instrument, progress: Progress) -> Ben
         If the star is lost, or the calibration does not converge.
     """
     streams = Streams(config.seed).child("fisher")
-    bench_config = turntable_config(config)
     with progress.stage("calibration (S100)", total=5) as stage:
         measurement = measure(
-            bench_config,
+            config,
             instrument,
             config.table,
             streams.child("calibration"),
@@ -186,15 +184,15 @@ def run_bench(config: Config, instrument: Instrument, progress: Progress) -> Ben
         believed = build_table(config.table).nominal
         calibration = _calibrate(measurement, believed, instrument, config)
         stage.advance()
-    model, bench = calibrated_bench(calibration, believed)
+    model, bench = calibration.model, calibrated_bench(calibration, believed)
     work = _Work(
         config=config,
         instrument=instrument,
         model=model,
         bench=bench,
-        true_bench=build_bench(bench_config, config.table),
+        true_bench=build_bench(config, config.table),
         calibration=calibration,
-        star=replace(build_star(bench_config), signal_e=config.evaluation.signal_e),
+        star=replace(build_star(config), signal_e=config.evaluation.signal_e),
         renderer=StarRenderer(instrument.camera, exposure_s=instrument.config.exposure_s),
         wanted_px=evaluation_px(config, instrument),
         streams=streams,
@@ -235,33 +233,18 @@ def _resolutions(model: CameraModel, instrument: Instrument) -> dict[str, float]
 
 
 def _calibrate(measurement: Measurement, believed: Turntable, instrument: Instrument, config: Config) -> Calibration:
-    data = Data(
-        pixel_px=np.array(measurement.readings.position_px),
-        covariance_px2=np.array(measurement.readings.covariance_px2),
-        reading_rad=np.array(measurement.visits.reading_rad),
-    )
+    data = Data.of(measurement)
     start, table = start_model(instrument, None), averaged(believed, config.frames)
     ahead = _nominal_star(config)
     check_parity(data, table, start, ahead)
     calibration = reduce_data(data, table, start, leans=True, start_star=ahead)
-    _check_fit(calibration, "joint calibration (S100)")
+    check_fit(calibration, "joint calibration (S100)", ADVICE)
     return calibration
 
 
 def _nominal_star(config: Config) -> FloatArray:
     """Where the simulator was set up to stand, to whole degrees."""
     return star_direction(round(config.star.azimuth_deg), round(config.star.elevation_deg))
-
-
-def _check_fit(calibration: Calibration, what: str) -> None:
-    solution = calibration.solution
-    if not (solution.converged and solution.reduced_chi2 <= LARGEST_REDUCED_CHI2):
-        raise DomainError(
-            f"{what}: it ended as {solution.status!r} with residuals of {np.sqrt(solution.reduced_chi2):.3g} times "
-            "their noise; too few places (grid.columns, grid.rows) or too little motion for the unknowns, errors of "
-            "the table that are not in its reading noise (table.encoder_amplitude_arcsec), or a lens that the camera "
-            "model does not describe"
-        )
 
 
 def _same_data(acquisition: Acquisition, believed: Turntable, instrument: Instrument, ahead: FloatArray) -> SameData:
@@ -272,8 +255,8 @@ def _same_data(acquisition: Acquisition, believed: Turntable, instrument: Instru
         reading_rad=np.array(places.reading_rad),
     )
     calibration = reduce_data(data, believed, start_model(instrument, None), leans=True, start_star=ahead)
-    _check_fit(calibration, "joint calibration with the vectors' own data")
-    model, bench = calibrated_bench(calibration, believed)
+    check_fit(calibration, "joint calibration with the vectors' own data", ADVICE)
+    model, bench = calibration.model, calibrated_bench(calibration, believed)
     angle = np.array(places.reading_rad)
     maps = tangent_maps(model, bench, angle)
     noise = np.array(acquisition.covariance_px2) + reading_covariance_px2(model, bench, angle)

@@ -11,7 +11,7 @@ import numpy as np
 from calib.attitude.star_vectors import initial_frame_vectors
 from calib.cameras.base import CameraModel
 from calib.directional.fisher import fit_fisher, sample_fisher
-from experiments.turntable.bench import Bench
+from experiments.laboratory.single_star.bench import Bench
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
 from render.engine.random import Streams

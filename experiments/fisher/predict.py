@@ -25,8 +25,8 @@ from scipy.stats import chi2, norm
 from calib.cameras.base import CameraModel, unproject_jacobian
 from calib.directional.fisher import tangent_basis
 from experiments.fisher.acquire import Motion
-from experiments.turntable.bench import Bench, angle_effect
-from experiments.turntable.bound import design, reading_covariance_px2
+from experiments.laboratory.single_star.bench import Bench
+from experiments.laboratory.single_star.derivatives import angle_effect, design, reading_covariance_px2
 from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC
 

@@ -1,37 +1,20 @@
-"""What can be refused of a configuration before anything is rendered, and the calibration's own view of it."""
+"""What can be refused of a configuration before anything is rendered."""
 
 from __future__ import annotations
 
 from experiments.fisher.acquire import motion_of, smear_px
 from experiments.fisher.settings import Config
 from experiments.laboratory.instrument import Instrument
-from experiments.turntable.measure import build_star, build_table, camera_under_test, check_table, grid_px
-from experiments.turntable.reduce import check_count
-from experiments.turntable.settings import Config as TurntableConfig
-from experiments.turntable.settings import GridConfig
+from experiments.laboratory.single_star.reduce import check_count
+from experiments.laboratory.single_star.settings import GridConfig
+from experiments.laboratory.single_star.setup import build_star, build_table, camera_under_test, check_table, grid_px
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 
-__all__ = ["evaluation_px", "prepare", "turntable_config"]
+__all__ = ["evaluation_px", "prepare"]
 
 
 LONGEST_SMEAR_PX = 40.0
-
-
-def turntable_config(config: Config) -> TurntableConfig:
-    """The same bench for the calibration's own code; the evaluation's star is dimmer."""
-    return TurntableConfig(
-        seed=config.seed,
-        instrument=config.instrument,
-        principal_point_px=config.principal_point_px,
-        installation_deg=config.installation_deg,
-        star=config.star,
-        two_axis=config.table,
-        grid=config.grid,
-        frames=config.frames,
-        dark_frames=config.dark_frames,
-        window_px=config.window_px,
-    )
 
 
 def prepare(config: Config) -> Instrument:
@@ -51,12 +34,11 @@ def prepare(config: Config) -> Instrument:
             f"table.rolls_deg = {list(config.table.rolls_deg)}: a third axis that does not move says nothing about its "
             "angle to the second; give at least two angles, or take two axes"
         )
-    bench_config = turntable_config(config)
     check_count(config.grid.columns * config.grid.rows, build_table(config.table))
-    instrument = camera_under_test(bench_config)
-    grid_px(bench_config, instrument)
+    instrument = camera_under_test(config)
+    grid_px(config, instrument)
     evaluation_px(config, instrument)
-    check_wavelengths(instrument, [("star.passband_nm", build_star(bench_config).band)])
+    check_wavelengths(instrument, [("star.passband_nm", build_star(config).band)])
     motion = motion_of(config.dynamic.rate_deg_per_s, config.dynamic.jitter_ms, config.dynamic.samples)
     if (smear := smear_px(motion, instrument)) > LONGEST_SMEAR_PX:
         raise ConfigError(
@@ -77,12 +59,12 @@ def evaluation_px(config: Config, instrument: Instrument) -> FloatArray:
     Raises
     ------
     DomainError
-        As `experiments.turntable.measure.grid_px`; on fewer measurements than unknowns.
+        As `experiments.laboratory.single_star.setup.grid_px`; on fewer measurements than unknowns.
     """
     chosen = config.evaluation
     grid = GridConfig(columns=chosen.columns, rows=chosen.rows, edge_px=chosen.edge_px)
     try:
         check_count(chosen.columns * chosen.rows, build_table(config.table))
-        return grid_px(turntable_config(config).model_copy(update={"grid": grid}), instrument)
+        return grid_px(config.model_copy(update={"grid": grid}), instrument)
     except DomainError as error:
         raise DomainError(str(error).replace("grid.", "evaluation.")) from None

@@ -7,15 +7,13 @@ reprojected star, as a standard deviation in pixels, times one angle per pixel.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.star_vectors import initial_frame_vectors
-from calib.calibration.record import Calibration
-from calib.calibration.turntable import star_direction
 from calib.cameras.base import CameraModel
 from calib.directional.fisher import FisherFit, fit_fisher
 from calib.directional.fisher_checks import (
@@ -26,13 +24,12 @@ from calib.directional.fisher_checks import (
     fisher_outliers,
     isotropy_check,
 )
-from experiments.laboratory.turntable import Turntable
-from experiments.turntable.bench import Bench
+from experiments.laboratory.single_star.bench import Bench
 from optics.arrays import FloatArray
 from optics.records import freeze
 from optics.units import RAD_ARCSEC
 
-__all__ = ["Evaluation", "baseline_px", "calibrated_bench", "evaluate", "expected_px"]
+__all__ = ["Evaluation", "baseline_px", "evaluate", "expected_px"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,27 +90,6 @@ def baseline_px(residual_px: FloatArray) -> float:
     """Standard deviation per axis of pixel residuals (n, 2), of both axes together [px]: sigma_r / sqrt 2."""
     apart = residual_px - residual_px.mean(0)
     return float(np.sqrt(np.sum(apart**2) / (2 * (len(apart) - 1))))
-
-
-def calibrated_bench(calibration: Calibration, table: Turntable) -> tuple[CameraModel, Bench]:
-    """Camera and bench as the calibration knows them.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        A converged joint calibration.
-    table : Turntable
-        As believed before; the leans that were found are added.
-    """
-    solution = calibration.solution
-    leans = [float(v) for n, v in zip(solution.names, solution.value, strict=True) if n.startswith("lean")]
-    if leans:
-        found = table.non_orthogonality_arcsec + np.array(leans) * RAD_ARCSEC
-        table = replace(table, non_orthogonality_arcsec=found)
-    assert calibration.installation is not None
-    return calibration.model, Bench(
-        table=table, star=star_direction(calibration), installation=calibration.installation
-    )
 
 
 def expected_px(model: CameraModel, bench: Bench, reading_rad: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from experiments.fisher.tables import all_tables
 from experiments.harness.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
 from experiments.harness.summary import Measured
 from experiments.harness.tables import Table
-from experiments.turntable.sketch import bench_sketch
+from experiments.laboratory.single_star.sketch import bench_sketch
 
 __all__ = ["build_report"]
 

@@ -24,9 +24,8 @@ from experiments.fisher.predict import (
     table_covariance_px2,
     tangent_maps,
 )
-from experiments.fisher.reduce import calibrated_bench
-from experiments.turntable.bench import Bench, aim
-from experiments.turntable.reduce import Data, reduce_data
+from experiments.laboratory.single_star.bench import Bench, aim
+from experiments.laboratory.single_star.reduce import Data, calibrated_bench, reduce_data
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 
@@ -146,7 +145,7 @@ def _same_point(
     covariance = np.linalg.inv(np.einsum("nia,nij,njb->ab", scaled, np.linalg.inv(noise), scaled))
     other = predict_independent(maps, noise, rows, covariance / np.outer(scale, scale))
     exact = model.project(bench.seen(angle))
-    sums: list[tuple[float, float]] = []
+    sums: list[list[float]] = []
     for run in range(runs):
 
         def draw(name: str, call: int, run: int = run) -> Data:
@@ -158,7 +157,7 @@ def _same_point(
         calibration = reduce_data(first, bench.table, model, leans=True, start_star=np.array(bench.star))
         if calibration.converged:
             found = calibrated_bench(calibration, bench.table)
-            sums.append((_chord_sum(*found, first), _chord_sum(*found, second)))
+            sums.append([_chord_sum(calibration.model, found, data) for data in (first, second)])
     count, unknowns = len(angle), rows.shape[2]
     values = np.array(sums).reshape(-1, 2) / same.noise_rad2
     return SamePoint(

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field, field_validator, model_validator
 
-from experiments.harness.config import ExperimentConfig, StrictModel
-from experiments.laboratory.settings import InstrumentConfig
-from experiments.turntable.settings import GridConfig, StarConfig, TableConfig
+from experiments.harness.config import StrictModel
+from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
 
 __all__ = ["Config", "CoverageConfig", "DynamicConfig", "EvaluationConfig", "FieldConfig", "SameDataConfig"]
 
@@ -15,10 +14,6 @@ def _table() -> TableConfig:
     # FISHER23 calls its table one "of high precision" and gives no number. Better than CUBE09's (0.3 and 0.4 arcsec),
     # with which the method would measure the table.
     return TableConfig(axes="xy", reading_noise_arcsec=(0.10,), non_orthogonality_arcsec=(5.0,))
-
-
-def _grid() -> GridConfig:
-    return GridConfig(columns=15, rows=9, edge_px=60.0)
 
 
 class EvaluationConfig(StrictModel):
@@ -102,22 +97,10 @@ class SameDataConfig(StrictModel):
         return tuple(sorted(set(values)))
 
 
-class Config(ExperimentConfig):
+class Config(SingleStarConfig):
     """FISHER23 gives bench and equations but no numbers: here the camera of ACC18, a better table than CUBE09's."""
 
-    instrument: InstrumentConfig = InstrumentConfig()
-    principal_point_px: tuple[float, float] = Field(
-        default=(12.0, -8.0), description="where the axis of the lens meets the detector, from its centre"
-    )
-    installation_deg: tuple[float, float, float] = Field(
-        default=(0.4, -0.7, 1.2), description="true installation (cam from table top), rotation vector"
-    )
-    star: StarConfig = StarConfig()
     table: TableConfig = Field(default_factory=_table)
-    grid: GridConfig = Field(default_factory=_grid)
-    frames: int = Field(default=10, ge=2, le=10000, description="frames per place of the calibration")
-    dark_frames: int = Field(default=30, ge=2, le=10000, description="frames with the star off, per place")
-    window_px: int = Field(default=13, ge=7, le=41, description="window around the star, odd")
     evaluation: EvaluationConfig = EvaluationConfig()
     dynamic: DynamicConfig = DynamicConfig()
     field: FieldConfig = FieldConfig()
@@ -125,13 +108,6 @@ class Config(ExperimentConfig):
     same_data: SameDataConfig = SameDataConfig()
 
     @model_validator(mode="after")
-    def _windows(self) -> Config:
-        if self.window_px % 2 == 0:
-            raise ValueError(f"window_px = {self.window_px}: an odd number is needed")
-        for key, edge in (("grid.edge_px", self.grid.edge_px), ("evaluation.edge_px", self.evaluation.edge_px)):
-            if edge < self.window_px:
-                raise ValueError(
-                    f"{key} = {edge:g} px: at least window_px = {self.window_px} px is needed, or windows leave the "
-                    "detector"
-                )
+    def _evaluation_windows(self) -> Config:
+        self.check_edge("evaluation.edge_px", self.evaluation.edge_px)
         return self

@@ -12,16 +12,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.link import angles_of_rotation, increment_per_angle
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.cameras.base import CameraModel
 from calib.cameras.line_of_sight import line_of_sight_map
-from experiments.laboratory.collimator import star_angles_deg
+from experiments.laboratory.single_star.bench import Bench, aim
+from experiments.laboratory.single_star.derivatives import design, reading_covariance_px2
 from experiments.laboratory.turntable import build_turntable
-from experiments.turntable.bench import Bench, aim, angle_effect, lean_effect
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.units import ARCSEC_RAD, DEG_RAD, RAD_ARCSEC
+from optics.units import RAD_ARCSEC
 
 __all__ = [
     "Bound",
@@ -31,7 +30,6 @@ __all__ = [
     "field_sweep",
     "knowledge",
     "noise_shares",
-    "reading_covariance_px2",
 ]
 
 
@@ -77,34 +75,6 @@ class Bound:
     def inflation(self, name: str) -> float:
         """How many times worse an unknown is known because the others are not known either."""
         return self.of(name) / float(self.alone[self.names.index(name)])
-
-
-def reading_covariance_px2(model: CameraModel, bench: Bench, angle_rad: FloatArray) -> FloatArray:
-    """What the reading noise of the table amounts to on the detector, (n, 2, 2) [px^2]."""
-    by_direction = model.project_jacobian(bench.seen(angle_rad)).by_direction
-    shift = by_direction @ np.swapaxes(angle_effect(bench, angle_rad), 1, 2)
-    sigma = bench.table.reading_noise_arcsec * ARCSEC_RAD
-    return np.asarray((shift * sigma**2) @ np.swapaxes(shift, 1, 2))
-
-
-def design(model: CameraModel, bench: Bench, angle_rad: FloatArray, *, leans: bool) -> FloatArray:
-    """Derivatives (n, 2, q) of the image by all unknowns."""
-    direction = bench.seen(angle_rad)
-    projection = model.project_jacobian(direction)
-    (azimuth, elevation), theta = star_angles_deg(bench.star) * DEG_RAD, angles_of_rotation(bench.installation)
-    across = np.array(  # derivatives of the star's direction by azimuth and elevation
-        [
-            [np.cos(azimuth) * np.cos(elevation), 0.0, -np.sin(azimuth) * np.cos(elevation)],
-            [-np.sin(azimuth) * np.sin(elevation), np.cos(elevation), -np.cos(azimuth) * np.sin(elevation)],
-        ]
-    )
-    turns = increment_per_angle(theta).T  # rotation vectors in cam, per angle of the installation
-    to_cam = bench.installation.as_matrix() @ np.swapaxes(bench.table.rotation(angle_rad).as_matrix(), 1, 2)
-    moves = [np.swapaxes(to_cam @ across.T, 1, 2), np.cross(turns[None], direction[:, None])]
-    if leans:
-        moves.append(lean_effect(bench, angle_rad))
-    by_pose = projection.by_direction @ np.swapaxes(np.concatenate(moves, axis=1), 1, 2)
-    return np.concatenate([projection.by_parameter, by_pose], axis=2)
 
 
 def bound(

@@ -18,16 +18,18 @@ import numpy as np
 from experiments.harness.legacy import legacy_command as command
 from experiments.harness.progress import Progress
 from experiments.harness.summary import Criterion
-from experiments.turntable.settings import Config, TableConfig
+from experiments.laboratory.single_star.settings import TableConfig
+from experiments.turntable.settings import Config
 from optics.errors import ConfigError, DomainError
 
 if TYPE_CHECKING:
     from experiments.harness.report import Report
     from experiments.harness.tables import Table
     from experiments.laboratory.instrument import Instrument
-    from experiments.turntable.measure import Measurement, TracedMap
+    from experiments.laboratory.single_star.measure import Measurement
     from experiments.turntable.reduce import Reduction
     from experiments.turntable.result import Case, Result
+    from experiments.turntable.traced import TracedMap
     from render.engine.random import Streams
 
 __all__ = ["Config", "main", "report", "run", "summary", "tables"]
@@ -35,6 +37,11 @@ __all__ = ["Config", "main", "report", "run", "summary", "tables"]
 
 LEAST_RUNS = 10
 """Converged runs of a Monte-Carlo below which it says nothing."""
+ADVICE = (
+    "the axes (reduction.axes), the start of the star (reduction.star_deg), the reading noise or the camera model are "
+    "wrong, or too little of the field is visited"
+)
+"""What to look at when a calibration does not fit."""
 
 
 def run(config: Config, *, progress: Progress) -> Result:
@@ -57,9 +64,9 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.harness.provenance import peak_memory_mb, process_seconds
     from experiments.turntable.bound import field_sweep
     from experiments.turntable.lenses import lens_points
-    from experiments.turntable.measure import traced_map
     from experiments.turntable.result import Result
     from experiments.turntable.study import lean_sweep, reading_sweep
+    from experiments.turntable.traced import traced_map
     from render.engine.random import Streams
 
     instrument = _prepare(config)
@@ -112,9 +119,15 @@ def run(config: Config, *, progress: Progress) -> Result:
 def _prepare(config: Config) -> Instrument:
     """The camera; whatever can be refused without rendering is refused here."""
     from experiments.laboratory.checks import check_wavelengths
+    from experiments.laboratory.single_star.reduce import check_count
+    from experiments.laboratory.single_star.setup import (
+        build_star,
+        build_table,
+        camera_under_test,
+        check_table,
+        grid_px,
+    )
     from experiments.laboratory.turntable import axis_directions
-    from experiments.turntable.measure import build_star, build_table, camera_under_test, check_table, grid_px
-    from experiments.turntable.reduce import check_count
 
     check_table("two_axis", config.two_axis, 2)
     check_table("three_axis", config.three_axis, 3)
@@ -139,9 +152,11 @@ def _case(
 ) -> Case:
     """One table from the rendering to the Monte-Carlo."""
     from experiments.laboratory.collimator import star_direction
-    from experiments.turntable.bound import bound, knowledge, noise_shares, reading_covariance_px2
-    from experiments.turntable.measure import averaged, measure
-    from experiments.turntable.reduce import start_model
+    from experiments.laboratory.single_star.derivatives import reading_covariance_px2
+    from experiments.laboratory.single_star.measure import measure
+    from experiments.laboratory.single_star.reduce import start_model
+    from experiments.laboratory.single_star.setup import averaged
+    from experiments.turntable.bound import bound, knowledge, noise_shares
     from experiments.turntable.result import Case
     from experiments.turntable.study import Coordinates, monte_carlo
 
@@ -194,8 +209,9 @@ def _calibrate(
 ) -> tuple[dict[str, Reduction], dict[str, Reduction]]:
     """Reductions of the rendered run, and of data with one error at a time."""
     from experiments.laboratory.collimator import star_direction
-    from experiments.turntable.measure import averaged, build_table
-    from experiments.turntable.reduce import Data, check_fit, check_parity, judge, reduce_data, start_model
+    from experiments.laboratory.single_star.reduce import Data, check_fit, check_parity, reduce_data, start_model
+    from experiments.laboratory.single_star.setup import averaged, build_table
+    from experiments.turntable.reduce import judge
 
     start = start_model(instrument, config.reduction.focal_length_mm)
     real = averaged(measurement.bench.table, config.frames)
@@ -215,14 +231,9 @@ def _calibrate(
         )
         return judge(reduce_data(data, taken, start, leans=leans, start_star=ahead), data, taken, traced)
 
-    full = Data(
-        pixel_px=np.array(images["seen"]),
-        covariance_px2=np.array(readings.covariance_px2),
-        reading_rad=np.array(angles["read"]),
-    )
-    check_parity(full, square, start, ahead)
+    check_parity(Data.of(measurement), square, start, ahead)
     estimated = one("seen", "read", square, leans=True)
-    check_fit(estimated.calibration, f"{name} table")
+    check_fit(estimated.calibration, f"{name} table", ADVICE)
     reductions = {
         "estimated": estimated,
         "ignored": one("seen", "read", square),
@@ -235,7 +246,7 @@ def _calibrate(
         "leans": one("true", "true", quiet.nominal),
         "everything": estimated,
     }
-    check_fit(split["model"].calibration, f"{name} table, camera model against noise-free rays")
+    check_fit(split["model"].calibration, f"{name} table, camera model against noise-free rays", ADVICE)
     return reductions, split
 
 

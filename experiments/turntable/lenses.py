@@ -12,9 +12,9 @@ from calib.calibration.observations import Observations
 from calib.cameras.line_of_sight import line_of_sight_map
 from experiments.laboratory.instrument import Instrument, build_instrument
 from experiments.laboratory.settings import InstrumentConfig
-from experiments.turntable.measure import TracedMap, traced_map
-from experiments.turntable.reduce import start_model
+from experiments.laboratory.single_star.reduce import start_model
 from experiments.turntable.settings import Config
+from experiments.turntable.traced import TracedMap, traced_map
 from optics.lens.perturb import decentre
 
 __all__ = ["LensPoint", "lens_points"]

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from experiments.harness.report import Equation, Figure, KeyNumber, Report, Row, Section, Text
 from experiments.harness.summary import Measured
 from experiments.harness.tables import Table, cell_text
+from experiments.laboratory.single_star.sketch import bench_sketch
 from experiments.turntable.evaluate import crossover_arcsec, point_over_line, principal_point_arcsec
 from experiments.turntable.figures import error_maps, residual_arrows, star_windows, visited_places
 from experiments.turntable.plots import correlation_matrix, field_curves, lean_curves, pull_bars, reading_curves
 from experiments.turntable.result import Case, Result
-from experiments.turntable.sketch import bench_sketch
 from experiments.turntable.tables import all_tables
 from optics.units import RAD_ARCSEC
 

@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.single_star.measure import Measurement
+from experiments.laboratory.single_star.settings import TableConfig
 from experiments.turntable.bound import Bound, FieldPoint
 from experiments.turntable.lenses import LensPoint
-from experiments.turntable.measure import Measurement, TracedMap
 from experiments.turntable.reduce import Reduction
-from experiments.turntable.settings import Config, TableConfig
+from experiments.turntable.settings import Config
 from experiments.turntable.study import Coordinates, LeanPoint, MonteCarlo, ReadingPoint
+from experiments.turntable.traced import TracedMap
 
 __all__ = ["CAUSES", "Case", "Result"]
 

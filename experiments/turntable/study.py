@@ -12,10 +12,12 @@ from calib.attitude.link import angles_of_rotation
 from calib.calibration.record import Calibration
 from calib.cameras import CameraModel
 from experiments.laboratory.collimator import star_angles_deg
-from experiments.turntable.bench import Bench
-from experiments.turntable.bound import bound, reading_covariance_px2
-from experiments.turntable.measure import TracedMap
-from experiments.turntable.reduce import Data, judge, reduce_data
+from experiments.laboratory.single_star.bench import Bench
+from experiments.laboratory.single_star.derivatives import reading_covariance_px2
+from experiments.laboratory.single_star.reduce import Data, reduce_data
+from experiments.turntable.bound import bound
+from experiments.turntable.reduce import judge
+from experiments.turntable.traced import TracedMap
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, DEG_RAD
 from render.engine.random import Streams

@@ -27,8 +27,8 @@ from experiments.fisher.predict import (
 from experiments.fisher.reduce import baseline_px, evaluate
 from experiments.fisher.same import same_data_sweep
 from experiments.laboratory.collimator import star_direction
+from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.turntable import build_turntable
-from experiments.turntable.bench import Bench, aim
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
 from render.engine.random import Streams
 

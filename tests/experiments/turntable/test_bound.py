@@ -6,18 +6,11 @@ from scipy.spatial.transform import Rotation
 
 from calib.cameras import BrownConrady, SensorGeometry
 from experiments.laboratory.collimator import star_direction
+from experiments.laboratory.single_star.bench import Bench, aim, visit
+from experiments.laboratory.single_star.derivatives import design, reading_covariance_px2
+from experiments.laboratory.single_star.reduce import Data, reduce_data
 from experiments.laboratory.turntable import build_turntable
-from experiments.turntable.bench import Bench, aim, visit
-from experiments.turntable.bound import (
-    bound,
-    closed_form_px,
-    design,
-    field_sweep,
-    knowledge,
-    noise_shares,
-    reading_covariance_px2,
-)
-from experiments.turntable.reduce import Data, reduce_data
+from experiments.turntable.bound import bound, closed_form_px, field_sweep, knowledge, noise_shares
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams

@@ -11,13 +11,15 @@ from scipy.stats import chi2
 from calib.cameras import BrownConrady, SensorGeometry
 from experiments.harness.config import load_config
 from experiments.laboratory.collimator import star_direction
+from experiments.laboratory.single_star.bench import Bench, aim
+from experiments.laboratory.single_star.reduce import Data, check_count, check_fit, check_parity, reduce_data
+from experiments.laboratory.single_star.setup import averaged, build_table, check_table, grid_px
 from experiments.laboratory.turntable import build_turntable
-from experiments.turntable.bench import Bench, aim
 from experiments.turntable.evaluate import RENDERED_QUANTILE, point_over_line, rendered_limit, unit_of
-from experiments.turntable.experiment import Config, main
-from experiments.turntable.measure import TracedMap, averaged, build_table, check_table, grid_px
-from experiments.turntable.reduce import Data, check_count, check_fit, check_parity, judge, reduce_data
+from experiments.turntable.experiment import ADVICE, Config, main
+from experiments.turntable.reduce import judge
 from experiments.turntable.study import Coordinates, monte_carlo
+from experiments.turntable.traced import TracedMap
 from optics.errors import ConfigError, DomainError
 from render.engine.random import Streams
 
@@ -53,7 +55,7 @@ def test_exact_data_give_the_truth_back(axes: str) -> None:
     believed = setup.bench.table.nominal
     check_parity(exact, believed, START, AHEAD)
     found = judge(reduce_data(exact, believed, START, leans=True), exact, believed, MAP)
-    check_fit(found.calibration, "exact")
+    check_fit(found.calibration, "exact", ADVICE)
     solution = found.calibration.solution
     np.testing.assert_allclose(found.star, setup.bench.star, atol=1e-7)
     # the lean is linearised by the estimator: 8 arcsec squared is 1.5e-9 rad
@@ -113,7 +115,7 @@ def test_a_fit_that_does_not_fit_is_no_result() -> None:
     data = setup.draw(Streams(3), 0)
     wrong = replace(data, pixel_px=np.roll(data.pixel_px, 1, axis=0))
     with pytest.raises(DomainError, match=r"reduction\.axes"):
-        check_fit(reduce_data(wrong, setup.bench.table.nominal, START, leans=True), "wrong")
+        check_fit(reduce_data(wrong, setup.bench.table.nominal, START, leans=True), "wrong", ADVICE)
 
 
 def test_readings_average() -> None:

@@ -19,7 +19,7 @@ from optics.errors import DomainError
 from optics.records import freeze
 from render.engine.random import Streams
 
-__all__ = ["Bench", "Visits", "aim", "angle_effect", "lean_effect", "visit"]
+__all__ = ["Bench", "Visits", "aim", "visit"]
 
 
 AIM_STEPS = 60
@@ -146,21 +146,3 @@ def visit(
         reading_rad=np.mean([bench.table.read(true, streams, call=i) for i in range(readings)], axis=0),
         direction=bench.seen(true),
     )
-
-
-def angle_effect(bench: Bench, angle_rad: FloatArray) -> FloatArray:
-    """What an angle does to the direction in cam: (n, k, 3) per radian.
-
-    From v = M R^T s and dR = [w x] R: dv = -M R^T (w x s).
-    """
-    return _effect(bench, angle_rad, bench.table.angle_rates(angle_rad))
-
-
-def lean_effect(bench: Bench, angle_rad: FloatArray) -> FloatArray:
-    """What a non-orthogonality does to the direction in cam: (n, k - 1, 3) per radian."""
-    return _effect(bench, angle_rad, bench.table.lean_rates(angle_rad))
-
-
-def _effect(bench: Bench, angle_rad: FloatArray, rates: FloatArray) -> FloatArray:
-    to_cam = bench.installation.as_matrix() @ np.swapaxes(bench.table.rotation(angle_rad).as_matrix(), 1, 2)
-    return np.asarray(np.cross(bench.star, rates) @ np.swapaxes(to_cam, 1, 2))

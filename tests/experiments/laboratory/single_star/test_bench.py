@@ -5,8 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from experiments.laboratory.collimator import star_angles_deg, star_direction
+from experiments.laboratory.single_star.bench import Bench, aim, visit
+from experiments.laboratory.single_star.derivatives import angle_effect, lean_effect
 from experiments.laboratory.turntable import build_turntable
-from experiments.turntable.bench import Bench, aim, angle_effect, lean_effect, visit
 from optics.errors import DomainError
 from optics.frames import field_direction
 from optics.units import ARCSEC_RAD

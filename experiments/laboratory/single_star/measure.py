@@ -1,0 +1,127 @@
+"""Rendering and reading the star at every place that its image visits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.single_star.bench import Bench, Visits, visit
+from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
+from experiments.laboratory.single_star.setup import build_bench, build_star, grid_px
+from experiments.laboratory.windows import StarReadings, WindowPlan, read_windows
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.records import freeze
+from render.engine.random import Streams
+from render.forward import StarRenderer
+from render.tracing.psf import epsf_tracer, render_epsf
+
+__all__ = ["Measurement", "measure"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measurement:
+    """One table's run.
+
+    Attributes
+    ----------
+    bench : Bench
+        As it really is.
+    visits : Visits
+        Angles and directions.
+    bundle_px : (n, 2)
+        Truth: mean of the traced bundle at every place.
+    readings : StarReadings
+        Centroids.
+    """
+
+    bench: Bench
+    visits: Visits
+    bundle_px: FloatArray
+    readings: StarReadings
+
+    def __post_init__(self) -> None:
+        freeze(self, "bundle_px", shape=(len(self.visits), 2))
+
+
+def measure(
+    config: SingleStarConfig,
+    instrument: Instrument,
+    table: TableConfig,
+    streams: Streams,
+    *,
+    advance: Callable[[], None],
+) -> Measurement:
+    """Turn, render, read.
+
+    Parameters
+    ----------
+    config, instrument, table
+        What to do, with which camera, on which table.
+    streams : Streams
+        Root of the noise of this run.
+    advance : callable
+        Called after each of four steps.
+
+    Raises
+    ------
+    DomainError
+        If the star leaves the detector or the field of the lens, is not seen or is saturated.
+    """
+    camera, bench = instrument.camera, build_bench(config, table)
+    wanted = grid_px(config, instrument)
+    aimed = camera.nominal_direction(wanted[:, 0], wanted[:, 1], instrument.focal_length_mm)
+    rolls = np.radians(table.rolls_deg)
+    visits = visit(bench, wanted, aimed, rolls[np.arange(len(wanted)) % len(rolls)], streams, readings=config.frames)
+    _check_field(visits, instrument)
+    stars = build_star(config).seen(visits.direction, instrument)
+    advance()
+    expected = StarRenderer(camera, exposure_s=instrument.config.exposure_s).render(stars)
+    assert expected.truth is not None
+    bundle = np.column_stack([expected.truth.bundle_x_px, expected.truth.bundle_y_px])
+    _check_places(bundle, instrument, config.window_px)
+    _check_spot(float(np.sqrt(np.max(expected.truth.variance_x_px2 + expected.truth.variance_y_px2))), config)
+    advance()
+    psfs = [row[0] for row in render_epsf(epsf_tracer(camera), stars, half_size_px=config.window_px // 2 + 1)]
+    advance()
+    plan = WindowPlan(size_px=config.window_px, frames=config.frames, dark_frames=config.dark_frames)
+    readings = read_windows(expected, bundle, psfs, instrument, plan, streams=streams)
+    advance()
+    return Measurement(bench=bench, visits=visits, bundle_px=bundle, readings=readings)
+
+
+def _check_field(visits: Visits, instrument: Instrument) -> None:
+    lens = instrument.camera.lens
+    v = visits.direction
+    off_axis = np.degrees(np.arctan2(np.hypot(v[:, 0], v[:, 1]), v[:, 2]))
+    if off_axis.max() > lens.max_field_deg:
+        at = int(np.argmax(off_axis))
+        raise DomainError(
+            f"place {at} needs the star at {off_axis[at]:.2f} deg from the axis; lens {lens.name!r} has a field of "
+            f"{lens.max_field_deg:g} deg; raise grid.edge_px"
+        )
+
+
+def _check_places(place_px: FloatArray, instrument: Instrument, window_px: int) -> None:
+    camera, half = instrument.camera, window_px // 2 + 1
+    limit = np.array([camera.width_px, camera.height_px]) - 1
+    inside = np.all((place_px >= half) & (place_px <= limit - half), axis=1)
+    if not inside.all():
+        at = int(np.argmin(inside))
+        raise DomainError(
+            f"the star is off the detector at {int((~inside).sum())} of {len(place_px)} places, first at column "
+            f"{place_px[at, 0]:.0f}, row {place_px[at, 1]:.0f} of {camera.width_px} x {camera.height_px} px; raise "
+            "grid.edge_px or lower setting_noise_arcsec"
+        )
+
+
+def _check_spot(radius_px: float, config: SingleStarConfig) -> None:
+    if 4.0 * radius_px > config.window_px:
+        raise DomainError(
+            f"the star's image has an RMS radius of {radius_px:.1f} px, for which window_px = {config.window_px} is "
+            f"too small (at least four RMS radii); come nearer to focus (instrument.defocus_mm = "
+            f"{config.instrument.defocus_mm:g} mm) or enlarge the window"
+        )

@@ -1,0 +1,112 @@
+"""Configuration of a bench with a single-star simulator and a turntable that carries the camera."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import Field, field_validator, model_validator
+
+from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.laboratory.settings import InstrumentConfig
+
+__all__ = ["LARGEST_STAR_ANGLE_DEG", "GridConfig", "SingleStarConfig", "StarConfig", "TableConfig"]
+
+LARGEST_STAR_ANGLE_DEG = 60.0
+LARGEST_INSTALLATION_DEG = 30.0
+
+
+class StarConfig(StrictModel):
+    """Single-star simulator; its direction is an unknown of the calibration."""
+
+    azimuth_deg: float = Field(
+        default=0.35,
+        ge=-LARGEST_STAR_ANGLE_DEG,
+        le=LARGEST_STAR_ANGLE_DEG,
+        description="true direction, from +Z towards +X",
+    )
+    elevation_deg: float = Field(
+        default=-0.25, ge=-LARGEST_STAR_ANGLE_DEG, le=LARGEST_STAR_ANGLE_DEG, description="true direction, towards +Y"
+    )
+    temperature_k: float = Field(default=5800.0, ge=1000, le=1e5, description="colour temperature")
+    passband_nm: tuple[float, float] = Field(default=(450.0, 900.0), description="pass band of the simulator")
+    edge_nm: float = Field(default=20.0, ge=0, le=400, description="length of the pass band's edges")
+    signal_e: float = Field(default=12000.0, gt=0, le=1e7, description="electrons per exposure on the axis")
+
+    @field_validator("passband_nm")
+    @classmethod
+    def _increasing(cls, values: tuple[float, float]) -> tuple[float, float]:
+        if not 0.0 < values[0] < values[1]:
+            raise ValueError("two increasing wavelengths are needed")
+        return values
+
+
+class TableConfig(StrictModel):
+    """A turntable; one number for all axes, or one per axis, outermost first."""
+
+    axes: str = Field(description="axes, outermost first, as letters of the laboratory frame, minus for left turns")
+    reading_noise_arcsec: tuple[float, ...] = Field(
+        description="standard deviation of a reading, per axis; one per frame"
+    )
+    non_orthogonality_arcsec: tuple[float, ...] = Field(description="90 deg minus the angle of neighbouring axes")
+    setting_noise_arcsec: float = Field(default=5.0, ge=0, le=1e4, description="how far from the commanded angle")
+    encoder_amplitude_arcsec: float = Field(default=0.0, ge=0, le=1e3, description="sinusoidal error of the readings")
+    encoder_cycles: int = Field(default=2, ge=1, le=100000, description="periods of that error per turn")
+    rolls_deg: tuple[float, ...] = Field(default=(0.0,), min_length=1, description="angles of a third, inner axis")
+
+    @field_validator("reading_noise_arcsec")
+    @classmethod
+    def _not_negative(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        if any(value < 0 for value in values):
+            raise ValueError(f"{list(values)} arcsec; a reading error cannot be negative")
+        return values
+
+
+class GridConfig(StrictModel):
+    """Places of the detector that the star's image visits."""
+
+    columns: int = Field(default=15, ge=1, le=200, description="places along a row")
+    rows: int = Field(default=9, ge=1, le=200, description="places along a column")
+    edge_px: float = Field(default=60.0, ge=0, description="distance of the outermost places from the edge")
+
+
+class SingleStarConfig(ExperimentConfig):
+    """Camera, simulator, and how the star is measured; tables are the experiment's own."""
+
+    instrument: InstrumentConfig = InstrumentConfig()
+    principal_point_px: tuple[float, float] = Field(
+        default=(12.0, -8.0), description="where the axis of the lens meets the detector, from its centre"
+    )
+    installation_deg: tuple[float, float, float] = Field(
+        default=(0.4, -0.7, 1.2), description="true installation (cam from table top), rotation vector"
+    )
+    star: StarConfig = StarConfig()
+    grid: GridConfig = GridConfig()
+    frames: int = Field(default=10, ge=2, le=10000, description="frames per place, each with a reading of the table")
+    dark_frames: int = Field(default=30, ge=2, le=10000, description="frames with the star off, per place")
+    window_px: int = Field(default=13, ge=7, le=41, description="window around the star, odd")
+
+    @model_validator(mode="after")
+    def _windows(self) -> Self:
+        if self.window_px % 2 == 0:
+            raise ValueError(f"window_px = {self.window_px}: an odd number is needed")
+        self.check_edge("grid.edge_px", self.grid.edge_px)
+        if max(abs(value) for value in self.installation_deg) > LARGEST_INSTALLATION_DEG:
+            raise ValueError(
+                f"installation_deg = {list(self.installation_deg)}: at most {LARGEST_INSTALLATION_DEG:g} deg about "
+                "each axis"
+            )
+        return self
+
+    def check_edge(self, key: str, edge_px: float) -> None:
+        """Refuse places so near to the edge that windows leave the detector.
+
+        Raises
+        ------
+        ValueError
+            Naming the key.
+        """
+        if edge_px < self.window_px:
+            raise ValueError(
+                f"{key} = {edge_px:g} px: at least window_px = {self.window_px} px is needed, or windows leave the "
+                "detector"
+            )

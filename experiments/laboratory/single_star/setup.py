@@ -1,0 +1,139 @@
+"""Camera, star, table and places of a configuration; what can be refused before anything is rendered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from experiments.laboratory.collimator import SingleStar
+from experiments.laboratory.instrument import Instrument, build_instrument
+from experiments.laboratory.readout.search import SEARCH_PX
+from experiments.laboratory.single_star.bench import Bench
+from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
+from experiments.laboratory.turntable import Turntable, axis_directions, build_turntable
+from optics.arrays import FloatArray
+from optics.errors import ConfigError, DomainError
+from optics.light.band import TopHat
+from optics.light.spectrum import Blackbody
+
+__all__ = ["averaged", "build_bench", "build_star", "build_table", "camera_under_test", "check_table", "grid_px"]
+
+
+LEAST_COVERAGE = 0.5
+"""Of the width and of the height of the detector; below, a calibration says nothing about the rest of the field."""
+
+
+def camera_under_test(config: SingleStarConfig) -> Instrument:
+    """The instrument, its lens axis beside the centre of the detector as configured."""
+    instrument = build_instrument(config.instrument)
+    camera = instrument.camera
+    return replace(instrument, camera=replace(camera, centre_px=camera.centre_px + config.principal_point_px))
+
+
+def build_star(config: SingleStarConfig) -> SingleStar:
+    """The single-star simulator."""
+    low, high = config.star.passband_nm
+    return SingleStar(
+        azimuth_deg=config.star.azimuth_deg,
+        elevation_deg=config.star.elevation_deg,
+        spectrum=Blackbody(temperature_k=config.star.temperature_k),
+        band=TopHat(
+            centre_nm=(low + high) / 2, width_nm=high - low, edge_nm=config.star.edge_nm, name="star simulator"
+        ),
+        signal_e=config.star.signal_e,
+    )
+
+
+def build_table(config: TableConfig, axes: str | None = None) -> Turntable:
+    """The table of a configuration; other ``axes`` are what somebody believes of it."""
+    return build_turntable(
+        axes or config.axes,
+        non_orthogonality_arcsec=_spread(config.non_orthogonality_arcsec),
+        reading_noise_arcsec=_spread(config.reading_noise_arcsec),
+        setting_noise_arcsec=config.setting_noise_arcsec,
+        encoder_amplitude_arcsec=config.encoder_amplitude_arcsec,
+        encoder_cycles=config.encoder_cycles,
+    )
+
+
+def check_table(key: str, config: TableConfig, count: int) -> None:
+    """Refuse a table of another number of axes, or with a number of errors that does not fit to them.
+
+    Raises
+    ------
+    ConfigError
+        Naming the key.
+    """
+    try:
+        directions = axis_directions(config.axes)
+    except ConfigError as error:
+        raise ConfigError(f"{key}.axes: {error}") from None
+    found = len(directions)
+    if found != count:
+        raise ConfigError(f"{key}.axes = {config.axes!r}: {count} axes are needed, {found} given")
+    for outer, inner in pairwise(directions):
+        if abs(float(outer @ inner)) > 0.5:
+            raise ConfigError(
+                f"{key}.axes = {config.axes!r}: neighbouring axes are the same; they have to be square, like 'xy' or "
+                "'xyz'"
+            )
+    for name, wanted in (("reading_noise_arcsec", count), ("non_orthogonality_arcsec", count - 1)):
+        values = getattr(config, name)
+        if len(values) not in (1, wanted):
+            raise ConfigError(
+                f"{key}.{name} = {list(values)}: {len(values)} values where {wanted} are needed, or one for all"
+            )
+
+
+def averaged(table: Turntable, readings: int) -> Turntable:
+    """The table as the mean of several readings shows it: what is random in them averages out."""
+    return replace(table, reading_noise_arcsec=table.reading_noise_arcsec / np.sqrt(readings))
+
+
+def _spread(values: tuple[float, ...]) -> float | tuple[float, ...]:
+    return values[0] if len(values) == 1 else values
+
+
+def build_bench(config: SingleStarConfig, table: TableConfig) -> Bench:
+    """Star, table and mounting."""
+    return Bench(
+        table=build_table(table),
+        star=build_star(config).direction,
+        installation=Rotation.from_rotvec(np.radians(config.installation_deg)),
+    )
+
+
+def grid_px(config: SingleStarConfig, instrument: Instrument) -> FloatArray:
+    """Places (n, 2) that the image is to visit, row by row.
+
+    Raises
+    ------
+    DomainError
+        If they do not fit, or cover too little of the detector.
+    """
+    grid, camera = config.grid, instrument.camera
+    size = np.array([camera.width_px, camera.height_px])
+    reach = size - 1 - 2 * grid.edge_px
+    if reach.min() < 0:
+        raise DomainError(
+            f"grid.edge_px = {grid.edge_px:g} px leaves nothing of a detector of {size[0]} x {size[1]} px; lower it"
+        )
+    counts = np.array([grid.columns, grid.rows])
+    coverage = np.where(counts > 1, reach / size, 0.0)
+    if coverage.min() < LEAST_COVERAGE:
+        raise DomainError(
+            f"{grid.columns} x {grid.rows} places at grid.edge_px = {grid.edge_px:g} px cover {coverage[0]:.0%} of the "
+            f"detector's width and {coverage[1]:.0%} of its height; at least {LEAST_COVERAGE:.0%} of both is needed: "
+            "lower grid.edge_px, raise grid.columns or grid.rows"
+        )
+    x, y = (np.linspace(grid.edge_px, n - 1 - grid.edge_px, c) for n, c in zip(size, counts, strict=True))
+    apart = min(np.diff(x).min(), np.diff(y).min())
+    if apart < SEARCH_PX + config.window_px:  # one image holds the star at all places
+        raise DomainError(
+            f"{grid.columns} x {grid.rows} places lie {apart:.0f} px apart; at least {SEARCH_PX + config.window_px} px "
+            "is needed: lower grid.columns or grid.rows"
+        )
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

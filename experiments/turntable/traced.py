@@ -1,0 +1,59 @@
+"""The truth of the camera under test: where a traced lens images directions, without any camera model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.single_star.setup import build_star
+from experiments.turntable.settings import Config
+from optics.arrays import FloatArray
+from optics.frames import field_angles_deg
+from optics.records import freeze
+from optics.units import DEG_RAD
+from render.tracing.tracer import Tracer
+
+__all__ = ["TracedMap", "traced_map"]
+
+
+MAP_COLUMNS, MAP_ROWS = 33, 17
+"""Points of the truth over the detector."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TracedMap:
+    """The truth of a camera: where the light of directions lands, by ray trace, without model.
+
+    Attributes
+    ----------
+    direction : (m, 3)
+        Unit vectors in cam.
+    pixel_px : (m, 2)
+        Photon-weighted mean of the traced bundle.
+    """
+
+    direction: FloatArray
+    pixel_px: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "direction", shape=("m", 3), sizes=sizes)
+        freeze(self, "pixel_px", shape=("m", 2), sizes=sizes)
+
+
+def traced_map(config: Config, instrument: Instrument) -> TracedMap:
+    """The camera's truth over the whole detector, for the light of the star simulator."""
+    camera = instrument.camera
+    x, y = (np.linspace(0, n - 1, c) for n, c in ((camera.width_px, MAP_COLUMNS), (camera.height_px, MAP_ROWS)))
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    direction = camera.nominal_direction(grid[:, 0], grid[:, 1], instrument.focal_length_mm)
+    field_x, field_y = field_angles_deg(direction)
+    within = np.hypot(np.tan(field_x * DEG_RAD), np.tan(field_y * DEG_RAD)) <= np.tan(
+        camera.lens.max_field_deg * DEG_RAD
+    )
+    direction = direction[within]
+    pixel = Tracer(camera).bundle_means(build_star(config).seen(direction, instrument))[:, 0]
+    seen = np.isfinite(pixel).all(axis=1)
+    return TracedMap(direction=direction[seen], pixel_px=pixel[seen])
