@@ -28,6 +28,7 @@ Places = str | Mapping[str, str | Sequence[str]]
 WHOLE = "*"
 
 _SHOWN = {"arcsec": "″", "arcmin": "′", "deg": "°", "um": "µm", "e-": "e⁻", "e-/s": "e⁻/s", "sigma": "σ"}
+_SHOWN |= {"percent": "%"}
 
 
 def shown_unit(unit: str) -> str:
@@ -120,9 +121,9 @@ class Quantities:
         json : str or mapping, optional
             Place in ``summary.json``, if not ``name``: "levels[level].methods[method].measured" is a list over the
             numbered dimension ``level`` of records, in which ``methods`` has a record for every method. Dimensions that
-            are not named follow at the end; "found[method][axis].value" nests records of two. "" leaves it out. A
-            mapping gives the parts at coordinates of the first dimension places of their own, one or several, and the
-            whole the place under "*".
+            are not named follow at the end; "found[method][axis].value" nests records of two, "[method].found" puts a
+            record for every method at the top. "" leaves it out. A mapping gives the parts at coordinates of the first
+            dimension places of their own, one or several, and the whole the place under "*".
         json_error : str or mapping, optional
             Place of the uncertainty, where it does not stand with the value in one record.
 
@@ -310,17 +311,23 @@ def _apart(json: Places, one: Quantity, data: xr.Dataset) -> list[tuple[str, Qua
 
 def _placed(path: Sequence[str], one: Quantity, data: xr.Dataset) -> dict[str, Any]:
     """A quantity at its place, in nested records that hold nothing else."""
-    matched = re.fullmatch(r"(\w+)((?:\[\w+\])*)", path[0])
-    if matched is None:
-        raise ConfigError(f"quantity {one.name!r}: {path[0]!r} in json is not NAME or NAME[DIMENSION]...")
+    matched = re.fullmatch(r"(\w*)((?:\[\w+\])*)", path[0])
+    if matched is None or not path[0]:
+        raise ConfigError(f"quantity {one.name!r}: {path[0]!r} in json is not NAME, NAME[DIMENSION]... or [DIMENSION]")
     dims = re.findall(r"\w+", matched[2])
     for dim in dims:
         if dim not in one.dims:
             raise unknown_name(f"dimension of quantity {one.name!r}:", dim, one.dims)
-    if len(path) == 1:
+    if len(path) > 1:
+        spread = _spread(dims, one, data, lambda part: _placed(path[1:], part, data))
+    else:
         dims += [dim for dim in one.dims if dim not in dims]
-        return {matched[1]: _spread(dims, one, data, Quantity.scalar)}
-    return {matched[1]: _spread(dims, one, data, lambda part: _placed(path[1:], part, data))}
+        spread = _spread(dims, one, data, Quantity.scalar)
+    if matched[1]:
+        return {matched[1]: spread}
+    if not isinstance(spread, dict):
+        raise ConfigError(f"quantity {one.name!r}: {path[0]!r} in json stands for no records; put a name before it")
+    return spread
 
 
 def _spread(dims: Sequence[str], one: Quantity, data: xr.Dataset, inner: Callable[[Quantity], Any]) -> Any:

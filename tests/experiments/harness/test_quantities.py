@@ -100,6 +100,21 @@ def test_the_whole_and_a_part_with_several_places():
     }
 
 
+def test_records_at_the_top():
+    q = Quantities()
+    q.axis("lens", ["centred", "moved"])
+    q.axis("level", [1.0, 2.0])
+    q.add("a", [[1, 2], [3, 4]], dims="lens level", json="[lens].found.a")
+    q.add("b", [5, 6], dims="lens", json="[lens].b")
+    assert to_results(q.dataset) == {
+        "centred": {"found": {"a": [1, 2]}, "b": 5},
+        "moved": {"found": {"a": [3, 4]}, "b": 6},
+    }
+    q.add("c", [7, 8], dims="level", json="[level].c")
+    with pytest.raises(ConfigError, match="stands for no records"):
+        to_results(q.dataset)
+
+
 def test_uncertainty_and_samples_travel_with_the_value(q):
     cell = to_results(q.dataset)["te_arcsec"][1]["epsf"]["y"]
     assert cell == Measured(value=7.0, unit="arcsec", uncertainty=0.5, n=30)
