@@ -19,10 +19,11 @@ from numpy.typing import ArrayLike
 from optics.arrays import FloatArray
 from optics.records import freeze
 
-__all__ = ["ECSS", "PRINTED", "PUBLISHED", "TERMS", "Budget", "Value", "combine", "published"]
+__all__ = ["ECSS", "PRINTED", "PUBLISHED", "SUMS", "TERMS", "Budget", "Value", "combine", "published"]
 
 
 TERMS = ("TE", "HSFE", "LSFE-S", "LSFE-C1", "LSFE-C2")
+SUMS = ("LSFE", "total", "attitude")
 ECSS = {
     "TE": "temporal noise",
     "HSFE": "pixel spatial error",

@@ -1,26 +1,18 @@
-"""Error budget of a star camera: predicted without frames, measured on rendered ones, beside the published (ACC18).
-
-From one instrument (lens, detector, light, centroider, stars) every term is predicted by noise analysis, PSF sampling
-and ray trace, and measured by running the virtual laboratory; both add up by eq. 31-32. Then: the budget against any
-parameter (--sweep defocus_mm=-0.2:0.2:9), sensitivities, lenses as built, and the attitude from N stars.
-"""
+"""The error budget: run and declaration."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from experiments.budget.settings import Config
-from experiments.harness.legacy import legacy_command as command
+from experiments.harness.cli import command
+from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
-from experiments.harness.summary import Criterion
 
 if TYPE_CHECKING:
     from experiments.budget.result import Result
-    from experiments.harness.report import Report
-    from experiments.harness.tables import Table
 
-__all__ = ["Config", "main", "report", "run", "summary", "tables"]
+__all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
@@ -48,7 +40,6 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.budget.terms import Psfs, measure_terms, predict_terms, steps_of
     from experiments.budget.tolerances import tolerance_study
     from experiments.budget.tune import differences
-    from experiments.harness.provenance import peak_memory_mb, process_seconds
     from experiments.laboratory.checks import check_light
     from experiments.laboratory.target import corner_directions
     from render.engine.random import Streams
@@ -86,39 +77,20 @@ def run(config: Config, *, progress: Progress) -> Result:
         tolerances=tolerances,
         attitude=attitude,
         changed=differences(config),
-        runtime_s=process_seconds(),
-        peak_memory_mb=peak_memory_mb(),
     )
 
 
-def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:
-    """What goes into ``summary.json``."""
-    from experiments.budget.evaluate import criteria, results
-
-    return results(result), criteria(result)
-
-
-def tables(result: Result) -> Mapping[str, Table]:
-    """Tables written beside the report."""
-    from experiments.budget.tables import all_tables
-
-    return all_tables(result)
-
-
-def report(result: Result) -> Report:
-    """What ``report.html`` shows."""
-    from experiments.budget.report import build_report
-
-    return build_report(result)
-
-
-main = command(
-    "budget",
+experiment = Experiment(
+    name="budget",
     config=Config,
     run=run,
-    report=report,
-    summary=summary,
-    tables=tables,
+    takes="2 minutes (--quick: 25 s)",
+    examples={
+        "--quick": "a small run",
+        "--sweep detector.read_noise_e=2:20:10": "the budget against the read noise",
+        "--config acc18_tuned": "an instrument with the published budget",
+    },
+    extra="quantities:extra",
     show=("budget",),
     options={"sweep": ("sweep", "The budget against a parameter, e.g. defocus_mm=-0.2:0.2:9.")},
     quick={
@@ -135,3 +107,4 @@ main = command(
         "attitude.counts": [2, 5, 10, 30],
     },
 )
+main = command(experiment)

@@ -45,8 +45,6 @@ class Result:
         From the measured budget.
     changed : mapping of str to (object, object)
         Settings that differ from the defaults: default, here.
-    runtime_s, peak_memory_mb : float
-        Of the process up to the end of the run.
     """
 
     config: Config
@@ -59,8 +57,6 @@ class Result:
     tolerances: ToleranceStudy
     attitude: AttitudeStudy
     changed: Mapping[str, tuple[object, object]]
-    runtime_s: float
-    peak_memory_mb: float
 
     def ratio(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Predicted over measured (2,) and its standard deviation; NaN where nothing was found (`found`)."""

@@ -7,61 +7,75 @@ from typing import Any
 
 import numpy as np
 
-from experiments.budget.combine import ECSS, PRINTED, TERMS
-from experiments.budget.evaluate import as_measured
-from experiments.budget.result import Result
+from experiments.budget.combine import SUMS, TERMS
+from experiments.harness.pivot import Pivot, pivot
+from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Measured
 from experiments.harness.tables import Cell, Column, Table
 
-__all__ = ["all_tables", "sweep_in_short"]
+__all__ = ["tables"]
 
-LABELS = {
-    "TE": "TE",
-    "HSFE": "HSFE",
-    "LSFE-S": "LSFE-S, chromatic",
-    "LSFE-C1": "LSFE-C1, distortion",
-    "LSFE-C2": "LSFE-C2, marking",
-    "LSFE": "LSFE (eq. 31)",
-    "total": "total (eq. 32)",
-    "attitude": "attitude",
-}
-SUMS = ("LSFE", "total", "attitude")
+SWEPT = (*TERMS[:-1], "total")
+"""What tables and figures of a sweep show."""
 
 
-def _arcsec(name: str, key: str, format_spec: str = "") -> Column:
-    return Column(name=name, unit="″", key=key, format=format_spec)
+def tables(outcome: Outcome) -> Mapping[str, Table | Pivot]:
+    """Tables by the name of their file."""
+    upper = outcome.data.assign_coords(axis_label=("axis", ["X", "Y"]))
+    made: dict[str, Table | Pivot] = {
+        "budget": _budget(outcome),
+        "printed_slips": _slips(outcome),
+        "parts": _parts(outcome),
+        "chromatic": pivot(
+            upper,
+            Pivot(
+                rows="pair axis",
+                columns="predicted_table1_px measured_table1_px rms_shift_px",
+                caption="Chromatic term: mean shift between filters, halved (ACC18 eq. 16), signed.",
+            ),
+        ),
+        "tolerances": _tolerances(outcome),
+        "attitude": _attitude(outcome),
+        "attitude_curve": Pivot(
+            rows="stars",
+            across="component",
+            columns=" ".join(str(name) for name in outcome.data.data_vars if str(name).startswith("curve_")),
+            caption="Attitude error against the number of stars, 3 sigma.",
+        ),
+    }
+    if outcome.result.sweep is not None:
+        made["sweep"] = _sweep(outcome)
+    if outcome.result.tornado is not None:
+        made["tornado"] = _tornado(outcome)
+    if outcome.result.changed:
+        made["changed"] = _changed(outcome)
+    return made
 
 
-def _budget(result: Result) -> Table:
+def _columns(outcome: Outcome, names: str) -> list[Column]:
+    """Columns of single quantities, with heads of their own."""
+    return list(pivot(outcome.data, Pivot(columns=names, rows="term axis")).heads[2:])
+
+
+def _budget(outcome: Outcome) -> Table:
+    """Predicted, measured, published; words where there is no ratio."""
     rows: list[tuple[Cell, ...]] = []
-    for name in (*TERMS, *SUMS):
-        ratio, spread = result.ratio(name)
-        for axis, letter in enumerate("xy"):
-            given = name == "LSFE-C2"
-            told: Cell = Measured(value=float(ratio[axis]), uncertainty=float(spread[axis]))
-            if given or not np.isfinite(ratio[axis]):
-                told = "input" if given else "none found"
-            label = LABELS[name] if name != "attitude" else f"attitude, total / √{result.config.attitude.stars}"
-            rows.append(
-                (
-                    label,
-                    ECSS[name],
-                    letter,
-                    as_measured(result.predicted.budget[name], axis),
-                    as_measured(result.measured.budget[name], axis),
-                    float(PRINTED[name][axis] if name in PRINTED else result.published[name].arcsec[axis]),
-                    told,
-                )
-            )
+    for label, name in zip(outcome.names("term"), outcome.data["term"].values.tolist(), strict=True):
+        for axis in "xy":
+            at = {"term": name, "axis": axis}
+            cells = [outcome.value(f"{column}_arcsec", **at) for column in ("predicted", "measured", "published")]
+            ratio: Cell = outcome.value("ratio", **at)
+            if name == "LSFE-C2":
+                ratio = "input"
+            elif not np.isfinite(outcome.values("ratio", **at)):
+                ratio = "none found"
+            rows.append((label, outcome.value("ecss", term=name), axis, *cells, ratio))
     return Table(
         columns=(
             "Term",
-            Column(name="ECSS-E-ST-60-20C", key="ecss"),
+            Column(name=outcome.heading("ecss"), key="ecss"),
             "Axis",
-            _arcsec("Predicted", "predicted_arcsec"),
-            _arcsec("Measured", "measured_arcsec"),
-            _arcsec("Published", "published_arcsec", ".2f"),
-            Column(name="Predicted / measured", key="ratio"),
+            *_columns(outcome, "predicted_arcsec measured_arcsec published_arcsec ratio"),
         ),
         rows=rows,
         caption="The budget, 3 sigma; uncertainties are one standard deviation of that number.",
@@ -71,25 +85,26 @@ def _budget(result: Result) -> Table:
     )
 
 
-def _slips(result: Result) -> Table:
-    p = result.published
+def _slips(outcome: Outcome) -> Table:
+    """The sums as printed, and as the document's equations give them."""
+    equations = ("eq. 31 from the printed S, C1, C2", "eq. 32", "total / √10")
+    labels = dict(zip(outcome.data["term"].values.tolist(), outcome.names("term"), strict=True)) | {
+        "attitude": "attitude"
+    }
     rows: list[tuple[Cell, ...]] = []
-    for name, what in (
-        ("LSFE", "eq. 31 from the printed S, C1, C2"),
-        ("total", "eq. 32"),
-        ("attitude", "total / √10"),
-    ):
-        for axis, letter in enumerate("xy"):
-            value, printed = float(p[name].arcsec[axis]), PRINTED[name][axis]
+    for name, equation in zip(SUMS, equations, strict=True):
+        for axis in "xy":
+            at = {"term": name, "axis": axis}
+            printed, value = outcome.value("published_arcsec", **at), outcome.value("by_equations_arcsec", **at)
             agrees = abs(value - printed) <= 0.0051
-            rows.append((LABELS[name], what, letter, printed, value, "agrees" if agrees else "slip in print"))
+            rows.append((labels[name], equation, axis, printed, value, "agrees" if agrees else "slip in print"))
     return Table(
         columns=(
             "Sum",
             "By",
             "Axis",
-            _arcsec("Printed", "printed_arcsec", ".2f"),
-            _arcsec("Recomputed", "recomputed_arcsec", ".3f"),
+            Column(name="Printed", unit="″", key="printed_arcsec", format=".2f"),
+            Column(name="Recomputed", unit="″", key="recomputed_arcsec", format=".3f"),
             "Judgement",
         ),
         rows=rows,
@@ -98,216 +113,155 @@ def _slips(result: Result) -> Table:
     )
 
 
-def _parts(result: Result) -> Table:
-    a, b = result.predicted, result.measured
-    rows: list[tuple[Cell, ...]] = []
-
-    def add(label: str, predicted: Any, measured: Any = None) -> None:
-        seen = (None, None) if measured is None else (float(measured[0]), float(measured[1]))
-        rows.append((label, float(predicted[0]), float(predicted[1]), *seen))
-
-    add("TE: Cramér-Rao bound", a.bound_te_arcsec)
-    for name, value in a.causes_arcsec.items():
-        add(f"HSFE: {name}", value)
-    add("HSFE of one position, temporal noise removed", a.single_arcsec, b.single_arcsec)
-    add("σ_d: residual found", a.found_arcsec, b.found_arcsec)
-    add("σ_Dd: left by the polynomial", a.left_arcsec, b.left_arcsec)
-    add("σ_C1: removed by the polynomial (in the budget)", a.budget["LSFE-C1"].arcsec, b.budget["LSFE-C1"].arcsec)
+def _parts(outcome: Outcome) -> Table:
+    """What the terms are made of: predicted x and y, measured x and y where there is such a number."""
+    nothing = np.full(2, np.nan)
+    parts: list[tuple[str, Any, Any]] = [("TE: Cramér-Rao bound", outcome.values("bound_te_arcsec"), nothing)]
+    for cause in outcome.names("cause"):
+        parts.append((f"HSFE: {cause}", outcome.values("cause_arcsec", cause=cause), nothing))
+    both = ("predicted", "measured")
+    for label, name in (
+        ("HSFE of one position, temporal noise removed", "single"),
+        ("σ_d: residual found", "found"),
+        ("σ_Dd: left by the polynomial", "left"),
+    ):
+        predicted, measured = (outcome.values(f"{side}_{name}_arcsec") for side in both)
+        parts.append((label, predicted, measured))
+    predicted, measured = (outcome.values(f"{side}_arcsec", term="LSFE-C1") for side in both)
+    parts.append(("σ_C1: removed by the polynomial (in the budget)", predicted, measured))
+    x, y = outcome.values("survey_scatter_arcsec")
     return Table(
         columns=(
             "Part",
-            _arcsec("Predicted x", "predicted_x_arcsec", ".3f"),
-            _arcsec("Predicted y", "predicted_y_arcsec", ".3f"),
-            _arcsec("Measured x", "measured_x_arcsec", ".3f"),
-            _arcsec("Measured y", "measured_y_arcsec", ".3f"),
+            *(
+                Column(name=f"{side.capitalize()} {axis}", unit="″", key=f"{side}_{axis}_arcsec", format=".3f")
+                for side in both
+                for axis in "xy"
+            ),
         ),
-        rows=rows,
+        rows=[(label, *_cells(predicted), *_cells(measured)) for label, predicted, measured in parts],
         caption="What the terms are made of, 3 sigma.",
-        note=f"C1 is the RMS over {result.config.grid.surveys} surveys of the target; a single one scatters by "
-        f"{b.survey_scatter_arcsec[0]:.2f}″ (x) and {b.survey_scatter_arcsec[1]:.2f}″ (y).",
+        note=f"C1 is the RMS over {outcome.config.grid.surveys} surveys of the target; a single one scatters by "
+        f"{x:.2f}″ (x) and {y:.2f}″ (y).",
     )
 
 
-def _table1(result: Result) -> Table:
-    rows: list[tuple[Cell, ...]] = []
-    a, b = result.predicted.chromatic, result.measured.chromatic
-    for name in b.table1_px:
-        for axis, letter in enumerate("XY"):
-            measured = Measured(value=float(b.table1_px[name][axis]), uncertainty=float(b.sigma_px[name][axis]), n=b.n)
-            rows.append((name, letter, float(a.table1_px[name][axis]), measured, float(b.rms_px[name][axis])))
-    return Table(
-        columns=(
-            Column(name="Bands", unit="nm", key="bands"),
-            "Axis",
-            Column(name="Predicted", unit="px", key="predicted_px", format=".5f"),
-            Column(name="Measured", unit="px", key="measured_px"),
-            Column(name="RMS shift of a point", unit="px", key="rms_px", format=".4f"),
-        ),
-        rows=rows,
-        caption="Chromatic term: mean shift between filters, halved (ACC18 eq. 16), signed.",
-    )
+def _cells(values: Any) -> list[Cell]:
+    """Plain numbers for cells; None for NaN."""
+    return [float(v) if np.isfinite(v) else None for v in np.ravel(values)]
 
 
-def _sweep(result: Result) -> Table:
-    assert result.sweep is not None
-    rows: list[tuple[Cell, ...]] = []
-    for one in result.sweep.settings:
-        row: list[Cell] = [float(one.value), one.window_px]
-        for name in (*TERMS[:-1], "total"):
-            row += [None, None] if one.predicted is None else [float(v) for v in one.predicted[name].arcsec]
-        if result.config.sweep_measured:
-            values = one.measured.budget["total"] if one.measured is not None else None
-            row += [None, None] if values is None else [as_measured(values, 0), as_measured(values, 1)]
-        rows.append((*row, one.refusal or None))
+def _sweep(outcome: Outcome) -> Table:
+    """The budget at every value of a parameter, at full precision."""
+    sweep = outcome.result.sweep
+    predicted = np.stack([outcome.values("sweep_predicted_arcsec", term=name) for name in SWEPT], axis=1)
+    windows = outcome.values("sweep_window_px").tolist()
+    rows: list[list[Cell]] = [
+        [float(value), window, *_cells(numbers)]
+        for value, window, numbers in zip(outcome.values("sweep_value"), windows, predicted, strict=True)
+    ]
     columns = [
-        Column(name=result.sweep.key, key="value", format=".5g"),
+        Column(name=sweep.key, key="value", format=".5g"),
         Column(name="Window", unit="px", key="window_px"),
     ]
-    for name in (*TERMS[:-1], "total"):
-        columns += [_arcsec(f"{name} {a}", f"{name.lower().replace('-', '_')}_{a}", ".3f") for a in "xy"]
-    if result.config.sweep_measured:
-        columns += [_arcsec(f"measured total {a}", f"measured_total_{a}") for a in "xy"]
-    columns.append(Column(name="Refused because", key="refusal"))
-    if not any(one.refusal for one in result.sweep.settings):
-        columns, rows = columns[:-1], [row[:-1] for row in rows]
-    return Table(columns=columns, rows=rows, caption=f"The budget against {result.sweep.key}, predicted, 3 sigma.")
+    for name in SWEPT:
+        key = name.lower().replace("-", "_")
+        columns += [Column(name=f"{name} {a}", unit="″", key=f"{key}_{a}", format=".3f") for a in "xy"]
+    if outcome.config.sweep_measured:
+        columns += [Column(name=f"measured total {a}", unit="″", key=f"measured_total_{a}") for a in "xy"]
+        rows = [[*row, *_measured_total(outcome, setting)] for setting, row in enumerate(rows)]
+    if any(one.refusal for one in sweep.settings):
+        columns.append(Column(name="Refused because", key="refusal"))
+        rows = [[*row, one.refusal or None] for row, one in zip(rows, sweep.settings, strict=True)]
+    return Table(columns=columns, rows=rows, caption=f"The budget against {sweep.key}, predicted, 3 sigma.")
 
 
-def sweep_in_short(result: Result) -> Table:
-    """The sweep with x and y in one cell, for the report."""
-    assert result.sweep is not None
-    names = (*TERMS[:-1], "total")
-    rows: list[tuple[Cell, ...]] = []
-    for one in result.sweep.settings:
-        row: list[Cell] = [float(one.value), one.window_px]
-        for name in names:
-            row.append("–" if one.predicted is None else _both(one.predicted[name].arcsec))
-        if result.config.sweep_measured:
-            row.append("–" if one.measured is None else _both(one.measured.budget.total.arcsec))
-        rows.append(tuple(row))
-    columns = [Column(name=result.sweep.key, format=".5g"), Column(name="Window", unit="px")]
-    columns += [Column(name=name, unit="″") for name in names]
-    if result.config.sweep_measured:
-        columns.append(Column(name="total, measured", unit="″"))
-    return Table(
-        columns=columns,
-        rows=rows,
-        caption=f"The budget against {result.sweep.key}, predicted, 3 sigma, x and y.",
-        note="A dash: refused, see the text. Full precision in sweep.ecsv.",
+def _measured_total(outcome: Outcome, setting: int) -> list[Cell]:
+    """Measured total, x and y, of one value of the parameter."""
+    if outcome.result.sweep.settings[setting].measured is None:
+        return [None, None]
+    total = outcome.data.sel(term="total").isel(setting=setting)
+    pairs = zip(total["sweep_measured_arcsec"].values, total["sweep_measured_arcsec_error"].values, strict=True)
+    return [Measured(value=float(value), unit="arcsec", uncertainty=float(error)) for value, error in pairs]
+
+
+def _tornado(outcome: Outcome) -> Table:
+    """Parameters, their ends, and the change of the total at both."""
+    table = pivot(
+        outcome.data,
+        Pivot(rows="swing", hidden="swing", columns="swing_label swing_key swing_low swing_high"),
     )
-
-
-def _both(values: Any) -> str:
-    return f"{float(values[0]):.3f}, {float(values[1]):.3f}"
-
-
-def _tornado(result: Result) -> Table:
-    assert result.tornado is not None
-    rows: list[tuple[Cell, ...]] = []
-    for swing in result.tornado.swings:
-        change = swing.change("total", result.tornado.base)
-        numbers = [float(v) for v in change.T.ravel()]
-        label = f"{swing.label} [{swing.unit}]" if swing.unit else swing.label
-        rows.append((label, swing.key, swing.low, swing.high, *numbers))
+    change = outcome.values("total_change_arcsec").transpose(0, 2, 1).reshape(-1, 4).tolist()
+    ends = [
+        Column(name=f"{axis}, {end}", unit="″", key=f"{axis}_{end}_arcsec", format="+.4f")
+        for axis in "xy"
+        for end in ("low", "high")
+    ]
     return Table(
-        columns=(
-            "Parameter",
-            "Key",
-            Column(name="Low", format=".5g"),
-            Column(name="High", format=".5g"),
-            _arcsec("x, low", "x_low_arcsec", "+.4f"),
-            _arcsec("x, high", "x_high_arcsec", "+.4f"),
-            _arcsec("y, low", "y_low_arcsec", "+.4f"),
-            _arcsec("y, high", "y_high_arcsec", "+.4f"),
-        ),
-        rows=rows,
+        columns=(*table.heads, *ends),
+        rows=[(*row, *one) for row, one in zip(table.rows, change, strict=True)],
         caption="Change of the predicted total, 3 sigma, when one parameter moves by its tolerance.",
     )
 
 
-def _tolerances(result: Result) -> Table:
-    built = result.tolerances
-    rows: list[tuple[Cell, ...]] = []
-    for label, values, design in (
-        ("LSFE-S, chromatic", built.chromatic_arcsec, built.design_arcsec["chromatic"]),
-        ("distortion, calibrated", built.distortion_arcsec, built.design_arcsec["distortion"]),
-        ("both", built.lsfe_arcsec, np.hypot(built.design_arcsec["chromatic"], built.design_arcsec["distortion"])),
-        ("distortion, moved after calibration", built.uncalibrated_arcsec, np.zeros(2)),
-    ):
-        for axis, letter in enumerate("xy"):
-            quantiles = [float(v) for v in np.percentile(values[:, axis], [50, 90, 95, 99])]
-            rows.append((label, letter, float(design[axis]), *quantiles))
-    return Table(
-        columns=(
-            "Error",
-            "Axis",
-            _arcsec("Design", "design_arcsec", ".3f"),
-            *(_arcsec(f"{p} %", f"p{p}_arcsec", ".3f") for p in (50, 90, 95, 99)),
-        ),
-        rows=rows,
-        caption=f"{len(built.chromatic_arcsec)} lenses as built: the error that so many of them stay below, 3 sigma.",
-        note=f"Chromatic: of all the light, by ray trace. {built.lost} lenses were left out. "
-        f"One sigma of every element: decentre {result.config.tolerances.decentre_um:g} µm and tilt "
-        f"{result.config.tolerances.tilt_arcmin:g} arcmin per axis, despace "
-        f"{result.config.tolerances.despace_um:g} µm.",
+def _tolerances(outcome: Outcome) -> Pivot:
+    tolerance = outcome.config.tolerances
+    return Pivot(
+        rows="built_error axis",
+        across="percentile",
+        columns="design_arcsec built_arcsec",
+        caption=f"{outcome.value('lenses')} lenses as built: the error that so many of them stay below, 3 sigma.",
+        note=f"Chromatic: of all the light, by ray trace. {outcome.value('lost')} lenses were left out. "
+        f"One sigma of every element: decentre {tolerance.decentre_um:g} µm and tilt "
+        f"{tolerance.tilt_arcmin:g} arcmin per axis, despace {tolerance.despace_um:g} µm.",
     )
 
 
-def _attitude(result: Result) -> Table:
-    study = result.attitude
-    rows: list[tuple[Cell, ...]] = []
-    for label, key in (
-        ("LSFE independent from star to star", "independent"),
-        ("chromatic common, distortion a smooth map", "as it is"),
-        ("all LSFE common to all stars", "common"),
-    ):
-        rows.append((label, "whole field", *_with_ratio(study.at[key], study.rule_at, study.relative_uncertainty)))
-    for name, value in study.layout.items():
-        if name != "whole field":
-            ratio = _with_ratio(value, study.rule_at, study.relative_uncertainty)
-            rows.append(("LSFE independent from star to star", name, *ratio))
+READINGS = {
+    "independent": "LSFE independent from star to star",
+    "as it is": "chromatic common, distortion a smooth map",
+    "common": "all LSFE common to all stars",
+}
+
+
+def _attitude(outcome: Outcome) -> Table:
+    """At N of the budget: readings of the low-frequency error, then stars in a part of the field only."""
+    rule, relative = outcome.values("attitude_rule_arcsec"), outcome.value("attitude_uncertainty")
+    cases = [(label, "whole field", outcome.values("attitude_arcsec", reading=key)) for key, label in READINGS.items()]
+    cases += [
+        (READINGS["independent"], name, outcome.values("layout_arcsec", layout=name))
+        for name in outcome.names("layout")
+        if name != "whole field"
+    ]
+    rows: list[tuple[Cell, ...]] = [
+        (
+            label,
+            where,
+            *(Measured(value=float(v), uncertainty=float(v) * relative) for v in values),
+            *(values / rule).tolist(),
+        )
+        for label, where, values in cases
+    ]
+    components = outcome.names("component")
     return Table(
         columns=(
             "Low-frequency error",
             "Stars in",
-            _arcsec("x", "x_arcsec"),
-            _arcsec("y", "y_arcsec"),
-            _arcsec("roll", "roll_arcsec"),
-            Column(name="x / rule", key="x_ratio", format=".2f"),
-            Column(name="y / rule", key="y_ratio", format=".2f"),
-            Column(name="roll / rule", key="roll_ratio", format=".2f"),
+            *(Column(name=name, unit="″", key=f"{name}_arcsec") for name in components),
+            *(Column(name=f"{name} / rule", key=f"{name}_ratio", format=".2f") for name in components),
         ),
         rows=rows,
-        caption=f"Attitude from {study.stars} stars: {study.trials} fields through the estimator, 3 sigma.",
+        caption=f"Attitude from {outcome.value('attitude_stars')} stars: {outcome.value('attitude_trials')} fields "
+        "through the estimator, 3 sigma.",
         note="x, y: displacement of the boresight. Rule: total / √N; for roll also divided by the RMS distance of a "
-        "star from the middle of the field: "
-        f"{study.rule_at[0]:.3f}″, {study.rule_at[1]:.3f}″, {study.rule_at[2]:.2f}″.",
+        f"star from the middle of the field: {rule[0]:.3f}″, {rule[1]:.3f}″, {rule[2]:.2f}″.",
     )
 
 
-def _with_ratio(value: Any, rule: Any, relative: float) -> list[Cell]:
-    cells: list[Cell] = [Measured(value=float(v), uncertainty=float(v) * relative) for v in value]
-    return [*cells, *(float(v / r) for v, r in zip(value, rule, strict=True))]
-
-
-def _curve(result: Result) -> Table:
-    study = result.attitude
-    rows: list[tuple[Cell, ...]] = []
-    for i, count in enumerate(study.counts):
-        row: list[Cell] = [int(count)]
-        for values in (study.rule, study.bound, *study.curve.values()):
-            row += [float(v) for v in values[i]]
-        rows.append(tuple(row))
-    columns = [Column(name="Stars", key="stars")]
-    for name in ("rule", "estimator", *study.curve):
-        columns += [_arcsec(f"{name} {a}", f"{name.replace(' ', '_')}_{a}_arcsec", ".4g") for a in ("x", "y", "roll")]
-    return Table(columns=columns, rows=rows, caption="Attitude error against the number of stars, 3 sigma.")
-
-
-def _changed(result: Result) -> Table:
+def _changed(outcome: Outcome) -> Table:
     rows: list[tuple[Cell, ...]] = [
         (key, _text(was) if was is not None else "data file" if key.startswith("detector.") else "none", _text(now))
-        for key, (was, now) in result.changed.items()
+        for key, (was, now) in outcome.result.changed.items()
     ]
     return Table(
         columns=(Column(name="Setting", key="setting"), "Default", Column(name="Here", key="here")),
@@ -320,23 +274,3 @@ def _text(value: object) -> str:
     if isinstance(value, tuple | list) and len(value) > 4:
         return f"{len(value)} values"
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def all_tables(result: Result) -> Mapping[str, Table]:
-    """Tables by the name of their file."""
-    made = {
-        "budget": _budget(result),
-        "printed_slips": _slips(result),
-        "parts": _parts(result),
-        "chromatic": _table1(result),
-        "tolerances": _tolerances(result),
-        "attitude": _attitude(result),
-        "attitude_curve": _curve(result),
-    }
-    if result.sweep is not None:
-        made["sweep"] = _sweep(result)
-    if result.tornado is not None:
-        made["tornado"] = _tornado(result)
-    if result.changed:
-        made["changed"] = _changed(result)
-    return made

@@ -93,6 +93,13 @@ class ToleranceStudy:
         return np.asarray(self.signed_arcsec.std(0, ddof=1))
 
     @property
+    def largest_cause(self) -> tuple[str, str]:
+        """Element and movement whose standard deviation changes the signed entries most."""
+        size = (self.sensitivity_arcsec**2).sum(3).max(2)
+        element, movement = np.unravel_index(int(size.argmax()), size.shape)
+        return self.elements[element], MOVES[movement]
+
+    @property
     def spread_uncertainty(self) -> float:
         """Relative uncertainty of `spread_arcsec`."""
         return float(1.0 / np.sqrt(2.0 * (len(self.signed_arcsec) - 1)))

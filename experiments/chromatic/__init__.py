@@ -1,4 +1,4 @@
-"""Chromatic LSFE of a star camera (ACC18, section 1.4.1): filters, a point target in four corners, thirty frames each.
+"""How far the colour of light shifts the image of a star: the chromatic error of a star camera (ACC18, sec. 1.4.1).
 
 A 5 x 5 point target is rendered through the lens prescription behind three filters at four edge positions, read out
 with noise, detected, centroided and reduced as the document does (eq. 13-16, Table 1, Fig. 7); every shift stands

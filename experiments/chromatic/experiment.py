@@ -1,10 +1,4 @@
-"""Chromatic LSFE of a star camera (ACC18, section 1.4.1): filters, a point target in four corners, thirty frames each.
-
-A 5 x 5 point target is rendered through the lens prescription behind three filters at four edge positions, read out
-with noise, detected, centroided and reduced as the document does (eq. 13-16, Table 1, Fig. 7); every shift stands
-beside the simulation's truth and a ray-trace prediction. Then what the document leaves open: why its signed mean
-vanishes for a centred lens, which movement of which element gives its 0.12 px, and whether "one third" holds for stars.
-"""
+"""The chromatic test: run and declaration."""
 
 from __future__ import annotations
 
