@@ -16,10 +16,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from experiments.laboratory.published import ACC18_ARCSEC
 from optics.arrays import FloatArray
 from optics.records import freeze
 
-__all__ = ["ECSS", "PRINTED", "PUBLISHED", "SUMS", "TERMS", "Budget", "Value", "combine", "published"]
+__all__ = ["ECSS", "PRINTED", "SUMS", "TERMS", "Budget", "Value", "combine", "published"]
 
 
 TERMS = ("TE", "HSFE", "LSFE-S", "LSFE-C1", "LSFE-C2")
@@ -36,14 +37,6 @@ ECSS = {
 }
 """Names of ECSS-E-ST-60-20C Rev.2."""
 
-PUBLISHED = {
-    "TE": (1.14, 1.23),
-    "HSFE": (1.08, 1.01),
-    "LSFE-S": (0.03, 0.66),
-    "LSFE-C1": (0.29, 0.41),
-    "LSFE-C2": (0.5, 0.5),
-}
-"""ACC18, sections 2.1 to 2.3, (x, y) [arcsec, 3 sigma]."""
 PRINTED = {"LSFE": (0.91, 1.12), "total": (1.76, 1.95), "attitude": (0.56, 0.62)}
 """ACC18, section 2.4, as printed; for N = 10 stars."""
 
@@ -129,7 +122,7 @@ def combine(term: Mapping[str, Value], *, stars: int) -> Budget:
 
 def published(stars: int = 10) -> Budget:
     """The document's terms, added up by its own equations."""
-    return combine({name: Value(arcsec=_pair(value)) for name, value in PUBLISHED.items()}, stars=stars)
+    return combine({name: Value(arcsec=_pair(value)) for name, value in ACC18_ARCSEC.items()}, stars=stars)
 
 
 def _pair(value: ArrayLike) -> FloatArray:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from experiments.budget.settings import Config, DetectorConfig, MovedConfig
 from experiments.laboratory.bench import Bench
-from experiments.laboratory.filter_wheel import open_wheel
+from experiments.laboratory.filter_wheel import interference_filters, open_wheel
 from experiments.laboratory.instrument import Instrument, build_instrument
 from optics.lens.perturb import decentre, despace, tilt
 from optics.lens.prescription import load_lens
@@ -95,10 +95,7 @@ def build_laboratory(config: Config, lens: LensSystem | None = None) -> Laborato
     prescription = moved_lens(load_lens(config.instrument.lens), config.moved) if lens is None else lens
     instrument = build_instrument(config.instrument, prescription, detector)
     filters = config.filters
-    narrow = [
-        TopHat(centre_nm=c, width_nm=filters.width_nm, edge_nm=filters.edge_nm, name=f"{c:g} nm")
-        for c in filters.centres_nm
-    ]
+    narrow = interference_filters(filters)
     wide = open_wheel(*config.source.passband_nm, config.source.edge_nm).filters
     check_wavelengths(instrument, [*(("filters.centres_nm", band) for band in narrow), ("source.passband_nm", wide[0])])
 

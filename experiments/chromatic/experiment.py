@@ -84,19 +84,16 @@ def _prepare(config: Config, instrument: Instrument) -> tuple[Bench, FloatArray]
     from experiments.chromatic.stars import passband
     from experiments.laboratory.bench import Bench
     from experiments.laboratory.checks import check_light, check_wavelengths
+    from experiments.laboratory.filter_wheel import interference_filters
     from experiments.laboratory.target import corner_directions
     from optics.errors import unknown_name
-    from optics.light.band import TopHat
     from optics.light.spectrum import Blackbody
 
     filters = config.filters
     bench = Bench(
         target=config.target,
         lamp=Blackbody(temperature_k=config.lamp_k),
-        filters=[
-            TopHat(centre_nm=c, width_nm=filters.width_nm, edge_nm=filters.edge_nm, name=f"{c:g} nm")
-            for c in filters.centres_nm
-        ],
+        filters=interference_filters(filters),
         reference=filters.centres_nm.index(filters.reference_nm),
         signal_e=config.signal_e,
         frames=config.frames,

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from experiments.chromatic.result import PUBLISHED_TABLE1_PX, Result
+from experiments.chromatic.result import Result
 from experiments.harness.quantities import Quantities
 from experiments.harness.summary import Measured
 from experiments.laboratory.centroid_methods import MethodLabels
 from experiments.laboratory.chromatic_error import ChromaticReduction, rms
+from experiments.laboratory.published import ACC18_ARCSEC, ACC18_TABLE1_PX
 from optics.arrays import FloatArray
 
 __all__ = ["describe"]
@@ -60,7 +61,7 @@ def _table1(q: Quantities, result: Result) -> None:
     count = result.config.frames * found.shape[0] * found.shape[1]
     entry = {"unit": "px", "dims": "lens pair axis"}
     nothing = (np.nan, np.nan)
-    published = [PUBLISHED_TABLE1_PX.get(name, nothing) for name, _, _ in result.pairs]
+    published = [ACC18_TABLE1_PX.get(name, nothing) for name, _, _ in result.pairs]
     q.add("published_px", published, "Published", unit="px", dims="pair axis", format=".4f", json="")
     q.add(
         "table1_px",
@@ -87,6 +88,7 @@ def _table1(q: Quantities, result: Result) -> None:
         dims="lens axis",
         json=_places("lsfe_s_arcsec_3sigma", moved=""),
     )
+    q.add("published_lsfe_arcsec", ACC18_ARCSEC["LSFE-S"], "Published", unit="arcsec", dims="axis", json="")
 
 
 def _lsfe(result: Result, evaluation: ChromaticReduction, axis: int, count: int) -> Measured:

@@ -1,4 +1,4 @@
-"""Record of the chromatic test, and the published numbers."""
+"""Record of the chromatic test."""
 
 from __future__ import annotations
 
@@ -13,11 +13,7 @@ from experiments.laboratory.chromatic_error import ChromaticReduction
 from experiments.laboratory.instrument import Instrument
 from optics.arrays import FloatArray
 
-__all__ = ["PUBLISHED_TABLE1_PX", "Result"]
-
-
-PUBLISHED_TABLE1_PX = {"600-500": (-1e-4, 5e-3), "800-600": (0.12, 7e-3)}
-"""ACC18 Table 1, (X, Y)."""
+__all__ = ["Result"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

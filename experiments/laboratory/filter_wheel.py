@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from experiments.laboratory.settings import FilterConfig
 from optics.errors import DomainError, unknown_name
 from optics.light.band import TopHat
 
-__all__ = ["FilterWheel", "open_wheel"]
+__all__ = ["FilterWheel", "interference_filters", "open_wheel"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,6 +45,14 @@ class FilterWheel:
             if one.name == name:
                 return one
         raise unknown_name("filter", name, [one.name for one in self.filters])
+
+
+def interference_filters(config: FilterConfig) -> tuple[TopHat, ...]:
+    """The filters of a configuration, named by their centres."""
+    return tuple(
+        TopHat(centre_nm=centre, width_nm=config.width_nm, edge_nm=config.edge_nm, name=f"{centre:g} nm")
+        for centre in config.centres_nm
+    )
 
 
 def open_wheel(low_nm: float, high_nm: float, edge_nm: float) -> FilterWheel:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-__all__ = ["ACC18_ARCSEC"]
+__all__ = ["ACC18_ARCSEC", "ACC18_TABLE1_PX"]
 
 ACC18_ARCSEC: Mapping[str, tuple[float, float]] = {
     "TE": (1.14, 1.23),
@@ -14,3 +14,6 @@ ACC18_ARCSEC: Mapping[str, tuple[float, float]] = {
     "LSFE-C2": (0.5, 0.5),
 }
 """ACC18, sections 2.1 to 2.3, (x, y) [arcsec, 3 sigma]; LSFE-C2 is the marking error of the target (section 2.3.3)."""
+
+ACC18_TABLE1_PX: Mapping[str, tuple[float, float]] = {"600-500": (-1e-4, 5e-3), "800-600": (0.12, 7e-3)}
+"""ACC18 Table 1, (X, Y): mean shift between filters, halved, by the wavelengths of the filters."""
