@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
+import json
 import sys
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -77,3 +81,44 @@ def small_camera(small_detector):
     from experiments.laboratory.settings import InstrumentConfig
 
     return build_instrument(InstrumentConfig(detector=str(small_detector)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TinyRun:
+    """What a run from the command line to the report gave."""
+
+    status: int
+    folder: Path
+    result: Any
+
+    @property
+    def results(self):
+        """The ``results`` of ``summary.json``."""
+        return json.loads((self.folder / "summary.json").read_text(encoding="utf-8"))["results"]
+
+
+@pytest.fixture(scope="session")
+def tiny_run(engine, tmp_path_factory):
+    """``tiny_run(name, key=value, ...)``: a whole experiment on a chip of 288 x 256 px; dots of keys are ``__``."""
+    chip = tmp_path_factory.mktemp("chip") / "tiny.toml"
+    chip.write_text('base = "cmv4000"\nname = "tiny"\nchip_width_px = 288\nchip_height_px = 256\n')
+
+    def run(name, **settings):
+        from experiments.harness.cli import command
+
+        declared, kept = importlib.import_module(f"experiments.{name}.experiment").experiment, []
+
+        @functools.wraps(declared.run)
+        def keep(*arguments, **keywords):
+            kept.append(declared.run(*arguments, **keywords))
+            return kept[0]
+
+        given = {"instrument.detector": chip, **{key.replace("__", "."): value for key, value in settings.items()}}
+        texts = [f"{key}={json.dumps(value) if isinstance(value, list) else value}" for key, value in given.items()]
+        out = tmp_path_factory.mktemp(name) / "out"
+        status = command(replace(declared, run=keep))(
+            [*(part for text in texts for part in ("--set", text)), "--out", str(out)], own_process=False
+        )
+        return TinyRun(status=status, folder=out, result=kept[0])
+
+    return run

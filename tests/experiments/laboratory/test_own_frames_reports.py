@@ -13,11 +13,11 @@ HEAD = "gain_dn_per_e = 0.25\noffset_dn = 60\nread_noise_e = 12\npixel_arcsec = 
 PLACES = [(30.0 + 25.3 * i, 30.0 + 25.2 * j) for j in range(4) for i in range(4)]
 
 
-def frame(path, rng, shift_px=0.0):
+def frame(path, rng, shift_px=0.0, places=PLACES):
     """A plain FITS file as any camera program writes it."""
     row, column = np.indices((140, 140))
     light = np.zeros(row.shape)
-    for x, y in PLACES:
+    for x, y in places:
         light += 6000.0 / (2 * np.pi) * np.exp(-((column - x - shift_px) ** 2 + (row - y) ** 2) / 2.0)
     dn = np.rint(60 + 0.25 * (rng.poisson(light) + rng.normal(0.0, 12.0, light.shape)))
     fits.PrimaryHDU(dn.clip(0, 65535).astype(np.uint16)).writeto(path)
@@ -65,6 +65,26 @@ def test_a_folder_becomes_a_report(name, folder, capsys, tmp_path, engine):
         np.testing.assert_allclose(shifts, [0.0, 0.2, 0.4], atol=0.05)
     if name == "distortion":
         assert set(content["results"]["distortion_arcsec_3sigma"]["cog"]) == {"nominal", "aligned", "calibrated"}
+
+
+def test_a_known_polynomial_is_found_and_removed(capsys, tmp_path, engine):
+    """Points of a target are displaced by a polynomial of order 2: found is its own scatter, left is noise."""
+    folder, rng, frames = tmp_path / "grid", np.random.default_rng(8), 6
+    folder.mkdir()
+    u, v = (np.array(PLACES).T - 69.5) / 70.0
+    moved = np.column_stack([0.8 * u**2 + 0.5 * u * v, 0.6 * v**2 - 0.7 * u])
+    for number in range(frames):
+        frame(folder / f"a{number}.fits", rng, places=np.array(PLACES) + moved)
+    text = f"points_px = {[list(p) for p in PLACES]}\n" + series("a")
+    status, said = run("distortion", folder, text, capsys, "--set", "order=2", out=tmp_path / "out")
+    assert status == 0, said
+    found = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))["results"]
+    numbers = found["distortion_arcsec_3sigma"]["gaussian"]["nominal"]
+    noise = 3.0 * 5.5 * 0.025 / np.sqrt(frames)  # some 0.02 px a frame, and the fit's own error within a pixel
+    for axis, injected in zip("xy", 3.0 * 5.5 * moved.std(axis=0, ddof=1), strict=True):
+        for name in ("sigma_d", "sigma_C1"):
+            assert numbers[name][axis] == pytest.approx(injected, abs=4.0 * noise / np.sqrt(len(PLACES)))
+        assert numbers["sigma_Dd"][axis] < 2.0 * noise
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,41 @@
+"""The distortion test from the command line to its report: a marking error that is known gives its own figures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+ROWS, COLUMNS, ORDER, SURVEYS, MARKING_ARCSEC = 4, 5, 2, 100, 2.0
+
+
+@pytest.fixture(scope="module")
+def run(tiny_run):
+    """Middle of the field, where the lens has next to no distortion, and a target that is badly surveyed."""
+    target = {"target__rows": ROWS, "target__columns": COLUMNS, "target__edge_px": 40}
+    study = {"study__rows": [ROWS], "study__orders": [ORDER], "map_rows": 5, "order": ORDER}
+    numbers = {"frames": 10, "dark_frames": 40, "surveys": SURVEYS, "draws": 40}
+    return tiny_run(
+        "distortion", **target, **study, **numbers, compare=["cog"], target__marking_error_arcsec=MARKING_ARCSEC
+    )
+
+
+def test_the_run_is_complete(run):
+    assert run.status == 0
+    assert (run.folder / "report.html").stat().st_size > 50_000
+    names = {"distortion.ecsv", "centroiders.ecsv", "map.ecsv", "forecasts.ecsv", "points.ecsv", "results.nc"}
+    assert names < {path.name for path in run.folder.iterdir()}
+
+
+def test_a_polynomial_divides_marking_error_by_its_degrees_of_freedom(run):
+    """Of W points with error s, k terms leave s sqrt((W - k) / (W - 1)) and take s sqrt((k - 1) / (W - 1))."""
+    points, terms = ROWS * COLUMNS, (ORDER + 1) * (ORDER + 2) // 2
+    error = 3.0 * MARKING_ARCSEC
+    numbers = run.results["methods_arcsec_3sigma"]["epsf"]["nominal"]
+    for name, freedom in (("sigma_left", points - terms), ("sigma_c1", terms - 1)):
+        expected = error * np.sqrt(freedom / (points - 1))
+        limit = 4.0 / np.sqrt(2.0 * freedom * SURVEYS) + 0.02  # of an RMS; 2 %: the lens, noise of the frames
+        for axis in "xy":
+            assert numbers[name]["over_surveys"][axis] == pytest.approx(expected, rel=limit)
+    assert run.results["sigma_c1_of_marking_error_alone_arcsec_3sigma"] == pytest.approx(
+        error * np.sqrt((terms - 1) / (points - 1)), rel=1e-12
+    )
