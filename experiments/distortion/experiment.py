@@ -13,8 +13,7 @@ from experiments.distortion.settings import Config
 from experiments.harness.cli import command
 from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
-from experiments.laboratory.own_frames.experiment import own_frames
-from experiments.laboratory.point_settings import FRAMES_OPTION
+from experiments.laboratory.own_frames.experiment import or_own_frames
 
 if TYPE_CHECKING:
     from experiments.distortion.result import Result
@@ -88,7 +87,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     )
 
 
-experiment = Experiment(
+rendered = Experiment(
     name="distortion",
     config=Config,
     run=run,
@@ -96,7 +95,6 @@ experiment = Experiment(
     examples={
         "--quick": "a small run",
         "--set target.rows=8 --set target.columns=16 --set order=5": "more points, a higher order",
-        "--frames my_frames": "reduce the FITS frames of a laboratory",
     },
     show=("distortion",),
     quick={
@@ -108,7 +106,6 @@ experiment = Experiment(
         "study.rows": [4, 8],
         "study.orders": [1, 3, 5],
     },
-    options=FRAMES_OPTION,
-    instead=own_frames("distortion"),
 )
+experiment = or_own_frames(rendered)
 main = command(experiment)

@@ -13,8 +13,7 @@ from experiments.harness.cli import command
 from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
 from experiments.hsfe.settings import Config
-from experiments.laboratory.own_frames.experiment import own_frames
-from experiments.laboratory.point_settings import FRAMES_OPTION
+from experiments.laboratory.own_frames.experiment import or_own_frames
 
 if TYPE_CHECKING:
     from experiments.hsfe.result import Result
@@ -109,7 +108,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     )
 
 
-experiment = Experiment(
+rendered = Experiment(
     name="hsfe",
     config=Config,
     run=run,
@@ -117,7 +116,6 @@ experiment = Experiment(
     examples={
         "--quick": "a small run",
         "--set steps.step_px=0.5 --set subtraction=raw": "longer steps, fixed patterns left in",
-        "--frames my_frames": "reduce the FITS frames of a laboratory",
     },
     show=("hsfe",),
     quick={
@@ -126,7 +124,6 @@ experiment = Experiment(
         "target.columns": 3,
         "compare": ["gaussian", "epsf"],
     },
-    options=FRAMES_OPTION,
-    instead=own_frames("hsfe"),
 )
+experiment = or_own_frames(rendered)
 main = command(experiment)

@@ -8,10 +8,7 @@ from experiments.harness.config import ExperimentConfig, StrictModel
 from experiments.laboratory.centroid_methods import MethodName
 from experiments.laboratory.settings import InstrumentConfig, TargetConfig
 
-__all__ = ["FRAMES_OPTION", "PointConfig", "SourceConfig", "StarTargetConfig"]
-
-FRAMES_OPTION = {"frames": ("frames_folder", "Reduce the FITS frames of a folder that holds frames.toml.")}
-"""Command-line option of the three tests (`experiments.harness.cli.command`)."""
+__all__ = ["PointConfig", "SourceConfig", "StarTargetConfig"]
 
 
 class SourceConfig(StrictModel):

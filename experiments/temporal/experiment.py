@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 from experiments.harness.cli import command
 from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
-from experiments.laboratory.own_frames.experiment import own_frames
-from experiments.laboratory.point_settings import FRAMES_OPTION
+from experiments.laboratory.own_frames.experiment import or_own_frames
 from experiments.temporal.settings import Config
 
 if TYPE_CHECKING:
@@ -89,7 +88,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     )
 
 
-experiment = Experiment(
+rendered = Experiment(
     name="temporal",
     config=Config,
     run=run,
@@ -97,7 +96,6 @@ experiment = Experiment(
     examples={
         "--quick": "a small run",
         "--set source.signal_e=2000 --set centroid=gaussian": "fainter stars, another centroider",
-        "--frames my_frames": "reduce the FITS frames of a laboratory",
     },
     show=("temporal_error",),
     quick={
@@ -108,7 +106,6 @@ experiment = Experiment(
         "target.columns": 3,
         "compare": ["tcog", "epsf"],
     },
-    options=FRAMES_OPTION,
-    instead=own_frames("temporal"),
 )
+experiment = or_own_frames(rendered)
 main = command(experiment)

@@ -1,34 +1,26 @@
 """Tests with point targets on frames from outside: no rendering, no truth.
 
-What takes over from `temporal`, `hsfe` and `distortion` when their ``frames_folder`` names a folder.
+It takes over from `temporal`, `hsfe` and `distortion` when their ``frames_folder`` names a folder.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
 from experiments.laboratory.centroid_methods import needs_epsf
-from experiments.laboratory.own_frames.folder import FrameFolder, read_folder
-from experiments.laboratory.own_frames.reduction import (
-    GridFrames,
-    StepFrames,
-    TemporalFrames,
-    distortion_from_frames,
-    hsfe_from_frames,
-    temporal_from_frames,
-)
 from experiments.laboratory.point_settings import PointConfig
 from optics.errors import ConfigError
 
-__all__ = ["FramesResult", "Test", "own_frames", "reduce_folder"]
+if TYPE_CHECKING:
+    from experiments.laboratory.own_frames.folder import FrameFolder
+    from experiments.laboratory.own_frames.reduction import GridFrames, StepFrames, TemporalFrames
+
+__all__ = ["FramesResult", "Test", "or_own_frames", "reduce_folder"]
 
 Test = Literal["temporal", "hsfe", "distortion"]
-
-MAIN_TABLE: Mapping[Test, str] = {"temporal": "temporal_error", "hsfe": "hsfe", "distortion": "distortion"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,6 +62,9 @@ def reduce_folder(test: Test, config: PointConfig, *, progress: Progress) -> Fra
     StarbenchError
         See `read_folder` and the reductions.
     """
+    from experiments.laboratory.own_frames import reduction
+    from experiments.laboratory.own_frames.folder import read_folder
+
     methods = tuple(m for m in config.methods if not needs_epsf(m))
     if config.frames_folder is None:
         raise ConfigError("frames_folder is not given: the folder with the frames and frames.toml")
@@ -80,30 +75,43 @@ def reduce_folder(test: Test, config: PointConfig, *, progress: Progress) -> Fra
     reduced: TemporalFrames | StepFrames | GridFrames
     with progress.stage("reduce"):
         if test == "temporal":
-            reduced = temporal_from_frames(folder, methods)
+            reduced = reduction.temporal_from_frames(folder, methods)
         elif test == "hsfe":
-            reduced = hsfe_from_frames(folder, methods)
+            reduced = reduction.hsfe_from_frames(folder, methods)
         else:
-            reduced = distortion_from_frames(folder, methods, order=getattr(config, "order", 3))
+            reduced = reduction.distortion_from_frames(folder, methods, order=getattr(config, "order", 3))
     return FramesResult(test=test, methods=methods, folder=folder, reduced=reduced)
 
 
-def own_frames(test: Test) -> Callable[[PointConfig], Experiment | None]:
-    """What takes over from a test with rendered frames (`Experiment.instead`) when ``frames_folder`` is given."""
+def or_own_frames(test: Experiment) -> Experiment:
+    """A test with rendered frames that reduces those of a folder instead where ``frames_folder`` is given.
+
+    Parameters
+    ----------
+    test : Experiment
+        `temporal`, `hsfe` or `distortion`, on rendered frames.
+
+    Returns
+    -------
+    Experiment
+        The same with an option ``--frames``; both print the same table in the terminal.
+    """
+    name: Any = test.name
 
     def run(config: PointConfig, *, progress: Progress) -> FramesResult:
-        return reduce_folder(test, config, progress=progress)
+        return reduce_folder(name, config, progress=progress)
 
     def instead(config: PointConfig) -> Experiment | None:
         if config.frames_folder is None:
             return None
+        report = f"{name}.md"
         return Experiment(
-            name=test,
-            config=type(config),
-            run=run,
-            show=(MAIN_TABLE[test],),
-            report=f"{test}.md",
-            renders=lambda _: False,
+            name=name, config=test.config, run=run, show=test.show, report=report, renders=lambda _: False
         )
 
-    return instead
+    return replace(
+        test,
+        examples={**test.examples, "--frames my_frames": "reduce the FITS frames of a laboratory"},
+        options={"frames": ("frames_folder", "Reduce the FITS frames of a folder that holds frames.toml.")},
+        instead=instead,
+    )
