@@ -11,6 +11,7 @@ from experiments.harness.quantities import Quantities, Quantity
 from experiments.laboratory.distortion_statistics import LABELS, REFERENCES
 from experiments.laboratory.point_quantities import point_quantities
 from experiments.laboratory.published import ACC18_ARCSEC
+from optics.arrays import FloatArray
 
 __all__ = ["describe"]
 
@@ -24,18 +25,15 @@ def describe(result: Result) -> Quantities:
     _numbers(q, result)
     published, place = ACC18_ARCSEC["LSFE-C1"], "published_sigma_c1_arcsec_3sigma"
     q.add("published_arcsec", published, "Published σC1", unit="arcsec", dims="axis", json=place)
+    marking = 3.0 * config.target.marking_error_arcsec
+    removed = np.sqrt((result.terms - 1) / (config.target.rows * config.target.columns - 1))
     for name, value, label, json in (
-        ("marking_arcsec", 3.0 * config.target.marking_error_arcsec, "Marking error", "marking_error"),
+        ("marking_arcsec", marking, "Marking error", "marking_error"),
         ("published_marking_arcsec", ACC18_ARCSEC["LSFE-C2"][0], "Published marking error", "published_marking_error"),
-        (
-            "noise_removed_arcsec",
-            _noise_removed_arcsec(result),
-            "Marking error alone",
-            "sigma_c1_of_marking_error_alone",
-        ),
+        # what k terms remove of pure noise at W points: sqrt((k - 1) / (W - 1)) of it
+        ("noise_removed_arcsec", marking * removed, "Marking error alone", "sigma_c1_of_marking_error_alone"),
     ):
         q.add(name, value, label, unit="arcsec", format=".2f", json=f"{json}_arcsec_3sigma")
-    _surveys(q, result)
     _maps(q, result)
     _forecasts(q, result)
     _points(q, result)
@@ -57,44 +55,26 @@ def _numbers(q: Quantities, result: Result) -> None:
     )
     rms, spread = np.sqrt((every**2).mean(2)), every.std(2, ddof=1)
     place = "methods_arcsec_3sigma[method][reference][number]."
-    apart = f"{place}scatter_of_surveys"
-    common: dict[str, Any] = {"unit": "arcsec", "dims": "method reference number axis"}
-    q.add("one_survey_arcsec", one, "One survey", **common, format=".3f", json=f"{place}one_survey")
-    q.add(
-        "all_surveys_arcsec", rms, "All surveys", **common, error=spread, json=f"{place}over_surveys", json_error=apart
-    )
-    q.add("predicted_arcsec", expected, "Predicted", **common, format=".3f", json=f"{place}predicted")
-    q.add("predicted_scatter_arcsec", scatter, "Predicted scatter from survey to survey", **common, json="")
-    counts = q.dataset.sel({"method": methods[0], "reference": result.config.reference, "number": "sigma_c1"})
+    all_surveys = {"error": spread, "json": f"{place}over_surveys", "json_error": f"{place}scatter_of_surveys"}
+    angle: dict[str, Any] = {"unit": "arcsec", "dims": "method reference number axis"}
+    q.add("one_survey_arcsec", one, "One survey", **angle, format=".3f", json=f"{place}one_survey")
+    q.add("all_surveys_arcsec", rms, "All surveys", **angle, **all_surveys)
+    q.add("predicted_arcsec", expected, "Predicted", **angle, format=".3f", json=f"{place}predicted")
+    q.add("predicted_scatter_arcsec", scatter, "Predicted scatter from survey to survey", **angle, json="")
+    _counting(q, result, every[0, list(REFERENCES).index(result.config.reference), :, 2])
+
+
+def _counting(q: Quantities, result: Result, every: FloatArray) -> None:
+    """sigma_C1 by the centroider and the coordinates that count, and of every survey (q, 2)."""
+    part = {"method": result.config.methods[0], "reference": result.config.reference, "number": "sigma_c1"}
     place = "sigma_c1_arcsec_3sigma."
     for name, json in (("one_survey", "one_survey"), ("all_surveys", "over_surveys"), ("predicted", "predicted")):
-        part = Quantity.of(counts, f"{name}_arcsec")
-        apart = f"{place}scatter_of_surveys"
-        described = {"unit": "arcsec", "dims": "axis", "json": place + json, "json_error": apart}
-        q.add(f"c1_{name}_arcsec", part.values, f"σC1, {part.label.lower()}", **described, error=part.error)
-
-
-def _noise_removed_arcsec(result: Result) -> float:
-    """What a polynomial removes of nothing but marking error: sqrt((k - 1) / (W - 1)) of it."""
-    config = result.config
-    points, terms = config.target.rows * config.target.columns, result.terms
-    return float(3.0 * config.target.marking_error_arcsec * np.sqrt((terms - 1) / (points - 1)))
-
-
-def _surveys(q: Quantities, result: Result) -> None:
-    """sigma_C1 of every survey, by the centroider and the coordinates that count."""
-    every = result.scale * result.measured.over_surveys(result.config.methods[0], result.config.reference)[:, 2]
+        one = Quantity.of(q.dataset.sel(part), f"{name}_arcsec")
+        places = {"json": place + json, "json_error": f"{place}scatter_of_surveys"}
+        q.add(f"c1_{name}_arcsec", one.values, "σC1", unit="arcsec", dims="axis", error=one.error, **places)
     q.add("survey_c1_arcsec", every, "σC1, 3 σ", unit="arcsec", dims="survey axis", json="")
     above = 100.0 * (every >= np.array(ACC18_ARCSEC["LSFE-C1"])).mean(0)
-    q.add(
-        "surveys_above_published",
-        above,
-        "Surveys that reach the published value",
-        unit="%",
-        dims="axis",
-        format=".0f",
-        json="",
-    )
+    q.add("surveys_above_published", above, "Surveys that reach the published value", unit="%", dims="axis", json="")
 
 
 def _maps(q: Quantities, result: Result) -> None:
@@ -112,39 +92,20 @@ def _maps(q: Quantities, result: Result) -> None:
 
 def _forecasts(q: Quantities, result: Result) -> None:
     """Map errors to be expected of other grids and polynomials, per axis and as the mean square of both axes."""
-    q.add(
-        "forecast_points",
-        [one.points for one in result.forecast],
-        "Points",
-        dims="forecast",
-        key="points",
-        json="forecasts[forecast].points",
-    )
-    q.add(
-        "forecast_order",
-        [one.order for one in result.forecast],
-        "Order",
-        dims="forecast",
-        key="order",
-        json="forecasts[forecast].order",
-    )
-    for name, label, px, place in (
-        (
-            "distortion_left",
-            "Distortion left",
-            [one.bias_px for one in result.forecast],
-            "forecasts[forecast].distortion_left_arcsec_3sigma",
-        ),
-        (
-            "errors_carried",
-            "Errors carried in",
-            [one.noise_px for one in result.forecast],
-            "forecasts[forecast].errors_carried_arcsec_3sigma",
-        ),
-        ("map_error", "Map error", [one.rms_px for one in result.forecast], ""),
+    forecasts, place = result.forecast, "forecasts[forecast]."
+    for name, label, numbers in (
+        ("points", "Points", [one.points for one in forecasts]),
+        ("order", "Order", [one.order for one in forecasts]),
+    ):
+        q.add(f"forecast_{name}", numbers, label, dims="forecast", key=name, json=place + name)
+    for name, label, json, px in (
+        ("distortion_left", "Distortion left", "distortion_left_arcsec_3sigma", [one.bias_px for one in forecasts]),
+        ("errors_carried", "Errors carried in", "errors_carried_arcsec_3sigma", [one.noise_px for one in forecasts]),
+        ("map_error", "Map error", "", [one.rms_px for one in forecasts]),
     ):
         axes = result.scale * np.array(px)
-        q.add(f"{name}_axes_arcsec", axes, label, unit="arcsec", dims="forecast axis", json=place)
+        at = json and place + json
+        q.add(f"{name}_axes_arcsec", axes, label, unit="arcsec", dims="forecast axis", json=at)
         both = np.sqrt((axes**2).mean(1))
         q.add(f"{name}_arcsec", both, label, unit="arcsec", dims="forecast", format=".4f", json="")
     here = result.scale * result.forecast_here.rms_px

@@ -30,8 +30,6 @@ def describe(result: Result) -> Quantities:
     q.axis("cause", CAUSES, "Cause", names=CAUSE_NAMES)
     _methods(q, result)
     _causes(q, result)
-    document = measured.document_arcsec(config.methods[0])
-    q.add("hsfe_arcsec", document, "HSFE as printed", unit="arcsec", dims="axis", json="hsfe_arcsec_3sigma")
     published, place = ACC18_ARCSEC["HSFE"], "published_arcsec_3sigma"
     q.add("published_arcsec", published, "Published", unit="arcsec", dims="axis", format=".2f", json=place)
     q.add("subtraction", config.subtraction, "Subtraction")
@@ -50,17 +48,14 @@ def _methods(q: Quantities, result: Result) -> None:
     methods, measured, scale = result.config.methods, result.measured, 3.0 * result.instrument.pixel_arcsec
     whole: dict[str, Any] = {"unit": "arcsec", "dims": "method axis", "format": ".3f"}
     place = "methods_arcsec_3sigma[method]."
-    q.add(
-        "document_arcsec", [measured.document_arcsec(m) for m in methods], "Document", **whole, json=f"{place}document"
-    )
+    document, places = [measured.document_arcsec(m) for m in methods], {"*": f"{place}document"}
+    q.add("document_arcsec", document, "Document", **whole, json=places | {methods[0]: "hsfe_arcsec_3sigma"})
     before, after = ([model.method[m] for m in methods] for model in (result.before, result.after))
     for name, models, json in (
         ("predicted_arcsec", after, f"{place}document_predicted"),
         ("predicted_before_arcsec", before, f"{place}document_predicted_before"),
     ):
-        values, scatter = (
-            scale * np.array(of) for of in zip(*((m.document_px, m.scatter_px) for m in models), strict=True)
-        )
+        values, scatter = (scale * np.array([getattr(m, of) for m in models]) for of in ("document_px", "scatter_px"))
         q.add(name, values, "Predicted", **whole, error=scatter, json=json, json_error=f"{json}_scatter")
     found, expected = np.array([measured.document_px(m) for m in methods]), np.array([m.document_px for m in after])
     spread = np.array([m.scatter_px for m in after]) / expected  # the prediction after the test, from chip to chip

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from experiments.harness.quantities import Quantities
@@ -37,17 +39,11 @@ def describe(result: Result) -> Quantities:
     q = point_quantities(methods)
     _nominal(q, result)
     _levels(q, result)
-    q.add(
-        "published_arcsec", ACC18_ARCSEC["TE"], "Published", unit="arcsec", dims="axis", json="published_arcsec_3sigma"
-    )
-    q.add(
-        "published_signal_e",
-        [result.published_level_e[m] for m in methods],
-        "Signal that gives the published error",
-        unit="e-",
-        dims="method axis",
-        json="signal_that_gives_the_published_e",
-    )
+    published, place = ACC18_ARCSEC["TE"], "published_arcsec_3sigma"
+    q.add("published_arcsec", published, "Published", unit="arcsec", dims="axis", json=place)
+    signal, place = [result.published_level_e[m] for m in methods], "signal_that_gives_the_published_e"
+    label = "Signal that gives the published error"
+    q.add("published_signal_e", signal, label, unit="e-", dims="method axis", json=place)
     q.add("source_signal_e", result.config.source.signal_e, "Signal", unit="e-", json="signal_e")
     _stars(q, result)
     q.add("frames", result.measured.frames, "Frames")
@@ -56,17 +52,22 @@ def describe(result: Result) -> Quantities:
     return q
 
 
+def _errors(measured: TemporalMeasurement, predicted: TemporalPrediction) -> tuple[tuple[Any, ...], ...]:
+    """Name, label and format of each temporal error, its places in the summary, and (method, level) -> (x, y)."""
+    return (
+        ("dark_arcsec", "Dark sub.", "", "temporal_error", "measured", measured.te_arcsec),
+        ("raw_arcsec", "Raw", "", "raw", "raw", lambda method, level: measured.te_arcsec(method, level, "raw")),
+        ("influence_arcsec", "Influence", ".4f", "predicted_linear", "linear", predicted.te_arcsec),
+        ("drawn_arcsec", "Drawn noise", ".4f", "predicted", "predicted", predicted.sampled_te_arcsec),
+    )
+
+
 def _nominal(q: Quantities, result: Result) -> None:
     """At the signal of the source, by every centroider."""
     methods, measured, predicted = result.config.methods, result.nominal, result.predicted_nominal
-    for name, label, format, json, of in (
-        ("dark_arcsec", "Dark sub.", "", "temporal_error_arcsec_3sigma", measured.te_arcsec),
-        ("raw_arcsec", "Raw", "", "raw_arcsec_3sigma", lambda m: measured.te_arcsec(m, 0, "raw")),
-        ("influence_arcsec", "Influence", ".4f", "predicted_linear_arcsec_3sigma", predicted.te_arcsec),
-        ("drawn_arcsec", "Drawn noise", ".4f", "predicted_arcsec_3sigma", predicted.sampled_te_arcsec),
-    ):
-        values = [of(m) for m in methods]
-        q.add(name, values, label, unit="arcsec", dims="method axis", format=format, json=json)
+    for name, label, format, json, _, of in _errors(measured, predicted):
+        described = {"unit": "arcsec", "dims": "method axis", "format": format, "json": f"{json}_arcsec_3sigma"}
+        q.add(name, [of(m, 0) for m in methods], label, **described)
     q.add("ratio", [ratio(measured, predicted, m, 0) for m in methods], "Ratio", dims="method axis")
     bound, place = predicted.bound_te_arcsec(), "cramer_rao_arcsec_3sigma"
     q.add("bound_arcsec", bound, "Cramér-Rao", unit="arcsec", dims="axis", json=place)
@@ -78,25 +79,13 @@ def _levels(q: Quantities, result: Result) -> None:
     levels = range(len(measured.levels_e))
     q.axis("level", measured.levels_e, "Signal", unit="e-", format=".0f", key="signal_e")
     q.add("level_signal_e", measured.levels_e, "Signal", unit="e-", dims="level", json="levels[level].signal_e")
-    angle = {"unit": "arcsec", "dims": "level method axis"}
-    for name, label, json, of in (
-        ("dark_arcsec", "Dark sub.", "measured", measured.te_arcsec),
-        ("raw_arcsec", "Raw", "raw", lambda m, n: measured.te_arcsec(m, n, "raw")),
-        ("influence_arcsec", "Influence", "linear", predicted.te_arcsec),
-        ("drawn_arcsec", "Drawn noise", "predicted", predicted.sampled_te_arcsec),
-    ):
+    for name, label, format, _, json, of in _errors(measured, predicted):
+        described = {"unit": "arcsec", "dims": "level method axis", "format": format, "key": name}
         values = [[of(m, n) for m in methods] for n in levels]
-        place = f"levels[level].methods[method].{json}"
-        q.add(f"level_{name}", values, label, **angle, key=name, json=place)
-    q.add(
-        "level_bound_arcsec",
-        [predicted.bound_te_arcsec(n) for n in levels],
-        "Cramér-Rao",
-        unit="arcsec",
-        dims="level axis",
-        key="cramer_rao_arcsec",
-        json="levels[level].cramer_rao",
-    )
+        q.add(f"level_{name}", values, label, **described, json=f"levels[level].methods[method].{json}")
+    bound = [predicted.bound_te_arcsec(n) for n in levels]
+    described = {"unit": "arcsec", "dims": "level axis", "key": "cramer_rao_arcsec"}
+    q.add("level_bound_arcsec", bound, "Cramér-Rao", **described, json="levels[level].cramer_rao")
     ratios = [[ratio(measured, predicted, m, n) for m in methods] for n in levels]
     q.add("level_ratio", ratios, "Measured / predicted", dims="level method axis", json="")
 
