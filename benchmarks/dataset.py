@@ -73,10 +73,10 @@ def parts(settings: list[str], frames: int) -> dict[str, float]:
     Engine.start("llvm")
     import drjit as dr
 
-    from experiments.dataset import work
-    from experiments.dataset.maker import FrameMaker
-    from experiments.dataset.points import points_of
-    from experiments.dataset.scene import build_scene
+    from experiments.dataset.frames.maker import FrameMaker
+    from experiments.dataset.frames.point_sources import point_sources
+    from experiments.dataset.frames.scene import build_scene
+    from experiments.dataset.production import job as work
     from render.detector import readout
 
     dr.set_thread_count(1)
@@ -93,10 +93,10 @@ def parts(settings: list[str], frames: int) -> dict[str, float]:
 
         return call
 
-    from experiments.dataset import maker as module
+    from experiments.dataset.frames import maker as module
 
     replaced = {
-        (module, "points_of"): ("stars of the field", points_of),
+        (module, "point_sources"): ("stars of the field", point_sources),
         (module, "expose"): ("read out", readout.expose),
         (module, "star_rows"): ("truth and flags", module.star_rows),
         (work, "_write_fits"): ("write FITS", work._write_fits),

@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from experiments.dataset.coco import export_coco
-from experiments.dataset.folder import StorageError
+from experiments.dataset.exports.coco import export_coco
+from experiments.dataset.exports.contact_sheet import preview
+from experiments.dataset.exports.webdataset_shards import check_webdataset, export_shards
+from experiments.dataset.production.folder import StorageError
+from experiments.dataset.production.job import Job, make_frame
 from experiments.dataset.settings import CameraConfig, CatalogueConfig, ConePointing, Config, VerifyConfig
-from experiments.dataset.shards import check_webdataset, export_shards
-from experiments.dataset.sheet import preview
-from experiments.dataset.truth_file import read_table
-from experiments.dataset.work import Job, make_frame
+from experiments.dataset.truth.files import read_table
 from optics.errors import ConfigError
 from render.fits.files import read_frame
 
 
 @pytest.fixture(scope="module")
 def dataset(engine, tmp_path_factory):
-    """(folder, facts) of two frames of the Pleiades."""
+    """(folder, records) of two frames of the Pleiades."""
     folder = tmp_path_factory.mktemp("exports")
     for name in ("frames", "truth"):
         (folder / name).mkdir()
@@ -39,18 +39,18 @@ def dataset(engine, tmp_path_factory):
 
 
 def test_coco(dataset):
-    folder, facts = dataset
+    folder, records = dataset
     seen = []
-    said = export_coco(folder, facts, diffusion_px=0.3, bits=16, done=lambda: seen.append(1))
+    said = export_coco(folder, records, diffusion_px=0.3, bits=16, done=lambda: seen.append(1))
     assert len(seen) == 2
     parts = {split: _coco(folder, split) for split in ("train", "validation", "test")}
     images = [image for part in parts.values() for image in part["images"]]
     stars = [star for part in parts.values() for star in part["annotations"]]
-    assert [one["id"] for one in parts[facts[0].split]["images"]].count(0) == 1
+    assert [one["id"] for one in parts[records[0].split]["images"]].count(0) == 1
     assert f"{len(stars)} stars" in said
     assert len({star["id"] for star in stars}) == len(stars)
     for image in images:
-        one = facts[image["id"]]
+        one = records[image["id"]]
         pixels = np.array(Image.open(folder / "coco" / "images" / image["file_name"]))
         np.testing.assert_array_equal(pixels, read_frame(folder / one.file).dn)
         truth = read_table(folder / one.truth)
@@ -73,33 +73,33 @@ def _coco(folder, split):
 
 def test_shards(dataset):
     pytest.importorskip("webdataset")
-    folder, facts = dataset
-    export_shards(folder, facts, done=lambda: None)
+    folder, records = dataset
+    export_shards(folder, records, done=lambda: None)
     shards = sorted((folder / "webdataset").iterdir())
-    assert {shard.name for shard in shards} == {f"{one.split}-000000.tar" for one in facts}
+    assert {shard.name for shard in shards} == {f"{one.split}-000000.tar" for one in records}
     first = {shard.name: shard.read_bytes() for shard in shards}
     members = {}
     for content in first.values():
         with tarfile.open(fileobj=io.BytesIO(content)) as tar:
             members.update({member.name: tar.extractfile(member).read() for member in tar})
-    for one in facts:
+    for one in records:
         assert members[f"frame_{one.frame:06d}.fits"] == (folder / one.file).read_bytes()
         assert members[f"frame_{one.frame:06d}.parquet"] == (folder / one.truth).read_bytes()
         assert json.loads(members[f"frame_{one.frame:06d}.json"])["quat_xyzw"] == list(one.quat_xyzw)
-    export_shards(folder, facts, done=lambda: None)
+    export_shards(folder, records, done=lambda: None)
     assert {shard.name: shard.read_bytes() for shard in shards} == first  # no time, no user in it
 
 
 def test_a_full_disk_leaves_no_half_shard(dataset, monkeypatch):
     webdataset = pytest.importorskip("webdataset")
-    folder, facts = dataset
+    folder, records = dataset
 
     def full(self, sample):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(webdataset.TarWriter, "write", full)
     with pytest.raises(StorageError, match="the disk is full"):
-        export_shards(folder, facts, done=lambda: None)
+        export_shards(folder, records, done=lambda: None)
     assert not list(folder.rglob("*.partial"))
 
 
@@ -110,8 +110,8 @@ def test_missing_library_is_said(monkeypatch):
 
 
 def test_preview_keeps_single_bright_pixels(dataset):
-    folder, facts = dataset
-    frame = read_frame(folder / facts[0].file)
+    folder, records = dataset
+    frame = read_frame(folder / records[0].file)
     picture = preview(frame, size_px=64)
     assert picture.shape == (42, 64)
     brightest = np.unravel_index(np.argmax(frame.dn), frame.dn.shape)

@@ -12,12 +12,12 @@ import pyarrow.parquet as pq
 import pytest
 from astropy.table import Table
 
-from experiments.dataset import folder as storage
 from experiments.dataset.experiment import main
-from experiments.dataset.folder import DatasetFolder
+from experiments.dataset.production import folder as storage
+from experiments.dataset.production.folder import DatasetFolder
+from experiments.dataset.production.job import Job, make_frame
 from experiments.dataset.settings import Config
-from experiments.dataset.truth_file import read_facts, truth_bytes
-from experiments.dataset.work import Job, make_frame
+from experiments.dataset.truth.files import read_record, truth_bytes
 
 SMALL = [
     *("--set", "camera.lens=star_camera_206mm", "--set", "camera.width_px=192", "--set", "camera.height_px=128"),
@@ -199,17 +199,17 @@ def test_a_full_disk_keeps_what_was_made(dataset, tmp_path, monkeypatch, capsys)
 
 def test_ecsv_says_the_same(dataset, tmp_path):
     parquet = dataset / "truth" / "frame_000000.parquet"
-    table, facts = pq.read_table(parquet), read_facts(parquet)
+    table, record = pq.read_table(parquet), read_record(parquet)
     rows = {name: table.column(name).to_numpy() for name in table.column_names}
     path = tmp_path / "frame_000000.ecsv"
     with np.printoptions(legacy="1.13"):  # as colour-science leaves it
-        path.write_bytes(truth_bytes(rows, facts, "ecsv"))
+        path.write_bytes(truth_bytes(rows, record, "ecsv"))
     text = Table.read(path, format="ascii.ecsv")
     assert text.colnames == table.column_names
     for name, values in rows.items():
         np.testing.assert_array_equal(np.asarray(text[name]), values, err_msg=name)
     assert str(text["ra_deg"].unit) == table.schema.field("ra_deg").metadata[b"unit"].decode() == "deg"
-    assert read_facts(path) == facts
+    assert read_record(path) == record
     path.write_bytes(path.read_bytes()[:-200])  # cut off
     with pytest.raises(Exception, match=r"rows|columns"):
-        read_facts(path)
+        read_record(path)

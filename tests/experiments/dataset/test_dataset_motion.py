@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 
-from experiments.dataset.maker import FrameMaker
-from experiments.dataset.scene import build_scene
+from experiments.dataset.frames.maker import FrameMaker
+from experiments.dataset.frames.scene import build_scene
 from experiments.dataset.settings import CameraConfig, CatalogueConfig, ConePointing, Config, FixedRate, ScanPointing
 from optics.frames import field_angles_deg
 from optics.rays.chief import chief_ray_points

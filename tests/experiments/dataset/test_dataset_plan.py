@@ -9,8 +9,8 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from scipy.spatial.transform import Rotation
 
-from experiments.dataset.plan import build_plan, plan_frame
-from experiments.dataset.pointing import read_attitudes
+from experiments.dataset.frames.attitude_files import read_attitudes
+from experiments.dataset.frames.plan import build_plan, plan_frame
 from experiments.dataset.settings import (
     ConePointing,
     Config,

@@ -7,9 +7,10 @@ import pytest
 from astropy.coordinates import SkyCoord, get_body_barycentric, get_sun
 from astropy.time import Time
 
-from experiments.dataset.maker import FrameMaker
-from experiments.dataset.plan import build_plan, plan_frame
-from experiments.dataset.scene import build_scene
+from experiments.dataset.frames.maker import FrameMaker
+from experiments.dataset.frames.plan import build_plan, plan_frame
+from experiments.dataset.frames.scene import build_scene
+from experiments.dataset.frames.sky_light import PLANET_IDS
 from experiments.dataset.settings import (
     BackgroundConfig,
     CameraConfig,
@@ -19,8 +20,7 @@ from experiments.dataset.settings import (
     RadiationConfig,
     SkyPointing,
 )
-from experiments.dataset.sky_light import PLANET_IDS
-from experiments.dataset.truth import FLAGS
+from experiments.dataset.truth.star_truth import FLAGS
 from optics.errors import StarbenchError
 
 EPOCH = 2025.3

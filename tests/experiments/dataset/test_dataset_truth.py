@@ -8,9 +8,9 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from scipy.special import erf
 
-from experiments.dataset.facts import facts_from_text
-from experiments.dataset.maker import FrameMaker
-from experiments.dataset.scene import build_scene, stars_of
+from experiments.dataset.frames.maker import FrameMaker
+from experiments.dataset.frames.scene import build_scene, stars_of
+from experiments.dataset.production.job import _record
 from experiments.dataset.settings import (
     BackgroundConfig,
     CameraConfig,
@@ -19,8 +19,8 @@ from experiments.dataset.settings import (
     Config,
     FixedRate,
 )
-from experiments.dataset.truth import FLAGS, flux_snr, footprint_px
-from experiments.dataset.work import _facts
+from experiments.dataset.truth.frame_record import record_from_text
+from experiments.dataset.truth.star_truth import FLAGS, flux_snr, footprint_px
 from optics.errors import DomainError, StarbenchError
 from optics.frames import field_angles_deg
 from optics.rays.chief import chief_ray_points
@@ -101,12 +101,12 @@ def test_snr_of_a_faint_gaussian_spot():
     assert flux_snr(np.array([1e6]), total, total, noise_e2=0.0)[0] == pytest.approx(1e3)
 
 
-def test_facts_survive_their_text(maker, made):
-    facts = _facts(made, maker.scene.config, "frames/a.fits", "truth/a.parquet", b"content")
-    assert facts_from_text(facts.to_text()) == facts
-    x, y, z, w = facts.quat_xyzw
+def test_a_record_survives_their_text(maker, made):
+    record = _record(made, maker.scene.config, "frames/a.fits", "truth/a.parquet", b"content")
+    assert record_from_text(record.to_text()) == record
+    x, y, z, w = record.quat_xyzw
     assert w >= 0
-    boresight = SkyCoord(facts.ra_deg, facts.dec_deg, unit="deg").cartesian.xyz.value
+    boresight = SkyCoord(record.ra_deg, record.dec_deg, unit="deg").cartesian.xyz.value
     turned = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])  # third row, scalar last
     assert turned == pytest.approx(boresight, abs=1e-12)
 

@@ -8,9 +8,9 @@ from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
 from calib.flags import StarFlag
 from calib.records import StarTable
-from experiments.dataset.measure import MeasuredFrame
-from experiments.dataset.solve import SkyMap, SolvedFrame, solve_frame
-from experiments.dataset.statistics import solver
+from experiments.dataset.evaluation.reduction import MeasuredFrame
+from experiments.dataset.evaluation.solve import SkyMap, SolvedFrame, solve_frame
+from experiments.dataset.evaluation.statistics import solver_statistics
 from optics.units import RAD_ARCSEC
 from render.catalogue.gaia import load_gaia
 from render.catalogue.index import build_index
@@ -91,7 +91,7 @@ def test_errors_are_what_noise_and_number_of_stars_make(sky, model, database):
         solved(k, measured(sky, model, one, k), sky=sky, model=model, database=database, truth=one)
         for k, one in enumerate(attitudes)
     )
-    found = solver(frames)
+    found = solver_statistics(frames)
     assert (found.solved, found.mirrored, found.wrong) == (12, 0, 0)
     expected = np.array([NOISE_PX * PIXEL_ARCSEC / np.sqrt(one.used) for one in frames])
     error = np.array([one.error_arcsec[:2] for one in frames])
@@ -113,7 +113,7 @@ def test_a_mirrored_image_is_not_solved(sky, model, database):
     one = solved(0, stars, sky=sky, model=model, database=database, truth=attitude)
     assert not one.solved
     assert one.mirrored
-    assert not solver((one,)).parity_ok
+    assert not solver_statistics((one,)).parity_ok
 
 
 def test_an_attitude_that_is_not_the_truth_is_wrong(sky, model, database):

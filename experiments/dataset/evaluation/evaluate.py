@@ -1,0 +1,176 @@
+"""What others find in the frames of a dataset: stars, attitudes, world coordinates; read back from the files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.cameras.fit import MapFit, fit_camera
+from experiments.dataset.evaluation.centroid_bound import CentroidBound, dataset_bound
+from experiments.dataset.evaluation.detection import FoundStars, compare_frame, joined
+from experiments.dataset.evaluation.psf_grid import render_psf_grid
+from experiments.dataset.evaluation.reduction import MeasuredFrame, Reduction, measure_frame, reduction_of
+from experiments.dataset.evaluation.solve import BlindSolver, SolvedFrame
+from experiments.dataset.evaluation.wcs_check import wcs_misses_px
+from experiments.dataset.truth.files import read_table
+from experiments.dataset.truth.frame_record import FrameRecord
+from experiments.laboratory.readout.frames import empty_frame, mean_dark_frame
+from optics.arrays import FloatArray
+from render.fits.files import read_frame
+from render.mapping import pixel_map
+
+if TYPE_CHECKING:
+    from experiments.dataset.frames.scene import Scene
+    from render.engine.random import Streams
+
+__all__ = ["Evaluation", "Example", "evaluate"]
+
+
+EMPTY = "empty"
+"""Random streams of frames without stars."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Example:
+    """A frame to be shown.
+
+    Attributes
+    ----------
+    frame : int
+        Its number.
+    electrons : (h, w) float32
+        Above the dark.
+    measured : MeasuredFrame
+        What was detected.
+    truth : dict
+        Columns of its truth.
+    """
+
+    frame: int
+    electrons: NDArray[np.float32]
+    measured: MeasuredFrame
+    truth: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evaluation:
+    """What was found.
+
+    Attributes
+    ----------
+    frames : int
+        How many were looked at.
+    temperature_k : float
+        Colour of the stars that the camera is calibrated for: the median.
+    calibration : MapFit
+        Camera model.
+    solved : tuple of SolvedFrame
+        One per frame; empty where the solver is missing.
+    without_solver : str
+        Why, if so.
+    stars : FoundStars
+        Of all frames.
+    bound : CentroidBound
+        What centroids could reach.
+    background_e : float
+        Expected electrons of a pixel without star, sky and dark current, that the bound was computed with.
+    empty_frames : int
+        Frames without stars that were read out for comparison, with the same background.
+    empty_detections : int
+        What was detected in them without a flag of the measurement.
+    wcs_miss_px : (n,)
+        Of all stars of all frames.
+    example : Example or None
+        The first frame with stars.
+    """
+
+    frames: int
+    temperature_k: float
+    calibration: MapFit
+    solved: tuple[SolvedFrame, ...]
+    without_solver: str
+    stars: FoundStars
+    bound: CentroidBound
+    background_e: float
+    empty_frames: int
+    empty_detections: int
+    wcs_miss_px: FloatArray
+    example: Example | None
+
+
+def evaluate(folder: Path, scene: Scene, records: Sequence[FrameRecord], *, advance: Callable[[], None]) -> Evaluation:
+    """Measure, solve and compare frames of a dataset.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        The dataset.
+    scene : Scene
+        What its frames have in common.
+    records : sequence of FrameRecord
+        The frames to look at.
+    advance : callable
+        Called once per frame.
+
+    Raises
+    ------
+    StarbenchError
+        Unknown centroider; no light on most of the detector.
+    """
+    verify, camera = scene.config.verify, scene.instrument.camera
+    streams = scene.plan.streams.child("verify")
+    dark = mean_dark_frame(scene.instrument, verify.dark_frames, streams=streams, label=EMPTY)
+    temperature_k = float(np.median(scene.temperature_k))
+    psfs = render_psf_grid(scene, temperature_k=temperature_k, window_px=verify.window_px)
+    reduction = reduction_of(scene, dark, psfs)
+    known = pixel_map(scene.instrument, scene.light, temperature_k=temperature_k)
+    calibration = fit_camera(known)
+    solver = BlindSolver(scene, calibration)
+    size = {"width_px": camera.width_px, "height_px": camera.height_px}
+    stars, solved, misses = [], [], [np.zeros(0)]
+    example: Example | None = None
+    for one in records:
+        frame = read_frame(folder / one.file)
+        table = read_table(folder / one.truth)
+        truth = {name: np.asarray(table[name]) for name in table.colnames}
+        smear = np.hypot(truth["smear_x_px"], truth["smear_y_px"])
+        measured = measure_frame(frame, reduction, smear_px=float(np.nanmax(smear, initial=0.0)))
+        stars.append(compare_frame(one.frame, measured, truth, **size))
+        if not (scene.config.camera.line_time_us and any(one.rate_deg_per_s)):  # else every row has its own attitude
+            misses.append(wcs_misses_px(folder / one.file, truth, **size))
+        if solver.database is not None:
+            solved.append(solver.solve(one, measured.at_once(solver.turned(one, measured))))
+        if example is None and one.stars:
+            light = (frame.dn - dark) / np.float32(frame.gain_dn_per_e)
+            example = Example(frame=one.frame, electrons=light, measured=measured, truth=truth)
+        advance()
+    sky_e = float(np.mean([one.background_e for one in records]))
+    return Evaluation(
+        frames=len(records),
+        temperature_k=temperature_k,
+        calibration=calibration,
+        solved=tuple(solved),
+        without_solver=solver.missing,
+        stars=joined(stars),
+        bound=dataset_bound(scene, psfs, sky_e),
+        background_e=sky_e + scene.instrument.pixel_noise().dark_e,
+        empty_frames=verify.dark_frames,
+        empty_detections=_in_empty_frames(scene, reduction, sky_e, streams.child("empty")),
+        wcs_miss_px=np.concatenate(misses),
+        example=example,
+    )
+
+
+def _in_empty_frames(scene: Scene, reduction: Reduction, sky_e: float, streams: Streams) -> int:
+    """Detections without a flag in frames of an even background: what noise alone makes."""
+    count = 0
+    for frame in range(scene.config.verify.dark_frames):
+        empty = empty_frame(scene.instrument, frame, sky_e=sky_e, streams=streams, label=EMPTY)
+        found = measure_frame(empty, reduction)
+        count += int(np.count_nonzero(~found.stars.sharp))
+    return count

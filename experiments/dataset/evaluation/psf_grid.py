@@ -1,0 +1,74 @@
+"""Effective PSFs of one star colour on a grid over the detector, from the lens: what stars are compared with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optics.arrays import FloatArray
+from render.records import EffectivePsf
+from render.tracing.psf import epsf_tracer, render_epsf
+
+if TYPE_CHECKING:
+    from experiments.dataset.frames.scene import Scene
+
+__all__ = ["PsfGrid", "render_psf_grid"]
+
+
+LONG_SIDE = 9
+"""PSFs along the longer side. Between neighbours a PSF changes its shape by so little that the nearest one serves."""
+OVERSAMPLING = 4
+INSET = 0.97
+"""Share of the half-width that the grid spans, so that its outermost bundles stay on the detector."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PsfGrid:
+    """PSFs, each centred on the mean of its rays.
+
+    Attributes
+    ----------
+    psfs : tuple of EffectivePsf
+        Row by row.
+    place_px : (n, 2)
+        Where they stand.
+    """
+
+    psfs: tuple[EffectivePsf, ...]
+    place_px: FloatArray
+
+    def nearest(self, x_px: FloatArray, y_px: FloatArray) -> NDArray[np.int64]:
+        """Which PSF is the nearest to places (n,)."""
+        at = np.stack([x_px, y_px], axis=-1)
+        return np.asarray(((at[:, None] - self.place_px) ** 2).sum(-1).argmin(1))
+
+
+def render_psf_grid(scene: Scene, *, temperature_k: float, window_px: int) -> PsfGrid:
+    """Render the PSFs of a camera.
+
+    Parameters
+    ----------
+    scene : Scene
+        Camera and band.
+    temperature_k : float
+        Colour of the star.
+    window_px : int
+        Window that they have to cover, at any sub-pixel phase.
+
+    Raises
+    ------
+    DomainError
+        No light reaches one of the places.
+    """
+    camera = scene.instrument.camera
+    size = np.array([camera.width_px, camera.height_px])
+    columns, rows = np.maximum(3, np.rint(LONG_SIDE * size / size.max()).astype(int) // 2 * 2 + 1)
+    x, y = (INSET * n / 2 * np.linspace(-1.0, 1.0, count) for n, count in zip(size, (columns, rows), strict=True))
+    place = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) + camera.centre_px
+    direction = camera.nominal_direction(place[:, 0], place[:, 1], scene.instrument.focal_length_mm)
+    stars = scene.light.stars(direction, 5.0, temperature_k)
+    rendered = render_epsf(epsf_tracer(camera), stars, oversampling=OVERSAMPLING, half_size_px=window_px // 2 + 2)
+    return PsfGrid(psfs=tuple(row[0] for row in rendered), place_px=place)

@@ -1,0 +1,149 @@
+"""Stars of a frame as a star tracker measures them: dark subtracted, detected, centroided, without the truth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.measure.background import estimate_background
+from calib.measure.centroid import get_centroider
+from calib.measure.find import find_stamps
+from calib.records import NoiseModel, StarTable
+from experiments.laboratory.centroid_methods import needs_epsf
+from experiments.laboratory.readout.frames import dark_subtracted_frame
+from experiments.laboratory.readout.noise_model import true_noise
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.records import freeze
+
+if TYPE_CHECKING:
+    from experiments.dataset.evaluation.psf_grid import PsfGrid
+    from experiments.dataset.frames.scene import Scene
+    from render.records import Frame
+
+__all__ = ["SMEAR_PX", "MeasuredFrame", "Reduction", "measure_frame", "reduction_of"]
+
+
+FWHM_PX = 1.8
+"""Of the detection filter: a spot of sigma 0.7 px on the pixels."""
+SMEAR_PX = 0.25
+"""Trails up to this length are measured like stars at rest."""
+BACKGROUND_STEP_PX = 4
+"""The sky is flat over hundreds of pixels; every 16th pixel gives its level to a fraction of an electron."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reduction:
+    """How frames are measured.
+
+    Attributes
+    ----------
+    dark_dn : (h, w) float32
+        Mean of frames without light.
+    noise : NoiseModel
+        Of a frame minus that mean.
+    centroid : str
+        Name of a centroider.
+    window_px : int
+        Its window.
+    threshold_sigma : float
+        Detection limit.
+    psfs : PsfGrid or None
+        For a centroider that needs one.
+    """
+
+    dark_dn: NDArray[np.float32]
+    noise: NoiseModel
+    centroid: str
+    window_px: int
+    threshold_sigma: float
+    psfs: PsfGrid | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, "dark_dn", shape=("h", "w"), dtype=np.float32, sizes={})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredFrame:
+    """Stars of one frame.
+
+    Attributes
+    ----------
+    stars : StarTable
+        All detections with their centroids, brightest first.
+    fit : (n,) bool
+        Whether a star may count in an attitude: no flag against it.
+    detected_px : (n, 2)
+        Where they were detected, before the centroid.
+    """
+
+    stars: StarTable
+    fit: NDArray[np.bool_]
+    detected_px: FloatArray
+
+    def at_once(self, pixel_px: FloatArray) -> MeasuredFrame:
+        """The same stars at other positions (n, 2)."""
+        return replace(self, stars=replace(self.stars, x_px=pixel_px[:, 0], y_px=pixel_px[:, 1]))
+
+
+def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) -> MeasuredFrame:
+    """Detect and centroid the stars of a frame.
+
+    A PSF at rest does not fit a trail: where the camera turned, as its rate tells, positions are first moments under a
+    Gaussian window (`calib.measure.centroiders.windowed.WindowedCentroid`), in a window that holds the trail.
+
+    Parameters
+    ----------
+    frame : Frame
+        Raw readout.
+    reduction : Reduction
+        Dark and methods.
+    smear_px : float
+        Longest trail of a star during the exposure.
+
+    Returns
+    -------
+    MeasuredFrame
+        Empty if nothing was found, or no pixel is usable.
+    """
+    image = dark_subtracted_frame(frame, reduction.dark_dn, reduction.noise)
+    try:
+        background = estimate_background(image, step_px=BACKGROUND_STEP_PX)
+    except DomainError:  # saturated all over
+        return MeasuredFrame(stars=StarTable.empty(), fit=np.zeros(0, np.bool_), detected_px=np.zeros((0, 2)))
+    moving = smear_px > SMEAR_PX
+    window_px = reduction.window_px + (2 * math.ceil(smear_px / 2.0) if moving else 0)
+    stamps = find_stamps(
+        image,
+        background=background,
+        threshold_sigma=reduction.threshold_sigma,
+        fwhm_px=FWHM_PX,
+        size_px=min(window_px, (min(frame.dn.shape) - 1) // 2 * 2 + 1),
+    )
+    options: dict[str, Any] = {}
+    if not moving and reduction.psfs is not None:
+        stamps = replace(stamps, psf_index=reduction.psfs.nearest(stamps.start_px[:, 0], stamps.start_px[:, 1]))
+        options = {"epsf": reduction.psfs.psfs}
+    stars = get_centroider("windowed" if moving else reduction.centroid, **options).measure(stamps, image.noise)
+    return MeasuredFrame(
+        stars=stars,
+        fit=stars.fit,
+        detected_px=stamps.start_px,
+    )
+
+
+def reduction_of(scene: Scene, dark_dn: NDArray[Any], psfs: PsfGrid | None) -> Reduction:
+    """The configured reduction."""
+    verify = scene.config.verify
+    return Reduction(
+        dark_dn=dark_dn,
+        noise=true_noise(scene.instrument, dark_frames=verify.dark_frames),
+        centroid=verify.centroid,
+        window_px=verify.window_px,
+        threshold_sigma=verify.threshold_sigma,
+        psfs=psfs if needs_epsf(verify.centroid) else None,
+    )

@@ -1,0 +1,143 @@
+"""COCO-like export: frames as PNG, stars as objects with a box and one keypoint, one JSON file per split.
+
+COCO counts from the outer corner of the first pixel, whose centre therefore is (0.5, 0.5)
+(https://cocodataset.org/#format-data; the same as Mitsuba's film).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.dataset.exports.contact_sheet import stretched
+from experiments.dataset.frames.plan import SPLITS
+from experiments.dataset.production.folder import storage_error, write_whole
+from experiments.dataset.truth.files import read_table
+from experiments.dataset.truth.frame_record import FrameRecord
+from experiments.dataset.truth.star_truth import FLAGS, footprint_px
+from optics.frames import pixel_to_mitsuba
+
+__all__ = ["export_coco"]
+
+FOLDER = "coco"
+_CATEGORY = {
+    "id": 1,
+    "name": "star",
+    "supercategory": "sky",
+    "keypoints": ["photon centroid"],
+    "skeleton": [],
+}
+
+
+def export_coco(
+    folder: Path, records: Sequence[FrameRecord], *, diffusion_px: float, bits: int, done: Callable[[], None]
+) -> str:
+    """Write ``coco/images/frame_000123.png`` and ``coco/annotations/instances_SPLIT.json``.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        The dataset.
+    records : sequence of FrameRecord
+        Its frames.
+    diffusion_px : float
+        Charge diffusion of the detector, part of the stars' boxes.
+    bits : int
+        16: digital numbers as they are; 8: stretched for the eye.
+    done : callable
+        Called after every frame.
+
+    Returns
+    -------
+    str
+        What was written, in words.
+
+    Raises
+    ------
+    StorageError
+        Something could not be written.
+    """
+    root = folder / FOLDER
+    try:
+        for part in ("images", "annotations"):
+            (root / part).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise storage_error(root, error) from None
+    content: dict[str, dict[str, list[Any]]] = {split: {"images": [], "annotations": []} for split in SPLITS}
+    count = 0
+    for one in records:
+        held = content[one.split]
+        image = _image(folder, root, one, bits)
+        stars = _stars(read_table(folder / one.truth), one, image, diffusion_px, first=count + 1)
+        held["images"].append(image)
+        held["annotations"].extend(stars)
+        count += len(stars)
+        done()
+    for split, held in content.items():
+        text = json.dumps({"info": {"description": f"starbench, {split}"}, **held, "categories": [_CATEGORY]})
+        write_whole(root / "annotations" / f"instances_{split}.json", text.encode())
+    return f"{len(records)} PNG files of {bits} bit and {count} stars in {FOLDER}/"
+
+
+def _image(folder: Path, root: Path, one: FrameRecord, bits: int) -> dict[str, Any]:
+    """The image's entry; the picture is written unless it is there."""
+    import io
+
+    from PIL import Image
+
+    from render.fits.files import read_frame
+
+    name = f"frame_{one.frame:06d}.png"
+    path = root / "images" / name
+    dn = read_frame(folder / one.file).dn
+    pixels = dn if bits == 16 else np.rint(255.0 * stretched(dn.astype(np.float32))).astype(np.uint8)
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, format="PNG", compress_level=1)
+    write_whole(path, buffer.getvalue())
+    return {
+        "id": one.frame,
+        "file_name": name,
+        "width": dn.shape[1],
+        "height": dn.shape[0],
+        "ra_deg": one.ra_deg,
+        "dec_deg": one.dec_deg,
+        "roll_deg": one.roll_deg,
+        "quat_xyzw": list(one.quat_xyzw),
+        "exposure_s": one.exposure_s,
+    }
+
+
+def _stars(truth: Any, one: FrameRecord, image: dict[str, Any], diffusion_px: float, *, first: int) -> list[Any]:
+    """Annotations of the stars of which light reaches the detector and whose centroid lies on it."""
+    x, y = (np.asarray(truth[f"photon_{axis}_px"]) for axis in "xy")
+    half_x, half_y = footprint_px(truth["variance_x_px2"], truth["variance_y_px2"], diffusion_px)
+    corner_x, corner_y = pixel_to_mitsuba(x, y)
+    width, height = image["width"], image["height"]
+    lit = (np.asarray(truth["flags"]) & FLAGS["no_light"][0]) == 0
+    lit &= (corner_x >= 0) & (corner_y >= 0) & (corner_x <= width) & (corner_y <= height)
+    found: list[Any] = []
+    for i in np.flatnonzero(lit):
+        left, right = np.clip([corner_x[i] - half_x[i], corner_x[i] + half_x[i]], 0, width)
+        top, bottom = np.clip([corner_y[i] - half_y[i], corner_y[i] + half_y[i]], 0, height)
+        found.append(
+            {
+                "id": first + len(found),
+                "image_id": one.frame,
+                "category_id": 1,
+                "bbox": [round(float(v), 4) for v in (left, top, right - left, bottom - top)],
+                "area": round(float((right - left) * (bottom - top)), 4),
+                "iscrowd": 0,
+                "keypoints": [float(corner_x[i]), float(corner_y[i]), 2],
+                "num_keypoints": 1,
+                "star_id": int(truth["star_id"][i]),
+                "magnitude": float(truth["magnitude"][i]),
+                "electrons": float(truth["electrons"][i]),
+                "snr": float(truth["snr"][i]),
+                "flags": int(truth["flags"][i]),
+            }
+        )
+    return found

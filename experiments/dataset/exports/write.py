@@ -1,0 +1,55 @@
+"""What is written when all frames are there: exports, index, data card, contact sheet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from experiments.dataset.truth.frame_record import FrameRecord
+from experiments.harness.progress import Progress
+
+if TYPE_CHECKING:
+    from experiments.dataset.frames.scene import Scene
+    from experiments.dataset.result import Result
+
+__all__ = ["write_closing_files", "write_exports"]
+
+
+def write_exports(scene: Scene, folder: Path, records: Sequence[FrameRecord], progress: Progress) -> dict[str, str]:
+    """The exports asked for; name -> what was written, in words.
+
+    Raises
+    ------
+    ConfigError
+        A library is missing.
+    StorageError
+        Something could not be written.
+    """
+    from experiments.dataset.exports.coco import export_coco
+    from experiments.dataset.exports.webdataset_shards import export_shards
+
+    config = scene.config
+    written: dict[str, str] = {}
+    for name in config.exports:
+        with progress.stage(f"export {name}", total=len(records)) as stage:
+            if name == "coco":
+                diffusion_px = scene.instrument.detector.diffusion_sigma_px
+                written[name] = export_coco(
+                    folder, records, diffusion_px=diffusion_px, bits=config.png_bits, done=stage.advance
+                )
+            else:
+                written[name] = export_shards(folder, records, done=stage.advance)
+    return written
+
+
+def write_closing_files(result: Result, folder: Path) -> None:
+    """Index, data card and contact sheet into a folder."""
+    from experiments.dataset.exports.contact_sheet import contact_sheet
+    from experiments.dataset.exports.data_card import data_card
+    from experiments.dataset.truth.files import index_bytes
+
+    form = result.config.files.truth
+    (folder / f"index.{form}").write_bytes(index_bytes(result.records, form))
+    (folder / "README.md").write_text(data_card(result), encoding="utf-8")
+    (folder / "contact_sheet.png").write_bytes(contact_sheet(result.folder, result.records))

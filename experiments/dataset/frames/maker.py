@@ -1,0 +1,182 @@
+"""One frame with its truth: a pure function of configuration and frame number."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.dataset.frames.plan import FramePlan, plan_frame
+from experiments.dataset.frames.point_sources import PointSources, point_sources, smear_px
+from experiments.dataset.frames.scene import Scene
+from experiments.dataset.frames.sky_light import diffuse_light, resolved_light
+from experiments.dataset.truth.star_truth import FLAGS, StarLightOnChip, pixel_flags, star_rows
+from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
+from render.detector.cosmic_rays import CosmicRayHits, cosmic_ray_hits
+from render.detector.readout import expose
+from render.engine.random import Streams
+from render.records import Frame
+from render.tracing.tracer import TracedStars, Tracer
+
+__all__ = ["FrameMaker", "MadeFrame"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MadeFrame:
+    """A frame as it will be written.
+
+    Attributes
+    ----------
+    plan : FramePlan
+        Attitude, motion, split.
+    frame : Frame
+        Digital numbers.
+    truth : dict
+        Columns of the truth (`experiments.dataset.truth.star_truth.COLUMNS`).
+    background_e : float
+        Mean expected electrons per pixel of sky light.
+    saturated_px : int
+        Pixels that are saturated.
+    """
+
+    plan: FramePlan
+    frame: Frame
+    truth: dict[str, Any]
+    background_e: float
+    saturated_px: int
+
+    @property
+    def stars(self) -> int:
+        """Stars of which light reaches the detector."""
+        return int(np.count_nonzero(self.truth["flags"] & FLAGS["no_light"][0] == 0))
+
+    @property
+    def saturated(self) -> int:
+        """Stars with a saturated pixel."""
+        return int(np.count_nonzero(self.truth["flags"] & FLAGS["saturated"][0]))
+
+
+class FrameMaker:
+    """Makes frames of one dataset; what it makes depends on the scene and the frame number alone.
+
+    Parameters
+    ----------
+    scene : Scene
+        What the frames have in common.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self._tracer = Tracer(scene.instrument.camera, tolerance=scene.config.camera.pupil_tolerance)
+        self._streams: Streams = scene.plan.streams.child("detector")
+        self._axis_share = self._share_on_axis()
+
+    def make(self, frame: int) -> MadeFrame:
+        """Frame number ``frame``, 0 to 2^32 - 1."""
+        scene, config = self.scene, self.scene.config
+        plan = plan_frame(scene.plan, frame)
+        seen = point_sources(scene, plan)
+        traced = self._traced(seen, plan)
+        electrons = traced.electrons[:, :, 0]
+        sky_e = self._add_sky(electrons, plan)
+        hits = self._hits(frame)
+        band = scene.light.band[0]
+        read = expose(
+            electrons,
+            scene.instrument.detector,
+            streams=self._streams,
+            frame=frame,
+            exposure_s=config.camera.exposure_s,
+            temperature_c=config.camera.chip_temperature_c,
+            background_e_per_s=config.background.extra_e_per_s,
+            band=band,
+            hits=hits,
+        )
+        truth = star_rows(
+            seen,
+            traced.truth,
+            scene.instrument.detector,
+            frame=frame,
+            band=band,
+            on_chip=StarLightOnChip(
+                empty_e2=float(scene.instrument.pixel_noise().temporal_e2(sky_e)),
+                pixel_flags=pixel_flags(read.saturated, read.defect, None if hits is None else _struck(hits)),
+                smear_px=smear_px(scene, seen, plan, traced.truth.chief_y_px[:, 0]),
+                axis_share=self._axis_share,
+            ),
+        )
+        return MadeFrame(
+            plan=plan,
+            frame=read,
+            truth=truth,
+            background_e=sky_e,
+            saturated_px=int(np.count_nonzero(read.saturated)),
+        )
+
+    def _share_on_axis(self) -> float:
+        """Part of the light of a star on the axis that the lens lets through."""
+        star = self.scene.light.stars(np.array([[0.0, 0.0, 1.0]]), 0.0, TYPICAL_TEMPERATURE_K)
+        truth = self._tracer.render(star, exposure_s=1.0, rotation_cam_from_world=np.eye(3)).truth
+        return float(1.0 - truth.electrons_vignetted[0, 0] / truth.electrons_in[0, 0])
+
+    def _traced(self, seen: PointSources, plan: FramePlan) -> TracedStars:
+        camera = self.scene.config.camera
+        if plan.trajectory is None:
+            attitude = plan.attitude.as_matrix()
+            return self._tracer.render(seen.light, exposure_s=camera.exposure_s, rotation_cam_from_world=attitude)
+        from render.tracing.motion import exposure_motion
+
+        motion = exposure_motion(
+            plan.trajectory,
+            start_s=plan.start_s,
+            exposure_s=camera.exposure_s,
+            camera=self.scene.instrument.camera,
+            line_time_s=camera.line_time_us * 1e-6,
+            tolerance=camera.pupil_tolerance,
+        )
+        return self._tracer.render(seen.light, exposure_s=camera.exposure_s, motion=motion)
+
+    def _add_sky(self, electrons: NDArray[np.float32], plan: FramePlan) -> float:
+        """Add the light of the sky to the stars', except what is the same everywhere; mean of all sky light [e-]."""
+        scene, config = self.scene, self.scene.config
+        exposure_s = config.camera.exposure_s
+        mean = config.background.extra_e_per_s * exposure_s
+        diffuse = diffuse_light(scene.sky_light, plan.attitude, config)
+        if diffuse is not None:
+            diffuse *= np.float32(exposure_s)
+            electrons += diffuse
+            mean += float(diffuse.mean())
+        disks = resolved_light(
+            scene.sky_light,
+            scene.instrument.camera,
+            scene.view,
+            plan,
+            config,
+            duration_s=scene.plan.duration_s,
+        )
+        if disks is not None:
+            electrons += disks
+        return mean
+
+    def _hits(self, frame: int) -> CosmicRayHits | None:
+        radiation = self.scene.config.radiation
+        if radiation.environment == "none":
+            return None
+        return cosmic_ray_hits(
+            self.scene.instrument.detector,
+            radiation.environment,
+            streams=self._streams,
+            frame=frame,
+            exposure_s=self.scene.config.camera.exposure_s,
+            depth_um=radiation.depth_um,
+        )
+
+
+def _struck(hits: CosmicRayHits) -> NDArray[np.bool_]:
+    """Pixels (h, w) in which cosmic rays left at least an electron."""
+    struck = np.zeros(hits.shape, np.bool_)
+    counts = hits.charge_e >= 1.0
+    struck[hits.row[counts], hits.column[counts]] = True
+    return struck

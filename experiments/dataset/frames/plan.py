@@ -1,0 +1,307 @@
+"""What each frame is: attitude, motion, split. A pure function of configuration and frame number."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from experiments.dataset.frames.attitude_files import read_attitudes, read_motion
+from experiments.dataset.settings import (
+    ConePointing,
+    Config,
+    FixedRate,
+    JitterConfig,
+    ListPointing,
+    RandomRate,
+    ScanPointing,
+    SkyPointing,
+    SplitsConfig,
+)
+from optics.arrays import FloatArray
+from optics.attitude import attitude_from_angles
+from optics.errors import ConfigError, DomainError
+from optics.units import DEG_RAD
+from render.catalogue.motion import earth_observer
+from render.engine.random import Streams
+from render.motion.jitter import JitterSpectrum, jittered
+from render.motion.trajectory import ConstantRate, SampledAttitude, Trajectory
+
+__all__ = [
+    "SPLITS",
+    "FramePlan",
+    "Plan",
+    "build_plan",
+    "fastest_rad_per_s",
+    "plan_frame",
+    "split_of",
+    "sun_direction",
+]
+
+
+SPLITS = ("train", "validation", "test")
+SPLIT_BLOCK = 100
+RATE_SAMPLES = 1000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """All frames of a dataset; made by `build_plan`.
+
+    Attributes
+    ----------
+    config : Config
+        The configuration.
+    streams : Streams
+        Root of the randomness of this dataset.
+    duration_s : float
+        From the start of the exposure of the first row to the end of that of the last.
+    attitudes : Rotation or None
+        Of a list.
+    path : Trajectory or None
+        Of a scan.
+    to_sun : (3,) or None
+        Towards the Sun along icrs, where attitudes have to keep away from it.
+    jitter : JitterSpectrum or None
+        Random motion on top; the path of a scan has it already.
+    """
+
+    config: Config
+    streams: Streams
+    duration_s: float
+    attitudes: Rotation | None
+    path: Trajectory | None
+    to_sun: FloatArray | None
+    jitter: JitterSpectrum | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FramePlan:
+    """One frame.
+
+    Attributes
+    ----------
+    frame : int
+        Its number.
+    split : str
+        One of `SPLITS`.
+    attitude : Rotation
+        cam from icrs in the middle of the exposure.
+    rate_rad_per_s : (3,)
+        Angular velocity in camera axes at that time.
+    start_s : float
+        Start of the exposure on the trajectory.
+    trajectory : Trajectory or None
+        Motion during the exposure; None where the camera stands still.
+    """
+
+    frame: int
+    split: str
+    attitude: Rotation
+    rate_rad_per_s: FloatArray
+    start_s: float
+    trajectory: Trajectory | None
+
+
+def build_plan(config: Config, height_px: int | None = None) -> Plan:
+    """Read what has to be read, and refuse what cannot be.
+
+    Parameters
+    ----------
+    config : Config
+        The configuration.
+    height_px : int, optional
+        Rows of the detector; those of the configuration if left out.
+
+    Raises
+    ------
+    ConfigError
+        A file that is missing or not understood, fewer attitudes than frames, a motion given twice.
+    DomainError
+        An attitude that is not normalised, a motion shorter than the frames need.
+    """
+    pointing = config.pointing
+    rows = config.camera.height_px if height_px is None else height_px
+    duration_s = config.camera.exposure_s + max(0, rows - 1) * config.camera.line_time_us * 1e-6
+    streams, jitter = Streams(config.seed).child("dataset"), _spectrum(config.jitter)
+    attitudes: Rotation | None = None
+    path: Trajectory | None = None
+    if isinstance(pointing, ListPointing):
+        attitudes = read_attitudes(pointing.file, "pointing.file")
+        if len(attitudes) < config.frames:
+            raise ConfigError(
+                f"pointing.file: {pointing.file} holds {len(attitudes)} attitudes, {config.frames} frames are asked "
+                f"for; set frames to at most {len(attitudes)}"
+            )
+    elif isinstance(pointing, ScanPointing):
+        if not (isinstance(config.rate, FixedRate) and not any(config.rate.rate_deg_per_s)):
+            raise ConfigError("rate: the motion of a scan is that of pointing; leave rate out")
+        path = _scan(pointing, config, duration_s)
+        if jitter is not None:
+            path = jittered(path, jitter, streams=streams)  # one motion for all frames
+    to_sun = None
+    if isinstance(pointing, SkyPointing | ConePointing) and pointing.sun_exclusion_deg > 0:
+        to_sun = sun_direction(config.sky.epoch_year)
+        if isinstance(pointing, ConePointing):
+            _check_cone(pointing, to_sun)
+    return Plan(
+        config=config,
+        streams=streams,
+        duration_s=duration_s,
+        attitudes=attitudes,
+        path=path,
+        to_sun=to_sun,
+        jitter=jitter,
+    )
+
+
+def _spectrum(config: JitterConfig) -> JitterSpectrum | None:
+    """The configured power spectra.
+
+    Raises
+    ------
+    DomainError
+        Frequencies that do not increase, or densities that are negative or zero in places.
+    """
+    count = len(config.frequency_hz)
+    densities = (config.psd_x_arcsec2_per_hz, config.psd_y_arcsec2_per_hz, config.psd_z_arcsec2_per_hz)
+    if not count or not any(densities):
+        return None
+    return JitterSpectrum(
+        frequency_hz=np.array(config.frequency_hz),
+        psd_arcsec2_per_hz=np.array([values or (0.0,) * count for values in densities]),
+    )
+
+
+def sun_direction(epoch_year: float) -> FloatArray:
+    """Unit vector from the Earth towards the Sun, along icrs."""
+    away = earth_observer(epoch_year).from_sun_au
+    assert away is not None
+    return np.asarray(-away / np.linalg.norm(away))
+
+
+def _check_cone(pointing: ConePointing, to_sun: FloatArray) -> None:
+    """Refuse a cone of which nothing is left."""
+    centre = attitude_from_angles(pointing.ra_deg, pointing.dec_deg, 0.0).as_matrix()[2]
+    farthest = float(np.degrees(np.arccos(np.clip(centre @ to_sun, -1.0, 1.0)))) + pointing.radius_deg
+    if farthest <= pointing.sun_exclusion_deg:
+        raise DomainError(
+            f"pointing: all of the cone lies within {farthest:.1f} deg of the Sun, pointing.sun_exclusion_deg = "
+            f"{pointing.sun_exclusion_deg:g} deg; point elsewhere or change sky.epoch_year"
+        )
+
+
+def _scan(pointing: ScanPointing, config: Config, duration_s: float) -> Trajectory:
+    last_s = (config.frames - 1) / pointing.frame_rate_hz + duration_s
+    if pointing.file:
+        times, attitudes = read_motion(pointing.file, "pointing.file")
+        path = SampledAttitude(samples_s=times, attitudes=attitudes)
+        if path.end_s - path.start_s < last_s:
+            most = int((path.end_s - path.start_s - duration_s) * pointing.frame_rate_hz) + 1
+            raise DomainError(
+                f"pointing.file: {pointing.file} lasts {path.end_s - path.start_s:g} s, {config.frames} frames at "
+                f"{pointing.frame_rate_hz:g} Hz need {last_s:g} s; set frames to at most {max(most, 0)}"
+            )
+        return path
+    return ConstantRate(
+        initial=attitude_from_angles(pointing.ra_deg, pointing.dec_deg, pointing.roll_deg),
+        rate_rad_per_s=np.array(pointing.rate_deg_per_s) * DEG_RAD,
+        end_s=1e7 / pointing.frame_rate_hz + duration_s,  # more than the most frames there can be
+    )
+
+
+def plan_frame(plan: Plan, frame: int) -> FramePlan:
+    """What frame number ``frame`` is."""
+    config, half_s = plan.config, plan.duration_s / 2.0
+    split = split_of(config.splits, plan.streams, frame)
+    if plan.path is not None:
+        assert isinstance(config.pointing, ScanPointing)
+        start = plan.path.start_s + frame / config.pointing.frame_rate_hz
+        at_rest = isinstance(plan.path, ConstantRate) and not plan.path.rate_rad_per_s.any()
+        return FramePlan(
+            frame=frame,
+            split=split,
+            attitude=plan.path.attitude(start + half_s),
+            rate_rad_per_s=plan.path.rate(start + half_s),
+            start_s=start,
+            trajectory=None if at_rest else plan.path,
+        )
+    attitude, rate = _attitude(plan, frame), _rate(plan, frame)
+    path: Trajectory | None = None
+    if rate.any() or plan.jitter is not None:
+        initial = Rotation.from_rotvec(rate * half_s) * attitude  # half an exposure earlier
+        path = ConstantRate(initial=initial, rate_rad_per_s=rate, end_s=2.0 * half_s)
+    if path is not None and plan.jitter is not None:
+        path = jittered(path, plan.jitter, streams=plan.streams, frame=frame)
+        attitude, rate = path.attitude(half_s), path.rate(half_s)
+    return FramePlan(frame=frame, split=split, attitude=attitude, rate_rad_per_s=rate, start_s=0.0, trajectory=path)
+
+
+def _attitude(plan: Plan, frame: int) -> Rotation:
+    pointing = plan.config.pointing
+    if plan.attitudes is not None:
+        return plan.attitudes[frame]
+    assert isinstance(pointing, SkyPointing | ConePointing)
+    rng = plan.streams.generator("attitude", frame)
+    nearest = np.cos(pointing.sun_exclusion_deg * DEG_RAD)
+    while True:
+        attitude = _drawn(pointing, rng)
+        if plan.to_sun is None or attitude.as_matrix()[2] @ plan.to_sun < nearest:
+            return attitude
+
+
+def _drawn(pointing: SkyPointing | ConePointing, rng: np.random.Generator) -> Rotation:
+    if isinstance(pointing, SkyPointing):
+        return Rotation.from_quat(rng.standard_normal(4))  # a direction uniform on the 3-sphere is a uniform rotation
+    height = rng.uniform(np.cos(pointing.radius_deg * DEG_RAD), 1.0)  # equal heights of a cap are equal areas
+    azimuth, roll = rng.uniform(0.0, 360.0, 2)
+    centre = attitude_from_angles(pointing.ra_deg, pointing.dec_deg, 0.0)
+    across = np.sqrt(max(0.0, 1.0 - height * height))
+    inside = np.array([across * np.cos(azimuth * DEG_RAD), across * np.sin(azimuth * DEG_RAD), height])
+    boresight = centre.inv().apply(inside)
+    ra, dec = np.arctan2(boresight[1], boresight[0]), np.arcsin(np.clip(boresight[2], -1.0, 1.0))
+    return attitude_from_angles(ra / DEG_RAD, dec / DEG_RAD, roll if pointing.roll_deg is None else pointing.roll_deg)
+
+
+def _rate(plan: Plan, frame: int) -> FloatArray:
+    """Angular velocity in camera axes [rad/s]."""
+    rate = plan.config.rate
+    if isinstance(rate, FixedRate):
+        return np.array(rate.rate_deg_per_s) * DEG_RAD
+    rng = plan.streams.generator("rate", frame)
+    axis = rng.standard_normal(3)
+    share = rng.uniform()
+    low, high = rate.lowest_deg_per_s, rate.highest_deg_per_s
+    size = low * (high / low) ** share if rate.distribution == "log_uniform" else low + (high - low) * share
+    return np.asarray(axis / np.linalg.norm(axis) * size * DEG_RAD)
+
+
+def fastest_rad_per_s(plan: Plan) -> tuple[float, float]:
+    """Largest angular velocities that a frame may have, across the boresight and about it [rad/s]."""
+    config = plan.config
+    if plan.path is not None:
+        assert isinstance(config.pointing, ScanPointing)
+        end_s = plan.path.start_s + (config.frames - 1) / config.pointing.frame_rate_hz + plan.duration_s
+        rate = plan.path.rate(np.linspace(plan.path.start_s, end_s, RATE_SAMPLES))
+        return float(np.hypot(rate[:, 0], rate[:, 1]).max()), float(np.abs(rate[:, 2]).max())
+    if isinstance(config.rate, RandomRate):
+        return config.rate.highest_deg_per_s * DEG_RAD, config.rate.highest_deg_per_s * DEG_RAD
+    x, y, z = config.rate.rate_deg_per_s
+    return float(np.hypot(x, y)) * DEG_RAD, abs(z) * DEG_RAD
+
+
+def split_of(splits: SplitsConfig, streams: Streams, frame: int) -> str:
+    """Which split a frame belongs to; every block of 100 frames is shared out as exactly as whole frames allow."""
+    block, place = divmod(frame, SPLIT_BLOCK)
+    position = (_order(streams, block)[place] + 0.5) / SPLIT_BLOCK
+    if position < splits.train_fraction:
+        return SPLITS[0]
+    return SPLITS[1] if position < splits.train_fraction + splits.validation_fraction else SPLITS[2]
+
+
+@lru_cache(maxsize=64)
+def _order(streams: Streams, block: int) -> Any:
+    return streams.generator("split", block).permutation(SPLIT_BLOCK)

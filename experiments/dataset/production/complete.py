@@ -1,0 +1,99 @@
+"""A dataset brought to the frames asked for: those that are there and whole are kept, the others are made."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+
+from experiments.dataset.production.folder import DatasetFolder, StorageError, checked_frame
+from experiments.dataset.production.job import Job
+from experiments.dataset.production.schedule import make_frames, processors
+from experiments.dataset.settings import Config
+from experiments.dataset.truth.frame_record import FrameRecord
+from experiments.harness.progress import Progress
+
+__all__ = ["Completed", "complete"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Completed:
+    """All frames, and how the missing ones were made.
+
+    Attributes
+    ----------
+    records : tuple of FrameRecord
+        One per frame, in their order.
+    made : int
+        Frames made now; the others were there.
+    frames_per_s : float
+        Frames per second from the first finished one to the last, all workers together; NaN for fewer than two.
+    workers : int
+        Processes that made them.
+    """
+
+    records: tuple[FrameRecord, ...]
+    made: int
+    frames_per_s: float
+    workers: int
+
+
+def complete(config: Config, output: DatasetFolder, job: Job, *, pixels: int, progress: Progress) -> Completed:
+    """Make what is missing.
+
+    Parameters
+    ----------
+    config : Config
+        The configuration.
+    output : DatasetFolder
+        Where frames are, opened.
+    job : Job
+        What workers have to know.
+    pixels : int
+        Of a frame.
+    progress : Progress
+        Where to report.
+
+    Raises
+    ------
+    StarbenchError
+        See `experiments.dataset.production.schedule.make_frames`; or less room on the disk than the frames need.
+    """
+    records = _whole_frames(config, output, progress)
+    missing = [frame for frame in range(config.frames) if frame not in records]
+    if config.files.compression == "none":
+        output.check_room(len(missing) * 2 * pixels)
+    times: list[tuple[float, int]] = []
+    with progress.stage("make frames", total=len(missing)) as stage:
+
+        def done(some: Sequence[FrameRecord]) -> None:
+            records.update({one.frame: one for one in some})
+            times.append((time.perf_counter(), len(some)))
+            stage.advance(len(some))
+
+        try:
+            workers = make_frames(job, missing, workers=config.workers, scheduler=config.scheduler, done=done)
+        except StorageError as error:
+            raise StorageError(
+                f"{output.shown}: {error}; {output.count()} of {config.frames} frames are whole and kept: make room "
+                "and run the same command again"
+            ) from None
+    rate = math.nan
+    if len(times) > 1:
+        rate = sum(count for _, count in times[1:]) / (times[-1][0] - times[0][0])
+    ordered = tuple(records[frame] for frame in range(config.frames))
+    return Completed(records=ordered, made=len(missing), frames_per_s=rate, workers=workers)
+
+
+def _whole_frames(config: Config, output: DatasetFolder, progress: Progress) -> dict[int, FrameRecord]:
+    """Frames that are there and whole, by number."""
+    numbers = output.numbers()
+    if not numbers:
+        return {}
+    check = partial(checked_frame, output.path, truth=config.files.truth)
+    with ThreadPoolExecutor(processors()) as pool:
+        found = progress.track(pool.map(check, numbers), "look at the frames there are", total=len(numbers))
+        return {one.frame: one for one in found if one is not None}

@@ -1,0 +1,304 @@
+"""The folder of a dataset: what is in it is whole, and what was made stays.
+
+A file is written beside its place and moved there by one rename. A frame counts as made when its truth file is there,
+which is written last and holds size and digest of the frame's file, and both are as it says; so neither ``kill -9`` nor
+a full disk nor a lost machine can leave anything that would be taken for a frame and is none.
+``dataset.json`` comes first and says which configuration the frames are of.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import hashlib
+import itertools
+import json
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from experiments.dataset.truth.files import read_record
+from experiments.dataset.truth.frame_record import FrameRecord
+from experiments.harness.summary import dumps
+from optics.errors import ConfigError
+
+__all__ = [
+    "FRAMES",
+    "IDENTITY",
+    "TRUTH",
+    "DatasetFolder",
+    "StorageError",
+    "checked_frame",
+    "flat",
+    "frame_files",
+    "write_whole",
+]
+
+IDENTITY, FRAMES, TRUTH = "dataset.json", "frames", "truth"
+FORMAT_VERSION = 1
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_NUMBERED = re.compile(r"frame_(\d{6,10})\.(?:parquet|ecsv)")
+_COUNT = itertools.count()
+
+
+class StorageError(ConfigError):
+    """Something cannot be written: no room, no right, no disk. What was written before is kept."""
+
+
+def frame_files(frame: int, truth: str) -> tuple[str, str]:
+    """Names of frame and truth, relative to the folder; ``truth`` is the truth's format."""
+    return f"{FRAMES}/frame_{frame:06d}.fits", f"{TRUTH}/frame_{frame:06d}.{truth}"
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file beside its place and move it there.
+
+    Raises
+    ------
+    StorageError
+        It could not be written; what was in its place before still is.
+    """
+    beside = path.with_name(f".{path.name}.{os.getpid()}-{next(_COUNT)}.partial")
+    try:
+        try:
+            with beside.open("xb", buffering=0) as stream:
+                view = memoryview(content)
+                while view:
+                    view = view[stream.write(view) :]
+            os.replace(beside, path)
+        finally:
+            with contextlib.suppress(OSError):
+                beside.unlink()
+    except OSError as error:
+        raise storage_error(path, error) from None
+
+
+def storage_error(path: Path, error: OSError) -> StorageError:
+    """The error for a file that could not be written, in words."""
+    if error.errno in _FULL:
+        return StorageError(f"{path.name} cannot be written: the disk is full")
+    return StorageError(f"{path.name} cannot be written ({error.strerror or error})")
+
+
+def checked_frame(folder: Path, frame: int, truth: str) -> FrameRecord | None:
+    """Record of a frame if it is there and whole, otherwise None."""
+    frame_name, truth_name = frame_files(frame, truth)
+    try:
+        record = read_record(folder / truth_name)
+        if (record.frame, record.file, record.truth) != (frame, frame_name, truth_name):
+            return None
+        content = (folder / frame_name).read_bytes()
+    except Exception:  # whatever a damaged file makes a reader raise
+        return None
+    if len(content) != record.frame_bytes or hashlib.sha256(content).hexdigest() != record.sha256:
+        return None
+    return record
+
+
+class DatasetFolder:
+    """A dataset on disk, new or begun.
+
+    Making the object only looks: it refuses a folder that holds something else, and changes nothing.
+
+    Parameters
+    ----------
+    path : path
+        The folder.
+    config : mapping
+        What the frames depend on, JSON types.
+    frames : int
+        Frames asked for.
+    truth : str
+        Format of the truth.
+
+    Raises
+    ------
+    ConfigError
+        The path is a file, holds something that is no dataset, a dataset of another configuration, or one of more
+        frames.
+    """
+
+    def __init__(self, path: str | Path, *, config: Mapping[str, Any], frames: int, truth: str) -> None:
+        self.shown = str(path)
+        self.path = Path(os.path.realpath(path))
+        self.frames, self.truth = frames, truth
+        self._config = dict(config)
+        self._lock: int | None = None
+        try:
+            self._look()
+        except OSError as error:
+            raise ConfigError(f"{self.shown}: cannot be read ({error.strerror})") from None
+
+    @property
+    def interrupted(self) -> str:
+        """What to say after an interrupt."""
+        return f"interrupted; {self.count()} of {self.frames} frames are kept, the same command continues"
+
+    def count(self) -> int:
+        """Frames there are, as their truth files say; they are not looked into."""
+        return len(self.numbers())
+
+    def open(self, software: Mapping[str, str]) -> None:
+        """Make the folder, or take it up again; from here on it is this process's.
+
+        Parameters
+        ----------
+        software : mapping
+            Versions and backend that the bytes of a frame depend on.
+
+        Raises
+        ------
+        ConfigError
+            Another process is writing here; the frames there are were made by other software.
+        StorageError
+            The folder cannot be written.
+        """
+        identity = {"format": FORMAT_VERSION, "software": dict(software), "config": self._config}
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            self._take_lock()
+            self._clear()
+            if self.count():
+                self._compare(identity)
+            else:  # of what configuration nothing is does not matter
+                write_whole(self.path / IDENTITY, dumps(identity).encode())
+            for name in (FRAMES, TRUTH):
+                (self.path / name).mkdir(exist_ok=True)
+        except OSError as error:
+            raise StorageError(f"{self.shown}: cannot be written ({error.strerror})") from None
+
+    def check_room(self, needed_bytes: int) -> None:
+        """Refuse what surely does not fit.
+
+        Raises
+        ------
+        StorageError
+            Less is free.
+        """
+        free = shutil.disk_usage(self.path).free
+        if needed_bytes > free:
+            raise StorageError(
+                f"{self.shown}: needs {needed_bytes / 1e9:.3g} GB more, its disk has {free / 1e9:.3g} GB left; make "
+                "room, ask for fewer frames, or set files.compression = rice"
+            )
+
+    def close(self) -> None:
+        """Let others write here. A folder in which no frame was made is left as if it had not been opened."""
+        if self._lock is None:
+            return
+        if not self.count():
+            with contextlib.suppress(OSError):
+                for folder in (self.path / FRAMES, self.path / TRUTH):
+                    folder.rmdir()
+                (self.path / IDENTITY).unlink()
+                self.path.rmdir()
+        os.close(self._lock)
+        self._lock = None
+
+    @contextlib.contextmanager
+    def writing(self) -> Iterator[Path]:
+        """Folder for the files that are written at the end; they then take their places, one by one."""
+        try:
+            staging = Path(tempfile.mkdtemp(prefix=".report-", dir=self.path))
+        except OSError as error:
+            raise storage_error(self.path, error) from None
+        try:
+            yield staging
+            for file in sorted(staging.iterdir(), key=lambda f: f.name == "provenance.json"):
+                os.replace(file, self.path / file.name)
+        except OSError as error:
+            raise storage_error(self.path / str(error.filename or ""), error) from None
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+            self.close()
+
+    def _look(self) -> None:
+        if not self.path.exists():
+            return
+        if not self.path.is_dir():
+            raise ConfigError(f"{self.shown}: is a file; name a folder")
+        if not (self.path / IDENTITY).exists():
+            foreign = [f.name for f in self.path.iterdir() if not f.name.startswith(f".{IDENTITY}.")]
+            foreign = [name for name in foreign if name not in (FRAMES, TRUTH) or any((self.path / name).iterdir())]
+            if foreign:
+                raise ConfigError(
+                    f"{self.shown}: holds {min(foreign)}{' and more' if len(foreign) > 1 else ''} but no {IDENTITY}, "
+                    "so it is no dataset; name another folder or empty it"
+                )
+            return
+        if self.count():
+            self._compare({"format": FORMAT_VERSION, "config": self._config})
+        most = max(self.numbers(), default=-1) + 1
+        if most > self.frames:
+            raise ConfigError(
+                f"{self.shown}: holds frames up to number {most - 1}, frames = {self.frames} are asked for; a dataset "
+                f"only grows: ask for at least {most}, or name another folder"
+            )
+
+    def _compare(self, wanted: Mapping[str, Any]) -> None:
+        """Refuse a dataset of another configuration, naming the first key that differs."""
+        try:
+            held = json.loads((self.path / IDENTITY).read_text(encoding="utf-8"))
+            before = flat({name: held[name] for name in wanted})
+        except (OSError, ValueError, KeyError, TypeError):
+            raise ConfigError(
+                f"{self.shown}: {IDENTITY} cannot be understood; name another folder or remove it"
+            ) from None
+        now = flat(json.loads(dumps(wanted)))
+        for key in (*now, *(key for key in before if key not in now)):
+            if before.get(key) != now.get(key):
+                name = key.removeprefix("config.")
+                raise ConfigError(
+                    f"{self.shown}: holds a dataset with {name} = {_shown(before, key)}, this run has "
+                    f"{_shown(now, key)}; name another folder or take the same configuration"
+                )
+
+    def numbers(self) -> list[int]:
+        """Frames there are, as their truth files say, in their order."""
+        try:
+            names = os.listdir(self.path / TRUTH)
+        except OSError:
+            return []
+        return sorted(int(found.group(1)) for found in map(_NUMBERED.fullmatch, names) if found)
+
+    def _take_lock(self) -> None:
+        handle = os.open(self.path, os.O_RDONLY)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # let go by the system when the process ends, however
+        except BlockingIOError:
+            os.close(handle)
+            raise ConfigError(f"{self.shown}: another run is writing here; wait for it, or end it") from None
+        except OSError:  # a file system without locks
+            pass
+        self._lock = handle
+
+    def _clear(self) -> None:
+        """Remove what an earlier run left half-written: temporary files, frames without truth."""
+        for folder in (self.path, self.path / FRAMES, self.path / TRUTH):
+            for file in folder.iterdir() if folder.exists() else ():
+                if not file.name.startswith("."):
+                    continue
+                if file.name.startswith((".frame_", f".{IDENTITY}.")) or file.name.endswith(".partial"):
+                    file.unlink(missing_ok=True)
+                elif file.name.startswith(".report-"):
+                    shutil.rmtree(file, ignore_errors=True)
+        made = {Path(frame_files(frame, self.truth)[0]).name for frame in self.numbers()}
+        for file in (self.path / FRAMES).glob("frame_*.fits"):
+            if file.name not in made:
+                file.unlink(missing_ok=True)
+
+
+def flat(value: Any, key: str = "") -> dict[str, Any]:
+    """Nested settings as dotted key -> value."""
+    if isinstance(value, Mapping):
+        return {path: item for name, part in value.items() for path, item in flat(part, f"{key}.{name}").items()}
+    return {key.removeprefix("."): value}
+
+
+def _shown(values: Mapping[str, Any], key: str) -> str:
+    return json.dumps(values[key], ensure_ascii=False) if key in values else "nothing there"

