@@ -24,13 +24,12 @@ class Pivot:
     columns : str
         Quantities, one column each, e.g. "dark_arcsec raw_arcsec".
     rows : str
-        Dimensions that run down, the last one fastest, each with a column of its coordinates; "" makes a single row.
+        Dimensions that run down, the last one fastest, each with a column of its coordinates, or of numbers 1, 2, 3 ...
+        where it has none; "" makes a single row.
     across : str
         Dimension that is spread over columns: quantity "sigma" with labels x, y becomes "σ x", "σ y".
     hidden : str
         Dimensions of ``rows`` whose coordinates get no column.
-    numbered : str
-        Dimensions of ``rows`` without coordinates that get a column of numbers 1, 2, 3 ..., under this head.
     plain : str
         Quantities of ``columns`` that are shown without their uncertainty.
     where : mapping of str to sequence or str
@@ -44,7 +43,6 @@ class Pivot:
     rows: str = ""
     across: str = ""
     hidden: str = ""
-    numbered: str = ""
     plain: str = ""
     where: Mapping[str, Sequence[Any] | str] = field(default_factory=dict)
     caption: str = ""
@@ -69,7 +67,7 @@ def pivot(data: xr.Dataset, spec: Pivot) -> Table:
         left = [dim for dim in one.dims if dim not in rows and dim != across]
         if left:
             raise DomainError(f"quantity {one.name!r} runs along {', '.join(left)} too; name it in rows or across")
-    heads = [_head(data, dim, spec.numbered) for dim in rows if dim not in spec.hidden.split()]
+    heads = [_head(data, dim) for dim in rows if dim not in spec.hidden.split()]
     spread = _spread(data, across, quantities)
     columns = [*heads, *(column for column, _, _ in spread)]
     body: list[tuple[Cell, ...]] = []
@@ -82,9 +80,9 @@ def pivot(data: xr.Dataset, spec: Pivot) -> Table:
     return Table(columns=columns, rows=body, caption=spec.caption, note=spec.note)
 
 
-def _head(data: xr.Dataset, dim: str, numbered: str) -> Column:
+def _head(data: xr.Dataset, dim: str) -> Column:
     if dim not in data.coords:
-        return Column(name=numbered or dim)
+        return Column(name=dim)
     one = Quantity.of(data, dim)
     key = data.coords[dim].attrs.get("key", "")
     return Column(name=one.label, unit=shown_unit(one.unit), format=one.format, key=key)

@@ -38,8 +38,8 @@ def test_rows_and_what_is_repeated(data):
 
 
 def test_a_dimension_spread_over_columns(data):
-    table = pivot(data, Pivot(rows="star", numbered="Star", across="axis", columns="place flux"))
-    assert [head.name for head in table.heads] == ["Star", "Place x", "Place y", "Flux"]
+    table = pivot(data, Pivot(rows="star", across="axis", columns="place flux"))
+    assert [head.name for head in table.heads] == ["star", "Place x", "Place y", "Flux"]
     assert [head.key for head in table.heads] == ["", "place_x_px", "place_y_px", "flux_e"]
     assert table.rows[2] == (3, 4.0, 5.0, 9.0)
 
