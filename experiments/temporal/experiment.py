@@ -40,7 +40,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.laboratory.brightness import BrightnessControl
     from experiments.laboratory.point_scene import point_laboratory, prepared_scene
     from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
-    from experiments.temporal.result import Result, level_for
+    from experiments.temporal.result import Result, published_levels
     from render.engine.random import Streams
 
     bench, instrument = point_laboratory(config, config.target)
@@ -76,7 +76,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         at_nominal = predict_temporal(
             bench, instrument, psf=psf, place_px=config.place_px, draws=config.draws, seed=config.seed + 1
         )
-        levels = {method: level_for(bench, instrument, psf, config.place_px, method) for method in bench.methods}
+        levels = published_levels(bench, instrument, psf, config.place_px)
     return Result(
         config=config,
         instrument=instrument,

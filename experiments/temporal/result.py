@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from experiments.temporal.settings import Config
 from optics.arrays import FloatArray
 from render.records import EffectivePsf
 
-__all__ = ["Result", "level_for"]
+__all__ = ["Result", "published_levels"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,27 +45,27 @@ class Result:
     published_level_e: Mapping[str, FloatArray]
 
 
-def level_for(
-    bench: Bench,
-    instrument: Instrument,
-    psf: Sequence[EffectivePsf],
-    place_px: Sequence[float] | None,
-    method: str,
-) -> FloatArray:
-    """Signal (2,) [e-] that gives the published temporal error, by the influence function on a few levels.
+def published_levels(
+    bench: Bench, instrument: Instrument, psf: Sequence[EffectivePsf], place_px: Sequence[float] | None
+) -> dict[str, FloatArray]:
+    """Signal (2,) [e-] at which each centroider has the published temporal error, by the influence function.
 
-    Between them ln(TE) is interpolated in ln(signal), along which it bends but little.
+    Between a few levels ln(TE) is interpolated in ln(signal), along which it bends but little.
     """
     few = np.geomspace(50.0, 20000.0, 9)
-    one = replace(bench, methods=(method,), window_px=bench.window_px)
-    found = predict_temporal(one, instrument, psf=psf, levels_e=few, place_px=place_px, draws=0)
-    te = np.stack([found.te_arcsec(method, level) for level in range(len(few))])
-    out = np.full(2, np.nan)
-    for axis, wanted in enumerate(ACC18_ARCSEC["TE"]):
-        for low in range(len(few) - 2, -1, -1):  # from bright to faint: a threshold may leave nothing of a faint star
-            above, below = te[low, axis], te[low + 1, axis]
-            if below < wanted <= above:
-                part = np.log(wanted / below) / np.log(above / below)
-                out[axis] = few[low + 1] * (few[low] / few[low + 1]) ** part
-                break
+    found = predict_temporal(bench, instrument, psf=psf, levels_e=few, place_px=place_px, draws=0)
+    out = {}
+    for method in bench.methods:
+        te = np.stack([found.te_arcsec(method, level) for level in range(len(few))])
+        out[method] = np.array([_crossing(few, te[:, axis], wanted) for axis, wanted in enumerate(ACC18_ARCSEC["TE"])])
     return out
+
+
+def _crossing(signal_e: FloatArray, te_arcsec: FloatArray, wanted: float) -> float:
+    """Signal at which a falling curve has a value, from bright to faint; NaN where it never has."""
+    for low in range(len(signal_e) - 2, -1, -1):  # a threshold may leave nothing of a faint star
+        above, below = te_arcsec[low], te_arcsec[low + 1]
+        if below < wanted <= above:
+            part = np.log(wanted / below) / np.log(above / below)
+            return float(signal_e[low + 1] * (signal_e[low] / signal_e[low + 1]) ** part)
+    return float("nan")
