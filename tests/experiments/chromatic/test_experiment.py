@@ -4,8 +4,6 @@ import json
 import re
 import subprocess
 import sys
-from dataclasses import replace
-from functools import wraps
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +11,7 @@ import pytest
 from astropy.io import fits
 from astropy.table import Table
 
-from experiments.chromatic.experiment import Config, experiment, main
-from experiments.harness.cli import command
+from experiments.chromatic.experiment import Config, main
 from experiments.laboratory.chromatic_error import table1
 
 ROOT = Path(__file__).parents[3]
@@ -36,17 +33,11 @@ def arguments(out, detector):
 
 
 @pytest.fixture(scope="module")
-def outcome(tmp_path_factory, small_detector):
+def outcome(tiny_run, small_detector):
     """Exit code, folder and result of one small run through the command line."""
-    folder = tmp_path_factory.mktemp("chromatic") / "out"
-    kept = []
-
-    def keep(config, *, progress):
-        kept.append(experiment.run(config, progress=progress))
-        return kept[0]
-
-    status = command(replace(experiment, run=wraps(experiment.run)(keep)))(arguments(folder, small_detector))
-    return status, folder, kept[0]
+    settings = {key.replace(".", "__"): value for key, value in SMALL.items()}
+    run = tiny_run("chromatic", **settings, seed=5, instrument__detector=small_detector)
+    return run.status, run.folder, run.result
 
 
 @pytest.fixture(scope="module")
