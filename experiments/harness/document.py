@@ -14,6 +14,7 @@ Besides ``config``, ``result``, ``data`` and ``outcome`` it knows
 ``numbers(number(...))``   the figures shown large: ``number(label, value, unit, format, note)``
 ``criteria()``             the table of criteria; it stands after the numbers if the template does not place it
 ``x | cell(".3f")``        a number as tables set it; ``x | g`` as %g
+``x | digits(2)``          a number with so many significant digits
 ``x | md``                 text that is Markdown itself; any other text is taken letter by letter
 =========================  ============================================================================================
 
@@ -34,7 +35,7 @@ from markupsafe import Markup
 from experiments.harness.quantities import Outcome, Quantity, shown_unit
 from experiments.harness.report import Artist, Equation, Figure, KeyNumber, Row, verdict_line
 from experiments.harness.summary import Criterion, Measured, dumps
-from experiments.harness.tables import Table, cell_text
+from experiments.harness.tables import Table, cell_text, significant
 from optics.errors import ConfigError, DomainError, unknown_name
 
 __all__ = ["render_document"]
@@ -132,6 +133,11 @@ def _cell(value: Any, format: str = "") -> Markup:
     return Markup(cell_text(value.scalar() if isinstance(value, Quantity) else value, format))
 
 
+def _digits(value: Any, digits: int = 2) -> Markup:
+    plain = value.values.item() if isinstance(value, Quantity) else value
+    return Markup(significant(plain.value if isinstance(plain, Measured) else float(plain), digits))
+
+
 def _general(value: Any) -> Markup:
     return Markup(f"{value:g}".replace("-", "\N{MINUS SIGN}"))
 
@@ -147,7 +153,7 @@ def _typeset(context: _Context, path: Path) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"cell": _cell, "g": _general, "md": Markup}
+    environment.filters |= {"cell": _cell, "g": _general, "digits": _digits, "md": Markup}
     known = ("value", "table", "figure", "row", "equation", "numbers", "number", "criteria")
     environment.globals |= {call: getattr(context, call) for call in known}
     outcome = context.outcome

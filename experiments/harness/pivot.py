@@ -35,6 +35,8 @@ class Pivot:
     where : mapping of str to sequence or str
         Dimension -> the coordinates that are shown, all of them for the others; or the one that the table is of, and
         the dimension needs no place in it.
+    heads : mapping of str to Column
+        Key of a column -> the name, unit, key or format that it has in this table instead of the quantity's own.
     caption, note : str
         See `experiments.harness.tables.Table`.
     """
@@ -45,6 +47,7 @@ class Pivot:
     hidden: str = ""
     plain: str = ""
     where: Mapping[str, Sequence[Any] | str] = field(default_factory=dict)
+    heads: Mapping[str, Column] = field(default_factory=dict)
     caption: str = ""
     note: str = ""
 
@@ -69,7 +72,7 @@ def pivot(data: xr.Dataset, spec: Pivot) -> Table:
             raise DomainError(f"quantity {one.name!r} runs along {', '.join(left)} too; name it in rows or across")
     heads = [_head(data, dim) for dim in rows if dim not in spec.hidden.split()]
     spread = _spread(data, across, quantities)
-    columns = [*heads, *(column for column, _, _ in spread)]
+    columns = [*heads, *(_headed(column, spec.heads) for column, _, _ in spread)]
     body: list[tuple[Cell, ...]] = []
     for place in positions(data.sizes, rows):
         leading = [_coordinate(data, dim, place[dim]) for dim in rows if dim not in spec.hidden.split()]
@@ -78,6 +81,12 @@ def pivot(data: xr.Dataset, spec: Pivot) -> Table:
         ]
         body.append((*leading, *cells))
     return Table(columns=columns, rows=body, caption=spec.caption, note=spec.note)
+
+
+def _headed(column: Column, heads: Mapping[str, Column]) -> Column:
+    own = heads.get(column.key, column)
+    given = {part: getattr(own, part) for part in ("name", "unit", "key", "format") if getattr(own, part)}
+    return replace(column, **given)
 
 
 def _head(data: xr.Dataset, dim: str) -> Column:

@@ -26,6 +26,7 @@ __all__ = ["Outcome", "Quantities", "Quantity", "shown_unit", "to_results", "wri
 
 Places = str | Mapping[str, str | Sequence[str]]
 WHOLE = "*"
+_EXACT_INTEGERS = 2**53  # identifiers of stars are beyond what a float64 can tell apart
 
 _SHOWN = {"arcsec": "″", "arcmin": "′", "deg": "°", "um": "µm", "e-": "e⁻", "e-/s": "e⁻/s", "sigma": "σ"}
 _SHOWN |= {"percent": "%"}
@@ -409,6 +410,10 @@ class Outcome:
         """What readers see for one coordinate of a dimension."""
         return self.names(dim)[self.data.coords[dim].values.tolist().index(key)]
 
+    def labels(self, dim: str) -> dict[Any, str]:
+        """Coordinates along a dimension, with what readers see of them."""
+        return dict(zip(self.data.coords[dim].values.tolist(), self.names(dim), strict=True))
+
     def _position(self, name: str, dim: str, key: Any) -> int:
         if dim not in self.data[name].dims:
             raise unknown_name(f"dimension of quantity {name!r}:", dim, [str(d) for d in self.data[name].dims])
@@ -426,7 +431,7 @@ def write_netcdf(data: xr.Dataset, path: Path) -> None:
     Parameters
     ----------
     data : xarray.Dataset
-        Quantities; an empty one writes nothing.
+        Quantities; an empty one writes nothing. Integers become float64, those beyond 2^53 text.
     path : pathlib.Path
         File to create, netCDF 3 (64-bit offset), which every netCDF reader knows.
     """
@@ -439,8 +444,9 @@ def write_netcdf(data: xr.Dataset, path: Path) -> None:
         plain[name].attrs = {key: attrs[key] for key in ("long_name", "units", "ancillary_variables") if attrs.get(key)}
         if plain[name].dtype.kind in "OU":
             plain[name] = plain[name].astype(str)
-        elif plain[name].dtype.kind in "iu":
-            plain[name] = plain[name].astype(np.float64)  # netCDF 3 has no 64-bit integers
+        elif plain[name].dtype.kind in "iu":  # netCDF 3 has no 64-bit integers
+            exact = np.abs(plain[name].values).max(initial=0) <= _EXACT_INTEGERS
+            plain[name] = plain[name].astype(np.float64 if exact else str)
     path.write_bytes(bytes(plain.to_netcdf(engine="scipy", format="NETCDF3_64BIT")))
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import astropy.table
     import rich.table
 
-__all__ = ["Column", "Table", "cell_text", "to_astropy", "to_rich", "write_ecsv"]
+__all__ = ["Column", "Table", "cell_text", "significant", "to_astropy", "to_rich", "write_ecsv"]
 
 Cell = str | bool | int | float | Measured | None
 
@@ -113,7 +113,7 @@ class Table:
         return bool(cells) and not any(isinstance(cell, (str, bool, np.bool_)) for cell in cells)
 
 
-def cell_text(cell: Any, format_spec: str = "") -> str:  # noqa: PLR0911  # one return per type
+def cell_text(cell: Any, format_spec: str = "") -> str:  # one return per type
     """A cell as text for people: real minus signs, powers of ten, value ± uncertainty, a dash for nothing.
 
     Parameters
@@ -140,9 +140,7 @@ def cell_text(cell: Any, format_spec: str = "") -> str:  # noqa: PLR0911  # one 
         case int() | np.integer():
             return f"{int(cell):,}".replace(",", "\N{THIN SPACE}").replace("-", _MINUS)
     value = float(cell)
-    if not math.isfinite(value):
-        return _NOTHING if math.isnan(value) else ("∞" if value > 0 else f"{_MINUS}∞")
-    return _typeset(format(value, format_spec)) if format_spec else _significant(value, 4)
+    return _typeset(format(value, format_spec)) if format_spec and math.isfinite(value) else significant(value, 4)
 
 
 def to_astropy(table: Table, meta: dict[str, Any] | None = None) -> astropy.table.Table:
@@ -230,7 +228,10 @@ def _typeset(text: str) -> str:
     return text.replace("-", _MINUS)
 
 
-def _significant(value: float, digits: int) -> str:
+def significant(value: float, digits: int) -> str:
+    """A number with so many significant digits, set as in tables."""
+    if not math.isfinite(value):
+        return _NOTHING if math.isnan(value) else ("∞" if value > 0 else f"{_MINUS}∞")
     if value == 0:
         return "0"
     exponent = math.floor(math.log10(abs(value)))
@@ -244,7 +245,7 @@ def _measured(cell: Measured) -> str:
     if not math.isfinite(cell.value):
         return _NOTHING
     if error is None or not math.isfinite(error) or error <= 0:
-        return _significant(cell.value, 4)
+        return significant(cell.value, 4)
     last = math.floor(math.log10(error)) - 1  # two significant digits of the uncertainty
     if float(f"{error:.1e}") >= 10.0 ** (last + 2):
         last += 1

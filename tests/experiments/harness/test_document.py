@@ -111,9 +111,10 @@ def test_markup_in_a_template_is_text_too(page):
 
 def test_numbers_are_set_as_in_tables(page):
     html = page(
-        "{{ value('te', axis='y') }}; {{ value('count') }}; {{ 1e-7 }}; {{ 0.5 | cell('.3f') }}; {{ 6000.0 | g }}"
+        "{{ value('te', axis='y') }}; {{ value('count') }}; {{ 1e-7 }}; {{ 0.5 | cell('.3f') }}; {{ 6000.0 | g }}; "
+        "{{ 1845.3 | digits }}; {{ 0.0302 | digits(2) }}; {{ value('te', axis='y') | digits(1) }}"
     )
-    assert "−2.000 ± 0.034; 12\u2009345; 1.000×10⁻⁷; 0.500; 6000" in html
+    assert "−2.000 ± 0.034; 12\u2009345; 1.000×10⁻⁷; 0.500; 6000; 1845; 0.030; −2" in html
 
 
 def test_key_numbers_take_unit_and_format_from_the_quantity(page):

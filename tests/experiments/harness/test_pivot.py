@@ -8,7 +8,7 @@ import pytest
 from experiments.harness.pivot import Pivot, pivot
 from experiments.harness.quantities import Quantities
 from experiments.harness.summary import Measured
-from experiments.harness.tables import to_astropy
+from experiments.harness.tables import Column, to_astropy
 from optics.errors import DomainError
 
 
@@ -54,6 +54,15 @@ def test_some_rows_only_and_values_without_their_uncertainty(data):
     assert table.rows == (("ePSF fit", "x", 3.0), ("ePSF fit", "y", 4.0))
     of_one = pivot(data, Pivot(rows="axis", columns="te", plain="te", where={"method": "cog"}))
     assert of_one.rows == (("x", 1.0), ("y", 2.0))
+
+
+def test_heads_of_a_table_of_its_own(data):
+    heads = {"te_arcsec_x": Column(name="Largest", key="largest_arcsec")}
+    table = pivot(data, Pivot(rows="method", across="axis", columns="te", heads=heads))
+    assert [(head.name, head.unit, head.key) for head in table.heads[1:]] == [
+        ("Largest", "″", "largest_arcsec"),
+        ("Error y", "″", "te_arcsec_y"),
+    ]
 
 
 def test_a_dimension_that_is_forgotten_is_told(data):

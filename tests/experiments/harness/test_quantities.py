@@ -124,6 +124,7 @@ def test_uncertainty_and_samples_travel_with_the_value(q):
     assert outcome.values("te_arcsec", method="cog").tolist() == [[0.0, 1.0], [4.0, 5.0], [8.0, 9.0]]
     assert outcome.heading("te_arcsec") == "Error [″]"
     assert outcome.names("method") == ["centre of gravity", "ePSF fit"]
+    assert outcome.labels("method") == {"cog": "centre of gravity", "epsf": "ePSF fit"}
     assert outcome.label("method", "epsf") == "ePSF fit"
     assert outcome.label("axis", "y") == "y"
 
@@ -162,6 +163,14 @@ def test_unknown_names_are_told_with_the_nearest_one(q):
     q.add("late", [1.0, 2.0], dims="axis", json="levels[level]")
     with pytest.raises(ConfigError, match="level"):
         to_results(q.dataset)
+
+
+def test_identifiers_of_stars_survive_netcdf(tmp_path):
+    q = Quantities()
+    q.add("id", [4600042332025438208, 4600042332025438209], "Star", dims="star")
+    write_netcdf(q.dataset, tmp_path / "results.nc")
+    with xr.open_dataset(tmp_path / "results.nc") as data:
+        assert data["id"].values.tolist() == ["4600042332025438208", "4600042332025438209"]
 
 
 def test_netcdf_comes_back_with_labels_and_units(q, tmp_path):
