@@ -43,17 +43,18 @@ def pixel_criteria(result: Result) -> list[Criterion]:
     """The criteria of ``skycal`` on the rendered cameras."""
     if result.rendered is None:
         return []
-    from experiments.skycal.checks import criteria
+    from experiments.skycal.experiment import experiment
 
-    return criteria(result.rendered)
+    return experiment.judge(experiment.outcome(result.rendered.config, result.rendered))
 
 
 def pixel_sections(result: Result) -> list[Section]:
     """One section with a map for each rendered camera."""
     if result.rendered is None:
         return []
-    from experiments.skycal.figures import error_and_uncertainty
+    from experiments.skycal.experiment import experiment
 
+    draw = experiment.draw(experiment.outcome(result.rendered.config, result.rendered))
     cameras = result.rendered.cameras.values()
     words = (
         "So far positions were numbers with Gaussian noise. Here frames are rendered through a traced lens, read out "
@@ -66,7 +67,7 @@ def pixel_sections(result: Result) -> list[Section]:
     )
     figures = [
         Figure(
-            drawing=error_and_uncertainty(camera),
+            drawing=draw("error_and_uncertainty", camera.name),
             caption=f"The {camera.title}: error of the line of sight after the best rotation, and its predicted "
             "uncertainty, over the detector.",
         )
@@ -77,13 +78,13 @@ def pixel_sections(result: Result) -> list[Section]:
 
 def camera_text(camera: CameraResult) -> str:
     """Size of the error of one camera, and the parts as ``skycal`` takes it apart."""
-    from experiments.skycal.evaluate import PARTS
+    from experiments.skycal.quantities import PART_NAMES
 
     sizes = sorted(camera.evaluation.part_rms_arcsec.items(), key=lambda item: -item[1])
     return (
         f"The {camera.title}: {camera.scene.frames} frames of the real sky, {camera.stars_per_frame:.0f} stars in a "
         f"frame detected, centroided and matched. The line of sight is off by {camera.total.rms_arcsec:.2f}″ RMS, "
         f"predicted {camera.total.predicted_arcsec:.2f}″. Its parts, RMS: "
-        + ", ".join(f"{PARTS[name]} {cell_text(size, '.2g')}″" for name, size in sizes)
+        + ", ".join(f"{PART_NAMES[name]} {cell_text(size, '.2g')}″" for name, size in sizes)
         + "."
     )

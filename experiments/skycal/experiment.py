@@ -9,20 +9,18 @@ and how much of that is the camera model, the colour of the stars, and the centr
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.harness.legacy import legacy_command as command
+from experiments.harness.cli import command
+from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
-from experiments.harness.summary import Criterion
 from experiments.skycal.settings import Config
 
 if TYPE_CHECKING:
-    from experiments.harness.report import Report
-    from experiments.harness.tables import Table
     from experiments.skycal.result import CameraResult, Result
 
-__all__ = ["Config", "main", "report", "run", "summary", "tables"]
+__all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
@@ -41,7 +39,6 @@ def run(config: Config, *, progress: Progress) -> Result:
         On anything the user can mend: unknown lens or detector, a detector larger than the field of the lens, a glass
         without transmittance, no stars in the field, stars saturated, too few matched.
     """
-    from experiments.harness.provenance import peak_memory_mb, process_seconds
     from experiments.skycal.result import Result
     from experiments.skycal.scene import build_scene
     from render.engine.random import Streams
@@ -49,7 +46,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     root = Streams(config.seed).child("skycal")
     scenes = {name: build_scene(name, config, root.child(name)) for name in config.cameras}
     cameras = {name: _camera(scene, config, root.child(name), progress) for name, scene in scenes.items()}
-    return Result(config=config, cameras=cameras, runtime_s=process_seconds(), peak_memory_mb=peak_memory_mb())
+    return Result(config=config, cameras=cameras)
 
 
 def _camera(scene: Any, config: Config, streams: Any, progress: Progress) -> CameraResult:
@@ -69,28 +66,7 @@ def _camera(scene: Any, config: Config, streams: Any, progress: Progress) -> Cam
     return CameraResult(scene=scene, recording=recording, matched=matched, evaluation=found)
 
 
-def summary(result: Result) -> tuple[dict[str, Any], list[Criterion]]:
-    """What goes into ``summary.json``."""
-    from experiments.skycal.checks import criteria, results
-
-    return results(result), criteria(result)
-
-
-def tables(result: Result) -> Mapping[str, Table]:
-    """Tables written beside the report."""
-    from experiments.skycal.tables import all_tables
-
-    return all_tables(result)
-
-
-def report(result: Result) -> Report:
-    """What ``report.html`` shows."""
-    from experiments.skycal.report import build_report
-
-    return build_report(result)
-
-
-def files(result: Result, folder: Any) -> None:
+def files(result: Result, folder: Path) -> None:
     """One frame of each camera as FITS."""
     from render.fits.files import write_frame
 
@@ -98,13 +74,16 @@ def files(result: Result, folder: Any) -> None:
         write_frame(camera.recording.example, folder / f"frame_{name}.fits")
 
 
-main = command(
-    "skycal",
+experiment = Experiment(
+    name="skycal",
     config=Config,
     run=run,
-    report=report,
-    summary=summary,
-    tables=tables,
+    takes="6 min (--quick: 40 s)",
+    examples={
+        "--quick": "six frames, fewer stars",
+        "--set which=wide --set frames=20": "the wide lens alone, 20 frames",
+        "--set centroid=gaussian": "another centroider",
+    },
     show=("cameras", "parts"),
     files=files,
     quick={
@@ -120,3 +99,4 @@ main = command(
         "wide.models": ["pinhole", "brown_conrady", "polynomial_5"],
     },
 )
+main = command(experiment)

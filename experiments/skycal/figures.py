@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,11 +11,10 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from calib.flags import StarFlag, has_flag
-from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
-from experiments.harness.tables import cell_text
-from experiments.skycal.calibrate import METHODS, rms
-from experiments.skycal.evaluate import PARTS
-from experiments.skycal.result import CameraResult
+from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure
+from experiments.harness.quantities import Outcome
+from experiments.harness.tables import significant
+from experiments.laboratory.direction_maps import VectorPanel, pixel_axes, vector_maps
 from experiments.skycal.settings import parse_model_name
 from optics.arrays import FloatArray
 from optics.figures import draw_image
@@ -33,7 +32,7 @@ __all__ = [
 ]
 
 
-PART_COLOURS = dict(zip(PARTS, (PALETTE[2], PALETTE[4], PALETTE[0], PALETTE[3]), strict=True))
+PART_COLOURS = {"mismatch": PALETTE[2], "chromatic": PALETTE[4], "noise": PALETTE[0], "psf": PALETTE[3]}
 STAR_COLOURS = (
     (3000.0, "#ff9d5c"),
     (4300.0, "#ffc48f"),
@@ -42,7 +41,8 @@ STAR_COLOURS = (
     (12000.0, "#a9c4ff"),
 )
 """Colours of black bodies on a screen, a little more saturated than they are."""
-ARROWS = 11
+MAP_LABEL = "line of sight [arcsec]"
+RMS_LABEL = "map error, RMS [arcsec]"
 
 
 def _star_colour(temperature_k: FloatArray) -> FloatArray:
@@ -53,23 +53,25 @@ def _star_colour(temperature_k: FloatArray) -> FloatArray:
     return np.stack([np.interp(at, knots, channel) for channel in rgb.T], axis=1)
 
 
-def _frame(axis: Any, camera: CameraResult, *, labels: bool = True) -> None:
-    """The detector's outline as limits, row axis downwards."""
-    geometry = camera.scene.instrument.camera
-    axis.set(xlim=(-0.5, geometry.width_px - 0.5), ylim=(geometry.height_px - 0.5, -0.5), aspect="equal")
-    axis.grid(visible=False)
-    for spine in axis.spines.values():
-        spine.set_visible(True)
-    if labels:
-        axis.set(xlabel="column [px]", ylabel="row [px]")
-    else:
-        axis.set(xticks=[], yticks=[])
+def _size_px(outcome: Outcome, name: str) -> tuple[int, int]:
+    camera = outcome.result.cameras[name].scene.instrument.camera
+    return camera.width_px, camera.height_px
 
 
-def sky_frame(camera: CameraResult, *, half: bool = False) -> Figure:
+def _panels(outcome: Outcome, aspect_ratio: float, **subplots: Any) -> tuple[Figure, Any, Iterator[tuple[Any, str]]]:
+    """A figure with a panel for every camera, its axes, and axes with names of cameras."""
+    cameras = outcome.result.cameras
+    figure, axes = new_figure(1, len(cameras), aspect_ratio=aspect_ratio, squeeze=False, **subplots)
+    for axis, lens in zip(axes[0], outcome.names("camera"), strict=True):
+        axis.set_title(f"{lens} lens")
+    return figure, axes[0], zip(axes[0], cameras, strict=True)
+
+
+def sky_frame(outcome: Outcome, name: str, half: bool = False) -> Figure:
     """One frame with the stars that were matched; columns less their medians, stars enlarged."""
     from scipy.ndimage import gaussian_filter
 
+    camera = outcome.result.cameras[name]
     example = camera.recording.example
     height, width = example.dn.shape
     figure, axis = new_figure(width="half" if half else "full", aspect_ratio=0.1 + 0.9 * height / width)
@@ -84,23 +86,22 @@ def sky_frame(camera: CameraResult, *, half: bool = False) -> Figure:
     rest = np.ones(len(frame.found), bool)
     rest[camera.matched.row[mine] - frame.first_row] = False
     x, y = frame.found.x_px[rest], frame.found.y_px[rest]
-    burnt = has_flag(frame.found.flags[rest], StarFlag.SATURATED)
-    axis.scatter(x[~burnt], y[~burnt], s=14 if half else 26, marker="x", color="#ff5d8f", linewidths=0.7)
-    axis.scatter(x[burnt], y[burnt], s=60, marker="s", facecolors="none", edgecolors="#ff5d8f", linewidths=0.9)
-    _frame(axis, camera)
+    saturated = has_flag(frame.found.flags[rest], StarFlag.SATURATED)
+    axis.scatter(x[~saturated], y[~saturated], s=14 if half else 26, marker="x", color="#ff5d8f", linewidths=0.7)
+    axis.scatter(x[saturated], y[saturated], s=60, marker="s", facecolors="none", edgecolors="#ff5d8f", linewidths=0.9)
+    pixel_axes(axis, (width, height))
     return figure
 
 
-def close_ups(camera: CameraResult, *, half: bool = False) -> Figure:
+def close_ups(outcome: Outcome, name: str, half: bool = False) -> Figure:
     """Stars of that frame as the centroider sees them, brightest first; the cross is where the light fell."""
-    matched, stamps = camera.matched, camera.recording.stamps
+    camera = outcome.result.cameras[name]
+    matched, stamps, sky = camera.matched, camera.recording.stamps, camera.scene.sky
     mine = np.flatnonzero((matched.frame == camera.recording.example_index) & camera.evaluation.used)
     mine = mine[np.argsort(-matched.snr[mine])]
     chosen = mine[np.unique(np.linspace(0, len(mine) - 1, min(12, len(mine))).round().astype(int))]
-    shape = (3, 4) if half else (2, 6)
-    figure, axes = new_figure(
-        *shape, width="half" if half else "full", aspect_ratio=0.88 if half else 0.38, squeeze=False
-    )
+    shape, ratio = ((3, 4), 0.88) if half else ((2, 6), 0.38)
+    figure, axes = new_figure(*shape, width="half" if half else "full", aspect_ratio=ratio, squeeze=False)
     for axis in axes.ravel():
         axis.set_axis_off()
     for axis, row in zip(axes.ravel(), chosen, strict=False):
@@ -109,104 +110,66 @@ def close_ups(camera: CameraResult, *, half: bool = False) -> Figure:
         column, line = stamps.corner_px[window]
         size = len(light)
         axis.set_axis_on()
-        axis.imshow(
-            np.arcsinh(light / 40.0),
-            extent=(column - 0.5, column + size - 0.5, line + size - 0.5, line - 0.5),
-            vmin=-0.8,
-            cmap="cividis",
-        )
+        extent = (column - 0.5, column + size - 0.5, line + size - 0.5, line - 0.5)
+        axis.imshow(np.arcsinh(light / 40.0), extent=extent, vmin=-0.8, cmap="cividis")
         axis.plot(*matched.photon_px[row], "+", color="white", markersize=8, markeredgewidth=1.0)
         axis.grid(visible=False)
         axis.set(xticks=[], yticks=[])
-        sky = camera.scene.sky
         axis.set_title(f"G {sky.magnitude[star]:.1f}, {sky.temperature_k[star] / 1000:.1f} kK", fontsize=6.5, pad=3)
     return figure
 
 
-def _heat(axis: Any, camera: CameraResult, error: FloatArray, high: float, *, arrows: bool = True) -> Any:
-    """Length of vectors over the detector as colour, direction as arrows."""
-    chart = camera.evaluation.chart
-    shape = (chart.rows, chart.columns)
-    x, y = (chart.pixel_px[:, k].reshape(shape) for k in (0, 1))
-    size = np.linalg.norm(error, axis=1).reshape(shape)
-    mesh = axis.pcolormesh(x, y, size, shading="gouraud", vmin=0.0, vmax=high, cmap="magma_r", rasterized=True)
-    if arrows and np.nanmax(size) > 0:
-        step = max(1, round(chart.columns / ARROWS))
-        pick = (slice(step // 2, None, step), slice(step // 2, None, step))
-        u, v = (error[:, k].reshape(shape) for k in (0, 1))
-        width = camera.scene.instrument.camera.width_px
-        typical = np.nanpercentile(size, 85)
-        u, v = (value * np.minimum(1.0, typical / np.maximum(size, 1e-300)) for value in (u, v))
-        scale = typical / (0.9 * step * width / chart.columns)
-        axis.quiver(
-            x[pick], y[pick], u[pick], v[pick], angles="xy", scale_units="xy", scale=scale, width=0.005, color="#2b6ca3"
-        )
-    _frame(axis, camera, labels=False)
-    return mesh
-
-
-def error_and_uncertainty(camera: CameraResult) -> Figure:
+def error_and_uncertainty(outcome: Outcome, name: str) -> Figure:
     """Error map of the measured calibration beside its predicted uncertainty; below, with star colours known."""
-    total, fine = camera.total, camera.of("corrected")
-    panels = (
-        (total.error_arcsec, f"measured: error, RMS {total.rms_arcsec:.3g}″", True),
-        (total.sigma_arcsec, f"measured: predicted σ, RMS {rms(total.sigma_arcsec):.3g}″", False),
-        (fine.error_arcsec, f"colours known: error, RMS {fine.rms_arcsec:.3g}″", True),
-        (fine.sigma_arcsec, f"colours known: predicted σ, RMS {rms(fine.sigma_arcsec):.3g}″", False),
-    )
-    geometry = camera.scene.instrument.camera
-    ratio = geometry.height_px / geometry.width_px
-    figure, axes = new_figure(2, 2, aspect_ratio=0.16 + 0.86 * ratio, squeeze=False)
-    high = max(float(np.nanpercentile(np.linalg.norm(values, axis=1), 99.5)) for values, _, _ in panels)
-    mesh: Any = None
-    for axis, (values, title, arrows) in zip(axes.ravel(), panels, strict=True):
-        mesh = _heat(axis, camera, values, high, arrows=arrows)
-        axis.set_title(title)
-    figure.colorbar(mesh, ax=axes, label="line of sight [arcsec]", shrink=0.9, aspect=30)
-    return figure
+    panels = []
+    for data, label in (("", "measured"), ("corrected_", "colours known")):
+        for quantity, what, arrows in (("error", "error", True), ("sigma", "predicted σ", False)):
+            vector = outcome.values(f"{name}_{data}{quantity}_arcsec")
+            size = np.sqrt(np.nanmean((vector**2).sum(axis=-1)))
+            panels.append(VectorPanel(title=f"{label}: {what}, RMS {size:.3g}″", vector=vector, arrows=arrows))
+    place = outcome.values(f"{name}_map_px")
+    return vector_maps(panels, place, size_px=_size_px(outcome, name), label=MAP_LABEL)
 
 
-def part_maps(camera: CameraResult) -> Figure:
+def part_maps(outcome: Outcome, name: str) -> Figure:
     """The parts of the error, each with its own scale of arrows, all with one scale of colour."""
-    geometry = camera.scene.instrument.camera
-    ratio = geometry.height_px / geometry.width_px
-    figure, axes = new_figure(2, 2, aspect_ratio=0.16 + 0.86 * ratio, squeeze=False)
-    parts = camera.evaluation.part_arcsec
-    high = max(float(np.nanpercentile(np.linalg.norm(part, axis=1), 99.5)) for part in parts.values())
-    mesh: Any = None
-    for axis, (name, label) in zip(axes.ravel(), PARTS.items(), strict=True):
-        mesh = _heat(axis, camera, parts[name], high, arrows=rms(parts[name]) > 1e-3 * high)
-        axis.set_title(f"{label}: RMS {cell_text(rms(parts[name]), '.1e' if rms(parts[name]) < 1e-3 else '.2g')}″")
-    figure.colorbar(mesh, ax=axes, label="line of sight [arcsec]", shrink=0.9, aspect=30)
-    return figure
+    sizes = outcome.values("part_rms_arcsec", camera=name)
+    panels = [
+        VectorPanel(
+            title=f"{label}: RMS {significant(float(size), 2)}″",
+            vector=outcome.values(f"{name}_{part}_arcsec"),
+            arrows=size > 1e-3 * sizes.max(),
+        )
+        for (part, label), size in zip(outcome.labels("part").items(), sizes, strict=True)
+    ]
+    place = outcome.values(f"{name}_map_px")
+    return vector_maps(panels, place, size_px=_size_px(outcome, name), label=MAP_LABEL)
 
 
-def decomposition(cameras: Sequence[CameraResult]) -> Figure:
+def decomposition(outcome: Outcome) -> Figure:
     """Parts, their root sum square, the total, and what was predicted."""
-    figure, axes = new_figure(1, len(cameras), aspect_ratio=0.38, squeeze=False)
-    for axis, camera in zip(axes[0], cameras, strict=True):
-        evaluation = camera.evaluation
-        bars = [(label, rms(evaluation.part_arcsec[name]), PART_COLOURS[name]) for name, label in PARTS.items()]
-        bars += [
-            ("root sum square", evaluation.quadrature_arcsec, "#c3c8ce"),
-            ("total, measured", camera.total.rms_arcsec, INK),
-            ("its predicted σ", camera.total.predicted_arcsec, "#9aa1a9"),
-            ("total, colours known", camera.of("corrected").rms_arcsec, PALETTE[1]),
-            ("its predicted σ ", camera.of("corrected").predicted_arcsec, "#f0b48a"),
-        ]
-        place = np.array([0, 1, 2, 3, 4.4, 5.4, 6.4, 7.8, 8.8])
-        values = np.array([value for _, value, _ in bars])
-        axis.barh(place, values, color=[colour for _, _, colour in bars], height=0.72)
+    figure, axes, panels = _panels(outcome, 0.38)
+    place = np.array([0, 1, 2, 3, 4.4, 5.4, 6.4, 7.8, 8.8])
+    whole = (
+        ("total, measured", "measured_rms_arcsec", INK),
+        ("its predicted σ", "measured_predicted_arcsec", "#9aa1a9"),
+        ("total, colours known", "corrected_rms_arcsec", PALETTE[1]),
+        ("its predicted σ", "corrected_predicted_arcsec", "#f0b48a"),
+    )
+    labels = [*outcome.names("part"), "root sum square", *(label for label, *_ in whole)]
+    colours = [*PART_COLOURS.values(), "#c3c8ce", *(colour for *_, colour in whole)]
+    for axis, name in panels:
+        sizes = [float(outcome.values(one, method="free", camera=name)) for _, one, _ in whole]
+        parts, quadrature = (outcome.values(one, camera=name) for one in ("part_rms_arcsec", "quadrature_arcsec"))
+        values = np.array([*parts, float(quadrature), *sizes])
+        axis.barh(place, values, color=colours, height=0.72)
         for y, value in zip(place, values, strict=True):
-            text = f" {cell_text(value, '.1e' if value < 1e-3 else '.2g')}″"
-            axis.text(value, y, text, va="center", fontsize=7.5)
-        axis.set_yticks(place, [label for label, _, _ in bars])
+            axis.text(value, y, f" {significant(value, 2)}″", va="center", fontsize=7.5)
+        axis.set_yticks(place, labels if axis is axes[0] else [])
         axis.invert_yaxis()
         axis.margins(x=0.2)
         axis.grid(visible=False, axis="y")
-        axis.set(xlabel="map error, RMS [arcsec]", title=camera.title)
-        if axis is not axes[0, 0]:
-            axis.set_yticklabels([])
+        axis.set_xlabel(RMS_LABEL)
     return figure
 
 
@@ -215,57 +178,56 @@ def _short(model: str) -> str:
     return {"pinhole": "pinhole", "brown_conrady": "Brown–\nConrady"}.get(family, f"poly-\nnomial {degree}")
 
 
-def model_curves(cameras: Sequence[CameraResult]) -> Figure:
+def model_curves(outcome: Outcome) -> Figure:
     """Map error against camera model: what the model cannot say, what noise does to it, what comes out."""
-    figure, axes = new_figure(1, len(cameras), aspect_ratio=0.4, squeeze=False)
-    for axis, camera in zip(axes[0], cameras, strict=True):
-        models = camera.scene.config.models
+    figure, axes, panels = _panels(outcome, 0.4)
+    curves = (
+        ("cannot be described", "mismatch_arcsec", PALETTE[2], "-"),
+        ("noise, predicted", "predicted_arcsec", "#9aa1a9", ":"),
+        ("colours known", "corrected_arcsec", PALETTE[1], "-"),
+        ("measured", "measured_arcsec", INK, "-"),
+    )
+    for axis, name in panels:
+        models = outcome.data[f"{name}_model"].values.tolist()
         place = np.arange(len(models))
-        lines = (
-            ("cannot be described", [camera.of("reference", model=m).rms_arcsec for m in models]),
-            ("noise, predicted", [camera.of("corrected", model=m).predicted_arcsec for m in models]),
-            ("colours known", [camera.of("corrected", model=m).rms_arcsec for m in models]),
-            ("measured", [camera.of("measured", model=m).rms_arcsec for m in models]),
-        )
-        colours = (PALETTE[2], "#9aa1a9", PALETTE[1], INK)
-        for (label, values), colour, marker in zip(lines, colours, MARKERS, strict=False):
-            style = ":" if label.startswith("noise") else "-"
+        for (label, quantity, colour, style), marker in zip(curves, MARKERS, strict=False):
+            values = outcome.values(f"{name}_model_{quantity}")
             axis.plot(place, values, marker=marker, color=colour, linestyle=style, label=label, linewidth=1.1)
         axis.set_xticks(place, [_short(model) for model in models], fontsize=7)
-        axis.set(yscale="log", title=camera.title)
+        axis.set_yscale("log")
         axis.grid(visible=False, axis="x")
-    axes[0, 0].set_ylabel("map error, RMS [arcsec]")
-    axes[0, -1].legend(fontsize=7.5)
+    axes[0].set_ylabel(RMS_LABEL)
+    axes[-1].legend(fontsize=7.5)
     return figure
 
 
-def centroid_errors(cameras: Sequence[CameraResult]) -> Figure:
+def centroid_errors(outcome: Outcome) -> Figure:
     """Errors of single positions against signal-to-noise ratio: noise, PSF of one colour, colour shift."""
-    figure, axes = new_figure(1, len(cameras), aspect_ratio=0.42, squeeze=False, sharey=True)
-    for axis, camera in zip(axes[0], cameras, strict=True):
-        snr = camera.matched.snr[camera.evaluation.used]
+    figure, axes, panels = _panels(outcome, 0.42, sharey=True)
+    for axis, name in panels:
+        snr = outcome.values(f"{name}_star_snr")
+        measured, own, light, reference = (
+            outcome.values(f"{name}_star_{kind}_px") for kind in ("measured", "own", "light", "reference")
+        )
         edges = np.geomspace(snr.min() * 0.999, snr.max() * 1.001, 11)
         member = np.clip(np.digitize(snr, edges) - 1, 0, 9)
-        curves = (
-            ("PSF of one colour", camera.shift_px("measured", "light"), PART_COLOURS["psf"], "o"),
-            ("PSF of the star's colour", camera.shift_px("own", "light"), PART_COLOURS["noise"], "s"),
-            ("colour shift of the light", camera.shift_px("light", "reference"), PART_COLOURS["chromatic"], "^"),
-        )
-        axis.plot(
-            snr, np.linalg.norm(curves[1][1], axis=1) / np.sqrt(2), ",", color="#c9d6e2", zorder=0, rasterized=True
-        )
-        for label, error, colour, marker in curves:
-            x, y = _binned(snr, np.sqrt((error**2).mean(axis=1)), member)
-            axis.plot(x, y, marker=marker, color=colour, label=label, linewidth=1.0)
-        x, y = _binned(snr, np.sqrt((camera.noise_sigma_px**2).mean(axis=1)), member)
-        axis.plot(x, y, color=INK, linestyle="--", linewidth=1.0, label="noise, predicted")
-        axis.set(xscale="log", yscale="log", xlabel="signal-to-noise ratio", title=camera.title)
-        ticks = [tick for tick in (10, 20, 50, 100, 200, 500, 1000) if edges[0] <= tick <= edges[-1]]
-        axis.set_xticks(ticks, [str(tick) for tick in ticks])
-        axis.minorticks_off()
-    axes[0, 0].set(ylabel="error per axis, RMS [px]")
-    axes[0, 0].set_ylim(bottom=1e-3)
-    axes[0, -1].legend(fontsize=7.5, loc="lower left")
+        shown = np.linalg.norm(own - light, axis=1) / np.sqrt(2)
+        axis.plot(snr, shown, ",", color="#c9d6e2", zorder=0, rasterized=True)
+        for label, error, part, marker in (
+            ("PSF of one colour", measured - light, "psf", "o"),
+            ("PSF of the star's colour", own - light, "noise", "s"),
+            ("colour shift of the light", light - reference, "chromatic", "^"),
+        ):
+            curve = _binned(snr, np.sqrt((error**2).mean(axis=1)), member)
+            axis.plot(*curve, marker=marker, color=PART_COLOURS[part], label=label, linewidth=1.0)
+        sigma = outcome.result.cameras[name].noise_sigma_px
+        curve = _binned(snr, np.sqrt((sigma**2).mean(axis=1)), member)
+        axis.plot(*curve, color=INK, linestyle="--", linewidth=1.0, label="noise, predicted")
+        axis.set(xscale="log", yscale="log", xlabel="signal-to-noise ratio")
+        log_ticks(axis, "x", (10, 20, 50, 100, 200, 500, 1000))
+    axes[0].set_ylabel("error per axis, RMS [px]")
+    axes[0].set_ylim(bottom=1e-3)
+    axes[-1].legend(fontsize=7.5, loc="lower left")
     return figure
 
 
@@ -278,35 +240,34 @@ def _binned(x: FloatArray, y: FloatArray, member: NDArray[np.int64]) -> tuple[Fl
     )
 
 
-def star_cover(camera: CameraResult) -> Figure:
+def star_cover(outcome: Outcome, name: str) -> Figure:
     """Where the stars of all frames fell."""
-    geometry = camera.scene.instrument.camera
-    ratio = geometry.height_px / geometry.width_px
-    figure, axis = new_figure(width="half", aspect_ratio=0.2 + 0.8 * ratio)
-    used, matched = camera.evaluation.used, camera.matched
-    colour = _star_colour(camera.scene.sky.temperature_k[matched.star[used]])
+    width, height = _size_px(outcome, name)
+    figure, axis = new_figure(width="half", aspect_ratio=0.2 + 0.8 * height / width)
+    colour = _star_colour(outcome.values(f"{name}_star_temperature"))
+    size = np.clip(0.02 * outcome.values(f"{name}_star_snr"), 0.4, 6.0)
     axis.set_facecolor("#14161c")
-    size = np.clip(0.02 * matched.snr[used], 0.4, 6.0)
-    axis.scatter(*matched.pixel_px[used].T, s=size, c=colour, linewidths=0, rasterized=True)
-    _frame(axis, camera)
-    axis.set_title(f"{camera.title}: {int(used.sum())} stars in {camera.scene.frames} frames")
+    axis.scatter(*outcome.values(f"{name}_star_measured_px").T, s=size, c=colour, linewidths=0, rasterized=True)
+    pixel_axes(axis, (width, height))
+    stars, frames = outcome.value("stars", camera=name), outcome.value("frames", camera=name)
+    axis.set_title(f"{outcome.labels('camera')[name]} lens: {stars} stars in {frames} frames")
     return figure
 
 
-def method_bars(cameras: Sequence[CameraResult]) -> Figure:
+def method_bars(outcome: Outcome) -> Figure:
     """Map error by how the attitudes are treated, and what each method believes of itself."""
-    figure, axes = new_figure(1, len(cameras), aspect_ratio=0.32, squeeze=False)
-    for axis, camera in zip(axes[0], cameras, strict=True):
-        runs = [camera.of("corrected", method=method) for method in METHODS]
-        place = np.arange(len(runs))
-        axis.barh(place, [run.rms_arcsec for run in runs], height=0.55, color=PALETTE[0])
-        believed = np.array([run.predicted_arcsec for run in runs])
-        spread = np.array([run.predicted_spread_arcsec for run in runs])
-        axis.errorbar(believed, place, xerr=spread, fmt="|", color=PALETTE[1], markersize=11, elinewidth=1.2)
-        axis.set_yticks(place, METHODS.values() if axis is axes[0, 0] else [])
+    figure, axes, panels = _panels(outcome, 0.32)
+    methods = outcome.names("method")
+    place = np.arange(len(methods))
+    for axis, name in panels:
+        axis.barh(place, outcome.values("corrected_rms_arcsec", camera=name), height=0.55, color=PALETTE[0])
+        predicted = outcome.quantity("corrected_predicted_arcsec", camera=name)
+        bars = {"fmt": "|", "color": PALETTE[1], "markersize": 11, "elinewidth": 1.2}
+        axis.errorbar(predicted.values, place, xerr=predicted.error, **bars)
+        axis.set_yticks(place, methods if axis is axes[0] else [])
         axis.invert_yaxis()
         axis.grid(visible=False, axis="y")
-        axis.set(xlabel="map error, RMS [arcsec]", title=camera.title, xlim=(0, None))
+        axis.set(xlabel=RMS_LABEL, xlim=(0, None))
     handles = [
         Line2D([], [], color=PALETTE[0], linewidth=5, label="error"),
         Line2D([], [], color=PALETTE[1], marker="|", linestyle="-", label="predicted, and its scatter"),

@@ -105,11 +105,7 @@ class Result:
         Settings.
     cameras : dict of str to CameraResult
         By name.
-    runtime_s, peak_memory_mb : float
-        Of the process.
     """
 
     config: Config
     cameras: dict[str, CameraResult]
-    runtime_s: float
-    peak_memory_mb: float

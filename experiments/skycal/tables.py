@@ -3,196 +3,106 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
-import numpy as np
-
+from experiments.harness.pivot import Pivot, pivot
+from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Measured
 from experiments.harness.tables import Cell, Column, Table
-from experiments.skycal.calibrate import METHODS, Judged
-from experiments.skycal.evaluate import PARTS
-from experiments.skycal.result import CameraResult, Result
-from experiments.skycal.settings import model_label
 
-__all__ = ["all_tables"]
-
-LEFT_OUT = ("not converged", "saturated", "blended", "at the edge", "defective pixel", "too faint", "not matched")
-SHORT = {"mismatch": "Camera model", "chromatic": "Star colours", "noise": "Noise", "psf": "PSF"}
+__all__ = ["tables"]
 
 
-def all_tables(result: Result) -> Mapping[str, Table]:
-    """Every table by its file name."""
-    cameras = list(result.cameras.values())
+def tables(outcome: Outcome) -> Mapping[str, Table | Pivot]:
+    """Tables by file name."""
+    cameras = list(outcome.result.cameras)
     return {
-        "cameras": _cameras(cameras),
-        "parts": _parts(cameras),
-        "models": _models(cameras),
-        "methods": _methods(cameras),
-        "wrong": _wrong(cameras),
-        "detections": _detections(cameras),
-        "parameters": _parameters(cameras),
-        **{f"map_{camera.name}": _map(camera) for camera in cameras},
-        **{f"stars_{camera.name}": _stars(camera) for camera in cameras},
+        "cameras": Pivot(
+            rows="camera",
+            where={"method": "free"},
+            columns="measured_rms_arcsec measured_max_arcsec measured_predicted_arcsec corrected_rms_arcsec "
+            "noise_map_rms_arcsec corrected_predicted_arcsec",
+            caption="Line of sight of the calibrated cameras against the traced lens, best rotation removed.",
+            note="RMS length over the detector. Colours known: centroids with the PSF of each star's colour, colour "
+            "shift taken off; noise only: without what the camera model cannot describe. Predicted: from the "
+            "covariance of the calibration; ± is how much such a map scatters.",
+        ),
+        "parts": Pivot(
+            rows="camera",
+            across="part",
+            where={"method": "free", "pair": "chromatic, psf"},
+            columns="part_rms_arcsec quadrature_arcsec measured_rms_arcsec part_correlation",
+            heads={
+                "mismatch_arcsec": Column(name="Camera model"),
+                "chromatic_arcsec": Column(name="Star colours"),
+                "noise_arcsec": Column(name="Noise"),
+                "psf_arcsec": Column(name="PSF"),
+                "measured_arcsec": Column(name="Total", key="total_arcsec"),
+                "part_correlation": Column(name="ρ", key="chromatic_psf_correlation"),
+            },
+            caption="What the map error is made of: RMS of each part, switched on one after the other in the same "
+            "data.",
+            note="RSS: root sum square. ρ: correlation of star colours and PSF over the detector. Independent parts "
+            "would add in quadrature; parts that cancel make the total smaller.",
+        ),
+        "models": _models(outcome),
+        "methods": Pivot(
+            rows="camera method",
+            columns="measured_rms_arcsec corrected_rms_arcsec corrected_predicted_arcsec corrected_sigma_x0_px "
+            "corrected_sigma_f_um corrected_reduced_chi2",
+            heads={"corrected_predicted_arcsec": Column(name="Predicted", key="predicted_arcsec")},
+            caption="Attitudes free in every frame, or linked by a gyro: map errors (RMS) from the same centroids.",
+            note="Predicted map error and standard deviations of principal point and focal length for known colours. A "
+            "χ² well above 1 says that the gyro is not as good as the method believes.",
+        ),
+        "wrong": _wrong_matches(outcome),
+        "detections": _detections(outcome),
+        "parameters": _parameters(outcome),
+        **{f"map_{name}": _map(outcome, name) for name in cameras},
+        **{f"stars_{name}": _stars(outcome, name) for name in cameras},
     }
 
 
-def _arcsec(name: str, key: str) -> Column:
-    return Column(name=name, unit="arcsec", key=key, format=".4f")
-
-
-def _predicted(judged: Judged) -> Measured:
-    return Measured(value=judged.predicted_arcsec, unit="arcsec", uncertainty=judged.predicted_spread_arcsec)
-
-
-def _cameras(cameras: list[CameraResult]) -> Table:
-    rows: list[tuple[Cell, ...]] = []
-    for camera in cameras:
-        total, fine = camera.total, camera.of("corrected")
-        rows.append(
-            (
-                camera.short,
-                total.rms_arcsec,
-                total.max_arcsec,
-                _predicted(total),
-                fine.rms_arcsec,
-                camera.noise_map_rms_arcsec,
-                _predicted(fine),
-            )
+def _models(outcome: Outcome) -> Table:
+    """Each camera has models of its own."""
+    columns = ("parameters", *(f"{name}_arcsec" for name in ("direct", "mismatch", "predicted", "measured")))
+    columns = (*columns, "corrected_arcsec", "status")
+    parts = {
+        lens: pivot(
+            outcome.data,
+            Pivot(rows=f"{name}_model", columns=" ".join(f"{name}_model_{column}" for column in columns)),
         )
+        for name, lens in outcome.labels("camera").items()
+    }
     return Table(
-        columns=(
-            "Lens",
-            _arcsec("Measured", "measured_arcsec"),
-            _arcsec("largest", "largest_arcsec"),
-            Column(name="predicted", unit="arcsec", key="measured_predicted_arcsec"),
-            _arcsec("Colours known", "corrected_arcsec"),
-            _arcsec("noise only", "noise_arcsec"),
-            Column(name="predicted", unit="arcsec", key="corrected_predicted_arcsec"),
-        ),
-        rows=rows,
-        caption="Line of sight of the calibrated cameras against the traced lens, best rotation removed.",
-        note="RMS length over the detector. Colours known: centroids with the PSF of each star's colour, colour shift "
-        "taken off; noise only: without what the camera model cannot describe. Predicted: from the covariance of the "
-        "calibration; ± is how much such a map scatters.",
-    )
-
-
-def _parts(cameras: list[CameraResult]) -> Table:
-    rows: list[tuple[Cell, ...]] = []
-    for camera in cameras:
-        sizes = camera.evaluation.part_rms_arcsec
-        rows.append(
-            (
-                camera.short,
-                *(sizes[part] for part in PARTS),
-                camera.evaluation.quadrature_arcsec,
-                camera.total.rms_arcsec,
-                camera.evaluation.alike("chromatic", "psf"),
-            )
-        )
-    return Table(
-        columns=(
-            "Lens",
-            *(Column(name=SHORT[part], unit="arcsec", key=f"{part}_arcsec", format=".2g") for part in PARTS),
-            _arcsec("RSS", "quadrature_arcsec"),
-            _arcsec("Total", "total_arcsec"),
-            Column(name="ρ", key="chromatic_psf_correlation", format="+.2f"),
-        ),
-        rows=rows,
-        caption="What the map error is made of: RMS of each part, switched on one after the other in the same data.",
-        note="RSS: root sum square. ρ: correlation of star colours and PSF over the detector. Independent "
-        "parts would add in quadrature; parts that cancel make the total smaller.",
-    )
-
-
-def _models(cameras: list[CameraResult]) -> Table:
-    rows: list[tuple[Cell, ...]] = []
-    for camera in cameras:
-        for model in camera.scene.config.models:
-            measured, clean = camera.of("measured", model=model), camera.of("reference", model=model)
-            rows.append(
-                (
-                    camera.short,
-                    model_label(model),
-                    len(measured.calibration.solution.names),
-                    camera.evaluation.direct[model].rms_arcsec,
-                    clean.rms_arcsec,
-                    camera.of("corrected", model=model).predicted_arcsec,
-                    measured.rms_arcsec,
-                    camera.of("corrected", model=model).rms_arcsec,
-                    measured.calibration.solution.status,
-                )
-            )
-    return Table(
-        columns=(
-            "Lens",
-            "Model",
-            Column(name="Free", key="parameters"),
-            Column(name="Own limit", unit="arcsec", key="direct_arcsec", format=".2g"),
-            Column(name="Noiseless", unit="arcsec", key="mismatch_arcsec", format=".2g"),
-            Column(name="Noise", unit="arcsec", key="predicted_arcsec", format=".4f"),
-            Column(name="Measured", unit="arcsec", key="measured_arcsec", format=".4f"),
-            Column(name="Colours known", unit="arcsec", key="corrected_arcsec", format=".4f"),
-            "Status",
-        ),
-        rows=rows,
+        columns=("Lens", *next(iter(parts.values())).columns),
+        rows=[(lens, *row) for lens, part in parts.items() for row in part.rows],
         caption="Which camera model is enough: what it cannot describe, what noise does to it, what comes out.",
-        note="Map errors, RMS. Free: parameters. Own limit: the model fitted to the traced map itself. Noiseless: "
-        "the same "
-        "stars and weights as measured, at the places that light of the reference colour would have. Noise: predicted, "
-        "with star colours known.",
+        note="Map errors, RMS. Free: parameters. Own limit: the model fitted to the traced map itself. Noiseless: the "
+        "same stars and weights as measured, at the places that light of the reference colour would have. Noise: "
+        "predicted, with star colours known.",
     )
 
 
-def _methods(cameras: list[CameraResult]) -> Table:
+def _wrong_matches(outcome: Outcome) -> Table:
+    """The calibration that counts, and those with wrong matches put in."""
+
+    def verdict(status: str) -> str:
+        return "accepted" if status == "converged" else "refused"
+
     rows: list[tuple[Cell, ...]] = []
-    for camera in cameras:
-        for method, label in METHODS.items():
-            measured, fine = (camera.of(data, method=method) for data in ("measured", "corrected"))
-            sigma = _sigma(fine)
-            rows.append(
-                (
-                    camera.short,
-                    label,
-                    measured.rms_arcsec,
-                    fine.rms_arcsec,
-                    _predicted(fine),
-                    sigma.get("x0_px", np.nan),
-                    sigma.get("focal_length_mm", np.nan) * 1e3,
-                    fine.calibration.solution.reduced_chi2,
-                )
+    for name, lens in outcome.labels("camera").items():
+        free = {"camera": name, "method": "free"}
+        status, size = (outcome.value(f"measured_{one}", **free) for one in ("status", "rms_arcsec"))
+        rows.append((lens, "robust (tukey)", 0.0, verdict(status), size, 0.0, None))
+        for trial in range(outcome.data.sizes["trial"]):
+            loss, fraction, status, size, apart, caught = (
+                outcome.value(f"wrong_{one}", camera=name, trial=trial)
+                for one in ("loss", "fraction", "status", "rms_arcsec", "apart_arcsec", "caught")
             )
-    return Table(
-        columns=(
-            "Lens",
-            "Attitudes",
-            _arcsec("Measured", "measured_arcsec"),
-            _arcsec("Colours known", "corrected_arcsec"),
-            Column(name="Predicted", unit="arcsec", key="predicted_arcsec"),
-            Column(name="σ of x0", unit="px", key="sigma_x0_px", format=".3f"),
-            Column(name="σ of f", unit="µm", key="sigma_f_um", format=".3f"),
-            Column(name="χ² per degree", key="reduced_chi2", format=".2f"),
-        ),
-        rows=rows,
-        caption="Attitudes free in every frame, or linked by a gyro: map errors (RMS) from the same centroids.",
-        note="Predicted map error and standard deviations of principal point and focal length for known colours. A χ² "
-        "well above 1 says that the gyro is not as good as the method believes.",
-    )
-
-
-def _sigma(judged: Judged) -> dict[str, float]:
-    solution = judged.calibration.solution
-    return {name: float(value) for name, value in zip(solution.names, solution.sigma, strict=True)}
-
-
-def _wrong(cameras: list[CameraResult]) -> Table:
-    rows: list[tuple[Cell, ...]] = []
-    for camera in cameras:
-        rows.append((camera.short, "robust (tukey)", 0.0, _status(camera.total), camera.total.rms_arcsec, 0.0, None))
-        for one in camera.evaluation.wrong:
-            loss = "least squares" if one.loss == "linear" else f"robust ({one.loss})"
-            status = "accepted" if one.accepted else "refused"
-            caught = 100 * one.caught_fraction if one.loss != "linear" else None
-            rows.append((camera.short, loss, 100 * one.fraction, status, one.rms_arcsec, one.apart_arcsec, caught))
+            plain = loss == "linear"
+            label = "least squares" if plain else f"robust ({loss})"
+            rows.append((lens, label, 100 * fraction, verdict(status), size, apart, None if plain else 100 * caught))
     return Table(
         columns=(
             "Lens",
@@ -210,35 +120,32 @@ def _wrong(cameras: list[CameraResult]) -> Table:
     )
 
 
-def _status(judged: Judged) -> str:
-    return "accepted" if judged.calibration.converged else "refused"
-
-
-def _detections(cameras: list[CameraResult]) -> Table:
-    rows: list[tuple[Cell, ...]] = [
-        ("rendered", *(sum(len(one.star) for one in camera.recording.frames) for camera in cameras)),
-        ("detected", *(sum(camera.matched.count.values()) for camera in cameras)),
+def _detections(outcome: Outcome) -> Table:
+    """Stars that were rendered, detected, left out and used, a column for each camera."""
+    count, reasons = outcome.values("detections"), outcome.names("outcome")[1:]
+    rows = [
+        ("rendered", outcome.values("rendered")),
+        ("detected", count.sum(axis=1)),
+        *((f"– {reason}", count[:, 1 + n]) for n, reason in enumerate(reasons)),
+        ("used", outcome.values("stars")),
+        ("of them wrong", outcome.values("wrong_used")),
     ]
-    for name in LEFT_OUT:
-        rows.append((f"– {name}", *(camera.matched.count[name] for camera in cameras)))
-    rows.append(("used", *(int(camera.evaluation.used.sum()) for camera in cameras)))
-    wrong = [int((~camera.matched.right[camera.evaluation.used]).sum()) for camera in cameras]
-    rows.append(("of them wrong", *wrong))
+    heads = [Column(name=f"{lens} lens", key=f"{name}_stars") for name, lens in outcome.labels("camera").items()]
     return Table(
-        columns=("Stars", *(Column(name=camera.title, key=f"{camera.name}_stars") for camera in cameras)),
-        rows=rows,
+        columns=("Stars", *heads),
+        rows=[(label, *numbers.tolist()) for label, numbers in rows],
         caption="What became of the stars, all frames together.",
         note="A detection is counted under the first reason that holds. Wrong: used stars under another star's name, "
         "by the truth of the rendering.",
     )
 
 
-def _parameters(cameras: list[CameraResult]) -> Table:
+def _parameters(outcome: Outcome) -> Table:
     rows: list[tuple[Cell, ...]] = []
-    for camera in cameras:
-        solution = camera.total.calibration.solution
-        for name, value, sigma in zip(solution.names, solution.value, solution.sigma, strict=True):
-            rows.append((camera.short, name, Measured(value=float(value), uncertainty=float(sigma))))
+    for name, lens in outcome.labels("camera").items():
+        for parameter in outcome.result.cameras[name].total.calibration.solution.names:
+            value: Measured = outcome.value(f"{name}_{parameter}")
+            rows.append((lens, parameter, replace(value, unit="")))
     return Table(
         columns=("Lens", "Parameter", Column(name="Value", key="value")),
         rows=rows,
@@ -247,62 +154,29 @@ def _parameters(cameras: list[CameraResult]) -> Table:
     )
 
 
-def _map(camera: CameraResult) -> Table:
+def _map(outcome: Outcome, name: str) -> Pivot:
     """The maps themselves."""
-    evaluation, total, fine = camera.evaluation, camera.total, camera.of("corrected")
-    rows = [
-        tuple(float(v) for v in row)
-        for row in np.column_stack(
-            [
-                evaluation.chart.pixel_px,
-                total.error_arcsec,
-                total.sigma_arcsec,
-                fine.error_arcsec,
-                fine.sigma_arcsec,
-                *(evaluation.part_arcsec[part] for part in PARTS),
-            ]
-        )
-    ]
-    names = ("error", "sigma", "corrected_error", "corrected_sigma", *PARTS)
-    return Table(
-        columns=(
-            Column(name="x", unit="px", key="x_px"),
-            Column(name="y", unit="px", key="y_px"),
-            *(Column(name=f"{n} {axis}", unit="arcsec", key=f"{n}_{axis}_arcsec") for n in names for axis in "xy"),
-        ),
-        rows=rows,
-        caption=f"Line-of-sight error over the detector, {camera.title}: model minus traced lens.",
+    shown = ("error", "sigma", "corrected_error", "corrected_sigma", *outcome.labels("part"))
+    lens = outcome.labels("camera")[name]
+    return Pivot(
+        rows=f"{name}_row {name}_column",
+        hidden=f"{name}_row {name}_column",
+        across="axis",
+        columns=" ".join((f"{name}_map_px", *(f"{name}_{one}_arcsec" for one in shown))),
+        caption=f"Line-of-sight error over the detector, {lens} lens: model minus traced lens.",
     )
 
 
-def _stars(camera: CameraResult) -> Table:
+def _stars(outcome: Outcome, name: str) -> Pivot:
     """Every star that was calibrated with."""
-    used, matched = camera.evaluation.used, camera.matched
-    position = camera.evaluation.position_px
-    sky = camera.scene.sky
-    kinds = ("measured", "own", "light", "reference")
-    columns = np.column_stack([position[kind][used] for kind in kinds] + [camera.evaluation.residual_px])
-    star = matched.star[used]
-    known = (matched.frame[used], sky.id[star], sky.magnitude[star], sky.temperature_k[star], matched.snr[used])
-    rows = [
-        (int(frame), int(name), *(float(v) for v in known), *(float(v) for v in place))
-        for frame, name, *known, place in zip(*known, columns, strict=True)
-    ]
-    return Table(
-        columns=(
-            Column(name="frame", key="frame"),
-            Column(name="star", key="star"),
-            Column(name="G", unit="mag", key="g_mag"),
-            Column(name="colour temperature", unit="K", key="temperature_k"),
-            Column(name="SNR", key="snr"),
-            *(
-                Column(name=f"{kind} {axis}", unit="px", key=f"{kind}_{axis}_px")
-                for kind in (*kinds, "residual")
-                for axis in "xy"
-            ),
-        ),
-        rows=rows,
-        caption=f"Stars calibrated with, {camera.title}.",
+    kinds = ("measured", "own", "light", "reference", "residual")
+    shown = ("frame", "id", "magnitude", "temperature", "snr", *(f"{kind}_px" for kind in kinds))
+    return Pivot(
+        rows=f"{name}_star",
+        hidden=f"{name}_star",
+        across="axis",
+        columns=" ".join(f"{name}_star_{one}" for one in shown),
+        caption=f"Stars calibrated with, {outcome.labels('camera')[name]} lens.",
         note="measured: PSF of one colour; own: PSF of the star's colour; light: centroid of the noiseless light; "
         "reference: where light of the reference colour would fall; residual: measured minus calibrated camera.",
     )

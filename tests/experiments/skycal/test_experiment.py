@@ -38,10 +38,10 @@ def outcome(tmp_path_factory, small_detector):
     folder = tmp_path_factory.mktemp("skycal") / "out"
     kept = []
     with pytest.MonkeyPatch.context() as patch:
-        from experiments.skycal import checks as skycal_checks
+        from experiments.skycal import quantities
 
-        original = skycal_checks.results
-        patch.setattr(skycal_checks, "results", lambda result: kept.append(result) or original(result))
+        original = quantities.describe
+        patch.setattr(quantities, "describe", lambda result: kept.append(result) or original(result))
         status = main(arguments(folder, **{"narrow.instrument.detector": small_detector}))
     return status, folder, kept[0]
 
