@@ -408,7 +408,7 @@ class Outcome:
 
     def label(self, dim: str, key: Any) -> str:
         """What readers see for one coordinate of a dimension."""
-        return self.names(dim)[self.data.coords[dim].values.tolist().index(key)]
+        return self.labels(dim)[key]
 
     def labels(self, dim: str) -> dict[Any, str]:
         """Coordinates along a dimension, with what readers see of them."""
