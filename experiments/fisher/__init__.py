@@ -1,4 +1,4 @@
-"""Accuracy of star vectors by the Fisher distribution (FISHER23): the bench, its interval, and the pixel method.
+"""How well does one frame give the direction to a star? Scatter on a turntable, by the Fisher distribution (FISHER23).
 
 A single star is rendered through the lens while a table carries its image over the whole detector, at rest and on the
 move. A joint calibration (S100) on frames of its own gives camera, star and installation; with it the images of single

@@ -21,6 +21,8 @@ from experiments.fisher.acquire import (
     smeared_psfs,
     visit_once,
 )
+from experiments.fisher.checks import evaluation_px
+from experiments.fisher.field_of_view import baseline_over_sphere
 from experiments.fisher.predict import (
     Scatter,
     calibration_of_rows,
@@ -31,7 +33,6 @@ from experiments.fisher.predict import (
     table_covariance_px2,
     tangent_maps,
 )
-from experiments.fisher.prepare import evaluation_px
 from experiments.fisher.reduce import Evaluation, evaluate, expected_px
 from experiments.fisher.settings import Config
 from experiments.harness.progress import Progress
@@ -44,7 +45,6 @@ from experiments.laboratory.single_star.reduce import (
     Data,
     calibrated_bench,
     check_fit,
-    check_parity,
     reduce_data,
     start_model,
 )
@@ -86,6 +86,8 @@ class Case:
         "calibration".
     realised_arcsec : mapping of str to float
         What the causes made in this run, known to the simulation alone: "centroids", "table", "camera".
+    expected_ratio : float
+        Pixel method over Fisher as covariances and the lens predict it, with the calibrated angle per pixel.
     smear_px : float
         Length of the streak.
     """
@@ -95,7 +97,18 @@ class Case:
     predicted: Scatter
     expected_arcsec: Mapping[str, float]
     realised_arcsec: Mapping[str, float]
+    expected_ratio: float
     smear_px: float
+
+    @property
+    def z_score(self) -> float:
+        """How far the scatter is off its prediction, as a normal deviate."""
+        return self.predicted.z_score(self.evaluation.fit.chord_sum_rad2)
+
+    @property
+    def table_arcsec(self) -> float:
+        """What readings and clocks are expected to make together."""
+        return float(np.hypot(self.expected_arcsec["readings"], self.expected_arcsec["clocks"]))
 
     @property
     def camera_arcsec(self) -> float:
@@ -236,7 +249,6 @@ def _calibrate(measurement: Measurement, believed: Turntable, instrument: Instru
     data = Data.of(measurement)
     start, table = start_model(instrument, None), averaged(believed, config.frames)
     ahead = _nominal_star(config)
-    check_parity(data, table, start, ahead)
     calibration = reduce_data(data, table, start, leans=True, start_star=ahead)
     check_fit(calibration, "joint calibration (S100)", ADVICE)
     return calibration
@@ -343,13 +355,14 @@ class _Work:
             taken.places.reading_rad,
             outlier_probability=self.config.evaluation.outlier_probability,
         )
-        predicted, expected = self._predict(taken, motion)
+        predicted, expected, ratio = self._predict(taken, motion)
         return Case(
             acquisition=taken,
             evaluation=judged,
             predicted=predicted,
             expected_arcsec=expected,
             realised_arcsec=self._realised(taken),
+            expected_ratio=ratio,
             smear_px=smear_px(motion, self.instrument),
         )
 
@@ -363,7 +376,7 @@ class _Work:
         path = self.model.project(seen.reshape(-1, 3)).reshape(len(seen), -1, 2)
         return np.asarray(path - path.mean(1, keepdims=True))
 
-    def _predict(self, taken: Acquisition, motion: Motion) -> tuple[Scatter, dict[str, float]]:
+    def _predict(self, taken: Acquisition, motion: Motion) -> tuple[Scatter, dict[str, float], float]:
         angle = np.array(taken.places.reading_rad)
         maps = tangent_maps(self.model, self.bench, angle)
         centroid = np.array(taken.covariance_px2)
@@ -374,12 +387,14 @@ class _Work:
         order = [i for i in range(len(solution.names)) if i not in star] + star
         known = np.array(solution.covariance)[np.ix_(order, order)]
         quiet = predict_independent(maps, 1e-30 * np.broadcast_to(np.eye(2), maps.shape), rows, known)
-        return predict_independent(maps, noise, rows, known), {
+        expected = {
             "centroids": on_the_sphere(maps, centroid),
             "readings": on_the_sphere(maps, reading_covariance_px2(self.model, self.bench, angle)),
             "clocks": on_the_sphere(maps, jitter_covariance_px2(self.model, self.bench, angle, motion)),
             "calibration": quiet.sigma_arcsec,
         }
+        ratio = baseline_over_sphere(self.model, np.array(taken.position_px), noise)
+        return predict_independent(maps, noise, rows, known), expected, ratio
 
     def _realised(self, taken: Acquisition) -> dict[str, float]:
         """What each cause did, by putting the truth in place of the measured, one after the other."""

@@ -14,7 +14,7 @@ from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 
-__all__ = ["KINDS", "LEVELS", "CoveragePoint", "coverage", "true_sigma"]
+__all__ = ["DISTRIBUTIONS", "LEVELS", "CoveragePoint", "coverage", "true_sigma"]
 
 
 LEVELS = (0.6827, 0.95)
@@ -23,7 +23,7 @@ ANISOTROPY = 3.0
 OUTLIERS, OUTLIER_SIGMAS = 0.02, 4.0
 MODERATE_K = 20.0
 MEAN = np.array([0.36, -0.48, 0.8])
-KINDS = {
+DISTRIBUTIONS = {
     "fisher": "Fisher distribution",
     "moderate": f"Fisher distribution, k = {MODERATE_K:g}",
     "ellipse": f"ellipse, axes {ANISOTROPY:g} : 1",
@@ -39,7 +39,7 @@ class CoveragePoint:
     Attributes
     ----------
     kind : str
-        Key of `KINDS`.
+        Key of `DISTRIBUTIONS`.
     count : int
         Vectors per sample.
     covered : tuple of float
@@ -104,7 +104,7 @@ def coverage(config: CoverageConfig, streams: Streams, *, advance: Callable[[], 
         Called after every point.
     """
     points = []
-    for kind in KINDS:
+    for kind in DISTRIBUTIONS:
         for count in config.counts:
             rng = streams.child("coverage", kind).generator("vectors", count)
             vectors = _draw(kind, config.runs, count, rng)

@@ -1,29 +1,18 @@
-"""Accuracy of star vectors by the Fisher distribution (FISHER23): the bench, its interval, and the pixel method.
-
-A single star is rendered through the lens while a table carries its image over the whole detector, at rest and on the
-move. A joint calibration (S100) on frames of its own gives camera, star and installation; with it the images of single
-frames become vectors in the table's frame at zero angles (S200-S300), their concentration a standard deviation per axis
-with a confidence interval (S400-S500). Beside it the usual method, pixel residuals times an angle per pixel; the bias
-of that over the field of view; how often the interval holds the truth; and what calibrating and evaluating with the
-same data does.
-"""
+"""Accuracy of star vectors: what is run, in which order, and the declaration."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from experiments.fisher.settings import Config
-from experiments.harness.legacy import legacy_command as command
+from experiments.harness.cli import command
+from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
-from experiments.harness.summary import Criterion
 
 if TYPE_CHECKING:
     from experiments.fisher.result import Result
-    from experiments.harness.report import Report
-    from experiments.harness.tables import Table
 
-__all__ = ["Config", "main", "report", "run", "summary", "tables"]
+__all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
@@ -45,16 +34,16 @@ def run(config: Config, *, progress: Progress) -> Result:
     import numpy as np
 
     from experiments.fisher.bench import run_bench
-    from experiments.fisher.coverage import KINDS, coverage
-    from experiments.fisher.field import field_sweep
-    from experiments.fisher.limits import digits_sweep, table_sweep
-    from experiments.fisher.prepare import prepare
+    from experiments.fisher.checks import check_config
+    from experiments.fisher.coverage import DISTRIBUTIONS, coverage
+    from experiments.fisher.degrees_of_freedom import same_data_sweep
+    from experiments.fisher.field_of_view import field_sweep
+    from experiments.fisher.precision import digits_sweep
     from experiments.fisher.result import Result
-    from experiments.fisher.same import same_data_sweep
-    from experiments.harness.provenance import peak_memory_mb, process_seconds
+    from experiments.fisher.table_noise import table_sweep
     from render.engine.random import Streams
 
-    instrument = prepare(config)
+    instrument = check_config(config)
     streams = Streams(config.seed).child("fisher")
     bench = run_bench(config, instrument, progress)
     static = bench.cases[0]
@@ -63,7 +52,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     )
     with progress.stage("fields of view", total=len(config.field.field_deg)) as stage:
         fields = field_sweep(config.field, streams, advance=stage.advance)
-    with progress.stage("coverage", total=len(KINDS) * len(config.coverage.counts)) as stage:
+    with progress.stage("coverage", total=len(DISTRIBUTIONS) * len(config.coverage.counts)) as stage:
         covered = coverage(config.coverage, streams, advance=stage.advance)
     with progress.stage("same data, coordinates", total=len(config.same_data.sides)) as stage:
         same = same_data_sweep(
@@ -76,7 +65,7 @@ def run(config: Config, *, progress: Progress) -> Result:
             rolls_rad=[float(v) for v in np.radians(config.table.rolls_deg)],
             advance=stage.advance,
         )
-    with progress.stage("limits"):
+    with progress.stage("precision, other tables"):
         digits = digits_sweep(streams)
         by_table = table_sweep(
             bench.model,
@@ -95,39 +84,19 @@ def run(config: Config, *, progress: Progress) -> Result:
         same_data=same,
         digits=digits,
         table_sweep=by_table,
-        runtime_s=process_seconds(),
-        peak_memory_mb=peak_memory_mb(),
     )
 
 
-def summary(result: Result) -> tuple[dict[str, Any], Sequence[Criterion]]:
-    """What goes into ``summary.json``."""
-    from experiments.fisher.evaluate import criteria, results
-
-    return results(result), criteria(result)
-
-
-def tables(result: Result) -> Mapping[str, Table]:
-    """Tables written beside the report."""
-    from experiments.fisher.tables import all_tables
-
-    return all_tables(result)
-
-
-def report(result: Result) -> Report:
-    """What ``report.html`` shows."""
-    from experiments.fisher.report import build_report
-
-    return build_report(result)
-
-
-main = command(
-    "fisher",
+experiment = Experiment(
+    name="fisher",
     config=Config,
     run=run,
-    report=report,
-    summary=summary,
-    tables=tables,
+    takes="2 min (--quick: 25 s)",
+    examples={
+        "--quick": "a small run",
+        "--set table.reading_noise_arcsec=[0.3,0.4]": "on the table of CUBE09",
+        "--set evaluation.signal_e=10000 --set dynamic.rate_deg_per_s=0.1": "a brighter star, a faster table",
+    },
     show=("accuracy", "field_of_view"),
     quick={
         "grid.columns": 9,
@@ -144,3 +113,4 @@ main = command(
         "same_data.runs": 20,
     },
 )
+main = command(experiment)

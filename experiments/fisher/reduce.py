@@ -29,7 +29,11 @@ from optics.arrays import FloatArray
 from optics.records import freeze
 from optics.units import RAD_ARCSEC
 
-__all__ = ["Evaluation", "baseline_px", "evaluate", "expected_px"]
+__all__ = ["CONFIDENCE", "Evaluation", "baseline_px", "evaluate", "expected_px"]
+
+
+CONFIDENCE = 0.95
+"""Of the intervals that are reported."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,12 +75,12 @@ class Evaluation:
         """Standard deviation of a star vector per axis."""
         return self.fit.sigma_rad * RAD_ARCSEC
 
-    def interval_arcsec(self, level: float = 0.95) -> tuple[float, float]:
+    def interval_arcsec(self, level: float = CONFIDENCE) -> tuple[float, float]:
         """Its confidence interval, by the distribution."""
         low, high = self.fit.sigma_interval_rad(level)
         return low * RAD_ARCSEC, high * RAD_ARCSEC
 
-    def own_interval_arcsec(self, level: float = 0.95) -> tuple[float, float]:
+    def own_interval_arcsec(self, level: float = CONFIDENCE) -> tuple[float, float]:
         """The interval by the degrees of freedom that the vectors themselves show."""
         low, high = self.fit.sigma_interval_rad(level, effective=self.effective_degrees)
         return low * RAD_ARCSEC, high * RAD_ARCSEC

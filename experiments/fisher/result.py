@@ -1,4 +1,4 @@
-"""What the experiment on star vectors gives, before anybody writes about it."""
+"""What the experiment on star vectors gives, as numbers and records."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 from experiments.fisher.bench import BenchRun
 from experiments.fisher.coverage import CoveragePoint
-from experiments.fisher.field import FieldPoint
-from experiments.fisher.limits import DigitsPoint, TablePoint
-from experiments.fisher.same import SamePoint
+from experiments.fisher.degrees_of_freedom import SameDataPoint
+from experiments.fisher.field_of_view import FieldPoint
+from experiments.fisher.precision import DigitsPoint
 from experiments.fisher.settings import Config
+from experiments.fisher.table_noise import TablePoint
 from experiments.laboratory.instrument import Instrument
 
 __all__ = ["Result"]
@@ -32,14 +33,12 @@ class Result:
         Pixel method against Fisher on ideal cameras.
     coverage : sequence of CoveragePoint
         Of the confidence interval.
-    same_data : sequence of SamePoint
+    same_data : sequence of SameDataPoint
         Calibrating and evaluating with the same data.
     digits : sequence of DigitsPoint
         Numerics of 1 - R.
     table_sweep : sequence of TablePoint
         What is measured on other tables.
-    runtime_s, peak_memory_mb : float
-        Cost.
     """
 
     config: Config
@@ -47,8 +46,6 @@ class Result:
     bench: BenchRun
     field_sweep: Sequence[FieldPoint]
     coverage: Sequence[CoveragePoint]
-    same_data: Sequence[SamePoint]
+    same_data: Sequence[SameDataPoint]
     digits: Sequence[DigitsPoint]
     table_sweep: Sequence[TablePoint]
-    runtime_s: float
-    peak_memory_mb: float

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from experiments.fisher.acquire import merged_nodes, smeared_psfs
+from experiments.fisher.checks import check_config
 from experiments.fisher.experiment import main
-from experiments.fisher.prepare import prepare
 from experiments.fisher.settings import Config
 from optics.errors import StarbenchError
 from render.records import EffectivePsf, StarField
@@ -134,6 +134,6 @@ def test_light_that_cannot_be_measured(setting: str, words: str, tmp_path, capsy
 
 
 def test_defaults_are_accepted_without_rendering() -> None:
-    assert prepare(Config()).pixel_arcsec == pytest.approx(5.5005, abs=1e-3)
+    assert check_config(Config()).pixel_arcsec == pytest.approx(5.5005, abs=1e-3)
     with pytest.raises(StarbenchError, match=r"evaluation\.columns or evaluation\.rows"):
-        prepare(Config.model_validate({"evaluation": {"columns": 2, "rows": 2}}))
+        check_config(Config.model_validate({"evaluation": {"columns": 2, "rows": 2}}))

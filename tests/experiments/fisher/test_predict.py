@@ -14,7 +14,8 @@ from calib.attitude.star_vectors import initial_frame_vectors
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.directional.fisher import mean_and_chords
 from experiments.fisher.acquire import Motion, visit_once
-from experiments.fisher.limits import digits_sweep, table_share, table_sweep
+from experiments.fisher.degrees_of_freedom import same_data_sweep
+from experiments.fisher.precision import digits_sweep
 from experiments.fisher.predict import (
     calibration_of_rows,
     jitter_covariance_px2,
@@ -25,7 +26,7 @@ from experiments.fisher.predict import (
     tangent_maps,
 )
 from experiments.fisher.reduce import baseline_px, evaluate
-from experiments.fisher.same import same_data_sweep
+from experiments.fisher.table_noise import table_share, table_sweep
 from experiments.laboratory.collimator import star_direction
 from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.turntable import build_turntable

@@ -25,16 +25,27 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
 
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.cameras.base import CameraModel, unproject_jacobian
 from calib.directional.fisher import mean_and_chords, sample_fisher
+from experiments.fisher.reduce import CONFIDENCE
 from experiments.fisher.settings import FieldConfig
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, DEG_RAD
 from render.engine.random import Streams
 
-__all__ = ["FieldPoint", "Ratio", "baseline_over_sphere", "closed_form", "field_sweep", "ideal_camera", "opposite_form"]
+__all__ = [
+    "FieldPoint",
+    "Ratio",
+    "baseline_over_sphere",
+    "closed_form",
+    "field_sweep",
+    "ideal_camera",
+    "pixel_noise_form",
+    "vectors_needed",
+]
 
 
 SWEEP_PX, SWEEP_PITCH_MM = 2048, 0.0055
@@ -84,7 +95,7 @@ class FieldPoint:
         Pixel method with a wrong angle per pixel, over Fisher.
     field_over_pixels : Ratio
         Pixel method with field/pixels as the angle per pixel, over Fisher.
-    opposite_fisher, opposite_baseline : Ratio
+    pixel_noise_fisher, pixel_noise_baseline : Ratio
         Noise isotropic in pixels: Fisher over the pixel method on the same images; pixel method over what the noise is
         on the axis.
     """
@@ -94,8 +105,8 @@ class FieldPoint:
     fisher: Ratio
     wrong_resolution: Ratio
     field_over_pixels: Ratio
-    opposite_fisher: Ratio
-    opposite_baseline: Ratio
+    pixel_noise_fisher: Ratio
+    pixel_noise_baseline: Ratio
 
 
 def _half_width(field_deg: float) -> float:
@@ -108,13 +119,18 @@ def closed_form(field_deg: float) -> float:
     return float(np.sqrt(1.0 + a2 + 14.0 / 45.0 * a2 * a2))
 
 
-def opposite_form(field_deg: float) -> float:
+def pixel_noise_form(field_deg: float) -> float:
     """Fisher over the noise on the axis, noise isotropic in pixels, square field; by quadrature."""
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     x = (nodes + 1.0) / 2.0 * _half_width(field_deg)
     stretch = 1.0 + x[:, None] ** 2 + x[None, :] ** 2
     weight = np.outer(weights, weights) / 4.0
     return float(np.sqrt(0.5 * np.sum(weight * (stretch**-2 + stretch**-1))))
+
+
+def vectors_needed(excess: float) -> float:
+    """Star vectors for which the 95 % interval of sigma is as narrow as a bias: 1.96/(2 sqrt n) = excess."""
+    return float((norm.isf((1.0 - CONFIDENCE) / 2.0) / 2.0 / abs(excess)) ** 2)
 
 
 def baseline_over_sphere(model: CameraModel, pixel_px: FloatArray, noise_px2: FloatArray | None = None) -> float:
@@ -183,8 +199,8 @@ def _field_point(config: FieldConfig, field_deg: float, streams: Streams) -> Fie
         noise = sigma / pixel_rad * rng.standard_normal(place.shape)
         back = np.einsum("nij,nj->ni", turn, model.unproject(place + noise))
         on_axis = _pixel_sigma(noise) * pixel_rad
-        columns["opposite_fisher"].append(_sigma(back) / on_axis)
-        columns["opposite_baseline"].append(on_axis / sigma)
+        columns["pixel_noise_fisher"].append(_sigma(back) / on_axis)
+        columns["pixel_noise_baseline"].append(on_axis / sigma)
     return FieldPoint(field_deg=field_deg, **{name: _ratio(values) for name, values in columns.items()})
 
 

@@ -11,13 +11,13 @@ from experiments.laboratory.single_star.setup import build_star, build_table, ca
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 
-__all__ = ["evaluation_px", "prepare"]
+__all__ = ["check_config", "evaluation_px"]
 
 
 LONGEST_SMEAR_PX = 40.0
 
 
-def prepare(config: Config) -> Instrument:
+def check_config(config: Config) -> Instrument:
     """The camera; whatever can be refused without rendering is refused here.
 
     Raises

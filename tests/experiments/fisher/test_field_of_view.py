@@ -10,9 +10,15 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad
 
-from experiments.fisher.coverage import KINDS, LEVELS, coverage, true_sigma
-from experiments.fisher.evaluate import vectors_needed
-from experiments.fisher.field import baseline_over_sphere, closed_form, field_sweep, ideal_camera, opposite_form
+from experiments.fisher.coverage import DISTRIBUTIONS, LEVELS, coverage, true_sigma
+from experiments.fisher.field_of_view import (
+    baseline_over_sphere,
+    closed_form,
+    field_sweep,
+    ideal_camera,
+    pixel_noise_form,
+    vectors_needed,
+)
 from experiments.fisher.settings import CoverageConfig, FieldConfig
 from render.engine.random import Streams
 
@@ -42,7 +48,7 @@ def test_closed_forms_are_means_over_the_square(field_deg: float) -> None:
             squares += wx * wy * np.mean(gain**2) / area
             inverse += wx * wy * np.mean(gain**-2.0) / area
     assert closed_form(field_deg) == pytest.approx(np.sqrt(squares), rel=1e-7)
-    assert opposite_form(field_deg) == pytest.approx(np.sqrt(inverse), rel=1e-7)
+    assert pixel_noise_form(field_deg) == pytest.approx(np.sqrt(inverse), rel=1e-7)
     plain = dblquad(lambda y, x: 1 + 1.5 * (x * x + y * y) + 0.5 * (x * x + y * y) ** 2, 0, half, 0, half)[0] / area
     assert closed_form(field_deg) ** 2 == pytest.approx(plain, rel=1e-9)
 
@@ -59,7 +65,7 @@ def test_any_camera_on_a_grid_tends_to_the_closed_form() -> None:
     pixel = np.stack(np.meshgrid(centres, centres), axis=-1).reshape(-1, 2)
     assert baseline_over_sphere(camera, pixel) == pytest.approx(closed_form(20.0), rel=2e-5)
     even = np.broadcast_to(np.eye(2), (len(pixel), 2, 2))
-    assert baseline_over_sphere(camera, pixel, even) == pytest.approx(1 / opposite_form(20.0), rel=2e-5)
+    assert baseline_over_sphere(camera, pixel, even) == pytest.approx(1 / pixel_noise_form(20.0), rel=2e-5)
 
 
 def test_monte_carlo_finds_the_bias() -> None:
@@ -69,10 +75,10 @@ def test_monte_carlo_finds_the_bias() -> None:
         assert point.baseline.mean == pytest.approx(closed_form(point.field_deg), abs=5 * point.baseline.error)
         assert point.baseline.percent_error < 0.02
         assert point.fisher.mean == pytest.approx(1.0, abs=5 / np.sqrt(4 * 3000 * 10))
-        assert point.opposite_fisher.mean == pytest.approx(
-            opposite_form(point.field_deg), abs=5 * point.opposite_fisher.error
+        assert point.pixel_noise_fisher.mean == pytest.approx(
+            pixel_noise_form(point.field_deg), abs=5 * point.pixel_noise_fisher.error
         )
-        assert point.opposite_baseline.mean == pytest.approx(1.0, abs=5 / np.sqrt(4 * 3000 * 10))
+        assert point.pixel_noise_baseline.mean == pytest.approx(1.0, abs=5 / np.sqrt(4 * 3000 * 10))
         assert point.wrong_resolution.mean == pytest.approx(1.01 * point.baseline.mean, rel=1e-12)
         half = np.radians(point.field_deg) / 2
         assert point.field_over_pixels.mean == pytest.approx(half / np.tan(half) * point.baseline.mean, rel=1e-12)
@@ -81,7 +87,7 @@ def test_monte_carlo_finds_the_bias() -> None:
 def test_coverage_by_kind() -> None:
     """N = 1000: a share of 95 % is known to 0.7 points, one of 68 % to 1.5."""
     points = coverage(CoverageConfig(counts=(10, 100), runs=1000), Streams(3), advance=lambda: None)
-    assert len(points) == 2 * len(KINDS)
+    assert len(points) == 2 * len(DISTRIBUTIONS)
     for point in points:
         assert point.bias == pytest.approx(0.0, abs=5 * point.bias_error)
         if point.kind in ("fisher", "moderate"):

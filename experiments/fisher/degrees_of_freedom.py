@@ -29,7 +29,7 @@ from experiments.laboratory.single_star.reduce import Data, calibrated_bench, re
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 
-__all__ = ["Mean", "SamePoint", "same_data_sweep"]
+__all__ = ["SameDataPoint", "VarianceRatio", "same_data_sweep"]
 
 
 INSET = 0.03
@@ -37,7 +37,7 @@ INSET = 0.03
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Mean:
+class VarianceRatio:
     """Estimated over true variance, mean over runs, with its standard error; `root`: as standard deviations."""
 
     value: float
@@ -55,14 +55,14 @@ class Mean:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SamePoint:
+class SameDataPoint:
     """One number of places.
 
     Attributes
     ----------
     count, unknowns : int
         Star vectors; unknowns of the calibration.
-    naive, corrected, independent : Mean
+    naive, corrected, independent : VarianceRatio
         Estimated variance over that of the noise.
     predicted_naive, predicted_independent : float
         The same from covariances.
@@ -74,9 +74,9 @@ class SamePoint:
 
     count: int
     unknowns: int
-    naive: Mean
-    corrected: Mean
-    independent: Mean
+    naive: VarianceRatio
+    corrected: VarianceRatio
+    independent: VarianceRatio
     predicted_naive: float
     predicted_independent: float
     effective_degrees: float
@@ -93,7 +93,7 @@ def same_data_sweep(
     *,
     rolls_rad: Sequence[float] = (0.0,),
     advance: Callable[[], None],
-) -> list[SamePoint]:
+) -> list[SameDataPoint]:
     """Vary the number of places.
 
     Parameters
@@ -134,7 +134,7 @@ def _same_point(
     runs: int,
     rolls_rad: Sequence[float],
     streams: Streams,
-) -> SamePoint:
+) -> SameDataPoint:
     angle = aim(bench, model.unproject(_places_px(model, side)), np.resize(rolls_rad, side * side))
     centroid = np.broadcast_to(np.eye(2) * sigma_px**2, (len(angle), 2, 2))
     maps, rows = tangent_maps(model, bench, angle), calibration_of_rows(model, bench, angle)
@@ -160,7 +160,7 @@ def _same_point(
             sums.append([_chord_sum(calibration.model, found, data) for data in (first, second)])
     count, unknowns = len(angle), rows.shape[2]
     values = np.array(sums).reshape(-1, 2) / same.noise_rad2
-    return SamePoint(
+    return SameDataPoint(
         count=count,
         unknowns=unknowns,
         naive=_mean(values[:, 0] / (2 * (count - 1))),
@@ -183,7 +183,7 @@ def _chord_sum(model: CameraModel, bench: Bench, data: Data) -> float:
     return float(mean_and_chords(vectors[None])[1].sum())
 
 
-def _mean(values: FloatArray) -> Mean:
+def _mean(values: FloatArray) -> VarianceRatio:
     if len(values) < 2:
-        return Mean(value=float("nan"), error=float("nan"))
-    return Mean(value=float(values.mean()), error=float(values.std(ddof=1) / np.sqrt(len(values))))
+        return VarianceRatio(value=float("nan"), error=float("nan"))
+    return VarianceRatio(value=float(values.mean()), error=float(values.std(ddof=1) / np.sqrt(len(values))))
