@@ -202,7 +202,7 @@ def tornado_chart(outcome: Outcome) -> Figure:
         panel.set_yticks(place, names)
         panel.grid(visible=False, axis="y")
         total = outcome.value("tornado_total_arcsec", axis=axis)
-        panel.set(title=f"{axis}: total {total:.3f}″", xlabel=outcome.heading("total_change_arcsec"))
+        panel.set(title=f"{axis}: total {total:.3f}″", xlabel=f"{outcome.heading('total_change_arcsec')}, 3σ")
     axes[0].invert_yaxis()
     ends = [Patch(color=PALETTE[5], label="parameter lower"), Patch(color=PALETTE[1], label="parameter higher")]
     figure.legend(handles=ends, loc="outside lower center", ncols=2)

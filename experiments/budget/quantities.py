@@ -172,7 +172,8 @@ def _sweep(q: Quantities, sweep: Sweep) -> None:
         q.add(
             "sweep_measured_arcsec", values, "3σ", **found, error=error, json=place, json_error=f"{place}_uncertainty"
         )
-    q.add("sweep_refused", [one.refusal for one in settings], "Refused because", dims="setting", json="sweep.refused")
+    refused = [one.refusal for one in settings]
+    q.add("sweep_refused", refused, "Refused because", dims="setting", key="refusal", json="sweep.refused")
 
 
 def _tornado(q: Quantities, tornado: Tornado) -> None:
@@ -188,10 +189,11 @@ def _tornado(q: Quantities, tornado: Tornado) -> None:
     q.add(
         "total_change_arcsec",
         np.reshape([one.change("total", tornado.base) for one in swings], (-1, 2, 2)),
-        "Change of the total, 3σ",
+        "Change",
         **ANGLE,
         dims="swing end axis",
         format="+.4f",
+        key="{axis}_{end}_arcsec",
         json="tornado[swing].total_change_arcsec",
     )
     q.add("tornado_total_arcsec", tornado.base.total.arcsec, "Total", **ANGLE, dims="axis", format=".3f", json="")

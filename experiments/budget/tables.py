@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from experiments.budget.combine import SUMS, TERMS
 from experiments.harness.pivot import Pivot, pivot
-from experiments.harness.quantities import Outcome
+from experiments.harness.quantities import Outcome, shown_unit
 from experiments.harness.summary import Measured
 from experiments.harness.tables import Cell, Column, Table
 
@@ -46,15 +47,22 @@ def tables(outcome: Outcome) -> Mapping[str, Table | Pivot]:
     if outcome.result.sweep is not None:
         made["sweep"] = _sweep(outcome)
     if outcome.result.tornado is not None:
-        made["tornado"] = _tornado(outcome)
+        made["tornado"] = Pivot(
+            rows="swing",
+            hidden="swing",
+            across="axis end",
+            columns="swing_label swing_key swing_low swing_high total_change_arcsec",
+            caption="Change of the predicted total, 3 sigma, when one parameter moves by its tolerance.",
+        )
     if outcome.result.changed:
         made["changed"] = _changed(outcome)
     return made
 
 
 def _columns(outcome: Outcome, names: str) -> list[Column]:
-    """Columns of single quantities, with heads of their own."""
-    return list(pivot(outcome.data, Pivot(columns=names, rows="term axis")).heads[2:])
+    """Columns as quantities describe them."""
+    found = [outcome.quantity(name) for name in names.split()]
+    return [Column(name=one.label, unit=shown_unit(one.unit), key=one.key, format=one.format) for one in found]
 
 
 def _budget(outcome: Outcome) -> Table:
@@ -73,7 +81,7 @@ def _budget(outcome: Outcome) -> Table:
     return Table(
         columns=(
             "Term",
-            Column(name=outcome.heading("ecss"), key="ecss"),
+            *_columns(outcome, "ecss"),
             "Axis",
             *_columns(outcome, "predicted_arcsec measured_arcsec published_arcsec ratio"),
         ),
@@ -153,55 +161,23 @@ def _cells(values: Any) -> list[Cell]:
 
 def _sweep(outcome: Outcome) -> Table:
     """The budget at every value of a parameter, at full precision."""
-    sweep = outcome.result.sweep
-    predicted = np.stack([outcome.values("sweep_predicted_arcsec", term=name) for name in SWEPT], axis=1)
-    windows = outcome.values("sweep_window_px").tolist()
-    rows: list[list[Cell]] = [
-        [float(value), window, *_cells(numbers)]
-        for value, window, numbers in zip(outcome.values("sweep_value"), windows, predicted, strict=True)
-    ]
-    columns = [
-        Column(name=sweep.key, key="value", format=".5g"),
-        Column(name="Window", unit="px", key="window_px"),
-    ]
-    for name in SWEPT:
-        key = name.lower().replace("-", "_")
-        columns += [Column(name=f"{name} {a}", unit="″", key=f"{key}_{a}", format=".3f") for a in "xy"]
-    if outcome.config.sweep_measured:
-        columns += [Column(name=f"measured total {a}", unit="″", key=f"measured_total_{a}") for a in "xy"]
-        rows = [[*row, *_measured_total(outcome, setting)] for setting, row in enumerate(rows)]
-    if any(one.refusal for one in sweep.settings):
-        columns.append(Column(name="Refused because", key="refusal"))
-        rows = [[*row, one.refusal or None] for row, one in zip(rows, sweep.settings, strict=True)]
-    return Table(columns=columns, rows=rows, caption=f"The budget against {sweep.key}, predicted, 3 sigma.")
-
-
-def _measured_total(outcome: Outcome, setting: int) -> list[Cell]:
-    """Measured total, x and y, of one value of the parameter."""
-    if outcome.result.sweep.settings[setting].measured is None:
-        return [None, None]
-    total = outcome.data.sel(term="total").isel(setting=setting)
-    pairs = zip(total["sweep_measured_arcsec"].values, total["sweep_measured_arcsec_error"].values, strict=True)
-    return [Measured(value=float(value), unit="arcsec", uncertainty=float(error)) for value, error in pairs]
-
-
-def _tornado(outcome: Outcome) -> Table:
-    """Parameters, their ends, and the change of the total at both."""
-    table = pivot(
-        outcome.data,
-        Pivot(rows="swing", hidden="swing", columns="swing_label swing_key swing_low swing_high"),
-    )
-    change = outcome.values("total_change_arcsec").transpose(0, 2, 1).reshape(-1, 4).tolist()
-    ends = [
-        Column(name=f"{axis}, {end}", unit="″", key=f"{axis}_{end}_arcsec", format="+.4f")
-        for axis in "xy"
-        for end in ("low", "high")
-    ]
-    return Table(
-        columns=(*table.heads, *ends),
-        rows=[(*row, *one) for row, one in zip(table.rows, change, strict=True)],
-        caption="Change of the predicted total, 3 sigma, when one parameter moves by its tolerance.",
-    )
+    key = outcome.value("sweep_key")
+    shown = [("", "sweep_predicted_arcsec", name, axis, ".3f") for name in SWEPT for axis in "xy"]
+    if "sweep_measured_arcsec" in outcome.data:
+        shown += [("measured ", "sweep_measured_arcsec", "total", axis, "") for axis in "xy"]
+    columns = [Column(name=key, key="value", format=".5g"), *_columns(outcome, "sweep_window_px")]
+    for what, _, term, axis, spec in shown:
+        name = f"{what}{term} {axis}"
+        columns.append(Column(name=name, unit="″", key=re.sub(r"\W", "_", name.lower()), format=spec))
+    rows: list[list[Cell]] = []
+    for value, window in zip(outcome.data["setting"].values.tolist(), outcome.values("sweep_window_px"), strict=True):
+        cells = (outcome.value(name, setting=value, term=term, axis=axis) for _, name, term, axis, _ in shown)
+        rows.append([value, int(window), *cells])
+    refused = outcome.values("sweep_refused").tolist()
+    if any(refused):
+        columns += _columns(outcome, "sweep_refused")
+        rows = [[*row, why or None] for row, why in zip(rows, refused, strict=True)]
+    return Table(columns=columns, rows=rows, caption=f"The budget against {key}, predicted, 3 sigma.")
 
 
 def _tolerances(outcome: Outcome) -> Pivot:

@@ -27,7 +27,7 @@ class Pivot:
         Dimensions that run down, the last one fastest, each with a column of its coordinates, or of numbers 1, 2, 3 ...
         where it has none; "" makes a single row.
     across : str
-        Dimension that is spread over columns: quantity "sigma" with labels x, y becomes "σ x", "σ y".
+        Dimensions that are spread over columns: quantity "sigma" with labels x, y becomes "σ x", "σ y".
     hidden : str
         Dimensions of ``rows`` whose coordinates get no column.
     plain : str
@@ -62,12 +62,12 @@ def pivot(data: xr.Dataset, spec: Pivot) -> Table:
     DomainError
         If a quantity has a dimension that runs neither down nor across.
     """
-    rows, across = spec.rows.split(), spec.across
+    rows, across = spec.rows.split(), spec.across.split()
     data = data.sel({dim: shown if isinstance(shown, str) else list(shown) for dim, shown in spec.where.items()})
     quantities = [Quantity.of(data, name) for name in spec.columns.split()]
     quantities = [replace(one, error=None, n=None) if one.name in spec.plain.split() else one for one in quantities]
     for one in quantities:
-        left = [dim for dim in one.dims if dim not in rows and dim != across]
+        left = [dim for dim in one.dims if dim not in (*rows, *across)]
         if left:
             raise DomainError(f"quantity {one.name!r} runs along {', '.join(left)} too; name it in rows or across")
     heads = [_head(data, dim) for dim in rows if dim not in spec.hidden.split()]
@@ -76,10 +76,7 @@ def pivot(data: xr.Dataset, spec: Pivot) -> Table:
     body: list[tuple[Cell, ...]] = []
     for place in positions(data.sizes, rows):
         leading = [_coordinate(data, dim, place[dim]) for dim in rows if dim not in spec.hidden.split()]
-        cells = [
-            one.at(**place, **({across: at} if across and at is not None else {})).scalar() for _, one, at in spread
-        ]
-        body.append((*leading, *cells))
+        body.append((*leading, *(one.at(**place, **at).scalar() for _, one, at in spread)))
     return Table(columns=columns, rows=body, caption=spec.caption, note=spec.note)
 
 
@@ -104,17 +101,15 @@ def _coordinate(data: xr.Dataset, dim: str, at: int) -> Any:
     return data.coords[dim].values[at].item() if dim in data.coords else at + 1
 
 
-def _spread(data: xr.Dataset, across: str, quantities: Sequence[Quantity]) -> list[tuple[Column, Quantity, int | None]]:
-    """Column, quantity, and place along the dimension that is spread; quantities without it give one column."""
-    out: list[tuple[Column, Quantity, int | None]] = []
+def _spread(
+    data: xr.Dataset, across: Sequence[str], quantities: Sequence[Quantity]
+) -> list[tuple[Column, Quantity, Mapping[str, int]]]:
+    """Column, quantity, and place along those of its dimensions that are spread; one column if it has none of them."""
+    out: list[tuple[Column, Quantity, Mapping[str, int]]] = []
     for one in quantities:
-        unit = shown_unit(one.unit)
-        if across not in one.dims:
-            out.append((Column(name=one.label, unit=unit, key=one.key, format=one.format), one, None))
-            continue
-        for at in range(data.sizes[across]):
-            key = str(data.coords[across].values[at])
-            name = f"{one.label} {_coordinate(data, across, at)}"
-            code = one.key.format(**{across: key}) if "{" in one.key else f"{one.key}_{key}"
-            out.append((Column(name=name, unit=unit, key=code, format=one.format), one, at))
+        for place in positions(data.sizes, [dim for dim in across if dim in one.dims]):
+            keys = {dim: str(data.coords[dim].values[at]) for dim, at in place.items()}
+            name = " ".join([one.label, *(str(_coordinate(data, dim, at)) for dim, at in place.items())])
+            code = one.key.format(**keys) if "{" in one.key and keys else "_".join([one.key, *keys.values()])
+            out.append((Column(name=name, unit=shown_unit(one.unit), key=code, format=one.format), one, place))
     return out

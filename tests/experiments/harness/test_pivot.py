@@ -44,6 +44,13 @@ def test_a_dimension_spread_over_columns(data):
     assert table.rows[2] == (3, 4.0, 5.0, 9.0)
 
 
+def test_two_dimensions_spread_over_columns(data):
+    table = pivot(data, Pivot(across="method axis", columns="te bound", plain="te"))
+    assert [head.key for head in table.heads[1:4]] == ["te_arcsec_cog_y", "te_arcsec_epsf_x", "te_arcsec_epsf_y"]
+    assert [head.name for head in table.heads[3:]] == ["Error ePSF fit y", "Bound x", "Bound y"]
+    assert table.rows == ((1.0, 2.0, 3.0, 4.0, 0.5, 0.6),)
+
+
 def test_hidden_dimensions_and_a_single_row(data):
     assert pivot(data, Pivot(rows="method axis", hidden="axis", columns="te")).rows[0][0] == "centre of gravity"
     assert len(pivot(data, Pivot(columns="bound", across="axis")).rows) == 1
