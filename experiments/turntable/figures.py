@@ -1,18 +1,31 @@
-"""Figures of the turntable calibration: what was measured, and how far it is from the truth."""
+"""Figures of the turntable calibration."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from experiments.harness.plotting import INK, PALETTE, new_figure
-from experiments.turntable.result import Case, Result
+from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure
+from experiments.harness.quantities import Outcome
+from experiments.laboratory.single_star.sketch import bench_sketch
+from experiments.turntable.quantities import UNKNOWNS
+from experiments.turntable.result import Result
 
-__all__ = ["error_maps", "residual_arrows", "star_windows", "visited_places"]
+__all__ = [
+    "bench",
+    "correlations",
+    "error_maps",
+    "field_curves",
+    "lean_curves",
+    "pull_bars",
+    "reading_curves",
+    "residual_arrows",
+    "star_windows",
+    "visited_places",
+]
 
 
 _FAINT = "#c3c8ce"
@@ -32,8 +45,14 @@ def _detector(axis: Any, result: Result) -> None:
     axis.set(xticks=range(0, width + 1, max(512, width // 4)), yticks=range(0, height + 1, max(512, height // 2)))
 
 
-def visited_places(result: Result) -> Figure:
+def bench(outcome: Outcome) -> Figure:
+    """The bench seen from the side."""
+    return bench_sketch(outcome.config.two_axis.axes)
+
+
+def visited_places(outcome: Outcome) -> Figure:
     """Where the image went, in the order it went, on both tables."""
+    result = outcome.result
     figure, axes = new_figure(1, len(result.cases), aspect_ratio=0.33, sharey=True, squeeze=False)
     for axis, case in zip(axes[0], result.cases, strict=True):
         place, angle = case.measurement.bundle_px, np.degrees(case.measurement.visits.true_rad)
@@ -67,8 +86,9 @@ def _degrees(value: float) -> str:
     return f"{round(value, 1) + 0.0:.1f}°".replace("-", "−")
 
 
-def star_windows(result: Result) -> Figure:
+def star_windows(outcome: Outcome) -> Figure:
     """One frame of the window at nine places of the field."""
+    result = outcome.result
     measurement = result.cases[0].measurement
     stack, place = measurement.readings.windows, measurement.bundle_px
     camera = result.instrument.camera
@@ -88,8 +108,9 @@ def star_windows(result: Result) -> Figure:
     return figure
 
 
-def residual_arrows(result: Result) -> Figure:
+def residual_arrows(outcome: Outcome) -> Figure:
     """Residuals of the fit on the two-axis table, the axes taken as square and their angle estimated."""
+    result = outcome.result
     case = result.cases[0]
     panels = (("ignored", "axes taken as square"), ("estimated", "non-orthogonality estimated"))
     figure, axes = new_figure(1, len(panels), aspect_ratio=0.33, sharey=True)
@@ -111,7 +132,7 @@ def residual_arrows(result: Result) -> Figure:
             width=0.003,
             headwidth=4,
         )
-        chi2 = case.reductions[name].calibration.solution.reduced_chi2
+        chi2 = float(outcome.values("reduced_chi2", table="two_axis", reduction=name))
         axis.set_title(f"{title}, χ²/dof = {chi2:.2f}")
         axis.set_xlabel("column [px]")
     axis = axes[0]
@@ -127,8 +148,10 @@ def residual_arrows(result: Result) -> Figure:
     return figure
 
 
-def error_maps(result: Result, cases: Sequence[Case]) -> Figure:
+def error_maps(outcome: Outcome) -> Figure:
     """Line-of-sight error after the best rotation, and its predicted standard deviation, on one scale."""
+    result = outcome.result
+    cases = result.cases
     figure, axes = new_figure(len(cases), 2, aspect_ratio=0.31 * len(cases), sharex=True, sharey=True, squeeze=False)
     for row, case in zip(axes, cases, strict=True):
         line = case.reductions["estimated"].line_of_sight
@@ -159,4 +182,125 @@ def error_maps(result: Result, cases: Sequence[Case]) -> Figure:
         row[0].set_ylabel("row [px]")
     for axis in axes[-1]:
         axis.set_xlabel("column [px]")
+    return figure
+
+
+def correlations(outcome: Outcome, table: int) -> Figure:
+    """Correlations of all unknowns on a table, of the estimator's own covariance."""
+    case = outcome.result.cases[table]
+    matrix = case.reductions["estimated"].correlation
+    names = [UNKNOWNS[name] for name in case.monte_carlo.names]
+    figure, axis = new_figure(width="half", aspect_ratio=1.05)
+    axis.imshow(matrix, cmap="RdBu_r", vmin=-1, vmax=1)
+    for i, row in enumerate(matrix):
+        for j, value in enumerate(row):
+            if i != j and abs(value) >= 0.3:
+                colour = "white" if abs(value) > 0.75 else INK
+                text = f"{abs(value):.2f}".lstrip("0") if abs(value) < 0.995 else "1"
+                axis.text(j, i, text, ha="center", va="center", fontsize=4.6, color=colour)
+    axis.set_xticks(range(len(names)), names, rotation=90, fontsize=6.5)
+    axis.set_yticks(range(len(names)), names, fontsize=6.5)
+    axis.grid(visible=False)
+    axis.spines[:].set_visible(False)
+    axis.tick_params(length=0)
+    axis.set_title(f"{case.name} table")
+    return figure
+
+
+def field_curves(outcome: Outcome) -> Figure:
+    """Error of the principal point against that of the line of sight, over the field of view."""
+    figure, axis = new_figure(aspect_ratio=0.5)
+    field = outcome.values("field_deg")
+    per_axis = 1.0 / np.sqrt(2.0)  # a length over two axes
+    for name, scale, label, style in (
+        ("field_x0_arcsec", 1.0, "principal point, two axes", {"marker": "o", "color": PALETTE[1]}),
+        ("field_rolled_x0_arcsec", 1.0, "principal point, three axes", {"marker": "s", "color": PALETTE[4]}),
+        (
+            "field_plain_x0_arcsec",
+            1.0,
+            "principal point, only x₀, y₀, f, M unknown",
+            {"marker": "^", "color": PALETTE[3]},
+        ),
+        ("field_closed_arcsec", 1.0, "its closed form", {"color": INK, "linewidth": 0.9, "linestyle": "--"}),
+        (
+            "field_map_arcsec",
+            per_axis,
+            "line of sight, two axes",
+            {"marker": "o", "color": PALETTE[0], "linewidth": 2.0},
+        ),
+        (
+            "field_rolled_map_arcsec",
+            per_axis,
+            "line of sight, three axes",
+            {"marker": "o", "color": PALETTE[5], "linewidth": 2.0},
+        ),
+        ("field_image_arcsec", 1.0, "a single image", {"color": "#9aa1a9", "linestyle": ":"}),
+    ):
+        axis.plot(field, scale * outcome.values(name), label=label, **style)
+    axis.set(xscale="log", yscale="log", xlabel=outcome.heading("field_deg"), ylabel="1 σ per axis [″]")
+    axis.set_xticks(field, [f"{f:g}" for f in field])
+    axis.minorticks_off()
+    axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7.5)
+    return figure
+
+
+MAP_ERROR = "map error, RMS length [″]"
+
+
+def reading_curves(outcome: Outcome) -> Figure:
+    """Map error against the reading noise of the table."""
+    figure, axis = new_figure(width="half", aspect_ratio=0.85)
+    noise = outcome.values("reading_arcsec")
+    shown = noise > 0
+    bound, measured = outcome.values("reading_bound_arcsec"), outcome.values("reading_map_arcsec")
+    error = 3 * outcome.errors("reading_map_arcsec")
+    axis.plot(noise[shown], bound[shown], color=INK, linewidth=1.0, label="Cramér-Rao bound")
+    axis.errorbar(noise[shown], measured[shown], error[shown], fmt="o", color=PALETTE[0], label="measured, 3 σ")
+    equal = float(outcome.values("reading_noise_equal_to_centroids_arcsec"))
+    if np.isfinite(equal):
+        label = f"as much as centroids: {equal:.3f}″"
+        axis.axvline(equal, color=PALETTE[1], linewidth=1.0, linestyle="--", label=label)
+    axis.set(xscale="log", yscale="log", xlabel=outcome.heading("reading_arcsec"), ylabel=MAP_ERROR)
+    log_ticks(axis, "x")
+    log_ticks(axis, "y")
+    axis.legend(loc="upper left")
+    return figure
+
+
+def lean_curves(outcome: Outcome) -> Figure:
+    """Map error against the non-orthogonality of the axes."""
+    figure, axis = new_figure(width="half", aspect_ratio=0.85)
+    lean = outcome.values("lean_arcsec")
+    for name, colour, marker in (
+        ("lean_ignored_arcsec", PALETTE[1], "s"),
+        ("lean_estimated_arcsec", PALETTE[0], "o"),
+    ):
+        label = outcome.quantity(name).label.lower()
+        error = 3 * outcome.errors(name)
+        axis.errorbar(lean, outcome.values(name), error, marker=marker, color=colour, label=label)
+    axis.set(xlabel=outcome.heading("lean_arcsec"), ylabel=MAP_ERROR, ylim=(0, None))
+    axis.legend(loc="upper left")
+    return figure
+
+
+def pull_bars(outcome: Outcome) -> Figure:
+    """RMS of the pulls of every unknown over the Monte-Carlo, with the spread that chance allows."""
+    figure, axis = new_figure(aspect_ratio=0.3)
+    pulls = np.array([outcome.values(f"{name}_rms_pull") for name in UNKNOWNS])
+    place = np.arange(len(UNKNOWNS))
+    for k, (name, runs) in enumerate(zip(outcome.names("table"), outcome.values("runs"), strict=True)):
+        axis.errorbar(
+            place + 0.18 * (2 * k - 1),
+            pulls[:, k],
+            np.full(len(place), 1 / np.sqrt(2 * runs)),
+            fmt=MARKERS[k],
+            color=PALETTE[k],
+            label=f"{name} table, {runs} runs",
+        )
+    axis.axhspan(0.9, 1.1, color=PALETTE[0], alpha=0.1, linewidth=0)
+    axis.axhline(1.0, color=INK, linewidth=0.8)
+    axis.set_xticks(place, [label.replace("lean, axis", "lean") for label in UNKNOWNS.values()])
+    axis.set(ylabel="RMS pull")
+    axis.grid(visible=False, axis="x")
+    axis.legend(ncols=2, loc="upper center", bbox_to_anchor=(0.5, 1.22))
     return figure

@@ -1,4 +1,4 @@
-"""The turntable calibration: reduction on coordinates, rendered windows, refusals; the whole command when slow."""
+"""The turntable calibration: reduction on coordinates, a tiny rendered run from end to end, refusals."""
 
 import json
 from dataclasses import replace
@@ -15,12 +15,15 @@ from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.single_star.reduce import Data, check_count, check_fit, check_parity, reduce_data
 from experiments.laboratory.single_star.setup import averaged, build_table, check_table, grid_px
 from experiments.laboratory.turntable import build_turntable
-from experiments.turntable.evaluate import RENDERED_QUANTILE, point_over_line, rendered_limit, unit_of
-from experiments.turntable.experiment import ADVICE, Config, main
-from experiments.turntable.reduce import judge
-from experiments.turntable.study import Coordinates, monte_carlo
+from experiments.turntable.case import ADVICE
+from experiments.turntable.criteria import RENDERED_QUANTILE, rendered_limit
+from experiments.turntable.evaluation import judge
+from experiments.turntable.experiment import Config, main
+from experiments.turntable.monte_carlo import Coordinates, monte_carlo
+from experiments.turntable.quantities import point_over_line, unit_of
 from experiments.turntable.traced import TracedMap
 from optics.errors import ConfigError, DomainError
+from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 
 SENSOR = SensorGeometry(width_px=2048, height_px=2048, pixel_pitch_mm=0.0055)
@@ -196,22 +199,51 @@ def test_one_number_stands_for_all_axes() -> None:
     np.testing.assert_array_equal(build_table(config.three_axis).reading_noise_arcsec, [0.7, 0.7, 0.7])
 
 
-@pytest.mark.slow
-def test_the_command(tmp_path, capsys) -> None:
-    """Few places and runs; what is judged are the parts, not the statistics."""
-    out = tmp_path / "run"
-    argv = ["--quick", "--out", str(out), "--set", "study.runs=20", "--set", "study.sweep_runs=5"]
+TINY = ["grid.columns=7", "grid.rows=5", "study.runs=20", "study.sweep_runs=5", "study.field_deg=[3,12]"]
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    """A whole run of few places and runs: its folder and its results."""
+    out = tmp_path_factory.mktemp("turntable") / "run"
+    argv = ["--quick", "--out", str(out), *(part for setting in TINY for part in ("--set", setting))]
     assert main(argv) in (0, 1)
-    capsys.readouterr()
     summary = json.loads((out / "summary.json").read_text())
     assert summary["experiment"] == "turntable"
-    for name in ("two_axis", "three_axis"):
-        found = summary["results"][name]
-        assert found["lost_runs"] == 0
-        assert found["map_split_arcsec"]["model"] < 1e-4 < found["map_error_arcsec"]["estimated"]
-        predicted, rms = np.array(found["centroid_predicted_px"]), np.array(found["centroid_error_px"]["rms"])
-        # N = 81 places: a standard deviation to 8 %, three of those
-        np.testing.assert_allclose(rms, predicted, rtol=0.25)
+    return out, summary["results"]
+
+
+@pytest.mark.parametrize("table", ["two_axis", "three_axis"])
+def test_a_rendered_run_finds_what_was_set(table: str, tiny) -> None:
+    """Star, lean and principal point that were set, within five sigma of the estimator."""
+    found = tiny[1][table]
+    assert found["lost_runs"] == 0
+    injected = {
+        "star_azimuth_rad": np.radians(0.35),
+        "star_elevation_rad": np.radians(-0.25),
+        "lean1_rad": 5.0 * ARCSEC_RAD,
+        "x0_px": 12.0,
+        "y0_px": -8.0,
+    }
+    for name, value in injected.items():
+        estimate = found["unknowns"][name]["estimate"]
+        assert abs(estimate["value"] - value) < 5.0 * estimate["uncertainty"], name
+        assert found["unknowns"][name]["truth"] == pytest.approx(value, rel=1e-4), name
+    assert ("lean2_rad" in found["unknowns"]) == (table == "three_axis")
+
+
+@pytest.mark.parametrize("table", ["two_axis", "three_axis"])
+def test_a_rendered_run_is_as_good_as_predicted(table: str, tiny) -> None:
+    """N = 35 places: a standard deviation is known to 12 %, three of those."""
+    found = tiny[1][table]
+    assert found["map_split_arcsec"]["model"] < 1e-4 < found["map_error_arcsec"]["estimated"]
+    for axis in "xy":
+        rms, predicted = found["centroid_error_px"]["rms"][axis], found["centroid_predicted_px"][axis]
+        assert rms == pytest.approx(predicted, rel=3.0 / np.sqrt(2 * 35))
+
+
+def test_a_rendered_run_writes_everything(tiny) -> None:
+    out = tiny[0]
     assert (out / "report.html").stat().st_size > 100_000
     assert {p.name for p in out.glob("*.ecsv")} >= {"places.ecsv", "unknowns_two_axis.ecsv", "field_sweep.ecsv"}
 

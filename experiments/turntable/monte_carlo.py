@@ -16,13 +16,22 @@ from experiments.laboratory.single_star.bench import Bench
 from experiments.laboratory.single_star.derivatives import reading_covariance_px2
 from experiments.laboratory.single_star.reduce import Data, reduce_data
 from experiments.turntable.bound import bound
-from experiments.turntable.reduce import judge
+from experiments.turntable.evaluation import judge
 from experiments.turntable.traced import TracedMap
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, DEG_RAD
 from render.engine.random import Streams
 
-__all__ = ["Coordinates", "LeanPoint", "MonteCarlo", "ReadingPoint", "lean_sweep", "monte_carlo", "reading_sweep"]
+__all__ = [
+    "Coordinates",
+    "LeanPoint",
+    "MonteCarlo",
+    "ReadingPoint",
+    "equal_reading_noise_arcsec",
+    "lean_sweep",
+    "monte_carlo",
+    "reading_sweep",
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -242,6 +251,16 @@ def reading_sweep(
         )
         advance()
     return points
+
+
+def equal_reading_noise_arcsec(points: Sequence[ReadingPoint], centroid_bound_arcsec: float) -> float:
+    """Reading noise, the same on all axes, that doubles the variance of the map against centroids alone.
+
+    The bound is b^2 = b0^2 + (s r)^2 to first order; s is taken where readings dominate. NaN if they nowhere count.
+    """
+    most = max(points, key=lambda point: point.reading_arcsec)
+    slope2 = (most.bound_arcsec**2 - centroid_bound_arcsec**2) / max(most.reading_arcsec, 1e-300) ** 2
+    return float(centroid_bound_arcsec / np.sqrt(slope2)) if slope2 > 0 else float("nan")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
