@@ -2,14 +2,34 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from optics.errors import DomainError
 
-__all__ = ["freeze", "locked"]
+__all__ = ["concatenated", "freeze", "locked"]
+
+Record = TypeVar("Record")
+
+
+def concatenated(parts: Sequence[Record], **others: Any) -> Record:
+    """One record whose arrays are those of several of its kind, one after the other.
+
+    Parameters
+    ----------
+    parts : sequence of record
+        One or more frozen dataclasses.
+    **others
+        Values of the fields that are not arrays with a row for every element.
+    """
+    kind: Any = type(parts[0])
+    names = [one.name for one in fields(kind) if one.name not in others]
+    joined: Record = kind(**{name: np.concatenate([getattr(one, name) for one in parts]) for name in names}, **others)
+    return joined
 
 
 def locked(values: Any, dtype: DTypeLike = np.float64) -> NDArray[Any]:

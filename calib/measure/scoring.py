@@ -28,6 +28,7 @@ from calib.flags import StarFlag
 from calib.measure.options import check_options, option
 from calib.records import FLUX, NoiseModel, Stamps, StarTable, X, Y
 from optics.arrays import FloatArray
+from optics.records import concatenated
 
 __all__ = ["LikelihoodFit", "PixelFit", "PixelModel", "fit_pixels"]
 
@@ -234,18 +235,12 @@ class LikelihoodFit:
                 parts = list(pool.map(one, slices))
         else:
             parts = [one(rows) for rows in slices]
-        return _table(stamps, _joined(parts), self.fit_background, self.max_shift_px)
+        return _table(stamps, concatenated(parts), self.fit_background, self.max_shift_px)
 
 
 def _cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _joined(parts: list[PixelFit]) -> PixelFit:
-    return PixelFit(
-        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in PixelFit.__dataclass_fields__}
-    )
 
 
 def _start(stamps: Stamps, rows: slice, noise: NoiseModel, shape_start: FloatArray) -> FloatArray:

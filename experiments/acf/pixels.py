@@ -10,7 +10,7 @@ from experiments.harness.summary import Criterion
 from experiments.harness.tables import cell_text
 
 if TYPE_CHECKING:
-    from experiments.skycal.calibrate import Judged
+    from experiments.skycal.calibrate import CalibratedMap
     from experiments.skycal.result import CameraResult
 
 __all__ = ["camera_text", "pixel_criteria", "pixel_results", "pixel_sections"]
@@ -35,7 +35,7 @@ def pixel_results(result: Result) -> dict[str, Any] | None:
     return found
 
 
-def _map(judged: Judged) -> dict[str, float]:
+def _map(judged: CalibratedMap) -> dict[str, float]:
     return {"rms": judged.rms_arcsec, "max": judged.max_arcsec, "predicted": judged.predicted_arcsec}
 
 

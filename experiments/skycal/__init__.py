@@ -1,4 +1,4 @@
-"""Calibration of star cameras from rendered frames of a moving sky: pixels in, line-of-sight map out.
+"""How well a star camera is calibrated by the stars it sees, and what limits it: rendered frames of a moving sky.
 
 Sixty frames of the real sky are rendered through the 206 mm lens and through a wide one, every star in its own colour,
 read out with noise, detected, centroided and matched from an attitude that is wrong by arcminutes. Cameras are

@@ -1,10 +1,9 @@
-"""Calibrations of one camera from one set of stars, each judged by the traced lens."""
+"""Calibrations of one camera from one set of stars, each compared with the traced lens."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,25 +19,18 @@ from calib.calibration.record import Calibration
 from calib.cameras import BrownConrady, Polynomial
 from calib.cameras.base import CameraModel, unproject_jacobian
 from calib.cameras.line_of_sight import line_of_sight_map
-from experiments.skycal.light import Chart
-from experiments.skycal.match import Matched, geometry_of
-from experiments.skycal.settings import parse_model_name
+from experiments.skycal.match import Matched
+from experiments.skycal.scene import Scene
+from experiments.skycal.settings import Config, parse_model_name
+from experiments.skycal.truth import Chart
 from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC
 
-if TYPE_CHECKING:
-    from experiments.skycal.scene import Scene
-    from experiments.skycal.settings import Config
-
-__all__ = ["LOSS", "METHODS", "Bench", "Judged", "chance_of", "rms", "start_camera"]
+__all__ = ["LOSS", "METHODS", "CalibratedMap", "Calibrator", "map_probability", "rms", "start_camera"]
 
 
-METHODS = {
-    "free": "free attitudes",
-    "acc": "ACC, gyro taken as perfect",
-    "linked": "gyro of stated noise",
-    "acc_true": "ACC with a truly perfect gyro",
-}
+METHODS = ("free", "acc", "linked", "acc_true")
+"""Attitudes free; linked by the gyro taken as perfect; by the gyro of stated noise; by a truly perfect gyro."""
 LOSS = "tukey"
 """Of the robust fits: a real sky has blends that no flag tells."""
 FLOOR_CLIP_SIGMA = 5.0
@@ -47,7 +39,7 @@ DRAWS = 40000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Judged:
+class CalibratedMap:
     """A calibration beside the truth.
 
     Attributes
@@ -100,7 +92,7 @@ def rms(error: FloatArray) -> float:
     return float(np.sqrt(np.nanmean((error**2).sum(axis=1))))
 
 
-def chance_of(error_arcsec: FloatArray, spectrum_arcsec2: FloatArray) -> float:
+def map_probability(error_arcsec: FloatArray, spectrum_arcsec2: FloatArray) -> float:
     """Probability of a mean square at least as far from what is predicted, on the same side, times two.
 
     The weighted sum of chi-squares has no closed form; `DRAWS` of it are made with a fixed seed.
@@ -117,7 +109,7 @@ def start_camera(scene: Scene, config: Config, name: str) -> tuple[CameraModel, 
     """Poor start of a camera model, and the names of the parameters that are free (None: all)."""
     family, degree = parse_model_name(name)
     focal_length_mm = scene.instrument.focal_length_mm * config.start.focal_ratio
-    geometry = geometry_of(scene)
+    geometry = scene.geometry
     if family == "polynomial":
         return Polynomial.create(geometry, degree=degree, focal_length_mm=focal_length_mm), None
     model = BrownConrady.create(geometry, focal_length_mm=focal_length_mm)
@@ -125,7 +117,7 @@ def start_camera(scene: Scene, config: Config, name: str) -> tuple[CameraModel, 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Bench:
+class Calibrator:
     """What all calibrations of one camera share.
 
     Attributes
@@ -163,7 +155,7 @@ class Bench:
             star=matched.star[used],
         )
 
-    def calibrate(self, data: str, *, model: str, method: str = "free") -> Judged:
+    def calibrate(self, data: str, *, model: str, method: str = "free") -> CalibratedMap:
         """One calibration, from poor start values."""
         start, free = start_camera(self.scene, self.config, model)
         stars, loss = self.observations(data), LOSS if data in self.robust else "linear"
@@ -179,14 +171,14 @@ class Bench:
             turn = scene.true_gyro_rotation if method == "acc_true" else scene.gyro_rotation
             family = AttitudeCorrelated(gyro_rotation=turn)
         made = calibrate(stars, start, family, loss=loss, free=free)
-        return self.judge(made, method=method, model=model, data=data)
+        return self.compare(made, method=method, model=model, data=data)
 
-    def judge(self, made: Calibration, *, method: str, model: str, data: str) -> Judged:
-        """Map error of a calibration."""
+    def compare(self, made: Calibration, *, method: str, model: str, data: str) -> CalibratedMap:
+        """Map error of a calibration, with its prediction."""
         chart = self.chart
         # scipy's rotations cannot take write-locked arrays
         found = line_of_sight_map(made.model, np.array(chart.direction), chart.pixel_px, covariance=made.covariance)
-        return Judged(
+        return CalibratedMap(
             method=method,
             model=model,
             data=data,
@@ -196,7 +188,7 @@ class Bench:
             spectrum_arcsec2=_spectrum(made, chart),
         )
 
-    def direct(self, model: str) -> Judged:
+    def direct(self, model: str) -> CalibratedMap:
         """What the camera model can do at best: fitted to the chart itself."""
         start, free = start_camera(self.scene, self.config, model)
         grid = Observations.isotropic(
@@ -206,11 +198,11 @@ class Bench:
             sigma_px=1.0,
         )
         made = calibrate(grid, start, FreeAttitudes(), free=free)
-        return self.judge(made, method="free", model=model, data="chart")
+        return self.compare(made, method="free", model=model, data="chart")
 
-    def residuals(self, judged: Judged) -> FloatArray:
+    def residuals(self, fitted: CalibratedMap) -> FloatArray:
         """Position minus what the calibration predicts (k, 2) [px] of the used stars."""
-        stars, made = self.observations(judged.data), judged.calibration
+        stars, made = self.observations(fitted.data), fitted.calibration
         assert made.attitude is not None
         turn = made.attitude.as_matrix()[stars.frame]
         return np.asarray(stars.pixel_px - made.model.project(np.einsum("nij,nj->ni", turn, stars.direction)))
@@ -220,10 +212,10 @@ class Bench:
 
         With it the mean squared residual is what the degrees of freedom let expect. Outliers are left out.
         """
-        judged = self.calibrate(data, model=model)
-        squared = (self.residuals(judged) ** 2).sum(axis=1)
+        fitted = self.calibrate(data, model=model)
+        squared = (self.residuals(fitted) ** 2).sum(axis=1)
         variance = np.trace(self.observations(data).covariance_px2, axis1=1, axis2=2)
-        expected = judged.calibration.solution.degrees_of_freedom / (2 * len(squared))
+        expected = fitted.calibration.solution.degrees_of_freedom / (2 * len(squared))
 
         def excess(floor: float) -> float:
             now = variance + 2.0 * floor**2

@@ -16,36 +16,27 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.skycal.calibrate import Bench, Judged, rms
-from experiments.skycal.light import Chart, own_colour_centroids, trace_chart, trace_colour
+from experiments.skycal.calibrate import CalibratedMap, Calibrator, rms
 from experiments.skycal.match import Matched
-from experiments.skycal.wrong import WrongRun, wrong_runs
+from experiments.skycal.measure import Recording
+from experiments.skycal.positions import STEPS, positions
+from experiments.skycal.scene import Scene
+from experiments.skycal.settings import Config
+from experiments.skycal.truth import Chart, trace_chart
+from experiments.skycal.wrong_matches import WrongMatchFit, wrong_match_fits
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from render.engine.random import Streams
 
-if TYPE_CHECKING:
-    from experiments.skycal.measure import Recording
-    from experiments.skycal.scene import Scene
-    from experiments.skycal.settings import Config
-    from render.engine.random import Streams
-
-__all__ = ["PARTS", "STEPS", "Evaluation", "evaluate"]
+__all__ = ["PARTS", "Evaluation", "evaluate"]
 
 
-STEPS = ("reference", "light", "own", "measured")
-"""Kinds of positions, one more error in each."""
-PARTS = {
-    "mismatch": "camera model",
-    "chromatic": "star colours",
-    "noise": "noise and pixels",
-    "psf": "PSF of one colour",
-}
-"""What each step adds."""
+PARTS = ("mismatch", "chromatic", "noise", "psf")
+"""What each step adds: camera model, star colours, noise and pixels, PSF of one colour."""
 ROBUST = frozenset({"light", "own", "measured", "corrected"})
 """Kinds that get the robust loss: the colour of a very red star is an outlier, with and without noise."""
 LEAST_SURPLUS = 40
@@ -66,19 +57,19 @@ class Evaluation:
     floor_px, corrected_floor_px : float
         Error per axis added to the noise of every centroid so that residuals are what was expected: for all steps, and
         for the corrected centroids.
-    judged : dict
-        By (method, model, data), all `STEPS` for the model that counts. All have the same weights but those of
-        ``corrected``.
-    clean : Judged
+    maps : dict
+        Calibrations with their map errors, by (method, model, data); all `STEPS` for the model that counts. All have
+        the same weights but those of ``corrected``.
+    clean : CalibratedMap
         ``reference`` with the weights of ``corrected``.
-    direct : dict of str to Judged
+    direct : dict of str to CalibratedMap
         Each model fitted to the chart itself: no stars, no noise.
     part_arcsec : dict of str to (n, 2)
         Maps of `PARTS` for the model that counts.
     residual_px : (k, 2)
         Residuals of the used stars in the measured fit that counts.
-    wrong : tuple of WrongRun
-        Robustness.
+    wrong_matches : tuple of WrongMatchFit
+        Fits with wrong matches put in.
     """
 
     chart: Chart
@@ -86,12 +77,12 @@ class Evaluation:
     used: NDArray[np.bool_]
     floor_px: float
     corrected_floor_px: float
-    judged: dict[tuple[str, str, str], Judged]
-    clean: Judged
-    direct: dict[str, Judged]
+    maps: dict[tuple[str, str, str], CalibratedMap]
+    clean: CalibratedMap
+    direct: dict[str, CalibratedMap]
     part_arcsec: dict[str, FloatArray]
     residual_px: FloatArray
-    wrong: tuple[WrongRun, ...]
+    wrong_matches: tuple[WrongMatchFit, ...]
 
     @property
     def part_rms_arcsec(self) -> dict[str, float]:
@@ -103,7 +94,7 @@ class Evaluation:
         """Root of the sum of the squares of the parts."""
         return float(np.sqrt(sum(size**2 for size in self.part_rms_arcsec.values())))
 
-    def alike(self, one: str, other: str) -> float:
+    def correlation(self, one: str, other: str) -> float:
         """Correlation of two parts over the chart: their mean product over their RMS."""
         a, b = self.part_arcsec[one], self.part_arcsec[other]
         return float(np.nanmean((a * b).sum(axis=1)) / (rms(a) * rms(b)))
@@ -136,55 +127,43 @@ def evaluate(
     """
     _check_count(scene, config, matched, np.asarray(np.isfinite(matched.in_cam).all(axis=1)))
     chart = trace_chart(scene, config)
-    position = _positions(scene, recording, matched, config)
+    position = positions(scene, recording, matched, config)
     used = np.all([np.isfinite(place).all(axis=1) for place in position.values()], axis=0)
     _check_count(scene, config, matched, used)
     advance()
-    plain = Bench(
+    plain = Calibrator(
         scene=scene, matched=matched, config=config, chart=chart, used=used, position_px=position, robust=ROBUST
     )
     name = scene.config.model
-    bench = replace(plain, floor_px=plain.find_floor_px("measured", name))
+    calibrator = replace(plain, floor_px=plain.find_floor_px("measured", name))
     fine = replace(plain, floor_px=plain.find_floor_px("corrected", name))
-    judged: dict[tuple[str, str, str], Judged] = {}
+    maps: dict[tuple[str, str, str], CalibratedMap] = {}
     direct = {}
     for model in scene.config.models:
         for data in STEPS if model == name else ("reference", "measured"):
-            judged["free", model, data] = bench.calibrate(data, model=model)
-        judged["free", model, "corrected"] = fine.calibrate("corrected", model=model)
-        direct[model] = bench.direct(model)
+            maps["free", model, data] = calibrator.calibrate(data, model=model)
+        maps["free", model, "corrected"] = fine.calibrate("corrected", model=model)
+        direct[model] = calibrator.direct(model)
         advance()
     for method in ("acc", "linked", "acc_true"):
-        judged[method, name, "measured"] = bench.calibrate("measured", model=name, method=method)
-        judged[method, name, "corrected"] = fine.calibrate("corrected", model=name, method=method)
+        maps[method, name, "measured"] = calibrator.calibrate("measured", model=name, method=method)
+        maps[method, name, "corrected"] = fine.calibrate("corrected", model=name, method=method)
     advance()
-    wrong = wrong_runs(bench, judged["free", name, "measured"], streams)
+    wrong_matches = wrong_match_fits(calibrator, maps["free", name, "measured"], streams)
     advance()
     return Evaluation(
         chart=chart,
         position_px=position,
         used=used,
-        floor_px=bench.floor_px,
+        floor_px=calibrator.floor_px,
         corrected_floor_px=fine.floor_px,
-        judged=judged,
+        maps=maps,
         clean=fine.calibrate("reference", model=name),
         direct=direct,
-        part_arcsec=_parts([judged["free", name, data] for data in STEPS]),
-        residual_px=bench.residuals(judged["free", name, "measured"]),
-        wrong=wrong,
+        part_arcsec=_parts([maps["free", name, data] for data in STEPS]),
+        residual_px=calibrator.residuals(maps["free", name, "measured"]),
+        wrong_matches=wrong_matches,
     )
-
-
-def _positions(scene: Scene, recording: Recording, matched: Matched, config: Config) -> dict[str, FloatArray]:
-    """Positions of the matched stars, by kind; NaN where one is not known."""
-    reference = np.full((len(matched), 2), np.nan)
-    there = np.isfinite(matched.in_cam).all(axis=1)
-    if there.any():
-        reference[there] = trace_colour(scene, matched.in_cam[there], config.sky.reference_k)
-    own = own_colour_centroids(scene, recording, matched, config)
-    light = matched.photon_px
-    corrected = own - (light - reference)
-    return {"reference": reference, "light": light, "own": own, "measured": matched.pixel_px, "corrected": corrected}
 
 
 def _check_count(scene: Scene, config: Config, matched: Matched, used: NDArray[np.bool_]) -> None:
@@ -199,7 +178,7 @@ def _check_count(scene: Scene, config: Config, matched: Matched, used: NDArray[n
         )
 
 
-def _parts(runs: list[Judged]) -> dict[str, FloatArray]:
+def _parts(runs: list[CalibratedMap]) -> dict[str, FloatArray]:
     """Each part of the error: a map minus the one before."""
     before = np.zeros_like(runs[0].error_arcsec)
     out = {}

@@ -1,16 +1,9 @@
-"""Calibration of star cameras from rendered frames of a moving sky: pixels in, line-of-sight map out.
-
-Sixty frames of the real sky are rendered through the 206 mm lens and through a wide one, every star in its own colour,
-read out with noise, detected, centroided and matched from an attitude that is wrong by arcminutes. Cameras are
-calibrated with free attitudes and with attitudes linked by a gyro (ACF17), from poor start values, and the resulting
-line of sight is compared with the traced lens over the whole detector: how far off it is, how far off it says it is,
-and how much of that is the camera model, the colour of the stars, and the centroids.
-"""
+"""Calibration of star cameras under a rendered sky: the run and the declaration."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from experiments.harness.cli import command
 from experiments.harness.experiment import Experiment
@@ -19,6 +12,8 @@ from experiments.skycal.settings import Config
 
 if TYPE_CHECKING:
     from experiments.skycal.result import CameraResult, Result
+    from experiments.skycal.scene import Scene
+    from render.engine.random import Streams
 
 __all__ = ["Config", "experiment", "main", "run"]
 
@@ -49,9 +44,8 @@ def run(config: Config, *, progress: Progress) -> Result:
     return Result(config=config, cameras=cameras)
 
 
-def _camera(scene: Any, config: Config, streams: Any, progress: Progress) -> CameraResult:
+def _camera(scene: Scene, config: Config, streams: Streams, progress: Progress) -> CameraResult:
     """All of one camera."""
-
     from experiments.skycal.evaluate import evaluate
     from experiments.skycal.match import match_frames
     from experiments.skycal.measure import record

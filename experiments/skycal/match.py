@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +13,16 @@ from calib.calibration.calibrate import calibrate
 from calib.calibration.free_attitudes import FreeAttitudes
 from calib.calibration.observations import Observations
 from calib.cameras import BrownConrady
-from calib.cameras.base import CameraModel, SensorGeometry
+from calib.cameras.base import CameraModel
 from calib.flags import StarFlag, has_flag
+from experiments.skycal.measure import FrameStars, Recording
+from experiments.skycal.scene import Scene
+from experiments.skycal.settings import Config
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import concatenated, freeze
 
-if TYPE_CHECKING:
-    from experiments.skycal.measure import FrameStars, Recording
-    from experiments.skycal.scene import Scene
-    from experiments.skycal.settings import Config
-
-__all__ = ["Matched", "geometry_of", "match_frames", "sheet_camera"]
+__all__ = ["Matched", "match_frames", "sheet_camera"]
 
 
 BRIGHTEST = 40
@@ -102,16 +99,10 @@ class Matched:
         return len(self.frame)
 
 
-def geometry_of(scene: Scene) -> SensorGeometry:
-    """The detector as the camera models know it."""
-    camera = scene.instrument.camera
-    return SensorGeometry(width_px=camera.width_px, height_px=camera.height_px, pixel_pitch_mm=camera.pixel_pitch_mm)
-
-
 def sheet_camera(scene: Scene, config: Config) -> CameraModel:
     """Pinhole with the focal length of a data sheet, not quite right."""
     focal_length_mm = scene.instrument.focal_length_mm * (1.0 + config.start.sheet_error_fraction)
-    return BrownConrady.create(geometry_of(scene), focal_length_mm=focal_length_mm)
+    return BrownConrady.create(scene.geometry, focal_length_mm=focal_length_mm)
 
 
 def match_frames(scene: Scene, recording: Recording, config: Config) -> Matched:
@@ -141,7 +132,7 @@ def match_frames(scene: Scene, recording: Recording, config: Config) -> Matched:
             f"see more stars ({scene.name}.faintest_mag, {scene.name}.instrument.exposure_s) or come nearer to its "
             f"focal length (start.sheet_error_fraction = {config.start.sheet_error_fraction:g})"
         )
-    rough = calibrate(_merged(good, scene.frames), camera, FreeAttitudes(), loss="tukey")
+    rough = calibrate(concatenated(good, frames=scene.frames), camera, FreeAttitudes(), loss="tukey")
     if not rough.converged:
         raise DomainError(f"{scene.name}: no camera fits the first matches ({rough.solution.message})")
     assert rough.attitude is not None
@@ -150,7 +141,8 @@ def match_frames(scene: Scene, recording: Recording, config: Config) -> Matched:
         for number, stars in enumerate(recording.frames)
         if first[number] is not None
     ]
-    return _concatenate(parts, len(good))
+    total = {name: sum(part.count[name] for part in parts) for name in _OUTCOMES}
+    return concatenated(parts, count=total, first_matched=len(good))
 
 
 def _check_detections(scene: Scene, recording: Recording, config: Config) -> None:
@@ -204,16 +196,6 @@ def _brightest_near(scene: Scene, attitude: Rotation) -> IntArray:
     share = np.pi * np.degrees(reach) ** 2 / (width * height)  # the circle holds more than the detector
     order = np.argsort(scene.sky.magnitude[near], kind="stable")[: round(1.2 * share * BRIGHTEST)]
     return near[order]
-
-
-def _merged(parts: list[Observations], frames: int) -> Observations:
-    return Observations(
-        **{
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in ("pixel_px", "covariance_px2", "direction", "frame", "band", "star")
-        },
-        frames=frames,
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,13 +265,3 @@ class _Close:
 _REASONS = ("not converged", "saturated", "blended", "at the edge", "defective pixel", "too faint", "not matched")
 """For which a detection is rejected, in the order in which they are asked for."""
 _OUTCOMES = ("used", *_REASONS)
-
-
-def _concatenate(parts: list[Matched], first_matched: int) -> Matched:
-    arrays = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in Matched.__dataclass_fields__
-        if name not in ("count", "first_matched")
-    }
-    total = {name: sum(part.count[name] for part in parts) for name in _OUTCOMES}
-    return Matched(**arrays, count=total, first_matched=first_matched)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +16,15 @@ from calib.records import NoiseModel, Stamps, StarTable
 from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.readout.frames import dark_subtracted_frame, mean_dark_frame
 from experiments.laboratory.readout.noise_model import true_noise
-from experiments.skycal.light import BankRenderer
+from experiments.skycal.psf_bank import BankRenderer
+from experiments.skycal.scene import Scene
+from experiments.skycal.settings import Config
 from optics.arrays import FloatArray
-from optics.records import freeze
+from optics.records import concatenated, freeze
 from render.detector.readout import expose
+from render.engine.random import Streams
 from render.forward import StarRenderer
-
-if TYPE_CHECKING:
-    from experiments.skycal.scene import Scene
-    from experiments.skycal.settings import Config
-    from render.engine.random import Streams
-    from render.records import Frame, Truth
+from render.records import Frame, Truth
 
 __all__ = ["FrameStars", "Recording", "record"]
 
@@ -91,8 +88,6 @@ class Recording:
         Windows of all detections, frame after frame.
     noise : NoiseModel
         Noise of a pixel.
-    rms_spot_px : float
-        RMS radius of the ray bundles, mean over the rendered stars.
     """
 
     frames: tuple[FrameStars, ...]
@@ -100,7 +95,6 @@ class Recording:
     example_index: int
     stamps: Stamps
     noise: NoiseModel
-    rms_spot_px: float
 
 
 def record(scene: Scene, config: Config, streams: Streams, *, advance: Callable[[], None]) -> Recording:
@@ -125,12 +119,10 @@ def record(scene: Scene, config: Config, streams: Streams, *, advance: Callable[
     DomainError
         What the renderer raises.
     """
-    camera, set_up = scene.instrument.camera, scene.instrument.config
-    renderer = StarRenderer(camera, exposure_s=set_up.exposure_s, sobol_log2_rays=scene.config.sobol_log2_rays)
-    readout = _Readout(scene, streams)
-    noise = true_noise(scene.instrument, dark_frames=config.dark_frames)
-    dark_dn = mean_dark_frame(scene.instrument, config.dark_frames, streams=streams.child("dark"))
-    reduction = _Reduction(config, dark_dn, noise)
+    instrument, exposure_s = scene.instrument, scene.instrument.config.exposure_s
+    renderer = StarRenderer(instrument.camera, exposure_s=exposure_s, sobol_log2_rays=scene.config.sobol_log2_rays)
+    noise = true_noise(instrument, dark_frames=config.dark_frames)
+    dark_dn = mean_dark_frame(instrument, config.dark_frames, streams=streams.child("dark"))
     middle, example = scene.frames // 2, None
     truths: list[_Rendered] = []
     cut: list[Future[Stamps]] = []
@@ -139,18 +131,26 @@ def record(scene: Scene, config: Config, streams: Streams, *, advance: Callable[
             rows, direction = scene.in_cam(number)
             expected = renderer.render(scene.stars(rows, direction))
             assert expected.truth is not None
-            frame = readout.frame(expected, number)
+            frame = expose(
+                expected,
+                instrument.detector,
+                streams=streams,
+                frame=number,
+                exposure_s=exposure_s,
+                temperature_c=instrument.config.chip_temperature_c,
+                background_e_per_s=scene.config.background_e_per_s,
+            )
             truths.append(_Rendered(rows, direction, expected.truth))
             if number == middle:
                 example = frame
-            cut.append(pool.submit(reduction.detect, frame))
+            cut.append(pool.submit(_detect, config, frame, dark_dn, noise))
             del expected, frame
             if number >= AHEAD:
                 cut[number - AHEAD].result()
             advance()
         stamps = [one.result() for one in cut]
     assert example is not None
-    every = _joined(stamps)
+    every = concatenated(stamps)
     table = _centroids(scene, config, every, noise)
     ends = np.cumsum([len(one) for one in stamps])
     return Recording(
@@ -162,7 +162,6 @@ def record(scene: Scene, config: Config, streams: Streams, *, advance: Callable[
         example_index=middle,
         stamps=every,
         noise=noise,
-        rms_spot_px=float(np.mean([truth.spot_px for truth in truths])),
     )
 
 
@@ -173,12 +172,6 @@ class _Rendered:
     star: NDArray[np.int64]
     direction: FloatArray
     truth: Truth
-
-    @property
-    def spot_px(self) -> float:
-        """RMS radius of the ray bundles."""
-        variance = self.truth.variance_x_px2 + self.truth.variance_y_px2
-        return float(np.sqrt(np.nanmean(variance))) if np.isfinite(variance).any() else 0.0
 
     def beside(self, found: StarTable, first_row: int) -> FrameStars:
         """Truth and measurement together."""
@@ -192,12 +185,6 @@ class _Rendered:
         )
 
 
-def _joined(parts: list[Stamps]) -> Stamps:
-    return Stamps(
-        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in Stamps.__dataclass_fields__}
-    )
-
-
 def _centroids(scene: Scene, config: Config, stamps: Stamps, noise: NoiseModel) -> StarTable:
     """Centroids of all frames at once, so that PSFs are prepared once."""
     if not len(stamps):
@@ -207,42 +194,13 @@ def _centroids(scene: Scene, config: Config, stamps: Stamps, noise: NoiseModel) 
     return get_centroider(config.centroid).measure(stamps, noise)
 
 
-@dataclass(frozen=True, slots=True)
-class _Readout:
-    """The detector under the sky."""
-
-    scene: Scene
-    streams: Streams
-
-    def frame(self, expected: Any, number: int) -> Frame:
-        """One frame."""
-        set_up = self.scene.instrument.config
-        return expose(
-            expected,
-            self.scene.instrument.detector,
-            streams=self.streams,
-            frame=number,
-            exposure_s=set_up.exposure_s,
-            temperature_c=set_up.chip_temperature_c,
-            background_e_per_s=self.scene.config.background_e_per_s,
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class _Reduction:
-    """Frame to stamps."""
-
-    config: Config
-    dark_dn: NDArray[np.float32]
-    noise: NoiseModel
-
-    def detect(self, frame: Frame) -> Stamps:
-        """Find the stars of a frame, brightest first, and cut them out."""
-        image = dark_subtracted_frame(frame, self.dark_dn, self.noise)
-        return find_stamps(
-            image,
-            background=estimate_background(image, box_px=BACKGROUND_BOX_PX, step_px=BACKGROUND_STEP_PX),
-            threshold_sigma=self.config.threshold_sigma,
-            fwhm_px=FWHM_PX,
-            size_px=self.config.window_px,
-        )
+def _detect(config: Config, frame: Frame, dark_dn: NDArray[np.float32], noise: NoiseModel) -> Stamps:
+    """Find the stars of a frame, brightest first, and cut them out."""
+    image = dark_subtracted_frame(frame, dark_dn, noise)
+    return find_stamps(
+        image,
+        background=estimate_background(image, box_px=BACKGROUND_BOX_PX, step_px=BACKGROUND_STEP_PX),
+        threshold_sigma=config.threshold_sigma,
+        fwhm_px=FWHM_PX,
+        size_px=config.window_px,
+    )

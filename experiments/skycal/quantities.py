@@ -14,7 +14,7 @@ import numpy as np
 
 from experiments.harness.quantities import Places, Quantities
 from experiments.harness.summary import Measured
-from experiments.skycal.calibrate import METHODS, Judged
+from experiments.skycal.calibrate import METHODS, CalibratedMap
 from experiments.skycal.evaluate import PARTS
 from experiments.skycal.result import CameraResult, Result
 from experiments.skycal.settings import model_label
@@ -44,9 +44,9 @@ def describe(result: Result) -> Quantities:
     q, cameras = Quantities(), list(result.cameras.values())
     q.axis("camera", list(result.cameras), "Lens", names=[camera.short for camera in cameras])
     q.axis("axis", XY, "Axis")
-    q.axis("method", list(METHODS), "Attitudes", names=METHOD_NAMES)
+    q.axis("method", METHODS, "Attitudes", names=METHOD_NAMES)
     q.axis("data", list(DATA), "Centroids", names=DATA)
-    q.axis("part", list(PARTS), "Part", names=PART_NAMES)
+    q.axis("part", PARTS, "Part", names=PART_NAMES)
     _set_up(q, cameras)
     _stars(q, cameras)
     for data in DATA:
@@ -106,7 +106,7 @@ def _map_errors(q: Quantities, cameras: Sequence[CameraResult], data: str) -> No
     also = {"predicted": ["rendered[camera].noise_map_arcsec.predicted"]} if data == "corrected" else {}
     label = {"measured": "Measured", "corrected": "Colours known"}[data]
 
-    def each(part: Callable[[Judged], Any]) -> list[list[Any]]:
+    def each(part: Callable[[CalibratedMap], Any]) -> list[list[Any]]:
         return [[part(camera.of(data, method=method)) for camera in cameras] for method in METHODS]
 
     def places(name: str) -> Places:
@@ -142,8 +142,8 @@ def _map_errors(q: Quantities, cameras: Sequence[CameraResult], data: str) -> No
         q.add(f"{data}_{name}", each(part), label, unit=unit, dims="method camera", format=format, key=name, json=json)
 
 
-def _sigma(judged: Judged, parameter: str) -> float:
-    solution = judged.calibration.solution
+def _sigma(fitted: CalibratedMap, parameter: str) -> float:
+    solution = fitted.calibration.solution
     return float(dict(zip(solution.names, solution.sigma, strict=True)).get(parameter, np.nan))
 
 
@@ -160,8 +160,8 @@ def _noise_map(q: Quantities, cameras: Sequence[CameraResult]) -> None:
         json="rendered[camera].noise_map_arcsec.rms",
     )
     for name, json, part in (
-        ("noise_map_probability", "rendered[camera].noise_map_arcsec.probability", lambda c: c.noise_map_chance),
-        ("linked_map_probability", "", lambda c: c.linked_map_chance),
+        ("noise_map_probability", "rendered[camera].noise_map_arcsec.probability", lambda c: c.noise_map_probability),
+        ("linked_map_probability", "", lambda c: c.linked_map_probability),
     ):
         q.add(name, _each(cameras, part), "Probability of such a noise map", dims="camera", json=json)
 
@@ -191,7 +191,7 @@ def _parts(q: Quantities, cameras: Sequence[CameraResult]) -> None:
     q.axis("pair", [", ".join(pair) for pair in pairs], "Parts")
     q.add(
         "part_correlation",
-        _each(cameras, lambda c: [c.evaluation.alike(*pair) for pair in pairs]),
+        _each(cameras, lambda c: [c.evaluation.correlation(*pair) for pair in pairs]),
         "ρ",
         dims="camera pair",
         format="+.2f",
@@ -209,7 +209,7 @@ def _wrong_matches(q: Quantities, cameras: Sequence[CameraResult]) -> None:
         ("apart_arcsec", "From the clean map", "arcsec", "apart_arcsec", "apart_arcsec"),
         ("caught", "Caught", "", "caught_fraction", "caught_fraction"),
     ):
-        values = [[getattr(one, of) for one in camera.evaluation.wrong] for camera in cameras]
+        values = [[getattr(one, of) for one in camera.evaluation.wrong_matches] for camera in cameras]
         json = f"rendered[camera].wrong_matches_put_in[trial].{place}"
         q.add(f"wrong_{name}", values, label, unit=unit, dims="camera trial", json=json)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.skycal.calibrate import Judged, chance_of, rms
+from experiments.skycal.calibrate import CalibratedMap, map_probability, rms
 from experiments.skycal.evaluate import Evaluation
 from experiments.skycal.match import Matched
 from experiments.skycal.measure import Recording
@@ -49,13 +49,13 @@ class CameraResult:
         return f"{self.short} lens"
 
     @property
-    def total(self) -> Judged:
+    def total(self) -> CalibratedMap:
         """The calibration that counts: measured centroids, free attitudes, the configured model."""
-        return self.evaluation.judged["free", self.scene.config.model, "measured"]
+        return self.evaluation.maps["free", self.scene.config.model, "measured"]
 
-    def of(self, data: str, *, method: str = "free", model: str | None = None) -> Judged:
+    def of(self, data: str, *, method: str = "free", model: str | None = None) -> CalibratedMap:
         """A calibration; the configured model if none is named."""
-        return self.evaluation.judged[method, model or self.scene.config.model, data]
+        return self.evaluation.maps[method, model or self.scene.config.model, data]
 
     @property
     def stars_per_frame(self) -> float:
@@ -73,20 +73,15 @@ class CameraResult:
         return rms(self.noise_map_arcsec)
 
     @property
-    def noise_map_chance(self) -> float:
+    def noise_map_probability(self) -> float:
         """Probability of a noise map as far from the predicted size."""
-        return chance_of(self.noise_map_arcsec, self.of("corrected").spectrum_arcsec2)
+        return map_probability(self.noise_map_arcsec, self.of("corrected").spectrum_arcsec2)
 
     @property
-    def linked_map_chance(self) -> float:
+    def linked_map_probability(self) -> float:
         """The same for attitudes linked by the gyro of stated noise."""
         linked = self.of("corrected", method="linked")
-        return chance_of(linked.error_arcsec - self.evaluation.clean.error_arcsec, linked.spectrum_arcsec2)
-
-    def shift_px(self, kind: str, against: str) -> FloatArray:
-        """One kind of position minus another, stars calibrated with (k, 2)."""
-        evaluation = self.evaluation
-        return np.asarray((evaluation.position_px[kind] - evaluation.position_px[against])[evaluation.used])
+        return map_probability(linked.error_arcsec - self.evaluation.clean.error_arcsec, linked.spectrum_arcsec2)
 
     @property
     def noise_sigma_px(self) -> FloatArray:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from calib.cameras.base import SensorGeometry
 from experiments.laboratory.instrument import Instrument, build_instrument
 from experiments.skycal.sky import Sky, in_light, load_sky, passband
 from optics.arrays import FloatArray
@@ -83,6 +84,13 @@ class Scene:
     def pixel_arcsec(self) -> float:
         """Angle of a pixel on the axis [arcsec]."""
         return self.instrument.pixel_arcsec
+
+    @property
+    def geometry(self) -> SensorGeometry:
+        """The detector as camera models know it."""
+        camera = self.instrument.camera
+        size = {"width_px": camera.width_px, "height_px": camera.height_px}
+        return SensorGeometry(**size, pixel_pitch_mm=camera.pixel_pitch_mm)
 
     def stars(self, rows: NDArray[np.int64], direction: FloatArray) -> StarField:
         """Stars of the sky with their own light, seen at directions (n, 3) in cam."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from calib.flags import UNFIT, StarFlag, has_flag
 from experiments.dataset.evaluation.reduction import SMEAR_PX, MeasuredFrame
 from experiments.dataset.truth.star_truth import FLAGS
 from optics.arrays import FloatArray
-from optics.records import freeze
+from optics.records import concatenated, freeze
 
 __all__ = ["FoundStars", "compare_frame", "joined"]
 
@@ -149,8 +149,4 @@ def compare_frame(
 
 def joined(parts: list[FoundStars]) -> FoundStars:
     """Stars of several frames as one record."""
-    names = [one.name for one in fields(FoundStars) if one.name != "frames"]
-    return FoundStars(
-        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names},
-        frames=sum(part.frames for part in parts),
-    )
+    return concatenated(parts, frames=sum(part.frames for part in parts))

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from calib.calibration.calibrate import calibrate
 from calib.calibration.free_attitudes import FreeAttitudes
-from experiments.skycal.calibrate import LOSS, Bench, Judged, rms, start_camera
+from experiments.skycal.calibrate import LOSS, CalibratedMap, Calibrator, rms, start_camera
+from render.engine.random import Streams
 
-if TYPE_CHECKING:
-    from render.engine.random import Streams
-
-__all__ = ["TOO_MANY", "WrongRun", "wrong_runs"]
+__all__ = ["TOO_MANY", "WrongMatchFit", "wrong_match_fits"]
 
 TOO_MANY = 0.6
 """Part of wrong matches that nothing should survive."""
@@ -22,7 +19,7 @@ NO_WEIGHT = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WrongRun:
+class WrongMatchFit:
     """A calibration with wrong matches put in.
 
     Attributes
@@ -31,8 +28,8 @@ class WrongRun:
         Loss of the fit.
     fraction : float
         Part of the matches that are wrong.
-    status, message : str
-        Of the fit.
+    status : str
+        Of the fit; "converged" says that its values may be used.
     rms_arcsec : float
         Error of the map; NaN where the fit gives none.
     apart_arcsec : float
@@ -44,36 +41,30 @@ class WrongRun:
     loss: str
     fraction: float
     status: str
-    message: str
     rms_arcsec: float
     apart_arcsec: float
     caught_fraction: float
 
-    @property
-    def accepted(self) -> bool:
-        """Whether the fit says that its values may be used."""
-        return self.status == "converged"
 
-
-def wrong_runs(bench: Bench, clean: Judged, streams: Streams) -> tuple[WrongRun, ...]:
+def wrong_match_fits(calibrator: Calibrator, clean: CalibratedMap, streams: Streams) -> tuple[WrongMatchFit, ...]:
     """Least squares and robust with the configured part of wrong matches, and robust with far too many.
 
     Parameters
     ----------
-    bench : Bench
+    calibrator : Calibrator
         Stars and truth.
-    clean : Judged
+    clean : CalibratedMap
         The same without wrong matches.
     streams : Streams
         Which matches are made wrong.
     """
-    fraction = bench.config.wrong_fraction
+    fraction = calibrator.config.wrong_fraction
     cases = ((fraction, "linear"), (fraction, LOSS), (TOO_MANY, LOSS))
-    return tuple(_run(bench, clean, streams, part, loss) for part, loss in cases)
+    return tuple(_run(calibrator, clean, streams, part, loss) for part, loss in cases)
 
 
-def _run(bench: Bench, clean: Judged, streams: Streams, fraction: float, loss: str) -> WrongRun:
-    stars = bench.observations(clean.data)
+def _run(calibrator: Calibrator, clean: CalibratedMap, streams: Streams, fraction: float, loss: str) -> WrongMatchFit:
+    stars = calibrator.observations(clean.data)
     rng = streams.child("wrong matches", f"{fraction:g}").generator("which")
     chosen = np.sort(rng.permutation(len(stars))[: round(fraction * len(stars))])
     names = np.arange(len(stars))
@@ -81,16 +72,15 @@ def _run(bench: Bench, clean: Judged, streams: Streams, fraction: float, loss: s
         mine = chosen[stars.frame[chosen] == frame]
         names[mine] = np.roll(mine, 1)
     mixed = replace(stars, direction=stars.direction[names], star=stars.star[names])
-    start, free = start_camera(bench.scene, bench.config, clean.model)
+    start, free = start_camera(calibrator.scene, calibrator.config, clean.model)
     made = calibrate(mixed, start, FreeAttitudes(), loss=loss, free=free)
-    found = bench.judge(made, method="free", model=clean.model, data=clean.data)
+    found = calibrator.compare(made, method="free", model=clean.model, data=clean.data)
     wrong, weight = names != np.arange(len(stars)), made.solution.robust_weight
     caught = float(np.mean(weight[wrong] < NO_WEIGHT)) if len(weight) == len(stars) and wrong.any() else float("nan")
-    return WrongRun(
+    return WrongMatchFit(
         loss=loss,
         fraction=float(np.mean(wrong)),
         status=made.solution.status,
-        message=made.solution.message,
         rms_arcsec=found.rms_arcsec,
         apart_arcsec=rms(found.error_arcsec - clean.error_arcsec),
         caught_fraction=caught,
