@@ -20,11 +20,16 @@ GROUP = "starbench.experiments"
 """Entry points under which other distributions offer experiments: ``NAME = "package"``, laid out as ours."""
 
 
+def _is_experiment(package: str) -> bool:
+    """Whether a package declares an experiment and ``python -m PACKAGE`` runs it; the frame itself does not."""
+    return all(importlib.util.find_spec(f"{package}.{part}") for part in ("experiment", "__main__"))
+
+
 @cache
 def _packages() -> dict[str, str]:
     beside = [name for _, name, is_package in pkgutil.iter_modules(home.__path__) if is_package]
     ours = {name: f"{home.__name__}.{name}" for name in beside}
-    ours = {name: package for name, package in ours.items() if importlib.util.find_spec(f"{package}.experiment")}
+    ours = {name: package for name, package in ours.items() if _is_experiment(package)}
     others = {point.name: point.value for point in metadata.entry_points(group=GROUP)}
     return dict(sorted((others | ours).items()))
 

@@ -288,11 +288,12 @@ def test_interruption_leaves_nothing_behind(tmp_path, number):
 
 
 def test_packages_with_an_experiment_are_found_and_nothing_of_their_work_is_imported(tmp_path, monkeypatch):
-    for name, text in {"outside": "import sys\n", "laboratory_like": None}.items():
+    parts = {"outside": ("experiment", "__main__"), "frame_like": ("experiment",), "laboratory_like": ()}
+    for name, modules in parts.items():
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text(f'"""What does {name} answer?\n\nMore words."""\n')
-        if text is not None:
-            (tmp_path / name / "experiment.py").write_text("raise SystemExit('must not be imported')\n")
+        for module in modules:
+            (tmp_path / name / f"{module}.py").write_text("raise SystemExit('must not be imported')\n")
     monkeypatch.setattr("experiments.__path__", [str(tmp_path)])
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setattr(registry.home, "__name__", "experiments")
@@ -301,16 +302,13 @@ def test_packages_with_an_experiment_are_found_and_nothing_of_their_work_is_impo
         assert found() == {"outside": "What does outside answer?"}
     finally:
         registry._packages.cache_clear()
-        for name in ("outside", "laboratory_like"):
+        for name in parts:
             sys.modules.pop(f"experiments.{name}", None)
 
 
 def test_one_command_runs_any_experiment_by_name(capsys):
     assert starbench(["temporal", "--help"]) == 0
-    said = capsys.readouterr().out
-    assert "scatter against signal" in said
-    assert "Takes" in said
-    assert said.count("python -m experiments.temporal ") >= 2
+    assert "python -m experiments.temporal" in capsys.readouterr().out
     assert starbench(["tempral"]) == 2
     assert "temporal" in capsys.readouterr().err
     assert starbench(["--version"]) == 0
@@ -330,8 +328,3 @@ def test_listing_imports_nothing_heavy():
     assert done.returncode == 0, done.stderr
     for name in found():
         assert name in done.stdout
-
-
-def test_every_experiment_of_the_package_says_what_it_is():
-    for name, line in found().items():
-        assert line, f"{name} has no docstring"

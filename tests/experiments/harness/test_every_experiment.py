@@ -1,0 +1,56 @@
+"""Every experiment of the package, by its name on the command line: what --help says of it, and that this works."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from importlib import import_module
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from experiments.__main__ import main as starbench
+from experiments.harness.config import load_config
+from experiments.harness.registry import found
+
+ROOT = Path(__file__).parents[3]
+TIME = r"\d+ (s|min|minutes|h)"
+FIRST_LINE = 120
+
+
+def test_experiments_alone_are_listed(capsys):
+    """Those that a user can run as ``python -m experiments.NAME``; neither the frame nor the laboratory."""
+    assert starbench(["--names"]) == 0
+    assert capsys.readouterr().out.split() == sorted(
+        path.parent.name for path in ROOT.glob("experiments/*/__main__.py")
+    )
+
+
+@pytest.mark.parametrize("name", found())
+def test_it_answers_one_thing(name):
+    line = found()[name]
+    assert line.endswith((".", "?"))
+    assert len(line) <= FIRST_LINE
+    assert not re.search(r"[.?!] [A-Z]", line), f"{line!r} is more than one sentence"
+
+
+@pytest.mark.parametrize("name", found())
+def test_help_says_what_it_answers_how_long_it_takes_and_how_it_is_used(name, capsys):
+    declared = getattr(import_module(f"experiments.{name}.experiment"), "experiment", None)
+    if declared is None:
+        pytest.skip("not declared yet")
+    assert declared.name == name
+    assert starbench([name, "--help"]) == 0
+    said = capsys.readouterr().out
+    assert found()[name] in " ".join(said.split())
+    assert re.search(rf"Takes {TIME} \(--quick: {TIME}\) on two cores", said)
+    examples = re.findall(rf"^ +python -m experiments\.{name} (.+)\n +(\S.*)$", said, re.M)
+    assert len(examples) >= 2
+    for line, does in examples:
+        assert len(does) > len("--quick")
+        words = shlex.split(line)
+        options = set(re.findall(r"^  (--[\w-]+)", said, re.M))
+        assert {word for word in words if word.startswith("--")} <= options
+        settings = [value for option, value in pairwise(words) if option == "--set"]
+        load_config(declared.config, settings=settings)
