@@ -18,6 +18,7 @@ from experiments.laboratory.settings import (
     HexapodConfig,
     InstrumentConfig,
     TargetConfig,
+    check_windows,
 )
 
 __all__ = [
@@ -180,21 +181,9 @@ class Config(ExperimentConfig):
 
     @model_validator(mode="after")
     def _windows(self) -> Config:
-        size, target = self.window_px, self.target
-        if size % 2 == 0:
-            raise ValueError(f"window_px = {size}: an odd number is needed")
-        if target.rows * target.columns < 2:
+        if self.target.rows * self.target.columns < 2:
             raise ValueError("target.rows * target.columns = 1: at least 2 points are needed")
-        if target.pitch_px < size:
-            raise ValueError(
-                f"target.pitch_px = {target.pitch_px:g} px: at least window_px = {size} px is needed, or one window "
-                "holds two points"
-            )
-        if target.edge_px < size // 2 + 1:
-            raise ValueError(
-                f"target.edge_px = {target.edge_px:g} px: at least {size // 2 + 1} px is needed, or windows of "
-                f"window_px = {size} px leave the detector"
-            )
+        check_windows(self.window_px, self.target)
         return self
 
     @model_validator(mode="after")

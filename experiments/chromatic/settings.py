@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from experiments.harness.config import ExperimentConfig, StrictModel
 from experiments.laboratory.centroid_methods import MethodName
-from experiments.laboratory.settings import FilterConfig, InstrumentConfig, StarsConfig, TargetConfig
+from experiments.laboratory.settings import FilterConfig, InstrumentConfig, StarsConfig, TargetConfig, check_windows
 
 __all__ = ["Config", "DecentreConfig"]
 
@@ -43,17 +43,5 @@ class Config(ExperimentConfig):
 
     @model_validator(mode="after")
     def _windows(self) -> Config:
-        size, target = self.window_px, self.target
-        if size % 2 == 0:
-            raise ValueError(f"window_px = {size}: an odd number is needed")
-        if target.rows * target.columns > 1 and target.pitch_px < size:
-            raise ValueError(
-                f"target.pitch_px = {target.pitch_px:g} px: at least window_px = {size} px is needed, or "
-                "one window holds two points"
-            )
-        if target.edge_px < size // 2 + 1:
-            raise ValueError(
-                f"target.edge_px = {target.edge_px:g} px: at least {size // 2 + 1} px is needed, or windows of "
-                f"window_px = {size} px leave the detector"
-            )
+        check_windows(self.window_px, self.target)
         return self

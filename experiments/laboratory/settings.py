@@ -14,6 +14,7 @@ __all__ = [
     "StarsConfig",
     "StepConfig",
     "TargetConfig",
+    "check_windows",
 ]
 
 
@@ -122,3 +123,25 @@ class StarsConfig(StrictModel):
         if not 0.0 < values[0] < values[1]:
             raise ValueError("two increasing wavelengths are needed")
         return values
+
+
+def check_windows(size_px: int, target: TargetConfig) -> None:
+    """Refuse windows without a middle, with two points in one of them, or over the edge of the detector.
+
+    Raises
+    ------
+    ValueError
+        Naming the setting, for the validator of a configuration.
+    """
+    if size_px % 2 == 0:
+        raise ValueError(f"window_px = {size_px}: an odd number is needed")
+    if target.rows * target.columns > 1 and target.pitch_px < size_px:
+        raise ValueError(
+            f"target.pitch_px = {target.pitch_px:g} px: at least window_px = {size_px} px is needed, or one window "
+            "holds two points"
+        )
+    if target.edge_px < size_px // 2 + 1:
+        raise ValueError(
+            f"target.edge_px = {target.edge_px:g} px: at least {size_px // 2 + 1} px is needed, or windows of "
+            f"window_px = {size_px} px leave the detector"
+        )
