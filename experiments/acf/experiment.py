@@ -29,13 +29,6 @@ __all__ = ["Config", "main", "report", "run", "summary", "tables"]
 def run(config: Config, *, progress: Progress) -> Result:
     """Simulate, calibrate, compare.
 
-    Parameters
-    ----------
-    config : Config
-        Settings.
-    progress : Progress
-        Where to report.
-
     Raises
     ------
     StarbenchError

@@ -18,13 +18,6 @@ __all__ = ["Config", "experiment", "main", "run"]
 def run(config: Config, *, progress: Progress) -> Result:
     """Predict, measure, vary.
 
-    Parameters
-    ----------
-    config : Config
-        Settings.
-    progress : Progress
-        Where to report.
-
     Raises
     ------
     StarbenchError

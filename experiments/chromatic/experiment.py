@@ -25,13 +25,6 @@ __all__ = ["Config", "experiment", "main", "run"]
 def run(config: Config, *, progress: Progress) -> Result:
     """Render, read out, reduce and compare.
 
-    Parameters
-    ----------
-    config : Config
-        Settings.
-    progress : Progress
-        Where to report.
-
     Raises
     ------
     StarbenchError

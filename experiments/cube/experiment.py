@@ -27,13 +27,6 @@ VIEW_PX = (760, 440)
 def run(config: Config, *, progress: Progress) -> Result:
     """Build the bench, trim, calibrate, and repeat on every misaligned bench.
 
-    Parameters
-    ----------
-    config : Config
-        Settings.
-    progress : Progress
-        Where to report.
-
     Raises
     ------
     StarbenchError

@@ -33,15 +33,6 @@ def output(path: str, config: Config) -> DatasetFolder:
 def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
     """Make the frames that are missing.
 
-    Parameters
-    ----------
-    config : Config
-        Settings.
-    progress : Progress
-        Where to report.
-    output : DatasetFolder
-        Where they go.
-
     Raises
     ------
     StarbenchError

@@ -24,13 +24,6 @@ __all__ = ["Config", "experiment", "main", "run"]
 def run(config: Config, *, progress: Progress) -> Result:
     """Render, read out, reduce, predict, compare with the true map.
 
-    Parameters
-    ----------
-    config : Config
-        Settings.
-    progress : Progress
-        Where to report.
-
     Raises
     ------
     StarbenchError

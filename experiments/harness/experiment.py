@@ -52,7 +52,8 @@ class Experiment:
     config : type
         Its settings.
     run : callable
-        ``run(config, *, progress) -> result``.
+        ``run(config, *, progress) -> result``: the work under some settings; it reports stages to ``progress``
+        (`experiments.harness.progress.Progress`) and raises `StarbenchError` on what the user can mend.
     takes : str
         How long a default and a quick run take on two cores, for the help text.
     examples : mapping

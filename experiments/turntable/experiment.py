@@ -23,13 +23,6 @@ __all__ = ["Config", "experiment", "main", "run"]
 def run(config: Config, *, progress: Progress) -> Result:
     """Render, read, calibrate, and judge against the traced lens.
 
-    Parameters
-    ----------
-    config : Config
-        Settings.
-    progress : Progress
-        Where to report.
-
     Raises
     ------
     StarbenchError
