@@ -6,11 +6,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.cameras.brown_conrady import BrownConrady
-from experiments.acf.plan import make_plan
-from experiments.acf.predict import correlated
+from experiments.acf.linear_model import correlated
+from experiments.acf.points import Point, make_plan
 from experiments.acf.settings import Config
 from experiments.acf.simulate import build_camera
-from experiments.acf.tasks import Point, sky_of
+from experiments.acf.trials import sky_of
 from optics.errors import DomainError
 
 __all__ = ["check_design"]

@@ -1,29 +1,18 @@
-"""Calibration of a star sensor with attitude-correlated frames (ACF17): Fig. 3 to 5 and Table 2, on star coordinates.
-
-Star positions with noise and gyro rates are simulated as in Table 1 and calibrated by the document's method (ACC), with
-a gyro of stated noise, by interstar angles (IAC, as published and fully weighted) and with free attitudes, a hundred
-times each; everything stands beside the truth and the Cramer-Rao bound. Then what the document lacks: the pixel and the
-number of stars that its numbers imply, from how many stars per frame on the gyro gains nothing, and the same
-calibration on rendered frames (all of which is the experiment ``skycal``).
-"""
+"""Calibration of a star sensor with attitude-correlated frames (ACF17): Fig. 3 to 5 and Table 2."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from experiments.acf.settings import Config
-from experiments.harness.legacy import legacy_command as command
+from experiments.harness.cli import command
+from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
 
 if TYPE_CHECKING:
     from experiments.acf.result import Result
-    from experiments.harness.report import Report
-    from experiments.harness.summary import Criterion
-    from experiments.harness.tables import Table
-    from experiments.skycal.result import Result as Rendered
 
-__all__ = ["Config", "main", "report", "run", "summary", "tables"]
+__all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
@@ -35,12 +24,14 @@ def run(config: Config, *, progress: Progress) -> Result:
         On a camera that folds its image over, a motion that leaves an unknown undetermined, too few stars.
     """
     from experiments.acf.checks import check_design
-    from experiments.acf.forecast import forecast
+    from experiments.acf.expected import expected_results
     from experiments.acf.inference import infer
-    from experiments.acf.plan import make_plan, perform, runs_of
+    from experiments.acf.monte_carlo import perform
+    from experiments.acf.points import make_plan
+    from experiments.acf.rendered import calibrate_rendered
     from experiments.acf.result import Result
     from experiments.acf.simulate import build_scene
-    from experiments.acf.tasks import sky_of
+    from experiments.acf.trials import sky_of
     from experiments.harness.provenance import peak_memory_mb, process_seconds
 
     scene = build_scene(config)
@@ -49,17 +40,17 @@ def run(config: Config, *, progress: Progress) -> Result:
         inference = infer()
         inferred_um, inferred_stars = round(inference.best_um, 2), max(round(inference.best_stars), 2)
         plan = make_plan(config, inferred_um=inferred_um, inferred_stars=inferred_stars)
-        expected = forecast(config, plan, inferred_um)
-    with progress.stage("Monte Carlo", total=sum(runs_of(config, plan, point) for point in plan.points)) as stage:
-        outcome = perform(config, plan, advance=stage.advance)
-    rendered = _rendered(config, progress)
+        expected = expected_results(config, plan, inferred_um)
+    with progress.stage("Monte Carlo", total=sum(plan.runs(config, point) for point in plan.points)) as stage:
+        trials = perform(config, plan, advance=stage.advance)
+    rendered = calibrate_rendered(config, progress)
     return Result(
         config=config,
         scene=scene,
         stars=sky_of(config, plan.table2, 0).stars,
         plan=plan,
-        outcome=outcome,
-        forecast=expected,
+        trials=trials,
+        expected=expected,
         inference=inference,
         rendered=rendered,
         runtime_s=process_seconds(),
@@ -67,45 +58,17 @@ def run(config: Config, *, progress: Progress) -> Result:
     )
 
 
-def _rendered(config: Config, progress: Progress) -> Rendered | None:
-    """The calibration on pixels, if it is wanted."""
-    if config.rendered.which == "none":
-        return None
-    from experiments.skycal.experiment import run as calibrate_on_pixels
-    from experiments.skycal.settings import Config as PixelConfig
-
-    wanted = PixelConfig(seed=config.seed, which=config.rendered.which, frames=config.rendered.frames)
-    return calibrate_on_pixels(wanted, progress=progress)
-
-
-def summary(result: Result) -> tuple[dict[str, Any], Sequence[Criterion]]:
-    """What goes into ``summary.json``."""
-    from experiments.acf.judge import criteria, results
-
-    return results(result), criteria(result)
-
-
-def tables(result: Result) -> Mapping[str, Table]:
-    """Tables written beside the report."""
-    from experiments.acf.tables import all_tables
-
-    return all_tables(result)
-
-
-def report(result: Result) -> Report:
-    """What ``report.html`` shows."""
-    from experiments.acf.report import build_report
-
-    return build_report(result)
-
-
-main = command(
-    "acf",
+experiment = Experiment(
+    name="acf",
     config=Config,
     run=run,
-    report=report,
-    summary=summary,
-    tables=tables,
+    takes="6 min (--quick: 12 s)",
+    examples={
+        "--quick": "a small run, without rendered frames",
+        "--set rendered.which=none --set runs=20": "star coordinates only, fewer runs",
+        "--set camera.pixel_um=6.36 --set sky.stars_per_frame=21": "the pixel and the stars that Table 2 implies",
+    },
+    extra="rendered:results",
     show=("table2", "fig4"),
     quick={
         "rendered.which": "none",
@@ -119,3 +82,4 @@ main = command(
         "sweep.skies": 12,
     },
 )
+main = command(experiment)

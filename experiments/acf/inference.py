@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.attitude.link import increment_per_angle, rotation_of_angles
-from experiments.acf.predict import Design, correlated
+from experiments.acf.linear_model import Design, correlated
 from experiments.acf.published import TABLE2_CALIBRATED, TABLE2_ROUNDING, TABLE2_TRUE
-from experiments.acf.settings import Config
+from experiments.acf.settings import CameraConfig, Config
 from experiments.acf.simulate import build_scene
-from experiments.acf.tasks import gyro_error
+from experiments.acf.trials import gyro_error
 from optics.arrays import FloatArray
 from optics.records import freeze
 from optics.units import DEG_RAD
@@ -83,6 +83,15 @@ class Inference:
     def least_um(self) -> float:
         """Pixel of the least reprojection error of the printed values."""
         return float(self.pixel_um[np.argmin((self.reprojected_px**2).sum(1))])
+
+    @property
+    def field_deg(self) -> float:
+        """Width of the document's field with the most likely pixel."""
+        return CameraConfig(pixel_um=self.best_um).width_deg
+
+    def reprojected_at(self, pixel_um: float) -> FloatArray:
+        """Reprojection (2,) [px] at the tried pixel that is nearest."""
+        return np.asarray(self.reprojected_px[np.argmin(np.abs(self.pixel_um - pixel_um))])
 
 
 def printed_reprojection(config: Config, pixel_um: float, printed: FloatArray = TABLE2_CALIBRATED) -> FloatArray:

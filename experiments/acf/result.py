@@ -6,14 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from experiments.acf.forecast import Forecast
+from experiments.acf.expected import ExpectedResults
 from experiments.acf.inference import Inference
-from experiments.acf.plan import Outcome, Plan
+from experiments.acf.monte_carlo import Trials
+from experiments.acf.points import Plan
 from experiments.acf.settings import Config
 from experiments.acf.simulate import Scene, Stars
 
 if TYPE_CHECKING:
-    from experiments.skycal.result import Result as Rendered
+    from experiments.harness.quantities import Outcome
 
 __all__ = ["Result"]
 
@@ -32,14 +33,14 @@ class Result:
         The sky of Fig. 3 to 5 and Table 2.
     plan : Plan
         What was run.
-    outcome : dict of str to Outcome
+    trials : dict of str to Trials
         By the name of the point.
-    forecast : Forecast
-        What was expected.
+    expected : ExpectedResults
+        From the design alone.
     inference : Inference
         Pixel and stars from the document's own numbers.
-    rendered : experiments.skycal.result.Result or None
-        The calibration on rendered frames.
+    rendered : Outcome or None
+        The calibration on rendered frames, by the experiment ``skycal``.
     runtime_s, peak_memory_mb : float
         Of the process up to the end of the run.
     """
@@ -48,14 +49,9 @@ class Result:
     scene: Scene
     stars: Stars
     plan: Plan
-    outcome: Mapping[str, Outcome]
-    forecast: Forecast
+    trials: Mapping[str, Trials]
+    expected: ExpectedResults
     inference: Inference
-    rendered: Rendered | None
+    rendered: Outcome | None
     runtime_s: float
     peak_memory_mb: float
-
-    @property
-    def stars_per_frame(self) -> float:
-        """Mean number of stars."""
-        return len(self.stars) / self.config.frames

@@ -2,73 +2,88 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from experiments.acf.evaluate import COMPARED, comparison, fig3, fig4, gains, pulls, table2_runs
-from experiments.acf.figures import METHOD_LABELS
-from experiments.acf.judge import degrees_of
-from experiments.acf.published import FIG4_RMS_PX, TABLE2_CALIBRATED, TABLE2_NAMES, TABLE2_TRUE, TABLE2_UNITS
+from experiments.acf.published import FIG4_RMS_PX, TABLE2_UNITS
+from experiments.harness.pivot import Pivot, pivot
+from experiments.harness.quantities import Outcome, Quantity, shown_unit
 from experiments.harness.summary import Measured
 from experiments.harness.tables import Cell, Column, Table
 
-if TYPE_CHECKING:
-    from experiments.acf.result import Result
+__all__ = ["tables"]
 
-__all__ = ["all_tables", "fig3_at_a_glance"]
-
-NAMES = {
-    "phi1": "φ1", "phi2": "φ2", "phi3": "φ3", "theta1": "θ1", "theta2": "θ2", "theta3": "θ3",
-}  # fmt: skip
+NOISE = Column(name="Star noise", unit="px", key="noise_px", format=".2f")
 
 
-def _table2(result: Result) -> Table:
-    """Table 2 of ACF17: published | ours | Cramer-Rao bound, as errors; angles in arcsec."""
-    errors, expected = table2_runs(result), result.forecast.table2
-    bound, carried = (degrees_of(np.sqrt(np.diag(one))) for one in (expected.perfect, expected.acc))
-    true = np.concatenate(
-        [result.scene.camera.parameters, result.config.sky.phi_deg, result.config.gyro.installation_deg]
+def tables(outcome: Outcome) -> Mapping[str, Table | Pivot]:
+    """Tables by file name."""
+    config, runs = outcome.config, outcome.config.runs
+    pulls = outcome.value("pull_n")
+    frames_of_stars = f"{config.frames} frames of {outcome.value('stars_per_frame'):.0f} stars"
+    fig5 = Pivot(
+        rows="method noise",
+        columns="x0_px y0_px focal_length_mm distortion_px sight_arcsec expected_sight_arcsec",
+        caption="ACF17 Fig. 5 with further methods: RMS errors; mean of the largest residual distortion.",
+        note=f"{runs} runs each.",
     )
-    rows: list[tuple[Cell, ...]] = []
-    for k, name in enumerate(TABLE2_NAMES):
-        angle = TABLE2_UNITS[k] == "deg"
-        scale = 3600.0 if angle else 1.0
-        spread = float(errors[:, k].std(ddof=1))
-        printed = float(TABLE2_CALIBRATED[k] - TABLE2_TRUE[k])
-        label = NAMES.get(name, name)
-        rows.append(
-            (
-                f"{label} [″]" if angle else f"{label} [{TABLE2_UNITS[k]}]",
-                float(true[k]),
-                scale * printed,
-                Measured(value=scale * float(errors[:, k].mean()), uncertainty=scale * spread / len(errors) ** 0.5),
-                scale * spread,
-                scale * float(bound[k]),
-                scale * float(carried[k]),
-            )
-        )
-    return Table(
-        columns=(
-            "Unknown",
-            Column(name="True", key="true", format=".6g"),
-            Column(name="Published", key="published_error", format=".3g"),
-            Column(name="Ours, mean", key="mean_error"),
-            Column(name="one run", key="std", format=".3g"),
-            Column(name="Bound", key="bound", format=".3g"),
-            Column(name="with gyro", key="bound_with_gyro", format=".3g"),
+    return {
+        "table2": _table2(outcome),
+        "fig4": _fig4(outcome),
+        "fig3": _fig3(outcome),
+        "fig3_ends": _fig3_ends(outcome),
+        "methods": Pivot(
+            rows="method",
+            columns="pooled_x0_px pooled_y0_px pooled_f_um pooled_distortion_px pooled_sight_arcsec "
+            "pooled_expected_sight_arcsec pooled_over_acc",
+            caption="Errors of the methods of Fig. 5 per pixel of star noise, all noises together.",
+            note=f"{runs} runs at each of {len(config.noise_px)} noises, {frames_of_stars}; line of sight: RMS over "
+            "the detector after the best rotation.",
         ),
+        "fig5": pivot(outcome.data.drop_vars("method_label"), fig5),  # names of methods as in summary.json
+        "pulls": Pivot(
+            rows="unknown",
+            columns="pull_own pull_carried pull_linked",
+            caption="RMS pull (error over predicted standard deviation); 1 is right.",
+            note=f"{pulls} runs at all noises of Fig. 5; each number is known to ±{1 / np.sqrt(2 * pulls):.3f}.",
+        ),
+        "gain": _gain(outcome),
+        "gain_weighted": _gain_weighted(outcome),
+    }
+
+
+def _table2(outcome: Outcome) -> Table:
+    """Table 2 of ACF17: published | ours | Cramer-Rao bound, as errors; angles in arcsec."""
+    shown = ("true", "published_error", "mean_error", "std", "bound", "bound_with_gyro_error")
+    quantities, n = [outcome.quantity(f"table2_{name}") for name in shown], int(outcome.values("table2_n")[0])
+    rows: list[tuple[Cell, ...]] = []
+    for k, (name, unit) in enumerate(zip(outcome.names("unknown"), TABLE2_UNITS, strict=True)):
+        scale = 3600.0 if unit == "deg" else 1.0
+        true, printed, mean, spread, *bounds = (float(one.values[k]) for one in quantities)
+        ours = Measured(value=scale * mean, uncertainty=scale * spread / n**0.5)
+        head = f"{name} [{'″' if unit == 'deg' else unit}]"
+        rows.append((head, true, scale * printed, ours, scale * spread, *(scale * bound for bound in bounds)))
+    return Table(
+        columns=("Unknown", *(_column(one) for one in quantities)),
         rows=rows,
-        caption=f"ACF17 Table 2: errors after calibration with {result.config.table_noise_px:g} px of star noise, "
+        caption=f"ACF17 Table 2: errors after calibration with {outcome.config.table_noise_px:g} px of star noise, "
         "published, ours, and the Cramér–Rao bound of one run.",
-        note=f"{len(errors)} runs, {(result.config.frames + 1) // 2} odd frames each. True angles in degrees, their "
+        note=f"{n} runs, {(outcome.config.frames + 1) // 2} odd frames each. True angles in degrees, their "
         "errors in arcseconds. The bound takes the gyro as perfect, as eq. 11 does; the last column carries the gyro's "
         "error through.",
     )
 
 
-def _fig4(result: Result) -> Table:
+def _column(one: Quantity, name: str = "", key: str = "") -> Column:
+    """Column of a quantity, under its own head or another one."""
+    return Column(name=name or one.label, unit=shown_unit(one.unit), key=key or one.key, format=one.format)
+
+
+def _fig4(outcome: Outcome) -> Table:
+    rms, length = outcome.quantity("fig4_rms_px"), outcome.quantity("fig4_length_px")
+    others = [outcome.quantity(f"fig4_{name}") for name in ("expected_px", "scatter_px")]
+    inside = outcome.values("fig4_inside")
     rows: list[tuple[Cell, ...]] = [
         (
             "published",
@@ -76,243 +91,124 @@ def _fig4(result: Result) -> Table:
             None,
             *(float(v) for v in FIG4_RMS_PX),
             float(np.linalg.norm(FIG4_RMS_PX)),
-            *[None] * 2,
+            None,
+            None,
             100.0,
         )
     ]
-    for inferred, label in ((False, "ours"), (True, "inferred")):
-        found = fig4(result, inferred=inferred)
-        um = result.plan.inferred.pixel_um if inferred else result.config.camera.pixel_um
-        stars = float(result.plan.inferred.stars or 0) if inferred else result.stars_per_frame
-        rows.append(
-            (
-                label,
-                um,
-                stars,
-                float(found.rms_px[0]),
-                float(found.rms_px[1]),
-                found.runs.value,
-                found.runs.expected,
-                found.runs.scatter,
-                100.0 * found.inside,
-            )
-        )
+    for k, label in enumerate(outcome.names("case")):
+        set_up = (float(outcome.values(f"fig4_{name}")[k]) for name in ("pixel_um", "stars"))
+        found = (*rms.values[k].tolist(), float(length.values[k]), *(float(one.values[k]) for one in others))
+        rows.append((label, *set_up, *found, 100.0 * float(inside[k])))
     return Table(
         columns=(
             "Fig. 4",
-            Column(name="Pixel", unit="µm", key="pixel_um", format=".2f"),
-            Column(name="Stars", unit="per frame", key="stars_per_frame", format=".0f"),
-            Column(name="RMS x", unit="px", key="rms_x_px", format=".4f"),
-            Column(name="RMS y", unit="px", key="rms_y_px", format=".4f"),
-            Column(name="Length", unit="px", key="rms_length_px", format=".4f"),
-            Column(name="Expected", unit="px", key="expected_px", format=".4f"),
-            Column(name="One run ±", unit="px", key="scatter_px", format=".4f"),
+            *(_column(outcome.quantity(f"fig4_{name}")) for name in ("pixel_um", "stars")),
+            *(_column(rms, f"RMS {axis}", f"rms_{axis}_px") for axis in "xy"),
+            _column(length),
+            *(_column(one) for one in others),
             Column(name="< 0.04 px", unit="%", key="part_below_0_04_px_percent", format=".1f"),
         ),
         rows=rows,
-        caption=f"Reprojection of noise-free even frames at {result.config.table_noise_px:g} px, gyro of Table 1.",
-        note=f"Ours: {result.config.runs} runs; x and y over all of them, the length as the mean of the runs' RMS, "
-        f"known to ±{fig4(result).runs.error:.4f} px. Inferred: pixel and stars that Table 2 implies (next section).",
+        caption=f"Reprojection of noise-free even frames at {outcome.config.table_noise_px:g} px, gyro of Table 1.",
+        note=f"Ours: {outcome.config.runs} runs; x and y over all of them, the length as the mean of the runs' RMS, "
+        f"known to ±{outcome.errors('fig4_length_px', case='assumed'):.4f} px. Inferred: pixel and stars that Table 2 "
+        "implies (next section).",
     )
 
 
-def _fig3(result: Result) -> Table:
-    config = result.config
-    heads = ["perfect gyro"]
-    heads += [f"bias {value:g} °/h" for value in config.bias_deg_per_h]
+def _fig3(outcome: Outcome) -> Table:
+    """Every gyro of Fig. 3, the perfect one first."""
+    config = outcome.config
+    bias, walk = outcome.quantity("fig3a_rms_px"), outcome.quantity("fig3b_rms_px")
+    heads = ["perfect gyro", *(f"bias {value:g} °/h" for value in config.bias_deg_per_h)]
     heads += [f"walk {value:g} °/√h" for value in config.angle_random_walk_deg_per_sqrt_h]
-    rows: list[tuple[Cell, ...]] = [
-        (noise, *(Measured(value=one.value, uncertainty=one.error) for one in row))
-        for noise, row in zip(config.noise_px, fig3(result), strict=True)
-    ]
+    columns = [*(bias.at(bias=k) for k in range(bias.values.shape[1]))]
+    columns += [walk.at(walk=k) for k in range(1, walk.values.shape[1])]
     return Table(
-        columns=(Column(name="Star noise", unit="px", key="noise_px", format=".2f"), *(Column(name=h) for h in heads)),
-        rows=rows,
+        columns=(NOISE, *(Column(name=head) for head in heads)),
+        rows=[(noise, *(one.at(noise=k).scalar() for one in columns)) for k, noise in enumerate(config.noise_px)],
         caption="ACF17 Fig. 3: RMS reprojection error [px].",
         note=f"Mean of {config.runs} runs and its standard error.",
     )
 
 
-def fig3_at_a_glance(result: Result) -> Table:
+def _fig3_ends(outcome: Outcome) -> Table:
     """The ends of Fig. 3, beside what was expected."""
-    config = result.config
-    biases = len(config.bias_deg_per_h)
-    columns = {
-        "perfect gyro": 0,
-        f"bias {config.bias_deg_per_h[-1]:g} °/h": biases,
-        f"walk {config.angle_random_walk_deg_per_sqrt_h[-1]:g} °/√h": -1,
+    config = outcome.config
+    bias, walk = config.bias_deg_per_h[-1], config.angle_random_walk_deg_per_sqrt_h[-1]
+    ends: dict[str, tuple[str, str, dict[str, int]]] = {
+        "perfect gyro": ("perfect", "fig3a", {"bias": 0}),
+        f"bias {bias:g} °/h": ("bias", "fig3a", {"bias": -1}),
+        f"walk {walk:g} °/√h": ("walk", "fig3b", {"walk": -1}),
     }
-    heads: list[Column | str] = [Column(name="Star noise", unit="px", key="noise_px", format=".2f")]
-    for head in columns:
-        heads += [Column(name=head, unit="px", format=".4f"), Column(name="expected", unit="px", format=".4f")]
-    rows: list[tuple[Cell, ...]] = [
-        (noise, *(v for k in columns.values() for v in (row[k].value, row[k].expected)))
-        for noise, row in zip(config.noise_px, fig3(result), strict=True)
-    ]
+    columns = [NOISE]
+    cells: list[list[float]] = [list(config.noise_px)]
+    for head, (key, part, at) in ends.items():
+        for name, label in (("rms_px", head), ("expected_px", "expected")):
+            one = outcome.quantity(f"{part}_{name}").at(**at)
+            columns.append(_column(one, label, f"{key}_{name}"))
+            cells.append(one.values.tolist())
     return Table(
-        columns=heads,
-        rows=rows,
+        columns=columns,
+        rows=list(zip(*cells, strict=True)),
         caption="RMS reprojection error at the ends of Fig. 3. The document prints no numbers for its curves.",
         note=f"Mean of {config.runs} runs, known to {100 * 0.19 / config.runs**0.5:.0f} %; all gyros are in fig3.ecsv.",
     )
 
 
-def _methods(result: Result) -> Table:
-    found = comparison(result)
-    noise, acc = np.array(result.config.noise_px), found["acc"]
-    rows: list[tuple[Cell, ...]] = []
-    for method in COMPARED:
-        one = found[method]
-        sight, expected = float(np.mean(one.sight_arcsec / noise)), one.expected_sight_arcsec
-        rows.append(
-            (
-                METHOD_LABELS[method],
-                float(one.pooled[0]),
-                float(one.pooled[1]),
-                1e3 * float(one.pooled[2]),
-                float(np.mean(one.distortion_px / noise)),
-                sight,
-                None if expected is None else float(np.mean(expected / noise)),
-                float(np.mean(one.sight_arcsec / acc.sight_arcsec)),
-            )
-        )
-    return Table(
-        columns=(
-            "Method",
-            Column(name="x0", unit="px", format=".2f"),
-            Column(name="y0", unit="px", format=".2f"),
-            Column(name="f", unit="µm", format=".2f"),
-            Column(name="Distortion, largest", unit="px", key="distortion_px", format=".3f"),
-            Column(name="Line of sight", unit="″", key="sight_arcsec", format=".2f"),
-            Column(name="expected", unit="″", key="expected_sight_arcsec", format=".2f"),
-            Column(name="over ACC", key="over_acc", format=".3f"),
-        ),
-        rows=rows,
-        caption="Errors of the methods of Fig. 5 per pixel of star noise, all noises together.",
-        note=f"{acc.runs} runs at each of {len(noise)} noises, {result.config.frames} frames of "
-        f"{result.stars_per_frame:.0f} stars; line of sight: RMS over the detector after the best rotation.",
+def _by_factor(
+    outcome: Outcome, columns: Mapping[str, tuple[Callable[[float], str], str]]
+) -> tuple[list[Column], list[list[Cell]]]:
+    """Gains by number of stars, for every gyro the quantities ``columns`` -> (head by gyro noise, key)."""
+    heads: list[Column] = []
+    cells: list[list[Cell]] = [[stars] for stars in outcome.config.sweep.stars]
+    for k, factor in enumerate(outcome.config.sweep.gyro_factor):
+        for name, (head, key) in columns.items():
+            one = outcome.quantity(name).at(factor=k)
+            heads.append(_column(one, head(factor), key.format(f"{factor:g}")))
+            for n, row in enumerate(cells):
+                row.append(one.at(stars=n).scalar())
+    return heads, cells
+
+
+def _gain(outcome: Outcome) -> Table:
+    """Gains of ACC and of a gyro of stated noise, found beside what was expected."""
+    sweep = outcome.config.sweep
+    heads, rows = _by_factor(
+        outcome,
+        {
+            "gain_acc": (lambda factor: f"ACC, {_times(factor)}", "acc_{}"),
+            "gain_acc_bound": (lambda _: "expected", "acc_{}_expected"),
+            "gain_linked": (lambda factor: f"weighted, {_times(factor)}", "linked_{}"),
+            "gain_linked_bound": (lambda _: "bound", "linked_{}_bound"),
+        },
     )
-
-
-def _fig5(result: Result) -> Table:
-    """All numbers behind Fig. 5, for machines."""
-    found = comparison(result)
-    rows: list[tuple[Cell, ...]] = []
-    for method in COMPARED:
-        one = found[method]
-        for k, noise in enumerate(result.config.noise_px):
-            rows.append(
-                (
-                    method,
-                    noise,
-                    float(one.camera[k, 0]),
-                    float(one.camera[k, 1]),
-                    float(one.camera[k, 2]),
-                    Measured(value=float(one.distortion_px[k]), uncertainty=float(one.distortion_error_px[k])),
-                    Measured(value=float(one.sight_arcsec[k]), uncertainty=float(one.sight_error_arcsec[k])),
-                    None if one.expected_sight_arcsec is None else float(one.expected_sight_arcsec[k]),
-                )
-            )
     return Table(
-        columns=(
-            "Method",
-            Column(name="Star noise", unit="px", key="noise_px"),
-            Column(name="x0", unit="px", key="x0_px"),
-            Column(name="y0", unit="px", key="y0_px"),
-            Column(name="f", unit="mm", key="focal_length_mm"),
-            Column(name="Distortion", unit="px", key="distortion_px"),
-            Column(name="Line of sight", unit="arcsec", key="sight_arcsec"),
-            Column(name="Expected", unit="arcsec", key="expected_sight_arcsec"),
-        ),
-        rows=rows,
-        caption="ACF17 Fig. 5 with further methods: RMS errors; mean of the largest residual distortion.",
-        note=f"{result.config.runs} runs each.",
-    )
-
-
-def _pulls(result: Result) -> Table:
-    found = pulls(result)
-    rows: list[tuple[Cell, ...]] = [
-        (NAMES.get(name, name), *(float(found.rms(which)[k]) for which in ("own", "carried", "linked")))
-        for k, name in enumerate(TABLE2_NAMES)
-    ]
-    n = len(found.own)
-    return Table(
-        columns=(
-            "Unknown",
-            Column(name="ACC, own covariance", key="own", format=".3f"),
-            Column(name="ACC, gyro carried through", key="carried", format=".3f"),
-            Column(name="gyro of stated noise", key="linked", format=".3f"),
-        ),
-        rows=rows,
-        caption="RMS pull (error over predicted standard deviation); 1 is right.",
-        note=f"{n} runs at all noises of Fig. 5; each number is known to ±{1 / np.sqrt(2 * n):.3f}.",
-    )
-
-
-def _gain(result: Result) -> Table:
-    found, sweep = gains(result), result.config.sweep
-    columns: list[Column | str] = [Column(name="Stars", key="stars_per_frame")]
-    for factor in sweep.gyro_factor:
-        label = "perfect" if factor == 0 else f"{factor:g} ×"
-        columns += [
-            Column(name=f"ACC, {label}", key=f"acc_{factor:g}"),
-            Column(name="expected", key=f"acc_{factor:g}_expected", format=".2f"),
-            Column(name=f"weighted, {label}", key=f"linked_{factor:g}"),
-            Column(name="bound", key=f"linked_{factor:g}_bound", format=".2f"),
-        ]
-    rows: list[tuple[Cell, ...]] = []
-    for i, stars in enumerate(sweep.stars):
-        cells: list[Cell] = [stars]
-        for k in range(len(sweep.gyro_factor)):
-            cells += [
-                Measured(value=float(found.acc[i, k]), uncertainty=float(found.acc_error[i, k])),
-                float(found.acc_bound[i, k]),
-                Measured(value=float(found.linked[i, k]), uncertainty=float(found.linked_error[i, k])),
-                float(found.linked_bound[i, k]),
-            ]
-        rows.append(tuple(cells))
-    return Table(
-        columns=columns,
+        columns=(Column(name="Stars", key="stars_per_frame"), *heads),
         rows=rows,
         caption="Gain over free attitudes: ratio of the median line-of-sight errors.",
-        note=f"{found.runs} skies per row, {result.config.frames} frames, {sweep.noise_px:g} px of star noise.",
+        note=f"{sweep.skies} skies per row, {outcome.config.frames} frames, {sweep.noise_px:g} px of star noise.",
     )
 
 
-def _corners(result: Result) -> Table:
-    """The gain at a glance: what the report shows of it."""
-    found, sweep = gains(result), result.config.sweep
-    rows: list[tuple[Cell, ...]] = []
-    for i, stars in enumerate(sweep.stars):
-        cells: list[Cell] = [stars]
-        for k in range(len(sweep.gyro_factor)):
-            cells.append(Measured(value=float(found.linked[i, k]), uncertainty=float(found.linked_error[i, k])))
-            cells.append(float(found.linked_bound[i, k]))
-        rows.append(tuple(cells))
-    columns: list[Column | str] = [Column(name="Stars")]
-    for factor in sweep.gyro_factor:
-        columns += [
-            Column(name="perfect gyro" if factor == 0 else f"{factor:g} × Table 1", key=f"gain_{factor:g}"),
-            Column(name="bound", key=f"bound_{factor:g}", format=".2f"),
-        ]
+def _times(factor: float) -> str:
+    return "perfect" if factor == 0 else f"{factor:g} ×"
+
+
+def _gain_weighted(outcome: Outcome) -> Table:
+    """What the report shows of the gain."""
+    heads, rows = _by_factor(
+        outcome,
+        {
+            "gain_linked": (lambda factor: f"{_times(factor)} {'gyro' if factor == 0 else 'Table 1'}", "gain_{}"),
+            "gain_linked_bound": (lambda _: "bound", "bound_{}"),
+        },
+    )
     return Table(
-        columns=columns,
+        columns=("Stars", *heads),
         rows=rows,
         caption="Gain of a gyro of stated noise over free attitudes, found beside its bound.",
-        note=f"Ratio of the median line-of-sight errors over {found.runs} skies; standard errors from resampled skies.",
+        note=f"Ratio of the median line-of-sight errors over {outcome.config.sweep.skies} skies; standard errors from "
+        "resampled skies.",
     )
-
-
-def all_tables(result: Result) -> Mapping[str, Table]:
-    """All tables by file name."""
-    return {
-        "table2": _table2(result),
-        "fig4": _fig4(result),
-        "fig3": _fig3(result),
-        "methods": _methods(result),
-        "fig5": _fig5(result),
-        "pulls": _pulls(result),
-        "gain": _gain(result),
-        "gain_weighted": _corners(result),
-    }

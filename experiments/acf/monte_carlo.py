@@ -1,4 +1,4 @@
-"""Monte-Carlo work on several processes; what comes out does not depend on how many there are.
+"""All Monte-Carlo runs, on several processes; what comes out does not depend on how many there are.
 
 Every task is a function of its argument alone (random streams are named, not shared), workers use one thread for linear
 algebra, and results come back in the order of the tasks. An interrupt ends the workers and is passed on.
@@ -11,24 +11,82 @@ import multiprocessing
 import os
 import signal
 import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
 from typing import TypeVar
 
+import numpy as np
+
+from experiments.acf.points import Plan, Point
+from experiments.acf.settings import Config
+from experiments.acf.trials import Task, work
+from optics.arrays import FloatArray
 from optics.errors import BackendError
 
-__all__ = ["run_tasks"]
+__all__ = ["Trials", "perform", "run_tasks"]
 
-Task = TypeVar("Task")
+CHUNK = 25
+"""Runs of a task at most; a part of a second to a few seconds of work."""
+Work = TypeVar("Work")
 Done = TypeVar("Done")
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trials:
+    """The runs of a point: arrays with the runs along the first axis, named as `experiments.acf.trials.work` does."""
+
+    point: Point
+    values: Mapping[str, FloatArray]
+
+    def of(self, method: str, what: str, gyro: int | None = 0) -> FloatArray:
+        """One figure of one method; ``gyro`` counts for ACC and the linked adjustment only."""
+        label = f"{method}@{gyro}" if method in ("acc", "linked") else method
+        return self.values[f"{label}.{what}"]
+
+
+def perform(config: Config, plan: Plan, *, advance: Callable[[int], None]) -> dict[str, Trials]:
+    """Make all runs.
+
+    Parameters
+    ----------
+    config : Config
+        Settings.
+    plan : Plan
+        What to run.
+    advance : callable
+        Called with the number of runs whenever some are done.
+
+    Returns
+    -------
+    dict of str to Trials
+        By the name of the point.
+    """
+    tasks = [
+        Task(config=config, point=point, first=first, last=min(first + CHUNK, runs))
+        for point, runs in ((point, plan.runs(config, point)) for point in plan.points)
+        for first in range(0, runs, CHUNK)
+    ]
+    found = run_tasks(
+        work, tasks, workers=config.workers, done=lambda index: advance(tasks[index].last - tasks[index].first)
+    )
+    parts: dict[str, list[Mapping[str, FloatArray]]] = {point.name: [] for point in plan.points}
+    for task, values in zip(tasks, found, strict=True):
+        parts[task.point.name].append(values)
+    return {
+        point.name: Trials(
+            point=point,
+            values={key: np.concatenate([part[key] for part in parts[point.name]]) for key in parts[point.name][0]},
+        )
+        for point in plan.points
+    }
+
+
 def run_tasks(
-    work: Callable[[Task], Done], tasks: Sequence[Task], *, workers: int, done: Callable[[int], None]
+    work: Callable[[Work], Done], tasks: Sequence[Work], *, workers: int, done: Callable[[int], None]
 ) -> list[Done]:
     """Results of all tasks, in their order.
 
@@ -51,41 +109,27 @@ def run_tasks(
     count = min(workers or _processors(), len(tasks))
     if not tasks:
         return []
-    others = multiprocessing.active_children()
+    others = set(multiprocessing.active_children())
     with _single_threaded():
         pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"), initializer=_prepare)
         try:
             with _interrupts_held():  # children inherit this: an interrupt at the terminal is ours to handle
                 futures = [pool.submit(work, task) for task in tasks]
-            return [_wait(future, index, done) for index, future in enumerate(futures)]
+            found = []
+            for index, future in enumerate(futures):
+                found.append(future.result())
+                done(index)
+            return found
         except BrokenProcessPool:
             raise BackendError(
                 "a Monte-Carlo process vanished (killed, or out of memory); set workers=1 or lower sky.stars_per_frame"
             ) from None
-        except BaseException:
-            _stop(pool, others)
+        except BaseException:  # what the workers are at is of no use any more; processes of others are left alone
+            for child in set(multiprocessing.active_children()) - others:
+                child.terminate()
             raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _wait(future: Future[Done], index: int, done: Callable[[int], None]) -> Done:
-    result = future.result()
-    done(index)
-    return result
-
-
-def _stop(pool: ProcessPoolExecutor, others: Sequence[object]) -> None:
-    """End the workers now; what they were at is of no use any more. Processes of others are left alone."""
-    pool.shutdown(wait=False, cancel_futures=True)
-    ours = [child for child in multiprocessing.active_children() if child not in others]
-    for child in ours:
-        child.terminate()
-    deadline = time.monotonic() + 5.0
-    for child in ours:
-        child.join(timeout=5.0)
-        while child.exitcode is None and time.monotonic() < deadline:  # the pool's own thread is just taking it in
-            time.sleep(0.001)
 
 
 def _processors() -> int:

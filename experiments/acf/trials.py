@@ -1,10 +1,10 @@
-"""One piece of Monte-Carlo work: a few runs of one setting, every method on the same noisy stars."""
+"""A few Monte-Carlo runs of one point: every method calibrates with the same noisy stars."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,8 @@ from calib.calibration.observations import Observations
 from calib.calibration.record import Calibration
 from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.line_of_sight import line_of_sight_map
-from experiments.acf.predict import Design, GyroError, correlated, free, linked, sight_arcsec, sight_operator
+from experiments.acf.linear_model import Design, GyroError, correlated, free, linked, sight_arcsec, sight_operator
+from experiments.acf.points import Method, Point
 from experiments.acf.settings import Config
 from experiments.acf.simulate import (
     HOUR_S,
@@ -38,50 +39,12 @@ from optics.arrays import FloatArray
 from optics.units import DEG_RAD
 from render.engine.random import Streams
 
-__all__ = ["Point", "Task", "work"]
+__all__ = ["Field", "Task", "field_of", "gyro_error", "sky_of", "work"]
 
-Method = Literal["acc", "linked", "free", "iac", "iac_full"]
 
 LINKED = ("acc", "linked")
 GRID = 15
 """Field points along each side of the line-of-sight map and of the residual distortion."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Point:
-    """A setting that runs are made of.
-
-    Attributes
-    ----------
-    name : str
-        Name of its random streams.
-    noise_px : float
-        Noise of a star's position, per axis.
-    gyro : tuple of (float, float)
-        Gyros tried on the same stars: bias [deg/h] and angle random walk [deg/sqrt(h)].
-    methods : tuple of str
-        "acc" and "linked" run for every gyro, the others once.
-    frames : {"odd", "all"}
-        What calibrates. After "odd", noise-free even frames are reprojected.
-    stars : int or None
-        Stars in every frame; None: the density of the configuration.
-    own_sky : bool
-        Whether each run has a sky of its own; otherwise all runs see sky 0.
-    pixel_um : float or None
-        Pixel in place of the configured one.
-    keep_reprojections : bool
-        Whether each star's reprojection error is kept.
-    """
-
-    name: str
-    noise_px: float
-    gyro: tuple[tuple[float, float], ...]
-    methods: tuple[Method, ...]
-    frames: Literal["odd", "all"] = "odd"
-    stars: int | None = None
-    own_sky: bool = False
-    pixel_um: float | None = None
-    keep_reprojections: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

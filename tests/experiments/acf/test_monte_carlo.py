@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from experiments.acf.workers import run_tasks
+from experiments.acf.monte_carlo import run_tasks
 from optics.errors import BackendError
 
 

@@ -1,23 +1,57 @@
-"""Which runs are made, and in which pieces."""
+"""Points of the Monte-Carlo runs: which noise, gyros, stars and methods each figure and table of ACF17 asks for."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-
-import numpy as np
+from typing import Literal
 
 from experiments.acf.settings import Config
-from experiments.acf.tasks import Method, Point, Task, work
-from experiments.acf.workers import run_tasks
-from optics.arrays import FloatArray
 
-__all__ = ["Outcome", "Plan", "make_plan", "perform"]
+__all__ = ["COMPARED", "Method", "Plan", "Point", "make_plan"]
 
+Method = Literal["acc", "linked", "free", "iac", "iac_full"]
 
 COMPARED: tuple[Method, ...] = ("acc", "linked", "free", "iac", "iac_full")
-CHUNK = 25
-"""Runs of a task at most; a part of a second to a few seconds of work."""
+"""The document's method (ACC), a gyro of stated noise, free attitudes, interstar angles (IAC) as published, and IAC
+fully weighted."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Point:
+    """A setting that runs are made of.
+
+    Attributes
+    ----------
+    name : str
+        Name of its random streams.
+    noise_px : float
+        Noise of a star's position, per axis.
+    gyro : tuple of (float, float)
+        Gyros tried on the same stars: bias [deg/h] and angle random walk [deg/sqrt(h)].
+    methods : tuple of str
+        "acc" and "linked" run for every gyro, the others once.
+    frames : {"odd", "all"}
+        What calibrates. After "odd", noise-free even frames are reprojected.
+    stars : int or None
+        Stars in every frame; None: the density of the configuration.
+    own_sky : bool
+        Whether each run has a sky of its own; otherwise all runs see sky 0.
+    pixel_um : float or None
+        Pixel in place of the configured one.
+    keep_reprojections : bool
+        Whether each star's reprojection error is kept.
+    """
+
+    name: str
+    noise_px: float
+    gyro: tuple[tuple[float, float], ...]
+    methods: tuple[Method, ...]
+    frames: Literal["odd", "all"] = "odd"
+    stars: int | None = None
+    own_sky: bool = False
+    pixel_um: float | None = None
+    keep_reprojections: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,18 +86,9 @@ class Plan:
         """All of them."""
         return [self.table2, self.inferred, *self.counts, *self.fig3, *self.fig5, *self.sweep]
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
-    """What came out at a point: arrays with the runs along the first axis, named as `acf_tasks.work` does."""
-
-    point: Point
-    values: Mapping[str, FloatArray]
-
-    def of(self, method: str, what: str, gyro: int | None = 0) -> FloatArray:
-        """One figure of one method; ``gyro`` counts for ACC and the linked adjustment only."""
-        label = f"{method}@{gyro}" if method in ("acc", "linked") else method
-        return self.values[f"{label}.{what}"]
+    def runs(self, config: Config, point: Point) -> int:
+        """How many runs a point has."""
+        return config.sweep.skies if point in self.sweep else config.runs
 
 
 def make_plan(config: Config, *, inferred_um: float, inferred_stars: int) -> Plan:
@@ -119,45 +144,3 @@ def make_plan(config: Config, *, inferred_um: float, inferred_stars: int) -> Pla
             for n in sweep.stars
         ],
     )
-
-
-def perform(config: Config, plan: Plan, *, advance: Callable[[int], None]) -> dict[str, Outcome]:
-    """Make all runs.
-
-    Parameters
-    ----------
-    config : Config
-        Settings.
-    plan : Plan
-        What to run.
-    advance : callable
-        Called with the number of runs whenever some are done.
-
-    Returns
-    -------
-    dict of str to Outcome
-        By the name of the point.
-    """
-    tasks = [
-        Task(config=config, point=point, first=first, last=min(first + CHUNK, runs))
-        for point, runs in ((point, runs_of(config, plan, point)) for point in plan.points)
-        for first in range(0, runs, CHUNK)
-    ]
-    found = run_tasks(
-        work, tasks, workers=config.workers, done=lambda index: advance(tasks[index].last - tasks[index].first)
-    )
-    parts: dict[str, list[Mapping[str, FloatArray]]] = {point.name: [] for point in plan.points}
-    for task, values in zip(tasks, found, strict=True):
-        parts[task.point.name].append(values)
-    return {
-        point.name: Outcome(
-            point=point,
-            values={key: np.concatenate([part[key] for part in parts[point.name]]) for key in parts[point.name][0]},
-        )
-        for point in plan.points
-    }
-
-
-def runs_of(config: Config, plan: Plan, point: Point) -> int:
-    """How many runs a point has."""
-    return config.sweep.skies if point in plan.sweep else config.runs

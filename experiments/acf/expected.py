@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.attitude.link import angles_of_rotation, increment_per_angle
-from experiments.acf.plan import Plan
-from experiments.acf.predict import Design, Reprojection, correlated, free, linked, reprojection, reprojections
+from experiments.acf.linear_model import Design, Reprojection, correlated, free, linked, reprojection, reprojections
+from experiments.acf.points import Plan, Point
 from experiments.acf.published import FIG4_RMS_PX
 from experiments.acf.settings import Config
 from experiments.acf.simulate import Scene, build_scene
-from experiments.acf.tasks import Point, gyro_error, sky_of
+from experiments.acf.trials import gyro_error, sky_of
 from optics.arrays import FloatArray
 from optics.records import freeze
 
-__all__ = ["Covariances", "Forecast", "StarCount", "forecast", "stars_for_published"]
+__all__ = ["Covariances", "ExpectedResults", "StarCount", "expected_results", "stars_for_published"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,7 +79,7 @@ class StarCount:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Forecast:
+class ExpectedResults:
     """Expected results.
 
     Attributes
@@ -107,9 +107,9 @@ class Forecast:
     matching: Sequence[StarCount]
 
 
-def forecast(config: Config, plan: Plan, inferred_um: float) -> Forecast:
+def expected_results(config: Config, plan: Plan, inferred_um: float) -> ExpectedResults:
     """Expected results of a plan."""
-    return Forecast(
+    return ExpectedResults(
         fig3=_fig3(config, plan.fig3),
         table2=_covariances(config, plan.table2),
         fig4=_judged(config, plan.table2, 0),

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import link_attitudes
 from calib.cameras.line_of_sight import line_of_sight_map
-from experiments.acf.predict import (
+from experiments.acf.linear_model import (
     Design,
     GyroError,
     correlated,

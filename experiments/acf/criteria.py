@@ -1,0 +1,137 @@
+"""What has to hold for a run to count as passed."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import norm
+
+from experiments.acf import rendered
+from experiments.acf.published import RUNS
+from experiments.acf.statistics import camera_errors, pull_limit
+from experiments.harness.quantities import Outcome
+from experiments.harness.summary import Criterion
+
+__all__ = ["criteria"]
+
+CAMERA, EVERY = slice(0, 8), slice(0, 14)
+SIGHT_FREEDOM = 4.0
+"""The line-of-sight map has five or so independent shapes of unequal size; as many squares as this scatter alike."""
+
+
+def criteria(outcome: Outcome) -> list[Criterion]:
+    """Reprojection, pulls, methods and gains against what the design says; the criteria of the rendered cameras."""
+    return [
+        *_reprojection(outcome),
+        *_pulls(outcome),
+        *_methods(outcome),
+        _gain(outcome),
+        *rendered.criteria(outcome),
+        Criterion(
+            name="Fig. 3 to 5 and Table 2: calibrations that did not converge, all methods",
+            value=float(outcome.values("figures_adjustments_failed").sum()),
+            limit=0.0,
+        ),
+    ]
+
+
+def _two_sided(count: int, false_alarm: float = 0.01) -> float:
+    """Standard deviations that the largest of ``count`` normal deviates exceeds with that probability at most."""
+    return float(norm.isf(false_alarm / (2 * count)))
+
+
+def _reprojection(outcome: Outcome) -> list[Criterion]:
+    fig3 = [outcome.values(f"fig3{part}_deviation") for part in "ab"]
+    every = np.concatenate([fig3[0].ravel(), fig3[1][:, 1:].ravel(), outcome.values("counts_deviation").ravel()])
+    table2 = outcome.values("table2_deviation")
+    here, there = (abs(float(outcome.value("fig4_published_deviation", case=case))) for case in ("assumed", "inferred"))
+    return [
+        Criterion(
+            name=f"Fig. 3 and star counts: mean reprojection error against its prediction, largest of {every.size}",
+            value=float(np.abs(every).max()),
+            limit=_two_sided(every.size),
+            unit="sigma",
+        ),
+        Criterion(
+            name="Fig. 4: mean reprojection error against its prediction",
+            value=abs(float(outcome.value("fig4_deviation", case="assumed"))),
+            limit=3.0,
+            unit="sigma",
+        ),
+        Criterion(
+            name=f"Fig. 4: published RMS (called a mean of {RUNS} runs) against the expected mean here, in the scatter "
+            "of one run, not of a mean",
+            value=here,
+            limit=2.0,
+            unit="sigma",
+        ),
+        Criterion(
+            name="Fig. 4: the same, in the scatter of one run, with pixel and stars inferred from Table 2",
+            value=there,
+            limit=2.0,
+            unit="sigma",
+        ),
+        Criterion(
+            name=f"Table 2: mean of the runs against the truth, largest of {table2.size}",
+            value=float(table2.max()),
+            limit=_two_sided(table2.size),
+            unit="sigma",
+        ),
+    ]
+
+
+def _pulls(outcome: Outcome) -> list[Criterion]:
+    n = outcome.value("pull_n")
+    return [
+        Criterion(
+            name=f"{label}: RMS pull of each of the {unknowns}, farthest from 1 (N = {n})",
+            value=float(np.abs(outcome.values(f"pull_{which}")[part] - 1.0).max()),
+            limit=pull_limit(n),
+        )
+        for which, label, unknowns, part in (
+            ("own", "ACC, own covariance (gyro taken as perfect)", "camera's 8 unknowns, angles not judged", CAMERA),
+            ("carried", "ACC, not its own covariance but one with the gyro's error added", "14 unknowns", EVERY),
+            ("linked", "gyro of stated noise, own covariance", "14 unknowns", EVERY),
+        )
+    ]
+
+
+def _methods(outcome: Outcome) -> list[Criterion]:
+    def full_over_free(name: str) -> np.ndarray:
+        return np.asarray(outcome.values(name, method="iac_full") / outcome.values(name, method="free"))
+
+    camera = camera_errors(outcome.result, "iac_full") / camera_errors(outcome.result, "free")
+    ratios = [camera, full_over_free("distortion_px"), full_over_free("sight_arcsec")]
+    sight, expected = (outcome.values(name, method="acc") for name in ("sight_arcsec", "expected_sight_arcsec"))
+    n = outcome.config.runs * sight.size
+    return [
+        Criterion(
+            name="Fig. 5: unweighted IAC over ACC, least ratio of RMS errors (x0, y0, f, distortion, line of sight)",
+            value=float(outcome.values("method_ratio", ratio="iac_over_acc").min()),
+            limit=1.0,
+            relation=">",
+        ),
+        Criterion(
+            name="Fig. 5: fully weighted IAC against free attitudes, largest difference of RMS errors",
+            value=float(max(np.abs(ratio - 1.0).max() for ratio in ratios)),
+            limit=0.03,
+        ),
+        Criterion(
+            name=f"Fig. 5: line-of-sight error of ACC against its prediction, off 1 by (N = {n})",
+            value=abs(float(np.sqrt(np.mean((sight / expected) ** 2))) - 1.0),
+            limit=max(0.05, 4.0 * 0.5 * float(np.sqrt(2.0 / (SIGHT_FREEDOM * n)))),
+        ),
+    ]
+
+
+def _gain(outcome: Outcome) -> Criterion:
+    away = [
+        np.abs(outcome.values(name) - outcome.values(f"{name}_bound")) / outcome.errors(name)
+        for name in ("gain_acc", "gain_linked")
+    ]
+    count = sum(one.size for one in away)
+    return Criterion(
+        name=f"gain over free attitudes against its bound, largest of {count}",
+        value=float(max(one.max() for one in away)),
+        limit=_two_sided(count),
+        unit="sigma",
+    )
