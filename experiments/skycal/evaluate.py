@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,9 +55,9 @@ class Evaluation:
         Positions of all matched stars: `STEPS` and "corrected".
     used : (n,) bool
         Matched stars that are calibrated with.
-    floor_px, corrected_floor_px : float
-        Error per axis added to the noise of every centroid so that residuals are what was expected: for all steps, and
-        for the corrected centroids.
+    floor_px : dict of str to float
+        Error per axis added to the noise of every centroid so that residuals are what was expected: "measured" for all
+        steps, and "corrected".
     maps : dict
         Calibrations with their map errors, by (method, model, data); all `STEPS` for the model that counts. All have
         the same weights but those of ``corrected``.
@@ -75,8 +76,7 @@ class Evaluation:
     chart: Chart
     position_px: dict[str, FloatArray]
     used: NDArray[np.bool_]
-    floor_px: float
-    corrected_floor_px: float
+    floor_px: dict[str, float]
     maps: dict[tuple[str, str, str], CalibratedMap]
     clean: CalibratedMap
     direct: dict[str, CalibratedMap]
@@ -94,10 +94,14 @@ class Evaluation:
         """Root of the sum of the squares of the parts."""
         return float(np.sqrt(sum(size**2 for size in self.part_rms_arcsec.values())))
 
-    def correlation(self, one: str, other: str) -> float:
-        """Correlation of two parts over the chart: their mean product over their RMS."""
-        a, b = self.part_arcsec[one], self.part_arcsec[other]
-        return float(np.nanmean((a * b).sum(axis=1)) / (rms(a) * rms(b)))
+    @property
+    def part_correlation(self) -> dict[str, float]:
+        """Correlation of every two parts over the chart: their mean product over their RMS."""
+        maps, sizes = self.part_arcsec, self.part_rms_arcsec
+        return {
+            f"{one}, {other}": float(np.nanmean((maps[one] * maps[other]).sum(axis=1)) / (sizes[one] * sizes[other]))
+            for one, other in combinations(PARTS, 2)
+        }
 
 
 def evaluate(
@@ -155,8 +159,7 @@ def evaluate(
         chart=chart,
         position_px=position,
         used=used,
-        floor_px=calibrator.floor_px,
-        corrected_floor_px=fine.floor_px,
+        floor_px={"measured": calibrator.floor_px, "corrected": fine.floor_px},
         maps=maps,
         clean=fine.calibrate("reference", model=name),
         direct=direct,

@@ -7,7 +7,7 @@ parameters, places of the map, stars) has a name that begins with the camera's.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import combinations
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -47,13 +47,13 @@ def describe(result: Result) -> Quantities:
     q.axis("method", METHODS, "Attitudes", names=METHOD_NAMES)
     q.axis("data", list(DATA), "Centroids", names=DATA)
     q.axis("part", PARTS, "Part", names=PART_NAMES)
-    _set_up(q, cameras)
-    _stars(q, cameras)
+    of_each = _OfEach(q, cameras)
+    _set_up(of_each)
+    _stars(of_each)
+    _noise_map_and_parts(of_each)
+    _wrong_matches(of_each)
     for data in DATA:
         _map_errors(q, cameras, data)
-    _noise_map(q, cameras)
-    _parts(q, cameras)
-    _wrong_matches(q, cameras)
     for camera in cameras:
         _models(q, camera)
         _parameters(q, camera)
@@ -62,42 +62,83 @@ def describe(result: Result) -> Quantities:
     return q
 
 
-def _each(cameras: Sequence[CameraResult], part: Callable[[CameraResult], Any]) -> list[Any]:
-    return [part(camera) for camera in cameras]
+@dataclass(frozen=True, slots=True)
+class _OfEach:
+    """Describes what every camera has."""
+
+    q: Quantities
+    cameras: Sequence[CameraResult]
+
+    def add(
+        self, name: str, label: str, part: Callable[[CameraResult], Any], dims: str = "camera", **described: Any
+    ) -> None:
+        """A quantity; ``json`` is its place in the record of the camera, its name if left out."""
+        json = described.pop("json", name)
+        place = json and f"rendered[camera].{json}"
+        self.q.add(name, [part(camera) for camera in self.cameras], label, dims=dims, json=place, **described)
 
 
-def _set_up(q: Quantities, cameras: Sequence[CameraResult]) -> None:
+def _set_up(of_each: _OfEach) -> None:
     """What was calibrated, under which sky."""
-    for name, label, unit, part in (
-        ("lens", "Lens", "", lambda c: c.scene.instrument.camera.lens.name),
-        ("detector", "Detector", "", lambda c: c.scene.instrument.detector.name),
-        ("pixel_arcsec", "Angle of a pixel", "arcsec", lambda c: c.scene.pixel_arcsec),
-        ("sky", "Sky", "", lambda c: c.scene.sky.name),
-        ("frames", "Frames", "", lambda c: c.scene.frames),
-        ("camera_model", "Camera model", "", lambda c: c.scene.config.model),
-    ):
-        q.add(name, _each(cameras, part), label, unit=unit, dims="camera", json=f"rendered[camera].{name}")
-    field = _each(cameras, lambda c: c.scene.instrument.field_deg)
-    q.add("field_deg", field, "Field", unit="deg", dims="camera side", format=".1f", json="rendered[camera].field_deg")
+    of_each.add("lens", "Lens", lambda c: c.scene.instrument.camera.lens.name)
+    of_each.add("detector", "Detector", lambda c: c.scene.instrument.detector.name)
+    of_each.add("field_deg", "Field", lambda c: c.scene.instrument.field_deg, "camera side", unit="deg", format=".1f")
+    of_each.add("pixel_arcsec", "Angle of a pixel", lambda c: c.scene.pixel_arcsec, unit="arcsec")
+    of_each.add("sky", "Sky", lambda c: c.scene.sky.name)
+    of_each.add("frames", "Frames", lambda c: c.scene.frames)
+    of_each.add("camera_model", "Camera model", lambda c: c.scene.config.model)
 
 
-def _stars(q: Quantities, cameras: Sequence[CameraResult]) -> None:
+def _stars(of_each: _OfEach) -> None:
     """What became of the stars and of the detections, all frames together."""
-    q.axis("outcome", list(cameras[0].matched.count), "Detections")
-    count = _each(cameras, lambda c: list(c.matched.count.values()))
-    q.add("detections", count, "Detections", dims="camera outcome", json="rendered[camera].detections[outcome]")
-    for name, label, json, part in (
-        ("rendered", "rendered", "", lambda c: sum(len(one.star) for one in c.recording.frames)),
-        ("frames_matched", "Frames matched", "frames_matched", lambda c: c.matched.first_matched),
-        ("stars", "used", "stars", lambda c: int(c.evaluation.used.sum())),
-        ("stars_per_frame", "Stars used per frame", "stars_per_frame", lambda c: c.stars_per_frame),
-        ("wrong_matches", "Wrong matches", "wrong_matches", lambda c: int((~c.matched.right).sum())),
-        ("wrong_used", "of them wrong", "", lambda c: int((~c.matched.right[c.evaluation.used]).sum())),
+    of_each.q.axis("outcome", list(of_each.cameras[0].matched.count), "Detections")
+    of_each.add("detections", "Detections", lambda c: list(c.matched.count.values()), "camera outcome")
+    of_each.add("rendered", "rendered", lambda c: sum(len(one.star) for one in c.recording.frames), json="")
+    of_each.add("frames_matched", "Frames matched", lambda c: c.matched.first_matched)
+    of_each.add("stars", "used", lambda c: int(c.evaluation.used.sum()))
+    of_each.add("stars_per_frame", "Stars used per frame", lambda c: c.stars_per_frame)
+    of_each.add("wrong_matches", "Wrong matches", lambda c: int((~c.matched.right).sum()))
+    of_each.add("wrong_used", "of them wrong", lambda c: int((~c.matched.right[c.evaluation.used]).sum()), json="")
+    floor_px = _values("floor_px")
+    of_each.add("centroid_floor_px", "Error beyond noise", floor_px, "camera data", unit="px", format=".3f")
+
+
+def _values(name: str) -> Callable[[CameraResult], list[Any]]:
+    return lambda camera: list(getattr(camera.evaluation, name).values())
+
+
+def _noise_map_and_parts(of_each: _OfEach) -> None:
+    """What noise alone does to the map, and what the map error is made of."""
+    arcsec = {"unit": "arcsec", "format": ".4f"}
+    noise = {"key": "noise_arcsec", "json": "noise_map_arcsec.rms"} | arcsec
+    of_each.add("noise_map_rms_arcsec", "noise only", lambda c: c.noise_map_rms_arcsec, **noise)
+    label, json = "Probability of such a noise map", "noise_map_arcsec.probability"
+    of_each.add("noise_map_probability", label, lambda c: c.noise_map_probability, json=json)
+    of_each.add("linked_map_probability", label, lambda c: c.linked_map_probability, json="")
+    part = {"unit": "arcsec", "format": ".2g", "key": "{part}_arcsec", "json": "parts_arcsec"}
+    of_each.add("part_rms_arcsec", "RMS", _values("part_rms_arcsec"), "camera part", **part)
+    of_each.add("quadrature_arcsec", "RSS", lambda c: c.evaluation.quadrature_arcsec, **arcsec)
+    of_each.q.axis("pair", list(of_each.cameras[0].evaluation.part_correlation), "Parts")
+    pair = {"format": "+.2f", "json": "parts_correlation"}
+    of_each.add("part_correlation", "ρ", _values("part_correlation"), "camera pair", **pair)
+
+
+def _wrong_matches(of_each: _OfEach) -> None:
+    """Calibrations with wrong matches put in on purpose."""
+    for name, label, place in (
+        ("loss", "Loss", "loss"),
+        ("fraction", "Wrong matches", "fraction"),
+        ("status", "Status", "status"),
+        ("rms_arcsec", "Map error, RMS", "map_error_arcsec"),
+        ("apart_arcsec", "From the clean map", "apart_arcsec"),
+        ("caught_fraction", "Caught", "caught_fraction"),
     ):
-        q.add(name, _each(cameras, part), label, dims="camera", json=json and f"rendered[camera].{json}")
-    floor = _each(cameras, lambda c: (c.evaluation.floor_px, c.evaluation.corrected_floor_px))
-    place = "rendered[camera].centroid_floor_px[data]"
-    q.add("centroid_floor_px", floor, "Error beyond noise", unit="px", dims="camera data", format=".3f", json=place)
+        unit, json = "arcsec" if name.endswith("_arcsec") else "", f"wrong_matches_put_in[trial].{place}"
+        of_each.add(f"wrong_{name}", label, _of_trials(name), "camera trial", unit=unit, json=json)
+
+
+def _of_trials(name: str) -> Callable[[CameraResult], list[Any]]:
+    return lambda camera: [getattr(one, name) for one in camera.evaluation.wrong_matches]
 
 
 def _map_errors(q: Quantities, cameras: Sequence[CameraResult], data: str) -> None:
@@ -147,92 +188,24 @@ def _sigma(fitted: CalibratedMap, parameter: str) -> float:
     return float(dict(zip(solution.names, solution.sigma, strict=True)).get(parameter, np.nan))
 
 
-def _noise_map(q: Quantities, cameras: Sequence[CameraResult]) -> None:
-    """What noise alone does to the map, beside what the covariance predicts."""
-    q.add(
-        "noise_map_rms_arcsec",
-        _each(cameras, lambda c: c.noise_map_rms_arcsec),
-        "noise only",
-        unit="arcsec",
-        dims="camera",
-        format=".4f",
-        key="noise_arcsec",
-        json="rendered[camera].noise_map_arcsec.rms",
-    )
-    for name, json, part in (
-        ("noise_map_probability", "rendered[camera].noise_map_arcsec.probability", lambda c: c.noise_map_probability),
-        ("linked_map_probability", "", lambda c: c.linked_map_probability),
-    ):
-        q.add(name, _each(cameras, part), "Probability of such a noise map", dims="camera", json=json)
-
-
-def _parts(q: Quantities, cameras: Sequence[CameraResult]) -> None:
-    """What the map error is made of."""
-    q.add(
-        "part_rms_arcsec",
-        _each(cameras, lambda c: [c.evaluation.part_rms_arcsec[part] for part in PARTS]),
-        "RMS",
-        unit="arcsec",
-        dims="camera part",
-        format=".2g",
-        key="{part}_arcsec",
-        json="rendered[camera].parts_arcsec[part]",
-    )
-    q.add(
-        "quadrature_arcsec",
-        _each(cameras, lambda c: c.evaluation.quadrature_arcsec),
-        "RSS",
-        unit="arcsec",
-        dims="camera",
-        format=".4f",
-        json="rendered[camera].quadrature_arcsec",
-    )
-    pairs = list(combinations(PARTS, 2))
-    q.axis("pair", [", ".join(pair) for pair in pairs], "Parts")
-    q.add(
-        "part_correlation",
-        _each(cameras, lambda c: [c.evaluation.correlation(*pair) for pair in pairs]),
-        "ρ",
-        dims="camera pair",
-        format="+.2f",
-        json="rendered[camera].parts_correlation[pair]",
-    )
-
-
-def _wrong_matches(q: Quantities, cameras: Sequence[CameraResult]) -> None:
-    """Calibrations with wrong matches put in on purpose."""
-    for name, label, unit, place, of in (
-        ("loss", "Loss", "", "loss", "loss"),
-        ("fraction", "Wrong matches", "", "fraction", "fraction"),
-        ("status", "Status", "", "status", "status"),
-        ("rms_arcsec", "Map error, RMS", "arcsec", "map_error_arcsec", "rms_arcsec"),
-        ("apart_arcsec", "From the clean map", "arcsec", "apart_arcsec", "apart_arcsec"),
-        ("caught", "Caught", "", "caught_fraction", "caught_fraction"),
-    ):
-        values = [[getattr(one, of) for one in camera.evaluation.wrong_matches] for camera in cameras]
-        json = f"rendered[camera].wrong_matches_put_in[trial].{place}"
-        q.add(f"wrong_{name}", values, label, unit=unit, dims="camera trial", json=json)
-
-
 def _models(q: Quantities, camera: CameraResult) -> None:
     """Camera models fitted to the same stars: what they cannot describe, what noise does to them, what comes out."""
     models, dim = camera.scene.config.models, f"{camera.name}_model"
     q.axis(dim, models, "Model", key="model", names=[model_label(model) for model in models])
     free = [len(camera.of("measured", model=model).calibration.solution.names) for model in models]
     q.add(f"{dim}_parameters", free, "Free", dims=dim, key="parameters", json="")
+    direct = camera.evaluation.direct
+
+    def of(data: str, model: str) -> CalibratedMap:
+        return camera.of(data, model=model)
+
     for name, label, json, format, part in (
-        ("direct_arcsec", "Own limit", "direct", ".2g", lambda m: camera.evaluation.direct[m].rms_arcsec),
-        ("mismatch_arcsec", "Noiseless", "reference", ".2g", lambda m: camera.of("reference", model=m).rms_arcsec),
-        ("predicted_arcsec", "Noise", "", ".4f", lambda m: camera.of("corrected", model=m).predicted_arcsec),
-        ("measured_arcsec", "Measured", "measured", ".4f", lambda m: camera.of("measured", model=m).rms_arcsec),
-        ("corrected_arcsec", "Colours known", "corrected", ".4f", lambda m: camera.of("corrected", model=m).rms_arcsec),
-        (
-            "measured_predicted_arcsec",
-            "Predicted as measured",
-            "predicted",
-            ".4f",
-            lambda m: camera.of("measured", model=m).predicted_arcsec,
-        ),
+        ("direct_arcsec", "Own limit", "direct", ".2g", lambda m: direct[m].rms_arcsec),
+        ("mismatch_arcsec", "Noiseless", "reference", ".2g", lambda m: of("reference", m).rms_arcsec),
+        ("predicted_arcsec", "Noise", "", ".4f", lambda m: of("corrected", m).predicted_arcsec),
+        ("measured_arcsec", "Measured", "measured", ".4f", lambda m: of("measured", m).rms_arcsec),
+        ("corrected_arcsec", "Colours known", "corrected", ".4f", lambda m: of("corrected", m).rms_arcsec),
+        ("measured_predicted_arcsec", "Predicted", "predicted", ".4f", lambda m: of("measured", m).predicted_arcsec),
     ):
         place = json and f"rendered.{camera.name}.models_arcsec[{dim}].{json}"
         values = [part(model) for model in models]

@@ -98,7 +98,7 @@ def _wrong_matches(outcome: Outcome) -> Table:
         for trial in range(outcome.data.sizes["trial"]):
             loss, fraction, status, size, apart, caught = (
                 outcome.value(f"wrong_{one}", camera=name, trial=trial)
-                for one in ("loss", "fraction", "status", "rms_arcsec", "apart_arcsec", "caught")
+                for one in ("loss", "fraction", "status", "rms_arcsec", "apart_arcsec", "caught_fraction")
             )
             plain = loss == "linear"
             label = "least squares" if plain else f"robust ({loss})"
