@@ -34,9 +34,8 @@ LEAST_RADIUS_SIGMA = 4.5
 """Search radius of the first matching over the standard deviation of the attitude."""
 FEWEST_MATCHED = 4
 """Stars in a frame, below which it does not count as matched."""
-TRUE_PX = 1.0
-"""A match counts as right if the light of that star really fell this close."""
-REFUSED = StarFlag.SATURATED | StarFlag.EDGE | StarFlag.BLEND | StarFlag.DEFECT | StarFlag.SPIKE
+CORRECT_PX = 1.0
+"""A match counts as correct if the light of that star really fell this close."""
 FAILED = StarFlag.NOT_CONVERGED | StarFlag.NO_DATA
 
 
@@ -62,8 +61,8 @@ class Matched:
         Truth: centroid of the star's noiseless light.
     in_cam : (n, 3)
         Truth: direction in cam.
-    right : (n,) bool
-        Truth: whether the match is right.
+    correct : (n,) bool
+        Truth: whether the match is.
     count : dict of str to int
         What became of the detections of all frames.
     first_matched : int
@@ -79,7 +78,7 @@ class Matched:
     snr: FloatArray
     photon_px: FloatArray
     in_cam: FloatArray
-    right: NDArray[np.bool_]
+    correct: NDArray[np.bool_]
     count: dict[str, int]
     first_matched: int
 
@@ -93,7 +92,7 @@ class Matched:
         freeze(self, "covariance_px2", shape=("n", 2, 2), sizes=sizes)
         freeze(self, "snr", shape=("n",), sizes=sizes)
         freeze(self, "in_cam", shape=("n", 3), finite=False, sizes=sizes)
-        freeze(self, "right", shape=("n",), dtype=np.bool_, sizes=sizes)
+        freeze(self, "correct", shape=("n",), dtype=np.bool_, sizes=sizes)
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -137,7 +136,7 @@ def match_frames(scene: Scene, recording: Recording, config: Config) -> Matched:
         raise DomainError(f"{scene.name}: no camera fits the first matches ({rough.solution.message})")
     assert rough.attitude is not None
     parts = [
-        _Close(scene, stars, config, number).match(rough.model, rough.attitude[number])
+        _FinalMatch(scene, stars, config, number).match(rough.model, rough.attitude[number])
         for number, stars in enumerate(recording.frames)
         if first[number] is not None
     ]
@@ -199,7 +198,7 @@ def _brightest_near(scene: Scene, attitude: Rotation) -> IntArray:
 
 
 @dataclass(frozen=True, slots=True)
-class _Close:
+class _FinalMatch:
     """Second matching of one frame, and what becomes of its detections."""
 
     scene: Scene
@@ -229,7 +228,7 @@ class _Close:
             snr=snr[rows],
             photon_px=photon,
             in_cam=in_cam,
-            right=np.linalg.norm(pixel[rows] - photon, axis=1) < TRUE_PX,
+            correct=np.linalg.norm(pixel[rows] - photon, axis=1) < CORRECT_PX,
             count={name: int((fault == code).sum()) for code, name in enumerate(_OUTCOMES)},
             first_matched=0,
         )

@@ -97,8 +97,8 @@ def _stars(of_each: _OfEach) -> None:
     of_each.add("frames_matched", "Frames matched", lambda c: c.matched.first_matched)
     of_each.add("stars", "used", lambda c: int(c.evaluation.used.sum()))
     of_each.add("stars_per_frame", "Stars used per frame", lambda c: c.stars_per_frame)
-    of_each.add("wrong_matches", "Wrong matches", lambda c: int((~c.matched.right).sum()))
-    of_each.add("wrong_used", "of them wrong", lambda c: int((~c.matched.right[c.evaluation.used]).sum()), json="")
+    of_each.add("wrong_matches", "Wrong matches", lambda c: int((~c.matched.correct).sum()))
+    of_each.add("wrong_used", "of them wrong", lambda c: int((~c.matched.correct[c.evaluation.used]).sum()), json="")
     floor_px = _values("floor_px")
     of_each.add("centroid_floor_px", "Error beyond noise", floor_px, "camera data", unit="px", format=".3f")
 

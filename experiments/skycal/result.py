@@ -44,11 +44,6 @@ class CameraResult:
         return f"{focal:.0f} mm" if focal >= 100 else f"{focal:.1f} mm"
 
     @property
-    def title(self) -> str:
-        """Name for readers."""
-        return f"{self.short} lens"
-
-    @property
     def total(self) -> CalibratedMap:
         """The calibration that counts: measured centroids, free attitudes, the configured model."""
         return self.evaluation.maps["free", self.scene.config.model, "measured"]

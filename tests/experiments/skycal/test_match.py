@@ -88,7 +88,7 @@ def recording_of(scene, **options):
 def test_all_stars_get_their_names_and_false_ones_none(scene, config):
     matched = match_frames(scene, recording_of(scene), config)
     assert matched.first_matched == scene.frames
-    assert matched.right.all()
+    assert matched.correct.all()
     rendered = sum(len(scene.in_cam(k)[0]) for k in range(scene.frames))
     assert len(matched) > 0.8 * rendered
     # 20 false detections per frame among 70 stars on 1862 px: chance within 2 px of a star is 70 pi 4 / 1862^2
