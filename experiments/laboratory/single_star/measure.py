@@ -11,7 +11,7 @@ from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.single_star.bench import Bench, Visits, visit
 from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
 from experiments.laboratory.single_star.setup import build_bench, build_star, grid_px
-from experiments.laboratory.windows import StarReadings, WindowPlan, read_windows
+from experiments.laboratory.single_star.star_readings import StarReadings, WindowPlan, read_windows
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze

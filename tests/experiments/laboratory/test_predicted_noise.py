@@ -19,8 +19,8 @@ from experiments.laboratory.points import PointReadout
 from experiments.laboratory.readout.frames import empty_frame
 from experiments.laboratory.readout.noise_model import true_noise
 from experiments.laboratory.settings import InstrumentConfig
+from experiments.laboratory.single_star.star_readings import WindowPlan, read_windows
 from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
-from experiments.laboratory.windows import WindowPlan, read_windows
 from render.detector.readout import expose
 from render.engine.random import Streams
 from render.forward import StarRenderer

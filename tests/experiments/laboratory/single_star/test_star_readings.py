@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.laboratory.windows import WindowPlan, read_windows
+from experiments.laboratory.single_star.star_readings import WindowPlan, read_windows
 from optics.errors import DomainError
 from render.engine.random import Streams
 from render.records import ExpectedImage
