@@ -1,4 +1,4 @@
-"""Whether a gyro helps to calibrate a star sensor in orbit (ACF17): attitude-correlated frames against other methods.
+"""Does a gyro help to calibrate a star sensor in orbit: frames linked by attitude against other methods (ACF17)?
 
 Star positions with noise and gyro rates are simulated as in Table 1 of ACF17 and calibrated by the document's method
 (ACC), with a gyro of stated noise, by interstar angles (IAC, as published and fully weighted) and with free attitudes,

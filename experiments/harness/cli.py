@@ -233,7 +233,7 @@ def _write(run: _Run, folder: Path) -> None:
 def _show(run: _Run, shown: str) -> None:
     from rich.console import Console
 
-    from experiments.harness.report import verdict_line
+    from experiments.harness.summary import verdict_line
     from experiments.harness.tables import Table, to_rich
 
     console = Console()

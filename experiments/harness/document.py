@@ -32,9 +32,9 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from experiments.harness.blocks import Artist, Equation, Figure, KeyNumber, Row
 from experiments.harness.quantities import Outcome, Quantity, shown_unit
-from experiments.harness.report import Artist, Equation, Figure, KeyNumber, Row, verdict_line
-from experiments.harness.summary import Criterion, Measured, dumps
+from experiments.harness.summary import Criterion, Measured, dumps, verdict_line
 from experiments.harness.tables import Table, cell_text, significant
 from optics.errors import ConfigError, DomainError, unknown_name
 
@@ -231,7 +231,7 @@ def render_document(
         for name, html in page.items()
     }
     placed = any(isinstance(block, _Criteria) for block in context.blocks)
-    return environment.get_template("page.html").render(
+    return environment.get_template("report.html").render(
         **filled,
         passed=all(criterion.passed for criterion in criteria),
         verdict_line=verdict_line(criteria),

@@ -16,7 +16,7 @@ from pydantic import BaseModel
 
 from optics.errors import DomainError
 
-__all__ = ["Criterion", "Measured", "dumps", "summary", "to_json"]
+__all__ = ["Criterion", "Measured", "dumps", "summary", "to_json", "verdict_line"]
 
 Relation = Literal["<=", "<", ">=", ">"]
 _RELATIONS = {"<=": operator.le, "<": operator.lt, ">=": operator.ge, ">": operator.gt}
@@ -76,6 +76,18 @@ class Measured:
     unit: str = ""
     uncertainty: float | None = None
     n: int | None = None
+
+
+def verdict_line(criteria: Sequence[Criterion]) -> str:
+    """How many criteria hold, as a sentence."""
+    failed = sum(not criterion.passed for criterion in criteria)
+    if not criteria:
+        return "No criteria were set."
+    if len(criteria) == 1:
+        return "The criterion does not hold." if failed else "The criterion holds."
+    if failed == 0:
+        return f"All {len(criteria)} criteria hold."
+    return f"{failed} of {len(criteria)} criteria {'does' if failed == 1 else 'do'} not hold."
 
 
 def summary(

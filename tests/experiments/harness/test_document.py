@@ -10,8 +10,7 @@ import pytest
 from experiments.harness.document import render_document
 from experiments.harness.plotting import figure_png, figure_svg, house_style, new_figure
 from experiments.harness.quantities import Outcome, Quantities
-from experiments.harness.report import verdict_line
-from experiments.harness.summary import Criterion
+from experiments.harness.summary import Criterion, verdict_line
 from experiments.harness.tables import Table
 from optics.errors import ConfigError, DomainError
 

@@ -1,0 +1,142 @@
+"""Blocks of a report beside its prose and tables: figures, equations, rows of them, numbers shown large."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from matplotlib.figure import Figure as Drawing
+
+from experiments.harness.plotting import WIDTH_IN, equation_svg, figure_png, figure_svg, house_style
+from experiments.harness.summary import Measured
+from experiments.harness.tables import Table
+from optics.errors import DomainError
+
+__all__ = ["Artist", "Equation", "Figure", "KeyNumber", "Row"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figure:
+    """A drawing with its caption; figures are numbered in the order of the report.
+
+    Attributes
+    ----------
+    drawing : matplotlib Figure, str or bytes
+        A figure (`plotting.new_figure`), an ``<svg>`` element, or the bytes of a PNG file.
+    caption : str
+        What is shown and what to see in it; ``*`` as in `Text`.
+    alt : str
+        For those who cannot see it; the caption if left empty.
+    raster : bool
+        Store a matplotlib figure as PNG: for tens of thousands of marks.
+    """
+
+    drawing: Drawing | str | bytes
+    caption: str
+    alt: str = ""
+    raster: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Equation:
+    """A displayed equation.
+
+    Attributes
+    ----------
+    latex : str
+        In matplotlib's subset of LaTeX, without dollar signs.
+    note : str
+        Its number in the source, e.g. "ACC18 eq. 16".
+    """
+
+    latex: str
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Two (or three) blocks side by side: figures of width "half", small tables."""
+
+    blocks: Sequence[Figure | Table]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeyNumber:
+    """A number shown large at the top.
+
+    Attributes
+    ----------
+    label : str
+        What it is, in a few words.
+    value : float, int, str or Measured
+        The number.
+    unit : str
+        Its unit; taken from a `Measured` if left empty.
+    format : str
+        Format of a plain float.
+    note : str
+        A few small words beneath, e.g. "published 0.12 px".
+    """
+
+    label: str
+    value: float | int | str | Measured
+    unit: str = ""
+    format: str = ""
+    note: str = ""
+
+    @property
+    def shown_unit(self) -> str:
+        """The unit to print."""
+        return self.unit or (self.value.unit if isinstance(self.value, Measured) else "")
+
+
+class Artist:
+    """Turns figures and equations into markup and counts them, so that ids stay apart."""
+
+    def __init__(self) -> None:
+        self._figures = 0
+        self._tables = 0
+        self._equations = 0
+
+    def figure_number(self) -> int:
+        self._figures += 1
+        return self._figures
+
+    def table_number(self) -> int:
+        self._tables += 1
+        return self._tables
+
+    def figure(self, figure: Figure, number: int) -> Any:
+        from markupsafe import Markup
+
+        drawing = figure.drawing
+        if isinstance(drawing, Drawing) and not figure.raster:
+            with house_style():
+                drawing = figure_svg(drawing, prefix=f"fig{number}")
+        if isinstance(drawing, str):
+            if not drawing.lstrip().startswith("<svg"):
+                raise DomainError(f"figure {number}: text that is not an <svg> element")
+            return Markup(drawing)
+        width = ""
+        if isinstance(drawing, Drawing):
+            width = f' width="{round(96 * drawing.get_figwidth())}"'
+            with house_style():
+                drawing = figure_png(drawing)
+        if not drawing.startswith(b"\x89PNG"):
+            raise DomainError(f"figure {number}: bytes that are not a PNG file")
+        data = base64.b64encode(drawing).decode("ascii")
+        return Markup('<img alt=""{} src="data:image/png;base64,{}">').format(Markup(width), data)
+
+    def equation(self, equation: Equation) -> Any:
+        from markupsafe import Markup
+
+        self._equations += 1
+        return Markup(equation_svg(equation.latex, prefix=f"eq{self._equations}"))
+
+    @staticmethod
+    def half(figure: Figure) -> bool:
+        """Whether a figure was made for half the width of the text."""
+        drawing = figure.drawing
+        return isinstance(drawing, Drawing) and drawing.get_figwidth() <= 1.1 * WIDTH_IN["half"]
