@@ -157,7 +157,7 @@ class BenchRun:
     same_data : SameData
         At rest, calibrated with the data themselves.
     resolutions_arcsec : mapping of str to float
-        Angles per pixel that somebody may assume.
+        Angles per pixel that may be assumed.
     """
 
     measurement: Measurement
@@ -274,7 +274,7 @@ def _same_data(acquisition: Acquisition, believed: Turntable, instrument: Instru
     noise = np.array(acquisition.covariance_px2) + reading_covariance_px2(model, bench, angle)
     unknowns = len(calibration.solution.names)
 
-    def judged(freedom: float) -> Evaluation:
+    def evaluated(freedom: float) -> Evaluation:
         return evaluate(
             model,
             bench,
@@ -286,8 +286,8 @@ def _same_data(acquisition: Acquisition, believed: Turntable, instrument: Instru
 
     return SameData(
         unknowns=unknowns,
-        naive=judged(2.0 * (count - 1)),
-        corrected=judged(2.0 * count - unknowns),
+        naive=evaluated(2.0 * (count - 1)),
+        corrected=evaluated(2.0 * count - unknowns),
         predicted=predict_same_data(maps, noise, calibration_of_rows(model, bench, angle)),
     )
 
@@ -348,7 +348,7 @@ class _Work:
             dark_frames=self.config.dark_frames,
             streams=self.streams.child(name),
         )
-        judged = evaluate(
+        evaluation = evaluate(
             self.model,
             self.bench,
             taken.position_px,
@@ -358,7 +358,7 @@ class _Work:
         predicted, expected, ratio = self._predict(taken, motion)
         return Case(
             acquisition=taken,
-            evaluation=judged,
+            evaluation=evaluation,
             predicted=predicted,
             expected_arcsec=expected,
             realised_arcsec=self._realised(taken),

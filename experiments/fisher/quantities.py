@@ -156,7 +156,7 @@ def _causes(q: Quantities, cases: Sequence[Case]) -> None:
 
 
 def _pixel_method(q: Quantities, result: Result) -> None:
-    """The pixel-residual method on the same frames, with every angle per pixel that somebody may assume."""
+    """The pixel-residual method on the same frames, with every angle per pixel that may be assumed."""
     angles, cases = result.bench.resolutions_arcsec, result.bench.cases
     calibrated = angles["calibrated"]
     q.axis("source", list(angles), "Angle per pixel from", key="source")

@@ -221,7 +221,7 @@ def drawn_positions(
     centroider : Centroider
         The estimator.
     instrument : Instrument
-        Gain, and the noise model that the estimator is told.
+        Gain, and the noise model of the estimator.
     windows : ExpectedWindows
         Noiseless windows.
     noise : PixelNoise

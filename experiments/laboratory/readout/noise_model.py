@@ -1,4 +1,4 @@
-"""What a reduction is told about the noise of a pixel."""
+"""Noise of a pixel as a reduction knows it: from the data sheet, or from dark frames."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def nominal_noise(instrument: Instrument) -> NoiseModel:
 
 
 def true_noise(instrument: Instrument, *, dark_frames: int | None = None) -> NoiseModel:
-    """What somebody who has measured the noise of dark frames knows: everything but light is in the read noise.
+    """Noise as measured on dark frames: the read noise holds everything but the light.
 
     Read noise with its spread over the pixels, dark charge, and the noise of the mean dark frame that was subtracted.
 

@@ -48,7 +48,7 @@ def build_star(config: SingleStarConfig) -> SingleStar:
 
 
 def build_table(config: TableConfig, axes: str | None = None) -> Turntable:
-    """The table of a configuration; other ``axes`` are what somebody believes of it."""
+    """The table of a configuration; ``axes``, if given, are those that the reduction believes it to have."""
     return build_turntable(
         axes or config.axes,
         non_orthogonality_arcsec=_spread(config.non_orthogonality_arcsec),
