@@ -276,7 +276,7 @@ def _coverage(q: Quantities, result: Result) -> None:
         json_error=place_error,
     )
     for name, label, style, key, values, spread in (
-        ("covered_percent", "holds the truth,", ".1f", "covered", covered, error),
+        ("covered_percent", "held,", ".1f", "covered", covered, error),
         ("effective_percent", "own ν,", ".1f", "effective", own, None),
         ("variance_bias_percent", "bias of σ²", "", "bias", bias, bias_error),
     ):
