@@ -84,7 +84,7 @@ experiment = Experiment(
     name="fisher",
     config=Config,
     run=run,
-    takes="2 min (--quick: 25 s)",
+    takes="1 min (--quick: 15 s)",
     examples={
         "--quick": "a small run",
         "--set table.reading_noise_arcsec=[0.3,0.4]": "on the table of CUBE09",
