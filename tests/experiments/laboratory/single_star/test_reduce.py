@@ -1,0 +1,81 @@
+"""The joint calibration: exact data give the bench back; what does not fit is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.cameras import BrownConrady, SensorGeometry
+from experiments.laboratory.collimator import star_direction
+from experiments.laboratory.single_star.bench import Bench, aim
+from experiments.laboratory.single_star.reduce import (
+    Data,
+    calibrated_bench,
+    check_count,
+    check_fit,
+    check_parity,
+    reduce_data,
+)
+from experiments.laboratory.turntable import build_turntable
+from optics.errors import DomainError
+from optics.units import ARCSEC_RAD
+
+SENSOR = SensorGeometry(width_px=2048, height_px=2048, pixel_pitch_mm=0.0055)
+MODEL = BrownConrady.create(SENSOR, focal_length_mm=40.0, x0_px=5.0, y0_px=-3.0, q1_per_mm2=1e-5, p2_per_mm=1e-6)
+START = BrownConrady.create(SENSOR, focal_length_mm=38.0)
+AHEAD = np.array([0.0, 0.0, 1.0])
+LEAN_ARCSEC = 8.0
+BELIEVED = build_turntable("xy", reading_noise_arcsec=0.3)
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return Bench(
+        table=build_turntable("xy", non_orthogonality_arcsec=LEAN_ARCSEC, reading_noise_arcsec=0.3),
+        star=star_direction(0.5, -0.4),
+        installation=Rotation.from_rotvec([0.01, 0.02, -0.05]),
+    )
+
+
+@pytest.fixture(scope="module")
+def exact(bench: Bench) -> Data:
+    """81 places over the detector, without noise."""
+    angle = aim(bench, MODEL.unproject(SENSOR.grid_px(9)), np.zeros(81))
+    covariance = np.tile(np.array([[4e-4, 1e-4], [1e-4, 2e-4]]), (81, 1, 1))
+    return Data(pixel_px=MODEL.project(bench.seen(angle)), covariance_px2=covariance, reading_rad=angle)
+
+
+def test_exact_data_give_the_bench_back(bench: Bench, exact: Data) -> None:
+    """The estimator is linear in the lean: (8 arcsec)^2 is 1.5e-9 rad."""
+    check_parity(exact, BELIEVED, START, AHEAD)
+    calibration = reduce_data(exact, BELIEVED, START, leans=True)
+    check_fit(calibration, "exact", "")
+    found = calibrated_bench(calibration, BELIEVED)
+    assert found.table.non_orthogonality_arcsec[0] * ARCSEC_RAD == pytest.approx(LEAN_ARCSEC * ARCSEC_RAD, abs=2e-7)
+    np.testing.assert_allclose(found.star, bench.star, atol=1e-7)
+    np.testing.assert_allclose(calibration.model.project(found.seen(exact.reading_rad)), exact.pixel_px, atol=1e-3)
+
+
+@pytest.mark.parametrize("believed", ["x-y", "-xy", "yx"])
+def test_mirrored_axes_are_refused(believed: str, exact: Data) -> None:
+    with pytest.raises(DomainError, match="mirrored"):
+        check_parity(exact, build_turntable(believed), START, AHEAD)
+
+
+def test_a_believed_table_that_points_away(exact: Data) -> None:
+    data = replace(exact, reading_rad=np.linspace([-2.5, 0.0], [2.5, 0.0], 81))
+    with pytest.raises(DomainError, match="behind the camera"):
+        check_parity(data, BELIEVED, START, AHEAD)
+
+
+def test_too_few_places() -> None:
+    with pytest.raises(DomainError, match="7 places give 14 measurements for 14 unknowns"):
+        check_count(7, BELIEVED)
+    check_count(8, BELIEVED)
+
+
+def test_a_fit_that_does_not_fit_is_no_result(exact: Data) -> None:
+    wrong = replace(exact, pixel_px=np.roll(exact.pixel_px, 1, axis=0))
+    with pytest.raises(DomainError, match=r"times their noise; look at the axes"):
+        check_fit(reduce_data(wrong, BELIEVED, START, leans=True), "wrong", "look at the axes")
