@@ -125,6 +125,9 @@ def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
     if kind == "missing":
         return f"key {key!r} is missing{_allowed(model_class, location)}"
     reason = str(fault["msg"]).removeprefix("Value error, ").replace("\n", " ")
+    if kind in ("model_type", "model_attributes_type", "dict_type"):
+        keys = sorted({name for owner in _owners(model_class, location) for name in owner.model_fields})
+        reason = "a table is needed" + (f" with the keys {', '.join(keys)}" if keys else "")
     if not location:  # a check of the whole model: its sentence says it all
         return reason
     return f"{key} = {_shown(fault.get('input'))}: {reason}{_allowed(model_class, location)}"

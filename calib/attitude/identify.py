@@ -11,7 +11,7 @@ attitude is then computed here, from the directions of the matched stars (`calib
   the epoch of the catalogue. For the last tenth of an arcsecond hand in the directions of your own catalogue, or match
   again with it (`calib.attitude.association.match_stars`).
 
-tetra3rs is an optional dependency: ``pip install 'starbench[reference]'``.
+tetra3rs is an optional dependency: ``pip install 'starbench[solve]'``.
 """
 
 from __future__ import annotations
@@ -90,8 +90,8 @@ def _tetra3rs() -> ModuleType:
         import tetra3rs
     except ImportError:
         raise ConfigError(
-            "blind identification needs tetra3rs, which is not installed; pip install 'starbench[reference]', "
-            "or give an approximate attitude to calib.attitude.association.match_stars"
+            "identifying stars blindly needs tetra3rs, which is not installed; pip install 'starbench[solve]', "
+            "or give a rough attitude: identify_stars(..., near=attitude)"
         ) from None
     return tetra3rs
 

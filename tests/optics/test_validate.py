@@ -57,6 +57,7 @@ def test_valid_mapping_becomes_model() -> None:
         ({"filters": [{"centre_nm": 1, "kind": "tophat"}]}, ["'tophat'", "'top_hat'"]),
         ({"low": 2.0}, ["low = 2.0 must be below high = 1.0"]),
         (3, ["a table of keys is needed"]),
+        ({"filters": [3]}, ["filters.0 = 3", "a table is needed with the keys", "centre_nm"]),
     ],
 )
 def test_fault_is_one_line_with_place_value_and_range(mapping: object, words: list[str]) -> None:
