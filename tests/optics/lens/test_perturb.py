@@ -1,6 +1,7 @@
 """Perturbations: opposite ones cancel, rigid motions are motions of the field, heat does what physics says."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -34,6 +35,7 @@ from optics.rays.trace import Rays, trace
 LENS = load_lens("star_tracker_26mm")
 
 
+@cache
 def rays(field=(6.0, 4.0), wavelength=600.0) -> Rays:
     return star_rays(entrance_pupil(LENS), sobol_disk(256, seed=1), field_direction(*field), wavelength)
 
