@@ -264,10 +264,10 @@ def wavelength_colour(wavelength_nm: float, *, width_nm: float = 20.0, lightness
     tristimulus = xyz[band].mean(axis=0)
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
     _, a, b = colour.XYZ_to_Lab(tristimulus / tristimulus[1] * 0.3, white)
-    for saturation in np.linspace(1.0, 0.0, 201):
-        shown = colour.XYZ_to_sRGB(colour.Lab_to_XYZ([lightness, a * saturation, b * saturation], white), white)
-        if np.all((shown >= -1e-6) & (shown <= 1.0 + 1e-6)):
-            break
+    lab = np.array([lightness, a, b]) * np.linspace([1.0, 1.0, 1.0], [1.0, 0.0, 0.0], 201)
+    shown = colour.XYZ_to_sRGB(colour.Lab_to_XYZ(lab, white), white)
+    inside = ((shown >= -1e-6) & (shown <= 1.0 + 1e-6)).all(axis=1)
+    shown = shown[inside.argmax() if inside.any() else -1]  # the least that is taken away
     return "#" + "".join(f"{round(255 * float(channel)):02x}" for channel in np.clip(shown, 0.0, 1.0))
 
 
