@@ -164,6 +164,7 @@ def test_every_configuration_takes_the_name(followed):
     assert MethodLabels()[followed] == "Fourier phase"
 
 
+@pytest.mark.slow
 def test_it_keeps_the_promises_of_every_centroider(tmp_path):
     """In a copy of the program, changed as the page says, the tests that all centroiders share run on the new one."""
     shutil.copytree(ROOT / "calib", tmp_path / "calib", ignore=shutil.ignore_patterns("__pycache__"))

@@ -245,6 +245,7 @@ def test_help_shows_what_the_experiment_is(shot_noise, capsys):
     assert "is the variance of a Poisson signal its mean?" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_missing_llvm_is_exit_2(tmp_path):
     program = (
         "import importlib.util, sys; from dataclasses import replace\n"
@@ -269,7 +270,7 @@ def test_missing_llvm_is_exit_2(tmp_path):
     assert names(tmp_path) == []
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_interruption_leaves_nothing_behind(tmp_path, number):
     process = subprocess.Popen(
         [sys.executable, str(SCRIPT), "--out", str(tmp_path / "deep" / "out"), "--set", "pause_s=30"],

@@ -157,6 +157,7 @@ def test_focal_lengths_agree_with_optiland(name, wavelength):
 
 
 @pytest.mark.filterwarnings("ignore::Warning")  # numba's own, from inside optiland's ray trace
+@pytest.mark.slow
 def test_distortion_of_the_star_camera_agrees_with_optiland():
     """The half of the figure printed with the design (test_lens_data) is what an independent real chief ray gives."""
     pytest.importorskip("optiland")

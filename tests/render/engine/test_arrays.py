@@ -13,6 +13,7 @@ from optics.rays.program import compile_lens
 from optics.rays.trace import Rays, trace, trace_program
 
 LENSES = ("star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm")
+OTHERS = [(LENSES[0], True), (LENSES[1], False), (LENSES[2], False), (LENSES[2], True)]
 
 
 def test_elementary_functions_agree_with_numpy(engine):
@@ -32,8 +33,10 @@ def test_parameters_keep_double_precision_and_stay_out_of_the_kernel(engine):
     assert value.state == dr.VarState.Evaluated  # a literal would be compiled in
 
 
-@pytest.mark.parametrize("general", [False, True])
-@pytest.mark.parametrize("name", LENSES)
+@pytest.mark.parametrize(
+    ("name", "general"),
+    [(LENSES[0], False), (LENSES[1], True), *(pytest.param(*one, marks=pytest.mark.slow) for one in OTHERS)],
+)
 def test_trace_agrees_with_numpy(engine, name, general):
     lens = load_lens(name)
     if general:

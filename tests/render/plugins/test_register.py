@@ -265,6 +265,7 @@ def test_plugins_say_what_they_are(mi):
     assert any(str(e) == "StarField[stars=1, bands=green, red]" for e in scene.emitters())
 
 
+@pytest.mark.slow
 def test_registration_needs_a_vectorised_variant():
     """Scalar variants have no arrays to trace with."""
     program = (

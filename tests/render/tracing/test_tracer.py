@@ -33,8 +33,17 @@ def over_the_field(bench, name):
     return x, y
 
 
-@pytest.mark.parametrize("diffusion_px", [0.0, 0.18])
-@pytest.mark.parametrize("name", LENSES)
+@pytest.mark.parametrize(
+    ("name", "diffusion_px"),
+    [
+        *((name, 0.18) for name in LENSES[:2]),
+        (LENSES[1], 0.0),
+        *(
+            pytest.param(*one, marks=pytest.mark.slow)
+            for one in [(LENSES[0], 0.0), (LENSES[2], 0.0), (LENSES[2], 0.18)]
+        ),
+    ],
+)
 def test_photon_centroid_is_the_bundle_mean(engine, bench, name, diffusion_px):
     camera = bench.camera_of(name, film=False, charge_diffusion_px=diffusion_px)
     stars = bench.stars_at(camera, *over_the_field(bench, name), bands=BANDS)
@@ -220,7 +229,7 @@ def test_linear_in_exposure_flux_and_stars(engine, bench):
     assert np.abs(apart - one.electrons).max() < 3e-5 * one.truth.electrons_in.max()
 
 
-@pytest.mark.parametrize("name", ["star_camera_206mm", "star_tracker_26mm"])
+@pytest.mark.parametrize("name", [LENSES[0], pytest.param(LENSES[1], marks=pytest.mark.slow)])
 def test_same_seed_same_bytes_whatever_the_threads(engine, bench, name):
     import drjit as dr
 

@@ -66,6 +66,7 @@ def program(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_new_kind_keeps_what_every_kind_promises(program):
     said = run(program, "-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", str(KINDS), "-k", "odd_asphere or every")
     assert re.search(r"^1[3-9] passed", said, re.M), said
