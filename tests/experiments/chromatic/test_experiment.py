@@ -50,11 +50,13 @@ def result(outcome):
     return outcome[2]
 
 
+@pytest.mark.slow
 def test_all_criteria_hold(outcome, summary):
     assert [one["name"] for one in summary["criteria"] if not one["passed"]] == []
     assert outcome[0] == 0
 
 
+@pytest.mark.slow
 def test_summary_holds_what_was_agreed(summary):
     assert summary["experiment"] == "chromatic"
     assert summary["seed"] == summary["config"]["seed"] == 5
@@ -78,6 +80,7 @@ def test_summary_holds_what_was_agreed(summary):
     assert 100 < results["peak_memory_mb"] < 2000
 
 
+@pytest.mark.slow
 def test_eq_16_from_the_points_table(outcome, summary):
     """The table of single shifts must give Table 1 by plain arithmetic: mean of all points, halved."""
     points = Table.read(outcome[1] / "points.ecsv", format="ascii.ecsv")
@@ -90,6 +93,7 @@ def test_eq_16_from_the_points_table(outcome, summary):
             assert rms == pytest.approx(summary["results"]["rms_shift_px"][name][axis])
 
 
+@pytest.mark.slow
 def test_lsfe_is_the_largest_entry_in_arcseconds(summary):
     """ACC18: divided by 3, times 3 sigma, times 5.5 arcsec per pixel."""
     results = summary["results"]
@@ -101,6 +105,7 @@ def test_lsfe_is_the_largest_entry_in_arcseconds(summary):
     assert moved["uncertainty"] < 0.02
 
 
+@pytest.mark.slow
 def test_report_stands_alone(outcome):
     text = (outcome[1] / "report.html").read_text(encoding="utf-8")
     loads = [one for one in re.findall(r"(?:src|href)=\"([^\"]*)\"", text) if not one.startswith(("data:", "#"))]
@@ -110,6 +115,7 @@ def test_report_stands_alone(outcome):
     assert "nan" not in re.sub(r"<svg.*?</svg>|data:[^\"]*", "", text, flags=re.DOTALL).lower().split()
 
 
+@pytest.mark.slow
 def test_frame_is_a_readable_fits_image(outcome, result):
     (path,) = outcome[1].glob("*.fits")
     with fits.open(path) as file:
@@ -123,6 +129,7 @@ def test_frame_is_a_readable_fits_image(outcome, result):
         assert np.unravel_index(light.argmax(), light.shape) in [(i, j) for i in (2, 3, 4) for j in (2, 3, 4)]
 
 
+@pytest.mark.slow
 def test_prediction_agrees_with_the_rendered_light(result):
     """Two traces (NumPy, compiled), two pupils, two sets of wavelengths: 1e-5 px of shifts of 0.03 px and more."""
     for evaluation in (result.centred, result.moved):
@@ -131,12 +138,14 @@ def test_prediction_agrees_with_the_rendered_light(result):
             assert np.abs(shift - evaluation.predicted_shift_px[name]).max() < 5e-5
 
 
+@pytest.mark.slow
 def test_centred_lens_has_no_mean_shift_but_points_move(result):
     for name, shift in result.centred.photon_shift_px.items():
         assert table1(shift) == pytest.approx([0, 0], abs=1e-6)
         assert np.sqrt((shift**2).sum(-1).mean()) > 0.02, name
 
 
+@pytest.mark.slow
 def test_moved_element_gives_the_published_mean_in_the_noiseless_light(result):
     assert result.moved.photon_table1_px["800-600"] == pytest.approx([0.12, 0.0], abs=1e-5)
     assert result.chosen.kind == "decentre"
@@ -144,6 +153,7 @@ def test_moved_element_gives_the_published_mean_in_the_noiseless_light(result):
     assert abs(result.chosen.amount) == min(others)
 
 
+@pytest.mark.slow
 def test_uncertainty_covers_what_frames_and_points_allow(result):
     """Table 1 averages 16 points of 4 frames: sigma = single-frame noise sqrt(2) / 2 / sqrt(64), plus the pattern."""
     single = np.sqrt((result.centred.measurement.sigma_px["epsf"] ** 2).mean())
@@ -152,6 +162,7 @@ def test_uncertainty_covers_what_frames_and_points_allow(result):
         assert np.all(sigma < 2.0 * single / np.sqrt(2 * 64))
 
 
+@pytest.mark.slow
 def test_rendered_image_is_locked(result):
     with pytest.raises(ValueError, match="read-only"):
         result.centred.measurement.example.electrons[0, 0, 0] = 1.0

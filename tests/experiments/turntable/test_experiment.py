@@ -150,6 +150,7 @@ def tiny(tmp_path_factory):
     return out, summary["results"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("table", ["two_axis", "three_axis"])
 def test_a_rendered_run_finds_what_was_set(table: str, tiny) -> None:
     """Star, lean and principal point that were set, within five sigma of the estimator."""
@@ -169,6 +170,7 @@ def test_a_rendered_run_finds_what_was_set(table: str, tiny) -> None:
     assert ("lean2_rad" in found["unknowns"]) == (table == "three_axis")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("table", ["two_axis", "three_axis"])
 def test_a_rendered_run_is_as_good_as_predicted(table: str, tiny) -> None:
     """N = 35 places: a standard deviation is known to 12 %, three of those."""
@@ -179,6 +181,7 @@ def test_a_rendered_run_is_as_good_as_predicted(table: str, tiny) -> None:
         assert rms == pytest.approx(predicted, rel=3.0 / np.sqrt(2 * 35))
 
 
+@pytest.mark.slow
 def test_a_rendered_run_writes_everything(tiny) -> None:
     out = tiny[0]
     assert (out / "report.html").stat().st_size > 100_000

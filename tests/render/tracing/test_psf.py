@@ -14,7 +14,7 @@ from render.tracing.tracer import Tracer
 OVERSAMPLING = 4
 
 
-@pytest.mark.parametrize("name", ["star_camera_206mm", "star_tracker_26mm"])
+@pytest.mark.parametrize("name", ["star_camera_206mm", pytest.param("star_tracker_26mm", marks=pytest.mark.slow)])
 def test_samples_are_pixel_integrals_around_the_bundle_mean(engine, bench, name):
     camera = bench.camera_of(name, film=False, defocus_mm=0.01)
     centre = 2 * camera.centre_px
