@@ -163,7 +163,7 @@ def test_options(refused):
 
 SLOW = [
     ("signal_e=10", "upper left position: no target point was detected; raise signal_e .10 e-."),
-    ("signal_e=300", r"target points not detected: \d of 9 .*raise signal_e .300 e-."),
+    ("signal_e=300", r"target points not detected: \d of 9, e\.g\. the one at column .*raise signal_e .300 e-."),
     ("signal_e=1e5", r"upper left position, filter 500 nm: saturated at \d of 9 places.*lower signal_e .100000 e-."),
     ("instrument.exposure_s=1000", "lower the dark current .1000 s at 0 C."),
     ("decentre.wanted_px=50", "no decentre of any element up to 3 mm gives .*decentre.wanted_px = 50 px in 800-600, x"),
