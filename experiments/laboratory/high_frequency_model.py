@@ -33,6 +33,7 @@ from experiments.laboratory.point_noise import (
     influence,
 )
 from experiments.laboratory.point_scene import one_filter
+from experiments.laboratory.ray_prediction import bundle_prediction
 from experiments.laboratory.readout.centroids import centroiders, noiseless_positions
 from experiments.laboratory.readout.noise_model import nominal_noise
 from experiments.laboratory.step_statistics import document_rms_px, single_rms_px
@@ -157,14 +158,15 @@ def predict_high_frequency(
     path = plan.path(instrument, ideal, rng)
     direction = turned(target_place(bench, instrument, place_px), path.commanded_rad)
     shift = np.zeros((plan.positions, 2)) if shift_px is None else np.asarray(shift_px, float)
-    windows = expected_windows(bench, instrument, direction, psf, shift)
+    place = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
+    windows = expected_windows(bench, instrument, direction, psf, place + shift[:, None])
     error_px = hexapod.step_error_arcsec / instrument.pixel_arcsec if hexapod is not None and shift_px is None else 0.0
     drawn = [error_px * rng.standard_normal(shift.shape) for _ in range(PATHS if error_px > 0 else 0)]
     model = _Model(
         bench=bench,
         instrument=instrument,
         windows=windows,
-        others=[expected_windows(bench, instrument, direction, psf, one) for one in drawn],
+        others=[expected_windows(bench, instrument, direction, psf, place + one[:, None]) for one in drawn],
         positions=plan.positions,
         noise=instrument.pixel_noise(),
         subtraction=subtraction,

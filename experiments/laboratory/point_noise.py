@@ -83,7 +83,7 @@ def expected_windows(
     instrument: Instrument,
     direction: FloatArray,
     psf: Sequence[EffectivePsf],
-    shift_px: FloatArray | None = None,
+    place_px: FloatArray | None = None,
 ) -> ExpectedWindows:
     """Windows around target points at m places, as the bench's reference filter shows them.
 
@@ -95,16 +95,17 @@ def expected_windows(
         Unit vectors in cam.
     psf : sequence of EffectivePsf
         Of the j points.
-    shift_px : (m, 2), optional
-        Moves all points of a place.
+    place_px : (m, j, 2), optional
+        Where they are imaged; left out, `bundle_prediction` says it, which takes long where apertures cut the light.
 
     Returns
     -------
     ExpectedWindows
         n = m j, place after place.
     """
-    place = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
-    place = (place if shift_px is None else place + np.asarray(shift_px)[:, None]).reshape(-1, 2)
+    if place_px is None:
+        place_px = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
+    place = np.asarray(place_px, float).reshape(-1, 2)
     size = bench.window_px
     corner = np.rint(place).astype(np.int64) - size // 2
     index = np.tile(np.arange(len(psf)), len(direction))

@@ -14,6 +14,7 @@ from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_frames import SUBTRACTIONS, Subtraction, read_points
 from experiments.laboratory.point_noise import bound_px, expected_windows, influence, sampled_px
 from experiments.laboratory.point_scene import PointLight, PointScene, one_filter, scene_of
+from experiments.laboratory.ray_prediction import bundle_prediction
 from experiments.laboratory.readout.centroids import centroiders
 from experiments.laboratory.target import target_directions
 from optics.arrays import FloatArray
@@ -258,8 +259,9 @@ def predict_temporal(
     sampled: dict[str, list[FloatArray]] = {m: [] for m in methods}
     device: dict[str, list[FloatArray]] = {m: [] for m in methods}
     bound = []
+    place = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
     for level in levels:
-        windows = expected_windows(replace(bench, signal_e=float(level)), instrument, direction, psf)
+        windows = expected_windows(replace(bench, signal_e=float(level)), instrument, direction, psf, place)
         bound.append(bound_px(windows, noise))
         for name, centroider in methods.items():
             gain = influence(centroider, instrument, windows)
