@@ -65,6 +65,8 @@ def moved_lens(lens: LensSystem, moved: MovedConfig) -> LensSystem:
     ConfigError
         If there is no such element.
     """
+    if moved == MovedConfig():  # an element of the built-in lens, where it belongs
+        return lens
     lens.indices_of(moved.element)
     if moved.tilt_x_arcmin or moved.tilt_y_arcmin:
         lens = tilt(lens, moved.element, moved.tilt_x_arcmin / 60.0, moved.tilt_y_arcmin / 60.0)
