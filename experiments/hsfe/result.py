@@ -129,13 +129,14 @@ def geometry_study(
         "ten times the step error": replace(hexapod, step_error_arcsec=ten * hexapod.step_error_arcsec),
         "ten times the roll error": replace(hexapod, roll_error_arcsec=ten * hexapod.roll_error_arcsec),
     }
+    commanded_rad = plan.path(instrument, ideal, streams.generator("geometry", 0)).commanded_rad  # whatever the errors
+    wanted = bundle_prediction(bench, instrument, turned(direction, commanded_rad))[:, :, 0]
     out = []
     for label, case in cases.items():
         motion, left = [], []
         for number in range(1 if case == ideal else PATHS):
             path = plan.path(instrument, case, streams.generator("geometry", number))
             place = bundle_prediction(bench, instrument, turned(direction, path.true_rad))[:, :, 0]
-            wanted = bundle_prediction(bench, instrument, turned(direction, path.commanded_rad))[:, :, 0]
             motion.append(np.diff((place - wanted).mean(1), axis=0))
             left.append(document_rms_px(place))
         out.append(
