@@ -32,7 +32,6 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.acf.result import Result
     from experiments.acf.simulate import build_scene
     from experiments.acf.trials import sky_of
-    from experiments.harness.provenance import peak_memory_mb, process_seconds
 
     scene = build_scene(config)
     check_design(config)
@@ -53,8 +52,6 @@ def run(config: Config, *, progress: Progress) -> Result:
         expected=expected,
         inference=inference,
         rendered=rendered,
-        runtime_s=process_seconds(),
-        peak_memory_mb=peak_memory_mb(),
     )
 
 

@@ -69,8 +69,6 @@ def describe(result: Result) -> Quantities:
     _gains(q, result)
     _inference(q, result)
     _failures(q, result)
-    q.add("runtime_s", result.runtime_s, "Run time", unit="s")
-    q.add("peak_memory_mb", result.peak_memory_mb, "Peak memory", unit="MB")
     return q
 
 

@@ -41,8 +41,6 @@ class Result:
         Pixel and stars from the document's own numbers.
     rendered : Outcome or None
         The calibration on rendered frames, by the experiment ``skycal``.
-    runtime_s, peak_memory_mb : float
-        Of the process up to the end of the run.
     """
 
     config: Config
@@ -53,5 +51,3 @@ class Result:
     expected: ExpectedResults
     inference: Inference
     rendered: Outcome | None
-    runtime_s: float
-    peak_memory_mb: float

@@ -218,7 +218,6 @@ def render_document(
     environment.filters["cell"] = cell_text
     environment.filters["pretty"] = lambda value: dumps(value).rstrip()
     environment.filters["inline"] = lambda words: Markup(markdown.renderInline(" ".join(str(words).split())))
-    environment.filters["prose"] = environment.filters["inline"]
     environment.globals["kind"] = lambda block: type(block).__name__.lstrip("_")
     environment.globals["draw"] = Artist()
     environment.globals["relation"] = {"<=": "≤", "<": "<", ">=": "≥", ">": ">"}
