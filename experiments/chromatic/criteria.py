@@ -79,8 +79,9 @@ def _of_lens(outcome: Outcome, lens: str, label: str) -> list[Criterion]:
             unit="sigma",
         ),
         Criterion(
-            name=f"{label}: mean squared deviation in units of its variance, off 1 by",
-            value=abs(outcome.value("mean_squared_pull", lens=lens) - 1.0),
+            name=f"{label}: mean squared deviation over its variance",
+            value=outcome.value("mean_squared_pull", lens=lens),
+            about=1.0,
             # the two pairs share the reference band, so their pulls are correlated by 1/2
             limit=4.0 * float(np.sqrt(2.5 / evaluation.chi2_n)),
         ),

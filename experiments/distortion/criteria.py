@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from experiments.harness.quantities import Outcome
-from experiments.harness.summary import Criterion
+from experiments.harness.summary import Criterion, farthest_from_one
 from experiments.laboratory.distortion_statistics import REFERENCES
 
 __all__ = ["criteria"]
@@ -37,8 +37,9 @@ def criteria(outcome: Outcome) -> list[Criterion]:
         )
         found.append(
             Criterion(
-                name=f"{method}, {config.reference}: RMS over surveys over prediction, off 1 by",
-                value=float(np.abs(rms / expected - 1.0).max()),
+                name=f"{method}, {config.reference}: RMS over surveys over prediction",
+                value=farthest_from_one(rms / expected),
+                about=1.0,
                 limit=0.1 + 3.0 * sampling,
             )
         )
@@ -57,8 +58,9 @@ def criteria(outcome: Outcome) -> list[Criterion]:
     seen = outcome.values("map_all_surveys_arcsec", reference="aligned")
     found.append(
         Criterion(
-            name="true map error over all surveys against its forecast, off 1 by",
-            value=float(np.abs(seen / outcome.values("forecast_arcsec") - 1.0).max()),
+            name="true map error of all surveys over its forecast",
+            value=farthest_from_one(seen / outcome.values("forecast_arcsec")),
+            about=1.0,
             limit=0.1 + 3.0 * sampling,
         )
     )

@@ -239,10 +239,7 @@ def _show(run: _Run, shown: str) -> None:
     console = Console()
     for name in run.experiment.show:
         console.print(to_rich(run.tables[name]))
-    rows = [
-        (one.name, one.value, f"{one.relation} {one.limit:.6g}", one.unit, "yes" if one.passed else "NO")
-        for one in run.criteria
-    ]
+    rows = [(one.name, one.value, one.demand, one.unit, "yes" if one.passed else "NO") for one in run.criteria]
     heads = ("criterion", "value", "limit", "unit", "holds")
     console.print(to_rich(Table(columns=heads, rows=rows, caption="Criteria")))
     console.print(verdict_line(run.criteria), style="bold", highlight=False)

@@ -220,7 +220,6 @@ def render_document(
     environment.filters["inline"] = lambda words: Markup(markdown.renderInline(" ".join(str(words).split())))
     environment.globals["kind"] = lambda block: type(block).__name__.lstrip("_")
     environment.globals["draw"] = Artist()
-    environment.globals["relation"] = {"<=": "≤", "<": "<", ">=": "≥", ">": ">"}
     environment.globals["criteria"] = criteria
     environment.globals["provenance"] = provenance
     blocks = environment.get_template("blocks.html").make_module(vars={"provenance": provenance})

@@ -16,15 +16,16 @@ from pydantic import BaseModel
 
 from optics.errors import DomainError
 
-__all__ = ["Criterion", "Measured", "dumps", "summary", "to_json", "verdict_line"]
+__all__ = ["Criterion", "Measured", "dumps", "farthest_from_one", "summary", "to_json", "verdict_line"]
 
 Relation = Literal["<=", "<", ">=", ">"]
 _RELATIONS = {"<=": operator.le, "<": operator.lt, ">=": operator.ge, ">": operator.gt}
+_SIGNS = {"<=": "≤", "<": "<", ">=": "≥", ">": ">"}
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class Criterion:
-    """A number that has to stay on one side of a limit.
+    """A number that has to stay on one side of a limit, or near to a value.
 
     Attributes
     ----------
@@ -36,6 +37,8 @@ class Criterion:
         Unit of both; "" for a pure number.
     relation : {"<=", "<", ">=", ">"}
         ``value relation limit`` must be true.
+    about : float or None
+        Where the value should be; given one, ``abs(value - about) <= limit`` must be true.
     """
 
     name: str
@@ -43,17 +46,34 @@ class Criterion:
     limit: float
     unit: str = ""
     relation: Relation = "<="
+    about: float | None = None
 
     def __post_init__(self) -> None:
         if self.relation not in _RELATIONS:
             raise DomainError(f"Criterion {self.name!r}: relation {self.relation!r} is none of {' '.join(_RELATIONS)}")
         if math.isnan(self.limit):
             raise DomainError(f"Criterion {self.name!r}: the limit is NaN")
+        if self.about is not None and (math.isnan(self.about) or self.relation != "<="):
+            raise DomainError(f"Criterion {self.name!r}: about {self.about} {self.relation} {self.limit} says nothing")
 
     @property
     def passed(self) -> bool:
         """Whether it holds; a value that is NaN does not."""
-        return bool(_RELATIONS[self.relation](self.value, self.limit))
+        distance = self.value if self.about is None else abs(self.value - self.about)
+        return bool(_RELATIONS[self.relation](distance, self.limit))
+
+    @property
+    def demand(self) -> str:
+        """What is demanded of the value, e.g. "≤ 3" or "1 ± 0.24"."""
+        if self.about is not None:
+            return f"{self.about:.6g} ± {self.limit:.6g}"
+        return f"{_SIGNS[self.relation]} {self.limit:.6g}"
+
+
+def farthest_from_one(ratios: Any) -> float:
+    """The ratio of several that is farthest from 1: what a criterion about 1 judges; NaN if one of them is."""
+    found = np.ravel(ratios)
+    return float(found[np.argmax(np.abs(found - 1.0))])
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,6 +148,7 @@ def summary(
                 "unit": criterion.unit,
                 "passed": criterion.passed,
             }
+            | ({} if criterion.about is None else {"about": to_json(criterion.about)})
             for criterion in criteria
         ],
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from experiments.harness.quantities import Outcome
-from experiments.harness.summary import Criterion
+from experiments.harness.summary import Criterion, farthest_from_one
 
 __all__ = ["criteria"]
 
@@ -33,8 +33,9 @@ def criteria(outcome: Outcome) -> list[Criterion]:
             )
         found.append(
             Criterion(
-                name=f"{method}: causes and noise in quadrature over everything together, off 1 by",
-                value=float(np.abs(outcome.values("quadrature_arcsec", method=method) / number - 1.0).max()),
+                name=f"{method}: causes and noise in quadrature over everything together",
+                value=farthest_from_one(outcome.values("quadrature_arcsec", method=method) / number),
+                about=1.0,
                 # cross terms of causes and noise have no mean but scatter as the figure itself does
                 limit=MODEL_RATIO + SIGMA_LIMIT * float(outcome.errors("ratio", method=method).max()),
             )
@@ -46,8 +47,9 @@ def criteria(outcome: Outcome) -> list[Criterion]:
             )
             found.append(
                 Criterion(
-                    name=f"{method}: S-curve of the rendered light over that of the sampled PSF, off 1 by",
-                    value=float(np.abs(seen / expected - 1.0).max()),
+                    name=f"{method}: S-curve of the rendered light over that of the sampled PSF",
+                    value=farthest_from_one(seen / expected),
+                    about=1.0,
                     limit=0.05,
                 )
             )

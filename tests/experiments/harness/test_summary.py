@@ -95,11 +95,24 @@ def test_criterion(value, relation, limit, passed):
     assert Criterion(name="n", value=value, limit=limit, relation=relation).passed is passed
 
 
+@pytest.mark.parametrize(
+    ("value", "passed"), [(1.2, True), (0.8, True), (1.3, False), (0.7, False), (-1.0, False), (math.nan, False)]
+)
+def test_criterion_about_a_value(value, passed):
+    one = Criterion(name="n", value=value, limit=0.25, about=1.0)
+    assert one.passed is passed
+    assert one.demand == "1 ± 0.25"
+    (written,) = summary("demo", Config(), {}, [one])["criteria"]
+    assert (written["limit"], written["about"], written["passed"]) == (0.25, 1.0, passed)
+
+
 def test_criterion_that_means_nothing_is_refused():
     with pytest.raises(DomainError, match="relation"):
         Criterion(name="n", value=1.0, limit=1.0, relation="==")
     with pytest.raises(DomainError, match="NaN"):
         Criterion(name="n", value=1.0, limit=math.nan)
+    with pytest.raises(DomainError, match="says nothing"):
+        Criterion(name="n", value=1.0, limit=1.0, relation=">=", about=1.0)
 
 
 def test_summary_holds_what_it_always_holds():
