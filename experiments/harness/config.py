@@ -6,17 +6,27 @@ import re
 import tomllib
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from optics.errors import ConfigError
 from optics.validate import parse_model, read_toml
 
-__all__ = ["ExperimentConfig", "StrictModel", "load_config", "with_settings"]
+__all__ = ["ExperimentConfig", "FileName", "StrictModel", "load_config", "read_settings", "with_settings"]
 
 Model = TypeVar("Model", bound=BaseModel)
+
+
+@dataclass(frozen=True)
+class _IsFile:
+    """Marks text that may be the path of a file."""
+
+
+FileName = Annotated[str, _IsFile()]
+"""Type of a setting that is a path, or the name of something built in; in a file, a path is relative to that file."""
 
 # Last word of a field's name that tells its unit, or that says it has none.
 _LENGTHS_AND_TIMES = ("nm", "um", "mm", "m", "km", "s", "ms", "us", "min", "h", "px", "px2")
@@ -78,11 +88,23 @@ class ExperimentConfig(StrictModel):
 
     seed: int = Field(default=1, ge=0, le=2**63 - 1, description="seed of every random stream")
 
+    @classmethod
+    def of_sensor(cls, file: Path) -> dict[str, Any]:
+        """Settings of this experiment that a sensor file decides.
+
+        Raises
+        ------
+        ConfigError
+            An experiment without a sensor; a file that is none.
+        """
+        raise ConfigError(f"--sensor {file}: this experiment has no sensor that could be another one")
+
 
 def load_config(
     model_class: type[Model],
     *,
     quick: Mapping[str, Any] | None = None,
+    sensor: str | Path | None = None,
     file: str | Path | None = None,
     settings: Sequence[str] = (),
     seed: int | None = None,
@@ -95,8 +117,10 @@ def load_config(
         The experiment's `Config`; all its fields have defaults.
     quick : mapping, optional
         Dotted key -> value of the quick run, beneath everything that the user says.
+    sensor : path, optional
+        Sensor file; the experiment takes from it what it knows (`ExperimentConfig.of_sensor`).
     file : path, optional
-        TOML file with any part of the configuration.
+        TOML file with any part of the configuration; paths in it are relative to it.
     settings : sequence of str
         ``key=value`` with dotted keys (list items by number: ``bands.0.centre_nm=510``). The value is read as TOML
         where that fits the field, otherwise taken as text.
@@ -117,8 +141,13 @@ def load_config(
     for key, value in (quick or {}).items():
         values = _with_value(model_class, values, key.split("."), value, f"quick setting {key!r}")
     sources = []
+    if sensor is not None:
+        if not issubclass(model_class, ExperimentConfig):
+            raise TypeError(f"{model_class.__name__} is no ExperimentConfig")
+        values = _merged(model_class, values, model_class.of_sensor(Path(sensor)))
+        sources.append(Path(sensor).name)
     if file is not None:
-        values = _merged(model_class, values, read_toml(file))
+        values = _merged(model_class, values, read_settings(model_class, file))
         sources.append(Path(file).name)
     if settings:
         values = with_settings(model_class, values, settings)
@@ -128,6 +157,51 @@ def load_config(
         sources.append("--seed")
     # One look at the whole: two settings may be valid only together.
     return parse_model(model_class, values, ", ".join(sources) or "configuration")
+
+
+def read_settings(model_class: type[BaseModel], file: str | Path) -> dict[str, Any]:
+    """Settings of a TOML file, not yet validated; relative paths in it are taken from its folder.
+
+    Parameters
+    ----------
+    model_class : type
+        The model that the settings belong to; it says which of them are paths (`FileName`).
+    file : path
+        TOML file.
+
+    Raises
+    ------
+    ConfigError
+        File missing or no TOML.
+    """
+    found: dict[str, Any] = _located([model_class], read_toml(file), Path(file).parent)
+    return found
+
+
+def _located(annotations: Sequence[Any], value: Any, folder: Path) -> Any:
+    """The value with its relative paths below a folder."""
+    if isinstance(value, Mapping):
+        models = [part for one in annotations for part in _alternatives(one) if _is_model(part)]
+        inside = {key: [one.model_fields[key] for one in models if key in one.model_fields] for key in value}
+        return {
+            key: _located([Annotated[one.annotation, "", *one.metadata] for one in inside[key]], entry, folder)
+            for key, entry in value.items()
+        }
+    if isinstance(value, list):
+        items = [part for one in annotations for kind in _alternatives(one) for part in typing.get_args(kind)]
+        return [_located(items, entry, folder) for entry in value]
+    if isinstance(value, str) and any(_names_file(one) for one in annotations):
+        path = Path(value).expanduser()
+        return str(folder / path) if path.suffix or len(path.parts) > 1 else value
+    return value
+
+
+def _is_model(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+
+
+def _names_file(annotation: Any) -> bool:
+    return any(isinstance(one, _IsFile) or _names_file(one) for one in typing.get_args(annotation))
 
 
 def with_settings(model_class: type[BaseModel], values: Mapping[str, Any], settings: Iterable[str]) -> dict[str, Any]:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from typing import ClassVar, Literal
+
 from pydantic import Field, ValidationInfo, field_validator
 
-from experiments.harness.config import StrictModel
+from experiments.harness.config import FileName, StrictModel
+from experiments.laboratory.housing import DEFAULT_HOUSING, expansion_per_k
 
 __all__ = [
+    "CatalogueConfig",
     "FilterConfig",
     "GridTargetConfig",
     "HexapodConfig",
     "InstrumentConfig",
+    "PassbandConfig",
     "StarsConfig",
     "StepConfig",
     "TargetConfig",
@@ -21,16 +26,90 @@ __all__ = [
 class InstrumentConfig(StrictModel):
     """Lens, detector and how they are operated."""
 
-    lens: str = Field(default="star_camera_206mm", description="built-in lens or TOML file")
-    detector: str = Field(default="acc18_mosaic", description="built-in detector or TOML file")
+    dimensionless: ClassVar[frozenset[str]] = frozenset({"f_number", "housing"})
+
+    lens: FileName = Field(default="star_camera_206mm", description="built-in lens or TOML file")
+    detector: FileName = Field(default="acc18_mosaic", description="built-in detector or TOML file")
+    width_px: int = Field(
+        default=0, ge=0, le=32768, description="columns read out in the middle of the detector; 0: all"
+    )
+    height_px: int = Field(default=0, ge=0, le=32768, description="rows read out in the middle of the detector; 0: all")
     defocus_mm: float = Field(default=0.010, ge=-1, le=1, description="detector shift away from the lens")
+    f_number: float | None = Field(
+        default=None, gt=0, le=1000, description="stop closed to this F-number; left out: the lens's own"
+    )
     exposure_s: float = Field(default=0.1, gt=0, le=1e4, description="exposure time")
+    line_time_us: float = Field(
+        default=0.0, ge=0, le=1e4, description="rolling shutter: how much later each row is exposed; 0: global shutter"
+    )
+    gain_dn_per_e: float | None = Field(
+        default=None, gt=0, le=1e5, description="system gain; left out: the detector's own"
+    )
     chip_temperature_c: float = Field(default=0.0, ge=-100, le=80, description="temperature of the detector")
+    lens_temperature_c: float | None = Field(
+        default=None,
+        ge=-150,
+        le=150,
+        description="temperature of lens and housing, focused at the one of the prescription; left out: that one",
+    )
+    housing: str | float = Field(
+        default=DEFAULT_HOUSING,
+        description="material of the housing, or its linear expansion in 1e-6/K; counts with lens_temperature_c",
+    )
     absorption: bool = Field(
         default=True, description="count absorption in the glass; needs the internal transmittance of every glass"
     )
     coating_nm: float = Field(
         default=550.0, ge=0, le=2000, description="design wavelength of the MgF2 quarter-wave coatings; 0: bare glass"
+    )
+
+    @field_validator("housing")
+    @classmethod
+    def _housing(cls, value: str | float) -> str | float:
+        expansion_per_k(value)
+        return value
+
+
+class PassbandConfig(StrictModel):
+    """Light that reaches the lens: a trapezoid, or a measured curve."""
+
+    range_nm: tuple[float, float] = Field(
+        default=(450.0, 900.0),
+        description="where half of it passes; [0, 0]: all that lens and detector are known for",
+    )
+    edge_nm: float = Field(default=20.0, ge=0, le=400, description="length of each edge, 0 to 100 %")
+    file: FileName = Field(
+        default="", description="CSV file with wavelength_nm, transmission in place of range_nm and edge_nm"
+    )
+
+    @field_validator("range_nm")
+    @classmethod
+    def _increasing(cls, values: tuple[float, float]) -> tuple[float, float]:
+        if values != (0.0, 0.0) and not 0.0 < values[0] < values[1]:
+            raise ValueError("two increasing wavelengths are needed, or [0, 0]")
+        return values
+
+
+class CatalogueConfig(StrictModel):
+    """Which stars there are."""
+
+    dimensionless: ClassVar[frozenset[str]] = frozenset({"epoch_year"})
+
+    catalogue: FileName = Field(default="gaia", description="gaia: the built-in sky to G = 10; or a file, see preset")
+    preset: str = Field(
+        default="plain",
+        description="columns of the file: hipparcos, gaia, bright_star, open_bright_star or plain",
+    )
+    magnitude_system: Literal["preset", "V", "G"] = Field(
+        default="preset", description="scale of the magnitudes of a file; preset: what the preset says"
+    )
+    faintest_mag: float = Field(default=8.0, ge=-2, le=30, description="faintest stars rendered")
+    epoch_year: float = Field(default=2016.0, ge=1900, le=2100, description="Julian year of the exposures")
+    observer: Literal["none", "earth"] = Field(
+        default="none", description="earth: parallax, deflection by the Sun and aberration as seen from the Earth"
+    )
+    temperature: Literal["colour", "effective"] = Field(
+        default="colour", description="temperature of the black body that stands for a star"
     )
 
 
@@ -63,6 +142,10 @@ class FilterConfig(StrictModel):
     reference_nm: float = Field(default=600.0, description="centre of the reference band; one of centres_nm")
     width_nm: float = Field(default=100.0, gt=0, le=400, description="full width at half maximum")
     edge_nm: float = Field(default=10.0, ge=0, le=100, description="length of each edge, 0 to 100 %")
+    files: tuple[FileName, ...] = Field(
+        default=(),
+        description="CSV files with wavelength_nm, transmission, one for each of centres_nm; none: trapezoids",
+    )
 
     @field_validator("centres_nm")
     @classmethod

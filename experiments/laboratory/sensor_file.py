@@ -1,0 +1,65 @@
+"""The sensor file: one description of a star sensor that every experiment takes (``--sensor my.toml``)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, field_validator
+
+from experiments.harness.config import ExperimentConfig, StrictModel, read_settings
+from experiments.laboratory.centroid_methods import CentroiderName
+from experiments.laboratory.requirements import RequirementsConfig
+from experiments.laboratory.settings import CatalogueConfig, FilterConfig, InstrumentConfig, PassbandConfig
+from optics.validate import parse_model
+
+__all__ = ["SensorConfig", "SensorExperimentConfig", "read_sensor"]
+
+
+class SensorConfig(StrictModel):
+    """A star sensor: what it is made of, how it is operated, its sky and its processing, what is asked of it."""
+
+    name: str = Field(default="", description="what reports call the sensor; left out: lens and detector")
+    centroid: CentroiderName = Field(default="epsf", description="centroider")
+    window_px: int = Field(default=13, ge=5, le=63, description="window around a star, odd")
+    threshold_sigma: float = Field(default=5.0, gt=0, le=1000, description="detection limit, in standard deviations")
+    instrument: InstrumentConfig = InstrumentConfig()
+    passband: PassbandConfig = PassbandConfig()
+    filters: FilterConfig = FilterConfig()
+    catalogue: CatalogueConfig = CatalogueConfig()
+    requirements: RequirementsConfig = RequirementsConfig()
+
+    @field_validator("window_px")
+    @classmethod
+    def _odd(cls, value: int) -> int:
+        if value % 2 == 0:
+            raise ValueError(f"{value} px is even; a window has a middle pixel: 5, 7, 9 ... 63")
+        return value
+
+
+class SensorExperimentConfig(ExperimentConfig):
+    """Base of the configuration of an experiment on a star sensor: it takes the keys of a sensor file that it has."""
+
+    @classmethod
+    def of_sensor(cls, file: Path) -> dict[str, Any]:
+        """Settings of this experiment that a sensor file decides.
+
+        Raises
+        ------
+        ConfigError
+            As `read_sensor`.
+        """
+        return {key: value for key, value in read_sensor(file).items() if key in cls.model_fields}
+
+
+def read_sensor(file: Path) -> dict[str, Any]:
+    """What a sensor file says, checked; what it leaves out is left out here too. Paths are taken from its folder.
+
+    Raises
+    ------
+    ConfigError
+        File missing or no TOML, an unknown key (with the nearest name), a value of the wrong type or out of range.
+    """
+    given = read_settings(SensorConfig, file)
+    parse_model(SensorConfig, given, file.name)
+    return given
