@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 from experiments.budget.settings import Config, DetectorConfig, MovedConfig
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.filter_wheel import interference_filters, open_wheel
-from experiments.laboratory.instrument import Instrument, build_instrument
+from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector, configured_lens
 from optics.lens.perturb import decentre, despace, tilt
-from optics.lens.prescription import load_lens
 from optics.lens.system import LensSystem
 from optics.light.band import TopHat
 from optics.light.spectrum import Blackbody
 from optics.units import UM_MM
-from render.detector.spec import Detector, load_detector
+from render.detector.spec import Detector
 
 __all__ = ["Laboratory", "build_laboratory", "moved_lens", "overridden"]
 
@@ -93,8 +92,8 @@ def build_laboratory(config: Config, lens: LensSystem | None = None) -> Laborato
     """
     from experiments.laboratory.checks import check_wavelengths
 
-    detector = overridden(load_detector(config.instrument.detector), config.detector)
-    prescription = moved_lens(load_lens(config.instrument.lens), config.moved) if lens is None else lens
+    detector = overridden(configured_detector(config.instrument), config.detector)
+    prescription = moved_lens(configured_lens(config.instrument), config.moved) if lens is None else lens
     instrument = build_instrument(config.instrument, prescription, detector)
     filters = config.filters
     narrow = interference_filters(filters)

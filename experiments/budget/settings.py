@@ -55,7 +55,6 @@ class DetectorConfig(StrictModel):
     crosstalk_diagonal: float | None = Field(default=None, ge=0, le=0.1, description="charge share of a neighbour")
     read_noise_e: float | None = Field(default=None, ge=0, le=1e5, description="median temporal dark noise")
     read_noise_spread: float | None = Field(default=None, ge=0, le=2, description="standard deviation of its logarithm")
-    gain_dn_per_e: float | None = Field(default=None, ge=1e-6, le=1e5, description="system gain")
     dsnu_e: float | None = Field(default=None, ge=0, le=1e5, description="spread of the offset over the pixels")
     column_pattern_e: float | None = Field(default=None, ge=0, le=1e5, description="spread of the offset over columns")
     adc_bits: int | None = Field(default=None, ge=1, le=16, description="resolution of the converter")

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from experiments.laboratory.housing import expansion_per_k
 from experiments.laboratory.settings import InstrumentConfig
+from optics.errors import DomainError
+from optics.lens.perturb import change_temperature
 from optics.lens.prescription import load_lens
 from optics.lens.system import LensSystem
-from optics.rays.paraxial import axial_paraxial
+from optics.rays.paraxial import axial_paraxial, stopped_down
 from render.detector.noise import PixelNoise
-from render.detector.spec import Detector
+from render.detector.spec import Detector, load_detector
 from render.sensor import StarSensor, load_star_sensor
 
-__all__ = ["Instrument", "build_instrument"]
+__all__ = ["Instrument", "build_instrument", "configured_detector", "configured_lens"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,33 +42,72 @@ class Instrument(StarSensor):
         )
 
 
+def configured_lens(config: InstrumentConfig) -> LensSystem:
+    """The lens of a configuration: stopped down, then brought to its temperature with its housing.
+
+    Raises
+    ------
+    ConfigError, DomainError
+        What lens files raise; an F-number that the lens does not reach; a glass without thermal data.
+    """
+    lens = load_lens(config.lens)
+    try:
+        if config.f_number is not None:
+            lens = stopped_down(lens, config.f_number)
+    except DomainError as error:
+        raise DomainError(f"instrument.{error}") from None
+    if config.lens_temperature_c is None:
+        return lens
+    try:
+        return change_temperature(lens, config.lens_temperature_c, housing_cte_per_k=expansion_per_k(config.housing))
+    except DomainError as error:
+        raise DomainError(f"instrument.lens_temperature_c = {config.lens_temperature_c:g} C: {error}") from None
+
+
+def configured_detector(config: InstrumentConfig) -> Detector:
+    """The detector of a configuration, with its gain; all of it, whatever is read out.
+
+    Raises
+    ------
+    ConfigError, DomainError
+        What detector files raise.
+    """
+    detector = load_detector(config.detector)
+    return detector if config.gain_dn_per_e is None else replace(detector, gain_dn_per_e=config.gain_dn_per_e)
+
+
 def build_instrument(
     config: InstrumentConfig, lens: LensSystem | None = None, detector: Detector | None = None
 ) -> Instrument:
-    """Instrument of a configuration.
+    """Instrument of a configuration, cut to the window that is read out.
 
     Parameters
     ----------
     config : InstrumentConfig
         The configuration.
     lens : LensSystem, optional
-        In place of the configured one, e.g. a perturbed copy.
+        In place of `configured_lens`, e.g. a perturbed copy of it.
     detector : Detector, optional
-        In place of the configured one, e.g. with another read noise.
+        In place of `configured_detector`, e.g. with another read noise.
 
     Raises
     ------
     ConfigError, DomainError
-        What lens and detector files raise.
+        What `configured_lens` and `configured_detector` raise; a window that is no part of the detector.
     """
-    nominal = load_lens(config.lens)
+    nominal = configured_lens(config)
     sensor = load_star_sensor(
         nominal if lens is None else lens,
-        config.detector if detector is None else detector,
+        configured_detector(config) if detector is None else detector,
         defocus_mm=config.defocus_mm,
         coating_nm=config.coating_nm,
         absorption=config.absorption,
     )
+    chip = sensor.detector
+    try:
+        sensor = sensor.windowed(config.width_px or chip.width_px, config.height_px or chip.height_px)
+    except DomainError as error:
+        raise DomainError(f"instrument.{error}") from None
     return Instrument(
         config=config,
         camera=sensor.camera,

@@ -20,7 +20,16 @@ from optics.errors import DomainError
 from optics.lens.system import LensSystem
 from optics.units import DEG_RAD
 
-__all__ = ["ParaxialLens", "axial_colour_mm", "chief_ray", "image_of", "lateral_colour_mm", "paraxial"]
+__all__ = [
+    "ParaxialLens",
+    "axial_colour_mm",
+    "chief_ray",
+    "image_of",
+    "lateral_colour_mm",
+    "paraxial",
+    "refocused",
+    "stopped_down",
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -227,3 +236,33 @@ def refocused(lens: LensSystem, wavelength_nm: float | None = None) -> LensSyste
     """The lens with its image plane moved to the paraxial focus."""
     z = paraxial(lens, wavelength_nm).rear_focus_z_mm
     return replace(lens, image_position_mm=np.array([0.0, 0.0, z]))
+
+
+def stopped_down(lens: LensSystem, f_number: float) -> LensSystem:
+    """Copy of a lens whose stop is closed to an F-number at the design wavelength.
+
+    The paraxial entrance pupil is the image of the stop, so its diameter goes with the stop's.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens; tilts and decentres do not count.
+    f_number : float
+        Focal length over diameter of the entrance pupil.
+
+    Raises
+    ------
+    DomainError
+        If the lens cannot be opened that far, or the stop would be closed to its inner, obscured part.
+    """
+    own = axial_paraxial(lens, lens.design_wavelength_nm).f_number
+    stop = lens.surfaces[lens.stop_index]
+    darkest = own * stop.semi_diameter_mm / stop.inner_semi_diameter_mm if stop.inner_semi_diameter_mm else np.inf
+    if not own * (1.0 - 1e-9) <= f_number < darkest:
+        limit = f" and below F/{darkest:.3g}, its obscuration" if np.isfinite(darkest) else ""
+        raise DomainError(
+            f"f_number = {f_number:g}; lens {lens.name!r} is F/{own:.4g} fully open: at least F/{own:.4g}{limit} is "
+            "possible"
+        )
+    closed = replace(stop, semi_diameter_mm=stop.semi_diameter_mm * own / f_number)
+    return lens.with_surfaces({lens.stop_index: closed})

@@ -5,8 +5,12 @@ import pytest
 
 from experiments.laboratory.instrument import build_instrument
 from experiments.laboratory.settings import InstrumentConfig
-from optics.errors import ConfigError
+from optics.errors import ConfigError, DomainError
 from optics.lens.perturb import decentre
+from optics.rays.pupil import entrance_pupil
+from optics.validate import parse_model
+
+INNER_STOP = {"lens": "double_gauss_50mm", "detector": "cmv4000", "absorption": False}
 
 
 def test_default_is_the_camera_of_the_publication(star_camera):
@@ -47,3 +51,50 @@ def test_perturbed_copy_keeps_the_nominal_focal_length(star_camera):
 def test_unknown_name_brings_the_nearest(settings, said):
     with pytest.raises(ConfigError, match=said):
         build_instrument(InstrumentConfig(**settings))
+
+
+def test_stopped_down_the_pupil_of_real_rays_shrinks_with_the_square_of_the_f_number():
+    wide, narrow = (
+        entrance_pupil(build_instrument(InstrumentConfig(**INNER_STOP, f_number=f)).camera.lens, max_field_deg=1.0)
+        for f in (4.0, 8.0)
+    )
+    assert wide.area_mm2 / narrow.area_mm2 == pytest.approx(4.0, rel=0.03)  # each radius is found to 1 %
+
+
+def test_lens_is_focused_at_its_own_temperature_and_warmed_with_its_housing():
+    def chip_behind_the_lens_mm(**settings):
+        lens = build_instrument(InstrumentConfig(**INNER_STOP, **settings)).camera.lens
+        return float(lens.image_position_mm[2] - lens.surfaces[-1].position_mm[2])
+
+    cold = chip_behind_the_lens_mm()
+    for housing, ppm in (("aluminium_6061", 23.6), ("invar_36", 1.3), (100, 100.0)):
+        warm = chip_behind_the_lens_mm(lens_temperature_c=60.0, housing=housing)
+        assert (warm - cold) / cold == pytest.approx(ppm * 1e-6 * 40.0, rel=0.003), (
+            housing
+        )  # prescriptions hold at 20 C
+
+
+def test_window_is_the_middle_of_the_detector_and_the_gain_is_set():
+    small = build_instrument(InstrumentConfig(**INNER_STOP, width_px=640, height_px=480, gain_dn_per_e=0.5))
+    assert (small.camera.width_px, small.camera.height_px) == (640, 480)
+    assert (small.detector.width_px, small.detector.height_px) == (640, 480)
+    assert small.detector.gain_dn_per_e == 0.5
+    assert small.camera.centre_px == pytest.approx([319.5, 239.5])
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"f_number": 1.0}, r"instrument.f_number = 1; lens .* fully open: at least F/"),
+        ({"width_px": 9000}, r"instrument.width_px = 9000 px; detector .* has 2048 px"),
+        ({"lens_temperature_c": 140.0}, r"instrument.lens_temperature_c = 140 C: .* -?\d+ ... \d+"),
+    ],
+)
+def test_what_the_instrument_cannot_do_is_refused_with_the_range(settings, said):
+    with pytest.raises(DomainError, match=said):
+        build_instrument(InstrumentConfig(**INNER_STOP, **settings))
+
+
+def test_misspelt_material_brings_the_nearest():
+    with pytest.raises(ConfigError, match="aluminium_6061"):
+        parse_model(InstrumentConfig, {"housing": "aluminum_6061"}, "instrument")
