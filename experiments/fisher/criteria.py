@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import norm, t
 
 from experiments.fisher.coverage import LEVELS
+from experiments.fisher.independent import LEVEL
 from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Criterion
 
@@ -19,11 +20,16 @@ PRECISION_AT_ARCSEC = 0.1
 PRECISION_LIMIT = 1e-6
 SAME_VECTORS_LIMIT = 5e-4
 SIGMA_LIMIT = 3.0
+WRITTEN_OUT_LIMIT = 1e-5
+"""Rounding of the unit vectors, 1e-16 of 1 - R = 1e-12 to 1e-11."""
+CONE_LIMIT = 1e-6
+KNOWN_SIGMAS = 3.29
+"""0.1 %, two-sided, of one test."""
 
 
 def criteria(outcome: Outcome) -> list[Criterion]:
     """The rendered bench against predictions, the studies against closed forms."""
-    return [*_of_the_bench(outcome), *_on_coordinates(outcome)]
+    return [*_of_the_bench(outcome), *_on_coordinates(outcome), *_independent(outcome)]
 
 
 def _of_the_bench(outcome: Outcome) -> list[Criterion]:
@@ -54,6 +60,49 @@ def _of_the_bench(outcome: Outcome) -> list[Criterion]:
             value=abs(outcome.value("same_data_rendered_z_score")),
             limit=SIGMA_LIMIT,
             unit="σ",
+        ),
+    ]
+
+
+def _independent(outcome: Outcome) -> list[Criterion]:
+    """By paths that share no equation with simulation and reduction."""
+    names = outcome.names("acquisition")
+    found = {name: outcome.value(f"known_{name}") for name in ("variance", "cone", "held")}
+    return [
+        *(
+            Criterion(
+                name=f"{name}: σ by S300 to S500 written out from images and readings, over that found",
+                value=float(outcome.value("written_out", acquisition=name)),
+                about=1.0,
+                limit=WRITTEN_OUT_LIMIT,
+            )
+            for name in names
+        ),
+        *(
+            Criterion(
+                name=f"{name}: mean star vector, written out, against the direction that was set, probability",
+                value=float(outcome.value("mean_probability", acquisition=name)),
+                limit=FALSE_ALARM / len(names),
+                relation=">=",
+            )
+            for name in names
+        ),
+        Criterion(
+            name="vectors of known noise: variance found over variance put in",
+            value=found["variance"].value,
+            about=1.0,
+            limit=KNOWN_SIGMAS * found["variance"].uncertainty,
+        ),
+        Criterion(
+            name=f"vectors of known noise: cone of {LEVEL:.0%} against its limit of small angles, relative",
+            value=float(found["cone"]),
+            limit=CONE_LIMIT,
+        ),
+        Criterion(
+            name=f"vectors of known noise: cones of {LEVEL:.0%} that hold the true direction",
+            value=found["held"].value,
+            about=LEVEL,
+            limit=KNOWN_SIGMAS * found["held"].uncertainty,
         ),
     ]
 

@@ -12,11 +12,13 @@ from experiments.fisher.bench import Case
 from experiments.fisher.coverage import DISTRIBUTIONS, LEVELS
 from experiments.fisher.degrees_of_freedom import VarianceRatio
 from experiments.fisher.field_of_view import Ratio, closed_form, pixel_noise_form, vectors_needed
+from experiments.fisher.independent import known_noise, mean_probability, written_out_arcsec, written_out_vectors
 from experiments.fisher.reduce import CONFIDENCE, Evaluation
 from experiments.fisher.result import Result
 from experiments.harness.quantities import Quantities
 from experiments.harness.summary import Measured
 from optics.units import RAD_ARCSEC
+from render.engine.random import Streams
 
 __all__ = ["describe"]
 
@@ -38,6 +40,7 @@ def describe(result: Result) -> Quantities:
     q = Quantities()
     q.axis("acquisition", [case.acquisition.name for case in result.bench.cases], "Acquisition")
     _accuracy(q, result.bench.cases)
+    _independent(q, result)
     _distribution(q, result.bench.cases)
     _causes(q, result.bench.cases)
     _pixel_method(q, result)
@@ -100,6 +103,26 @@ def _accuracy(q: Quantities, cases: Sequence[Case]) -> None:
     _series(q, dim, cases, place, rows)
     _interval(q, cases, "concentration_interval_95", "", ".3e", lambda e: e.fit.concentration_interval(CONFIDENCE))
     _interval(q, cases, "sigma_interval_95_arcsec", "arcsec", ".4f", lambda e: e.interval_arcsec(CONFIDENCE))
+
+
+def _independent(q: Quantities, result: Result) -> None:
+    """The same by written-out equations, and vectors of known noise (`experiments.fisher.independent`)."""
+    calibration, off, chance = result.bench.calibration, [], []
+    for case in result.bench.cases:
+        vectors, own = written_out_vectors(result.config, calibration, case.acquisition), case.evaluation
+        off.append(written_out_arcsec(vectors[~own.outlier]) / own.sigma_arcsec)
+        chance.append(mean_probability(result.config, calibration, vectors, own.sigma_arcsec))
+    known = known_noise(Streams(result.config.seed).child("fisher"))
+    place = "independent."
+    of_case = {"dims": "acquisition"}
+    q.add("written_out", off, "σ of S300 to S500 written out over that found", **of_case, json=f"{place}written_out")
+    q.add("mean_probability", chance, "Mean star vector, probability", **of_case, json=f"{place}mean_probability")
+    for name, label, value, error in (
+        ("variance", "Variance found over variance put in", known.variance, known.variance_sigma),
+        ("cone", "Cone of confidence off its closed form", known.cone, None),
+        ("held", "Cones that hold the true direction", known.held, known.held_sigma),
+    ):
+        q.add(f"known_{name}", value, label, error=error, json=f"{place}known_{name}")
 
 
 def _sigma(fit: FisherFit) -> Measured:

@@ -8,6 +8,7 @@ from scipy.stats import chi2
 from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Criterion
 from experiments.turntable.case import Case
+from experiments.turntable.independent import Check
 from experiments.turntable.quantities import UNKNOWNS
 from optics.arrays import FloatArray
 
@@ -20,6 +21,9 @@ ENOUGH_RUNS = 300
 SWEEP_TOLERANCE = 1.25
 RENDERED_QUANTILE = 0.998
 """Of a scaled chi-square with the mean and the variance of the runs: their own quantile would be their largest."""
+FALSE_ALARM = 1e-3
+"""Probability that one of the tests against written-out equations fails although all is well (Bonferroni)."""
+MOVED_LIMIT = 1e-3
 
 
 def rendered_limit(ratio: FloatArray) -> float:
@@ -71,6 +75,26 @@ def _of_table(outcome: Outcome, key: str, case: Case) -> list[Criterion]:
             value=value("map_split_arcsec", split="model") / predicted,
             limit=0.1,
         ),
+        *_independent(outcome, key, case),
+    ]
+
+
+def _independent(outcome: Outcome, key: str, case: Case) -> list[Criterion]:
+    """By paths that share no equation with simulation and reduction."""
+    chances = [name for name in Check.LABELS if name.endswith("probability")]
+    made = [
+        Criterion(
+            name=f"{case.name}: {Check.LABELS[name]}",
+            value=float(outcome.values(name, table=key)),
+            limit=FALSE_ALARM / (len(chances) * outcome.data.sizes["table"]),
+            relation=">=",
+        )
+        for name in chances
+    ]
+    moved = float(outcome.values("moved_part", table=key))
+    return [
+        *made,
+        Criterion(name=f"{case.name}: {Check.LABELS['moved_part']}", value=moved, limit=MOVED_LIMIT),
     ]
 
 

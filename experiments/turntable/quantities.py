@@ -11,6 +11,7 @@ from experiments.harness.quantities import Quantities
 from experiments.turntable.bound import closed_form_px
 from experiments.turntable.case import Case
 from experiments.turntable.evaluation import vector_scatter_arcsec
+from experiments.turntable.independent import Check, check_case
 from experiments.turntable.monte_carlo import equal_reading_noise_arcsec
 from experiments.turntable.result import Result
 from optics.units import RAD_ARCSEC, RAD_DEG
@@ -76,6 +77,7 @@ def describe(result: Result) -> Quantities:
         _unknown(q, result, name, label)
     _fit(q, result)
     _map(q, result)
+    _independent(q, result)
     _bounds(q, result)
     _images(q, result)
     _places(q, result)
@@ -171,6 +173,14 @@ def _map(q: Quantities, result: Result) -> None:
     q.add("star_elevation_sigma_arcsec", elevation, "Star's elevation, σ", unit="arcsec", dims="table", json="")
     ratio = [point_over_line(s.max(), p) for s, p in zip(sigma, predicted, strict=True)]
     q.add("point_over_line", ratio, "Principal point over line of sight", dims="table", format=".0f", json="")
+
+
+def _independent(q: Quantities, result: Result) -> None:
+    """What written-out equations say of the same data (`experiments.turntable.independent`)."""
+    found = _of_both(result, lambda case: check_case(result, case))
+    for name, label in Check.LABELS.items():
+        values = [getattr(one, name) for one in found]
+        q.add(name, values, label, dims="table", format=".2g", json=_each(f"independent.{name}"))
 
 
 def _bounds(q: Quantities, result: Result) -> None:

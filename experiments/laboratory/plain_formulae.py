@@ -1,0 +1,154 @@
+"""The documents' formulae once more, in plain NumPy, for criteria that must not share code with what they judge.
+
+Nothing here is used by a simulation or a reduction, and nothing of those is used here: turns are matrices written out
+element by element or by Rodrigues' formula, the camera is ACF17 eq. 3 and 4 term by term, an attitude comes from the
+singular vectors of Kabsch (Acta Cryst. A32, 922, 1976).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import chi2
+
+from optics.arrays import FloatArray
+
+__all__ = [
+    "ARCSEC",
+    "acf_camera_px",
+    "acf_matrix",
+    "acf_rays",
+    "best_turn",
+    "matrix_of_quaternion",
+    "small_turn_rad",
+    "star_vector",
+    "table_matrices",
+    "turn_matrix",
+    "two_sided",
+]
+
+
+ARCSEC = np.pi / 648000.0
+"""One second of arc [rad]."""
+INVERSION_STEPS = 60
+
+
+def turn_matrix(axis: ArrayLike, angle_rad: ArrayLike) -> FloatArray:
+    """Matrices (..., 3, 3) that turn vectors about a unit axis (3,) by the right-hand rule (Rodrigues)."""
+    x, y, z = np.asarray(axis, float)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = np.asarray(angle_rad, float)[..., None, None]
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross))
+
+
+def acf_matrix(a1: float, a2: float, a3: float) -> FloatArray:
+    """C = R_y(a2) R_x(a1) R_z(a3) of ACF17 eq. 2 (3, 3), from the three printed matrices."""
+    c, s = np.cos([a1, a2, a3]), np.sin([a1, a2, a3])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, c[0], s[0]], [0.0, -s[0], c[0]]])
+    about_y = np.array([[c[1], 0.0, -s[1]], [0.0, 1.0, 0.0], [s[1], 0.0, c[1]]])
+    about_z = np.array([[c[2], s[2], 0.0], [-s[2], c[2], 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(about_y @ about_x @ about_z)
+
+
+def matrix_of_quaternion(xyzw: ArrayLike) -> FloatArray:
+    """Matrix (3, 3) of a unit quaternion, scalar last, that takes vectors of the one frame to the other."""
+    x, y, z, w = np.asarray(xyzw, float)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def acf_camera_px(values: Sequence[float], rays: ArrayLike, size_px: tuple[int, int], pitch_mm: float) -> FloatArray:
+    """Images (n, 2) [px] of directions (n, 3) in the camera: ACF17 eq. 3 and 4.
+
+    Parameters
+    ----------
+    values : sequence of 8
+        x0, y0 [px], f [mm], q1, q2, q3, p1, p2 of ACF17, in mm.
+    rays : (n, 3)
+        Directions, of any length.
+    size_px : (int, int)
+        Width and height of the detector.
+    pitch_mm : float
+        Pixel pitch.
+    """
+    x0, y0, f, q1, q2, q3, p1, p2 = values
+    vx, vy, vz = np.asarray(rays, float).T
+    x, y = f * vx / vz, f * vy / vz
+    rr = x * x + y * y
+    dx = p1 * (2 * x * x + rr) + 2 * p2 * x * y + q1 * x * rr + q2 * x * rr**2 + q3 * x * rr**3
+    dy = p2 * (2 * y * y + rr) + 2 * p1 * x * y + q1 * y * rr + q2 * y * rr**2 + q3 * y * rr**3
+    return np.column_stack(
+        [(size_px[0] - 1) / 2 + x0 + (x + dx) / pitch_mm, (size_px[1] - 1) / 2 + y0 + (y + dy) / pitch_mm]
+    )
+
+
+def acf_rays(values: Sequence[float], pixel_px: ArrayLike, size_px: tuple[int, int], pitch_mm: float) -> FloatArray:
+    """Unit vectors (n, 3) of images (n, 2): eq. 3 and 4 inverted by moving the ray by what its image is off."""
+    pixel, f = np.asarray(pixel_px, float), values[2]
+    middle = np.array([(size_px[0] - 1) / 2 + values[0], (size_px[1] - 1) / 2 + values[1]])
+    slope = (pixel - middle) * pitch_mm / f
+    for _ in range(INVERSION_STEPS):
+        image = acf_camera_px(values, np.column_stack([slope, np.ones(len(slope))]), size_px, pitch_mm)
+        slope = slope + (pixel - image) * pitch_mm / f
+    rays = np.column_stack([slope, np.ones(len(slope))])
+    return np.asarray(rays / np.sqrt((rays**2).sum(1))[:, None])
+
+
+def table_matrices(axes: str, angle_rad: ArrayLike, lean_arcsec: Sequence[float]) -> FloatArray:
+    """Laboratory from table top (n, 3, 3) of a table with axes like "xy" or "z-xy", outermost first.
+
+    Every angle is right-handed about its axis; an axis that leans encloses 90 deg less ``lean_arcsec`` with the one
+    that carries it.
+
+    Parameters
+    ----------
+    axes : str
+        Letters, a minus for the opposite sense.
+    angle_rad : (n, k)
+        Angles.
+    lean_arcsec : sequence of k - 1
+        Non-orthogonality of neighbours.
+    """
+    letters, nominal, sign = {"x": [1.0, 0.0, 0.0], "y": [0.0, 1.0, 0.0], "z": [0.0, 0.0, 1.0]}, [], 1.0
+    for letter in axes:
+        if letter != "-":
+            nominal.append(sign * np.array(letters[letter]))
+        sign = -1.0 if letter == "-" else 1.0
+    angle = np.asarray(angle_rad, float)
+    total = turn_matrix(nominal[0], angle[:, 0])
+    for i in range(1, len(nominal)):
+        lean = lean_arcsec[i - 1] * ARCSEC
+        axis = nominal[i] * np.cos(lean) + nominal[i - 1] * np.sin(lean)
+        total = total @ turn_matrix(axis, angle[:, i])
+    return np.asarray(total)
+
+
+def best_turn(of: ArrayLike, onto: ArrayLike) -> FloatArray:
+    """Matrix (3, 3) of the rotation that takes unit vectors ``of`` (n, 3) onto others best (Kabsch 1976)."""
+    u, _, vt = np.linalg.svd(np.asarray(onto, float).T @ np.asarray(of, float))
+    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
+
+
+def small_turn_rad(matrix: ArrayLike) -> FloatArray:
+    """Rotation vectors (..., 3) of matrices near to one, to first order."""
+    m = np.asarray(matrix, float)
+    parts = (m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1])
+    return np.asarray(np.stack(parts, axis=-1) / 2.0)
+
+
+def star_vector(azimuth_rad: float, elevation_rad: float) -> FloatArray:
+    """Unit vector (3,) of the laboratory: azimuth from +Z towards +X, elevation towards +Y."""
+    level = np.cos(elevation_rad)
+    return np.array([level * np.sin(azimuth_rad), np.sin(elevation_rad), level * np.cos(azimuth_rad)])
+
+
+def two_sided(square: float, freedom: int) -> float:
+    """Probability of a chi-square at least as far out on the same side, times two."""
+    return float(2.0 * min(chi2.sf(square, freedom), chi2.cdf(square, freedom)))
