@@ -86,7 +86,7 @@ def calibrate(
     >>> pixel = np.tile([[10, 10], [90, 10], [10, 90], [90, 90], [50, 20]], (2, 1))
     >>> frame = np.repeat([0, 1], 5)
     >>> attitude = Rotation.from_rotvec([[0, 0, 0.0], [0, 0.1, 0]])[frame]
-    >>> direction = attitude.inv().apply(camera.unproject(pixel).copy())
+    >>> direction = attitude.inv().apply(camera.unproject(pixel))
     >>> stars = Observations.isotropic(pixel_px=pixel, direction=direction, frame=frame, sigma_px=0.1)
     >>> start = BrownConrady.create(sensor, focal_length_mm=4.0)
     >>> found = calibrate(stars, start, FreeAttitudes(), free=("focal_length_mm",))

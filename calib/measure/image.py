@@ -104,7 +104,7 @@ def sensor_image(
     Parameters
     ----------
     dn : (h, w)
-        Digital numbers; NaN and infinity mark unusable pixels.
+        Digital numbers; NaN and infinity mark unusable pixels, and so does the mask of a masked array.
     gain_dn_per_e, offset_dn, read_noise_e : float, optional
         Noise model, where known.
     saturation_dn : float, optional
@@ -135,6 +135,9 @@ def sensor_image(
     values = np.where(finite, values, 0.0)
     saturated = np.zeros(values.shape, bool) if saturation_dn is None else finite & (values >= saturation_dn)
     valid = finite.copy()
+    valid &= ~np.ma.getmaskarray(dn)
+    if not valid.any():
+        raise DomainError(f"image {source!r} is masked all over; nothing can be measured on it")
     if defect is not None:
         if np.shape(defect) != values.shape:
             raise DomainError(f"defect has shape {np.shape(defect)}, the image {values.shape}; they must agree")

@@ -142,7 +142,7 @@ def bound(
     alone[use] = scale
     count = len(model.parameter_names)
     judged = line_of_sight_map(
-        model, map_direction.copy(), model.project(map_direction), covariance=covariance[:count, :count]
+        model, map_direction, model.project(map_direction), covariance=covariance[:count, :count]
     )
     return Bound(
         names=names,
@@ -201,7 +201,7 @@ def noise_shares(
     pixel = model.project(map_direction)
     for name, part in parts.items():
         covariance = inverse @ np.einsum("nia,nij,njb->ab", weighted, part, weighted) @ inverse
-        line = line_of_sight_map(model, map_direction.copy(), pixel, covariance=covariance[:count, :count])
+        line = line_of_sight_map(model, map_direction, pixel, covariance=covariance[:count, :count])
         shares[name] = float(line.predicted_rms_arcsec)
     return shares
 

@@ -54,7 +54,7 @@ def judge(calibration: Calibration, data: Data, table: Turntable, traced: Traced
         calibration=calibration,
         star=bench.star,
         line_of_sight=line_of_sight_map(
-            calibration.model, traced.direction.copy(), traced.pixel_px, covariance=calibration.covariance
+            calibration.model, traced.direction, traced.pixel_px, covariance=calibration.covariance
         ),
         residual_px=data.pixel_px - calibration.model.project(bench.seen(data.reading_rad)),
     )

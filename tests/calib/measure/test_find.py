@@ -123,3 +123,14 @@ def test_what_is_wrong_is_told_before_the_work():
         find_stars(np.zeros(64))
     with pytest.raises(DomainError, match="size_px = 4"):
         find_stars(np.zeros((64, 64)), size_px=4)
+
+
+def test_pixels_that_a_masked_array_hides_are_not_measured(electrons, place):
+    """A saturated column, hidden by the mask, must give no detection and be no part of any star."""
+    spoiled = np.array(electrons)
+    spoiled[:, 100] = 6e4
+    hidden = np.zeros(spoiled.shape, bool)
+    hidden[:, 100] = True
+    stars = find_stars(np.ma.array(spoiled, mask=hidden))
+    assert len(stars) == len(place[0])
+    assert not np.any(stars.flux_e > 3e4)
