@@ -29,6 +29,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 __all__ = [
+    "angle_per_increment",
     "angles_of_rotation",
     "exponential",
     "increment_per_angle",
@@ -37,6 +38,9 @@ __all__ = [
     "rotation_of_angles",
     "skew",
 ]
+
+LOCKED_COSINE = 1e-9
+"""Cosine of a1 below which a2 and a3 can no longer be told apart: a change of 1e-9 rad moves them by a radian."""
 
 
 def rotation_of_angles(angle_rad: ArrayLike) -> Rotation:
@@ -77,6 +81,20 @@ def increment_per_angle(angle_rad: ArrayLike) -> FloatArray:
     y = rotation_of_angles([0.0, angle[1], 0.0])
     yx = rotation_of_angles([angle[0], angle[1], 0.0])
     return -np.column_stack([y.apply([1.0, 0.0, 0.0]), [0.0, 1.0, 0.0], yx.apply([0.0, 0.0, 1.0])])
+
+
+def angle_per_increment(angle_rad: ArrayLike) -> FloatArray:
+    """Inverse (3, 3) of `increment_per_angle`: change of each angle per rotation vector.
+
+    At a1 = +-90 deg, where only the sum or the difference of the other two is defined, their rows are infinite: no
+    data determine them.
+    """
+    angle = np.asarray(angle_rad, dtype=np.float64)
+    if abs(np.cos(angle[0])) >= LOCKED_COSINE:
+        return np.asarray(np.linalg.inv(increment_per_angle(angle)))
+    out = np.linalg.pinv(increment_per_angle(angle))
+    out[1:] = np.inf
+    return np.asarray(out)
 
 
 def link_attitudes(first: Rotation, installation: Rotation, gyro_rotation: Rotation) -> Rotation:

@@ -25,7 +25,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.link import angles_of_rotation, exponential, increment_per_angle
+from calib.attitude.link import angle_per_increment, angles_of_rotation, exponential
 from calib.attitude.wahba import rotations_of_groups
 from calib.calibration.attitude_family import RotationFamily
 from calib.calibration.free_attitudes import frame_parity
@@ -141,7 +141,7 @@ class AttitudeCorrelated(RotationFamily):
         angle = angles_of_rotation(Rotation.from_matrix(np.stack([pose.first, pose.installation])))
         derivative = np.zeros((6, 6))
         for i, value in enumerate(angle):
-            derivative[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = np.linalg.pinv(increment_per_angle(value))
+            derivative[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = angle_per_increment(value)
         return angle.ravel(), derivative
 
     def installation_of(self, pose: LinkState) -> Rotation:

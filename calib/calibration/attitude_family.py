@@ -183,8 +183,15 @@ class RotationFamily(AttitudeFamily, FrameRotations):
         if loss.name == "linear":
             spread = float(np.sqrt(solution.chi2 / max(solution.degrees_of_freedom, 1)))
         else:
-            residual = solution.residual_pulls.reshape(-1, 2)
-            wrong = np.einsum("ni,ni->n", residual, residual) > (WRONG_PULL * spread) ** 2
+            length2 = np.sum(solution.residual_pulls.reshape(-1, 2) ** 2, axis=1)
+            wrong = length2 > (WRONG_PULL * spread) ** 2
+            good = ~wrong & kept  # the stars that fit tell whether the noise was stated rightly
+            lost = 2 * int(np.count_nonzero(kept & wrong))
+            solution = replace(
+                solution,
+                chi2=float(np.sum(length2[good]) + fit.evaluation.penalty),
+                degrees_of_freedom=solution.degrees_of_freedom - lost,
+            )
         status, message = verdict(
             solution,
             lambda: self.parity(stars, model),

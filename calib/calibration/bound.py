@@ -22,7 +22,8 @@ from calib.calibration.observations import Observations
 from calib.calibration.stages import free_mask
 from calib.calibration.star_problem import StarState
 from calib.cameras.base import CameraModel
-from calib.fitting.least_squares import Problem, covariance_of, transformed_covariance
+from calib.fitting.determined import transformed_covariance
+from calib.fitting.least_squares import Problem, covariance_of
 from optics.arrays import BoolArray, FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
@@ -151,7 +152,7 @@ def _inverse_information(problem: Problem, state: Any) -> tuple[Any, FloatArray,
             "bound of a calibration: the truth puts stars behind the camera, or pixels where it sees no direction"
         )
     reduced = problem.system(evaluation, np.ones(len(evaluation.residual))).reduce()
-    covariance, condition, _ = covariance_of(reduced, problem.names)
+    covariance, condition, *_ = covariance_of(reduced, problem.names)
     return evaluation, covariance, condition
 
 

@@ -19,9 +19,10 @@ Choice of pairs. The document does not say which pairs it takes. ``"all"`` takes
 Angles are blind to a mirrored sky: the same angles, another camera. The parity is therefore tested at the end, with the
 attitudes of the frames, and a mirrored one is refused.
 
-Wrong matches. A wrong star spoils its n - 1 pairs. With a robust loss the pairs are fitted first; a star most of whose
-pairs do not fit (lower median over its partners) is left out, and the stars that are left are fitted by plain least
-squares.
+Wrong matches. A wrong star spoils its n - 1 pairs, and a robust loss on pairs is led astray where three stars of ten
+are shifted by some sigma: half of all pairs are then wrong. With a robust loss the wrong stars are therefore found by a
+robust fit with a free attitude in every frame, which holds the same information as all angles and takes each star by
+itself (`calib.calibration.free_attitudes`); the angles of the stars that fit are then fitted by plain least squares.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.calibration.attitude_family import AttitudeFamily, Outcome, frames_with_stars
-from calib.calibration.free_attitudes import frame_parity, start_attitudes
+from calib.calibration.free_attitudes import FreeAttitudes, frame_parity, start_attitudes
 from calib.calibration.interstar_pairs import (
     PairProblem,
     Pairs,
@@ -43,7 +44,7 @@ from calib.calibration.interstar_pairs import (
 )
 from calib.calibration.observations import Observations
 from calib.calibration.stages import fit_stages, free_stages
-from calib.calibration.verdict import LARGEST_RMS, WRONG_PULL, verdict
+from calib.calibration.verdict import verdict
 from calib.cameras.base import CameraModel
 from calib.fitting.least_squares import Fit, Problem, solve
 from calib.fitting.robust_loss import Loss, get_loss
@@ -54,16 +55,6 @@ __all__ = ["NoAttitude"]
 
 OUTER_STEPS = 8  # renewals of the weights; two are usual
 SAME_WEIGHTS = 1e-3  # sigma: a step this short does not change the weights
-
-
-@dataclass(frozen=True, slots=True)
-class _PairFit:
-    """A fit, the stars it used, which of all they are, and the typical pair of the robust fit over its sigma."""
-
-    fit: Fit
-    stars: StarFrames
-    kept: BoolArray
-    spread: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,98 +117,82 @@ class NoAttitude(AttitudeFamily):
         self, stars: Observations, model: CameraModel, free: BoolArray, start: Any, *, two_step: bool, loss: Loss
     ) -> Outcome:
         """Pairs with equal weights, then with full ones if wanted; the judgement of the residuals and of the parity."""
-        found = self._fit_pairs(stars, model, free, two_step, loss)
+        kept, state, steps = np.ones(len(stars), bool), np.array(model.parameters), 0
+        stages = free_stages(model, free, two_step=two_step)
+        if loss.name != "linear":
+            found = _right_stars(stars, model, free, two_step)
+            if found.solution.status == "refused":
+                return found
+            kept, state, steps, stages = found.kept, found.state, found.solution.iterations, [free]
+        fitted = stars.select(kept)
+        fit = self._fit_pairs(fitted, model, state, stages)
         if self.weighting == "full":
-            found = _fit_weighted(found, model, free)
-        solution, fitted = found.fit.solution, stars.select(found.kept)
-        spread = found.spread
-        if not spread > LARGEST_RMS:
-            spread = float(np.sqrt(solution.chi2 / max(solution.degrees_of_freedom, 1)))
+            fit = _fit_weighted(fit, StarFrames(fitted, self.pairs), model, free)
+        solution = replace(
+            fit.solution,
+            iterations=fit.solution.iterations + steps,
+            independent=self.independent(fitted) - int(free.sum()),
+        )
         status, message = verdict(
             solution,
             lambda: "",
-            spread=spread,
+            spread=float(np.sqrt(solution.chi2 / max(solution.degrees_of_freedom, 1))),
             degrees_of_freedom=self.independent(fitted) - int(free.sum()),
-            wrong=None if loss.name == "linear" else ~found.kept,
-            left_out=int(np.count_nonzero(~found.kept)),
+            wrong=None if loss.name == "linear" else ~kept,
+            left_out=int(np.count_nonzero(~kept)),
         )
-        parity = frame_parity(fitted, model.with_parameters(found.fit.state))
+        parity = frame_parity(fitted, model.with_parameters(fit.state))
         if parity:
             status, message = "refused", f"{parity}; {message}"
-        return Outcome(
-            state=found.fit.state, solution=replace(solution, status=status, message=message), kept=found.kept
-        )
+        return Outcome(state=fit.state, solution=replace(solution, status=status, message=message), kept=kept)
 
     def attitudes(self, state: Any, stars: Observations, camera: CameraModel) -> tuple[FloatArray, Rotation | None]:
         """Wahba's for each frame with the camera found; no installation."""
         return start_attitudes(stars, camera), None
 
     def _fit_pairs(
-        self, observations: Observations, model: CameraModel, free: BoolArray, two_step: bool, loss: Loss
-    ) -> _PairFit:
-        """Equally weighted pairs; with a robust loss first to find the wrong stars, then without them."""
-        stars, kept, spread = StarFrames(observations, self.pairs), np.ones(len(observations), bool), 1.0
-        state, stages, steps = np.array(model.parameters), free_stages(model, free, two_step=two_step), 0
-        if loss.name != "linear":
-            every = StarFrames(observations, "all")
-            sigma = PairProblem.at(stars, model, free).sigma
-            fit, spread = fit_stages(lambda stage: PairProblem(every, model, stage, sigma), state, stages, loss)
-            state, steps, stages = fit.state, fit.solution.iterations, [free]
-            kept = _fitting_stars(every, model.with_parameters(state), free, WRONG_PULL * spread)
-            lonely = np.bincount(observations.frame[kept], minlength=observations.frames) < 2
-            kept &= ~lonely[observations.frame]
-            if spread > LARGEST_RMS or np.count_nonzero(kept) * 2 <= len(kept):
-                return _PairFit(fit, every, kept, spread)
-            stars = StarFrames(observations.select(kept), self.pairs)
+        self, observations: Observations, model: CameraModel, state: FloatArray, stages: list[BoolArray]
+    ) -> Fit:
+        """Equally weighted pairs by least squares; the covariance allows for the correlation of pairs."""
+        stars, free = StarFrames(observations, self.pairs), stages[-1]
         sigma = PairProblem.at(stars, model.with_parameters(state), free).sigma
         fit, _ = fit_stages(lambda stage: PairProblem(stars, model, stage, sigma), state, stages, get_loss("linear"))
         problem = PairProblem.at(stars, model.with_parameters(fit.state), free)
         evaluation = problem.evaluate(fit.state)
-        solution = fit.solution
-        if evaluation.seen is not None:
-            solution = replace(
-                solution,
-                covariance=self.scatter(problem, evaluation, solution.covariance),
-                chi2=float(np.sum(evaluation.residual**2)),
-                residual_pulls=evaluation.residual.ravel(),
-                iterations=solution.iterations + steps,
-            )
-        return _PairFit(replace(fit, evaluation=evaluation, solution=solution), stars, kept, spread)
+        if evaluation.seen is None:
+            return fit
+        solution = replace(
+            fit.solution,
+            covariance=self.scatter(problem, evaluation, fit.solution.covariance),
+            chi2=float(np.sum(evaluation.residual**2)),
+            residual_pulls=evaluation.residual.ravel(),
+        )
+        return replace(fit, evaluation=evaluation, solution=solution)
 
 
-def _fitting_stars(stars: StarFrames, model: CameraModel, mask: BoolArray, limit: float) -> BoolArray:
-    """Stars (m,) at least half of whose pairs fit within ``limit`` sigma."""
-    seen = stars.directions(model, mask)
-    if seen is None:
-        return np.zeros(len(stars.table), bool)
-    frames, n, _ = seen.unit.shape
-    part = (seen.by_error.reshape(frames, 2 * n, 3) @ seen.unit.swapaxes(1, 2)).reshape(frames, n, 2, n)
-    variance = np.einsum("fiaj,fiaj->fij", part, part)
-    variance = variance + variance.swapaxes(1, 2)
-    size = np.bincount(stars.table, minlength=frames)
-    partner = np.arange(n)[None, None, :] < size[:, None, None]
-    partner = partner & ~np.eye(n, dtype=bool)
-    pull2 = np.where(partner, stars.misclosure(seen.unit) ** 2 / np.where(variance > 0, variance, 1.0), np.inf)
-    middle = (size - 2) // 2  # lower median of size - 1 partners
-    median = np.take_along_axis(np.sort(pull2, axis=2), np.maximum(middle, 0)[:, None, None], axis=2)[:, :, 0]
-    return np.asarray(median[stars.table, stars.rank] <= limit**2)
+def _right_stars(stars: Observations, model: CameraModel, free: BoolArray, two_step: bool) -> Outcome:
+    """Camera parameters of a robust fit with free attitudes, and the stars (n,) that fit, two or more per frame."""
+    family, loss = FreeAttitudes(), get_loss("tukey")
+    start = family.start(stars, model, robust=True)
+    found = family.fit(stars, model, free, start, two_step=two_step, loss=loss)
+    lonely = np.bincount(stars.frame[found.kept], minlength=stars.frames) < 2
+    return replace(found, state=found.state.camera, kept=found.kept & ~lonely[stars.frame])
 
 
-def _fit_weighted(found: _PairFit, model: CameraModel, free: BoolArray) -> _PairFit:
+def _fit_weighted(start: Fit, stars: StarFrames, model: CameraModel, free: BoolArray) -> Fit:
     """All pairs with full weights, the weights renewed until they no longer matter."""
-    if found.fit.solution.status not in ("converged", "singular"):
-        return found
-    state, steps = found.fit.state, found.fit.solution.iterations
-    last = found.fit
+    if start.solution.status not in ("converged", "singular"):
+        return start
+    state, steps, last = start.state, start.solution.iterations, start
     for outer in range(OUTER_STEPS):
-        problem = WeightedPairProblem(found.stars, model.with_parameters(state), free)
-        fit = solve(problem, state, tolerance=1e-4, max_iterations=30)
-        moved = (fit.state - state)[free]
-        steps += fit.solution.iterations
-        state, last = fit.state, fit
-        if outer and float(moved @ fit.system.common @ moved) < SAME_WEIGHTS**2:
+        problem = WeightedPairProblem(stars, model.with_parameters(state), free)
+        last = solve(problem, state, tolerance=1e-4, max_iterations=30)
+        moved = (last.state - state)[free]
+        steps += last.solution.iterations
+        state = last.state
+        if outer and float(moved @ last.system.common @ moved) < SAME_WEIGHTS**2:
             break
     else:
         solution = replace(last.solution, status="iteration_limit", message="the weights do not come to rest")
         last = replace(last, solution=solution)
-    return replace(found, fit=replace(last, solution=replace(last.solution, iterations=steps)))
+    return replace(last, solution=replace(last.solution, iterations=steps))

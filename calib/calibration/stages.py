@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from calib.calibration.verdict import SAME_SPREAD, WRONG_PULL
+from calib.calibration.verdict import WRONG_PULL
 from calib.cameras.base import CameraModel
 from calib.fitting.least_squares import Fit, Problem, solve
+from calib.fitting.misfit import SAME_SPREAD
 from calib.fitting.robust_loss import Loss
 from optics.arrays import BoolArray, FloatArray
 from optics.errors import unknown_name
@@ -101,7 +102,25 @@ def _typical_pull(residual: FloatArray) -> float:
 
 
 def _lower_scale(problem: Problem, state: Any, loss: Loss) -> tuple[Any, float, int]:
-    """Lower the scale of a robust loss to the typical residual, as far as the residuals follow."""
+    """Lower the scale of a robust loss to the typical residual, as far as the residuals follow.
+
+    Wrong stars that are all shifted alike can hold the scale up: a fit between them and the right ones makes all
+    residuals large. Where that may be, the descent is tried again from a fit by absolute values (Huber's loss at the
+    stated sigma), which sides with the majority, and is kept if it comes lower.
+    """
+    state, scale, steps = _descended(problem, state, loss)
+    if scale <= SAME_SPREAD:
+        return state, 1.0, steps
+    sided = solve(problem, state, loss="huber", tolerance=0.1, slack=1e-4, max_iterations=60)
+    again, lower, more = _descended(problem, sided.state, loss)
+    steps += sided.solution.iterations + more
+    if lower < 0.9 * scale:
+        state, scale = again, lower
+    return state, scale if scale > SAME_SPREAD else 1.0, steps
+
+
+def _descended(problem: Problem, state: Any, loss: Loss) -> tuple[Any, float, int]:
+    """State, scale and steps of one descent."""
     residual = problem.evaluate(state).residual
     scale = _typical_pull(residual) if np.all(np.isfinite(residual)) else 1.0
     steps = 0
@@ -115,4 +134,4 @@ def _lower_scale(problem: Problem, state: Any, loss: Loss) -> tuple[Any, float, 
             scale = now
             break
         scale = now
-    return state, scale if scale > SAME_SPREAD else 1.0, steps
+    return state, scale, steps

@@ -41,7 +41,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.link import angles_of_rotation, exponential, increment_per_angle, right_jacobian, skew
+from calib.attitude.link import angle_per_increment, angles_of_rotation, exponential, right_jacobian, skew
 from calib.attitude.wahba import rotations_of_groups
 from calib.calibration.attitude_family import RotationFamily
 from calib.calibration.observations import Observations
@@ -293,7 +293,7 @@ class TurntableAttitudes(RotationFamily):
         size = basis.shape[1]
         theta = angles_of_rotation(Rotation.from_matrix(pose.installation))
         derivative = np.eye(size + 3 + len(pose.axis))
-        derivative[size : size + 3, size : size + 3] = np.linalg.pinv(increment_per_angle(theta))
+        derivative[size : size + 3, size : size + 3] = angle_per_increment(theta)
         if pose.star is None:
             first = Rotation.from_matrix(pose.target).as_rotvec()
             derivative[:3, :3] = np.linalg.inv(right_jacobian(-first))

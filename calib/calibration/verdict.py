@@ -11,14 +11,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from calib.fitting.misfit import LARGEST_WRONG_PART, joined
 from calib.fitting.solution import Solution
 from optics.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["LARGEST_RMS", "SAME_SPREAD", "WRONG_PULL", "parity_hint", "verdict"]
+__all__ = ["LARGEST_RMS", "WRONG_PULL", "parity_hint", "verdict"]
 
 LARGEST_RMS = 10.0  # typical residual over the stated sigma above which a fit is refused
-LARGEST_WRONG_PART = 0.4  # part of the stars that do not fit above which a robust fit is refused
-SAME_SPREAD = 1.2  # a typical residual this close to the stated sigma is the stated sigma
 WRONG_PULL = 6.0  # length of a star's residual [sigma] beyond which it counts as a wrong match
 
 
@@ -55,14 +54,9 @@ def verdict(
     else:
         reason = _too_many_wrong(spread, wrong, left_out, degrees_of_freedom)
     if reason or solution.status in ("stalled", "iteration_limit"):
-        message = "; ".join(part for part in (reason or solution.message, hint()) if part)
-        return "refused" if reason else solution.status, message
-    message = solution.message
-    if wrong is not None and wrong.any():
-        message += f"; {np.count_nonzero(wrong)} stars do not fit"
-    if spread > 1.0 + 5.0 / np.sqrt(2.0 * max(degrees_of_freedom, 1)) and spread > SAME_SPREAD:
-        message += f"; residuals are {spread:.2f} times the stated sigma, which the covariance does not include"
-    return solution.status, message
+        return "refused" if reason else solution.status, joined(reason or solution.message, hint())
+    lost = "" if wrong is None or not wrong.any() else f"{np.count_nonzero(wrong)} stars do not fit"
+    return solution.status, joined(solution.message, lost, solution.misfit.note)
 
 
 def _too_far_off(spread: float) -> str:

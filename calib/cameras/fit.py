@@ -13,7 +13,7 @@ d pixel / d w = -A [v] V, A = d pixel / d v.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -151,7 +151,7 @@ def fit_to_map(
         line_of_sight=line_of_sight_map(
             fitted, vector / np.linalg.norm(vector, axis=1, keepdims=True), pixel, band=band
         ),
-        solution=fit.solution,
+        solution=replace(fit.solution, independent=0),  # no noise was stated
     )
 
 

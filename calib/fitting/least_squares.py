@@ -26,12 +26,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.fitting.arrow import ArrowSystem, Reduced, Step, spectrum
+from calib.fitting.determined import Determined, covariance_of_spectrum, transformed_covariance
+from calib.fitting.misfit import joined
 from calib.fitting.robust_loss import Loss, get_loss
 from calib.fitting.solution import Solution
 from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
 
-__all__ = ["DenseProblem", "Evaluation", "Fit", "Problem", "covariance_of", "solve", "transformed_covariance"]
+__all__ = ["DenseProblem", "Evaluation", "Fit", "Problem", "covariance_of", "solve"]
 
 
 DAMPING_START = 1e-4
@@ -178,23 +180,20 @@ def solve(
     counted = weight > 0  # what a redescending loss threw away is no longer in the fit
     value, derivative = problem.reported(walk.state)
     factor = chosen.variance_factor(residual.shape[1])
-    covariance, condition, unknown = covariance_of(reduced, problem.names, factor=factor)
+    found = covariance_of(reduced, problem.names, factor=factor)
     status, message = walk.status, walk.message
-    if inside and unknown:
-        status = "singular"
-        message = f"not determined by these data: {', '.join(unknown)}" + (
-            "" if walk.status == "converged" else f"; {message}"
-        )
+    if inside and found.unknown:
+        status, message = "singular", joined(found.message, "" if walk.status == "converged" else message)
     solution = Solution(
         value=value,
         names=problem.names,
-        covariance=transformed_covariance(covariance, derivative),
+        covariance=transformed_covariance(found.covariance, derivative),
         status=status,
         message=message,
         iterations=walk.iterations,
         chi2=float(np.sum(residual[counted] ** 2) + walk.evaluation.penalty) if inside else float("inf"),
         degrees_of_freedom=int(residual[counted].size + problem.prior_terms - problem.unknowns),
-        condition=condition,
+        condition=found.condition,
         residual_pulls=residual.ravel(),
         robust_weight=weight,
     )
@@ -258,9 +257,7 @@ def _positive_diagonal(system: ArrowSystem) -> tuple[FloatArray, FloatArray | No
     return np.where(common > 0, common, 1.0), None if block is None else np.where(block > 0, block, 1.0)
 
 
-def covariance_of(
-    reduced: Reduced, names: tuple[str, ...], *, factor: float = 1.0
-) -> tuple[FloatArray, float, list[str]]:
+def covariance_of(reduced: Reduced, names: tuple[str, ...], *, factor: float = 1.0) -> Determined:
     """Covariance of the common unknowns from the reduced normal equations.
 
     Parameters
@@ -274,35 +271,10 @@ def covariance_of(
 
     Returns
     -------
-    covariance : (p, p)
-        Infinite on the diagonal and zero beside it for unknowns that the data do not determine.
-    condition : float
-        Ratio of the largest to the smallest singular value of the scaled Jacobian after elimination of the frames.
-    unknown : list of str
-        Names of the unknowns that are not determined.
+    Determined
+        The condition is that of the Jacobian after elimination of the frames.
     """
-    value, vector, known = spectrum(reduced)
-    inverse = 1.0 / np.where(reduced.scale > 0, reduced.scale, 1.0)
-    part = vector[:, known] * inverse[:, None]
-    covariance = factor * (part / value[known]) @ part.T
-    condition = float(np.sqrt(value[-1] / value[0])) if known.all() and len(value) else float("inf")
-    lost = np.sum(vector[:, ~known] ** 2, axis=1) > 1e-9
-    covariance[lost, :] = 0.0
-    covariance[:, lost] = 0.0
-    covariance[lost, lost] = np.inf
-    return covariance, condition, [name for name, gone in zip(names, lost, strict=True) if gone]
-
-
-def transformed_covariance(covariance: FloatArray, derivative: FloatArray) -> FloatArray:
-    """Covariance after a change of coordinates; infinite variances stay infinite in whatever they touch."""
-    lost = ~np.isfinite(np.diagonal(covariance))
-    finite = np.where(np.isfinite(covariance), covariance, 0.0)
-    out = derivative @ finite @ derivative.T
-    touched = np.any((np.abs(derivative) > 1e-12) & lost, axis=1)
-    out[touched, :] = 0.0
-    out[:, touched] = 0.0
-    out[touched, touched] = np.inf
-    return np.asarray(0.5 * (out + out.T))
+    return covariance_of_spectrum(*spectrum(reduced), reduced.scale, names, factor=factor)
 
 
 def _empty_system(size: int) -> ArrowSystem:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.fitting.misfit import ChiSquare, joined
 from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
 from optics.records import freeze
@@ -17,7 +18,7 @@ __all__ = ["STATUSES", "Solution"]
 STATUSES = ("converged", "stalled", "iteration_limit", "singular", "refused")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Solution:
     """Outcome of a least-squares fit; a fit that failed says so here and raises nothing.
 
@@ -46,6 +47,9 @@ class Solution:
         Residuals over their standard deviations.
     robust_weight : (k,)
         Weight, 0 .. 1, that the loss left to each group of residuals (to each star); ones for the linear loss.
+    independent : int or None
+        Degrees of freedom that test the stated noise where the terms of ``chi2`` are correlated, so that there are
+        fewer than ``degrees_of_freedom``; 0 where no noise was stated; None: all of them.
     """
 
     value: FloatArray
@@ -59,6 +63,7 @@ class Solution:
     condition: float
     residual_pulls: FloatArray
     robust_weight: FloatArray
+    independent: int | None = None
 
     def __post_init__(self) -> None:
         if self.status not in STATUSES:
@@ -68,6 +73,19 @@ class Solution:
         freeze(self, "covariance", shape=("p", "p"), finite=False, sizes=sizes)
         freeze(self, "residual_pulls", shape=("m",), finite=False, sizes=sizes)
         freeze(self, "robust_weight", shape=("k",), finite=False, sizes=sizes)
+
+    def __repr__(self) -> str:
+        values = ", ".join(
+            f"{n} = {v:.6g} +- {e:.2g}" for n, v, e in zip(self.names, self.value, self.sigma, strict=True)
+        )
+        return f"<Solution {joined(self.status, values, self.message, str(self.misfit), self.misfit.note)}>"
+
+    @property
+    def misfit(self) -> ChiSquare:
+        """Whether the residuals are as large as the stated noise makes them."""
+        freedom = max(self.degrees_of_freedom, 0)
+        tested = freedom if self.independent is None else max(self.independent, 0)
+        return ChiSquare(value=self.chi2 * tested / freedom if freedom else self.chi2, degrees_of_freedom=tested)
 
     @property
     def converged(self) -> bool:

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import (
+    angle_per_increment,
     angles_of_rotation,
     exponential,
     increment_per_angle,
@@ -88,3 +89,13 @@ def test_bad_angles():
         rotation_of_angles([0.0, 1.0])
     with pytest.raises(DomainError, match="three finite angles"):
         rotation_of_angles([0.0, 1.0, np.nan])
+
+
+def test_angles_that_only_their_sum_defines_have_no_finite_rate():
+    """At a1 = 90 deg the rotation vector moves a1 alone; beside it, the inverse of numerical derivatives."""
+    locked = angle_per_increment(np.deg2rad([90.0, 20.0, 0.0]))
+    assert np.isfinite(locked[0]).all()
+    assert np.isinf(locked[1:]).all()
+    angle, turn = np.deg2rad([60.0, 20.0, -40.0]), np.array([2e-7, -1e-7, 3e-7])
+    moved = angles_of_rotation(Rotation.from_rotvec(turn) * rotation_of_angles(angle))
+    np.testing.assert_allclose(angle_per_increment(angle) @ turn, moved - angle, atol=1e-12)

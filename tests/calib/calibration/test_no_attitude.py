@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calib.calibration.calibrate import calibrate
 from calib.calibration.free_attitudes import FreeAttitudes
 from calib.calibration.no_attitude import NoAttitude
+from calib.cameras.line_of_sight import line_of_sight_map
 from optics.errors import ConfigError, DomainError
 
 
@@ -69,8 +72,6 @@ def test_unweighted_is_worse_and_says_by_how_much(scenes):
 def test_a_mirrored_sky_is_refused_though_all_angles_fit(scenes):
     scene = scenes.make_scene()
     flipped = scene.observations.pixel_px * [-1.0, 1.0] + [1023.0, 0.0]
-    from dataclasses import replace
-
     found = calibrate(replace(scene.observations, pixel_px=flipped), scenes.START, NoAttitude()).solution
     assert found.status == "refused"
     assert "the sky is mirrored" in found.message
@@ -87,6 +88,24 @@ def test_ten_percent_wrong_matches_are_survived(scenes, weighting):
     np.testing.assert_array_equal(found.used, ~wrong)
     assert np.all(np.abs(found.solution.pulls(scenes.CAMERA.parameters)) < 5)
     assert calibrate(observed, scenes.START, NoAttitude()).solution.status == "refused"
+
+
+@pytest.mark.parametrize("shift_px", [(0.8, 0.5), (3.0, 2.0)], ids=["16 sigma", "60 sigma"])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_thirty_percent_of_stars_shifted_alike_are_survived(scenes, seed, shift_px):
+    """A common shift is the worst case: a fit between both groups makes all residuals large and none an outlier.
+
+    The map must be as wrong as it states: RMS over the detector below 3 times the predicted one. It was 10 times.
+    """
+    scene = scenes.make_scene(seed=seed, frames=20, stars=25)
+    wrong = np.random.default_rng(seed).random(len(scene.observations)) < 0.3
+    moved = scene.observations.pixel_px + wrong[:, None] * np.array(shift_px)
+    found = calibrate(replace(scene.observations, pixel_px=moved), scenes.START, NoAttitude(), loss="tukey")
+    assert found.converged
+    assert not found.used[wrong].any()
+    grid = scenes.GEOMETRY.grid_px(7)
+    line = line_of_sight_map(found.model, scenes.CAMERA.unproject(grid), grid, covariance=found.covariance)
+    assert line.rms_arcsec < 3.0 * line.predicted_rms_arcsec
 
 
 def test_sixty_percent_wrong_matches_are_refused(scenes):

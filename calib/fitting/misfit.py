@@ -1,0 +1,91 @@
+"""Whether residuals are as large as the stated noise makes them: chi-square beside its expectation, in one place.
+
+A covariance is only as good as the noise that was stated. The sum of squares of residuals over their stated sigma is
+chi-square of as many degrees of freedom as there are measurements beyond the unknowns; its mean is that number, its
+variance twice it. A note is made where chance gives so large *or so small* a sum in less than one of a thousand fits
+and the noise is off by more than a fifth: with thousands of degrees of freedom no statement is right to the last digit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammainc, gammaincc
+
+__all__ = ["LARGEST_WRONG_PART", "NOTE_PROBABILITY", "SAME_SPREAD", "ChiSquare", "joined"]
+
+SAME_SPREAD = 1.2  # a typical residual this close to the stated sigma, as a factor, is the stated sigma
+NOTE_PROBABILITY = 1e-3  # two-sided, below which chance is no explanation
+LARGEST_WRONG_PART = 0.4  # part of the data that do not fit above which a robust fit is refused
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChiSquare:
+    """A sum of squares of residuals in units of their stated sigma.
+
+    Attributes
+    ----------
+    value : float
+        The sum.
+    degrees_of_freedom : int
+        Its expectation: measurements minus unknowns; 0 where no noise was stated, or nothing is left to test it.
+
+    Examples
+    --------
+    Ten times the stated noise, 40 degrees of freedom:
+
+    >>> print(ChiSquare(value=4000.0, degrees_of_freedom=40))
+    chi-square 4000, expected 40 +- 8.9, probability < 1e-300
+    >>> ChiSquare(value=4000.0, degrees_of_freedom=40).note.split(":")[0]
+    'residuals are 10 times what the stated sigma makes them'
+    >>> ChiSquare(value=43.0, degrees_of_freedom=40).note
+    ''
+    """
+
+    value: float
+    degrees_of_freedom: int
+
+    @property
+    def tested(self) -> bool:
+        """Whether there is anything to test."""
+        return self.degrees_of_freedom > 0 and bool(np.isfinite(self.value))
+
+    @property
+    def ratio(self) -> float:
+        """Size of the residuals over what the stated sigma makes them, sqrt(chi-square / degrees of freedom)."""
+        return float(np.sqrt(self.value / self.degrees_of_freedom)) if self.tested else float("nan")
+
+    @property
+    def probability(self) -> float:
+        """Probability of a sum so far from its expectation, in either direction; NaN where nothing is tested."""
+        if not self.tested:
+            return float("nan")
+        half, x = 0.5 * self.degrees_of_freedom, 0.5 * self.value
+        return float(min(1.0, 2.0 * min(gammainc(half, x), gammaincc(half, x))))
+
+    @property
+    def note(self) -> str:
+        """One line where stated noise and residuals contradict each other, else nothing."""
+        ratio = self.ratio
+        if not self.tested or 1.0 / SAME_SPREAD <= ratio <= SAME_SPREAD or self.probability >= NOTE_PROBABILITY:
+            return ""
+        cause = (
+            "the noise is stated too small or the model is wrong, which the covariance does not include"
+            if ratio > 1.0
+            else "the noise is stated too large, and so is the covariance"
+        )
+        return f"residuals are {ratio:.3g} times what the stated sigma makes them: {cause} ({self})"
+
+    def __str__(self) -> str:
+        if not self.tested:
+            return "chi-square not tested"
+        freedom, chance = self.degrees_of_freedom, self.probability
+        stated = "< 1e-300" if chance < 1e-300 else f"{chance:.2g}"
+        spread = f"{np.sqrt(2.0 * freedom):.2g}"
+        return f"chi-square {self.value:.4g}, expected {freedom} +- {spread}, probability {stated}"
+
+
+def joined(*notes: str) -> str:
+    """Messages joined by semicolons, empty ones left out."""
+    return "; ".join(note for note in notes if note)
