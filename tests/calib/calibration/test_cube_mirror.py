@@ -114,6 +114,19 @@ def test_covariance_is_the_scatter(method):
     assert np.mean(errors, axis=0) == pytest.approx([0, 0, 0], abs=4 * 2e-5 / 20)
 
 
+def test_an_error_of_the_sensor_is_carried_into_the_cube_frame():
+    """A small turn of the sensor, oblique to all axes: the covariance of rank one that it has, sent through, is that of
+    the error which it really makes."""
+    turn = Rotation.from_rotvec([0.4, -0.9, 1.3])
+    normals = turn.inv().apply([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    cube = cube_from_table([[0, 0, 1], [1, 0, 0]], normals, covariance_rad2=np.zeros((2, 3, 3)))
+    sensor, error = Rotation.from_rotvec([-0.2, 0.7, 0.5]), np.array([1e-5, 3e-5, -7e-5])
+    exact, _ = sensor_to_cube(cube, sensor, np.zeros((3, 3)))
+    disturbed, covariance = sensor_to_cube(cube, Rotation.from_rotvec(error) * sensor, np.outer(error, error))
+    made = rotation_error_rad(disturbed, exact)
+    assert covariance == pytest.approx(np.outer(made, made), abs=1e-13)
+
+
 def test_repeats_are_averaged_and_more_faces_weighted():
     turn = Rotation.from_rotvec([0.0, np.pi, 0.1])
     known = np.array([[0, 0, 1.0], [0, 0, 1.0], [1.0, 0, 0], [-1.0, 0, 0]])

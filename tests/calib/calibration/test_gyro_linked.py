@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.calibration.attitude_correlated import AttitudeCorrelated
+from calib.calibration.bound import bound
 from calib.calibration.calibrate import calibrate
 from calib.calibration.free_attitudes import FreeAttitudes
 from calib.calibration.gyro_linked import GyroLinked, GyroNoise
@@ -63,6 +66,24 @@ def test_a_useless_gyro_is_a_free_attitude_in_every_frame(scenes):
     assert np.abs((found.value[:8] - free.value) / free.sigma).max() < 1e-2
     np.testing.assert_allclose(found.sigma[:8], free.sigma, rtol=1e-3)
     assert np.all(found.sigma[11:] > 0.1)  # the installation is hardly seen, and that is said
+
+
+def test_a_look_without_stars_changes_nothing(scenes):
+    """A random walk has no memory: a reading of the gyro half-way between two frames tells nothing of the camera.
+
+    Frames 0.5, 2 and 7 s apart; the walk is as large as the attitude errors of single frames.
+    """
+    scene = scenes.make_scene(frames=6, stars=4)
+    time = np.cumsum([0.0, 0.5, 2.0, 7.0, 0.5, 2.0])
+    noise = GyroNoise(angle_random_walk_rad_per_sqrt_s=3e-4)
+    seen = np.delete(np.arange(6), 3)
+    kept = scene.observations.select(np.isin(scene.observations.frame, seen))
+    fewer = replace(kept, frame=np.searchsorted(seen, kept.frame), frames=5)
+    sigma = [
+        bound(stars, scenes.CAMERA, GyroLinked(gyro_rotation=scene.gyro[rows], time_s=time[rows], noise=noise)).sigma
+        for stars, rows in ((kept, np.arange(6)), (fewer, seen))
+    ]
+    np.testing.assert_allclose(sigma[0], sigma[1], rtol=1e-6)
 
 
 def test_more_noise_tells_less(scenes):

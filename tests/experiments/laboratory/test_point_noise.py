@@ -80,9 +80,11 @@ def test_the_bound_agrees_with_one_from_numerical_derivatives(windows, noise):
     np.testing.assert_allclose(bound_px(windows, noise), expected, rtol=5e-3)
 
 
-@pytest.mark.parametrize("method", ["cog", "gaussian"])
-def test_drawn_noise_scatters_as_the_influence_says(star_camera, windows, noise, method):
+@pytest.mark.parametrize(("method", "dark_e"), [("cog", None), ("gaussian", None), ("cog", 400.0)])
+def test_drawn_noise_scatters_as_the_influence_says(star_camera, windows, noise, method, dark_e):
+    """As the data sheet has it, where read noise rules, and warm: most of the noise is that of the dark charge."""
     draws = 3000
+    noise = noise if dark_e is None else replace(noise, dark_e=dark_e)
     centroider = get_centroider(method)
     drawn = sampled_px(centroider, star_camera, windows, noise, draws=draws, rng=np.random.default_rng(4))
     linear = influence(centroider, star_camera, windows).sigma_px(noise.temporal_e2(windows.light_e))
