@@ -22,7 +22,8 @@ optics.glass.catalogue      `get_glass`, `list_glasses`, `Glass`
 optics.glass.media          `Environment`, `CATALOGUE_AIR`, `VACUUM`
 optics.rays.paraxial        `paraxial`, `axial_colour_mm`
 optics.rays.chief           `chief_ray_points`, `plate_scale_mm`, `distortion_map`
-optics.rays.spots           `spot_moments`, `trace_spots`, `lateral_colour`, `vignetting`, `best_focus_shift_mm`
+optics.rays.spots           `spot_moments`, `trace_spots`, `lateral_colour`, `vignetting`, `best_focus_shift_mm`,
+                            `collecting_area_mm2`
 optics.rays.pupil           `entrance_pupil`, `star_rays`, `gauss_disk`, `sobol_disk`
 optics.rays.trace           `Rays`, `trace`, `trace_program`
 optics.rays.program         `compile_lens`

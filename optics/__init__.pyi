@@ -56,6 +56,7 @@ from .rays.pupil import sobol_disk as sobol_disk
 from .rays.pupil import star_rays as star_rays
 from .rays.reverse import reverse as reverse
 from .rays.spots import best_focus_shift_mm as best_focus_shift_mm
+from .rays.spots import collecting_area_mm2 as collecting_area_mm2
 from .rays.spots import lateral_colour as lateral_colour
 from .rays.spots import spot_moments as spot_moments
 from .rays.spots import trace_spots as trace_spots

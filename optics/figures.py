@@ -202,12 +202,12 @@ def draw_spots(
     waves = [part * lens.design_wavelength_nm for part in (0.8, 1.0, 1.25)] if wavelength_nm is None else wavelength_nm
     field_x, field_y = np.array(fields, float).T
     spots = trace_spots(lens, field_x, field_y, waves, samples=_spot_samples())
-    weight = spots.weight / np.maximum(spots.weight.sum(axis=(1, 2), keepdims=True), 1e-300)
+    weight = spots.area_mm2 / np.maximum(spots.area_mm2.sum(axis=(1, 2), keepdims=True), 1e-300)
     offsets = []
     for position in (spots.rays.x, spots.rays.y):
-        height = np.where(spots.weight > 0, position, 0.0)
+        height = np.where(spots.area_mm2 > 0, position, 0.0)
         offsets.append(1e3 * (height - (weight * height).sum(axis=(1, 2), keepdims=True)))
-    x, y = (np.where(spots.weight > 0, offset, np.nan) for offset in offsets)
+    x, y = (np.where(spots.area_mm2 > 0, offset, np.nan) for offset in offsets)
     half = 1.12 * float(np.nanmax(np.hypot(x, y)))
     figure = Figure(figsize=(2.9 * len(fields), 3.6), layout="constrained")
     panels = figure.subplots(1, len(fields), squeeze=False)[0]

@@ -13,7 +13,7 @@ from optics.arrays import FloatArray
 from optics.light.band import Band, TopHat, band_nodes
 from optics.light.photometry import photon_rate
 from optics.light.spectrum import Blackbody
-from optics.rays.pupil import entrance_pupil
+from optics.rays.spots import collecting_area_mm2
 from render.forward import StarRenderer
 from render.records import StarField
 
@@ -78,7 +78,7 @@ def electrons_of_star(config: StarsConfig, instrument: Instrument, *, magnitude:
     rate = photon_rate(Blackbody(temperature_k=temperature_k), magnitude, wavelength_nm=nodes.wavelength_nm)
     camera = instrument.camera
     detected = nodes.integrate(rate * camera.response_at(nodes.wavelength_nm))
-    return float(detected[0] * entrance_pupil(camera.lens).area_mm2 * instrument.config.exposure_s)
+    return float(detected[0] * collecting_area_mm2(camera.lens) * instrument.config.exposure_s)
 
 
 def stellar_shift(config: StarsConfig, instrument: Instrument) -> StellarShift:

@@ -10,7 +10,7 @@ from experiments.laboratory.settings import TargetConfig
 from optics.arrays import FloatArray
 from optics.light.band import TopHat, band_nodes
 from optics.light.spectrum import Sed
-from optics.rays.pupil import entrance_pupil
+from optics.rays.spots import collecting_area_mm2
 from render.records import StarField
 
 __all__ = ["Bench", "band_pairs", "point_field"]
@@ -75,7 +75,7 @@ def point_field(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
     nodes = band_nodes(bench.filters, NODES)
     shape = nodes.weight_nm * nodes.transmission * bench.lamp.photon_density(nodes.wavelength_nm)
     camera = instrument.camera
-    area = entrance_pupil(camera.lens).area_mm2 * instrument.config.exposure_s
+    area = collecting_area_mm2(camera.lens) * instrument.config.exposure_s
     collected = (shape * camera.response_at(nodes.wavelength_nm)).sum(1) * area
     rate = (bench.signal_e / collected)[None, :, None] * shape[None] / direction[:, 2][:, None, None]
     return StarField(direction=direction, wavelength_nm=nodes.wavelength_nm, photon_rate=rate, band=nodes.name)

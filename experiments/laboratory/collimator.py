@@ -12,7 +12,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.light.band import Band, band_nodes
 from optics.light.spectrum import Sed
-from optics.rays.pupil import entrance_pupil
+from optics.rays.spots import collecting_area_mm2
 from optics.units import DEG_RAD, RAD_DEG
 from render.records import StarField
 
@@ -95,7 +95,7 @@ class SingleStar:
         nodes = band_nodes([self.band], NODES)
         shape = nodes.weight_nm * nodes.transmission * self.spectrum.photon_density(nodes.wavelength_nm)
         camera = instrument.camera
-        area = entrance_pupil(camera.lens).area_mm2 * instrument.config.exposure_s
+        area = collecting_area_mm2(camera.lens) * instrument.config.exposure_s
         collected = float((shape * camera.response_at(nodes.wavelength_nm)).sum() * area)
         if not collected > 0:
             raise DomainError(

@@ -10,12 +10,12 @@ from optics.arrays import FloatArray
 from optics.frames import field_angles_deg
 from optics.light.band import band_nodes
 from optics.rays.paraxial import lateral_colour_mm
-from optics.rays.pupil import PupilSamples, entrance_pupil, gauss_disk, sobol_disk
 from optics.rays.spots import spot_moments
 
 __all__ = ["bundle_prediction", "expected_spots", "paraxial_prediction"]
 
-COARSE = gauss_disk(5, 12)
+ORDER = (5, 12)
+"""Rings and azimuths in the pupil."""
 PREDICTION_NODES = 11
 """Wavelength nodes of the predictions; another number than the renderer's on purpose."""
 
@@ -29,7 +29,7 @@ def _shares(bench: Bench, instrument: Instrument) -> tuple[FloatArray, FloatArra
 
 
 def expected_spots(
-    bench: Bench, instrument: Instrument, direction: FloatArray, samples: PupilSamples = COARSE
+    bench: Bench, instrument: Instrument, direction: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean (p, j, b, 2), RMS radius (p, j, b) [px] and transmitted area (p, j, b) [mm^2] of the ray bundles.
 
@@ -38,7 +38,7 @@ def expected_spots(
     camera = instrument.camera
     wavelength, share = _shares(bench, instrument)
     field_x, field_y = field_angles_deg(direction.reshape(-1, 3))
-    spot = spot_moments(camera.focused_lens, field_x, field_y, wavelength.ravel(), samples=samples)
+    spot = spot_moments(camera.focused_lens, field_x, field_y, wavelength.ravel(), order=ORDER)
     x, y, second, area = (
         v.reshape(-1, *share.shape) for v in (spot.x_mm, spot.y_mm, spot.xx_mm2 + spot.yy_mm2, spot.transmitted_mm2)
     )
@@ -52,16 +52,8 @@ def expected_spots(
 
 
 def bundle_prediction(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
-    """Photon-weighted bundle means (p, j, b, 2) [px] by the NumPy trace, without renderer, image or noise.
-
-    A few rays are enough for a round clear pupil; where apertures cut the light, thousands of them find the cut.
-    """
-    place, _, area = expected_spots(bench, instrument, direction)
-    if np.allclose(area, entrance_pupil(instrument.camera.focused_lens).area_mm2, rtol=1e-9):
-        return place
-    fine, points = sobol_disk(4096, seed=1), direction.reshape(-1, 3)
-    parts = [expected_spots(bench, instrument, part[None], fine)[0][0] for part in np.array_split(points, len(points))]
-    return np.concatenate(parts).reshape(place.shape)
+    """Photon-weighted bundle means (p, j, b, 2) [px] by the NumPy trace, without renderer, image or noise."""
+    return expected_spots(bench, instrument, direction)[0]
 
 
 def paraxial_prediction(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:

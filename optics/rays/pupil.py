@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +16,7 @@ from optics.errors import ConvergenceError, DomainError
 from optics.frames import field_direction, light_direction
 from optics.lens.system import LensSystem
 from optics.rays.paraxial import axial_paraxial
+from optics.rays.program import compile_lens
 from optics.rays.trace import Rays, trace
 from optics.records import freeze
 
@@ -26,6 +28,7 @@ __all__ = [
     "gauss_disk",
     "sobol_disk",
     "star_rays",
+    "stop_in_front",
 ]
 
 
@@ -201,17 +204,44 @@ def entrance_pupil(
     ConvergenceError
         If no ray at all reaches the image plane.
     """
-    stop = lens.surfaces[lens.stop_index]
-    upright = np.array_equal(stop.rotation[:, 2], [0.0, 0.0, 1.0])
-    if lens.stop_in_front and upright and stop.inner_semi_diameter_mm == 0.0:
+    if stop_in_front(lens):
+        stop = lens.surfaces[lens.stop_index]
         x, y, z = (float(v) for v in stop.position_mm)
         return EntrancePupil(x_mm=x, y_mm=y, z_mm=z, radius_mm=float(stop.semi_diameter_mm), exact=True)
+    field = lens.max_field_deg if max_field_deg is None else float(max_field_deg)
+    spread = np.clip(lens.design_wavelength_nm * np.array([0.75, 1.0, 1.4]), *lens.wavelength_range_nm)
+    waves = spread if wavelength_nm is None else np.array(wavelength_nm, float)
+    return _searched(_State(lens), field, tuple(waves.tolist()))
+
+
+def stop_in_front(lens: LensSystem) -> bool:
+    """Whether a clear, untilted stop in front of all glass is the entrance pupil itself."""
+    stop = lens.surfaces[lens.stop_index]
+    upright = np.array_equal(stop.rotation[:, 2], [0.0, 0.0, 1.0])
+    return bool(lens.stop_in_front and upright and stop.inner_semi_diameter_mm == 0.0)
+
+
+class _State:
+    """A lens, compared by what a trace depends on: one search serves all calls for the same state."""
+
+    def __init__(self, lens: LensSystem) -> None:
+        program, theta = compile_lens(lens)
+        self.lens, self._key = lens, (program, theta.tobytes(), lens.stop_index, lens.design_wavelength_nm)
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _State) and self._key == other._key
+
+
+@lru_cache(maxsize=64)
+def _searched(state: _State, field: float, wavelength_nm: tuple[float, ...]) -> EntrancePupil:
+    """The disk that holds every ray; see `entrance_pupil`."""
+    lens, wavelengths = state.lens, np.array(wavelength_nm)
     guess = axial_paraxial(lens, lens.design_wavelength_nm)
     if not (math.isfinite(guess.entrance_pupil_z_mm) and math.isfinite(guess.entrance_pupil_radius_mm)):
         raise DomainError(f"lens {lens.name!r}: the entrance pupil is at infinity; rays cannot be launched from it")
-    field = lens.max_field_deg if max_field_deg is None else max_field_deg
-    spread = np.clip(lens.design_wavelength_nm * np.array([0.75, 1.0, 1.4]), *lens.wavelength_range_nm)
-    wavelengths = spread if wavelength_nm is None else np.array(wavelength_nm, float)
     z, outer = guess.entrance_pupil_z_mm, 1.5 * guess.entrance_pupil_radius_mm
     needed = 0.0
     for _ in range(SEARCH_DOUBLINGS):

@@ -6,7 +6,7 @@ Fields are angles of the star in cam (`optics.frames.field_direction`), position
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -14,18 +14,29 @@ from numpy.typing import ArrayLike
 
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
-from optics.frames import field_direction
+from optics.frames import field_direction, light_direction
 from optics.lens.system import LensSystem
+from optics.rays.beam import find_beams
 from optics.rays.chief import chief_ray_points
-from optics.rays.pupil import EntrancePupil, PupilSamples, entrance_pupil, gauss_disk, sobol_disk, star_rays
-from optics.rays.trace import Rays, trace
+from optics.rays.pupil import PupilSamples, entrance_pupil, gauss_disk, sobol_disk, star_rays, stop_in_front
+from optics.rays.trace import VIGNETTED, Rays, trace
 from optics.records import freeze
 from optics.units import RAD_DEG
 
-__all__ = ["SpotMoments", "Spots", "best_focus_shift_mm", "lateral_colour", "spot_moments", "trace_spots", "vignetting"]
+__all__ = [
+    "SpotMoments",
+    "Spots",
+    "best_focus_shift_mm",
+    "collecting_area_mm2",
+    "lateral_colour",
+    "spot_moments",
+    "trace_spots",
+    "vignetting",
+]
 
 
-QUADRATURE_RINGS, QUADRATURE_ARMS = 12, 32
+QUADRATURE = (12, 32)
+"""Rings and azimuths."""
 SOBOL_POINTS, SOBOL_SEED = 4096, 0
 
 
@@ -69,19 +80,16 @@ class Spots:
     ----------
     rays : Rays
         Shape (f, w, n), in the frame of the image plane.
-    weight : (f, w, n)
-        Quadrature weights of the rays that arrive, 0 for lost rays; they sum to the fraction of the launch disk that
-        arrives.
-    pupil : EntrancePupil
-        Launch disk.
+    area_mm2 : (f, w, n)
+        Part of the launch plane that a ray stands for, 0 for lost rays; times irradiance and cosine of the field angle
+        it is the ray's flux.
     """
 
     rays: Rays
-    weight: FloatArray
-    pupil: EntrancePupil
+    area_mm2: FloatArray
 
     def __post_init__(self) -> None:
-        freeze(self, "weight", shape=("f", "w", "n"), sizes={})
+        freeze(self, "area_mm2", shape=("f", "w", "n"), sizes={})
 
 
 def trace_spots(
@@ -91,6 +99,7 @@ def trace_spots(
     wavelength_nm: ArrayLike,
     *,
     samples: PupilSamples | None = None,
+    order: tuple[int, int] = QUADRATURE,
 ) -> Spots:
     """Trace the ray bundles of stars.
 
@@ -103,8 +112,11 @@ def trace_spots(
     wavelength_nm : (w,)
         Wavelengths [nm].
     samples : PupilSamples, optional
-        Points of the launch disk. If left out: Gauss quadrature where the pupil is an exact disk that nothing cuts,
-        otherwise 4096 scrambled Sobol points.
+        Points of the launch disk (`optics.rays.pupil.entrance_pupil`). If left out: quadrature inside the beam, whose
+        outline is known (a clear stop in front) or found (`optics.rays.beam`); 4096 scrambled Sobol points for a lens
+        whose apertures have holes.
+    order : (int, int)
+        Rings and azimuths of the quadrature.
 
     Raises
     ------
@@ -119,20 +131,42 @@ def trace_spots(
         raise DomainError(
             f"fields of shape {stars.shape[:-1]}, wavelengths {waves.shape}; one-dimensional lists are needed"
         )
+    holes = any(surface.inner_semi_diameter_mm > 0 for surface in lens.surfaces)
+    spots = None
+    if samples is not None or stop_in_front(lens):
+        spots = _of_disk(lens, stars, waves, samples or gauss_disk(*order))
+    elif holes:
+        spots = _of_disk(lens, stars, waves, sobol_disk(SOBOL_POINTS, seed=SOBOL_SEED))
+    if spots is None or (samples is None and not holes and not np.all(spots.rays.ok)):
+        spots = _of_beams(lens, stars, waves, order)
+    if not np.any(spots.rays.ok):
+        raise ConvergenceError(f"lens {lens.name!r}: no ray of any field reaches the image plane")
+    return spots
+
+
+def _of_disk(lens: LensSystem, stars: FloatArray, waves: FloatArray, samples: PupilSamples) -> Spots:
+    """Rays of a launch disk that covers these fields and wavelengths."""
     reach = max(float(np.arccos(stars[:, 2].min())) * RAD_DEG, 1e-3)
     pupil = entrance_pupil(lens, max_field_deg=reach, wavelength_nm=[waves.min(), waves.max()])
     grid = np.broadcast_to(waves, (len(stars), waves.size))
-    quadrature = samples is None and pupil.exact
-    chosen = gauss_disk(QUADRATURE_RINGS, QUADRATURE_ARMS) if quadrature else samples
-    if chosen is None:
-        chosen = sobol_disk(SOBOL_POINTS, seed=SOBOL_SEED)
-    rays = trace(lens, star_rays(pupil, chosen, stars[:, None, :], grid))
-    if quadrature and not np.all(rays.ok):
-        chosen = sobol_disk(SOBOL_POINTS, seed=SOBOL_SEED)
-        rays = trace(lens, star_rays(pupil, chosen, stars[:, None, :], grid))
-    if not np.any(rays.ok):
-        raise ConvergenceError(f"lens {lens.name!r}: no ray of any field reaches the image plane")
-    return Spots(rays=rays, weight=np.where(rays.ok, chosen.weight, 0.0), pupil=pupil)
+    rays = trace(lens, star_rays(pupil, samples, stars[:, None, :], grid))
+    return Spots(rays=rays, area_mm2=np.where(rays.ok, samples.weight * pupil.area_mm2, 0.0))
+
+
+def _of_beams(lens: LensSystem, stars: FloatArray, waves: FloatArray, order: tuple[int, int]) -> Spots:
+    """Rays inside the beams."""
+    beams = find_beams(lens, stars, waves, rings=order[0], arms=order[1])
+    start = Rays.create(
+        x_mm=beams.x_mm,
+        y_mm=beams.y_mm,
+        z_mm=beams.z_mm,
+        direction=light_direction(stars)[:, None, None],
+        wavelength_nm=waves[:, None],
+    )
+    start.opl_mm[...] = start.x * start.dx + start.y * start.dy + start.z * start.dz
+    rays = trace(lens, start)
+    lit = rays.ok & (beams.area_mm2 > 0.0)
+    return Spots(rays=replace(rays, status=np.where(lit, rays.status, VIGNETTED)), area_mm2=beams.area_mm2 * lit)
 
 
 def spot_moments(
@@ -142,16 +176,16 @@ def spot_moments(
     wavelength_nm: ArrayLike,
     *,
     samples: PupilSamples | None = None,
+    order: tuple[int, int] = QUADRATURE,
 ) -> SpotMoments:
     """Mean, covariance and transmitted area of the ray bundles of stars; parameters and errors as `trace_spots`.
 
     A field from which no ray arrives has NaN moments and transmits 0.
     """
-    spots = trace_spots(lens, field_x_deg, field_y_deg, wavelength_nm, samples=samples)
-    total = spots.weight.sum(axis=-1)
-    weight = np.divide(
-        spots.weight, total[..., None], out=np.full_like(spots.weight, np.nan), where=total[..., None] > 0
-    )
+    spots = trace_spots(lens, field_x_deg, field_y_deg, wavelength_nm, samples=samples, order=order)
+    area = spots.area_mm2
+    total = area.sum(axis=-1)
+    weight = np.divide(area, total[..., None], out=np.full_like(area, np.nan), where=total[..., None] > 0)
     x, y = (np.where(spots.rays.ok, v, 0.0) for v in (spots.rays.x, spots.rays.y))
     mean_x, mean_y = (weight * x).sum(-1), (weight * y).sum(-1)
     dx, dy = x - mean_x[..., None], y - mean_y[..., None]
@@ -162,7 +196,7 @@ def spot_moments(
         xx_mm2=xx,
         xy_mm2=xy,
         yy_mm2=yy,
-        transmitted_mm2=total * spots.pupil.area_mm2,
+        transmitted_mm2=total,
     )
 
 
@@ -220,6 +254,18 @@ def vignetting(
     return np.asarray(area[:-1] / area[-1])
 
 
+def collecting_area_mm2(lens: LensSystem, wavelength_nm: float | None = None) -> float:
+    """Cross-section of the beam of a star on the axis that reaches the image [mm^2]; the design wavelength if left out.
+
+    Raises
+    ------
+    ConvergenceError
+        If no ray arrives.
+    """
+    wave = lens.design_wavelength_nm if wavelength_nm is None else wavelength_nm
+    return float(spot_moments(lens, 0.0, 0.0, wave).transmitted_mm2[0, 0])
+
+
 def best_focus_shift_mm(
     lens: LensSystem, field_x_deg: ArrayLike, field_y_deg: ArrayLike, wavelength_nm: ArrayLike
 ) -> float:
@@ -231,8 +277,8 @@ def best_focus_shift_mm(
     """
     spots = trace_spots(lens, field_x_deg, field_y_deg, wavelength_nm)
     rays = spots.rays
-    per_field = spots.weight.sum(axis=(1, 2), keepdims=True)
-    weight = np.divide(spots.weight, per_field, out=np.zeros_like(spots.weight), where=per_field > 0)
+    per_field = spots.area_mm2.sum(axis=(1, 2), keepdims=True)
+    weight = np.divide(spots.area_mm2, per_field, out=np.zeros_like(spots.area_mm2), where=per_field > 0)
     cross = square = 0.0
     for position, component in ((rays.x, rays.dx), (rays.y, rays.dy)):
         height = np.where(rays.ok, position, 0.0)

@@ -1,0 +1,80 @@
+"""Beams as the apertures cut them: closed forms of overlapping circles, counted rays, lenses without an edge."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from optics.errors import ConvergenceError
+from optics.frames import field_direction
+from optics.lens.perturb import decentre
+from optics.lens.prescription import load_lens
+from optics.lens.shapes.plane import Plane
+from optics.lens.system import Surface
+from optics.rays.beam import find_beams
+from optics.rays.pupil import sobol_disk
+from optics.rays.spots import collecting_area_mm2, spot_moments
+
+CAMERA, GAUSS = load_lens("star_camera_206mm"), load_lens("double_gauss_50mm")
+
+
+def with_hood(radius_mm, distance_mm):
+    """The camera behind a round opening in front of its stop."""
+    stop = CAMERA.surfaces[0]
+    hood = Surface(shape=Plane(), position_mm=stop.position_mm - [0, 0, distance_mm], semi_diameter_mm=radius_mm)
+    return replace(CAMERA, surfaces=(hood, *CAMERA.surfaces))
+
+
+def overlap_mm2(a, b, apart):
+    """Area that two circles share (any geometry text)."""
+    if apart <= abs(a - b):
+        return math.pi * min(a, b) ** 2
+    first = a * a * math.acos((apart**2 + a * a - b * b) / (2 * apart * a))
+    second = b * b * math.acos((apart**2 + b * b - a * a) / (2 * apart * b))
+    kite = math.sqrt((a + b - apart) * (apart + a - b) * (apart - a + b) * (apart + a + b)) / 2
+    return first + second - kite
+
+
+@pytest.mark.parametrize(("hood_mm", "field_deg"), [(40.0, 2.0), (36.0, 3.0), (30.0, 3.5), (34.0, 0.0)])
+def test_a_beam_cut_by_a_hood_is_the_overlap_of_two_circles(hood_mm, field_deg):
+    distance, stop = 400.0, CAMERA.surfaces[0].semi_diameter_mm
+    expected = overlap_mm2(hood_mm, stop, distance * math.tan(math.radians(field_deg)))
+    beams = find_beams(with_hood(hood_mm, distance), field_direction([field_deg], [0.0]), [600.0], rings=5, arms=12)
+    assert float(beams.area_mm2.sum()) == pytest.approx(expected, rel=2e-4)
+    spot = spot_moments(with_hood(hood_mm, distance), field_deg, 0.0, 600.0)
+    assert float(spot.transmitted_mm2[0, 0]) == pytest.approx(expected, rel=2e-5)
+
+
+def test_a_beam_whose_chief_ray_is_blocked_is_found_all_the_same():
+    distance, field = 1200.0, 2.6
+    apart = distance * math.tan(math.radians(field))
+    assert apart > 35.0 + 10.0  # neither circle holds the other's centre
+    beams = find_beams(with_hood(30.0, distance), field_direction([field], [0.0]), [600.0], rings=5, arms=12)
+    assert float(beams.area_mm2.sum()) == pytest.approx(overlap_mm2(30.0, 35.0, apart), rel=1e-3)
+
+
+def test_light_and_centroid_against_counted_rays_where_several_apertures_cut():
+    waves = np.array([450.0, 520.0, 590.0, 730.0, 800.0])  # outlines are interpolated in wavelength
+    here = spot_moments(GAUSS, 14.0, -8.0, waves, order=(5, 12))
+    counted = spot_moments(GAUSS, 14.0, -8.0, waves[[1, 4]], samples=sobol_disk(1 << 18, seed=4))
+    np.testing.assert_allclose(here.transmitted_mm2[:, [1, 4]], counted.transmitted_mm2, rtol=3e-4)
+    np.testing.assert_allclose(here.x_mm[:, [1, 4]], counted.x_mm, atol=1e-5)
+    # the kinks of the outline cost 6e-4 of the radius against a hundred times as many azimuths, counting as much again
+    np.testing.assert_allclose(here.rms_radius_mm[:, [1, 4]], counted.rms_radius_mm, rtol=2e-3)
+
+
+def test_area_on_the_axis():
+    assert collecting_area_mm2(CAMERA) == pytest.approx(math.pi * 35.0**2, rel=1e-13)
+    moved = decentre(GAUSS, GAUSS.elements[0], 0.3)  # no symmetry left
+    counted = spot_moments(moved, 0.0, 0.0, 600.0, samples=sobol_disk(1 << 16, seed=9)).transmitted_mm2
+    assert collecting_area_mm2(moved, 600.0) == pytest.approx(float(counted[0, 0]), rel=1e-3)
+
+
+def test_a_field_without_light_has_no_area_and_a_lens_without_edge_no_beam():
+    beams = find_beams(GAUSS, field_direction([0.0, 40.0], [0.0, 0.0]), [600.0], rings=3, arms=8)
+    assert beams.area_mm2[1].sum() == 0.0
+    assert beams.area_mm2[0].sum() > 0.0
+    boundless = replace(CAMERA, surfaces=tuple(replace(s, semi_diameter_mm=math.inf) for s in CAMERA.surfaces))
+    with pytest.raises(ConvergenceError, match=r"no ray|no aperture"):
+        find_beams(boundless, field_direction([0.0], [0.0]), [600.0], rings=3, arms=8)
