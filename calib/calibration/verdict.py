@@ -11,13 +11,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from calib.fitting.misfit import LARGEST_WRONG_PART, joined
+from calib.fitting.misfit import LARGEST_RATIO, LARGEST_WRONG_PART, joined
 from calib.fitting.solution import Solution
 from optics.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["LARGEST_RMS", "WRONG_PULL", "parity_hint", "verdict"]
+__all__ = ["WRONG_PULL", "parity_hint", "verdict"]
 
-LARGEST_RMS = 10.0  # typical residual over the stated sigma above which a fit is refused
 WRONG_PULL = 6.0  # length of a star's residual [sigma] beyond which it counts as a wrong match
 
 
@@ -61,10 +60,10 @@ def verdict(
 
 def _too_far_off(spread: float) -> str:
     """Reason to refuse a least-squares fit, or nothing."""
-    if not spread > LARGEST_RMS:
+    if not spread > LARGEST_RATIO:
         return ""
     return (
-        f"residuals are {spread:.3g} times the stated sigma, more than {LARGEST_RMS:g}: wrong matches (take the loss "
+        f"residuals are {spread:.3g} times the stated sigma, more than {LARGEST_RATIO:g}: wrong matches (take the loss "
         '"tukey"), a wrong camera model or too small a sigma'
     )
 
@@ -76,9 +75,9 @@ def _too_many_wrong(spread: float, wrong: BoolArray, left_out: int, degrees_of_f
     almost any stars can be made to fit by leaving out the right ones.
     """
     part = float(np.mean(wrong)) if len(wrong) else 0.0
-    if spread > LARGEST_RMS:
+    if spread > LARGEST_RATIO:
         return (
-            f"the typical residual is {spread:.3g} times the stated sigma, more than {LARGEST_RMS:g}: about half of "
+            f"the typical residual is {spread:.3g} times the stated sigma, more than {LARGEST_RATIO:g}: about half of "
             "the matches are wrong, or the camera model or the sigma is"
         )
     if part > LARGEST_WRONG_PART:

@@ -267,7 +267,9 @@ def _circle(edge: EdgePoints) -> CircleFit:
     the stated errors of the points too large, up to ten times on the sharp edge of the aperture.
     """
     fit = fit_circle(edge.point, sigma=edge.sigma)
-    return replace(fit, covariance=fit.covariance * min(fit.chi2, 1.0))
+    if not fit.converged:
+        raise ConvergenceError(f"{len(edge)} edge points show no circle ({fit.status}): {fit.message}")
+    return replace(fit, covariance=fit.covariance * min(fit.misfit.ratio**2, 1.0))
 
 
 def _lines(x: FloatArray, value: FloatArray) -> FloatArray:
