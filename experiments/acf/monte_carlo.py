@@ -22,6 +22,7 @@ import numpy as np
 from experiments.acf.points import Plan, Point
 from experiments.acf.settings import Config
 from experiments.acf.trials import Task, work
+from experiments.harness.threads import one_thread
 from optics.arrays import FloatArray
 from optics.errors import BackendError
 
@@ -31,8 +32,6 @@ CHUNK = 25
 """Runs of a task at most; a part of a second to a few seconds of work."""
 Work = TypeVar("Work")
 Done = TypeVar("Done")
-
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,7 +109,7 @@ def run_tasks(
     if not tasks:
         return []
     others = set(multiprocessing.active_children())
-    with _single_threaded():
+    with one_thread():  # quicker side by side, and the same sums everywhere
         pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"), initializer=_prepare)
         try:
             with _interrupts_held():  # children inherit this: an interrupt at the terminal is ours to handle
@@ -134,21 +133,6 @@ def run_tasks(
 
 def _processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@contextlib.contextmanager
-def _single_threaded() -> Iterator[None]:
-    """Let processes that start meanwhile use one thread each: quicker side by side, and the same sums everywhere."""
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 @contextlib.contextmanager

@@ -18,6 +18,7 @@ from experiments.harness.interrupts import EXIT_FAILED, EXIT_GOOD, EXIT_INTERRUP
 from experiments.harness.outputs import RECORD, OutputFolder
 from experiments.harness.progress import terminal_progress
 from experiments.harness.summary import Criterion
+from experiments.harness.threads import one_thread
 
 if TYPE_CHECKING:
     from experiments.harness.quantities import Outcome
@@ -122,7 +123,8 @@ def _parser(experiment: Experiment, status: list[int], interrupts: Interrupts) -
             return
         given = {name: options.pop(f"short_{name}") for name in experiment.options}
         short = {name: text for name, text in given.items() if text is not None}
-        status.append(_perform(experiment, _Options(short=short, **options), interrupts))
+        with one_thread(unless_told=True):
+            status.append(_perform(experiment, _Options(short=short, **options), interrupts))
 
     for name, (key, text) in experiment.options.items():
         help_text = f"{text} Short for --set {key}=TEXT."

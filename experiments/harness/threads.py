@@ -1,0 +1,43 @@
+"""One thread for linear algebra.
+
+The matrices here are small. OpenBLAS hands even them to as many threads as there are processors, whose idle ones spin:
+two processes side by side then wait for each other's threads most of the time (``benchmarks/side_by_side.py``).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+
+__all__ = ["THREADS", "one_thread"]
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+"""Environment variables that libraries of linear algebra read when they are loaded."""
+
+
+@contextlib.contextmanager
+def one_thread(*, unless_told: bool = False) -> Iterator[None]:
+    """Linear algebra on one thread meanwhile, in libraries that are loaded, that will be, and in processes that start.
+
+    Parameters
+    ----------
+    unless_told : bool
+        Leave everything as it is where the environment names a number of threads.
+    """
+    before = {name: os.environ.get(name) for name in THREADS}
+    if unless_told and any(before.values()):
+        yield
+        return
+    from threadpoolctl import threadpool_limits
+
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        with threadpool_limits(1, user_api="blas"):
+            yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
