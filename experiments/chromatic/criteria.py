@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
 from experiments.harness.quantities import Outcome
-from experiments.harness.summary import Criterion
+from experiments.harness.summary import Criterion, farthest_from_one
+from experiments.laboratory import as_printed
+from experiments.laboratory.criteria import as_the_paper, centroids_on_the_light, pixel_angle, two_sided_limit
 from optics.rays.pupil import entrance_pupil
 
 __all__ = ["criteria"]
@@ -35,7 +36,44 @@ def criteria(outcome: Outcome) -> list[Criterion]:
             unit="sigma",
         )
     )
-    return found
+    return [*found, *_end_to_end(outcome)]
+
+
+def _end_to_end(outcome: Outcome) -> list[Criterion]:
+    """By paths that share no equation with the reduction: a known motion, the printed equations, the light itself."""
+    result, filters = outcome.result, outcome.config.filters
+    wedge = result.wedged
+    pair, sign = wedge.pair
+    half = sign * wedge.motion_px / 2.0
+    band = f"{filters.centres_nm[wedge.band]:g} nm"
+    motion = ", ".join(f"{value:+.3f}" for value in wedge.motion_px)
+    found = [
+        Criterion(
+            name=f"wedge in the {band} filter, image moved by ({motion}) px: Table 1, {pair}, changes by half of it, "
+            "ratio",
+            value=farthest_from_one(wedge.change_px / half),
+            about=1.0,
+            limit=float((two_sided_limit(2) * wedge.sigma_px / 2.0 / np.abs(half)).max()),
+        ),
+        pixel_angle(result.instrument),
+    ]
+    stated = outcome.value("pixel_arcsec")
+    reported, printed, angles, expected = [], [], [], []
+    for lens in ("centred", "moved"):
+        measured = getattr(result, lens).measurement
+        for method in result.bench.methods:
+            table = as_printed.chromatic_px(measured.mean_px[method], filters.centres_nm, filters.reference_nm)
+            reported += [outcome.values("method_table1_px", lens=lens, method=method, pair=name) for name in table]
+            printed += list(table.values())
+            if method == result.bench.methods[0]:
+                reported += [outcome.values("table1_px", lens=lens, pair=name) for name in table]
+                printed += list(table.values())
+                angles.append(outcome.values("lsfe_arcsec", lens=lens))
+                expected.append(as_printed.chromatic_arcsec(table, stated))
+    found.append(as_the_paper("Table 1 of both lenses", reported, printed, "px"))
+    found.append(as_the_paper("chromatic LSFE of both lenses", angles, expected, "arcsec"))
+    measured = result.centred.measurement
+    return [*found, *centroids_on_the_light("centred lens, ", measured.mean_px, measured.photon_px)]
 
 
 def _of_lens(outcome: Outcome, lens: str, label: str) -> list[Criterion]:
@@ -75,7 +113,7 @@ def _of_lens(outcome: Outcome, lens: str, label: str) -> list[Criterion]:
         Criterion(
             name=f"{label}: largest deviation of a single shift from the noiseless light",
             value=outcome.value("largest_pull", lens=lens),
-            limit=_two_sided_limit(evaluation.chi2_n),
+            limit=two_sided_limit(evaluation.chi2_n, 0.01),
             unit="sigma",
         ),
         Criterion(
@@ -93,8 +131,3 @@ def _largest_pull(outcome: Outcome, lens: str, against: str) -> float:
     """Largest distance of a Table 1 entry from another value, in standard deviations."""
     apart: Any = outcome.values("table1_px", lens=lens) - outcome.values(against, lens=lens)
     return float(np.abs(apart / outcome.errors("table1_px", lens=lens)).max())
-
-
-def _two_sided_limit(count: int, false_alarm: float = 0.01) -> float:
-    """Standard deviations that the largest of ``count`` normal deviates exceeds with probability ``false_alarm``."""
-    return float(norm.isf(false_alarm / (2 * count)))

@@ -36,6 +36,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.chromatic.stars import electrons_of_star, stellar_shift
     from experiments.laboratory.chromatic_error import measure_chromatic, reduce_chromatic, shifts
     from experiments.laboratory.instrument import build_instrument
+    from experiments.laboratory.known_motion import measure_wedged
     from experiments.laboratory.ray_prediction import bundle_prediction, paraxial_prediction
     from experiments.laboratory.target import CORNERS
     from render.engine.random import Streams
@@ -52,6 +53,8 @@ def run(config: Config, *, progress: Progress) -> Result:
         with progress.stage(stage_label, total=len(CORNERS)) as stage:
             measured = measure_chromatic(bench, one, streams.child(label), advance=stage.advance)
         found[label] = reduce_chromatic(bench, one, measured)
+    with progress.stage("wedge in a filter"):
+        wedged = measure_wedged(bench, instrument, found["centred"].measurement, streams.child("wedge"))
     with progress.stage("stars"):
         stellar, moved_stellar = (stellar_shift(config.stars, one) for one in (instrument, moved))
         field_shift = shifts(bundle_prediction(bench, instrument, stellar.direction[None]), bench.pairs)
@@ -62,6 +65,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         instrument=instrument,
         centred=found["centred"],
         moved=found["moved"],
+        wedged=wedged,
         paraxial_px=paraxial_px,
         solutions=solutions,
         chosen=chosen,

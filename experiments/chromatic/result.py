@@ -11,6 +11,7 @@ from experiments.chromatic.stars import StellarShift
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.chromatic_error import ChromaticReduction
 from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.known_motion import WedgedFilter
 from optics.arrays import FloatArray
 
 __all__ = ["Result"]
@@ -28,6 +29,8 @@ class Result:
         The laboratory with the centred lens.
     centred, moved : ChromaticReduction
         The lens as designed; with the element of ``chosen`` moved.
+    wedged : WedgedFilter
+        The lens as designed with a wedge in one filter.
     paraxial_px : (p, j, b, 2)
         Paraxial lateral colour of the centred lens.
     solutions : sequence of Solution
@@ -49,6 +52,7 @@ class Result:
     instrument: Instrument
     centred: ChromaticReduction
     moved: ChromaticReduction
+    wedged: WedgedFilter
     paraxial_px: FloatArray
     solutions: Sequence[Solution]
     chosen: Solution

@@ -6,6 +6,7 @@ import numpy as np
 
 from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Criterion, farthest_from_one
+from experiments.laboratory.criteria import centroids_on_the_light, pixel_angle
 from experiments.laboratory.distortion_statistics import REFERENCES
 
 __all__ = ["criteria"]
@@ -64,4 +65,7 @@ def criteria(outcome: Outcome) -> list[Criterion]:
             limit=0.1 + 3.0 * sampling,
         )
     )
-    return found
+    found.append(pixel_angle(outcome.result.instrument))
+    measured = outcome.result.measured
+    test = {method: measured.session_px[method][1] for method in config.methods}
+    return [*found, *centroids_on_the_light("", test, measured.light.photon_px)]

@@ -6,6 +6,8 @@ import numpy as np
 
 from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Criterion, farthest_from_one
+from experiments.laboratory import as_printed
+from experiments.laboratory.criteria import as_the_paper, centroids_on_the_light, pixel_angle, two_sided_limit
 
 __all__ = ["criteria"]
 
@@ -62,4 +64,33 @@ def criteria(outcome: Outcome) -> list[Criterion]:
             unit="px",
         )
     )
-    return found
+    return [*found, *_end_to_end(outcome)]
+
+
+def _end_to_end(outcome: Outcome) -> list[Criterion]:
+    """By paths that share no equation with the reduction: a known motion, the printed equations, the light itself."""
+    result, methods = outcome.result, outcome.config.methods
+    found = [_walking(outcome, method) for method in methods]
+    seen, stated = result.measured.mean_px["all"], outcome.value("pixel_arcsec")
+    printed = [as_printed.high_frequency_arcsec(seen[method], stated) for method in methods]
+    found.append(as_the_paper("HSFE of all centroiders", outcome.values("document_arcsec"), printed, "arcsec"))
+    found.append(pixel_angle(result.instrument))
+    return [*found, *centroids_on_the_light("", seen, result.measured.photon_px)]
+
+
+def _walking(outcome: Outcome, method: str) -> Criterion:
+    """The document's figure of points that walk, against their own motion in quadrature with the figure at rest."""
+    walking = outcome.result.walking
+    at_rest = outcome.values("predicted_arcsec", method=method)
+    expected = np.hypot(walking.walk_arcsec, at_rest)
+    number = np.array([one.value for one in walking.measured.document_arcsec(method)])
+    steps = walking.measured.photon_px.shape[1] * (walking.measured.photon_px.shape[0] - 1)
+    # motion and error of a step have nothing in common, but the mean of their product scatters
+    error = at_rest / np.sqrt(steps) / expected
+    motion = " and ".join(f"{value:.2f}″" for value in walking.walk_arcsec)
+    return Criterion(
+        name=f"{method}: document's figure of points that step by {motion} each for itself, over what that gives",
+        value=farthest_from_one(number / expected),
+        about=1.0,
+        limit=two_sided_limit(2) * float(error.max()),
+    )

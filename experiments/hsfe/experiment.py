@@ -34,6 +34,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.laboratory.hexapod import Hexapod, turned
     from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
     from experiments.laboratory.high_frequency_model import predict_high_frequency
+    from experiments.laboratory.known_motion import measure_walking
     from experiments.laboratory.point_scene import point_laboratory, prepared_scene
     from experiments.laboratory.temporal_error import target_place
     from render.detector.maps import sensor_maps
@@ -72,6 +73,16 @@ def run(config: Config, *, progress: Progress) -> Result:
             scene=scene,
             advance=stage.advance,
         )
+    with progress.stage("walking points"):
+        walking = measure_walking(
+            scene,
+            hexapod,
+            plan,
+            rest,
+            streams.child("walking"),
+            place_px=config.place_px,
+            subtraction=config.subtraction,
+        )
     with progress.stage("after the test"):
         # where the image stood is best read with the method that has no S-curve of its own
         without_curve = "epsf" if "epsf" in bench.methods else bench.methods[0]
@@ -96,6 +107,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         measured=measured,
         before=before,
         after=after,
+        walking=walking,
         curves=curves,
         geometry=geometry,
     )

@@ -14,6 +14,7 @@ from experiments.laboratory.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import HighFrequencyMeasurement, StepPlan
 from experiments.laboratory.high_frequency_model import HighFrequencyPrediction
 from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.known_motion import WalkingPoints
 from experiments.laboratory.ray_prediction import bundle_prediction
 from experiments.laboratory.readout.centroids import centroiders, noiseless_positions
 from experiments.laboratory.readout.noise_model import nominal_noise
@@ -82,6 +83,8 @@ class Result:
         The test.
     before, after : HighFrequencyPrediction
         Predicted for drawn paths of the hexapod; and for the common motion seen in the images.
+    walking : WalkingPoints
+        A short test in which every point moves by a known amount for itself.
     curves : SCurve
         S-curves of the middle star.
     geometry : tuple of Geometry
@@ -93,6 +96,7 @@ class Result:
     measured: HighFrequencyMeasurement
     before: HighFrequencyPrediction
     after: HighFrequencyPrediction
+    walking: WalkingPoints
     curves: SCurve
     geometry: tuple[Geometry, ...]
 

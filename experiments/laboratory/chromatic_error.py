@@ -118,7 +118,12 @@ class ChromaticMeasurement:
 
 
 def measure_chromatic(
-    bench: Bench, instrument: Instrument, streams: Streams, *, advance: Callable[[], None]
+    bench: Bench,
+    instrument: Instrument,
+    streams: Streams,
+    *,
+    directions: FloatArray | None = None,
+    advance: Callable[[], None] = lambda: None,
 ) -> ChromaticMeasurement:
     """Run the test on one lens.
 
@@ -128,6 +133,8 @@ def measure_chromatic(
         The laboratory.
     streams : Streams
         Root of the noise of this run.
+    directions : (4, j, 3), optional
+        Unit vectors in cam, in place of those to the target in the four corners.
     advance : callable
         Called after each position.
 
@@ -140,7 +147,8 @@ def measure_chromatic(
     renderer, tracer = StarRenderer(camera, exposure_s=instrument.config.exposure_s), epsf_tracer(camera)
     first: ExpectedImage | None = None
     parts: list[PointMeasurement] = []
-    for place, direction in zip(CORNERS, corner_directions(bench.target, instrument), strict=True):
+    points = corner_directions(bench.target, instrument) if directions is None else directions
+    for place, direction in zip(CORNERS, points, strict=True):
         stars = point_field(bench, instrument, direction)
         expected = renderer.render(stars)
         first = first or expected

@@ -28,6 +28,7 @@ from experiments.laboratory.step_statistics import (
     jackknife_px,
     single_rms_px,
 )
+from experiments.laboratory.target import nudged
 from experiments.laboratory.temporal_error import target_place
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -252,6 +253,7 @@ def measure_high_frequency(
     place_px: Sequence[float] | None = None,
     subtraction: Subtraction = "dark",
     split: bool = True,
+    walk_px: FloatArray | None = None,
     streams: Streams,
     scene: PointScene | None = None,
     advance: Callable[[], None] = lambda: None,
@@ -272,6 +274,8 @@ def measure_high_frequency(
         See `experiments.laboratory.point_frames.SUBTRACTIONS`.
     split : bool
         Whether to repeat everything with causes switched off.
+    walk_px : (m, j, 2), optional
+        Motion of single points at every position, besides that of the platform.
     streams : Streams
         Root of the noise; the same for every run.
     scene : PointScene, optional
@@ -297,7 +301,10 @@ def measure_high_frequency(
         run: {m: [] for m in bench.methods} for run in chips if run not in ("all", "none")
     }
     lights = []
-    for number, direction in enumerate(turned(rest, path.true_rad)):
+    directions = turned(rest, path.true_rad)
+    if walk_px is not None:
+        directions = nudged(instrument, directions, walk_px)
+    for number, direction in enumerate(directions):
         here = streams.child("position", number)
         light = scene.light(direction, here, f"step {number + 1}", psf=psf)
         lights.append(light)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import norm
 
 from experiments.harness.quantities import Outcome
-from experiments.harness.summary import Criterion
+from experiments.harness.summary import Criterion, farthest_from_one
+from experiments.laboratory import as_printed
+from experiments.laboratory.criteria import as_the_paper, centroids_on_the_light, pixel_angle, two_sided_limit
 from experiments.laboratory.temporal_error import small_sample_factor
 
 __all__ = ["criteria"]
@@ -21,7 +22,7 @@ def criteria(outcome: Outcome) -> list[Criterion]:
             Criterion(
                 name=f"{method}: measured against predicted over all levels, largest deviation",
                 value=float(np.abs(pulls).max()),
-                limit=float(norm.isf(0.01 / (2 * pulls.size))),
+                limit=two_sided_limit(pulls.size, 0.01),
                 unit="sigma",
             )
         )
@@ -48,4 +49,37 @@ def criteria(outcome: Outcome) -> list[Criterion]:
                 limit=float(0.02 + 3.0 * spread / np.sqrt(best.size)),
             )
         )
-    return found
+    return [*found, *_end_to_end(outcome)]
+
+
+def _end_to_end(outcome: Outcome) -> list[Criterion]:
+    """By paths that share no equation with the reduction: a known motion, the printed equations, the light itself."""
+    result, methods = outcome.result, outcome.config.methods
+    found = [_shaken(outcome, method) for method in methods]
+    nominal, stated = result.nominal.position_px, outcome.value("pixel_arcsec")
+    printed = [as_printed.temporal_arcsec(nominal[method], stated) for method in methods]
+    found.append(as_the_paper("temporal error of all centroiders", outcome.values("dark_arcsec"), printed, "arcsec"))
+    found.append(pixel_angle(result.instrument))
+    mean = {method: np.nanmean(nominal[method], axis=0) for method in methods}
+    return [*found, *centroids_on_the_light("", mean, result.nominal.light.photon_px)]
+
+
+def _shaken(outcome: Outcome, method: str) -> Criterion:
+    """The temporal error of a target that moves, against the motion in quadrature with the error at rest."""
+    result = outcome.result
+    shaken, light = result.shaken, result.nominal.light
+    at_rest = outcome.values("drawn_arcsec", method=method)
+    expected = np.hypot(shaken.motion_arcsec, at_rest)
+    seen = np.array([one.value for one in shaken.te_arcsec(method)])
+    # of each star's half distance: noise of the frames, and what pixels do to a place, which differs at the two places
+    frames = at_rest / np.sqrt(sum(shaken.frames))
+    apart = np.nanmean(result.nominal.position_px[method], axis=0) - light.photon_px
+    pixels = 3.0 * shaken.pixel_arcsec * apart.std(axis=0, ddof=1) / np.sqrt(2.0)
+    error = np.hypot(frames, pixels) / np.sqrt(len(light)) / expected
+    motion = " and ".join(f"{value:.2f}″" for value in shaken.motion_arcsec)
+    return Criterion(
+        name=f"{method}: temporal error of a target that moves by {motion} (3 σ, x and y), over what that gives",
+        value=farthest_from_one(seen / expected),
+        about=1.0,
+        limit=two_sided_limit(2) * float(error.max()),
+    )

@@ -31,6 +31,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         saturated, light beyond the range of the data.
     """
     from experiments.laboratory.brightness import BrightnessControl
+    from experiments.laboratory.known_motion import measure_shaken
     from experiments.laboratory.point_scene import point_laboratory, prepared_scene
     from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
     from experiments.temporal.result import Result, published_levels
@@ -61,8 +62,11 @@ def run(config: Config, *, progress: Progress) -> Result:
             )
             for levels_e, root in ((reached, streams), (None, streams.child("nominal")))
         )
+    light = nominal.light
+    with progress.stage("shaken target"):
+        shaken = measure_shaken(scene, light.direction, light.psf, streams.child("shaken"))
     with progress.stage("prediction"):
-        psf = nominal.light.psf
+        psf = light.psf
         predicted = predict_temporal(
             bench, instrument, psf=psf, levels_e=reached, place_px=config.place_px, draws=config.draws, seed=config.seed
         )
@@ -77,6 +81,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         nominal=nominal,
         predicted=predicted,
         predicted_nominal=at_nominal,
+        shaken=shaken,
         published_level_e=levels,
     )
 

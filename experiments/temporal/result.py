@@ -9,6 +9,7 @@ import numpy as np
 
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.known_motion import ShakenTarget
 from experiments.laboratory.published import ACC18_ARCSEC
 from experiments.laboratory.temporal_error import TemporalMeasurement, TemporalPrediction, predict_temporal
 from experiments.temporal.settings import Config
@@ -32,6 +33,8 @@ class Result:
         At the levels of the brightness control.
     nominal, predicted_nominal : TemporalMeasurement, TemporalPrediction
         At the signal of the source.
+    shaken : ShakenTarget
+        At the signal of the source, the target moved by a known amount while frames were taken.
     published_level_e : dict of str to (2,)
         Signal at which each centroider would show the published numbers, x and y, by prediction; NaN outside 50 to 2e4.
     """
@@ -42,6 +45,7 @@ class Result:
     nominal: TemporalMeasurement
     predicted: TemporalPrediction
     predicted_nominal: TemporalPrediction
+    shaken: ShakenTarget
     published_level_e: Mapping[str, FloatArray]
 
 

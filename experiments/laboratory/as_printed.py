@@ -1,0 +1,93 @@
+"""ACC18's equations written down a second time, from the paper, sum by sum: what the reductions are held against.
+
+Nothing here is used to reduce a measurement, and nothing of the reductions is used here: plain loops over the centroids
+of frames, as an engineer would check a report with a sheet of paper. A criterion compares the two numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from optics.arrays import FloatArray
+
+__all__ = ["chromatic_arcsec", "chromatic_px", "high_frequency_arcsec", "temporal_arcsec"]
+
+
+def temporal_arcsec(position_px: FloatArray, pixel_arcsec: float) -> tuple[float, float]:
+    """TE(3 sigma) of eq. 1-2, x and y: the mean over the stars of their standard deviations, as an angle.
+
+    Parameters
+    ----------
+    position_px : (f, j, 2)
+        Centroid of every star in every frame; NaN where there is none.
+    pixel_arcsec : float
+        Angle of a pixel; 5.5 in the document.
+    """
+    stars = position_px.shape[1]
+    found = []
+    for axis in (0, 1):
+        total = 0.0
+        for star in range(stars):
+            seen = [float(v) for v in position_px[:, star, axis] if math.isfinite(v)]
+            mean = math.fsum(seen) / len(seen)
+            total += math.sqrt(math.fsum((v - mean) ** 2 for v in seen) / (len(seen) - 1))
+        found.append(3.0 * total / stars * pixel_arcsec)
+    return found[0], found[1]
+
+
+def high_frequency_arcsec(mean_px: FloatArray, pixel_arcsec: float) -> tuple[float, float]:
+    """HSFE(3 sigma) of eq. 3-12, x and y.
+
+    Parameters
+    ----------
+    mean_px : (m, j, 2)
+        Mean centroid of every star at every position.
+    pixel_arcsec : float
+        Angle of a pixel.
+    """
+    positions, stars = mean_px.shape[:2]
+    found = []
+    for axis in (0, 1):
+        square = 0.0
+        for k in range(1, positions):
+            moved = [float(mean_px[k, j, axis] - mean_px[k - 1, j, axis]) for j in range(stars)]
+            platform = math.fsum(moved) / stars
+            square += math.fsum((v - platform) ** 2 for v in moved)
+        found.append(3.0 * math.sqrt(square / (stars * (positions - 1))) * pixel_arcsec)
+    return found[0], found[1]
+
+
+def chromatic_px(
+    mean_px: FloatArray, centres_nm: Sequence[float], reference_nm: float
+) -> dict[str, tuple[float, float]]:
+    """Table 1 (eq. 13-16), X and Y, by pair of bands: longer minus shorter wavelength, mean of all points, halved.
+
+    Parameters
+    ----------
+    mean_px : (p, j, b, 2)
+        Mean centroid of every point at every position behind every filter.
+    centres_nm, reference_nm
+        Of the filters, in the order of the centroids; the one the others are compared with.
+    """
+    positions, points = mean_px.shape[:2]
+    reference = list(centres_nm).index(reference_nm)
+    table = {}
+    for band, centre in enumerate(centres_nm):
+        if band == reference:
+            continue
+        red, blue = (band, reference) if centre > reference_nm else (reference, band)
+        x = y = 0.0
+        for k in range(positions):
+            for j in range(points):
+                x += float(mean_px[k, j, red, 0]) - float(mean_px[k, j, blue, 0])
+                y += float(mean_px[k, j, red, 1]) - float(mean_px[k, j, blue, 1])
+        count = 2 * positions * points
+        table[f"{centres_nm[red]:g}-{centres_nm[blue]:g}"] = (x / count, y / count)
+    return table
+
+
+def chromatic_arcsec(table_px: dict[str, tuple[float, float]], pixel_arcsec: float) -> tuple[float, float]:
+    """LSFE-S (3 sigma) of section 1.4.1, x and y: per axis the largest entry is three standard deviations of a star."""
+    x, y = (3.0 * max(abs(entry[axis]) for entry in table_px.values()) / 3.0 * pixel_arcsec for axis in (0, 1))
+    return x, y

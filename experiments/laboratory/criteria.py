@@ -1,0 +1,88 @@
+"""Criteria that several tests with point targets share: paths to the same number that have no reduction in common."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from scipy.stats import norm, t
+
+from experiments.harness.summary import Criterion
+from experiments.laboratory.instrument import Instrument
+from optics.arrays import FloatArray
+from optics.rays.pupil import gauss_disk
+from optics.rays.spots import spot_moments
+
+__all__ = ["as_the_paper", "centroids_on_the_light", "pixel_angle", "two_sided_limit"]
+
+FALSE_ALARM = 1e-3
+"""Chance that a criterion of this module fails by noise alone; that of 3.29 standard deviations of one number."""
+WHOLE_LIGHT = ("cog", "epsf")
+"""Centroiders whose mean is that of all the light; the others follow the core of a spot with a tail."""
+WINDOW_PX = 0.05
+"""What a window that cuts the wings of a spot may shift their centre of gravity by."""
+
+
+def two_sided_limit(count: int, false_alarm: float = FALSE_ALARM) -> float:
+    """Standard deviations that the largest of ``count`` normal deviates exceeds with probability ``false_alarm``."""
+    return float(norm.isf(false_alarm / (2 * count)))
+
+
+def as_the_paper(name: str, reported: Any, printed: Any, unit: str) -> Criterion:
+    """Numbers of the report against the document's equation, evaluated by `experiments.laboratory.as_printed`."""
+    apart = np.abs(np.asarray(reported, float) - np.asarray(printed, float))
+    return Criterion(
+        name=f"{name}: reported against the printed equation, summed from the centroids by other code",
+        value=float(apart.max()),
+        limit=1e-9,
+        unit=unit,
+    )
+
+
+def pixel_angle(instrument: Instrument) -> Criterion:
+    """The angle of a pixel that turns px into arcsec, over that between two traced bundles at both sides of the axis.
+
+    The limit leaves room for a focus that is not the paraxial one: it changes the scale.
+    """
+    camera, apart_deg = instrument.camera, 0.02
+    ends = np.array([-0.5, 0.5]) * apart_deg
+    at, samples = camera.lens.design_wavelength_nm, gauss_disk(5, 12)
+    along_x = spot_moments(camera.focused_lens, ends, 0.0 * ends, at, samples=samples).x_mm
+    along_y = spot_moments(camera.focused_lens, 0.0 * ends, ends, at, samples=samples).y_mm
+    distance_px = 0.5 * float(np.ptp(along_x) + np.ptp(along_y)) / camera.pixel_pitch_mm
+    return Criterion(
+        name="angle of a pixel over that of two traced bundles beside the axis",
+        value=instrument.pixel_arcsec * distance_px / (3600.0 * apart_deg),
+        limit=0.005,
+        about=1.0,
+    )
+
+
+def centroids_on_the_light(label: str, position_px: Mapping[str, FloatArray], light_px: FloatArray) -> list[Criterion]:
+    """Mean of centroid minus noiseless light over all points, by every centroider that follows all the light.
+
+    Parameters
+    ----------
+    label : str
+        What stands before the centroider in the name, e.g. "centred lens, "; may be empty.
+    position_px : mapping of str to (..., 2)
+        Mean centroids by method.
+    light_px : (..., 2)
+        Centroids of the noiseless light (the renderer's truth).
+    """
+    found = []
+    for method in (one for one in WHOLE_LIGHT if one in position_px):
+        apart = (position_px[method] - light_px).reshape(-1, 2)
+        count = len(apart)
+        # of the mean, from the scatter over the points: noise, fixed pattern and S-curve of each are in it
+        error = apart.std(axis=0, ddof=1) / np.sqrt(count)
+        found.append(
+            Criterion(
+                name=f"{label}{method}: centroid minus noiseless light, mean of {count}, larger of x and y",
+                value=float(np.abs(apart.mean(0)).max()),
+                limit=WINDOW_PX + float(t.isf(FALSE_ALARM / 4, count - 1) * error.max()),
+                unit="px",
+            )
+        )
+    return found

@@ -1,0 +1,287 @@
+"""Motions of known size put into the scene: what a reduction has to give back, whatever its equations are.
+
+The size of a motion on the detector is that between the places of both ends by the NumPy trace (no renderer, image or
+centroid takes part). All motions are whole pixels: what a centroider makes of the place within a pixel is the same at
+both ends. Three motions, one for each kind of error of ACC18:
+
+* a wedge in one filter moves the image behind it: Table 1 has to show half of the motion (eq. 13-16);
+* a target that stands at two places for half of the frames each: the scatter over the frames is known (eq. 1-2);
+* points that walk about the platform's path, each for itself: the RMS of their steps is known (eq. 3-12).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from experiments.harness.summary import Measured
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.chromatic_error import ChromaticMeasurement, measure_chromatic, shifts, table1
+from experiments.laboratory.hexapod import Hexapod
+from experiments.laboratory.high_frequency import HighFrequencyMeasurement, StepPlan, measure_high_frequency
+from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.point_frames import Subtraction, read_points
+from experiments.laboratory.point_scene import PointScene, one_filter
+from experiments.laboratory.ray_prediction import expected_spots
+from experiments.laboratory.readout.centroids import frame_statistics
+from experiments.laboratory.target import nudged
+from experiments.laboratory.temporal_error import temporal_error_arcsec
+from optics.arrays import FloatArray
+from render.engine.random import Streams
+from render.records import EffectivePsf
+
+__all__ = [
+    "ShakenTarget",
+    "WalkingPoints",
+    "WedgedFilter",
+    "measure_shaken",
+    "measure_walking",
+    "measure_wedged",
+    "traced_motion_px",
+]
+
+WEDGE_PX = (2.0, -1.0)
+"""Image motion by the wedge."""
+SHAKE_PX = (2.0, 1.0)
+"""Distance between the two places of the target."""
+WALK_PX = (1.0, 2.0)
+"""Motion of a point from one position to the next, besides that of the platform."""
+WALK_POSITIONS = 4
+
+
+def traced_motion_px(bench: Bench, instrument: Instrument, before: FloatArray, after: FloatArray) -> FloatArray:
+    """Motion (m, j, 2) [px] of the images of points whose directions (m, j, 3) change, behind the reference filter."""
+    places = [expected_spots(one_filter(bench), instrument, one)[0][:, :, 0] for one in (before, after)]
+    return places[1] - places[0]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WedgedFilter:
+    """ACC18's chromatic test before and after a wedge was put into one filter; p positions, j points, b filters.
+
+    Attributes
+    ----------
+    pairs : sequence of (str, int, int)
+        Pairs of bands (`experiments.laboratory.bench.band_pairs`).
+    band : int
+        The filter with the wedge.
+    motion_px : (2,)
+        Mean motion of the image behind it, by the NumPy trace.
+    before_px, after_px : (p, j, b, 2)
+        Mean centroids, first method.
+    sigma_px : (2,)
+        Standard deviation of the mean over all points of the motion that centroids see: frames and fixed pattern.
+    """
+
+    pairs: Sequence[tuple[str, int, int]]
+    band: int
+    motion_px: FloatArray
+    before_px: FloatArray
+    after_px: FloatArray
+    sigma_px: FloatArray
+
+    @property
+    def pair(self) -> tuple[str, float]:
+        """The pair of bands that shows the motion, and the sign that it has there."""
+        name, high, _ = next(one for one in self.pairs if self.band in one[1:])
+        return name, 1.0 if high == self.band else -1.0
+
+    @property
+    def change_px(self) -> FloatArray:
+        """Change (2,) of the pair's entry of Table 1."""
+        name, _ = self.pair
+        before, after = (table1(shifts(place, self.pairs)[name]) for place in (self.before_px, self.after_px))
+        return np.asarray(after - before)
+
+
+def measure_wedged(bench: Bench, instrument: Instrument, plain: ChromaticMeasurement, streams: Streams) -> WedgedFilter:
+    """Put a wedge into the last filter that is not the reference and measure its points again.
+
+    Parameters
+    ----------
+    bench, instrument
+        The laboratory.
+    plain : ChromaticMeasurement
+        The test without the wedge.
+    streams : Streams
+        Noise of the new frames.
+
+    Raises
+    ------
+    DomainError
+        As `measure_chromatic`.
+    """
+    method, band = bench.methods[0], max(set(range(len(bench.filters))) - {bench.reference})
+    filters = [bench.filters[bench.reference], bench.filters[band]] if method.endswith("_reference") else []
+    one = replace(bench, filters=filters or [bench.filters[band]], reference=0, methods=(method,))
+    direction = nudged(instrument, plain.direction, WEDGE_PX)
+    wedged = measure_chromatic(one, instrument, streams, directions=direction)
+    after = plain.mean_px[method].copy()
+    after[:, :, band] = wedged.mean_px[method][:, :, -1]
+    variance = np.zeros(2)
+    for measured, index in ((plain, band), (wedged, -1)):
+        frames = measured.sigma_px[method][:, :, index] ** 2 / measured.frames_used[:, :, index, None]
+        variance += frames.mean((0, 1)) / frames[..., 0].size
+        variance += (measured.pattern_px[..., index, :].mean((1, 2)) ** 2).mean(0)
+    behind = replace(bench, filters=[bench.filters[band]], reference=0)
+    return WedgedFilter(
+        pairs=bench.pairs,
+        band=band,
+        motion_px=traced_motion_px(behind, instrument, plain.direction, direction).mean((0, 1)),
+        before_px=plain.mean_px[method],
+        after_px=after,
+        sigma_px=np.sqrt(variance),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShakenTarget:
+    """Frames of a target that stood at two places, j stars.
+
+    Attributes
+    ----------
+    position_px : dict of str to (f, j, 2)
+        Centroids by method: first the frames at one place, then those at the other.
+    frames : (int, int)
+        At each place.
+    motion_px : (j, 2)
+        From the first place to the second, by the NumPy trace.
+    pixel_arcsec : float
+        Angle of a pixel.
+    """
+
+    position_px: Mapping[str, FloatArray]
+    frames: tuple[int, int]
+    motion_px: FloatArray
+    pixel_arcsec: float
+
+    def te_arcsec(self, method: str) -> tuple[Measured, Measured]:
+        """Temporal error of these frames, x and y, as that of frames at rest (`temporal_error_arcsec`)."""
+        sigma_px = frame_statistics(self.position_px[method])[1]
+        return temporal_error_arcsec(sigma_px, self.pixel_arcsec, sum(self.frames))
+
+    @property
+    def motion_arcsec(self) -> FloatArray:
+        """Three standard deviations (2,) of the motion, mean of the stars: those of two values that come so often."""
+        first, second = self.frames
+        count = first + second
+        deviation = np.abs(self.motion_px) * np.sqrt(first * second / (count * (count - 1.0)))
+        return np.asarray(3.0 * self.pixel_arcsec * deviation.mean(0))
+
+
+def measure_shaken(
+    scene: PointScene, direction: FloatArray, psf: Sequence[EffectivePsf], streams: Streams
+) -> ShakenTarget:
+    """Half of the frames with the target to one side of its place, half with it to the other.
+
+    Parameters
+    ----------
+    scene : PointScene
+        Laboratory; its bench says how many frames and which centroiders.
+    direction, psf : (j, 3), sequence of EffectivePsf
+        Target points at rest, and their PSFs.
+    streams : Streams
+        Noise.
+
+    Raises
+    ------
+    DomainError
+        As `PointScene.light` and `read_points`.
+    """
+    bench, instrument = scene.bench, scene.instrument
+    count = (bench.frames // 2, bench.frames - bench.frames // 2)
+    ends = [nudged(instrument, direction, side * np.array(SHAKE_PX)) for side in (-0.5, 0.5)]
+    parts = []
+    for number, (end, frames) in enumerate(zip(ends, count, strict=True)):
+        here = streams.child("place", number)
+        light = scene.light(end, here, f"place {number + 1}", psf=psf)
+        # two frames are the fewest that a readout reduces
+        found = read_points(light, replace(bench, frames=max(frames, 2)), instrument, streams=here)
+        parts.append({method: position[:frames] for method, position in found.position_px.items()})
+    return ShakenTarget(
+        position_px={m: np.concatenate([one[m] for one in parts]) for m in bench.methods},
+        frames=count,
+        motion_px=traced_motion_px(bench, instrument, ends[0][None], ends[1][None])[0],
+        pixel_arcsec=instrument.pixel_arcsec,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WalkingPoints:
+    """A step test of few positions in which every point moves for itself too.
+
+    Attributes
+    ----------
+    measured : HighFrequencyMeasurement
+        The test, no cause switched off.
+    walk_rms_px : (2,)
+        RMS over points and steps of the points' own steps without their mean: closed form, the scale by the trace.
+    """
+
+    measured: HighFrequencyMeasurement
+    walk_rms_px: FloatArray
+
+    @property
+    def walk_arcsec(self) -> FloatArray:
+        """Three times it as an angle (2,): the document's figure of a camera without error."""
+        return 3.0 * self.measured.pixel_arcsec * self.walk_rms_px
+
+
+def walk_px(positions: int, stars: int) -> FloatArray:
+    """Own motion (m, j, 2) of the points: forth and back, every other point the other way."""
+    side = np.where((np.arange(positions)[:, None] + np.arange(stars)) % 2, 0.5, -0.5)
+    return np.asarray(side[..., None] * np.array(WALK_PX))
+
+
+def measure_walking(
+    scene: PointScene,
+    hexapod: Hexapod,
+    plan: StepPlan,
+    rest: FloatArray,
+    streams: Streams,
+    *,
+    place_px: Sequence[float] | None = None,
+    subtraction: Subtraction = "dark",
+) -> WalkingPoints:
+    """Step a target whose points walk.
+
+    Parameters
+    ----------
+    scene : PointScene
+        Laboratory; its bench says how many frames and which centroiders.
+    hexapod, plan
+        Platform and steps; fewer positions than the plan's are taken.
+    rest : (j, 3)
+        Target points at rest.
+    streams : Streams
+        Noise.
+    place_px, subtraction
+        As `measure_high_frequency`.
+
+    Raises
+    ------
+    DomainError
+        As `measure_high_frequency`.
+    """
+    instrument = scene.instrument
+    walk = walk_px(WALK_POSITIONS, len(rest))
+    measured = measure_high_frequency(
+        scene.bench,
+        instrument,
+        hexapod,
+        replace(plan, positions=WALK_POSITIONS),
+        place_px=place_px,
+        subtraction=subtraction,
+        split=False,
+        walk_px=walk,
+        streams=streams,
+        scene=scene,
+    )
+    still = np.broadcast_to(rest, (len(walk), *rest.shape))
+    seen = traced_motion_px(scene.bench, instrument, still, nudged(instrument, still, walk))
+    scale = np.sqrt((seen**2).mean((0, 1)) / (walk**2).mean((0, 1)))
+    # of an odd number of points one is left over: the mean over the points is a step of 1 / W, which is removed
+    left = np.sqrt(1.0 - (len(rest) % 2) / len(rest) ** 2)
+    return WalkingPoints(measured=measured, walk_rms_px=left * scale * np.array(WALK_PX))
