@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from experiments.budget.settings import Config, DetectorConfig, MovedConfig
+from experiments.budget.settings import Config, MovedConfig
 from experiments.laboratory.bench import Bench
+from experiments.laboratory.detector_changes import overridden
 from experiments.laboratory.filter_wheel import interference_filters, open_wheel
 from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector, configured_lens
 from optics.lens.perturb import decentre, despace, tilt
@@ -14,11 +15,8 @@ from optics.lens.system import LensSystem
 from optics.light.band import TopHat
 from optics.light.spectrum import Blackbody
 from optics.units import UM_MM
-from render.detector.spec import Detector
 
-__all__ = ["Laboratory", "build_laboratory", "moved_lens", "overridden"]
-
-_IN_UM = {"diffusion_sigma_um": "diffusion_sigma_mm"}
+__all__ = ["Laboratory", "build_laboratory", "moved_lens"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,19 +39,6 @@ class Laboratory:
     instrument: Instrument
     bench: Bench
     filtered: Bench
-
-
-def overridden(detector: Detector, changes: DetectorConfig) -> Detector:
-    """The detector with what the configuration says instead of its data file.
-
-    Raises
-    ------
-    DomainError
-        If the values do not go together.
-    """
-    given = {name: value for name, value in changes.model_dump().items() if value is not None}
-    scaled = {_IN_UM.get(name, name): value * UM_MM if name in _IN_UM else value for name, value in given.items()}
-    return replace(detector, **scaled) if scaled else detector
 
 
 def moved_lens(lens: LensSystem, moved: MovedConfig) -> LensSystem:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import typing
-from typing import ClassVar, Literal
+from typing import Literal
 
 from pydantic import Field, model_validator
 
@@ -11,6 +11,7 @@ from experiments.budget.range import SweepRange, check_range, leaf_keys, parse_s
 from experiments.harness.config import ExperimentConfig, StrictModel
 from experiments.laboratory import settings as laboratory_settings
 from experiments.laboratory.centroid_methods import CentroiderName
+from experiments.laboratory.detector_changes import DetectorConfig
 from experiments.laboratory.point_settings import SourceConfig
 from experiments.laboratory.settings import (
     FilterConfig,
@@ -24,41 +25,12 @@ from experiments.laboratory.settings import (
 __all__ = [
     "AttitudeConfig",
     "Config",
-    "DetectorConfig",
     "GridConfig",
     "MovedConfig",
     "StepConfig",
     "ToleranceConfig",
     "TornadoConfig",
 ]
-
-_HIGHEST = 1e7
-
-
-class DetectorConfig(StrictModel):
-    """What differs from the detector's data file (`render.detector.spec`); a key left out stays as it is there."""
-
-    dimensionless: ClassVar[frozenset[str]] = frozenset(
-        {"prnu", "crosstalk_horizontal", "crosstalk_vertical", "crosstalk_diagonal", "read_noise_spread"}
-    )
-
-    diffusion_sigma_um: float | None = Field(default=None, ge=0, le=100, description="charge diffusion")
-    prnu: float | None = Field(default=None, ge=0, le=0.5, description="response non-uniformity")
-    dark_current_e_per_s: float | None = Field(default=None, ge=0, le=_HIGHEST, description="mean dark current")
-    dark_spread_e_per_s: float | None = Field(default=None, ge=0, le=_HIGHEST, description="its spread")
-    hot_fraction: float | None = Field(default=None, ge=0, le=1, description="fraction of hot pixels")
-    hot_dark_e_per_s: float | None = Field(default=None, ge=0, le=_HIGHEST, description="their mean extra dark current")
-    dead_fraction: float | None = Field(default=None, ge=0, le=1, description="fraction of dead pixels")
-    full_well_e: float | None = Field(default=None, ge=1, le=_HIGHEST, description="saturation capacity")
-    crosstalk_horizontal: float | None = Field(default=None, ge=0, le=0.2, description="charge share of a neighbour")
-    crosstalk_vertical: float | None = Field(default=None, ge=0, le=0.2, description="charge share of a neighbour")
-    crosstalk_diagonal: float | None = Field(default=None, ge=0, le=0.1, description="charge share of a neighbour")
-    read_noise_e: float | None = Field(default=None, ge=0, le=1e5, description="median temporal dark noise")
-    read_noise_spread: float | None = Field(default=None, ge=0, le=2, description="standard deviation of its logarithm")
-    dsnu_e: float | None = Field(default=None, ge=0, le=1e5, description="spread of the offset over the pixels")
-    column_pattern_e: float | None = Field(default=None, ge=0, le=1e5, description="spread of the offset over columns")
-    adc_bits: int | None = Field(default=None, ge=1, le=16, description="resolution of the converter")
-    sensor_seed: int | None = Field(default=None, ge=0, le=2**63, description="the individual")
 
 
 class MovedConfig(StrictModel):

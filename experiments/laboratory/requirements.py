@@ -2,10 +2,39 @@
 
 from __future__ import annotations
 
+from pydantic import Field
+
 from experiments.harness.config import StrictModel
 
 __all__ = ["RequirementsConfig"]
 
 
+def _asked(description: str, low: float = 0.0) -> float | None:
+    field: float | None = Field(default=None, gt=low, le=1e9, description=description)
+    return field
+
+
 class RequirementsConfig(StrictModel):
-    """What is asked of the sensor; every key may be left out."""
+    """What is asked of the sensor; every key may be left out. Accuracies are one standard deviation."""
+
+    field_deg: float | None = _asked("field of view along the shorter side, at least")
+    field_diagonal_deg: float | None = _asked("field of view over the diagonal, at least")
+    limiting_magnitude_mag: float | None = _asked("magnitude at which half of the stars are found, at least", -10.0)
+    saturation_mag: float | None = _asked("brightest star that does not saturate, at most of this magnitude", -10.0)
+    false_alarms_per_frame: float | None = _asked("detections that are no star, per frame, at most")
+    nea_arcsec: float | None = _asked("noise-equivalent angle of the star of [star], one axis, at most")
+    single_star_arcsec: float | None = _asked("error of the star of [star], one axis, noise and patterns, at most")
+    stars_mean_per_frame: float | None = _asked("stars found per frame, mean over the sky, at least")
+    stars_worst_percent_per_frame: float | None = _asked("stars found per frame in the worst 1 % of the sky, at least")
+    attitude_cross_arcsec: float | None = _asked("attitude error across the boresight, median over the sky, at most")
+    attitude_cross_worst_arcsec: float | None = _asked("the same in the worst 1 % of the sky, at most")
+    attitude_roll_arcsec: float | None = _asked("attitude error about the boresight, median over the sky, at most")
+    attitude_roll_worst_arcsec: float | None = _asked("the same in the worst 1 % of the sky, at most")
+    update_rate_hz: float | None = _asked("frames per second that the exposure allows, at least")
+    spot_px: float | None = _asked("RMS radius of the white spot, largest over the field, at most")
+    distortion_percent: float | None = _asked("largest distortion over the field, at most")
+    lateral_colour_px: float | None = _asked("largest separation of wavelengths of the pass band, at most")
+    vignetting_percent: float | None = _asked("largest loss of light over the field against the axis, at most")
+    focus_shift_um: float | None = _asked("change of the best focus over [thermal], largest, at most")
+    spot_thermal_px: float | None = _asked("RMS radius of the white spot over [thermal], largest, at most")
+    scale_change_ppm: float | None = _asked("change of the plate scale over [thermal], largest, at most")

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from optics.errors import DomainError
 from render.camera import Camera
 from render.records import EffectivePsf, StarField
+from render.tracing.ray_psf import pixel_shares
 from render.tracing.tracer import Tracer
 
 __all__ = ["epsf_tracer", "render_epsf"]
@@ -54,9 +53,5 @@ def render_epsf(
     if oversampling < 2 or oversampling % 2:
         raise DomainError(f"render_epsf: oversampling = {oversampling}; an even number of at least 2 is needed")
     cells = tracer.centred_cells(stars, half_size_px=half_size_px, cells_per_px=oversampling)
-    running = np.pad(cells.cumsum(2).cumsum(3), ((0, 0), (0, 0), (1, 0), (1, 0)))
-    low, high = running[..., :-oversampling], running[..., oversampling:]
-    share = (high[..., oversampling:, :] - high[..., :-oversampling, :]) - (
-        low[..., oversampling:, :] - low[..., :-oversampling, :]
-    )
+    share = pixel_shares(cells, oversampling)
     return [[EffectivePsf(values=psf, oversampling=oversampling) for psf in row] for row in share]

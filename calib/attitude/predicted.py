@@ -1,0 +1,57 @@
+"""Covariance of attitudes before anything was measured: from the directions of the stars and the errors expected."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.attitude.wahba import adjugate3
+from optics.arrays import FloatArray
+
+__all__ = ["attitude_covariance"]
+
+
+DEGENERATE = 1e-13
+"""Smallest determinant of the information, relative to its trace cubed; below, the roll is not determined."""
+
+
+def attitude_covariance(
+    v_cam: FloatArray, variance_rad2: FloatArray, frame: NDArray[np.int64], frames: int, share: FloatArray | None = None
+) -> FloatArray:
+    """Covariance of the error's rotation vector in cam, ``(sum share (I - v v^T) / variance)^-1``.
+
+    Shuster and Oh, J. Guid. Control 4, 70 (1981); the estimate of `calib.attitude.solve.solve_wahba` with the right
+    weights reaches it.
+
+    Parameters
+    ----------
+    v_cam : (m, 3)
+        Unit vectors of all stars of all frames.
+    variance_rad2 : (m,)
+        Of each direction, per axis across it; infinite for a star that does not count.
+    frame : (m,) int
+        Frame of each star.
+    frames : int
+        Number of frames, f.
+    share : (m,), optional
+        How likely the star is measured at all; 1 if left out. With few stars the covariance of the mean information is
+        smaller than the mean covariance.
+
+    Returns
+    -------
+    (f, 3, 3)
+        [rad^2]; infinite where fewer than two directions determine it.
+    """
+    weight = np.divide(1.0 if share is None else share, variance_rad2)
+    outer = np.empty((frames, 3, 3))
+    for a in range(3):
+        for b in range(a, 3):
+            outer[:, a, b] = outer[:, b, a] = np.bincount(frame, weight * v_cam[:, a] * v_cam[:, b], frames)
+    trace = np.einsum("fii->f", outer)
+    information = trace[:, None, None] * np.eye(3) - outer
+    adjugate = adjugate3(information)
+    determinant = np.einsum("fi,fi->f", information[:, 0, :], adjugate[:, :, 0])
+    known = determinant > DEGENERATE * trace**3
+    covariance = np.full((frames, 3, 3), np.inf)
+    covariance[known] = adjugate[known] / determinant[known, None, None]
+    return covariance

@@ -1,0 +1,226 @@
+"""Errors of a centroider against the star's electrons, predicted from PSFs and the noise of a pixel, without frames.
+
+To first order a centroid moves by its response to the pixels (`calib.measure.linear_response`). An ePSF fit has the
+closed response of weighted least squares, (J W J^T)^-1 J W; for others it comes from finite differences. Where noise
+decides which pixels count (a threshold) the response says too little; such a centroider is refused.
+
+The noise-equivalent angle of a star is its noise here times the angle of a pixel: one axis, one standard deviation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calib.measure.centroid import centroider_class, get_centroider
+from calib.measure.crlb import fisher_information
+from calib.measure.epsf import EpsfBank, EpsfModel
+from calib.measure.linear_response import centroid_variance, linear_response
+from calib.records import NoiseModel, Stamps
+from optics.arrays import FloatArray
+from optics.errors import ConfigError
+from optics.records import freeze
+from render.records import EffectivePsf
+
+__all__ = ["CentroidErrors", "phase_windows", "predict_centroids"]
+
+
+NOT_LINEAR = frozenset({"tcog"})
+KNOTS = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CentroidErrors:
+    """One standard deviation per axis [px], root mean square over the sub-pixel phases and both axes.
+
+    Attributes
+    ----------
+    electrons : (k,)
+        Of the star, increasing.
+    noise_px : (f, k)
+        By temporal noise, for each of f PSFs.
+    bound_px : (f, k)
+        Cramer-Rao bound of it: position and flux unknown, background known.
+    pattern_px : (f, k)
+        By the response pattern (PRNU) and the offsets of the pixels.
+    phase_px : (f, k)
+        By where in its pixel the star stands: bias of the noiseless centroid about its mean over the phases.
+    peak : (f,)
+        Largest share of the light that one pixel gets.
+    """
+
+    electrons: FloatArray
+    noise_px: FloatArray
+    bound_px: FloatArray
+    pattern_px: FloatArray
+    phase_px: FloatArray
+    peak: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "electrons", shape=("k",), sizes=sizes)
+        for name in ("noise_px", "bound_px", "pattern_px", "phase_px"):
+            freeze(self, name, shape=("f", "k"), sizes=sizes)
+        freeze(self, "peak", shape=("f",), sizes=sizes)
+
+    @property
+    def total_px(self) -> FloatArray:
+        """All of them (f, k)."""
+        return np.sqrt(self.noise_px**2 + self.pattern_px**2 + self.phase_px**2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhaseWindows:
+    """Unit stars at even sub-pixel phases: n = phases^2 windows of each of f PSFs, PSF after PSF.
+
+    Attributes
+    ----------
+    light : (f n, h, w)
+        Share of the light in each pixel.
+    jacobian : (f n, 3, pixels)
+        Its derivatives by column, row and flux.
+    place_px : (f n, 2)
+        Column and row of the star in the window.
+    psf_index : (f n,) int64
+        Which PSF.
+    """
+
+    light: FloatArray
+    jacobian: FloatArray
+    place_px: FloatArray
+    psf_index: NDArray[np.int64]
+
+
+def phase_windows(psfs: tuple[EffectivePsf, ...], window_px: int, phases: int = 4) -> PhaseWindows:
+    """Windows of unit stars at ``phases`` x ``phases`` even places within the middle pixel."""
+    step = (np.arange(phases) + 0.5) / phases - 0.5
+    y, x = (value.ravel() + window_px // 2 for value in np.meshgrid(step, step, indexing="ij"))
+    place = np.tile(np.column_stack([x, y]), (len(psfs), 1))
+    index = np.repeat(np.arange(len(psfs)), phases**2)
+    model = EpsfModel(EpsfBank(psfs, (window_px, window_px)), index)
+    light, jacobian = model.evaluate(np.column_stack([place, np.ones(len(place))]), np.arange(len(place)))
+    return PhaseWindows(
+        light=np.maximum(light, 0.0).reshape(-1, window_px, window_px),
+        jacobian=jacobian,
+        place_px=place,
+        psf_index=index,
+    )
+
+
+def predict_centroids(
+    centroider: str,
+    psfs: tuple[EffectivePsf, ...],
+    electrons: ArrayLike,
+    *,
+    noise: NoiseModel,
+    background_e: float = 0.0,
+    prnu: float = 0.0,
+    offset_e: float = 0.0,
+    window_px: int = 11,
+    phases: int = 4,
+) -> CentroidErrors:
+    """Errors of a centroider on stars alone in their window.
+
+    Parameters
+    ----------
+    centroider : str
+        Its name; one that needs a PSF is given the star's own.
+    psfs : tuple of EffectivePsf
+        f PSFs, of equal oversampling.
+    electrons : (k,)
+        Electrons of the star.
+    noise : NoiseModel
+        True noise of a pixel, dark charge and subtracted darks included; the centroider is told the same.
+    background_e : float
+        Further light in every pixel; its mean is known.
+    prnu, offset_e : float
+        Standard deviations over the pixels of the response and of the offset that calibration leaves.
+    window_px : int
+        Side of the window, odd.
+    phases : int
+        Sub-pixel phases along each axis.
+
+    Raises
+    ------
+    ConfigError
+        An unknown centroider, or one whose response to noise is not linear.
+    """
+    if centroider in NOT_LINEAR:
+        raise ConfigError(
+            f"centroid = {centroider!r}: its threshold lies in the noise, so that no prediction without frames holds; "
+            "take another centroider, e.g. epsf or windowed"
+        )
+    windows = phase_windows(psfs, window_px, phases)
+    flux, count = np.asarray(electrons, np.float64), phases**2
+    fits = centroider_class(centroider).needs_epsf
+    rows: dict[str, list[FloatArray]] = {"noise": [], "bound": [], "pattern": [], "phase": []}
+    response = None if fits else _Response(centroider, windows, noise, flux)
+    for value in flux:
+        light = value * windows.light
+        expected = light + background_e
+        jacobian = windows.jacobian * np.array([value, value, 1.0])[:, None]
+        inverse = np.linalg.inv(fisher_information(jacobian, expected.reshape(len(light), -1), noise))
+        variance = noise.variance_e2(expected)
+        if response is None:
+            weight = 1.0 / variance.reshape(len(light), 1, -1)
+            gain = (inverse @ (jacobian * weight))[:, :2].reshape(len(light), 2, *light.shape[1:])
+            offset = np.zeros((len(light), 2))
+        else:
+            gain, offset = response.at(value)
+        apart = offset.reshape(len(psfs), count, 2)
+        apart = apart - apart.mean(1, keepdims=True)
+        found = {
+            "noise": centroid_variance(gain, variance),
+            "bound": np.diagonal(inverse, axis1=1, axis2=2)[:, :2],
+            "pattern": centroid_variance(gain, (prnu * light) ** 2 + offset_e**2),
+            "phase": apart.reshape(-1, 2) ** 2,
+        }
+        for name, square in found.items():
+            rows[name].append(np.sqrt(square.reshape(len(psfs), -1).mean(1)))
+    return CentroidErrors(
+        electrons=flux,
+        peak=windows.light.reshape(len(psfs), -1).max(1),
+        **{f"{name}_px": np.stack(columns, axis=1) for name, columns in rows.items()},
+    )
+
+
+class _Response:
+    """Response and bias of a centroider on noiseless windows, against the star's electrons.
+
+    Where the weights of the estimator do not depend on the light, response times electrons is the same for all;
+    elsewhere
+    it changes slowly, and is interpolated between three stars in the logarithm of their electrons.
+    """
+
+    def __init__(self, name: str, windows: PhaseWindows, noise: NoiseModel, flux: FloatArray) -> None:
+        chosen: Any = get_centroider(name)
+        if hasattr(chosen, "tolerance"):
+            chosen = replace(chosen, tolerance=1e-6)
+        count = len(windows.light)
+        self.log_flux = np.log(np.geomspace(flux[0], flux[-1], KNOTS if flux[0] < flux[-1] else 1))
+        self.gain, self.bias = [], []
+        for value in np.exp(self.log_flux):
+            light = value * windows.light
+            stamps = Stamps(
+                electrons=light,
+                valid=np.ones(light.shape, bool),
+                corner_px=np.zeros((count, 2), np.int64),
+                background_e=np.zeros(count),
+                start_px=windows.place_px,
+                flags=np.zeros(count, np.uint32),
+                psf_index=np.zeros(count, np.int64),
+            )
+            table = chosen.measure(stamps, noise)
+            self.bias.append(np.stack([table.x_px, table.y_px], axis=-1) - windows.place_px)
+            self.gain.append(value * linear_response(chosen, stamps, noise, light))
+
+    def at(self, flux: float) -> tuple[FloatArray, FloatArray]:
+        """Response (n, 2, h, w) and bias (n, 2) of a star of so many electrons."""
+        share = np.interp(np.log(flux), self.log_flux, np.arange(len(self.log_flux)))
+        low = min(int(share), len(self.log_flux) - 1)
+        high, part = min(low + 1, len(self.log_flux) - 1), share - low
+        gain = (1.0 - part) * self.gain[low] + part * self.gain[high]
+        return gain / flux, (1.0 - part) * self.bias[low] + part * self.bias[high]

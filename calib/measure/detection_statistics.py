@@ -1,0 +1,180 @@
+"""What `calib.measure.detection.detect` finds: false alarms of noise alone, and the chance that a star is found.
+
+The image is filtered with a Gaussian; a detection is a local maximum above the threshold. In white noise the filtered
+pixels are normal with the autocorrelation of the kernel. A maximum of height z needs both its neighbours along each
+axis below z; with a kernel that is a product of its axes the chance is about the product of theirs (K. J. Worsley,
+J. E. Taylor, F. Gosselin,
+Biometrika 94, 1 (2007), "Maxima of discretely sampled random fields"). At low thresholds more than
+one neighbour is high and the diagonal ones count too; above 3 sigma the number is right within a few percent.
+
+A star is found when one of the nine filtered pixels around it exceeds the threshold: their joint normal distribution is
+sampled with common random numbers, so that the probability is a smooth function of everything else.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.ndimage import gaussian_filter
+from scipy.optimize import brentq
+from scipy.special import ndtr
+from scipy.stats import multivariate_normal, norm
+
+from calib.measure.moments import FWHM_PER_SIGMA
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+
+__all__ = ["detection_probability", "false_alarms", "threshold_for_false_alarms"]
+
+
+HEIGHTS, SPREADS, DRAWS = 60, 15, 1024
+LOWEST, HIGHEST = 2.0, 40.0
+"""Thresholds in which one for a number of false alarms is sought [sigma]."""
+
+
+@lru_cache(maxsize=16)
+def _kernel(fwhm_px: float) -> FloatArray:
+    """Filter of `detect` on an odd window that holds all of it."""
+    half = int(np.ceil(2.0 * fwhm_px)) + 2
+    delta = np.zeros((2 * half + 1, 2 * half + 1))
+    delta[half, half] = 1.0
+    return gaussian_filter(delta, fwhm_px / FWHM_PER_SIGMA, mode="constant")
+
+
+def _correlation(fwhm_px: float, dy: int, dx: int) -> float:
+    """Of two filtered pixels in white noise."""
+    kernel = _kernel(fwhm_px)
+    height, width = kernel.shape
+    a = kernel[max(dy, 0) : height + min(dy, 0), max(dx, 0) : width + min(dx, 0)]
+    b = kernel[max(-dy, 0) : height + min(-dy, 0), max(-dx, 0) : width + min(-dx, 0)]
+    return float((a * b).sum() / (kernel**2).sum())
+
+
+@lru_cache(maxsize=16)
+def _chance_of_maximum(fwhm_px: float) -> tuple[FloatArray, FloatArray]:
+    """Heights z [sigma], and how likely a pixel of that height exceeds its two neighbours along one axis."""
+    one, two = _correlation(fwhm_px, 0, 1), _correlation(fwhm_px, 0, 2)
+    variance, shared = 1.0 - one**2, two - one**2
+    law = multivariate_normal([0.0, 0.0], [[variance, shared], [shared, variance]])
+    height = np.linspace(0.0, HIGHEST, HEIGHTS)
+    below = (1.0 - one) * height
+    return height, np.asarray(law.cdf(np.stack([below, below], axis=-1)))
+
+
+def false_alarms(
+    threshold_sigma: ArrayLike, pixels: int, *, fwhm_px: float = 2.0, noise_spread: float = 0.0
+) -> FloatArray:
+    """Expected number of detections that noise alone makes in one image.
+
+    Parameters
+    ----------
+    threshold_sigma : array
+        Detection limits, any shape.
+    pixels : int
+        Pixels of the image.
+    fwhm_px : float
+        Width of the filter.
+    noise_spread : float
+        Standard deviation over the pixels of the noise variance of a *pixel*, relative to its mean: pixels that are
+        noisier than the mean make more false alarms than quiet ones make less. The filter averages over its pixels;
+        what is left is taken as log-normal.
+
+    Returns
+    -------
+    array
+        Of the shape of the thresholds.
+    """
+    threshold = np.asarray(threshold_sigma, np.float64)
+    kernel = _kernel(fwhm_px)
+    share = noise_spread**2 * float((kernel**4).sum()) / float((kernel**2).sum()) ** 2
+    width = np.sqrt(np.log1p(share))
+    node, weight = np.polynomial.hermite_e.hermegauss(SPREADS)
+    scale = np.exp(0.5 * width * node - 0.25 * width**2)  # noise of a place over its mean
+    height, chance = _chance_of_maximum(fwhm_px)
+    z = threshold[..., None, None] / scale[:, None] + np.linspace(0.0, 6.0, 121)
+    density = norm.pdf(z) * np.interp(z, height, chance) ** 2
+    per_place = np.trapezoid(density, z, axis=-1)
+    return np.asarray(pixels * per_place @ (weight / weight.sum()))
+
+
+def threshold_for_false_alarms(count: float, pixels: int, *, fwhm_px: float = 2.0, noise_spread: float = 0.0) -> float:
+    """Detection limit [sigma] with an expected number of false alarms per image; parameters as `false_alarms`.
+
+    Raises
+    ------
+    DomainError
+        A number that no threshold of 2 to 40 sigma has.
+    """
+
+    def excess(threshold: float) -> float:
+        expected = float(false_alarms(threshold, pixels, fwhm_px=fwhm_px, noise_spread=noise_spread))
+        return float(np.log(max(expected, 1e-300)) - np.log(count))
+
+    if not count > 0.0 or excess(LOWEST) < 0.0 or excess(HIGHEST) > 0.0:
+        most = float(false_alarms(LOWEST, pixels, fwhm_px=fwhm_px, noise_spread=noise_spread))
+        raise DomainError(f"{count:g} false alarms per image of {pixels} px; between 0 and {most:.3g} can be had")
+    return float(brentq(excess, LOWEST, HIGHEST, xtol=1e-6))
+
+
+def detection_probability(
+    unit_light: FloatArray,
+    flux_e: ArrayLike,
+    *,
+    empty_e2: float,
+    threshold_sigma: float,
+    fwhm_px: float = 2.0,
+) -> FloatArray:
+    """Chance that stars are found.
+
+    Parameters
+    ----------
+    unit_light : (p, h, w)
+        Share of the light in each pixel of p windows, the star within half a pixel of the middle one.
+    flux_e : (k,)
+        Electrons of the star.
+    empty_e2 : float
+        Variance of a pixel without star.
+    threshold_sigma, fwhm_px : float
+        Of `calib.measure.detection.detect`.
+
+    Returns
+    -------
+    (k, p)
+    """
+    kernel = _kernel(fwhm_px)
+    power = float((kernel**2).sum())
+    flux = np.atleast_1d(np.asarray(flux_e, np.float64))
+    width = fwhm_px / FWHM_PER_SIGMA
+    middle = tuple(slice(n // 2 - 1, n // 2 + 2) for n in unit_light.shape[1:])
+    peak = gaussian_filter(unit_light, (0.0, width, width), mode="constant")[(slice(None), *middle)].reshape(-1, 9)
+    # the square of the kernel is a Gaussian of width / sqrt(2): what photon noise adds to the nine
+    squared = gaussian_filter(unit_light, (0.0, width / np.sqrt(2.0), width / np.sqrt(2.0)), mode="constant")
+    photon = power * squared[(slice(None), *middle)].reshape(-1, 9)
+    limit = threshold_sigma * np.sqrt(empty_e2 * power)
+    mean = flux[:, None, None] * peak
+    sigma = np.sqrt(empty_e2 * power + flux[:, None, None] * np.maximum(photon, 0.0))
+    needed = (limit - mean) / sigma  # (k, p, 9)
+    draws = _draws(fwhm_px)
+    out = np.empty(needed.shape[:2])
+    for index in np.ndindex(*out.shape):
+        here = needed[index]
+        if here.min() < -6.0:
+            out[index] = 1.0
+        elif here.min() > 6.0:
+            out[index] = 0.0
+        else:  # the highest pixel exactly, what the others add by draws
+            top = int(here.argmin())
+            exact, hit = float(ndtr(-here[top])), draws > here
+            out[index] = exact + float((hit.any(axis=1) & ~hit[:, top]).mean())
+    return np.minimum(out, 1.0)
+
+
+@lru_cache(maxsize=16)
+def _draws(fwhm_px: float) -> FloatArray:
+    """Nine filtered pixels in white noise (n, 9), unit variance."""
+    place = [(y, x) for y in range(3) for x in range(3)]
+    covariance = np.array([[_correlation(fwhm_px, a - c, b - d) for c, d in place] for a, b in place])
+    root = np.linalg.cholesky(covariance + 1e-12 * np.eye(9))
+    return np.asarray(np.random.default_rng(9).standard_normal((DRAWS, 9)) @ root.T)

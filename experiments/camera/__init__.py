@@ -1,0 +1,21 @@
+"""My camera: what a star sensor will do, from its sensor file, predicted in seconds and confirmed by rendered frames.
+
+`predict` is the fast path without frames, for sweeps and comparisons.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from experiments.camera.prediction import CameraPrediction
+    from experiments.camera.settings import Config
+
+__all__ = ["predict"]
+
+
+def predict(config: Config) -> CameraPrediction:
+    """What the sensor of a configuration will do; see `experiments.camera.prediction.predict_camera`."""
+    from experiments.camera.prediction import predict_camera
+
+    return predict_camera(config)

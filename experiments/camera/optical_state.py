@@ -1,0 +1,185 @@
+"""Lens, pass band and detector in one state: what depends neither on exposure nor on noise, computed once and kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from experiments.camera.settings import Config
+from experiments.laboratory.detector_changes import DetectorConfig, overridden
+from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector
+from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, PassbandConfig
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.light.band import Band
+from optics.rays.performance import LensPerformance, lens_performance, white_focus
+from optics.rays.spots import trace_spots
+from optics.units import ARCSEC_RAD
+from render.records import EffectivePsf
+from render.sky.star_light import StarLight, star_light
+from render.tracing.ray_psf import ray_epsf
+
+__all__ = ["NODES", "OpticalState", "optical_state"]
+
+
+NODES = 6
+"""Wavelengths at which the pass band is sampled."""
+PARTS = (0.0, 0.45, 0.7, 0.87, 1.0)
+"""Fields, as parts of the distance from the middle to the corner of the detector."""
+RAYS = (32, 64)
+"""Rings and azimuths of the pupil."""
+OVERSAMPLING = 8
+_LAYERS = 64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OpticalState:
+    """Made by `optical_state`.
+
+    Attributes
+    ----------
+    instrument : Instrument
+        Camera and detector.
+    band : Band
+        Pass band.
+    light : StarLight
+        Star light at its w wavelength nodes, in the magnitudes of the catalogue.
+    response : (w,)
+        Electrons per photon at the nodes.
+    share : (w,)
+        Share of each node in the electrons of the star that is quoted.
+    radius_px : (f,)
+        Distance of the fields from the middle of the detector.
+    performance : LensPerformance
+        Of the focused lens at these fields.
+    psfs : tuple of EffectivePsf
+        Of these fields, for the star that is quoted.
+    fwhm_px : float
+        Width of the mean spot on the pixels, and so of the detection filter.
+    colour_px : (c, f)
+        Mean of the light of stars of `temperatures_k` on the detector, radial, from that of the quoted star.
+    temperatures_k : (c,)
+        Increasing.
+    """
+
+    instrument: Instrument
+    band: Band
+    light: StarLight
+    response: FloatArray
+    share: FloatArray
+    radius_px: FloatArray
+    performance: LensPerformance
+    psfs: tuple[EffectivePsf, ...]
+    fwhm_px: float
+    colour_px: FloatArray
+    temperatures_k: FloatArray
+
+    @property
+    def pixel_arcsec(self) -> float:
+        """Angle of a pixel on the axis, by the scale of the image."""
+        camera = self.instrument.camera
+        return float(camera.pixel_pitch_mm / self.performance.plate_scale_mm / ARCSEC_RAD)
+
+    def electrons_per_s(self, magnitude: FloatArray, temperature_k: FloatArray, radius_px: FloatArray) -> FloatArray:
+        """Electrons per second of stars (n,), at distances from the middle of the detector."""
+        rate = self.light.photon_rate(magnitude, temperature_k)[:, 0] * self.response  # per mm^2
+        area = (np.nan_to_num(self.performance.area_mm2) * self.share).sum(1)
+        return np.asarray(rate.sum(1) * np.interp(radius_px, self.radius_px, area))
+
+    def colour_shift_px(self, temperature_k: FloatArray, radius_px: FloatArray) -> FloatArray:
+        """Radial shift (n,) of stars by their colour, against the star that is quoted."""
+        from scipy.ndimage import map_coordinates
+
+        t = np.interp(np.log(temperature_k), np.log(self.temperatures_k), np.arange(len(self.temperatures_k)))
+        r = np.interp(radius_px, self.radius_px, np.arange(len(self.radius_px)))
+        return np.asarray(map_coordinates(self.colour_px, np.stack([t, r]), order=1, mode="nearest"))
+
+
+def optical_state(config: Config) -> OpticalState:
+    """State of a configuration; the last ones are kept.
+
+    Raises
+    ------
+    StarbenchError
+        Unknown lens or detector, a pass band beyond what is known, a detector beyond the field of the lens.
+    """
+    geometry = config.instrument.model_copy(
+        update={
+            name: InstrumentConfig.model_fields[name].default
+            for name in ("exposure_s", "chip_temperature_c", "gain_dn_per_e", "line_time_us")
+        }
+    )
+    chip = DetectorConfig(diffusion_sigma_um=config.detector.diffusion_sigma_um)
+    return _state(geometry, chip, config.passband, magnitude_system(config.catalogue), config.star.temperature_k)
+
+
+def magnitude_system(config: CatalogueConfig) -> str:
+    """Scale of the magnitudes of a catalogue."""
+    from experiments.laboratory.catalogue import load_catalogue
+
+    return "G" if config.catalogue == "gaia" else load_catalogue(config).magnitude_system
+
+
+@lru_cache(maxsize=_LAYERS)
+def _state(
+    config: InstrumentConfig, chip: DetectorConfig, passband: PassbandConfig, system: str, temperature_k: float
+) -> OpticalState:
+    def open_band(p: PassbandConfig, i: Instrument) -> Band:
+        return i.passband(p.range_nm if any(p.range_nm) else None, edge_nm=p.edge_nm)
+
+    instrument = build_instrument(config, detector=overridden(configured_detector(config), chip))
+    try:
+        instrument.check_field()
+    except DomainError as error:
+        raise DomainError(f"instrument.width_px, instrument.height_px: {error}") from None
+    camera, lens = instrument.camera, instrument.camera.focused_lens
+    band = open_band(passband, instrument)
+    light = star_light([band], nodes=NODES, magnitude_system=system)  # type: ignore[arg-type]  # "V" or "G"
+    wave = light.wavelength_nm[0]
+    response = camera.response_at(wave)
+    share = _share(light, response, temperature_k)
+    corner_px = 0.5 * float(np.hypot(camera.width_px, camera.height_px))
+    radius_px = corner_px * np.array(PARTS)
+    field_deg = np.degrees(np.arctan(radius_px * camera.pixel_pitch_mm / instrument.focal_length_mm))
+    spots = trace_spots(lens, field_deg, np.zeros_like(field_deg), wave, order=RAYS)
+    performance = lens_performance(lens, field_deg, wave, share, spots=spots)
+    weight = spots.area_mm2 * share[:, None]
+    pitch, diffusion_px = camera.pixel_pitch_mm, camera.charge_diffusion_px
+    rms_px = white_focus(spots, share).rms_mm() / pitch
+    half = int(np.clip(np.ceil(4.0 * np.nanmax(rms_px)) + 4, 8, 40))
+    psfs = tuple(
+        ray_epsf(
+            (spots.rays.x[k] / pitch).ravel(),
+            (-spots.rays.y[k] / pitch).ravel(),
+            weight[k].ravel(),
+            diffusion_px=diffusion_px,
+            oversampling=OVERSAMPLING,
+            half_size_px=half,
+        )
+        for k in range(len(field_deg))
+    )
+    sigma2 = float(np.nanmean(rms_px**2)) / 2.0 + diffusion_px**2 + 1.0 / 12.0
+    kelvin = np.exp(light.log_temperature[4:-4:4])
+    shares = np.stack([_share(light, response, float(t)) for t in kelvin])
+    area = np.nan_to_num(performance.area_mm2)
+    means = np.stack([(performance.bundle_mm * s * area).sum(1) / (s * area).sum(1) for s in shares])
+    return OpticalState(
+        instrument=instrument,
+        band=band,
+        light=light,
+        response=response,
+        share=share,
+        radius_px=radius_px,
+        performance=performance,
+        psfs=psfs,
+        fwhm_px=float(np.clip(2.3548 * np.sqrt(sigma2), 0.8, 20.0)),
+        colour_px=(means - performance.white_mm) / pitch,
+        temperatures_k=kelvin,
+    )
+
+
+def _share(light: StarLight, response: FloatArray, temperature_k: float) -> FloatArray:
+    rate = light.photon_rate(np.zeros(1), np.array([temperature_k]))[0, 0] * response
+    return np.asarray(rate / rate.sum())

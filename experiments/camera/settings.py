@@ -1,0 +1,104 @@
+"""Configuration of the camera report: a sensor file, and what is looked at."""
+
+from __future__ import annotations
+
+import typing
+from typing import Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from experiments.harness.config import StrictModel
+from experiments.laboratory.detector_changes import DetectorConfig
+from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig
+
+__all__ = ["Config", "FramesConfig", "Parameter", "SkyConfig", "StarConfig", "ThermalConfig", "TornadoConfig"]
+
+
+class StarConfig(StrictModel):
+    """The stars that numbers are quoted for."""
+
+    magnitude_mag: float = Field(default=5.0, ge=-2, le=20, description="star that the accuracy is quoted for")
+    temperature_k: float = Field(default=5800.0, ge=1000, le=60000, description="its colour, that of a black body")
+    colours_k: tuple[float, ...] = Field(
+        default=(3500.0, 5800.0, 10000.0), min_length=1, max_length=6, description="colours of the curves"
+    )
+
+    @field_validator("colours_k")
+    @classmethod
+    def _colours(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        for value in values:
+            if not 1000.0 <= value <= 60000.0:
+                raise ValueError(f"{value:g} K is outside 1000 ... 60000 K")
+        return values
+
+
+class SkyConfig(StrictModel):
+    """Attitudes, uniform over all rotations, for which the sky is looked up."""
+
+    attitudes: int = Field(default=600, ge=10, le=100_000, description="how many")
+
+
+class ThermalConfig(StrictModel):
+    """Temperatures of lens and housing; the focus is set at that of the prescription."""
+
+    lowest_c: float = Field(default=-20.0, ge=-100, le=100, description="coldest")
+    highest_c: float = Field(default=40.0, ge=-100, le=100, description="hottest")
+    points: int = Field(default=5, ge=2, le=41, description="temperatures between and with them")
+
+    @model_validator(mode="after")
+    def _range(self) -> ThermalConfig:
+        if self.lowest_c >= self.highest_c:
+            raise ValueError(f"lowest_c = {self.lowest_c:g} is not below highest_c = {self.highest_c:g}")
+        return self
+
+
+class FramesConfig(StrictModel):
+    """Rendered frames that confirm the prediction."""
+
+    sky: int = Field(default=8, ge=2, le=1000, description="frames of the real sky, in random attitudes")
+    chart_stars: int = Field(default=300, ge=40, le=20000, description="artificial stars, spread over the detector")
+    readouts: int = Field(default=8, ge=3, le=1000, description="how often these are read out")
+
+
+Parameter = Literal[
+    "instrument.exposure_s",
+    "instrument.f_number",
+    "instrument.defocus_mm",
+    "instrument.chip_temperature_c",
+    "detector.read_noise_e",
+    "detector.dark_current_e_per_s",
+    "detector.prnu",
+    "throughput_fraction",
+    "background_e_per_s",
+    "threshold_sigma",
+]
+
+
+class TornadoConfig(StrictModel):
+    """Which keys of the sensor are moved to see what to change first, and how far."""
+
+    parameters: tuple[Parameter, ...] = Field(default=typing.get_args(Parameter), description="which; none: no chart")
+    change_fraction: float = Field(default=0.2, gt=0, lt=1, description="of keys that have a natural zero")
+    chip_k: float = Field(default=10.0, gt=0, le=50, description="temperature of the chip")
+
+
+class Config(SensorExperimentConfig, SensorConfig):
+    """A sensor file, and what is looked at; the defaults are the built-in star tracker."""
+
+    detector: DetectorConfig = DetectorConfig()
+    throughput_fraction: float = Field(
+        default=1.0, gt=0, le=1, description="light that is left after what lens, pass band and chip do not know of"
+    )
+    background_e_per_s: float = Field(default=0.0, ge=0, le=1e6, description="even light in every pixel: straylight")
+    false_alarms_per_frame: float | None = Field(
+        default=None, gt=0, le=1e4, description="sets the detection limit in place of threshold_sigma"
+    )
+    dark_frames: int = Field(
+        default=20, ge=1, le=1000, description="frames without light in the mean that is subtracted"
+    )
+    star: StarConfig = StarConfig()
+    sky: SkyConfig = SkyConfig()
+    thermal: ThermalConfig = ThermalConfig()
+    frames: FramesConfig = FramesConfig()
+    tornado: TornadoConfig = TornadoConfig()
+    predict_only: bool = Field(default=False, description="no rendered frames: an answer in seconds")

@@ -1,0 +1,120 @@
+"""The real sky as the sensor sees it in many attitudes, without noise: which stars, how bright, of what colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from experiments.camera.settings import Config
+from experiments.laboratory.catalogue import load_catalogue
+from experiments.laboratory.instrument import build_instrument
+from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from render.catalogue.index import build_index
+from render.catalogue.temperature import star_temperature
+from render.engine.random import Streams
+from render.sky.field import FieldOfView, field_of_view
+from render.sky.sampling import SkySample, sample_sky
+
+__all__ = ["SkyView", "sky_view"]
+
+
+DEPTH_STEP_MAG = 0.5
+SIGHTINGS = 400_000
+"""Attitudes are looked up until there are so many; wide fields need fewer to be known as well."""
+FEWEST = 100
+_LAYERS = 32
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SkyView:
+    """Made by `sky_view`; m sightings of stars in f attitudes.
+
+    Attributes
+    ----------
+    sample : SkySample
+        Which star where.
+    magnitude, temperature_k : (m,)
+        Of each sighting.
+    radius_px : (m,)
+        From the middle of the detector.
+    neighbour_mag : (m,)
+        Brightest star within the window; infinite where there is none.
+    attitudes : Rotation
+        cam from icrs.
+    depth_mag : float
+        Faintest stars that were looked up.
+    """
+
+    sample: SkySample
+    magnitude: FloatArray
+    temperature_k: FloatArray
+    radius_px: FloatArray
+    neighbour_mag: FloatArray
+    attitudes: Rotation
+    depth_mag: float
+
+
+def sky_view(config: Config, limit_mag: float) -> SkyView:
+    """Stars to a magnitude or to where the catalogue ends, for the lens as designed; the last views are kept.
+
+    Raises
+    ------
+    StarbenchError
+        As of the catalogue; no star is bright enough.
+    """
+    deep = DEPTH_STEP_MAG * float(np.ceil(limit_mag / DEPTH_STEP_MAG))
+    kept = {name: getattr(config.instrument, name) for name in ("lens", "detector", "width_px", "height_px")}
+    # coatings and absorption play no part: a lens without transmittance data has a field of view too
+    plain = InstrumentConfig(**kept, defocus_mm=0.0, absorption=False, coating_nm=0.0)
+    depth = min(deep, config.catalogue.faintest_mag)
+    return _sky_view(plain, config.catalogue, config.window_px, depth, config.sky.attitudes, config.seed)
+
+
+@lru_cache(maxsize=_LAYERS)
+def _view(config: InstrumentConfig) -> FieldOfView:
+    return field_of_view(build_instrument(config).camera, margin_px=0.0)
+
+
+@lru_cache(maxsize=_LAYERS)
+def _sky_view(
+    instrument: InstrumentConfig, catalogue: CatalogueConfig, window_px: int, depth: float, attitudes: int, seed: int
+) -> SkyView:
+    whole = load_catalogue(catalogue)
+    bright = np.flatnonzero(whole.magnitude <= depth)
+    if not len(bright):
+        brightest = float(np.nanmin(whole.magnitude))
+        raise DomainError(
+            f"no star of catalogue {whole.name} is brighter than {depth:g} mag, what the sensor finds; the brightest "
+            f"has {brightest:.2f} mag"
+        )
+    stars = whole.select(bright)
+    view = _view(instrument)
+    solid = 4.0 * float(np.prod(np.arctan(view.half_width)))  # of 4 pi, nearly
+    expected = max(len(bright) * solid / (4.0 * np.pi), 1e-3)
+    count = int(np.clip(SIGHTINGS / expected, min(FEWEST, attitudes), attitudes))
+    turned = Rotation.random(count, rng=Streams(seed).child("camera").generator("attitudes"))
+    sample = sample_sky(build_index(stars), view, turned)
+    pixel_rad = 2.0 * float(np.arctan(view.half_width[0])) / view.width_px
+    reach = window_px * np.sqrt(1.0 / np.pi) * pixel_rad  # a circle of the area of the window
+    pairs = cKDTree(stars.direction).query_pairs(reach, output_type="ndarray")
+    neighbour = np.full(len(stars), np.inf)
+    for a, b in (pairs.T, pairs[:, ::-1].T):
+        np.minimum.at(neighbour, a, stars.magnitude[b])
+    row: NDArray[np.int64] = sample.row
+    middle = np.array([view.width_px - 1, view.height_px - 1]) / 2.0
+    return SkyView(
+        sample=sample,
+        magnitude=stars.magnitude[row],
+        temperature_k=star_temperature(stars, catalogue.temperature)[row],
+        radius_px=np.hypot(*(sample.pixel_px - middle).T),
+        neighbour_mag=neighbour[row],
+        attitudes=turned,
+        depth_mag=depth,
+    )

@@ -1,0 +1,43 @@
+"""The star catalogue that a configuration names."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from experiments.laboratory.settings import CatalogueConfig
+from optics.errors import ConfigError
+from render.catalogue.record import StarCatalog
+
+__all__ = ["load_catalogue"]
+
+
+def load_catalogue(config: CatalogueConfig) -> StarCatalog:
+    """The configured catalogue.
+
+    Raises
+    ------
+    StarbenchError
+        Missing, not understood, in wrong units, without magnitudes.
+    """
+    if config.catalogue == "gaia":
+        return _gaia()
+    from render.catalogue.read import read_catalog
+
+    system = None if config.magnitude_system == "preset" else config.magnitude_system
+    try:
+        return read_catalog(Path(config.catalogue), config.preset, magnitude_system=system)
+    except ConfigError as error:
+        if "magnitude_system=" not in str(error):
+            raise
+        raise ConfigError(
+            f"catalogue.preset = {config.preset!r} tells no scale of magnitudes; set catalogue.magnitude_system to "
+            "V or G"
+        ) from None
+
+
+@cache
+def _gaia() -> StarCatalog:
+    from render.catalogue.gaia import load_gaia
+
+    return load_gaia()

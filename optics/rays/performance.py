@@ -1,0 +1,225 @@
+"""What a lens does, from one trace: scale, distortion, spots through focus, colour, vignetting over field and band.
+
+Fields lie along +X of cam, so that positions are x in the image plane; a lens of revolution shows there all it has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.lens.system import LensSystem
+from optics.rays.chief import chief_ray_points, plate_scale_mm
+from optics.rays.paraxial import axial_paraxial
+from optics.rays.spots import Spots, trace_spots
+from optics.records import freeze
+from optics.units import DEG_RAD
+
+__all__ = ["FocusCurve", "LensPerformance", "lens_performance", "white_focus"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FocusCurve:
+    """RMS spot radius against a shift z of the image plane: ``r^2 = square + 2 cross z + slope z^2``, exactly for rays.
+
+    Attributes
+    ----------
+    square_mm2, cross_mm, slope : (...)
+        Mean square of the ray heights about their mean, their mean product with the slopes, mean square of the slopes.
+    """
+
+    square_mm2: FloatArray
+    cross_mm: FloatArray
+    slope: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("square_mm2", "cross_mm", "slope"):
+            object.__setattr__(self, name, np.array(getattr(self, name), np.float64))
+            getattr(self, name).setflags(write=False)
+
+    def rms_mm(self, shift_mm: ArrayLike = 0.0) -> FloatArray:
+        """RMS radius [mm] at image-plane shifts that broadcast against the curve."""
+        z = np.asarray(shift_mm, np.float64)
+        return np.sqrt(np.maximum(self.square_mm2 + 2.0 * self.cross_mm * z + self.slope * z * z, 0.0))
+
+    @property
+    def best_mm(self) -> FloatArray:
+        """Shift of the image plane with the smallest spot [mm]."""
+        return np.asarray(-self.cross_mm / self.slope)
+
+    @property
+    def mean(self) -> FocusCurve:
+        """Curve of the mean square over all fields, alike."""
+        return FocusCurve(square_mm2=self.square_mm2.mean(), cross_mm=self.cross_mm.mean(), slope=self.slope.mean())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LensPerformance:
+    """Over f fields and w wavelengths.
+
+    Attributes
+    ----------
+    field_deg : (f,)
+        Field angles, the first 0.
+    wavelength_nm, share : (w,)
+        Wavelengths and the share of the light each stands for.
+    focal_length_mm, f_number : float
+        Paraxial, at the design wavelength.
+    plate_scale_mm : float
+        Focal length as the image shows it about the axis (`optics.rays.chief.plate_scale_mm`), design wavelength.
+    chief_mm : (f,)
+        Chief-ray height from that of field 0, design wavelength.
+    bundle_mm : (f, w)
+        Mean of the ray bundle.
+    area_mm2 : (f, w)
+        Cross-section of the beam that arrives: the flux of a star is that times its irradiance.
+    white : FocusCurve
+        (f,): all wavelengths about their common mean.
+    single : FocusCurve
+        (f, w): each wavelength about its own mean.
+    """
+
+    field_deg: FloatArray
+    wavelength_nm: FloatArray
+    share: FloatArray
+    focal_length_mm: float
+    f_number: float
+    plate_scale_mm: float
+    chief_mm: FloatArray
+    bundle_mm: FloatArray
+    area_mm2: FloatArray
+    white: FocusCurve
+    single: FocusCurve
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "field_deg", shape=("f",), sizes=sizes)
+        for name in ("wavelength_nm", "share"):
+            freeze(self, name, shape=("w",), sizes=sizes)
+        freeze(self, "chief_mm", shape=("f",), sizes=sizes)
+        for name in ("bundle_mm", "area_mm2"):
+            freeze(self, name, shape=("f", "w"), finite=False, sizes=sizes)
+
+    @property
+    def distortion(self) -> FloatArray:
+        """Radial distortion of the chief ray, relative to f tan(field), (f,); 0 on the axis."""
+        ideal = self.plate_scale_mm * np.tan(self.field_deg * DEG_RAD)
+        return np.divide(self.chief_mm - ideal, ideal, out=np.zeros_like(ideal), where=ideal > 0)
+
+    @property
+    def white_mm(self) -> FloatArray:
+        """Mean of all light, (f,) [mm]."""
+        return np.asarray((self.bundle_mm * self._light).sum(1))
+
+    @property
+    def _light(self) -> FloatArray:
+        light = self.share * np.nan_to_num(self.area_mm2)
+        return np.asarray(light / np.maximum(light.sum(1, keepdims=True), 1e-300))
+
+    @property
+    def lateral_colour_mm(self) -> FloatArray:
+        """Bundle mean of each wavelength minus that of all light, (f, w) [mm]."""
+        return self.bundle_mm - self.white_mm[:, None]
+
+    @property
+    def axial_colour_mm(self) -> FloatArray:
+        """Best focus of each wavelength on the axis, from the image plane, (w,) [mm]."""
+        return np.asarray(self.single.best_mm[0])
+
+    @property
+    def vignetting(self) -> FloatArray:
+        """Light of a star relative to the axis, (f,): what apertures cut, and the foreshortened pupil."""
+        light = (self.share * np.nan_to_num(self.area_mm2)).sum(1)
+        return np.asarray(light / light[0])
+
+    @property
+    def best_focus_mm(self) -> float:
+        """Image-plane shift that makes the mean square of the white spots smallest, fields alike [mm]."""
+        return float(self.white.mean.best_mm)
+
+    def depth_of_focus_mm(self, blur_mm: float) -> float:
+        """Half the depth of focus: the defocus whose geometric blur circle has the diameter ``blur_mm``, N times it."""
+        return self.f_number * blur_mm
+
+
+def lens_performance(
+    lens: LensSystem,
+    field_deg: ArrayLike,
+    wavelength_nm: ArrayLike,
+    share: ArrayLike | None = None,
+    *,
+    spots: Spots | None = None,
+) -> LensPerformance:
+    """Trace a lens at fields and wavelengths.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens, perturbed or not.
+    field_deg : (f,)
+        Field angles, the first 0.
+    wavelength_nm : (w,)
+        Wavelengths.
+    share : (w,), optional
+        Share of the light at each; alike if left out.
+    spots : Spots, optional
+        Traced already, at these fields (along X) and wavelengths.
+
+    Raises
+    ------
+    DomainError
+        The first field is not 0.
+    StarbenchError
+        As `trace_spots` and `chief_ray_points`.
+    """
+    field, wave = np.atleast_1d(np.asarray(field_deg, float)), np.atleast_1d(np.asarray(wavelength_nm, float))
+    if field[0] != 0.0:
+        raise DomainError(f"first field {field[0]:g} deg; distortion and vignetting are against field 0")
+    light = np.ones(len(wave)) if share is None else np.asarray(share, float)
+    light = light / light.sum()
+    traced = trace_spots(lens, field, np.zeros_like(field), wave) if spots is None else spots
+    first = axial_paraxial(lens, lens.design_wavelength_nm)
+    chief, _ = chief_ray_points(lens, field, np.zeros_like(field))
+    mean_x, _, single = _focus(traced, traced.area_mm2, (-1,))
+    return LensPerformance(
+        field_deg=field,
+        wavelength_nm=wave,
+        share=light,
+        focal_length_mm=first.efl_mm,
+        f_number=first.f_number,
+        plate_scale_mm=plate_scale_mm(lens),
+        chief_mm=chief - chief[0],
+        bundle_mm=mean_x,
+        area_mm2=traced.area_mm2.sum(-1) * np.cos(field * DEG_RAD)[:, None],
+        white=white_focus(traced, light),
+        single=single,
+    )
+
+
+def white_focus(spots: Spots, share: FloatArray) -> FocusCurve:
+    """Focus curve (f,) of all light about its common mean; ``share`` (w,) or (f, w) weighs the wavelengths."""
+    share = np.broadcast_to(share, spots.area_mm2.shape[:2])
+    return _focus(spots, spots.area_mm2 * share[..., None], (-2, -1))[2]
+
+
+def _focus(spots: Spots, weight: FloatArray, over: tuple[int, ...]) -> tuple[FloatArray, FloatArray, FocusCurve]:
+    """Means of x and y and the focus curve, weighted over some axes; NaN where no ray arrives."""
+    rays = spots.rays
+    total = weight.sum(over, keepdims=True)
+    w = np.divide(weight, total, out=np.full_like(weight, np.nan), where=total > 0)
+    means: list[FloatArray] = []
+    square = cross = slope2 = np.zeros(())
+    for position, component in ((rays.x, rays.dx), (rays.y, rays.dy)):
+        height = np.where(rays.ok, position, 0.0)
+        slope = np.where(rays.ok, component / np.where(rays.ok, rays.dz, 1.0), 0.0)
+        means.append((w * height).sum(over))
+        height = height - (w * height).sum(over, keepdims=True)
+        slope = slope - (w * slope).sum(over, keepdims=True)
+        square = square + (w * height * height).sum(over)
+        cross = cross + (w * height * slope).sum(over)
+        slope2 = slope2 + (w * slope * slope).sum(over)
+    return means[0], means[1], FocusCurve(square_mm2=square, cross_mm=cross, slope=slope2)

@@ -1,0 +1,92 @@
+"""What a camera sees in many attitudes at once: the stars of a catalogue on its detector, without rendering them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from optics.arrays import FloatArray
+from optics.errors import ConfigError
+from optics.records import freeze
+from render.catalogue.index import SkyIndex
+from render.sky.field import FieldOfView
+
+__all__ = ["SkySample", "sample_sky"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SkySample:
+    """m sightings of stars in f attitudes, attitude after attitude.
+
+    Attributes
+    ----------
+    frames : int
+        f.
+    frame : (m,) int64
+        Which attitude.
+    row : (m,) int64
+        Which star of the catalogue.
+    direction : (m, 3)
+        Unit vectors in cam.
+    pixel_px : (m, 2)
+        Column and row of the chief ray.
+    """
+
+    frames: int
+    frame: NDArray[np.int64]
+    row: NDArray[np.int64]
+    direction: FloatArray
+    pixel_px: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "frame", shape=("m",), dtype=np.int64, sizes=sizes)
+        freeze(self, "row", shape=("m",), dtype=np.int64, sizes=sizes)
+        freeze(self, "direction", shape=("m", 3), sizes=sizes)
+        freeze(self, "pixel_px", shape=("m", 2), sizes=sizes)
+
+    def summed(self, values: FloatArray) -> FloatArray:
+        """Sum of values (m,) over the stars of each attitude, (f,)."""
+        return np.asarray(np.bincount(self.frame, values, self.frames), np.float64)
+
+
+def sample_sky(index: SkyIndex, view: FieldOfView, attitudes: Rotation) -> SkySample:
+    """Stars on the detector (without its margin) in each attitude, at the epoch of the catalogue.
+
+    Parameters
+    ----------
+    index : SkyIndex
+        Catalogue with its search tree, cut to the magnitudes that matter.
+    view : FieldOfView
+        What the camera sees; its margin is left out.
+    attitudes : Rotation
+        f of them, cam from icrs.
+
+    Raises
+    ------
+    ConfigError
+        A single rotation instead of many.
+    """
+    if attitudes.single:
+        raise ConfigError("sample_sky: many attitudes are needed; Rotation.from_matrix([...])")
+    matrix = attitudes.as_matrix()
+    boresight = matrix[:, 2] / np.linalg.norm(matrix[:, 2], axis=1, keepdims=True)
+    chord = 2.0 * np.sin(min(view.radius_rad, np.pi) / 2.0)
+    found = index.tree.query_ball_point(boresight, chord, return_sorted=True)
+    count = np.array([len(rows) for rows in found], np.int64)
+    row = np.concatenate([np.asarray(rows, np.int64) for rows in found]) if count.sum() else np.empty(0, np.int64)
+    frame = np.repeat(np.arange(len(matrix)), count)
+    direction = np.empty((len(row), 3))
+    sky = index.catalog.direction[row]
+    for axis in range(3):  # three columns at a time: no (m, 3, 3) array
+        direction[:, axis] = (matrix[frame, axis] * sky).sum(1)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    pixel = view.pixel_of(direction)
+    size = np.array([view.width_px, view.height_px])
+    seen = ((pixel > -0.5) & (pixel < size - 0.5)).all(axis=1)  # NaN fails
+    return SkySample(
+        frames=len(matrix), frame=frame[seen], row=row[seen], direction=direction[seen], pixel_px=pixel[seen]
+    )

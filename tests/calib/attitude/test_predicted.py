@@ -1,0 +1,51 @@
+"""Predicted covariance of attitudes, against the estimator's scatter and closed forms."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.attitude.predicted import attitude_covariance
+from calib.attitude.solve import solve_wahba_many
+from optics.attitude import attitude_error_arcsec
+from optics.units import RAD_ARCSEC
+
+
+def field_of_stars(rng, count, half_rad=0.1):
+    plane = rng.uniform(-half_rad, half_rad, (count, 2))
+    v = np.column_stack([plane, np.ones(count)])
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+def test_scatter_of_solved_frames():
+    """4000 frames of one field, stars of two qualities: a variance is known to sqrt(2 / 4000) = 2.2 %; four of it."""
+    rng, frames = np.random.default_rng(4), 4000
+    v = field_of_stars(rng, 9)
+    sigma = np.where(np.arange(9) < 4, 2.0, 9.0) / RAD_ARCSEC
+    many = np.tile(v, (frames, 1))
+    across = np.tile(sigma, frames)[:, None] * rng.standard_normal(many.shape)
+    seen = many + across - (across * many).sum(1, keepdims=True) * many
+    seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+    frame = np.repeat(np.arange(frames), 9)
+    solved = solve_wahba_many(seen, many, frame, frames=frames, sigma_rad=np.tile(sigma, frames))
+    scatter = np.sqrt((attitude_error_arcsec(solved.rotation, Rotation.identity(frames)) ** 2).mean(0))
+    predicted = attitude_covariance(v, sigma**2, np.zeros(9, int), 1)[0]
+    np.testing.assert_allclose(np.sqrt(np.diag(predicted)) * RAD_ARCSEC, scatter, rtol=0.045)
+
+
+def test_two_stars_across_and_roll():
+    """At +-a along x: sigma / (sqrt 2 cos a) about x, sigma / sqrt 2 about y, sigma / (sqrt 2 sin a) about z."""
+    a, sigma = 0.05, 1e-5
+    v = np.array([[np.sin(a), 0.0, np.cos(a)], [-np.sin(a), 0.0, np.cos(a)]])
+    found = np.sqrt(np.diag(attitude_covariance(v, np.full(2, sigma**2), np.zeros(2, int), 1)[0]))
+    expected = sigma / np.sqrt(2.0) * np.array([1.0 / np.cos(a), 1.0, 1.0 / np.sin(a)])
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_one_star_leaves_the_roll_open_and_half_a_star_counts_half():
+    rng = np.random.default_rng(2)
+    v = field_of_stars(rng, 6)
+    frame = np.array([0, 0, 0, 0, 0, 2])
+    found = attitude_covariance(v, np.full(6, 1e-10), frame, 3)
+    assert np.isfinite(found[0]).all()
+    assert np.isinf(found[1:]).all()
+    half = attitude_covariance(v, np.full(6, 1e-10), frame, 3, share=np.full(6, 0.5))
+    np.testing.assert_allclose(half[0], 2.0 * found[0], rtol=1e-12)

@@ -1,0 +1,82 @@
+"""Predicted errors of centroiders, against noise drawn on windows and against closed forms."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.measure.centroid import get_centroider
+from calib.measure.centroid_prediction import phase_windows, predict_centroids
+from calib.records import NoiseModel, Stamps
+from optics.errors import ConfigError
+from render.records import EffectivePsf
+
+NOISE = NoiseModel(read_noise_e=12.0)
+
+
+def gaussian_psf(sigma_px, oversampling=8, half_px=9):
+    """A Gaussian integrated over pixels by the error function."""
+    from scipy.special import ndtr
+
+    offset = np.arange(-half_px * oversampling, half_px * oversampling + 1) / oversampling
+    share = ndtr((offset + 0.5) / sigma_px) - ndtr((offset - 0.5) / sigma_px)
+    return EffectivePsf(values=np.outer(share, share), oversampling=oversampling)
+
+
+@pytest.mark.parametrize("name", ["epsf", "windowed", "cog"])
+def test_noise_and_patterns_of_drawn_windows(name):
+    """600 draws on 16 windows of two stars: a variance is known to sqrt(2 / (2 16 600)) = 1 %; four of that, 3 % for
+    what is not linear at a signal-to-noise ratio of 30."""
+    psf, rng, draws, window = gaussian_psf(0.7), np.random.default_rng(8), 600, 9
+    flux = np.array([3000.0, 30000.0])
+    predicted = predict_centroids(name, (psf,), flux, noise=NOISE, prnu=0.02, window_px=window)
+    unit = phase_windows((psf,), window)
+    options = {"epsf": (psf,)} if name == "epsf" else {}
+    centroider = get_centroider(name, **options)
+    for k, value in enumerate(flux):
+        light = value * unit.light
+        count = len(light)
+        stamps = Stamps(
+            electrons=light,
+            valid=np.ones(light.shape, bool),
+            corner_px=np.zeros((count, 2), np.int64),
+            background_e=np.zeros(count),
+            start_px=unit.place_px,
+            flags=np.zeros(count, np.uint32),
+            psf_index=np.zeros(count, np.int64),
+        )
+        many = stamps.select(np.tile(np.arange(count), draws))
+        noisy = {
+            "noise_px": rng.poisson(many.electrons) + 12.0 * rng.standard_normal(many.electrons.shape),
+            "pattern_px": many.electrons * (1.0 + 0.02 * rng.standard_normal(many.electrons.shape)),
+        }
+        for what, electrons in noisy.items():
+            table = centroider.measure(replace(many, electrons=electrons), NOISE)
+            place = np.stack([table.x_px, table.y_px], axis=-1).reshape(draws, count, 2)
+            seen = float(np.sqrt(place.var(axis=0).mean()))
+            assert getattr(predicted, what)[0, k] == pytest.approx(seen, rel=0.05), (what, value)
+
+
+def test_bright_limit_is_the_spread_over_the_root_of_the_electrons():
+    """Photon noise alone: sigma / sqrt(F) of the pixel-integrated Gaussian, whose variance grows by 1/12 (to 2 %)."""
+    sigma, flux = 1.2, 1e7
+    found = predict_centroids("epsf", (gaussian_psf(sigma),), [flux], noise=NoiseModel(read_noise_e=0.0), window_px=15)
+    assert found.bound_px[0, 0] == pytest.approx(np.sqrt((sigma**2 + 1.0 / 12.0) / flux), rel=0.02)
+
+
+def test_faint_limit_is_the_read_noise():
+    """Read noise alone: Fisher information F^2 / r^2 sum (dP/dx)^2 of a Gaussian, sigma_x = sqrt(8 pi) s^2 r / F."""
+    sigma, flux, read = 2.0, 100.0, 1000.0
+    found = predict_centroids("epsf", (gaussian_psf(sigma),), [flux], noise=NoiseModel(read_noise_e=read), window_px=17)
+    spread = sigma**2 + 1.0 / 12.0
+    assert found.noise_px[0, 0] == pytest.approx(np.sqrt(8.0 * np.pi) * spread * read / flux, rel=0.02)
+
+
+def test_no_method_beats_the_bound_and_thresholds_are_refused():
+    psf = gaussian_psf(0.8)
+    for name in ("windowed", "cog"):
+        found = predict_centroids(name, (psf,), [300.0, 3e4], noise=NOISE, window_px=11)
+        assert (found.noise_px > found.bound_px).all()
+        assert (found.phase_px > 0.0).all()
+    with pytest.raises(ConfigError, match="threshold lies in the noise"):
+        predict_centroids("tcog", (psf,), [300.0], noise=NOISE)
