@@ -35,6 +35,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.laboratory.distortion_model import predict_distortion
     from experiments.laboratory.point_scene import point_laboratory, prepared_scene
     from experiments.laboratory.targets import GridTarget, grid_directions
+    from render.detector.maps import sensor_maps
     from render.engine.random import Streams
 
     bench, instrument = point_laboratory(config)
@@ -61,7 +62,8 @@ def run(config: Config, *, progress: Progress) -> Result:
             direction,
             psf=measured.light.psf,
             order=config.order,
-            draws=config.draws,
+            noise_draws=config.draws,
+            defect=sensor_maps(instrument.detector).defect,
             seed=config.seed,
         )
     with progress.stage("map"):

@@ -53,13 +53,24 @@ def _numbers(q: Quantities, result: Result) -> None:
         scale * np.array([[of[m][r] for r in REFERENCES] for m in methods])
         for of in (result.predicted.mean_px, result.predicted.scatter_px)
     )
+    of_surveys = scale * np.array(
+        [[result.predicted.of_surveys_px(m, r, result.config.surveys) for r in REFERENCES] for m in methods]
+    )
     rms, spread = np.sqrt((every**2).mean(2)), every.std(2, ddof=1)
     place = "methods_arcsec_3sigma[method][reference][number]."
     all_surveys = {"error": spread, "json": f"{place}over_surveys", "json_error": f"{place}scatter_of_surveys"}
     angle: dict[str, Any] = {"unit": "arcsec", "dims": "method reference number axis"}
     q.add("one_survey_arcsec", one, "One survey", **angle, format=".3f", json=f"{place}one_survey")
     q.add("all_surveys_arcsec", rms, "All surveys", **angle, **all_surveys)
-    q.add("predicted_arcsec", expected, "Predicted", **angle, format=".3f", json=f"{place}predicted")
+    q.add(
+        "predicted_arcsec",
+        expected,
+        "Predicted",
+        **angle,
+        error=of_surveys,
+        json=f"{place}predicted",
+        json_error=f"{place}predicted_scatter_over_surveys",
+    )
     q.add("predicted_scatter_arcsec", scatter, "Predicted scatter from survey to survey", **angle, json="")
     _counting(q, result, every[0, list(REFERENCES).index(result.config.reference), :, 2])
 

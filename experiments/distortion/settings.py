@@ -33,7 +33,7 @@ class Config(PointConfig):
     centroid: MethodName = Field(default="epsf", description="centroider that counts")
     compare: tuple[MethodName, ...] = Field(default=("cog", "gaussian"), description="others on the same frames")
     surveys: int = Field(default=200, ge=2, le=5000, description="independent surveys of the target, same frames")
-    draws: int = Field(default=200, ge=10, le=5000, description="draws behind the prediction")
+    draws: int = Field(default=200, ge=10, le=5000, description="noisy copies of a window behind the prediction")
     map_rows: int = Field(default=17, ge=5, le=101, description="rows of the dense map; twice as many columns")
     study: StudyConfig = StudyConfig()
 

@@ -1,54 +1,108 @@
 """Distortion error predicted without frames: traced bundles, noise, response pattern, S-curve and marking error.
 
-The document's numbers are functions of the mean centroids and the surveyed coordinates; both are drawn many times
-around the ray trace, and the same reduction is made of each draw. How good a map is over the whole field follows
-without draws: with B the polynomial terms at the target points and A those at the field points, an error e of the
-residuals becomes A (B^T B)^-1 B^T e in the map.
+The document's squares are quadratic forms of what is read and surveyed. With H the projector onto the polynomials and J
+that onto constants, residuals d at W points have
+
+    (W - 1) sigma_d^2 = |(1 - J) d|^2,    (W - 1) sigma_D^2 = |(1 - H) d|^2,    (W - 1) sigma_C1^2 = |(H - J) d|^2,
+
+and with P the projector onto the terms of the camera behind the coordinates, s and t the errors of the earlier and of
+the test session, c what both share (response pattern), m the marking error and u what is no noise (distortion, S-curve),
+
+    d = (1 - P) (u + c - m) + t - P s     (from an earlier session),     d = (1 - P) (u + c + t - m)     (from the same).
+
+Mean and variance of |Q d|^2 for normal d = u + noise of covariance C are u'Qu + tr(QC) and 2 tr(QCQC) + 4 u'QCQu. Nothing
+is drawn, and no code of the reduction takes part: projectors are made by QR of other bases of the same polynomials.
+
+The chip, and the frames of a run, are the same for all surveys of it: the RMS over surveys has the scatter that is
+*frozen* (from chip to chip and from run to run) however many surveys there are.
+
+How good a map is over the whole field: with B the polynomial terms at the target points and A those at the field
+points, an error e of the residuals becomes A (B^T B)^-1 B^T e in the map.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial.legendre import legvander2d
+from numpy.typing import NDArray
 
+from calib.measure.linear_response import centroid_covariance
 from experiments.laboratory.bench import Bench
-from experiments.laboratory.distortion_error import (
-    camera_place,
-    dense_grid,
-    residual_px,
-    traced_bundles,
-)
-from experiments.laboratory.distortion_statistics import (
-    REFERENCES,
-    Reference,
-    distortion_statistics,
-    polynomial_terms,
-    without_pointing,
-)
+from experiments.laboratory.distortion_error import camera_place, dense_grid, traced_bundles
+from experiments.laboratory.distortion_statistics import REFERENCES, Reference, without_pointing
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_noise import drawn_positions, expected_windows, influence
 from experiments.laboratory.point_scene import one_filter
 from experiments.laboratory.readout.centroids import centroiders
-from experiments.laboratory.targets import GridTarget, grid_directions, survey
+from experiments.laboratory.targets import GridTarget, grid_directions
 from optics.arrays import FloatArray
+from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 from render.records import EffectivePsf
 
-__all__ = ["DistortionPrediction", "MapForecast", "forecast_map", "predict_distortion"]
+__all__ = [
+    "DistortionPrediction",
+    "GridErrors",
+    "MapForecast",
+    "forecast_map",
+    "predict_distortion",
+    "predicted_numbers",
+]
+
+
+class Numbers(NamedTuple):
+    """What the document's numbers should be (3, 2) [px]: sigma_d, sigma_Dd, sigma_C1 by axis.
+
+    Root mean square; standard deviation of the number of one survey, and of the RMS over ever so many surveys of one
+    chip and one run.
+    """
+
+    rms_px: FloatArray
+    scatter_px: FloatArray
+    frozen_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GridErrors:
+    """What reaches the residuals of n points [px].
+
+    Attributes
+    ----------
+    place : (n, 2)
+        Points from the middle of the detector, in units of order 1.
+    offset_px : (n, 2)
+        Mean centroids minus nominal coordinates, without noise: distortion and S-curve.
+    chip_px2, session_px2 : (n, 2, 2)
+        Covariance of the mean centroid of each point by what is frozen into a chip, and by the noise of one session.
+    mean_px2 : (n, 2, 2)
+        Covariance with which ``offset_px`` is known; it is not that of the frames.
+    marking_px : float
+        Standard deviation per axis of a surveyed coordinate.
+    """
+
+    place: FloatArray
+    offset_px: FloatArray
+    chip_px2: FloatArray
+    session_px2: FloatArray
+    mean_px2: FloatArray
+    marking_px: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DistortionPrediction:
-    """What the document's numbers should be; [px], 1 sigma.
+    """What the document's numbers should be; [px], 1 sigma, by method and reference.
 
     Attributes
     ----------
     pixel_arcsec : float
         Angle of a pixel.
-    mean_px, scatter_px : dict of str to dict of Reference to (3, 2)
-        RMS and standard deviation over draws of sigma_d, sigma_Dd, sigma_C1, by method and reference.
+    mean_px, scatter_px, frozen_px : dict of str to dict of Reference to (3, 2)
+        sigma_d, sigma_Dd, sigma_C1: root mean square over chips, runs and surveys; standard deviation of the numbers of
+        one survey; standard deviation, from chip to chip and run to run, of the RMS over many surveys.
     bundle_px : (n, 2)
         Traced positions of the points.
     point_px : dict of str to (n, 2)
@@ -58,8 +112,88 @@ class DistortionPrediction:
     pixel_arcsec: float
     mean_px: Mapping[str, Mapping[Reference, FloatArray]]
     scatter_px: Mapping[str, Mapping[Reference, FloatArray]]
+    frozen_px: Mapping[str, Mapping[Reference, FloatArray]]
     bundle_px: FloatArray
     point_px: Mapping[str, FloatArray]
+
+    def of_surveys_px(self, method: str, reference: Reference, surveys: int) -> FloatArray:
+        """Standard deviation (3, 2) of the RMS over so many surveys of one chip and one run."""
+        one, frozen = self.scatter_px[method][reference], self.frozen_px[method][reference]
+        return np.sqrt(frozen**2 + np.maximum(one**2 - frozen**2, 0.0) / surveys)
+
+
+def polynomial_basis(place: FloatArray, order: int) -> FloatArray:
+    """Products of Legendre polynomials at places (..., 2), total degree at most ``order``: (..., k)."""
+    terms = legvander2d(place[..., 0], place[..., 1], [order, order])
+    degree = np.add.outer(np.arange(order + 1), np.arange(order + 1)).ravel()
+    return np.asarray(terms[..., degree <= order])
+
+
+def camera_projector(place: FloatArray, reference: Reference) -> FloatArray:
+    """Projector (2 n, 2 n), x and y of point after point, onto what a camera model explains.
+
+    With z = x + iy: shift 1 and i, scale z, roll iz; of Brown and Conrady |z|^2 z, |z|^4 z, z^2 + 2 |z|^2 and
+    i (2 |z|^2 - z^2).
+    """
+    z = place[:, 0] + 1j * place[:, 1]
+    r2 = np.abs(z) ** 2
+    terms = [] if reference == "nominal" else [1.0 + 0.0 * z, 1j + 0.0 * z, z, 1j * z]
+    if reference == "calibrated":
+        terms += [z * r2, z * r2**2, z**2 + 2.0 * r2, 1j * (2.0 * r2 - z**2)]
+    columns = np.array([np.column_stack([v.real, v.imag]).ravel() for v in terms]).reshape(len(terms), 2 * len(z))
+    basis = np.linalg.qr(columns.T)[0]
+    return np.asarray(basis @ basis.T)
+
+
+def _blocks(covariance: FloatArray) -> FloatArray:
+    """Block-diagonal (2 n, 2 n) of (n, 2, 2)."""
+    n = len(covariance)
+    out = np.zeros((n, 2, n, 2))
+    out[np.arange(n), :, np.arange(n), :] = covariance
+    return out.reshape(2 * n, 2 * n)
+
+
+def predicted_numbers(errors: GridErrors, order: int, reference: Reference) -> Numbers:
+    """The document's numbers from what reaches the residuals (see the module).
+
+    Parameters
+    ----------
+    errors : GridErrors
+        Of the target points.
+    order : int
+        Of the polynomial.
+    reference : {"nominal", "aligned", "calibrated"}
+        How target coordinates become pixels.
+    """
+    points, one = len(errors.place), np.eye(2 * len(errors.place))
+    camera = one - camera_projector(errors.place, reference)
+    chip, session, known = (_blocks(v) for v in (errors.chip_px2, errors.session_px2, errors.mean_px2))
+    if reference == "calibrated":
+        frames = camera @ chip @ camera + session + (one - camera) @ session @ (one - camera)
+    else:
+        frames = camera @ (chip + session) @ camera
+    mean = camera @ errors.offset_px.reshape(-1)
+    marked = errors.marking_px**2 * camera
+    basis = np.linalg.qr(polynomial_basis(errors.place, order))[0]
+    hat, constant = basis @ basis.T, np.full((points, points), 1.0 / points)
+    out = np.empty((3, 3, 2))
+    for axis in range(2):
+        u, frozen, survey, own = (v[axis::2] for v in (mean, frames, marked, camera @ known @ camera))
+        frozen, survey, own = (v[:, axis::2] for v in (frozen, survey, own))
+        for row, q in enumerate((np.eye(points) - constant, np.eye(points) - hat, hat - constant)):
+            square = u @ q @ u + np.trace(q @ (frozen + survey - own))  # the mean's own noise is in u'Qu
+            every = _variance(q, u, frozen + survey + own)
+            fixed = _variance(q, u, frozen + own)
+            root = np.sqrt(max(square, 0.0) / (points - 1))
+            spread = np.array([every, fixed]) / (4.0 * max(square, 1e-300) * (points - 1))
+            out[:, row, axis] = root, *np.sqrt(spread)
+    return Numbers(*out)
+
+
+def _variance(q: FloatArray, u: FloatArray, covariance: FloatArray) -> float:
+    """Variance of the squared length of a normal vector of mean u and this covariance, projected by q."""
+    inside = q @ covariance @ q
+    return float(2.0 * (inside * inside.T).sum() + 4.0 * u @ inside @ u)
 
 
 def predict_distortion(
@@ -71,8 +205,8 @@ def predict_distortion(
     psf: Sequence[EffectivePsf],
     order: int = 3,
     references: Sequence[Reference] = tuple(REFERENCES),
-    draws: int = 200,
     noise_draws: int = 0,
+    defect: NDArray[np.bool_] | None = None,
     seed: int = 0,
 ) -> DistortionPrediction:
     """Prediction for every centroider of the bench.
@@ -89,48 +223,64 @@ def predict_distortion(
         Of the polynomial.
     references : sequence of str
         How target coordinates become pixels.
-    draws : int
-        Drawn targets, chips and sessions.
     noise_draws : int
-        Noisy copies of each window from which the mean centroid is taken; 0 takes the noiseless window's, which is the
-        same but for methods with a threshold at little light.
+        Noisy copies of each window, from which mean and scatter of the centroid are taken; 0 takes the noiseless window
+        and the influence function, which is the same but for methods with a threshold at little light.
+    defect : (h, w) bool, optional
+        The camera's list of hot and dead pixels, which the reduction leaves out; none without it.
     seed : int
         Of the draws; they have nothing in common with the frames.
     """
     bench = one_filter(bench)
-    rng = Streams(seed).generator("distortion prediction")
     noise = instrument.pixel_noise()
-    windows = expected_windows(bench, instrument, direction[None], psf)
-    mean: dict[str, dict[Reference, FloatArray]] = {}
-    scatter: dict[str, dict[Reference, FloatArray]] = {}
+    windows = expected_windows(bench, instrument, direction[None], psf, defect=defect)
+    nominal, place = camera_place(instrument, direction)
+    # an error of the surveyed tangent is one of the nominal coordinate, the same at every place
+    marking_px = target.marking_error_arcsec * ARCSEC_RAD * instrument.focal_length_mm / instrument.camera.pixel_pitch_mm
+    found: dict[str, dict[Reference, Numbers]] = {}
     point: dict[str, FloatArray] = {}
     for name, centroider in centroiders(bench.methods, psf).items():
         gain = influence(centroider, instrument, windows)
-        session_e2 = noise.temporal_e2(windows.light_e, frames=bench.frames, dark_frames=bench.dark_frames)
-        sessions, fixed = gain.sigma_px(session_e2), gain.sigma_px(noise.response_e2(windows.light_e))
-        point[name] = np.hypot(sessions, fixed)
-        expected = gain.position_px
+
+        def covariance(variance_e2: FloatArray, gain_px_per_e: FloatArray = gain.gain_px_per_e) -> FloatArray:
+            return centroid_covariance(gain_px_per_e, variance_e2)
+
+        chip = covariance(noise.response_e2(windows.light_e))
+        position, single = gain.position_px, covariance(noise.temporal_e2(windows.light_e))
+        own = np.zeros_like(chip)
         if noise_draws:
             lots = Streams(seed).generator("distortion noise")
             drawn = drawn_positions(centroider, instrument, windows, noise, draws=noise_draws, rng=lots)
-            expected = np.nanmean(drawn, axis=0)
-        found: dict[Reference, list[FloatArray]] = {r: [] for r in references}
-        for surveyed in survey(target, direction, rng, copies=draws):
-            chip = expected + fixed * rng.standard_normal(fixed.shape)
-            earlier, test = chip + sessions * rng.standard_normal((2, *fixed.shape))
-            for reference in references:
-                place, d, _ = residual_px(instrument, surveyed, earlier, test, reference)
-                s = distortion_statistics(place, d, order)
-                found[reference].append(np.stack([s.sigma_d_px, s.sigma_left_px, s.sigma_c1_px]))
-        mean[name] = {r: np.sqrt(np.mean(np.square(v), axis=0)) for r, v in found.items()}
-        scatter[name] = {r: np.std(v, axis=0, ddof=1) for r, v in found.items()}
+            position, single = np.nanmean(drawn, axis=0), _covariance(drawn)
+            own = single / noise_draws
+        dark = covariance(np.full_like(windows.light_e, noise.floor_e2 / bench.dark_frames))
+        session = single / bench.frames + dark
+        point[name] = np.sqrt(np.diagonal(chip + session, axis1=1, axis2=2))
+        errors = GridErrors(
+            place=place,
+            offset_px=position - nominal,
+            chip_px2=chip,
+            session_px2=session,
+            mean_px2=own,
+            marking_px=marking_px,
+        )
+        found[name] = {reference: predicted_numbers(errors, order, reference) for reference in references}
     return DistortionPrediction(
         pixel_arcsec=instrument.pixel_arcsec,
-        mean_px=mean,
-        scatter_px=scatter,
+        mean_px={m: {r: v.rms_px for r, v in of.items()} for m, of in found.items()},
+        scatter_px={m: {r: v.scatter_px for r, v in of.items()} for m, of in found.items()},
+        frozen_px={m: {r: v.frozen_px for r, v in of.items()} for m, of in found.items()},
         bundle_px=windows.place_px,
         point_px=point,
     )
+
+
+def _covariance(drawn_px: FloatArray) -> FloatArray:
+    """Covariance (n, 2, 2) of positions (draws, n, 2); those that gave none are left out."""
+    apart = drawn_px - np.nanmean(drawn_px, axis=0)
+    count = np.isfinite(apart[..., 0]).sum(0)[:, None, None]
+    filled = np.nan_to_num(apart)
+    return np.asarray(np.einsum("dna,dnb->nab", filled, filled) / (count - 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -191,7 +341,7 @@ def forecast_map(
     direction = grid_directions(target, instrument, Streams(seed).generator("forecast"))
     nominal, place = camera_place(instrument, direction)
     dense_nominal, dense_place = camera_place(instrument, dense_grid(instrument, *grid))
-    terms, dense = polynomial_terms(place, order), polynomial_terms(dense_place, order)
+    terms, dense = polynomial_basis(place, order), polynomial_basis(dense_place, order)
     if len(place) <= terms.shape[1] or order >= min(target.rows, target.columns):  # a row per power, and one more
         return None
     carry = dense @ np.linalg.pinv(terms)

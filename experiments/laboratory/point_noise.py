@@ -29,6 +29,7 @@ from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.ray_prediction import bundle_prediction
 from experiments.laboratory.readout.centroids import measured_positions, noiseless_positions
 from experiments.laboratory.readout.noise_model import nominal_noise
+from experiments.laboratory.readout.windows import cut_windows
 from optics.arrays import FloatArray
 from optics.records import freeze
 from render.detector.noise import PixelNoise
@@ -62,11 +63,14 @@ class ExpectedWindows:
         PSFs; ``psf_index`` says which belongs to which window.
     psf_index : (n,) int64
         Index into ``psf``.
+    valid : (n, h, w) bool
+        Pixels that the reduction uses.
     """
 
     place_px: FloatArray
     corner_px: NDArray[np.int64]
     light_e: FloatArray
+    valid: NDArray[np.bool_]
     psf: tuple[EffectivePsf, ...]
     psf_index: NDArray[np.int64]
 
@@ -75,6 +79,7 @@ class ExpectedWindows:
         freeze(self, "place_px", shape=("n", 2), sizes=sizes)
         freeze(self, "corner_px", shape=("n", 2), dtype=np.int64, sizes=sizes)
         freeze(self, "light_e", shape=("n", "h", "w"), sizes=sizes)
+        freeze(self, "valid", shape=("n", "h", "w"), dtype=np.bool_, sizes=sizes)
         freeze(self, "psf_index", shape=("n",), dtype=np.int64, sizes=sizes)
 
 
@@ -84,6 +89,8 @@ def expected_windows(
     direction: FloatArray,
     psf: Sequence[EffectivePsf],
     place_px: FloatArray | None = None,
+    *,
+    defect: NDArray[np.bool_] | None = None,
 ) -> ExpectedWindows:
     """Windows around target points at m places, as the bench's reference filter shows them.
 
@@ -97,6 +104,8 @@ def expected_windows(
         Of the j points.
     place_px : (m, j, 2), optional
         Where they are imaged; left out, `bundle_prediction` says it, which takes long where apertures cut the light.
+    defect : (height, width) bool, optional
+        The camera's list of pixels that the reduction leaves out; none without it.
 
     Returns
     -------
@@ -113,10 +122,12 @@ def expected_windows(
     theta = np.column_stack([place - corner, np.full(len(place), bench.signal_e)])
     light, _ = model.evaluate(theta, np.arange(len(place)))
     light = np.maximum(light, 0.0)  # the spline between the samples of a sharp PSF swings below zero by some 1e-6
+    light = _bent(light, instrument.detector).reshape(-1, size, size)
     return ExpectedWindows(
         place_px=place,
         corner_px=corner,
-        light_e=_bent(light, instrument.detector).reshape(-1, size, size),
+        light_e=light,
+        valid=np.ones(light.shape, bool) if defect is None else ~cut_windows(defect, corner, size),
         psf=tuple(psf),
         psf_index=index,
     )
@@ -153,9 +164,7 @@ class Influence:
         return np.asarray(0.5 * of_variance / np.maximum(self.sigma_px(noise.temporal_e2(light_e)), 1e-300))
 
 
-def influence(
-    centroider: Centroider, instrument: Instrument, windows: ExpectedWindows, valid: NDArray[np.bool_] | None = None
-) -> Influence:
+def influence(centroider: Centroider, instrument: Instrument, windows: ExpectedWindows) -> Influence:
     """Position and influence function of a centroider on noiseless windows."""
     noise = nominal_noise(instrument)
     position, stamps = noiseless_positions(
@@ -163,7 +172,7 @@ def influence(
         noise,
         light_e=windows.light_e,
         corner_px=windows.corner_px,
-        valid=valid,
+        valid=windows.valid,
         psf_index=windows.psf_index,
     )
     return Influence(
@@ -234,12 +243,17 @@ def drawn_positions(
     """
     stated = nominal_noise(instrument)
     _, stamps = noiseless_positions(
-        centroider, stated, light_e=windows.light_e, corner_px=windows.corner_px, psf_index=windows.psf_index
+        centroider,
+        stated,
+        light_e=windows.light_e,
+        corner_px=windows.corner_px,
+        valid=windows.valid,
+        psf_index=windows.psf_index,
     )
     shape = (draws, *windows.light_e.shape)
     electrons = rng.poisson(windows.light_e + noise.dark_e, shape) - noise.dark_e
     electrons = electrons + np.sqrt(noise.read_e2) * rng.standard_normal(shape)
-    electrons = np.rint(electrons * stated.gain_dn_per_e) / stated.gain_dn_per_e
+    electrons = np.where(windows.valid, np.rint(electrons * stated.gain_dn_per_e) / stated.gain_dn_per_e, 0.0)
     many = stamps.select(np.tile(np.arange(len(stamps)), draws))
     noisy: Stamps = replace(many, electrons=electrons.reshape(-1, *shape[2:]))
     return measured_positions(centroider, noisy, stated, draws)

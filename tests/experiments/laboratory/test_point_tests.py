@@ -141,7 +141,7 @@ def test_distortion_numbers_agree_with_prediction(small_camera, bench_of, engine
     bench = bench_of(methods=("epsf",), frames=10, window_px=15, signal_e=6000.0)
     target = GridTarget(edge_px=60.0)
     measured = measure_distortion(bench, small_camera, target, surveys=150, streams=Streams(2))
-    predicted = predict_distortion(bench, small_camera, target, measured.direction, psf=measured.light.psf, draws=150)
+    predicted = predict_distortion(bench, small_camera, target, measured.direction, psf=measured.light.psf)
     margin = 4.0 * np.sqrt(2.0 / (18.0 * 150)) + 0.05  # nine degrees of freedom each, and one chip for all surveys
     for reference in ("aligned", "calibrated"):
         seen = np.sqrt((measured.over_surveys("epsf", reference) ** 2).mean(0))
