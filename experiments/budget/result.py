@@ -84,9 +84,11 @@ class Result:
     def _together(name: str, predicted: NDArray[np.float64], measured: NDArray[np.float64]) -> NDArray[np.float64]:
         """Standard deviation of a difference.
 
-        Of the HSFE both are estimates of one scatter, by model and by jackknife over the stars; the larger counts.
+        Of the HSFE and of C1 both are estimates of one scatter, by model and from the data (jackknife over the stars,
+        surveys); the larger counts. That of C1 contains what is frozen into chip and frames, which no survey shows.
         """
-        return np.asarray(np.maximum(predicted, measured) if name == "HSFE" else np.hypot(predicted, measured))
+        same = name in ("HSFE", "LSFE-C1")
+        return np.asarray(np.maximum(predicted, measured) if same else np.hypot(predicted, measured))
 
     @property
     def chromatic_pull(self) -> NDArray[np.float64]:

@@ -27,6 +27,7 @@ from experiments.laboratory.point_scene import PointScene, point_scene
 from experiments.laboratory.targets import GridTarget, grid_directions
 from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
 from optics.arrays import FloatArray
+from render.detector.maps import sensor_maps
 from render.engine.random import Streams
 from render.records import EffectivePsf
 
@@ -175,7 +176,7 @@ def predict_terms(
     psfs : Psfs, optional
         Where PSFs are kept between calls.
     draws : int
-        Noisy copies behind the temporal term and drawn surveys behind the distortion term.
+        Noisy copies behind the temporal term, half of those behind the distortion term.
     step_draws : int
         Drawn chips behind the pixel term.
     ideal_platform : bool
@@ -197,7 +198,7 @@ def predict_terms(
             "TE": te,
             "HSFE": hsfe,
             "LSFE-S": chromatic.value(),
-            "LSFE-C1": Value(arcsec=found[2] * scale, uncertainty_arcsec=scatter[2] * scale / np.sqrt(draws)),
+            "LSFE-C1": Value(arcsec=found[2] * scale, uncertainty_arcsec=scatter[2] * scale),
             "LSFE-C2": marking(lab),
         },
         stars=lab.config.attitude.stars,
@@ -267,7 +268,7 @@ _CAUSES = {"S-curve": "s_curve", "PRNU": "prnu", "offset pattern": "pattern", "d
 
 
 def _predicted_distortion(lab: Laboratory, psfs: Psfs, draws: int, seed: int) -> tuple[FloatArray, FloatArray]:
-    """sigma_d, sigma_Dd, sigma_C1 (3, 2) [px] and their scatter from survey to survey."""
+    """sigma_d, sigma_Dd, sigma_C1 (3, 2) [px], and the scatter of their RMS over the surveys of a chip and a run."""
     bench, grid, target = lab.bench, lab.config.grid, grid_target(lab)
     direction = grid_directions(target, lab.instrument, _grid_streams(lab).generator("target"))
     predicted = predict_distortion(
@@ -278,12 +279,13 @@ def _predicted_distortion(lab: Laboratory, psfs: Psfs, draws: int, seed: int) ->
         psf=psfs.of(lab, bench, "grid", direction),
         order=grid.order,
         references=(grid.reference,),
-        draws=draws,
         noise_draws=noise_draws(lab, 2 * draws),
+        defect=sensor_maps(lab.instrument.detector).defect,
         seed=seed,
     )
     method = bench.methods[0]
-    return predicted.mean_px[method][grid.reference], predicted.scatter_px[method][grid.reference]
+    spread = predicted.of_surveys_px(method, grid.reference, grid.surveys)
+    return predicted.mean_px[method][grid.reference], spread
 
 
 def _grid_streams(lab: Laboratory) -> Streams:
@@ -343,9 +345,7 @@ def measure_terms(
             "LSFE-S": chromatic.value(),
             "LSFE-C1": Value(
                 arcsec=found[2],
-                uncertainty_arcsec=np.hypot(
-                    spread[2] / np.sqrt(len(every)), found[2] * _frozen(lab, distortion.sigma_px[method])
-                ),
+                uncertainty_arcsec=spread[2] / np.sqrt(len(every)),
                 n=len(every) * grid.rows * grid.columns,
             ),
             "LSFE-C2": marking(lab),
@@ -362,18 +362,6 @@ def measure_terms(
         places_arcsec=places,
         chromatic=chromatic,
     )
-
-
-def _frozen(lab: Laboratory, sigma_px: FloatArray) -> FloatArray:
-    """Relative uncertainty (2,) of C1 by the frames, which all surveys share.
-
-    The polynomial takes the same share of centroid noise as of marking errors; noise of k coefficients has a relative
-    scatter of sqrt(2 / k) in its square, and half of that in its root.
-    """
-    terms = (lab.config.grid.order + 1) * (lab.config.grid.order + 2) / 2
-    noise = (sigma_px**2).mean(0) * (1.0 / lab.config.frames + 1.0 / lab.config.dark_frames)
-    marked = (lab.config.grid.marking_error_arcsec / lab.instrument.pixel_arcsec) ** 2
-    return np.asarray(0.5 * np.sqrt(2.0 / terms) * noise / (noise + marked))
 
 
 def steps_of(lab: Laboratory) -> int:

@@ -6,12 +6,14 @@ that onto constants, residuals d at W points have
     (W - 1) sigma_d^2 = |(1 - J) d|^2,    (W - 1) sigma_D^2 = |(1 - H) d|^2,    (W - 1) sigma_C1^2 = |(H - J) d|^2,
 
 and with P the projector onto the terms of the camera behind the coordinates, s and t the errors of the earlier and of
-the test session, c what both share (response pattern), m the marking error and u what is no noise (distortion, S-curve),
+the test session, c what both share (response pattern), m the marking error and u what is no noise (distortion,
+S-curve),
 
-    d = (1 - P) (u + c - m) + t - P s     (from an earlier session),     d = (1 - P) (u + c + t - m)     (from the same).
+    d = (1 - P) (u + c - m) + t - P s   (camera of an earlier session),    d = (1 - P) (u + c + t - m)   (of the same).
 
-Mean and variance of |Q d|^2 for normal d = u + noise of covariance C are u'Qu + tr(QC) and 2 tr(QCQC) + 4 u'QCQu. Nothing
-is drawn, and no code of the reduction takes part: projectors are made by QR of other bases of the same polynomials.
+Mean and variance of |Q d|^2 for normal d = u + noise of covariance C are u'Qu + tr(QC) and 2 tr(QCQC) + 4 u'QCQu.
+Nothing is drawn, and no code of the reduction takes part: projectors are made by QR of other bases of the same
+polynomials.
 
 The chip, and the frames of a run, are the same for all surveys of it: the RMS over surveys has the scatter that is
 *frozen* (from chip to chip and from run to run) however many surveys there are.
@@ -236,7 +238,9 @@ def predict_distortion(
     windows = expected_windows(bench, instrument, direction[None], psf, defect=defect)
     nominal, place = camera_place(instrument, direction)
     # an error of the surveyed tangent is one of the nominal coordinate, the same at every place
-    marking_px = target.marking_error_arcsec * ARCSEC_RAD * instrument.focal_length_mm / instrument.camera.pixel_pitch_mm
+    marking_px = (
+        target.marking_error_arcsec * ARCSEC_RAD * instrument.focal_length_mm / instrument.camera.pixel_pitch_mm
+    )
     found: dict[str, dict[Reference, Numbers]] = {}
     point: dict[str, FloatArray] = {}
     for name, centroider in centroiders(bench.methods, psf).items():

@@ -253,7 +253,7 @@ def drawn_positions(
     shape = (draws, *windows.light_e.shape)
     electrons = rng.poisson(windows.light_e + noise.dark_e, shape) - noise.dark_e
     electrons = electrons + np.sqrt(noise.read_e2) * rng.standard_normal(shape)
-    electrons = np.where(windows.valid, np.rint(electrons * stated.gain_dn_per_e) / stated.gain_dn_per_e, 0.0)
+    electrons = windows.valid * np.rint(electrons * stated.gain_dn_per_e) / stated.gain_dn_per_e
     many = stamps.select(np.tile(np.arange(len(stamps)), draws))
     noisy: Stamps = replace(many, electrons=electrons.reshape(-1, *shape[2:]))
     return measured_positions(centroider, noisy, stated, draws)

@@ -1,4 +1,4 @@
-"""The predicted numbers of a grid target against the document's reduction of drawn errors; the code of the two differs."""
+"""The predicted numbers of a grid target against the document's reduction of drawn errors; no code is shared."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ ORDER, CHIPS, SURVEYS = 3, 40, 25
 
 @pytest.fixture(scope="module")
 def errors():
-    """A 4 x 8 grid with distortion, unequal and correlated errors of its points, and a marking error of the same size."""
+    """A 4 x 8 grid with distortion, unequal and correlated errors of the points, and marking errors of that size."""
     rng = np.random.default_rng(3)
     x, y = (v.ravel() for v in np.meshgrid(np.linspace(-0.9, 0.9, 8), np.linspace(-0.45, 0.45, 4)))
     place = np.column_stack([x, y]) + 1e-3 * rng.standard_normal((32, 2))
@@ -29,7 +29,7 @@ def errors():
 
 
 def _drawn(errors, reference):
-    """sigma_d, sigma_Dd, sigma_C1 (chips, surveys, 3, 2) by the document's reduction; nominal coordinates are 1000 place."""
+    """sigma_d, sigma_Dd, sigma_C1 (chips, surveys, 3, 2) by the document's reduction of drawn errors."""
     rng = np.random.default_rng(11)
     of_chip, of_session = (np.linalg.cholesky(v + 1e-18 * np.eye(2)) for v in (errors.chip_px2, errors.session_px2))
     found = []

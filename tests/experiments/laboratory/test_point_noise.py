@@ -37,6 +37,7 @@ def windows(psf):
         place_px=place + 100.0,
         corner_px=np.full((3, 2), 100),
         light_e=light,
+        valid=np.ones(light.shape, bool),
         psf=(psf,),
         psf_index=np.zeros(3, np.int64),
     )
