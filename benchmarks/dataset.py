@@ -27,10 +27,15 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 FIGURE = ROOT / "docs" / "pictures" / "dataset_cost.png"
-SMALL = ["sky.faintest_mag=8"]
+SMALL = ["catalogue.faintest_mag=8"]
 LARGE = [
-    *("camera.lens=star_camera_206mm", "camera.detector=acc18_mosaic", "camera.width_px=0", "camera.height_px=0"),
-    "sky.faintest_mag=10",
+    *(
+        "instrument.lens=star_camera_206mm",
+        "instrument.detector=acc18_mosaic",
+        "instrument.width_px=0",
+        "instrument.height_px=0",
+    ),
+    "catalogue.faintest_mag=10",
 ]
 MAGNITUDES = (4.0, 6.0, 7.0, 8.0, 9.0, 10.0)
 SIDES_PX = (256, 512, 1024, 1536)
@@ -134,7 +139,7 @@ def main() -> None:
     if arguments.quick:
         return
     series = {
-        "stars": [(limit, rate([f"sky.faintest_mag={limit}"], 100, 2)) for limit in MAGNITUDES],
+        "stars": [(limit, rate([f"catalogue.faintest_mag={limit}"], 100, 2)) for limit in MAGNITUDES],
         "pixels": [(side, rate(_square(side), 100, 2)) for side in SIDES_PX],
         "workers": [(count, rate(SMALL, 120, count)) for count in (1, 2, 3, 4)],
     }
@@ -149,9 +154,9 @@ def main() -> None:
 
 def _square(side: int) -> list[str]:
     return [
-        f"camera.width_px={side}",
-        f"camera.height_px={side}",
-        f"sky.faintest_mag={MAGNITUDE_OF_SIDE[side]}",
+        f"instrument.width_px={side}",
+        f"instrument.height_px={side}",
+        f"catalogue.faintest_mag={MAGNITUDE_OF_SIDE[side]}",
     ]
 
 

@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 
 from optics.errors import ConfigError, unknown_name
 
-__all__ = ["parse_model", "parse_toml", "read_toml"]
+__all__ = ["allowed_range", "parse_model", "parse_toml", "read_toml"]
 
 Model = TypeVar("Model", bound=BaseModel)
 Location = tuple[int | str, ...]
@@ -182,13 +182,25 @@ def _allowed(model_class: type[BaseModel], location: Location) -> str:
     field = _field(model_class, location)
     if field is None:
         return ""
+    bounds = allowed_range(field)
+    return (f" (allowed: {bounds})" if bounds else "") + (f" [{field.description}]" if field.description else "")
+
+
+def allowed_range(field: FieldInfo) -> str:
+    """Bounds of a field in words, such as ``above 0 and at most 1000``; "" if it has none."""
     bounds = [
         text.format(getattr(constraint, name))
         for name, text in _BOUNDS
-        for constraint in field.metadata
+        for constraint in _constraints(field)
         if getattr(constraint, name, None) is not None
     ]
-    said = (f" (allowed: {' and '.join(bounds)})" if bounds else "") + (
-        f" [{field.description}]" if field.description else ""
-    )
-    return said
+    return " and ".join(bounds)
+
+
+def _constraints(field: FieldInfo) -> Iterator[Any]:
+    """Constraints of the field itself, or of the one kind of value that it may hold beside nothing."""
+    yield from field.metadata
+    for part in typing.get_args(field.annotation):
+        if typing.get_origin(part) is typing.Annotated:
+            for extra in typing.get_args(part)[1:]:
+                yield from extra.metadata if isinstance(extra, FieldInfo) else (extra,)

@@ -12,7 +12,7 @@ import numpy as np
 from optics.errors import DomainError
 from optics.lens.prescription import load_lens
 from optics.lens.system import LensSystem
-from optics.light.band import TopHat
+from optics.light.band import Band, TopHat
 from optics.light.transmission import QuarterWave
 from optics.rays.paraxial import axial_paraxial
 from render.camera import Camera, build_camera
@@ -21,6 +21,7 @@ from render.detector.spec import Detector, load_detector
 __all__ = ["StarSensor", "load_star_sensor"]
 
 
+_ROUNDING = 1e-12
 _REACH = 1.02
 """The corner of a detector may lie this much outside the field that the lens was made for."""
 
@@ -64,15 +65,18 @@ class StarSensor:
             ranges.append(self.camera.response.range_nm)
         return max(low for low, _ in ranges), min(high for _, high in ranges)
 
-    def passband(self, range_nm: tuple[float, float] | None = None, *, edge_nm: float = 20.0) -> TopHat:
+    def passband(self, range_nm: tuple[float, float] | None = None, *, edge_nm: float = 20.0, name: str = "") -> TopHat:
         """A pass band with sloping edges.
 
         Parameters
         ----------
         range_nm : (float, float), optional
-            Its feet; all that is known of lens and detector if left out.
+            Wavelengths at which half of the light passes; left out, the feet lie at the ends of all that is known of
+            lens and detector.
         edge_nm : float
             Length of the edges.
+        name : str
+            What to call it; its range if left out.
 
         Raises
         ------
@@ -80,23 +84,52 @@ class StarSensor:
             It reaches beyond what is known, or is narrower than its edges.
         """
         low, high = self.known_range_nm
-        first, last = (low, high) if range_nm is None else range_nm
-        if first < low or last > high:
+        first, last = (low + edge_nm / 2, high - edge_nm / 2) if range_nm is None else range_nm
+        if last - first <= edge_nm:
             raise DomainError(
-                f"passband_nm = {first:g} ... {last:g} nm; lens {self.camera.lens.name!r} on {self.detector.name!r} is "
-                f"known for {low:g} ... {high:g} nm"
+                f"range_nm is {last - first:g} nm wide; with edges of edge_nm = {edge_nm:g} nm more than "
+                f"{edge_nm:g} nm is needed"
             )
-        if last - first <= 2 * edge_nm:
-            raise DomainError(
-                f"passband_nm is {last - first:g} nm wide; with edges of edge_nm = {edge_nm:g} nm at least "
-                f"{2 * edge_nm:g} nm are needed"
-            )
-        return TopHat(
+        band = TopHat(
             centre_nm=(first + last) / 2,
-            width_nm=last - first - edge_nm,
+            width_nm=last - first,
             edge_nm=edge_nm,
-            name=f"{first:.0f}-{last:.0f}nm",
+            name=name or f"{first:.0f}-{last:.0f}nm",
         )
+        self.check_band("range_nm", band)
+        return band
+
+    def check_band(self, key: str, band: Band) -> None:
+        """Refuse a band that reaches beyond what is known of the glasses, coatings and the quantum efficiency.
+
+        Parameters
+        ----------
+        key : str
+            Setting that describes the band, to open the message.
+        band : Band
+            The band.
+
+        Raises
+        ------
+        DomainError
+            Naming the key, the band and the range.
+        """
+        lens = self.camera.lens
+        known = [(glass.range_nm, f"glass {name}") for name, glass in lens.glasses.items()]
+        known.append((lens.wavelength_range_nm, "the lens"))
+        if self.camera.response is not None:
+            known.append((self.camera.response.range_nm, "the quantum efficiency and transmission tables"))
+        (low, first), (high, last) = (
+            max((range_nm[0], what) for range_nm, what in known),
+            min((range_nm[1], what) for range_nm, what in known),
+        )
+        start, end = min(band.breakpoints_nm), max(band.breakpoints_nm)
+        if start < low * (1.0 - _ROUNDING) or end > high * (1.0 + _ROUNDING):
+            limit = first if start < low else last
+            raise DomainError(
+                f"{key}: {band.name!r} passes {start:g} ... {end:g} nm; lens {lens.name!r} on {self.detector.name!r} "
+                f"is known for {low:g} ... {high:g} nm (the range of {limit})"
+            )
 
     def windowed(self, width_px: int, height_px: int) -> Self:
         """The sensor of which only the middle of the detector is read out.

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Literal, TypeVar
+from pathlib import Path
+from typing import Any, Literal, TypeVar
 
 from pydantic import Field, field_validator, model_validator
 
-from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.harness.config import StrictModel
+from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig, read_sensor
+from experiments.laboratory.settings import InstrumentConfig
+from optics.validate import parse_model
 
 __all__ = ["CameraConfig", "Config", "GyroConfig", "SkyConfig", "StartConfig", "SweepConfig"]
 
@@ -151,7 +155,7 @@ class RenderedConfig(StrictModel):
     frames: int = Field(default=60, ge=4, le=1000, description="frames per camera")
 
 
-class Config(ExperimentConfig):
+class Config(SensorExperimentConfig):
     """The published runs: ACF17 gives all of it but the pixel, the number of stars and the axes of the motion."""
 
     camera: CameraConfig = CameraConfig()
@@ -176,6 +180,30 @@ class Config(ExperimentConfig):
     sweep: SweepConfig = SweepConfig()
     rendered: RenderedConfig = RenderedConfig()
     workers: int = Field(default=0, ge=0, le=256, description="processes; 0: one per processor; changes no result")
+
+    @classmethod
+    def of_sensor(cls, file: Path) -> dict[str, Any]:
+        """Settings that a sensor file decides: the camera, by a fit, and where the adjustment starts, as far off as in
+        ACF17; nothing is rendered (``skycal --sensor`` renders it).
+
+        Raises
+        ------
+        StarbenchError
+            As `read_sensor`; a camera that cannot be built.
+        """
+        from experiments.acf.sensor import camera_settings
+
+        camera = camera_settings(InstrumentConfig.model_validate(read_sensor(file).get("instrument", {})))
+        off = StartConfig().focal_length_mm / CameraConfig().focal_length_mm
+        return {
+            "camera": camera,
+            "start": {"focal_length_mm": off * camera["focal_length_mm"]},
+            "rendered": {"which": "none"},
+        }
+
+    def as_sensor(self, file: Path | None) -> SensorConfig | None:
+        """The sensor file that the camera was fitted to; None for a camera that is only a model."""
+        return None if file is None else parse_model(SensorConfig, read_sensor(file), file.name)
 
     @field_validator("noise_px")
     @classmethod

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from experiments.budget.settings import Config, MovedConfig
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.detector_changes import overridden
-from experiments.laboratory.filter_wheel import interference_filters, open_wheel
+from experiments.laboratory.filter_wheel import Filter, interference_filters, open_band
 from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector, configured_lens
 from optics.lens.perturb import decentre, despace, tilt
 from optics.lens.system import LensSystem
-from optics.light.band import TopHat
 from optics.light.spectrum import Blackbody
 from optics.units import UM_MM
 
@@ -75,17 +74,16 @@ def build_laboratory(config: Config, lens: LensSystem | None = None) -> Laborato
     StarbenchError
         On an unknown lens, detector or element, values that do not go together, wavelengths that no data cover.
     """
-    from experiments.laboratory.checks import check_wavelengths
-
     detector = overridden(configured_detector(config.instrument), config.detector)
     prescription = moved_lens(configured_lens(config.instrument), config.moved) if lens is None else lens
     instrument = build_instrument(config.instrument, prescription, detector)
     filters = config.filters
     narrow = interference_filters(filters)
-    wide = open_wheel(*config.source.passband_nm, config.source.edge_nm).filters
-    check_wavelengths(instrument, [*(("filters.centres_nm", band) for band in narrow), ("source.passband_nm", wide[0])])
+    wide = (open_band(config.passband, instrument, "open"),)
+    for band in narrow:
+        instrument.check_band("filters.centres_nm", band)
 
-    def bench(bands: Sequence[TopHat], reference: int) -> Bench:
+    def bench(bands: Sequence[Filter], reference: int) -> Bench:
         return Bench(
             target=config.target,
             lamp=Blackbody(temperature_k=config.source.lamp_k),

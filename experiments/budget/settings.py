@@ -8,16 +8,18 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from experiments.budget.range import SweepRange, check_range, leaf_keys, parse_sweep
-from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.harness.config import StrictModel
 from experiments.laboratory import settings as laboratory_settings
 from experiments.laboratory.centroid_methods import CentroiderName
 from experiments.laboratory.detector_changes import DetectorConfig
 from experiments.laboratory.point_settings import SourceConfig
+from experiments.laboratory.sensor_file import SensorExperimentConfig
 from experiments.laboratory.settings import (
     FilterConfig,
     GridTargetConfig,
     HexapodConfig,
     InstrumentConfig,
+    PassbandConfig,
     TargetConfig,
     check_windows,
 )
@@ -125,13 +127,14 @@ class TornadoConfig(StrictModel):
     chip_k: float = Field(default=5.0, gt=0, le=50, description="temperature of the chip")
 
 
-class Config(ExperimentConfig):
+class Config(SensorExperimentConfig):
     """One instrument and what is asked of it."""
 
     instrument: InstrumentConfig = InstrumentConfig()
     detector: DetectorConfig = DetectorConfig()
     moved: MovedConfig = MovedConfig()
     target: TargetConfig = TargetConfig(pitch_px=150.4)  # not whole pixels: points at all fractions of a pixel
+    passband: PassbandConfig = PassbandConfig()
     source: SourceConfig = SourceConfig()
     filters: FilterConfig = FilterConfig()
     hexapod: HexapodConfig = HexapodConfig()

@@ -27,7 +27,7 @@ def criteria(outcome: Outcome) -> list[Criterion]:
         for criterion in _of_lens(outcome, lens, label)
     ]
     wanted = outcome.config.decentre
-    reached = outcome.value("table1_px", lens="moved", pair=wanted.pair, axis=wanted.axis)
+    reached = outcome.value("table1_px", lens="moved", pair=outcome.config.pair, axis=wanted.axis)
     found.append(
         Criterion(
             name=f"moved element: the wanted {wanted.wanted_px:g} px is measured",

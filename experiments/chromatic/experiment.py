@@ -35,6 +35,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.chromatic.result import Result
     from experiments.chromatic.stars import electrons_of_star, stellar_shift
     from experiments.laboratory.chromatic_error import measure_chromatic, reduce_chromatic, shifts
+    from experiments.laboratory.filter_wheel import open_band
     from experiments.laboratory.instrument import build_instrument
     from experiments.laboratory.known_motion import measure_wedged
     from experiments.laboratory.ray_prediction import bundle_prediction, paraxial_prediction
@@ -42,6 +43,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from render.engine.random import Streams
 
     instrument = build_instrument(config.instrument)
+    band = open_band(config.passband, instrument, "full pass band")
     bench, direction = _prepare(config, instrument)
     paraxial_px = paraxial_prediction(bench, instrument, direction)
     solutions = _solve(config, bench, instrument, direction, progress)
@@ -56,9 +58,9 @@ def run(config: Config, *, progress: Progress) -> Result:
     with progress.stage("wedge in a filter"):
         wedged = measure_wedged(bench, instrument, found["centred"].measurement, streams.child("wedge"))
     with progress.stage("stars"):
-        stellar, moved_stellar = (stellar_shift(config.stars, one) for one in (instrument, moved))
+        stellar, moved_stellar = (stellar_shift(config.stars, band, one) for one in (instrument, moved))
         field_shift = shifts(bundle_prediction(bench, instrument, stellar.direction[None]), bench.pairs)
-        star_e = electrons_of_star(config.stars, instrument, magnitude=7.5, temperature_k=config.stars.reference_k)
+        star_e = electrons_of_star(band, instrument, magnitude=7.5, temperature_k=config.stars.reference_k)
     return Result(
         config=config,
         bench=bench,
@@ -78,9 +80,8 @@ def run(config: Config, *, progress: Progress) -> Result:
 
 def _prepare(config: Config, instrument: Instrument) -> tuple[Bench, FloatArray]:
     """Laboratory and target points; whatever can be refused without rendering is refused here."""
-    from experiments.chromatic.stars import passband
     from experiments.laboratory.bench import Bench
-    from experiments.laboratory.checks import check_light, check_wavelengths
+    from experiments.laboratory.checks import check_light
     from experiments.laboratory.filter_wheel import interference_filters
     from experiments.laboratory.target import corner_directions
     from optics.errors import unknown_name
@@ -98,11 +99,11 @@ def _prepare(config: Config, instrument: Instrument) -> tuple[Bench, FloatArray]
         window_px=config.window_px,
         methods=tuple(dict.fromkeys((config.centroid, *config.compare))),
     )
-    bands = [("filters.centres_nm", band) for band in bench.filters]
-    check_wavelengths(instrument, [*bands, ("stars.passband_nm", passband(config.stars))])
+    for band in bench.filters:
+        instrument.check_band("filters.centres_nm", band)
     names = [name for name, _, _ in bench.pairs]
-    if config.decentre.pair not in names:
-        raise unknown_name("decentre.pair", config.decentre.pair, names)
+    if config.pair not in names:
+        raise unknown_name("decentre.pair", config.pair, names)
     if config.decentre.element != "auto":
         instrument.camera.lens.indices_of(config.decentre.element)
     direction = corner_directions(config.target, instrument)
@@ -124,7 +125,7 @@ def _solve(
             direction,
             element=element,
             kind=kind,
-            pair=config.decentre.pair,
+            pair=config.pair,
             axis="xy".index(config.decentre.axis),
             wanted_px=config.decentre.wanted_px,
         )
@@ -155,7 +156,7 @@ def _choose(config: Config, bench: Bench, solutions: Sequence[Solution]) -> Solu
         reach = "3 mm" if wanted.kind == "decentre" else "3 deg"
         raise ConvergenceError(
             f"no {wanted.kind} of {who} up to {reach} gives a mean shift of decentre.wanted_px = "
-            f"{wanted.wanted_px:g} px in {wanted.pair}, {wanted.axis}; lower it, or choose another "
+            f"{wanted.wanted_px:g} px in {config.pair}, {wanted.axis}; lower it, or choose another "
             "decentre.element or decentre.kind"
         )
     chosen = min(able, key=lambda s: abs(s.amount))

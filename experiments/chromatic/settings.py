@@ -6,9 +6,17 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.harness.config import StrictModel
 from experiments.laboratory.centroid_methods import MethodName
-from experiments.laboratory.settings import FilterConfig, InstrumentConfig, StarsConfig, TargetConfig, check_windows
+from experiments.laboratory.sensor_file import SensorExperimentConfig
+from experiments.laboratory.settings import (
+    FilterConfig,
+    InstrumentConfig,
+    PassbandConfig,
+    StarsConfig,
+    TargetConfig,
+    check_windows,
+)
 
 __all__ = ["Config", "DecentreConfig"]
 
@@ -17,17 +25,18 @@ class DecentreConfig(StrictModel):
     """Which published number is to be reproduced by moving an element."""
 
     wanted_px: float = Field(default=0.12, description="mean shift, halved (ACC18 Table 1)")
-    pair: str = Field(default="800-600", description="pair of bands")
+    pair: str = Field(default="auto", description="pair of bands, such as 800-600; auto: the longest and the reference")
     axis: Literal["x", "y"] = Field(default="x", description="axis of Table 1")
     element: str = Field(default="auto", description="element to move in the rendered check; auto: see kind")
     kind: Literal["decentre", "tilt"] = Field(default="decentre", description="how it moves in the rendered check")
 
 
-class Config(ExperimentConfig):
+class Config(SensorExperimentConfig):
     """The published run: ACC18 gives all of it but the signal, the pass band of the stars and the lens."""
 
     instrument: InstrumentConfig = InstrumentConfig()
     target: TargetConfig = TargetConfig()
+    passband: PassbandConfig = PassbandConfig()
     filters: FilterConfig = FilterConfig()
     lamp_k: float = Field(default=3000.0, ge=1000, le=20000, description="colour temperature of the lamp")
     signal_e: float = Field(default=6000.0, gt=0, le=1e6, description="electrons per point and frame, every filter")
@@ -40,6 +49,15 @@ class Config(ExperimentConfig):
     )
     decentre: DecentreConfig = DecentreConfig()
     stars: StarsConfig = StarsConfig()
+
+    @property
+    def pair(self) -> str:
+        """Pair of bands of the wanted shift, as in `band_pairs`."""
+        if self.decentre.pair != "auto":
+            return self.decentre.pair
+        reference = self.filters.reference_nm
+        other = max(centre for centre in self.filters.centres_nm if centre != reference)
+        return f"{max(other, reference):g}-{min(other, reference):g}"
 
     @model_validator(mode="after")
     def _windows(self) -> Config:

@@ -10,14 +10,14 @@ import numpy as np
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.settings import StarsConfig
 from optics.arrays import FloatArray
-from optics.light.band import Band, TopHat, band_nodes
+from optics.light.band import Band, band_nodes
 from optics.light.photometry import photon_rate
 from optics.light.spectrum import Blackbody
 from optics.rays.spots import collecting_area_mm2
 from render.forward import StarRenderer
 from render.records import StarField
 
-__all__ = ["StellarShift", "electrons_of_star", "passband", "stellar_shift"]
+__all__ = ["StellarShift", "electrons_of_star", "stellar_shift"]
 
 
 NODES = 48
@@ -66,28 +66,24 @@ class StellarShift:
         return float(np.sqrt((apart**2).sum(-1).mean(-1)).max())
 
 
-def passband(config: StarsConfig) -> Band:
-    """The camera's full pass band."""
-    low, high = config.passband_nm
-    return TopHat(centre_nm=(low + high) / 2, width_nm=high - low, edge_nm=config.edge_nm, name="full pass band")
-
-
-def electrons_of_star(config: StarsConfig, instrument: Instrument, *, magnitude: float, temperature_k: float) -> float:
-    """Electrons per exposure of a star of V magnitude on the axis, through the full pass band."""
-    nodes = band_nodes([passband(config)], NODES)
+def electrons_of_star(band: Band, instrument: Instrument, *, magnitude: float, temperature_k: float) -> float:
+    """Electrons per exposure of a star of V magnitude on the axis, through the camera's pass band."""
+    nodes = band_nodes([band], NODES)
     rate = photon_rate(Blackbody(temperature_k=temperature_k), magnitude, wavelength_nm=nodes.wavelength_nm)
     camera = instrument.camera
     detected = nodes.integrate(rate * camera.response_at(nodes.wavelength_nm))
     return float(detected[0] * collecting_area_mm2(camera.lens) * instrument.config.exposure_s)
 
 
-def stellar_shift(config: StarsConfig, instrument: Instrument) -> StellarShift:
+def stellar_shift(config: StarsConfig, band: Band, instrument: Instrument) -> StellarShift:
     """Render every colour at every field point and compare the truth.
 
     Parameters
     ----------
     config : StarsConfig
         Colours and field points.
+    band : Band
+        Pass band of the camera.
     instrument : Instrument
         The camera.
     """
@@ -96,7 +92,7 @@ def stellar_shift(config: StarsConfig, instrument: Instrument) -> StellarShift:
     x, y = np.meshgrid(fraction * camera.width_px - 0.5, fraction * camera.height_px - 0.5)
     place = camera.nominal_direction(x.ravel(), y.ravel(), instrument.focal_length_mm)
     temperatures: Sequence[float] = [*config.temperatures_k, config.reference_k]
-    nodes = band_nodes([passband(config)], NODES)
+    nodes = band_nodes([band], NODES)
     light = nodes.weight_nm * nodes.transmission
     spectra = [light * Blackbody(temperature_k=t).photon_density(nodes.wavelength_nm) for t in temperatures]
     rate = np.stack([spectrum / spectrum.sum() for spectrum in spectra])

@@ -42,7 +42,7 @@ def tables(outcome: Outcome) -> Mapping[str, Table | Pivot]:
             where={"axis": wanted.axis},
             columns="solution_element solution_kind solution_amount solution_shown_unit solution_table1_px "
             "solution_boresight_px",
-            caption=f"Movement of each element that gives {wanted.wanted_px:g} px in {wanted.pair}, "
+            caption=f"Movement of each element that gives {wanted.wanted_px:g} px in {outcome.config.pair}, "
             f"{wanted.axis.upper()}; and what the other pair then shows.",
             note="By ray trace. Empty: not within 3 mm or 3 deg. Tilts are about the element's first vertex. Decentres "
             "count along increasing column (x), against increasing row (y).",
@@ -86,10 +86,10 @@ def _calibration(outcome: Outcome) -> Table:
 
 def _centroiders(outcome: Outcome) -> Table:
     """The same frames by every centroider, in the axis of Table 1 that is to be reproduced."""
-    wanted = outcome.config.decentre
-    axis, names = wanted.axis, outcome.data["pair"].values.tolist()
+    config = outcome.config
+    axis, names = config.decentre.axis, outcome.data["pair"].values.tolist()
     columns: list[tuple[str, dict[str, str]]] = [("method_noise_px", {}), ("method_error_px", {})]
-    columns += [("method_table1_px", {"lens": "centred", "pair": wanted.pair, "axis": axis})]
+    columns += [("method_table1_px", {"lens": "centred", "pair": config.pair, "axis": axis})]
     columns += [("method_table1_px", {"lens": "moved", "pair": name, "axis": axis}) for name in names]
     found = np.stack([outcome.values(name, **part) for name, part in columns], axis=1)
     rows: list[tuple[Cell, ...]] = [
@@ -102,7 +102,7 @@ def _centroiders(outcome: Outcome) -> Table:
             "Centroider",
             Column(name="Noise", unit="px", key="noise_px", format=".4f"),
             Column(name="RMS error", unit="px", key="rms_bias_px", format=".4f"),
-            Column(name=f"{wanted.pair} {letter}, centred", unit="px", key="centred_px", format=".5f"),
+            Column(name=f"{config.pair} {letter}, centred", unit="px", key="centred_px", format=".5f"),
             *(Column(name=f"{n} {letter}, moved", unit="px", key=f"moved_{n}_px", format=".4f") for n in names),
         ),
         rows=rows,

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.harness.config import ExperimentConfig, FileName, StrictModel
+from optics.errors import ConfigError
 
 __all__ = ["Config", "FaceName", "TrimConfig"]
 
@@ -48,7 +50,7 @@ class CubeConfig(StrictModel):
 class CameraConfig(StrictModel):
     """The CCD camera that looks at the screen."""
 
-    detector: str = Field(default="", description="detector TOML file; empty: the 15 um CCD of CUBE09")
+    detector: FileName = Field(default="", description="detector TOML file; empty: the 15 um CCD of CUBE09")
     distance_mm: float = Field(default=250.0, ge=50, le=5000, description="from the screen")
     angle_deg: float = Field(default=18.0, ge=5, le=60, description="off the normal of the screen")
     plateau_e: float = Field(default=40000.0, gt=0, le=1e6, description="electrons of a pixel in the full spot")
@@ -79,7 +81,7 @@ class TrimConfig(StrictModel):
 class SunSensorConfig(StrictModel):
     """The aperture-mask sun sensor and its calibration against the table."""
 
-    detector: str = Field(default="", description="detector TOML file; empty: a small CMOS of 7 um pixels")
+    detector: FileName = Field(default="", description="detector TOML file; empty: a small CMOS of 7 um pixels")
     hole_um: float = Field(default=200.0, gt=10, le=2000, description="diameter of the hole in the mask")
     gap_mm: float = Field(default=3.0, gt=0.1, le=50, description="mask to detector")
     gap_tolerance_um: float = Field(default=10.0, ge=0, le=200, description="1 sigma of it")
@@ -113,6 +115,20 @@ class Config(ExperimentConfig):
     trim: TrimConfig = TrimConfig()
     sensor: SunSensorConfig = SunSensorConfig()
     benches: BenchesConfig = BenchesConfig()
+
+    @classmethod
+    def of_sensor(cls, file: Path) -> dict[str, Any]:
+        """No star sensor stands on this bench.
+
+        Raises
+        ------
+        ConfigError
+            Always.
+        """
+        raise ConfigError(
+            f"--sensor {file}: cube measures a sun sensor, a mask with a hole over a detector, which has no lens; it "
+            "is set in the tables [sensor] and [camera] of --config"
+        )
 
     @model_validator(mode="after")
     def _reachable(self) -> Config:

@@ -79,10 +79,10 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
 def _check_window(config: Config, scene: Scene) -> None:
     """Refuse a detector that is too small to look at its frames, before they are made."""
     camera = scene.instrument.camera
-    if config.verify.frames and min(camera.width_px, camera.height_px) < config.verify.window_px:
+    if config.verify.frames and min(camera.width_px, camera.height_px) < config.window_px:
         raise ConfigError(
-            f"verify.window_px = {config.verify.window_px} px; the window does not fit the detector of "
-            f"{camera.width_px} x {camera.height_px} px: take a larger camera.height_px or camera.width_px, or set "
+            f"window_px = {config.window_px} px; the window does not fit the detector of "
+            f"{camera.width_px} x {camera.height_px} px: take a larger instrument.height_px or width_px, or set "
             "verify.frames = 0"
         )
 
@@ -126,7 +126,7 @@ experiment = Experiment(
     examples={
         "--frames 1000 --out sky": "the real sky, 1024 x 1024 px, random attitudes; the same command goes on",
         "--frames 5000 --workers 8 --out sky": "let it grow, sooner",
-        "--set camera.lens=mine.toml --set 'exports=[\"coco\"]'": "another lens, copies for learning programs",
+        "--sensor my.toml --set 'exports=[\"coco\"]'": "another sensor, copies for learning programs",
     },
     extra="quantities:extra",
     files=files,
@@ -136,6 +136,6 @@ experiment = Experiment(
         "workers": ("workers", "Processes; 0: one per processor."),
         "scheduler": ("scheduler", "Address of a Dask scheduler."),
     },
-    quick={"frames": 6, "camera.width_px": 512, "camera.height_px": 512},
+    quick={"frames": 6, "instrument.width_px": 512, "instrument.height_px": 512},
 )
 main = command(experiment)

@@ -6,14 +6,13 @@ from typing import ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.harness.config import FileName, StrictModel
 from experiments.laboratory.centroid_methods import CentroiderName
-from experiments.laboratory.settings import InstrumentConfig
+from experiments.laboratory.sensor_file import SensorExperimentConfig
+from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, PassbandConfig
 
 __all__ = [
     "BackgroundConfig",
-    "CameraConfig",
-    "CatalogueConfig",
     "ConePointing",
     "Config",
     "FilesConfig",
@@ -31,62 +30,6 @@ __all__ = [
 ]
 
 Vector = tuple[float, float, float]
-
-
-class CameraConfig(InstrumentConfig):
-    """Lens, detector and how they are operated; the defaults are a star tracker with a field of 12.4 deg."""
-
-    lens: str = Field(default="star_tracker_26mm", description="built-in lens or TOML file")
-    detector: str = Field(default="cmv4000", description="built-in detector or TOML file")
-    exposure_s: float = Field(default=0.2, gt=0, le=1e4, description="exposure time")
-    line_time_us: float = Field(
-        default=0.0, ge=0, le=1e4, description="rolling shutter: how much later each row is exposed; 0: global shutter"
-    )
-    width_px: int = Field(default=1024, ge=0, le=32768, description="columns read out around the centre; 0: all")
-    height_px: int = Field(default=1024, ge=0, le=32768, description="rows read out around the centre; 0: all")
-    gain_dn_per_e: float = Field(default=0.0, ge=0, le=1e5, description="system gain; 0: the detector's own")
-    passband_nm: tuple[float, float] = Field(
-        default=(450.0, 900.0),
-        description="pass band between its feet; [0, 0]: all that lens and detector are known for",
-    )
-    edge_nm: float = Field(default=20.0, ge=0, le=200, description="length of the pass band's edges")
-    nodes: int = Field(default=6, ge=2, le=64, description="wavelengths at which the pass band is sampled")
-    pupil_tolerance: float = Field(
-        default=1e-4,
-        ge=1e-7,
-        le=1e-2,
-        description="of the pupil's quadrature: change of a spot with the next finer one",
-    )
-
-    @field_validator("passband_nm")
-    @classmethod
-    def _increasing(cls, values: tuple[float, float]) -> tuple[float, float]:
-        if values != (0.0, 0.0) and not 0.0 < values[0] < values[1]:
-            raise ValueError("two increasing wavelengths are needed, or [0, 0]")
-        return values
-
-
-class CatalogueConfig(StrictModel):
-    """Which stars there are."""
-
-    dimensionless: ClassVar[frozenset[str]] = frozenset({"epoch_year"})
-
-    catalogue: str = Field(default="gaia", description="gaia: the built-in sky to G = 10; or a file, see preset")
-    preset: str = Field(
-        default="plain",
-        description="columns of the file: hipparcos, gaia, bright_star, open_bright_star or plain",
-    )
-    magnitude_system: Literal["preset", "V", "G"] = Field(
-        default="preset", description="scale of the magnitudes of a file; preset: what the preset says"
-    )
-    faintest_mag: float = Field(default=8.0, ge=-2, le=30, description="faintest stars rendered")
-    epoch_year: float = Field(default=2016.0, ge=1900, le=2100, description="Julian year of the exposures")
-    observer: Literal["none", "earth"] = Field(
-        default="none", description="earth: parallax, deflection by the Sun and aberration as seen from the Earth"
-    )
-    temperature: Literal["colour", "effective"] = Field(
-        default="colour", description="temperature of the black body that stands for a star"
-    )
 
 
 SUN_EXCLUSION = "smallest angle between boresight and Sun as seen from the Earth; attitudes nearer are drawn anew"
@@ -116,7 +59,7 @@ class ListPointing(StrictModel):
     """Attitudes from a file: frame k has row k."""
 
     kind: Literal["list"] = "list"
-    file: str = Field(
+    file: FileName = Field(
         default="", description="CSV or ECSV with ra_deg, dec_deg, roll_deg or quat_x, quat_y, quat_z, quat_w"
     )
 
@@ -125,7 +68,7 @@ class ScanPointing(StrictModel):
     """Frames taken at a steady frame rate by a camera that turns."""
 
     kind: Literal["scan"] = "scan"
-    file: str = Field(
+    file: FileName = Field(
         default="", description="CSV or ECSV with time_s and quaternions; left out: a constant rate from ra, dec, roll"
     )
     ra_deg: float = Field(default=83.8, ge=0, le=360, description="right ascension of the boresight at the start")
@@ -195,7 +138,7 @@ class BackgroundConfig(StrictModel):
         default=None, ge=0, le=40, description="V of a uniform sky, through the lens; left out: none"
     )
     moon_planets: bool = Field(
-        default=False, description="Moon and planets where they stand; needs sky.observer = earth"
+        default=False, description="Moon and planets where they stand; needs catalogue.observer = earth"
     )
     moon_samples: int = Field(
         default=64, ge=1, le=65536, description="rays per pixel and wavelength of resolved bodies"
@@ -252,24 +195,27 @@ class VerifyConfig(StrictModel):
         default=6, ge=0, le=1000, description="frames made again by a run that is killed and taken up; 0 or 1: none"
     )
     dark_frames: int = Field(default=20, ge=1, le=1000, description="frames without light in the mean dark")
-    centroid: CentroiderName = Field(default="epsf", description="centroider")
-    window_px: int = Field(default=7, ge=5, le=31, description="window of the centroider")
-    threshold_sigma: float = Field(default=5.0, gt=0, le=100, description="detection limit")
-
-    @field_validator("window_px")
-    @classmethod
-    def _odd(cls, value: int) -> int:
-        if value % 2 == 0:
-            raise ValueError(f"{value} px is even; a window has a middle pixel: 5, 7, 9 ... 31")
-        return value
 
 
-class Config(ExperimentConfig):
+class Config(SensorExperimentConfig):
     """Two hundred frames of the real sky in random attitudes."""
 
     frames: int = Field(default=200, ge=1, le=10_000_000, description="frames in all; more than there are: continued")
-    camera: CameraConfig = CameraConfig()
-    sky: CatalogueConfig = CatalogueConfig()
+    instrument: InstrumentConfig = InstrumentConfig(
+        lens="star_tracker_26mm", detector="cmv4000", width_px=1024, height_px=1024, exposure_s=0.2
+    )
+    passband: PassbandConfig = PassbandConfig()
+    nodes: int = Field(default=6, ge=2, le=64, description="wavelengths at which the pass band is sampled")
+    pupil_tolerance: float = Field(
+        default=1e-4,
+        ge=1e-7,
+        le=1e-2,
+        description="of the pupil's quadrature: change of a spot with the next finer one",
+    )
+    catalogue: CatalogueConfig = CatalogueConfig()
+    centroid: CentroiderName = Field(default="epsf", description="centroider")
+    window_px: int = Field(default=7, ge=5, le=63, description="window of the centroider, odd")
+    threshold_sigma: float = Field(default=5.0, gt=0, le=1000, description="detection limit, in standard deviations")
     pointing: Pointing = Field(default=SkyPointing(), discriminator="kind", description="where the camera looks")
     rate: Rate = Field(default=FixedRate(), discriminator="kind", description="how it turns during the exposure")
     jitter: JitterConfig = JitterConfig()
@@ -284,6 +230,13 @@ class Config(ExperimentConfig):
     verify: VerifyConfig = VerifyConfig()
     workers: int = Field(default=0, ge=0, le=4096, description="processes; 0: one per processor; 1: this one")
     scheduler: str = Field(default="", description="Dask scheduler such as tcp://host:8786; left out: this machine")
+
+    @field_validator("window_px")
+    @classmethod
+    def _odd(cls, value: int) -> int:
+        if value % 2 == 0:
+            raise ValueError(f"{value} px is even; a window has a middle pixel: 5, 7, 9 ... 63")
+        return value
 
     @field_validator("exports")
     @classmethod

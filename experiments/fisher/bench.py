@@ -205,7 +205,7 @@ def run_bench(config: Config, instrument: Instrument, progress: Progress) -> Ben
         bench=bench,
         true_bench=build_bench(config, config.table),
         calibration=calibration,
-        star=replace(build_star(config), signal_e=config.evaluation.signal_e),
+        star=replace(build_star(config, instrument), signal_e=config.evaluation.signal_e),
         renderer=StarRenderer(instrument.camera, exposure_s=instrument.config.exposure_s),
         wanted_px=evaluation_px(config, instrument),
         streams=streams,

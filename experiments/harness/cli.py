@@ -49,6 +49,7 @@ class Output(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Options:
+    sensor: str | None
     file: str | None
     settings: tuple[str, ...]
     short: Mapping[str, str]
@@ -110,21 +111,33 @@ def command(experiment: Experiment) -> Main:
 
 def _parser(experiment: Experiment, status: list[int], interrupts: Interrupts) -> click.Command:
     @click.command(help=_help(experiment), context_settings={"max_content_width": 100})
+    @click.option("--sensor", metavar="FILE", help="TOML file of a star sensor, taken by every experiment.")
     @click.option("--config", "file", metavar="FILE", help="TOML file with any part of the configuration.")
     @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="One setting, dotted keys; repeatable.")
     @click.option("--seed", type=click.IntRange(min=0), help="Seed of all random streams.")
     @click.option("--backend", type=click.Choice(["auto", "llvm", "cuda"]), default="auto", show_default=True)
     @click.option("--out", metavar="DIR", default=f"out/{experiment.name}", show_default=True, help="Output folder.")
     @click.option("--quick", is_flag=True, help="A small run that shows all parts in seconds.")
+    @click.option(
+        "--defaults",
+        type=click.Choice(["sensor", "all"]),
+        is_flag=False,
+        flag_value="sensor",
+        help="Print what the other options make of the defaults, as a commented file for --sensor (all: for --config).",
+    )
     @click.option("--schema", is_flag=True, help="Print the JSON schema of the configuration and stop.")
-    def parse(schema: bool, **options: Any) -> None:
+    def parse(schema: bool, defaults: str | None, **options: Any) -> None:
         if schema:
             click.echo(json.dumps(experiment.config.model_json_schema(), indent=2, ensure_ascii=False))
             return
         given = {name: options.pop(f"short_{name}") for name in experiment.options}
         short = {name: text for name, text in given.items() if text is not None}
+        chosen = _Options(short=short, **options)
+        if defaults is not None:
+            click.echo(_defaults(experiment, chosen, whole=defaults == "all"), nl=False)
+            return
         with one_thread(unless_told=True):
-            status.append(_perform(experiment, _Options(short=short, **options), interrupts))
+            status.append(_perform(experiment, chosen, interrupts))
 
     for name, (key, text) in experiment.options.items():
         help_text = f"{text} Short for --set {key}=TEXT."
@@ -147,15 +160,36 @@ def _help(experiment: Experiment) -> str:
     return "\n\n".join(parts)
 
 
-def _perform(declared: Experiment, options: _Options, interrupts: Interrupts) -> int:
+def _configuration(declared: Experiment, options: _Options) -> Any:
     short = [f"{declared.options[name][0]}={text}" for name, text in options.short.items()]
-    config = load_config(
+    return load_config(
         declared.config,
         quick=declared.quick if options.quick else None,
+        sensor=options.sensor,
         file=configuration_file(options.file),
         settings=[*options.settings, *short],
         seed=options.seed,
     )
+
+
+def _defaults(experiment: Experiment, options: _Options, *, whole: bool) -> str:
+    """The configuration as a file: the sensor that it runs with, or all of it."""
+    from experiments.harness.settings_text import toml_text
+
+    config = _configuration(experiment, options)
+    sensor = None if whole else config.as_sensor(Path(options.sensor) if options.sensor else None)
+    run = f"python -m experiments.{experiment.name}"
+    if sensor is None:
+        return toml_text(config, f"All settings of the experiment {experiment.name}: {run} --config THIS_FILE")
+    return toml_text(
+        sensor,
+        f"A sensor file: {run} --sensor THIS_FILE; every other experiment takes it too. A key that is left out has the "
+        "default of the experiment.",
+    )
+
+
+def _perform(declared: Experiment, options: _Options, interrupts: Interrupts) -> int:
+    config = _configuration(declared, options)
     experiment = (declared.instead(config) if declared.instead is not None else None) or declared
     with interrupts.unwinding():
         folder: Output = experiment.output(options.out, config) if experiment.output else OutputFolder(options.out)

@@ -11,11 +11,23 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.fields import FieldInfo
 
 from optics.errors import ConfigError
 from optics.validate import parse_model, read_toml
 
-__all__ = ["ExperimentConfig", "FileName", "StrictModel", "load_config", "read_settings", "with_settings"]
+__all__ = [
+    "ExperimentConfig",
+    "FileName",
+    "StrictModel",
+    "alternatives",
+    "is_path",
+    "load_config",
+    "names_file",
+    "read_settings",
+    "unit_of",
+    "with_settings",
+]
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -33,6 +45,7 @@ _LENGTHS_AND_TIMES = ("nm", "um", "mm", "m", "km", "s", "ms", "us", "min", "h", 
 _ANGLES = ("deg", "arcsec", "arcmin", "rad")
 _OTHERS = ("e", "dn", "c", "k", "hpa", "mag", "hz", "percent", "photon", "photons", "ppm", "mb", "bit", "bits")
 _UNITS = frozenset((*_LENGTHS_AND_TIMES, *_ANGLES, *_OTHERS))
+_WRITTEN = {"e": "e-", "dn": "DN", "c": "C", "k": "K", "hpa": "hPa", "hz": "Hz", "mb": "MB", "percent": "%"}
 _PURE_NUMBERS = frozenset(
     ("fraction", "ratio", "factor", "snr", "sigma", "probability", "confidence", "tolerance", "scale", "exponent")
 )
@@ -49,6 +62,16 @@ def _holds_reals(annotation: Any) -> bool:
 def _tells_unit(name: str) -> bool:
     words = name.lower().split("_")
     return words[-1] in _UNITS | _PURE_NUMBERS or "per" in words[1:]
+
+
+def unit_of(name: str) -> str:
+    """Unit that the name of a key tells, "" if it tells none: ``read_noise_e`` e-, ``rate_deg_per_s`` deg/s."""
+    words = name.split("_")
+    if "per" in words[1:]:
+        at = words.index("per", 1)
+        above = words[at - 1] if words[at - 1] in _UNITS else "1"
+        return f"{_WRITTEN.get(above, above)}/{' '.join(_WRITTEN.get(word, word) for word in words[at + 1 :])}"
+    return _WRITTEN.get(words[-1], words[-1]) if words[-1] in _UNITS else ""
 
 
 class StrictModel(BaseModel):
@@ -98,6 +121,16 @@ class ExperimentConfig(StrictModel):
             An experiment without a sensor; a file that is none.
         """
         raise ConfigError(f"--sensor {file}: this experiment has no sensor that could be another one")
+
+    def as_sensor(self, file: Path | None) -> StrictModel | None:
+        """The sensor file that describes what this configuration runs with; None where it has no such sensor.
+
+        Parameters
+        ----------
+        file : path, optional
+            Sensor file that the configuration was read with; what the experiment does not know stays as it is there.
+        """
+        return None
 
 
 def load_config(
@@ -181,27 +214,38 @@ def read_settings(model_class: type[BaseModel], file: str | Path) -> dict[str, A
 def _located(annotations: Sequence[Any], value: Any, folder: Path) -> Any:
     """The value with its relative paths below a folder."""
     if isinstance(value, Mapping):
-        models = [part for one in annotations for part in _alternatives(one) if _is_model(part)]
+        models = [part for one in annotations for part in alternatives(one) if _is_model(part)]
         inside = {key: [one.model_fields[key] for one in models if key in one.model_fields] for key in value}
-        return {
-            key: _located([Annotated[one.annotation, "", *one.metadata] for one in inside[key]], entry, folder)
-            for key, entry in value.items()
-        }
+        return {key: _located([_annotated(one) for one in inside[key]], entry, folder) for key, entry in value.items()}
     if isinstance(value, list):
-        items = [part for one in annotations for kind in _alternatives(one) for part in typing.get_args(kind)]
+        items = [part for one in annotations for kind in alternatives(one) for part in typing.get_args(kind)]
         return [_located(items, entry, folder) for entry in value]
-    if isinstance(value, str) and any(_names_file(one) for one in annotations):
-        path = Path(value).expanduser()
-        return str(folder / path) if path.suffix or len(path.parts) > 1 else value
+    if isinstance(value, str) and is_path(value) and any(_marked(one) for one in annotations):
+        return str(folder / Path(value).expanduser())
     return value
+
+
+def is_path(text: str) -> bool:
+    """Whether the text of a `FileName` is a path: a built-in name has neither a suffix nor a folder."""
+    path = Path(text)
+    return bool(path.suffix) or len(path.parts) > 1
+
+
+def names_file(field: FieldInfo) -> bool:
+    """Whether a field holds a `FileName`, or several."""
+    return _marked(_annotated(field))
+
+
+def _annotated(field: FieldInfo) -> Any:
+    return Annotated[field.annotation, "", *field.metadata]
 
 
 def _is_model(annotation: Any) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
-def _names_file(annotation: Any) -> bool:
-    return any(isinstance(one, _IsFile) or _names_file(one) for one in typing.get_args(annotation))
+def _marked(annotation: Any) -> bool:
+    return any(isinstance(one, _IsFile) or _marked(one) for one in typing.get_args(annotation))
 
 
 def with_settings(model_class: type[BaseModel], values: Mapping[str, Any], settings: Iterable[str]) -> dict[str, Any]:
@@ -256,7 +300,7 @@ def _merged(
 
 def _several_kinds(model_class: type[BaseModel], keys: Sequence[str]) -> bool:
     """Whether the table at a key may be one of several models, told apart by their field ``kind``."""
-    parts = _alternatives(_annotation_at(model_class, keys))
+    parts = alternatives(_annotation_at(model_class, keys))
     models = [part for part in parts if isinstance(part, type) and issubclass(part, BaseModel)]
     return len(models) > 1 and all("kind" in model.model_fields for model in models)
 
@@ -291,7 +335,7 @@ def _annotation_at(model_class: type[BaseModel], keys: Sequence[str]) -> Any:
     for key in keys:
         found: list[Any] = []
         for annotation in annotations:
-            for part in _alternatives(annotation):
+            for part in alternatives(annotation):
                 if isinstance(part, type) and issubclass(part, BaseModel):
                     if key in part.model_fields:
                         found.append(part.model_fields[key].annotation)
@@ -303,13 +347,13 @@ def _annotation_at(model_class: type[BaseModel], keys: Sequence[str]) -> Any:
     return typing.Union[tuple(annotations)]  # noqa: UP007  # the members are known at run time only
 
 
-def _alternatives(annotation: Any) -> Iterator[Any]:
+def alternatives(annotation: Any) -> Iterator[Any]:
     """Members of a union, of ``Annotated`` and so on; anything else as it is."""
     if isinstance(annotation, type) or typing.get_origin(annotation) in (list, tuple, dict):
         yield annotation
     else:
         for argument in typing.get_args(annotation):
-            yield from _alternatives(argument)
+            yield from alternatives(argument)
 
 
 def _typed(annotation: Any, text: str) -> Any:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from experiments.laboratory.filter_wheel import Filter
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.settings import TargetConfig
 from optics.arrays import FloatArray
-from optics.light.band import TopHat, band_nodes
+from optics.light.band import band_nodes
 from optics.light.spectrum import Sed
 from optics.rays.spots import collecting_area_mm2
 from render.records import StarField
@@ -30,7 +31,7 @@ class Bench:
         Point target.
     lamp : Sed
         Spectrum of the source.
-    filters : sequence of TopHat
+    filters : sequence of Filter
         Filters, b of them; ``reference`` indexes the one the others are compared with.
     reference : int
         The 600 nm filter of ACC18.
@@ -46,7 +47,7 @@ class Bench:
 
     target: TargetConfig
     lamp: Sed
-    filters: Sequence[TopHat]
+    filters: Sequence[Filter]
     reference: int
     signal_e: float
     frames: int

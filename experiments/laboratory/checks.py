@@ -1,8 +1,6 @@
-"""What is refused before long work: light that no data cover, target points that the camera cannot see."""
+"""What is refused before long work: target points that the camera cannot see."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,43 +10,9 @@ from experiments.laboratory.ray_prediction import expected_spots
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.frames import field_angles_deg
-from optics.light.band import Band
 from optics.rays.spots import best_focus_shift_mm
 
-__all__ = ["check_light", "check_wavelengths"]
-
-
-def check_wavelengths(instrument: Instrument, bands: Sequence[tuple[str, Band]]) -> None:
-    """Refuse bands that reach beyond what is known of the glasses, coatings and the quantum efficiency.
-
-    Parameters
-    ----------
-    instrument : Instrument
-        The camera.
-    bands : sequence of (str, Band)
-        Key of the configuration, and the band it describes.
-
-    Raises
-    ------
-    DomainError
-        Naming the key, the band and the range.
-    """
-    camera = instrument.camera
-    known = [(glass.range_nm, f"glass {name}") for name, glass in camera.lens.glasses.items()]
-    if camera.response is not None:
-        known.append((camera.response.range_nm, "the quantum efficiency and transmission tables"))
-    (low, first), (high, last) = (
-        max((range_nm[0], what) for range_nm, what in known),
-        min((range_nm[1], what) for range_nm, what in known),
-    )
-    for key, band in bands:
-        start, end = min(band.breakpoints_nm), max(band.breakpoints_nm)
-        if start < low or end > high:
-            limit = first if start < low else last
-            raise DomainError(
-                f"{key}: {band.name!r} passes {start:g} ... {end:g} nm; lens {camera.lens.name!r} on "
-                f"{instrument.detector.name!r} is known for {low:g} ... {high:g} nm (the range of {limit})"
-            )
+__all__ = ["check_light"]
 
 
 def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> None:

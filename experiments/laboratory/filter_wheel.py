@@ -1,62 +1,83 @@
-"""Filter wheel in front of the target."""
+"""Filters of the laboratory: trapezoids or measured curves, named by their nominal centres."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from experiments.laboratory.settings import FilterConfig
-from optics.errors import DomainError, unknown_name
-from optics.light.band import TopHat
+from experiments.laboratory.settings import FilterConfig, PassbandConfig
+from optics.errors import DomainError
+from optics.light.band import TabulatedBand, TopHat
+from optics.light.band_file import load_band
+from render.sensor import StarSensor
 
-__all__ = ["FilterWheel", "interference_filters", "open_wheel"]
+__all__ = ["Filter", "MeasuredFilter", "interference_filters", "open_band"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FilterWheel:
-    """Filters by the names of their bands.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeasuredFilter(TabulatedBand):
+    """A measured curve with a nominal centre.
 
     Attributes
     ----------
-    filters : tuple of TopHat
-        What sits in the wheel; an open place is the pass band of the camera itself.
+    name, source, wavelength_nm, value
+        As in `TabulatedBand`.
+    centre_nm : float
+        What the filter is called by [nm].
+    """
+
+    centre_nm: float
+
+
+Filter = TopHat | MeasuredFilter
+
+
+def _measured(file: str, name: str, centre_nm: float | None = None) -> MeasuredFilter:
+    curve = load_band(file, name)
+    wave, value = curve.wavelength_nm, curve.value
+    middle = float((wave * value).sum() / value.sum()) if centre_nm is None else centre_nm
+    return MeasuredFilter(name=curve.name, source=curve.source, wavelength_nm=wave, value=value, centre_nm=middle)
+
+
+def interference_filters(config: FilterConfig) -> tuple[Filter, ...]:
+    """The filters of a configuration, named by their centres.
 
     Raises
     ------
-    DomainError
-        If it is empty, or two filters have one name.
+    ConfigError, DomainError
+        As `optics.light.band_file.load_band`.
     """
-
-    filters: tuple[TopHat, ...]
-
-    def __post_init__(self) -> None:
-        names = [one.name for one in self.filters]
-        if not names or len(set(names)) != len(names):
-            raise DomainError(f"FilterWheel.filters = {names}; at least one filter, each with a name of its own")
-
-    def select(self, name: str) -> TopHat:
-        """The filter of that name.
-
-        Raises
-        ------
-        ConfigError
-            If there is none.
-        """
-        for one in self.filters:
-            if one.name == name:
-                return one
-        raise unknown_name("filter", name, [one.name for one in self.filters])
-
-
-def interference_filters(config: FilterConfig) -> tuple[TopHat, ...]:
-    """The filters of a configuration, named by their centres."""
+    if config.files:
+        pairs = zip(config.files, config.centres_nm, strict=True)
+        return tuple(_measured(file, f"{centre:g} nm", centre) for file, centre in pairs)
     return tuple(
         TopHat(centre_nm=centre, width_nm=config.width_nm, edge_nm=config.edge_nm, name=f"{centre:g} nm")
         for centre in config.centres_nm
     )
 
 
-def open_wheel(low_nm: float, high_nm: float, edge_nm: float) -> FilterWheel:
-    """A wheel with one open place: light from ``low_nm`` to ``high_nm`` passes."""
-    return FilterWheel(
-        filters=(TopHat(centre_nm=(low_nm + high_nm) / 2, width_nm=high_nm - low_nm, edge_nm=edge_nm, name="open"),)
-    )
+def open_band(config: PassbandConfig, sensor: StarSensor, name: str = "") -> Filter:
+    """The pass band of a configuration: what an open place of the filter wheel lets through.
+
+    Parameters
+    ----------
+    config : PassbandConfig
+        The configuration.
+    sensor : StarSensor
+        Lens and detector, which say where light is known.
+    name : str
+        What to call it; its range or file if left out.
+
+    Raises
+    ------
+    ConfigError, DomainError
+        No such file, no curve, a band that reaches beyond what is known or is narrower than its edges.
+    """
+    if config.file:
+        curve = _measured(config.file, name)
+        sensor.check_band("passband.file", curve)
+        return curve
+    everything = not any(config.range_nm)
+    try:
+        return sensor.passband(None if everything else config.range_nm, edge_nm=config.edge_nm, name=name)
+    except DomainError as error:
+        raise DomainError(f"passband.{error}") from None

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from experiments.harness.progress import Progress
 from experiments.laboratory.bench import Bench, point_field
-from experiments.laboratory.checks import check_light, check_wavelengths
-from experiments.laboratory.filter_wheel import open_wheel
+from experiments.laboratory.checks import check_light
+from experiments.laboratory.filter_wheel import open_band
 from experiments.laboratory.instrument import Instrument, build_instrument
 from experiments.laboratory.point_settings import PointConfig
 from experiments.laboratory.points import PointReadout, nominal_px
@@ -168,11 +168,11 @@ def point_scene(bench: Bench, instrument: Instrument) -> PointScene:
 
 def point_laboratory(config: PointConfig, target: TargetConfig | None = None) -> tuple[Bench, Instrument]:
     """Bench and instrument of a configuration; a test without the multi-star target leaves it out."""
-    source = config.source
+    source, instrument = config.source, build_instrument(config.instrument)
     bench = Bench(
         target=target or TargetConfig(),
         lamp=Blackbody(temperature_k=source.lamp_k),
-        filters=[open_wheel(*source.passband_nm, source.edge_nm).select("open")],
+        filters=[open_band(config.passband, instrument, "open")],
         reference=0,
         signal_e=source.signal_e,
         frames=config.frames,
@@ -180,7 +180,7 @@ def point_laboratory(config: PointConfig, target: TargetConfig | None = None) ->
         window_px=config.window_px,
         methods=config.methods,
     )
-    return bench, build_instrument(config.instrument)
+    return bench, instrument
 
 
 def prepared_scene(bench: Bench, instrument: Instrument, direction: FloatArray, progress: Progress) -> PointScene:
@@ -198,9 +198,8 @@ def prepared_scene(bench: Bench, instrument: Instrument, direction: FloatArray, 
     Raises
     ------
     DomainError
-        On light that no data cover, spots too wide for the window, or points beside the detector.
+        On spots too wide for the window, or points beside the detector.
     """
-    check_wavelengths(instrument, [("source.passband_nm", band) for band in bench.filters])
     nominal = nominal_px(instrument, direction.reshape(-1, 3))
     camera, half = instrument.camera, bench.window_px // 2 + 1
     off = np.any((nominal < half) | (nominal > np.array([camera.width_px, camera.height_px]) - 1 - half), axis=1)

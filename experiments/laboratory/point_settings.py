@@ -2,37 +2,30 @@
 
 from __future__ import annotations
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.harness.config import StrictModel
 from experiments.laboratory.centroid_methods import MethodName
-from experiments.laboratory.settings import InstrumentConfig, TargetConfig
+from experiments.laboratory.sensor_file import SensorExperimentConfig
+from experiments.laboratory.settings import InstrumentConfig, PassbandConfig, TargetConfig
 
 __all__ = ["PointConfig", "SourceConfig", "StarTargetConfig"]
 
 
 class SourceConfig(StrictModel):
-    """Lamp, pass band and brightness; the open place of the filter wheel passes what the camera sees."""
+    """Lamp and brightness; the light reaches the camera through its pass band."""
 
     lamp_k: float = Field(default=3000.0, ge=1000, le=20000, description="colour temperature of the lamp")
-    passband_nm: tuple[float, float] = Field(default=(450.0, 900.0), description="pass band of the camera")
-    edge_nm: float = Field(default=20.0, ge=0, le=200, description="length of the pass band's edges")
     signal_e: float = Field(
         default=6000.0, gt=0, le=1e6, description="electrons per point and frame; about a star of V = 7.5 in 0.1 s"
     )
 
-    @field_validator("passband_nm")
-    @classmethod
-    def _increasing(cls, values: tuple[float, float]) -> tuple[float, float]:
-        if not 0.0 < values[0] < values[1]:
-            raise ValueError("two increasing wavelengths are needed")
-        return values
 
-
-class PointConfig(ExperimentConfig):
+class PointConfig(SensorExperimentConfig):
     """What the three tests have in common."""
 
     instrument: InstrumentConfig = InstrumentConfig()
+    passband: PassbandConfig = PassbandConfig()
     source: SourceConfig = SourceConfig()
     frames_folder: str | None = Field(
         default=None, description="reduce the FITS frames of this folder (frames.toml says which is which), render none"

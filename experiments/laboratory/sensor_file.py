@@ -51,6 +51,19 @@ class SensorExperimentConfig(ExperimentConfig):
         """
         return {key: value for key, value in read_sensor(file).items() if key in cls.model_fields}
 
+    def as_sensor(self, file: Path | None) -> SensorConfig | None:
+        """The sensor file of this configuration; parameters as of `ExperimentConfig.as_sensor`.
+
+        Raises
+        ------
+        ConfigError
+            A setting of the experiment that no sensor file can hold.
+        """
+        known = SensorConfig.model_fields
+        given = {} if file is None else read_sensor(file)
+        own = {key: value for key, value in self.model_dump().items() if key in known}
+        return parse_model(SensorConfig, {**given, **own}, "sensor file")
+
 
 def read_sensor(file: Path) -> dict[str, Any]:
     """What a sensor file says, checked; what it leaves out is left out here too. Paths are taken from its folder.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import ClassVar, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
 from experiments.harness.config import FileName, StrictModel
-from experiments.laboratory.housing import DEFAULT_HOUSING, expansion_per_k
+from experiments.laboratory.housing import DEFAULT_HOUSING, EXPANSION_PPM_PER_K, expansion_per_k
 
 __all__ = [
     "CatalogueConfig",
@@ -54,7 +55,8 @@ class InstrumentConfig(StrictModel):
     )
     housing: str | float = Field(
         default=DEFAULT_HOUSING,
-        description="material of the housing, or its linear expansion in 1e-6/K; counts with lens_temperature_c",
+        description="material of the housing, or its linear expansion in 1e-6/K, with lens_temperature_c; materials: "
+        + ", ".join(EXPANSION_PPM_PER_K),
     )
     absorption: bool = Field(
         default=True, description="count absorption in the glass; needs the internal transmittance of every glass"
@@ -89,13 +91,21 @@ class PassbandConfig(StrictModel):
             raise ValueError("two increasing wavelengths are needed, or [0, 0]")
         return values
 
+    @property
+    def words(self) -> str:
+        """The band in words, for reports."""
+        if self.file:
+            return f"the curve of {Path(self.file).name}"
+        low, high = self.range_nm
+        return f"{low:g} to {high:g} nm" if high else "all wavelengths that lens and detector are known for"
+
 
 class CatalogueConfig(StrictModel):
     """Which stars there are."""
 
     dimensionless: ClassVar[frozenset[str]] = frozenset({"epoch_year"})
 
-    catalogue: FileName = Field(default="gaia", description="gaia: the built-in sky to G = 10; or a file, see preset")
+    source: FileName = Field(default="gaia", description="gaia: the built-in sky to G = 10; or a file, see preset")
     preset: str = Field(
         default="plain",
         description="columns of the file: hipparcos, gaia, bright_star, open_bright_star or plain",
@@ -162,6 +172,14 @@ class FilterConfig(StrictModel):
             raise ValueError(f"it is none of centres_nm = {list(centres)}")
         return value
 
+    @field_validator("files")
+    @classmethod
+    def _one_each(cls, values: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
+        centres = info.data.get("centres_nm")
+        if values and centres is not None and len(values) != len(centres):
+            raise ValueError(f"{len(values)} files for {len(centres)} centres_nm = {list(centres)}; give one for each")
+        return values
+
 
 class HexapodConfig(StrictModel):
     """Errors of the hexapod, standard deviations; ACC18 names a PI H-840 but no figures, these are of its class."""
@@ -189,8 +207,6 @@ class StarsConfig(StrictModel):
     )
     reference_k: float = Field(default=5800.0, ge=1000, le=1e5, description="star that the others are compared with")
     grid: int = Field(default=5, ge=2, le=20, description="field points along each side")
-    passband_nm: tuple[float, float] = Field(default=(450.0, 900.0), description="pass band of the camera")
-    edge_nm: float = Field(default=20.0, ge=0, description="length of the pass band's edges")
 
     @field_validator("temperatures_k")
     @classmethod
@@ -198,13 +214,6 @@ class StarsConfig(StrictModel):
         for temperature in values:
             if not 1000.0 <= temperature <= 1e5:
                 raise ValueError(f"{temperature:g} K is outside 1000 ... 100000 K")
-        return values
-
-    @field_validator("passband_nm")
-    @classmethod
-    def _increasing(cls, values: tuple[float, float]) -> tuple[float, float]:
-        if not 0.0 < values[0] < values[1]:
-            raise ValueError("two increasing wavelengths are needed")
         return values
 
 

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.cameras.base import SensorGeometry
+from experiments.laboratory.filter_wheel import open_band
 from experiments.laboratory.instrument import Instrument, build_instrument
-from experiments.skycal.sky import Sky, in_light, load_sky, passband
+from experiments.skycal.sky import Sky, in_light, load_sky
 from optics.arrays import FloatArray
 from optics.attitude import attitude_from_angles
-from optics.errors import DomainError
+from optics.errors import DomainError, StarbenchError
 from optics.units import ARCSEC_RAD, DEG_RAD
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ class Scene:
     Attributes
     ----------
     name : str
-        "narrow" or "wide".
+        "narrow", "wide" or "own".
     config : CameraConfig
         What was asked for.
     instrument : Instrument
@@ -119,7 +120,7 @@ def build_scene(name: str, config: Config, streams: Streams) -> Scene:
     Parameters
     ----------
     name : str
-        "narrow" or "wide".
+        "narrow", "wide" or "own".
     config : Config
         Settings.
     streams : Streams
@@ -138,9 +139,8 @@ def build_scene(name: str, config: Config, streams: Streams) -> Scene:
     from render.sky.field import star_light
 
     chosen = config.cameras[name]
-    instrument = _windowed(name, chosen)
-    _check_field(name, instrument)
-    _check_light(name, instrument, config.sky)
+    instrument = _built(name, chosen)
+    band = open_band(config.passband, instrument, "full pass band")
     path = _trajectory(config.sky, config.motion, config.frames)
     time_s = np.arange(config.frames) / config.motion.frame_rate_hz
     installation = rotation_of_angles(np.radians(config.gyro.installation_deg))
@@ -160,7 +160,7 @@ def build_scene(name: str, config: Config, streams: Streams) -> Scene:
         config=chosen,
         instrument=instrument,
         sky=load_sky(config.sky, chosen.faintest_mag, streams.generator("random sky")),
-        light=star_light([passband(config.sky)], nodes=config.sky.nodes, magnitude_system="G"),
+        light=star_light([band], nodes=config.sky.nodes, magnitude_system="G"),
         time_s=time_s,
         attitude=attitude,
         prior_attitude=Rotation.from_rotvec(error) * attitude,
@@ -190,31 +190,14 @@ def _trajectory(sky: SkyConfig, motion: MotionConfig, frames: int) -> SampledAtt
     )
 
 
-def _windowed(name: str, config: CameraConfig) -> Instrument:
-    """Instrument whose detector and camera are cut to the window around the centre."""
-    instrument = build_instrument(config.instrument)
-    if not config.window_px:
-        return instrument
+def _built(name: str, config: CameraConfig) -> Instrument:
+    """The instrument; refuses a detector that reaches far beyond what the lens was made for."""
     try:
-        return instrument.windowed(config.window_px, config.window_px)
-    except DomainError as error:
-        raise DomainError(f"{name}.window_px = {config.window_px} px: {error}") from None
-
-
-def _check_field(name: str, instrument: Instrument) -> None:
-    """Refuse a detector that reaches far beyond what the lens was made for."""
-    try:
+        instrument = build_instrument(config.instrument)
         instrument.check_field()
-    except DomainError as error:
-        raise DomainError(f"{name}.window_px: {error}; or take another lens or detector") from None
-
-
-def _check_light(name: str, instrument: Instrument, sky: SkyConfig) -> None:
-    """Refuse a pass band that nothing is known about."""
-    from experiments.laboratory.checks import check_wavelengths
-
-    del name
-    check_wavelengths(instrument, [("sky.passband_nm", passband(sky))])
+    except StarbenchError as error:
+        raise type(error)(f"{name}.{error}" if str(error).startswith("instrument.") else f"{name}: {error}") from None
+    return instrument
 
 
 def _check_stars(scene: Scene) -> None:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.harness.config import StrictModel
 from experiments.laboratory.centroid_methods import CentroiderName
-from experiments.laboratory.settings import InstrumentConfig
+from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig, read_sensor
+from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
 
 __all__ = [
     "CameraConfig",
@@ -24,6 +26,7 @@ __all__ = [
 ]
 
 FEWEST_FRAMES = 4
+_CAMERAS = {"both": ("narrow", "wide"), "narrow": ("narrow",), "wide": ("wide",), "own": ("own",)}
 
 
 def parse_model_name(name: str) -> tuple[str, int]:
@@ -52,9 +55,6 @@ class CameraConfig(StrictModel):
     """One camera under the sky."""
 
     instrument: InstrumentConfig = InstrumentConfig()
-    window_px: int = Field(
-        default=0, ge=0, le=32768, description="side of the square around the centre that is read out; 0: everything"
-    )
     faintest_mag: float = Field(default=9.0, ge=0, le=12, description="faintest stars rendered, Gaia G")
     background_e_per_s: float = Field(default=2.0, ge=0, le=1e5, description="sky light per pixel")
     sobol_log2_rays: int = Field(
@@ -92,19 +92,10 @@ class SkyConfig(StrictModel):
     )
     ra_deg: float = Field(default=260.0, ge=0, le=360, description="right ascension of the first boresight")
     dec_deg: float = Field(default=30.0, ge=-89, le=89, description="its declination")
-    passband_nm: tuple[float, float] = Field(default=(450.0, 900.0), description="pass band of the cameras")
-    edge_nm: float = Field(default=20.0, ge=0, le=200, description="length of the pass band's edges")
     nodes: int = Field(default=12, ge=4, le=64, description="wavelengths at which the pass band is sampled")
     reference_k: float = Field(
         default=4800.0, ge=1000, le=1e5, description="star colour that the map, the PSF and the truth refer to"
     )
-
-    @field_validator("passband_nm")
-    @classmethod
-    def _increasing(cls, values: tuple[float, float]) -> tuple[float, float]:
-        if not 0.0 < values[0] < values[1]:
-            raise ValueError("two increasing wavelengths are needed")
-        return values
 
 
 class MotionConfig(StrictModel):
@@ -142,18 +133,23 @@ class StartConfig(StrictModel):
     )
 
 
-class Config(ExperimentConfig):
+class Config(SensorExperimentConfig):
     """Sixty frames through the 206 mm lens and through a wide one."""
 
-    which: Literal["both", "narrow", "wide"] = Field(default="both", description="cameras to run")
+    which: Literal["both", "narrow", "wide", "own"] = Field(
+        default="both", description="cameras to run; own: the one of a sensor file"
+    )
     narrow: CameraConfig = CameraConfig(faintest_mag=9.5, background_e_per_s=2.0)
     wide: CameraConfig = CameraConfig(
-        instrument=InstrumentConfig(lens="star_tracker_26mm", detector="cmv4000", defocus_mm=0.010),
-        window_px=1862,
+        instrument=InstrumentConfig(
+            lens="star_tracker_26mm", detector="cmv4000", width_px=1862, height_px=1862, defocus_mm=0.010
+        ),
         faintest_mag=6.5,
         background_e_per_s=6.0,
         psf_spacing_px=140.0,
     )
+    own: CameraConfig = CameraConfig(faintest_mag=8.0)
+    passband: PassbandConfig = PassbandConfig()
     sky: SkyConfig = SkyConfig()
     motion: MotionConfig = MotionConfig()
     gyro: GyroConfig = GyroConfig()
@@ -188,7 +184,32 @@ class Config(ExperimentConfig):
             )
         return self
 
+    @classmethod
+    def of_sensor(cls, file: Path) -> dict[str, Any]:
+        """Settings that a sensor file decides: the camera ``own``, which then is the one that runs.
+
+        Raises
+        ------
+        ConfigError
+            As `read_sensor`.
+        """
+        given = read_sensor(file)
+        own = {"instrument": given.get("instrument", {})}
+        if "faintest_mag" in given.get("catalogue", {}):
+            own["faintest_mag"] = given["catalogue"]["faintest_mag"]
+        shared = {key: value for key, value in given.items() if key in cls.model_fields}
+        return {**shared, "which": "own", "own": own}
+
+    def as_sensor(self, file: Path | None) -> SensorConfig | None:
+        """The sensor file of the first camera that runs; parameters as of `ExperimentConfig.as_sensor`."""
+        camera = next(iter(self.cameras.values()))
+        found = super().as_sensor(file)
+        if found is None:
+            return None
+        catalogue = found.catalogue.model_copy(update={"faintest_mag": camera.faintest_mag})
+        return found.model_copy(update={"instrument": camera.instrument, "catalogue": catalogue})
+
     @property
     def cameras(self) -> dict[str, CameraConfig]:
         """The cameras that are run, by name."""
-        return {name: getattr(self, name) for name in ("narrow", "wide") if self.which in ("both", name)}
+        return {name: getattr(self, name) for name in _CAMERAS[self.which]}

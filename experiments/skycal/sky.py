@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.light.band import Band, TopHat
 from optics.records import freeze
 from render.records import StarField
 
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from experiments.skycal.settings import SkyConfig
     from render.sky.field import StarLight
 
-__all__ = ["Sky", "in_light", "load_sky", "passband", "random_sky"]
+__all__ = ["Sky", "in_light", "load_sky", "random_sky"]
 
 
 CUMULATIVE_COUNT = {
@@ -160,12 +159,6 @@ def _gaia_sky(faintest_mag: float) -> Sky:
         magnitude=catalog.magnitude[rows],
         temperature_k=star_temperature(catalog.select(rows)),
     )
-
-
-def passband(config: SkyConfig) -> Band:
-    """Full pass band of the cameras."""
-    low, high = config.passband_nm
-    return TopHat(centre_nm=(low + high) / 2, width_nm=high - low, edge_nm=config.edge_nm, name="full pass band")
 
 
 def in_light(light: StarLight, direction: FloatArray, magnitude: ArrayLike, temperature_k: ArrayLike) -> StarField:

@@ -54,6 +54,6 @@ def traced_map(config: Config, instrument: Instrument) -> TracedMap:
         camera.lens.max_field_deg * DEG_RAD
     )
     direction = direction[within]
-    pixel = Tracer(camera).bundle_means(build_star(config).seen(direction, instrument))[:, 0]
+    pixel = Tracer(camera).bundle_means(build_star(config, instrument).seen(direction, instrument))[:, 0]
     seen = np.isfinite(pixel).all(axis=1)
     return TracedMap(direction=direction[seen], pixel_px=pixel[seen])

@@ -116,14 +116,13 @@ def centroid_bound(
 
 def dataset_bound(scene: Scene, psfs: PsfGrid, sky_e: float) -> CentroidBound:
     """Bound with the PSFs of the lens on an even sky; dark charge and the noise of the mean dark count."""
-    verify = scene.config.verify
     distance = np.hypot(*(psfs.place_px - scene.instrument.camera.centre_px).T)
     chosen = [int(np.abs(distance - part * distance.max()).argmin()) for part in BOUND_RADII]
     return centroid_bound(
         [psfs.psfs[k] for k in chosen],
         distance[chosen],
-        noise=true_noise(scene.instrument, dark_frames=verify.dark_frames),
+        noise=true_noise(scene.instrument, dark_frames=scene.config.verify.dark_frames),
         background_e=sky_e,
-        window_px=verify.window_px,
+        window_px=scene.config.window_px,
         electrons=(30.0, 10.0 * scene.instrument.detector.full_well_e),
     )

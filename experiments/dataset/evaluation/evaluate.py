@@ -126,7 +126,7 @@ def evaluate(folder: Path, scene: Scene, records: Sequence[FrameRecord], *, adva
     streams = scene.plan.streams.child("verify")
     dark = mean_dark_frame(scene.instrument, verify.dark_frames, streams=streams, label=EMPTY)
     temperature_k = float(np.median(scene.temperature_k))
-    psfs = render_psf_grid(scene, temperature_k=temperature_k, window_px=verify.window_px)
+    psfs = render_psf_grid(scene, temperature_k=temperature_k, window_px=scene.config.window_px)
     reduction = reduction_of(scene, dark, psfs)
     known = pixel_map(scene.instrument, scene.light, temperature_k=temperature_k)
     calibration = fit_camera(known)
@@ -141,7 +141,8 @@ def evaluate(folder: Path, scene: Scene, records: Sequence[FrameRecord], *, adva
         smear = np.hypot(truth["smear_x_px"], truth["smear_y_px"])
         measured = measure_frame(frame, reduction, smear_px=float(np.nanmax(smear, initial=0.0)))
         stars.append(compare_frame(one.frame, measured, truth, **size))
-        if not (scene.config.camera.line_time_us and any(one.rate_deg_per_s)):  # else every row has its own attitude
+        rows_differ = scene.config.instrument.line_time_us and any(one.rate_deg_per_s)  # each has its own attitude
+        if not rows_differ:
             misses.append(wcs_misses_px(folder / one.file, truth, **size))
         if solver.database is not None:
             solved.append(solver.solve(one, measured.at_once(solver.turned(one, measured))))

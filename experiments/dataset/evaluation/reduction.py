@@ -138,12 +138,12 @@ def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) 
 
 def reduction_of(scene: Scene, dark_dn: NDArray[Any], psfs: PsfGrid | None) -> Reduction:
     """The configured reduction."""
-    verify = scene.config.verify
+    config = scene.config
     return Reduction(
         dark_dn=dark_dn,
-        noise=true_noise(scene.instrument, dark_frames=verify.dark_frames),
-        centroid=verify.centroid,
-        window_px=verify.window_px,
-        threshold_sigma=verify.threshold_sigma,
-        psfs=psfs if needs_epsf(verify.centroid) else None,
+        noise=true_noise(scene.instrument, dark_frames=config.verify.dark_frames),
+        centroid=config.centroid,
+        window_px=config.window_px,
+        threshold_sigma=config.threshold_sigma,
+        psfs=psfs if needs_epsf(config.centroid) else None,
     )

@@ -241,8 +241,8 @@ class BlindSolver:
             min_fov_deg=field_deg * (1.0 - FIELD_MARGIN), max_fov_deg=field_deg * (1.0 + FIELD_MARGIN)
         )
         catalogue = scene.catalogue.catalog
-        direction = directions_at(catalogue, scene.config.sky.epoch_year, scene.observer)
-        known = scene.config.sky.catalogue == "gaia"  # the identifiers of tetra3rs are Gaia's
+        direction = directions_at(catalogue, scene.config.catalogue.epoch_year, scene.observer)
+        known = scene.config.catalogue.source == "gaia"  # the identifiers of tetra3rs are Gaia's
         self.sky = SkyMap(
             direction=direction,
             by_id=dict(zip(catalogue.id.tolist(), direction, strict=True)) if known else None,
@@ -250,7 +250,7 @@ class BlindSolver:
 
     def turned(self, record: FrameRecord, measured: MeasuredFrame) -> FloatArray:
         """Centroids (n, 2) carried to the middle of the exposure of the middle row, by the rate that a gyro tells."""
-        camera, model, pixel = self.scene.config.camera, self.calibration.model, measured.stars.pixel_px
+        camera, model, pixel = self.scene.config.instrument, self.calibration.model, measured.stars.pixel_px
         if not (camera.line_time_us and any(record.rate_deg_per_s)):
             return pixel
         middle = (self.scene.instrument.camera.height_px - 1) / 2.0

@@ -69,7 +69,7 @@ class FrameMaker:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self._tracer = Tracer(scene.instrument.camera, tolerance=scene.config.camera.pupil_tolerance)
+        self._tracer = Tracer(scene.instrument.camera, tolerance=scene.config.pupil_tolerance)
         self._streams: Streams = scene.plan.streams.child("detector")
         self._axis_share = self._share_on_axis()
 
@@ -88,8 +88,8 @@ class FrameMaker:
             scene.instrument.detector,
             streams=self._streams,
             frame=frame,
-            exposure_s=config.camera.exposure_s,
-            temperature_c=config.camera.chip_temperature_c,
+            exposure_s=config.instrument.exposure_s,
+            temperature_c=config.instrument.chip_temperature_c,
             background_e_per_s=config.background.extra_e_per_s,
             band=band,
             hits=hits,
@@ -122,7 +122,7 @@ class FrameMaker:
         return float(1.0 - truth.electrons_vignetted[0, 0] / truth.electrons_in[0, 0])
 
     def _traced(self, seen: PointSources, plan: FramePlan) -> TracedStars:
-        camera = self.scene.config.camera
+        camera = self.scene.config.instrument
         if plan.trajectory is None:
             attitude = plan.attitude.as_matrix()
             return self._tracer.render(seen.light, exposure_s=camera.exposure_s, rotation_cam_from_world=attitude)
@@ -134,14 +134,14 @@ class FrameMaker:
             exposure_s=camera.exposure_s,
             camera=self.scene.instrument.camera,
             line_time_s=camera.line_time_us * 1e-6,
-            tolerance=camera.pupil_tolerance,
+            tolerance=self.scene.config.pupil_tolerance,
         )
         return self._tracer.render(seen.light, exposure_s=camera.exposure_s, motion=motion)
 
     def _add_sky(self, electrons: NDArray[np.float32], plan: FramePlan) -> float:
         """Add the light of the sky to the stars', except what is the same everywhere; mean of all sky light [e-]."""
         scene, config = self.scene, self.scene.config
-        exposure_s = config.camera.exposure_s
+        exposure_s = config.instrument.exposure_s
         mean = config.background.extra_e_per_s * exposure_s
         diffuse = diffuse_light(scene.sky_light, plan.attitude, config)
         if diffuse is not None:
@@ -169,7 +169,7 @@ class FrameMaker:
             radiation.environment,
             streams=self._streams,
             frame=frame,
-            exposure_s=self.scene.config.camera.exposure_s,
+            exposure_s=self.scene.config.instrument.exposure_s,
             depth_um=radiation.depth_um,
         )
 

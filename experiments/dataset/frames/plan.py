@@ -124,8 +124,8 @@ def build_plan(config: Config, height_px: int | None = None) -> Plan:
         An attitude that is not normalised, a motion shorter than the frames need.
     """
     pointing = config.pointing
-    rows = config.camera.height_px if height_px is None else height_px
-    duration_s = config.camera.exposure_s + max(0, rows - 1) * config.camera.line_time_us * 1e-6
+    rows = config.instrument.height_px if height_px is None else height_px
+    duration_s = config.instrument.exposure_s + max(0, rows - 1) * config.instrument.line_time_us * 1e-6
     streams, jitter = Streams(config.seed).child("dataset"), _spectrum(config.jitter)
     attitudes: Rotation | None = None
     path: Trajectory | None = None
@@ -144,7 +144,7 @@ def build_plan(config: Config, height_px: int | None = None) -> Plan:
             path = jittered(path, jitter, streams=streams)  # one motion for all frames
     to_sun = None
     if isinstance(pointing, SkyPointing | ConePointing) and pointing.sun_exclusion_deg > 0:
-        to_sun = sun_direction(config.sky.epoch_year)
+        to_sun = sun_direction(config.catalogue.epoch_year)
         if isinstance(pointing, ConePointing):
             _check_cone(pointing, to_sun)
     return Plan(
@@ -190,7 +190,7 @@ def _check_cone(pointing: ConePointing, to_sun: FloatArray) -> None:
     if farthest <= pointing.sun_exclusion_deg:
         raise DomainError(
             f"pointing: all of the cone lies within {farthest:.1f} deg of the Sun, pointing.sun_exclusion_deg = "
-            f"{pointing.sun_exclusion_deg:g} deg; point elsewhere or change sky.epoch_year"
+            f"{pointing.sun_exclusion_deg:g} deg; point elsewhere or change catalogue.epoch_year"
         )
 
 

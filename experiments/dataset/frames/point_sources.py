@@ -95,7 +95,7 @@ def smear_px(scene: Scene, seen: PointSources, plan: FramePlan, row_px: FloatArr
     """
     if plan.trajectory is None or not len(seen):
         return np.zeros((len(seen), 2))
-    camera = scene.config.camera
+    camera = scene.config.instrument
     last = scene.instrument.camera.height_px - 1.0
     starts = plan.start_s + np.clip(np.nan_to_num(row_px), 0.0, last) * (camera.line_time_us * 1e-6)
     direction = np.array(seen.direction)

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from experiments.dataset.frames.camera import passband, windowed_instrument
 from experiments.dataset.frames.plan import Plan, build_plan, fastest_rad_per_s, plan_frame, sun_direction
 from experiments.dataset.frames.sky_light import SkyLight, build_sky_light, check_sun
-from experiments.dataset.settings import CatalogueConfig, Config, SkyPointing
-from experiments.laboratory.instrument import Instrument
+from experiments.dataset.settings import Config, SkyPointing
+from experiments.laboratory.filter_wheel import open_band
+from experiments.laboratory.instrument import Instrument, build_instrument
+from experiments.laboratory.settings import CatalogueConfig
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.units import ARCSEC_RAD
@@ -81,7 +82,8 @@ class Scene:
     @property
     def faintest_mag(self) -> float:
         """Faintest star that is rendered: what was asked for, or where the catalogue ends."""
-        return min(self.config.sky.faintest_mag, float(np.ceil(100.0 * self.catalogue.catalog.magnitude.max()) / 100.0))
+        faintest = float(np.ceil(100.0 * self.catalogue.catalog.magnitude.max()) / 100.0)
+        return min(self.config.catalogue.faintest_mag, faintest)
 
     @property
     def field_deg(self) -> tuple[float, float]:
@@ -101,23 +103,28 @@ def build_scene(config: Config) -> Scene:
         catalogue without magnitudes, no star bright enough, stars that leave the frame during an exposure, attitudes
         that are not normalised, fields that hold no star at all.
     """
-    instrument = _aged(windowed_instrument(config.camera), config)
-    band = passband(config.camera, instrument)
+    instrument = build_instrument(config.instrument)
+    try:
+        instrument.check_field()
+    except DomainError as error:
+        raise DomainError(f"instrument.width_px, instrument.height_px: {error}") from None
+    instrument = _aged(instrument, config)
+    band = open_band(config.passband, instrument)
     plan = build_plan(config, instrument.detector.height_px)
-    whole = load_catalogue(config.sky)
-    bright = np.flatnonzero(whole.magnitude <= config.sky.faintest_mag)
+    whole = load_catalogue(config.catalogue)
+    bright = np.flatnonzero(whole.magnitude <= config.catalogue.faintest_mag)
     if not len(bright):
-        raise DomainError(_no_star(whole, config.sky))
+        raise DomainError(_no_star(whole, config.catalogue))
     catalogue = whole.select(bright)
-    light = star_light([band], nodes=config.camera.nodes, magnitude_system=whole.magnitude_system)
-    observer = earth_observer(config.sky.epoch_year) if config.sky.observer == "earth" else None
+    light = star_light([band], nodes=config.nodes, magnitude_system=whole.magnitude_system)
+    observer = earth_observer(config.catalogue.epoch_year) if config.catalogue.observer == "earth" else None
     pixel_rad = instrument.pixel_arcsec * ARCSEC_RAD
     scene = Scene(
         config=config,
         instrument=instrument,
         catalogue=build_index(catalogue),
         row=bright,
-        temperature_k=star_temperature(catalogue, config.sky.temperature),
+        temperature_k=star_temperature(catalogue, config.catalogue.temperature),
         view=field_of_view(instrument.camera, margin_px=MARGIN_PX + _path_px(plan, instrument)),
         light=light,
         plan=plan,
@@ -128,7 +135,7 @@ def build_scene(config: Config) -> Scene:
     _check_light(scene)
     _check_stars(scene)
     if config.background.zodiacal:
-        to_sun = sun_direction(config.sky.epoch_year)
+        to_sun = sun_direction(config.catalogue.epoch_year)
         check_sun(plan, to_sun, scene.view, min(config.frames, SEARCHED_FRAMES))
     return scene
 
@@ -142,7 +149,7 @@ def _aged(instrument: Instrument, config: Config) -> Instrument:
         instrument.detector,
         displacement_dose_tev_per_g=radiation.displacement_dose_tev_per_g,
         depleted_volume_um3=radiation.depleted_volume_um3,
-        temperature_c=config.camera.chip_temperature_c,
+        temperature_c=config.instrument.chip_temperature_c,
         annealed_s=LONGEST_ANNEALED_S,
     )
     return replace(instrument, detector=detector)
@@ -156,18 +163,19 @@ def load_catalogue(config: CatalogueConfig) -> StarCatalog:
     StarbenchError
         Missing, not understood, in wrong units, without magnitudes.
     """
-    if config.catalogue == "gaia":
+    if config.source == "gaia":
         return _gaia()
     from render.catalogue.read import read_catalog
 
     system = None if config.magnitude_system == "preset" else config.magnitude_system
     try:
-        return read_catalog(Path(config.catalogue), config.preset, magnitude_system=system)
+        return read_catalog(Path(config.source), config.preset, magnitude_system=system)
     except ConfigError as error:
         if "magnitude_system=" not in str(error):
             raise
         raise ConfigError(
-            f"sky.preset = {config.preset!r} tells no scale of magnitudes; set sky.magnitude_system to V or G"
+            f"catalogue.preset = {config.preset!r} tells no scale of magnitudes; set "
+            "catalogue.magnitude_system to V or G"
         ) from None
 
 
@@ -189,7 +197,7 @@ def seen_at(scene: Scene, attitude: Rotation) -> SkyField:
         scene.catalogue,
         scene.view,
         attitude,
-        epoch_year=scene.config.sky.epoch_year,
+        epoch_year=scene.config.catalogue.epoch_year,
         observer=scene.observer,
     )
 
@@ -199,7 +207,7 @@ def _no_star(catalogue: StarCatalog, config: CatalogueConfig) -> str:
     if not len(known):
         return f"catalogue {catalogue.name} has no magnitude for any of its {len(catalogue)} stars; name another column"
     return (
-        f"sky.faintest_mag = {config.faintest_mag:g}: the brightest star of catalogue {catalogue.name} has "
+        f"catalogue.faintest_mag = {config.faintest_mag:g}: the brightest star of catalogue {catalogue.name} has "
         f"{known.min():.2f} mag; raise it"
     )
 
@@ -227,12 +235,12 @@ def _path_px(plan: Plan, instrument: Instrument) -> float:
     camera = instrument.camera
     pixel_rad = instrument.pixel_arcsec * ARCSEC_RAD
     smallest_px = min(camera.width_px, camera.height_px)
-    exposure_s = plan.config.camera.exposure_s
+    exposure_s = plan.config.instrument.exposure_s
     if across * exposure_s / pixel_rad > 0.5 * smallest_px:
         raise DomainError(
             f"at {np.degrees(across):g} deg/s stars move by {across * exposure_s / pixel_rad:.0f} px in "
-            f"camera.exposure_s = {exposure_s:g} s and leave the frame of {camera.width_px} x {camera.height_px} px; "
-            f"at most {np.degrees(0.5 * smallest_px * pixel_rad / exposure_s):.3g} deg/s is possible"
+            f"instrument.exposure_s = {exposure_s:g} s and leave the frame of {camera.width_px} x {camera.height_px} "
+            f"px; at most {np.degrees(0.5 * smallest_px * pixel_rad / exposure_s):.3g} deg/s is possible"
         )
     corner_px = 0.5 * float(np.hypot(camera.width_px, camera.height_px))
     steady_px = 0.5 * plan.duration_s * (across / pixel_rad + about * corner_px)
@@ -250,5 +258,6 @@ def _check_stars(scene: Scene) -> None:
         if len(stars_of(scene, frame)):
             return
     raise DomainError(
-        f"no frame sees a star to sky.faintest_mag = {scene.config.sky.faintest_mag:g} mag; raise it or point elsewhere"
+        f"no frame sees a star to catalogue.faintest_mag = {scene.config.catalogue.faintest_mag:g} mag; raise it or "
+        "point elsewhere"
     )

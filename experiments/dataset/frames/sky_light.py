@@ -82,12 +82,12 @@ def build_sky_light(
         diffuse = background_map(camera, [band])
     if background.moon_planets:
         if observer is None:
-            raise ConfigError("background.moon_planets needs an observer; set sky.observer = earth")
-        system = solar_system(config.sky.epoch_year, observer=observer)
+            raise ConfigError("background.moon_planets needs an observer; set catalogue.observer = earth")
+        system = solar_system(config.catalogue.epoch_year, observer=observer)
         large = system.angular_diameter_rad > RESOLVED_PX * pixel_rad
         disks, small = system.select(large), system.select(~large)
         points = small.select(np.isfinite(small.magnitude_v))  # the others stand beside the Sun
-        light = planet_field(points, [band], nodes=config.camera.nodes)
+        light = planet_field(points, [band], nodes=config.nodes)
     return SkyLight(config=background, diffuse=diffuse, points=points, disks=disks, light=light, bands=(band,))
 
 
@@ -112,7 +112,7 @@ def check_sun(plan: Plan, to_sun: FloatArray, view: FieldOfView, frames: int) ->
         if angle < needed:
             raise DomainError(
                 f"{said}, frame {frame} looks {angle:.1f} deg from it and its corners {needed - CLOSEST_DEG:.1f} deg "
-                "farther; change sky.epoch_year, the attitudes, or leave it out"
+                "farther; change catalogue.epoch_year, the attitudes, or leave it out"
             )
 
 
@@ -124,7 +124,7 @@ def diffuse_light(sky: SkyLight, attitude: Rotation, config: Config) -> NDArray[
     return sky_background(
         sky.diffuse,
         attitude,
-        epoch_year=config.sky.epoch_year,
+        epoch_year=config.catalogue.epoch_year,
         zodiacal=sky.config.zodiacal,
         uniform=None if magnitude is None else UniformSky(magnitude_per_arcsec2=magnitude),
     )[:, :, 0]
@@ -148,12 +148,12 @@ def resolved_light(
             replace(camera, rotation_cam_from_world=matrix),
             planet_body(sky.disks, str(name)),
             sky.bands,
-            exposure_s=config.camera.exposure_s,
+            exposure_s=config.instrument.exposure_s,
             samples=sky.config.moon_samples,
             seed=plan.frame,
             trajectory=plan.trajectory,
             start_s=plan.start_s,
-            line_time_s=config.camera.line_time_us * 1e-6,
+            line_time_s=config.instrument.line_time_us * 1e-6,
             view=view,
         ).electrons[:, :, 0]
         image = body if image is None else image + body

@@ -10,9 +10,15 @@ from experiments.dataset.settings import Config
 
 __all__ = ["FILE_KEYS", "for_workers", "identity"]
 
-FREE = ("frames", "exports", "png_bits", "verify", "workers", "scheduler")
+FREE = ("frames", "exports", "png_bits", "verify", "centroid", "window_px", "threshold_sigma", "workers", "scheduler")
 """Keys that change no frame."""
-FILE_KEYS = (("camera", "lens"), ("camera", "detector"), ("sky", "catalogue"), ("pointing", "file"))
+FILE_KEYS = (
+    ("instrument", "lens"),
+    ("instrument", "detector"),
+    ("passband", "file"),
+    ("catalogue", "source"),
+    ("pointing", "file"),
+)
 """Keys that may name a file."""
 
 

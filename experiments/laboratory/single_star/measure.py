@@ -77,7 +77,7 @@ def measure(
     rolls = np.radians(table.rolls_deg)
     visits = visit(bench, wanted, aimed, rolls[np.arange(len(wanted)) % len(rolls)], streams, readings=config.frames)
     _check_field(visits, instrument)
-    stars = build_star(config).seen(visits.direction, instrument)
+    stars = build_star(config, instrument).seen(visits.direction, instrument)
     advance()
     expected = StarRenderer(camera, exposure_s=instrument.config.exposure_s).render(stars)
     assert expected.truth is not None

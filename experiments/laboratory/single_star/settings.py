@@ -6,8 +6,9 @@ from typing import Self
 
 from pydantic import Field, field_validator, model_validator
 
-from experiments.harness.config import ExperimentConfig, StrictModel
-from experiments.laboratory.settings import InstrumentConfig
+from experiments.harness.config import StrictModel
+from experiments.laboratory.sensor_file import SensorExperimentConfig
+from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
 
 __all__ = ["LARGEST_STAR_ANGLE_DEG", "GridConfig", "SingleStarConfig", "StarConfig", "TableConfig"]
 
@@ -28,16 +29,7 @@ class StarConfig(StrictModel):
         default=-0.25, ge=-LARGEST_STAR_ANGLE_DEG, le=LARGEST_STAR_ANGLE_DEG, description="true direction, towards +Y"
     )
     temperature_k: float = Field(default=5800.0, ge=1000, le=1e5, description="colour temperature")
-    passband_nm: tuple[float, float] = Field(default=(450.0, 900.0), description="pass band of the simulator")
-    edge_nm: float = Field(default=20.0, ge=0, le=400, description="length of the pass band's edges")
     signal_e: float = Field(default=12000.0, gt=0, le=1e7, description="electrons per exposure on the axis")
-
-    @field_validator("passband_nm")
-    @classmethod
-    def _increasing(cls, values: tuple[float, float]) -> tuple[float, float]:
-        if not 0.0 < values[0] < values[1]:
-            raise ValueError("two increasing wavelengths are needed")
-        return values
 
 
 class TableConfig(StrictModel):
@@ -69,10 +61,11 @@ class GridConfig(StrictModel):
     edge_px: float = Field(default=60.0, ge=0, description="distance of the outermost places from the edge")
 
 
-class SingleStarConfig(ExperimentConfig):
+class SingleStarConfig(SensorExperimentConfig):
     """Camera, simulator, and how the star is measured; tables are the experiment's own."""
 
     instrument: InstrumentConfig = InstrumentConfig()
+    passband: PassbandConfig = PassbandConfig()
     principal_point_px: tuple[float, float] = Field(
         default=(12.0, -8.0), description="where the axis of the lens meets the detector, from its centre"
     )

@@ -8,7 +8,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.laboratory.collimator import SingleStar
+from experiments.laboratory.collimator import SingleStar, star_direction
+from experiments.laboratory.filter_wheel import open_band
 from experiments.laboratory.instrument import Instrument, build_instrument
 from experiments.laboratory.readout.search import SEARCH_PX
 from experiments.laboratory.single_star.bench import Bench
@@ -16,7 +17,6 @@ from experiments.laboratory.single_star.settings import SingleStarConfig, TableC
 from experiments.laboratory.turntable import Turntable, axis_directions, build_turntable
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
-from optics.light.band import TopHat
 from optics.light.spectrum import Blackbody
 
 __all__ = ["averaged", "build_bench", "build_star", "build_table", "camera_under_test", "check_table", "grid_px"]
@@ -33,16 +33,19 @@ def camera_under_test(config: SingleStarConfig) -> Instrument:
     return replace(instrument, camera=replace(camera, centre_px=camera.centre_px + config.principal_point_px))
 
 
-def build_star(config: SingleStarConfig) -> SingleStar:
-    """The single-star simulator."""
-    low, high = config.star.passband_nm
+def build_star(config: SingleStarConfig, instrument: Instrument) -> SingleStar:
+    """The single-star simulator; its light fills the pass band of the camera.
+
+    Raises
+    ------
+    ConfigError, DomainError
+        A pass band that reaches beyond what is known of the camera.
+    """
     return SingleStar(
         azimuth_deg=config.star.azimuth_deg,
         elevation_deg=config.star.elevation_deg,
         spectrum=Blackbody(temperature_k=config.star.temperature_k),
-        band=TopHat(
-            centre_nm=(low + high) / 2, width_nm=high - low, edge_nm=config.star.edge_nm, name="star simulator"
-        ),
+        band=open_band(config.passband, instrument, "star simulator"),
         signal_e=config.star.signal_e,
     )
 
@@ -101,7 +104,7 @@ def build_bench(config: SingleStarConfig, table: TableConfig) -> Bench:
     """Star, table and mounting."""
     return Bench(
         table=build_table(table),
-        star=build_star(config).direction,
+        star=star_direction(config.star.azimuth_deg, config.star.elevation_deg),
         installation=Rotation.from_rotvec(np.radians(config.installation_deg)),
     )
 

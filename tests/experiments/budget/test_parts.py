@@ -64,7 +64,7 @@ def test_sweep_text():
     [
         ("defocs_mm=-0.2:0.2:9", "did you mean defocus_mm"),
         ("instrument.defocs_mm=-0.2:0.2:9", "did you mean instrument.defocus_mm"),
-        ("edge_nm=10:20:3", "source.edge_nm and filters.edge_nm"),
+        ("edge_nm=10:20:3", "passband.edge_nm and filters.edge_nm"),
         ("defocus_mm=0.1:0.1:3", "empty"),
         ("defocus_mm=nan:0.1:3", "finite"),
         ("defocus_mm=0:inf:3", "finite"),

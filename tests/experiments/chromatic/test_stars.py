@@ -5,17 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.chromatic.stars import electrons_of_star, passband, stellar_shift
-from experiments.laboratory.settings import StarsConfig
+from experiments.chromatic.stars import electrons_of_star, stellar_shift
+from experiments.laboratory.filter_wheel import open_band
+from experiments.laboratory.settings import PassbandConfig, StarsConfig
 from optics.errors import DomainError
 from optics.lens.perturb import decentre
+from optics.light.band import TopHat
 
+PASSBAND = TopHat(centre_nm=675.0, width_nm=450.0, edge_nm=20.0)
 TEMPERATURES_K = (3000.0, 4500.0, 5800.0, 9000.0, 30000.0)
 
 
 @pytest.fixture(scope="module")
 def shift(star_camera):
-    return stellar_shift(StarsConfig(temperatures_k=TEMPERATURES_K, grid=3), star_camera)
+    return stellar_shift(StarsConfig(temperatures_k=TEMPERATURES_K, grid=3), PASSBAND, star_camera)
 
 
 def test_reference_star_does_not_move(shift):
@@ -57,8 +60,8 @@ def test_decentred_element_shifts_all_stars_alike(engine, star_camera):
     """A prism moves red against blue everywhere by about the same: the mean over the field no longer vanishes."""
     camera = replace(star_camera.camera, lens=decentre(star_camera.camera.lens, "L2", 0.117))
     config = StarsConfig(temperatures_k=(3000.0, 30000.0), grid=2)
-    centred = stellar_shift(config, star_camera).shift_px.mean(1)
-    moved = stellar_shift(config, replace(star_camera, camera=camera)).shift_px.mean(1)
+    centred = stellar_shift(config, PASSBAND, star_camera).shift_px.mean(1)
+    moved = stellar_shift(config, PASSBAND, replace(star_camera, camera=camera)).shift_px.mean(1)
     assert np.abs(centred).max() < 1e-6
     assert moved[0, 0] * moved[1, 0] < 0
     assert abs(moved[0, 0]) > 0.02
@@ -66,19 +69,19 @@ def test_decentred_element_shifts_all_stars_alike(engine, star_camera):
 
 
 def test_five_magnitudes_are_a_hundred(star_camera):
-    config = StarsConfig()
-    bright, faint = (electrons_of_star(config, star_camera, magnitude=m, temperature_k=5800.0) for m in (2.5, 7.5))
+    bright, faint = (electrons_of_star(PASSBAND, star_camera, magnitude=m, temperature_k=5800.0) for m in (2.5, 7.5))
     assert bright == pytest.approx(100 * faint, rel=1e-12)
 
 
 def test_electrons_follow_exposure_and_pass_band(star_camera):
-    config = StarsConfig()
     longer = replace(star_camera, config=star_camera.config.model_copy(update={"exposure_s": 0.3}))
-    one = electrons_of_star(config, star_camera, magnitude=7.5, temperature_k=5800.0)
-    assert electrons_of_star(config, longer, magnitude=7.5, temperature_k=5800.0) == pytest.approx(3 * one, rel=1e-12)
+    one = electrons_of_star(PASSBAND, star_camera, magnitude=7.5, temperature_k=5800.0)
+    assert electrons_of_star(PASSBAND, longer, magnitude=7.5, temperature_k=5800.0) == pytest.approx(3 * one, rel=1e-12)
     parts = [
-        electrons_of_star(StarsConfig(passband_nm=band, edge_nm=0.0), star_camera, magnitude=7.5, temperature_k=5800.0)
-        for band in ((450.0, 640.0), (640.0, 900.0), (450.0, 900.0))
+        electrons_of_star(
+            TopHat(centre_nm=(low + high) / 2, width_nm=high - low), star_camera, magnitude=7.5, temperature_k=5800.0
+        )
+        for low, high in ((450.0, 640.0), (640.0, 900.0), (450.0, 900.0))
     ]
     assert parts[0] + parts[1] == pytest.approx(parts[2], rel=1e-4)
 
@@ -89,16 +92,16 @@ def test_electrons_of_a_star_in_round_numbers(star_camera):
     38.5 cm^2 x 0.1 s x 4500 A x 1e3 x 10^-3 at V = 7.5 is 17 000 photons; quantum efficiency, glass and the slope of
     the spectrum leave a quarter to a half.
     """
-    electrons = electrons_of_star(StarsConfig(), star_camera, magnitude=7.5, temperature_k=5800.0)
+    electrons = electrons_of_star(PASSBAND, star_camera, magnitude=7.5, temperature_k=5800.0)
     assert 17e3 * 0.2 < electrons < 17e3 * 0.6
 
 
-def test_pass_band_is_named_and_placed():
-    band = passband(StarsConfig(passband_nm=(450.0, 900.0), edge_nm=20.0))
+def test_half_of_the_light_passes_at_the_ends_of_the_range(star_camera):
+    band = open_band(PassbandConfig(range_nm=(450.0, 900.0), edge_nm=20.0), star_camera)
     assert band.transmission(np.array([439.0, 450.0, 461.0, 675.0, 900.0])) == pytest.approx([0, 0.5, 1, 1, 0.5])
 
 
 def test_light_outside_the_glass_is_refused_by_name(engine, star_camera):
     """The renderer's complaint arrives as it was raised, not wrapped by Mitsuba."""
     with pytest.raises(DomainError, match=r"290\.\d+ nm is outside 334 ... 2500 nm.*N-KZFS4"):
-        stellar_shift(StarsConfig(passband_nm=(300.0, 900.0), grid=2), star_camera)
+        stellar_shift(StarsConfig(grid=2), TopHat(centre_nm=600.0, width_nm=600.0, edge_nm=20.0), star_camera)

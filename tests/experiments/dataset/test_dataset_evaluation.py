@@ -24,11 +24,12 @@ def folder(engine, tmp_path_factory):
     pytest.importorskip("tetra3rs")
     out = tmp_path_factory.mktemp("dataset") / "out"
     settings = {
-        "camera.width_px": SIDE,
-        "camera.height_px": SIDE,
-        "camera.exposure_s": EXPOSURE_S,
+        "instrument.width_px": SIDE,
+        "instrument.height_px": SIDE,
+        "instrument.exposure_s": EXPOSURE_S,
         "background.extra_e_per_s": SKY_E_PER_S,
-        "sky.faintest_mag": 7.5,
+        "catalogue.faintest_mag": 7.5,
+        "passband.range_nm": "[460, 890]",
         "verify.dark_frames": DARK_FRAMES,
         "verify.resume_frames": 0,
         "seed": 3,

@@ -16,8 +16,9 @@ from experiments.dataset.exports.contact_sheet import preview
 from experiments.dataset.exports.webdataset_shards import check_webdataset, export_shards
 from experiments.dataset.production.folder import StorageError
 from experiments.dataset.production.job import Job, make_frame
-from experiments.dataset.settings import CameraConfig, CatalogueConfig, ConePointing, Config, VerifyConfig
+from experiments.dataset.settings import ConePointing, Config, VerifyConfig
 from experiments.dataset.truth.files import read_table
+from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
 from optics.errors import ConfigError
 from render.fits.files import read_frame
 
@@ -29,8 +30,9 @@ def dataset(engine, tmp_path_factory):
     for name in ("frames", "truth"):
         (folder / name).mkdir()
     config = Config(
-        camera=CameraConfig(lens="star_camera_206mm", width_px=192, height_px=128, nodes=3),
-        sky=CatalogueConfig(faintest_mag=10.0),
+        instrument=InstrumentConfig(detector="cmv4000", exposure_s=0.2, width_px=192, height_px=128),
+        nodes=3,
+        catalogue=CatalogueConfig(faintest_mag=10.0),
         pointing=ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1),
         verify=VerifyConfig(frames=0),
     )

@@ -20,8 +20,15 @@ from experiments.dataset.settings import Config
 from experiments.dataset.truth.files import read_record, truth_bytes
 
 SMALL = [
-    *("--set", "camera.lens=star_camera_206mm", "--set", "camera.width_px=192", "--set", "camera.height_px=128"),
-    *("--set", "camera.nodes=3", "--set", "sky.faintest_mag=10", "--set", "verify.frames=0"),
+    *(
+        "--set",
+        "instrument.lens=star_camera_206mm",
+        "--set",
+        "instrument.width_px=192",
+        "--set",
+        "instrument.height_px=128",
+    ),
+    *("--set", "nodes=3", "--set", "catalogue.faintest_mag=10", "--set", "verify.frames=0"),
     *("--set", "verify.resume_frames=0"),
     *("--set", "pointing.kind=cone", "--set", "pointing.ra_deg=56.75", "--set", "pointing.dec_deg=24.12"),
     *("--set", "pointing.radius_deg=0.1", "--workers", "1"),
@@ -108,7 +115,7 @@ def test_what_is_missing_or_damaged_is_made_again(dataset, tmp_path):
 @pytest.mark.parametrize(
     ("more", "frames", "said"),
     [
-        (("--set", "camera.exposure_s=0.3"), 3, "camera.exposure_s = 0.2, this run has 0.3"),
+        (("--set", "instrument.exposure_s=0.3"), 3, "instrument.exposure_s = 0.2, this run has 0.3"),
         (("--seed", "2"), 3, "seed = 1, this run has 2"),
         ((), 2, "ask for at least 3"),
     ],

@@ -21,8 +21,15 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[3]
 FRAMES = 60
 SMALL = [
-    *("--set", "camera.lens=star_camera_206mm", "--set", "camera.width_px=192", "--set", "camera.height_px=128"),
-    *("--set", "camera.nodes=3", "--set", "sky.faintest_mag=10", "--set", "verify.frames=0"),
+    *(
+        "--set",
+        "instrument.lens=star_camera_206mm",
+        "--set",
+        "instrument.width_px=192",
+        "--set",
+        "instrument.height_px=128",
+    ),
+    *("--set", "nodes=3", "--set", "catalogue.faintest_mag=10", "--set", "verify.frames=0"),
     *("--set", "verify.resume_frames=0"),
     *("--set", "pointing.kind=cone", "--set", "pointing.ra_deg=56.75", "--set", "pointing.dec_deg=24.12"),
     *("--set", "pointing.radius_deg=0.1", "--backend", "llvm"),

@@ -8,7 +8,8 @@ from astropy.coordinates import SkyCoord
 
 from experiments.dataset.frames.maker import FrameMaker
 from experiments.dataset.frames.scene import build_scene
-from experiments.dataset.settings import CameraConfig, CatalogueConfig, ConePointing, Config, FixedRate, ScanPointing
+from experiments.dataset.settings import ConePointing, Config, FixedRate, ScanPointing
+from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
 from optics.frames import field_angles_deg
 from optics.rays.chief import chief_ray_points
 
@@ -24,7 +25,7 @@ def chief_px(scene, direction, attitude, wavelength_nm):
 
 @pytest.mark.parametrize(("scanned", "line_time_us"), [(False, 200.0), pytest.param(True, 0.0, marks=pytest.mark.slow)])
 def test_smear_and_place(engine, scanned, line_time_us):
-    camera = CameraConfig(lens="star_camera_206mm", width_px=256, height_px=192, nodes=3, line_time_us=line_time_us)
+    sensor = {"detector": "cmv4000", "exposure_s": 0.2, "width_px": 256, "height_px": 192, "line_time_us": line_time_us}
     pleiades = {"ra_deg": 56.75, "dec_deg": 24.12, "roll_deg": 20.0}
     if scanned:
         scan = ScanPointing(**pleiades, rate_deg_per_s=RATE_DEG_PER_S, frame_rate_hz=20.0)
@@ -32,7 +33,9 @@ def test_smear_and_place(engine, scanned, line_time_us):
     else:
         cone = ConePointing(**pleiades, radius_deg=0.0)
         settings = {"pointing": cone, "rate": FixedRate(rate_deg_per_s=RATE_DEG_PER_S)}
-    scene = build_scene(Config(camera=camera, sky=CatalogueConfig(faintest_mag=8.0), **settings))
+    scene = build_scene(
+        Config(instrument=InstrumentConfig(**sensor), nodes=3, catalogue=CatalogueConfig(faintest_mag=8.0), **settings)
+    )
     made = FrameMaker(scene).make(2)
     truth, plan = made.truth, made.plan
     assert np.degrees(made.plan.rate_rad_per_s) == pytest.approx(RATE_DEG_PER_S)

@@ -53,13 +53,13 @@ def test_a_scan_is_one_motion():
     first, second = frames_of(9, pointing=scan)[7:9]
     assert (second.attitude * first.attitude.inv()).as_rotvec() == pytest.approx(-rate / 4.0, abs=1e-12)
     assert first.trajectory is second.trajectory
-    middle = first.trajectory.attitude(first.start_s + Config().camera.exposure_s / 2)
+    middle = first.trajectory.attitude(first.start_s + Config().instrument.exposure_s / 2)
     assert (middle * first.attitude.inv()).magnitude() < 1e-12
 
 
 def test_rates():
     fixed = frames_of(4, rate=FixedRate(rate_deg_per_s=(0.0, 1.0, 0.0)))[3]
-    middle = fixed.trajectory.attitude(Config().camera.exposure_s / 2)
+    middle = fixed.trajectory.attitude(Config().instrument.exposure_s / 2)
     assert (middle * fixed.attitude.inv()).magnitude() < 1e-12
     free = frames_of(4)[3]
     assert free.trajectory is None

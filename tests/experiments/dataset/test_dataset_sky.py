@@ -13,18 +13,20 @@ from experiments.dataset.frames.scene import build_scene
 from experiments.dataset.frames.sky_light import PLANET_IDS
 from experiments.dataset.settings import (
     BackgroundConfig,
-    CameraConfig,
-    CatalogueConfig,
     ConePointing,
     Config,
     RadiationConfig,
     SkyPointing,
 )
 from experiments.dataset.truth.star_truth import FLAGS
+from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
 from optics.errors import StarbenchError
 
 EPOCH = 2025.3
-CAMERA = CameraConfig(lens="star_camera_206mm", width_px=192, height_px=128, nodes=3)
+CAMERA = {
+    "instrument": InstrumentConfig(detector="cmv4000", exposure_s=0.2, width_px=192, height_px=128),
+    "nodes": 3,
+}
 
 
 def direction_of(body):
@@ -45,7 +47,7 @@ def test_a_planet_among_the_stars(engine):
     for planet in ("neptune", "jupiter"):
         place = direction_of(planet)
         cone = ConePointing(ra_deg=place.lon.deg, dec_deg=place.lat.deg, radius_deg=0.0, roll_deg=0.0)
-        scene = build_scene(Config(camera=CAMERA, sky=sky, pointing=cone, background=background))
+        scene = build_scene(Config(**CAMERA, catalogue=sky, pointing=cone, background=background))
         made[planet] = FrameMaker(scene).make(0)
     truth = made["neptune"].truth
     (row,) = np.flatnonzero(truth["star_id"] == PLANET_IDS["neptune"])
@@ -64,7 +66,7 @@ def test_a_planet_among_the_stars(engine):
 @pytest.mark.slow
 def test_zodiacal_light_and_uniform_sky(engine):
     cone = ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1)  # the Pleiades are opposite to the Sun in November
-    settings = {"camera": CAMERA, "sky": CatalogueConfig(faintest_mag=10.0, epoch_year=2025.88), "pointing": cone}
+    settings = {**CAMERA, "catalogue": CatalogueConfig(faintest_mag=10.0, epoch_year=2025.88), "pointing": cone}
     light = {}
     for name, background in (
         ("dark", BackgroundConfig(extra_e_per_s=1.0)),
@@ -86,8 +88,9 @@ def test_zodiacal_light_and_uniform_sky(engine):
 @pytest.mark.slow
 def test_cosmic_rays_are_flagged(engine):
     settings = {
-        "camera": CAMERA.model_copy(update={"exposure_s": 20.0}),
-        "sky": CatalogueConfig(faintest_mag=10.0),
+        **CAMERA,
+        "instrument": CAMERA["instrument"].model_copy(update={"exposure_s": 20.0}),
+        "catalogue": CatalogueConfig(faintest_mag=10.0),
         "pointing": ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1),
     }
     made = {}
@@ -106,7 +109,7 @@ def test_cosmic_rays_are_flagged(engine):
 
 def test_a_dose_makes_hot_pixels():
     scenes = [
-        build_scene(Config(camera=CAMERA, radiation=RadiationConfig(displacement_dose_tev_per_g=dose)))
+        build_scene(Config(**CAMERA, radiation=RadiationConfig(displacement_dose_tev_per_g=dose)))
         for dose in (0.0, 200.0)
     ]
     fresh, old = (scene.instrument.detector for scene in scenes)
@@ -115,14 +118,14 @@ def test_a_dose_makes_hot_pixels():
 
 def test_attitudes_keep_away_from_the_sun():
     pointing = SkyPointing(sun_exclusion_deg=60.0)
-    plan = build_plan(Config(frames=300, sky=CatalogueConfig(epoch_year=EPOCH), pointing=pointing))
+    plan = build_plan(Config(frames=300, catalogue=CatalogueConfig(epoch_year=EPOCH), pointing=pointing))
     sun = get_sun(Time(EPOCH, format="jyear")).cartesian  # from the centre of the Earth
     towards = sun.xyz.value / np.linalg.norm(sun.xyz.value)
     boresight = np.array([plan_frame(plan, frame).attitude.as_matrix()[2] for frame in range(300)])
     height = boresight @ towards
     assert height.max() < np.cos(np.radians(59.9))
     assert abs(height.mean() + 0.25) < 4 * 1.5 / np.sqrt(12 * 300)  # uniform from -1 to 0.5
-    free = build_plan(Config(frames=300, sky=CatalogueConfig(epoch_year=EPOCH)))
+    free = build_plan(Config(frames=300, catalogue=CatalogueConfig(epoch_year=EPOCH)))
     kept = [k for k in range(300) if plan_frame(free, k).attitude.as_matrix()[2] @ towards < 0.499]
     assert len(kept) > 150
     same = [(plan_frame(free, k).attitude * plan_frame(plan, k).attitude.inv()).magnitude() for k in kept]
@@ -132,7 +135,7 @@ def test_attitudes_keep_away_from_the_sun():
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"background": BackgroundConfig(moon_planets=True)}, "set sky.observer = earth"),
+        ({"background": BackgroundConfig(moon_planets=True)}, "set catalogue.observer = earth"),
         ({"background": BackgroundConfig(zodiacal=True)}, "set pointing.sun_exclusion_deg to at least 16"),
         (
             {
@@ -150,4 +153,4 @@ def test_attitudes_keep_away_from_the_sun():
 def test_refused(settings, said):
     sky = CatalogueConfig(faintest_mag=9.0, epoch_year=EPOCH)
     with pytest.raises(StarbenchError, match=said):
-        build_scene(Config(**{"camera": CAMERA, "sky": sky, **settings}))
+        build_scene(Config(**{**CAMERA, "catalogue": sky, **settings}))

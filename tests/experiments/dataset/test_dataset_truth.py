@@ -13,21 +13,21 @@ from experiments.dataset.frames.scene import build_scene, stars_of
 from experiments.dataset.production.job import _record
 from experiments.dataset.settings import (
     BackgroundConfig,
-    CameraConfig,
-    CatalogueConfig,
     ConePointing,
     Config,
     FixedRate,
 )
 from experiments.dataset.truth.frame_record import record_from_text
 from experiments.dataset.truth.star_truth import FLAGS, flux_snr, footprint_px
+from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, PassbandConfig
 from optics.errors import DomainError, StarbenchError
 from optics.frames import field_angles_deg
 from optics.rays.chief import chief_ray_points
 
 SMALL = {
-    "camera": CameraConfig(lens="star_camera_206mm", width_px=256, height_px=192, nodes=3),
-    "sky": CatalogueConfig(faintest_mag=10.0),
+    "instrument": InstrumentConfig(detector="cmv4000", exposure_s=0.2, width_px=256, height_px=192),
+    "nodes": 3,
+    "catalogue": CatalogueConfig(faintest_mag=10.0),
     "pointing": ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1),
 }
 
@@ -125,13 +125,13 @@ def test_no_light_at_all(engine):
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"sky": CatalogueConfig(faintest_mag=-2.0)}, "the brightest star"),
-        ({"sky": CatalogueConfig(faintest_mag=1.0)}, "no frame sees a star"),
+        ({"catalogue": CatalogueConfig(faintest_mag=-2.0)}, "the brightest star"),
+        ({"catalogue": CatalogueConfig(faintest_mag=1.0)}, "no frame sees a star"),
         ({"rate": FixedRate(rate_deg_per_s=(0.0, 5.0, 0.0))}, "leave the frame"),
-        ({"camera": CameraConfig(width_px=4096)}, "set it to at most that"),
-        ({"camera": CameraConfig(width_px=0, height_px=0)}, "made for 16.5 deg"),
-        ({"camera": CameraConfig(passband_nm=(300.0, 700.0))}, "known for 400"),
-        ({"sky": CatalogueConfig(catalogue="no.fits", preset="gaia")}, "no such file"),
+        ({"instrument": InstrumentConfig(detector="cmv4000", width_px=4096)}, "set it to at most that"),
+        ({"instrument": InstrumentConfig(lens="star_tracker_26mm", detector="cmv4000")}, "made for 16.5 deg"),
+        ({"passband": PassbandConfig(range_nm=(300.0, 700.0))}, "known for 400"),
+        ({"catalogue": CatalogueConfig(source="no.fits", preset="gaia")}, "no such file"),
     ],
 )
 def test_refused_before_anything_is_rendered(settings, said):
@@ -143,4 +143,4 @@ def test_a_catalogue_without_magnitudes(tmp_path):
     path = tmp_path / "stars.ecsv"
     Table({"source_id": [1, 2], "ra": [10.0, 20.0], "dec": [1.0, 2.0], "phot_g_mean_mag": [np.nan, np.nan]}).write(path)
     with pytest.raises(DomainError, match="no magnitude for any of its 2 stars"):
-        build_scene(Config(**{**SMALL, "sky": CatalogueConfig(catalogue=str(path), preset="gaia")}))
+        build_scene(Config(**{**SMALL, "catalogue": CatalogueConfig(source=str(path), preset="gaia")}))

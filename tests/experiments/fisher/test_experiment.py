@@ -142,7 +142,7 @@ def test_smeared_psf_has_the_variance_of_its_path() -> None:
         ("coverage.counts=[2]", "counts"),
         ("same_data.sides=[2]", "sides"),
         ("window_px=12", "odd"),
-        ("star.passband_nm=[100,200]", "nm"),
+        ("passband.range_nm=[100,200]", "nm"),
         ("tabel.axes=xy", "table"),
     ],
 )

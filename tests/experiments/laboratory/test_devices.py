@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from experiments.laboratory.brightness import BrightnessControl
-from experiments.laboratory.filter_wheel import FilterWheel, open_wheel
 from experiments.laboratory.points import nominal_px
 from experiments.laboratory.targets import GridTarget, grid_directions, survey
-from optics.errors import ConfigError, DomainError
+from optics.errors import DomainError
 from optics.units import ARCSEC_RAD
 
 
@@ -29,15 +28,6 @@ def test_a_setting_error_is_relative():
 def test_a_reach_must_increase(low, high):
     with pytest.raises(DomainError, match="BrightnessControl"):
         BrightnessControl(lowest_e=low, highest_e=high)
-
-
-def test_the_wheel_knows_its_filters():
-    wheel = open_wheel(450.0, 900.0, 20.0)
-    assert wheel.select("open").centre_nm == 675.0
-    with pytest.raises(ConfigError, match="open"):
-        wheel.select("opne")
-    with pytest.raises(DomainError, match="name of its own"):
-        FilterWheel(filters=(*wheel.filters, *wheel.filters))
 
 
 def test_grid_points_lie_on_the_detector_where_they_should(star_camera):

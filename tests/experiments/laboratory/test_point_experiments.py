@@ -22,7 +22,7 @@ def run(name, *arguments, capsys):
         ("temporal", "brightness.lowest_e=30000", "the first must be the lower one"),
         ("temporal", "instrument.lense=x", "lense"),
         ("temporal", "place_px=[20, 20]", "off the detector"),
-        ("temporal", "source.passband_nm=[300, 900]", "source.passband_nm"),
+        ("temporal", "passband.range_nm=[300, 900]", "passband.range_nm"),
         ("temporal", "instrument.defocus_mm=0.5", "window_px"),
         ("hsfe", "steps.step_px=7", "not smaller than half the window"),
         ("hsfe", "steps.positions=1", "positions"),

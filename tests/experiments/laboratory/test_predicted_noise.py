@@ -19,7 +19,7 @@ from experiments.laboratory.point_scene import point_scene
 from experiments.laboratory.points import PointReadout
 from experiments.laboratory.readout.frames import empty_frame
 from experiments.laboratory.readout.noise_model import true_noise
-from experiments.laboratory.settings import InstrumentConfig
+from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
 from experiments.laboratory.single_star.star_readings import WindowPlan, read_windows
 from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
 from render.detector.readout import expose
@@ -149,11 +149,14 @@ def dataset(engine, chip_file):
     """Frames of the sky through the chip; the pixel variance of a frame without stars, measured."""
     from experiments.dataset.frames.maker import FrameMaker
     from experiments.dataset.frames.scene import build_scene
-    from experiments.dataset.settings import CameraConfig, CatalogueConfig, ConePointing, Config, VerifyConfig
+    from experiments.dataset.settings import ConePointing, Config, VerifyConfig
 
     config = Config(
-        camera=CameraConfig(detector=str(chip_file), width_px=128, height_px=128, nodes=3, exposure_s=0.1),
-        sky=CatalogueConfig(faintest_mag=9.0),
+        instrument=InstrumentConfig(
+            lens="star_tracker_26mm", detector=str(chip_file), width_px=128, height_px=128, exposure_s=0.1
+        ),
+        nodes=3,
+        catalogue=CatalogueConfig(faintest_mag=9.0),
         pointing=ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1),
         verify=VerifyConfig(dark_frames=3),
     )
@@ -194,7 +197,7 @@ def test_bound_of_the_dataset(dataset, engine):
 
     maker, made = dataset
     scene = maker.scene
-    psfs = render_psf_grid(scene, temperature_k=5800.0, window_px=scene.config.verify.window_px)
+    psfs = render_psf_grid(scene, temperature_k=5800.0, window_px=scene.config.window_px)
     stated = dataset_bound(scene, psfs, made.background_e)
     variance = empty_pixels(scene, made.background_e, scene.config.verify.dark_frames)
     nearest = int(np.hypot(*(psfs.place_px - scene.instrument.camera.centre_px).T).argmin())
@@ -203,7 +206,7 @@ def test_bound_of_the_dataset(dataset, engine):
         np.zeros(1),
         noise=NoiseModel(read_noise_e=float(np.sqrt(variance.mean()))),
         background_e=0.0,
-        window_px=scene.config.verify.window_px,
+        window_px=scene.config.window_px,
         electrons=(30.0, 40.0),
     )
     faint = np.full(1, 30.0), np.zeros((1, 2)), np.zeros(1)

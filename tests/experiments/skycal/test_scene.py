@@ -108,14 +108,18 @@ def test_model_names():
 @pytest.mark.parametrize(
     ("setting", "said"),
     [
-        ("wide.window_px=0", "wide.window_px: the corners of 2048 x 2048 px see 17.3 deg"),
-        ("wide.window_px=4096", "wide.window_px = 4096 px: width_px = 4096 px; detector 'CMV4000' has 2048 px"),
-        ("narrow.window_px=1000", "windows are cut from one chip only"),
+        (
+            'wide.instrument={lens="star_tracker_26mm",detector="cmv4000"}',
+            "wide: the corners of 2048 x 2048 px see 17.3 deg",
+        ),
+        ("wide.instrument.lens=star_tracker_26m", "did you mean star_tracker_26mm"),
+        ("wide.instrument.width_px=4096", "wide.instrument.width_px = 4096 px; detector 'CMV4000' has 2048 px"),
+        ("narrow.instrument.width_px=1000", "windows are cut from one chip only"),
         ("narrow.instrument.lens=nothing", "unknown lens 'nothing'"),
         ("narrow.instrument.lens=double_gauss_50mm", "set absorption = false"),
         ("narrow.faintest_mag=2", "stars per frame to G = 2"),
         ("narrow.faintest_mag=12", "ends at G = 10"),
-        ("sky.passband_nm=[300, 900]", "sky.passband_nm: 'full pass band' passes 290 ... 910 nm"),
+        ("passband.range_nm=[300, 900]", "passband.range_nm: 'full pass band' passes 290 ... 910 nm"),
         ("wide.models=['cubic']", "a camera model is"),
         ("narrow.model=polynomial_9", "is none of models"),
         ("gyro.rate_hz=0.5", "at least motion.frame_rate_hz = 1 Hz"),

@@ -96,7 +96,7 @@ def test_what_a_square_table_is_taken_for_does_not_fit() -> None:
         ("two_axis.reading_noise_arcsec=[-0.3]", "cannot be negative"),
         ("window_px=12", "odd"),
         ("grid.edge_px=5", "windows leave the detector"),
-        ("star.passband_nm=[900,450]", "two increasing"),
+        ("passband.range_nm=[900,450]", "two increasing"),
         ("installation_deg=[40,0,0]", "at most 30 deg"),
         ("reduction.star_deg=[90,0]", "at most 60 deg"),
         ("study.field_deg=[0,3]", "0.5"),

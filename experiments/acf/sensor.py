@@ -1,0 +1,61 @@
+"""The camera of a sensor file as this experiment knows cameras: a Brown-Conrady model of its chief rays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from calib.cameras.base import SensorGeometry
+from calib.cameras.brown_conrady import BrownConrady
+from calib.cameras.fit import fit_to_map
+from experiments.laboratory.instrument import build_instrument
+from experiments.laboratory.settings import InstrumentConfig
+from optics.frames import field_angles_deg
+from optics.rays.chief import chief_ray_points
+
+__all__ = ["camera_settings"]
+
+
+POINTS = 15
+"""Along each side of the detector; seven would determine the four unknowns."""
+
+
+def camera_settings(config: InstrumentConfig) -> dict[str, Any]:
+    """Table ``camera`` of the experiment: focal length and radial distortion fitted to chief rays over the detector.
+
+    Parameters
+    ----------
+    config : InstrumentConfig
+        Lens, detector and how they are operated; a lens of revolution has neither a principal point beside the middle
+        of the detector nor tangential distortion.
+
+    Raises
+    ------
+    StarbenchError
+        What `build_instrument` raises; a detector that sees beyond the field of the lens.
+    """
+    instrument = build_instrument(config)
+    instrument.check_field()
+    camera = instrument.camera
+    geometry = SensorGeometry(
+        width_px=camera.width_px, height_px=camera.height_px, pixel_pitch_mm=camera.pixel_pitch_mm
+    )
+    place = geometry.grid_px(POINTS)
+    direction = camera.nominal_direction(place[:, 0], place[:, 1], instrument.focal_length_mm)
+    lens = camera.focused_lens
+    x_mm, y_mm = chief_ray_points(lens, *field_angles_deg(direction))
+    pixel = camera.centre_px + np.column_stack([x_mm, -y_mm]) / camera.pixel_pitch_mm
+    start = BrownConrady.create(geometry, focal_length_mm=instrument.focal_length_mm)
+    free = ("focal_length_mm", "q1_per_mm2", "q2_per_mm4", "q3_per_mm6")
+    model = fit_to_map(start, direction, pixel, free=free, turn=False).model
+    return {
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        "pixel_um": 1e3 * camera.pixel_pitch_mm,
+        "x0_px": 0.0,
+        "y0_px": 0.0,
+        "p1_per_mm": 0.0,
+        "p2_per_mm": 0.0,
+        **{name: model.value(name) for name in free},
+    }

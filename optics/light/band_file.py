@@ -1,0 +1,109 @@
+"""Filter curves from CSV files, as makers and spectrophotometers write them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from optics.arrays import FloatArray
+from optics.errors import ConfigError, DomainError
+from optics.light.band import TabulatedBand
+
+__all__ = ["load_band"]
+
+BLOCKED_FRACTION = 1e-3
+"""Of the peak: tails below it are left out, or a curve of a blocked filter would be light at all wavelengths."""
+NOISE_FRACTION = 0.005
+"""Readings down to minus this are the noise of a spectrophotometer at zero."""
+_COLUMNS = {"transmission": 1.0, "transmission_percent": 0.01}
+
+
+def load_band(path: str | Path, name: str = "") -> TabulatedBand:
+    """Read a filter curve.
+
+    The first two columns are wavelength [nm], up or down, and transmission as a fraction, separated by commas,
+    semicolons, tabs or blanks; lines that begin with ``#`` are left out. The header may be missing. A second column
+    named ``transmission_percent`` is converted.
+
+    Parameters
+    ----------
+    path : path
+        CSV file.
+    name : str
+        What tables call the band; the name of the file if left out.
+
+    Returns
+    -------
+    TabulatedBand
+        The curve between the points where it falls below 1e-3 of its peak.
+
+    Raises
+    ------
+    ConfigError
+        File missing or no table of numbers (with the line).
+    DomainError
+        Percent or micrometres that are not said to be, wavelengths out of order, values outside 0 ... 1.
+    """
+    shown = Path(path).name
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or 'no text'})") from None
+    table, scale = _table(text, shown)
+    wave, value = table[:, 0], table[:, 1] * scale
+    if len(wave) > 1 and wave[0] > wave[-1]:
+        wave, value = wave[::-1], value[::-1]
+    if wave.max() < 100.0:
+        raise DomainError(f"{shown}: wavelengths up to {wave.max():g}: nanometres are needed, these look like others")
+    if scale == 1.0 and value.max() > 1.0:
+        raise DomainError(
+            f"{shown}: transmissions up to {value.max():g}: fractions of 1 are needed; if these are percent, call the "
+            "column transmission_percent"
+        )
+    value = np.where((value < 0.0) & (value >= -NOISE_FRACTION), 0.0, value)
+    lit = np.flatnonzero(value >= BLOCKED_FRACTION * value.max())
+    part = slice(max(int(lit[0]) - 1, 0), int(lit[-1]) + 2)
+    outside = np.ones(len(wave), bool)
+    outside[lit[0] : lit[-1] + 1] = False
+    value = np.where(outside, 0.0, value)
+    return TabulatedBand(name=name or Path(path).stem, source=shown, wavelength_nm=wave[part], value=value[part])
+
+
+def _table(text: str, shown: str) -> tuple[FloatArray, float]:
+    """Rows (n, 2), and what the second column is multiplied with."""
+    rows: list[tuple[float, float]] = []
+    scale = 1.0
+    for number, line in enumerate(text.splitlines(), start=1):
+        cells = [cell for cell in re.split(r"[;,\s]+", line.strip()) if cell]
+        if not cells or cells[0].startswith("#"):
+            continue
+        try:
+            wavelength, value = map(float, cells[:2])
+        except ValueError:
+            if rows:
+                raise ConfigError(
+                    f"{shown}, line {number}: {line.strip()!r}: wavelength_nm and transmission are needed"
+                ) from None
+            scale = _scale(cells, f"{shown}, line {number}")
+            continue
+        rows.append((wavelength, value))
+    if len(rows) < 2:
+        raise ConfigError(f"{shown}: {len(rows)} rows of wavelength_nm, transmission; at least two are needed")
+    table = np.array(rows)
+    if not np.isfinite(table).all():
+        raise DomainError(f"{shown}: a number is NaN or infinite")
+    return table, scale
+
+
+def _scale(cells: list[str], where: str) -> float:
+    """What the column of a header is multiplied with; a header is words, and percent has to be called so."""
+    words = [cell.strip("\"'").lower() for cell in cells]
+    if len(words) > 1 and words[1] in _COLUMNS:
+        return _COLUMNS[words[1]]
+    if any("%" in word or "percent" in word for word in words):
+        raise ConfigError(f"{where}: write the header as wavelength_nm, transmission_percent if the values are percent")
+    return 1.0
