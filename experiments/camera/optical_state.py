@@ -9,6 +9,7 @@ import numpy as np
 
 from experiments.camera.settings import Config
 from experiments.laboratory.detector_changes import DetectorConfig, overridden
+from experiments.laboratory.filter_wheel import open_band
 from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, PassbandConfig
 from optics.arrays import FloatArray
@@ -119,16 +120,13 @@ def magnitude_system(config: CatalogueConfig) -> str:
     """Scale of the magnitudes of a catalogue."""
     from experiments.laboratory.catalogue import load_catalogue
 
-    return "G" if config.catalogue == "gaia" else load_catalogue(config).magnitude_system
+    return "G" if config.source == "gaia" else load_catalogue(config).magnitude_system
 
 
 @lru_cache(maxsize=_LAYERS)
 def _state(
     config: InstrumentConfig, chip: DetectorConfig, passband: PassbandConfig, system: str, temperature_k: float
 ) -> OpticalState:
-    def open_band(p: PassbandConfig, i: Instrument) -> Band:
-        return i.passband(p.range_nm if any(p.range_nm) else None, edge_nm=p.edge_nm)
-
     instrument = build_instrument(config, detector=overridden(configured_detector(config), chip))
     try:
         instrument.check_field()

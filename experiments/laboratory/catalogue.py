@@ -20,13 +20,13 @@ def load_catalogue(config: CatalogueConfig) -> StarCatalog:
     StarbenchError
         Missing, not understood, in wrong units, without magnitudes.
     """
-    if config.catalogue == "gaia":
+    if config.source == "gaia":
         return _gaia()
     from render.catalogue.read import read_catalog
 
     system = None if config.magnitude_system == "preset" else config.magnitude_system
     try:
-        return read_catalog(Path(config.catalogue), config.preset, magnitude_system=system)
+        return read_catalog(Path(config.source), config.preset, magnitude_system=system)
     except ConfigError as error:
         if "magnitude_system=" not in str(error):
             raise

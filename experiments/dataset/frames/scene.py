@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +11,12 @@ from scipy.spatial.transform import Rotation
 from experiments.dataset.frames.plan import Plan, build_plan, fastest_rad_per_s, plan_frame, sun_direction
 from experiments.dataset.frames.sky_light import SkyLight, build_sky_light, check_sun
 from experiments.dataset.settings import Config, SkyPointing
+from experiments.laboratory.catalogue import load_catalogue
 from experiments.laboratory.filter_wheel import open_band
 from experiments.laboratory.instrument import Instrument, build_instrument
 from experiments.laboratory.settings import CatalogueConfig
 from optics.arrays import FloatArray
-from optics.errors import ConfigError, DomainError
+from optics.errors import DomainError
 from optics.units import ARCSEC_RAD
 from render.catalogue.index import SkyIndex, build_index
 from render.catalogue.motion import Observer, earth_observer
@@ -27,7 +26,7 @@ from render.detector.radiation import aged
 from render.fits.wcs import LensWcs, lens_wcs
 from render.sky.field import FieldOfView, SkyField, StarLight, field_of, field_of_view, star_light
 
-__all__ = ["Scene", "build_scene", "load_catalogue", "seen_at", "stars_of"]
+__all__ = ["Scene", "build_scene", "seen_at", "stars_of"]
 
 
 MARGIN_PX = 16.0
@@ -153,37 +152,6 @@ def _aged(instrument: Instrument, config: Config) -> Instrument:
         annealed_s=LONGEST_ANNEALED_S,
     )
     return replace(instrument, detector=detector)
-
-
-def load_catalogue(config: CatalogueConfig) -> StarCatalog:
-    """The configured catalogue.
-
-    Raises
-    ------
-    StarbenchError
-        Missing, not understood, in wrong units, without magnitudes.
-    """
-    if config.source == "gaia":
-        return _gaia()
-    from render.catalogue.read import read_catalog
-
-    system = None if config.magnitude_system == "preset" else config.magnitude_system
-    try:
-        return read_catalog(Path(config.source), config.preset, magnitude_system=system)
-    except ConfigError as error:
-        if "magnitude_system=" not in str(error):
-            raise
-        raise ConfigError(
-            f"catalogue.preset = {config.preset!r} tells no scale of magnitudes; set "
-            "catalogue.magnitude_system to V or G"
-        ) from None
-
-
-@cache
-def _gaia() -> StarCatalog:
-    from render.catalogue.gaia import load_gaia
-
-    return load_gaia()
 
 
 def stars_of(scene: Scene, frame: int) -> SkyField:
