@@ -19,7 +19,7 @@ both alike, and their parity stays undecided.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -27,7 +27,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import gammaincc
 
+from calib.attitude.exchange import best_exchange
 from calib.attitude.wahba import adjugate3, rotation_quest, rotation_svd
+from calib.fitting.misfit import ChiSquare, joined
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.records import freeze, locked
@@ -46,10 +48,11 @@ UNIT_TOLERANCE = 1e-6  # a direction further from unit length is something else:
 DEGENERATE_SPREAD = 1e-13  # smallest over largest information; below, all stars lie within 3e-7 rad of one axis
 DEGENERATE_SIGMA_RAD = 0.5  # a rotation less certain than this is not measured
 PARITY_CHI2 = 25.0  # chi-square by which one parity must beat the other: 5 sigma
+EXCHANGED_PART = 0.04  # of the loss, and of that of a reflection: an exchange must make residuals five times smaller
 P_LIMIT = 1e-6  # probability of the loss below which measurements and sigma contradict each other
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class AttitudeSolution:
     """One attitude.
 
@@ -61,10 +64,11 @@ class AttitudeSolution:
         Of the error's rotation vector in cam [rad^2]; infinite diagonal where degenerate.
     status : str
         ``"ok"``; ``"degenerate"``: fewer than two stars, or all in one direction (or in two opposite ones);
-        ``"mirrored"``: a reflection fits at least twice as well (in sigmas) as any rotation; ``"inconsistent"``: the
-        loss is too large for the stated sigma (probability below 1e-6), or a reflection fits a little better.
+        ``"exchanged"``: the stars contradict each other unless two of them change names; ``"mirrored"``: a reflection
+        fits at least twice as well (in sigmas) as any rotation; ``"inconsistent"``: the loss is too large for the
+        stated sigma (probability below 1e-6), or a reflection fits a little better.
     message : str
-        One line on what the status means here.
+        One line on what the status means here, and on a stated sigma that the stars contradict.
     parity : int
         1: a rotation fits better than any reflection by 5 sigma, -1: worse by 5 sigma, 0: undecided.
     loss, expected_loss : float
@@ -76,6 +80,9 @@ class AttitudeSolution:
         Scale of the errors: 1 where the sigmas were stated, else the error per axis of a star of weight 1.
     stars : int
         Number of stars.
+    exchanged : (2,) int64
+        Rows of the two stars that fit with their names exchanged; -1 unless the status says so. The rotation is that of
+        the stars as they were given.
     """
 
     rotation: Rotation
@@ -88,14 +95,28 @@ class AttitudeSolution:
     probability: float
     sigma_rad: float
     stars: int
+    exchanged: NDArray[np.int64]
 
     def __post_init__(self) -> None:
         freeze(self, "covariance_rad2", shape=(3, 3), finite=False)
+        freeze(self, "exchanged", shape=(2,), dtype=np.int64)
+
+    def __repr__(self) -> str:
+        sigma = ", ".join(f"{value:.3g}" for value in self.sigma_arcsec)
+        return (
+            f"<AttitudeSolution {joined(f'{self.status}: {self.message}', f'sigma {sigma} arcsec', str(self.misfit))}>"
+        )
 
     @property
     def ok(self) -> bool:
         """Whether the attitude can be used."""
         return self.status == "ok"
+
+    @property
+    def misfit(self) -> ChiSquare:
+        """Twice the loss beside its expectation 2n - 3; not tested without a stated sigma."""
+        freedom = 0 if np.isnan(self.probability) else round(2.0 * self.expected_loss)
+        return ChiSquare(value=2.0 * self.loss, degrees_of_freedom=freedom)
 
     @property
     def sigma_arcsec(self) -> FloatArray:
@@ -116,6 +137,7 @@ class AttitudeSolutions:
     probability: FloatArray
     sigma_rad: FloatArray
     stars: NDArray[np.int64]
+    exchanged: NDArray[np.int64]
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {"f": len(self.rotation)}
@@ -123,6 +145,7 @@ class AttitudeSolutions:
         object.__setattr__(self, "status", locked(self.status, np.str_))
         for name in ("parity", "stars"):
             freeze(self, name, shape=("f",), dtype=np.int64, sizes=sizes)
+        freeze(self, "exchanged", shape=("f", 2), dtype=np.int64, sizes=sizes)
         for name in ("loss", "expected_loss", "probability", "sigma_rad"):
             freeze(self, name, shape=("f",), finite=False, sizes=sizes)
 
@@ -142,18 +165,20 @@ class AttitudeSolutions:
     def frame(self, index: int) -> AttitudeSolution:
         """The solution of one frame."""
         status = str(self.status[index])
-        return AttitudeSolution(
+        found = AttitudeSolution(
             rotation=self.rotation[index],
             covariance_rad2=self.covariance_rad2[index],
             status=status,
-            message=_message(status, self, index),
+            message="",
             parity=int(self.parity[index]),
             loss=float(self.loss[index]),
             expected_loss=float(self.expected_loss[index]),
             probability=float(self.probability[index]),
             sigma_rad=float(self.sigma_rad[index]),
             stars=int(self.stars[index]),
+            exchanged=self.exchanged[index],
         )
+        return replace(found, message=_message(found))
 
 
 def solve_wahba(
@@ -250,7 +275,35 @@ def solve_wahba_many(
     # 2 * smallest eigenvalue of B R^T: what a reflection loses (positive) or gains (negative) against the rotation.
     symmetric = profile @ matrix.swapaxes(1, 2)
     smallest = np.asarray(np.linalg.eigvalsh(0.5 * (symmetric + symmetric.swapaxes(1, 2)))[:, 0], np.float64)
-    return _judged(Rotation.from_matrix(matrix), outer, loss, smallest, total, stars, stated=sigma_rad is not None)
+    stated = sigma_rad is not None
+    solved = _judged(Rotation.from_matrix(matrix), outer, loss, smallest, total, stars, stated=stated)
+    return _with_exchanges(solved, v_cam, v_ref, weights, index, matrix, loss, loss + 2.0 * total * smallest)
+
+
+def _with_exchanges(
+    solved: AttitudeSolutions,
+    v_cam: FloatArray,
+    v_ref: FloatArray,
+    weights: FloatArray,
+    index: NDArray[np.int64],
+    matrix: FloatArray,
+    loss: FloatArray,
+    reflected: FloatArray,
+) -> AttitudeSolutions:
+    """The same, with the frames named in which two stars were exchanged: those that neither a rotation explains nor,
+    five times worse than the exchange, a reflection."""
+    doubtful = np.isin(solved.status, ("mirrored", "inconsistent")) & (solved.stars > 2)
+    if len(solved) == 1 and np.isnan(solved.probability[0]):  # without a sigma only the comparison tells
+        doubtful |= (solved.status == "ok") & (solved.stars > 3)
+    if not doubtful.any():
+        return solved
+    status, exchanged = np.array(solved.status), np.array(solved.exchanged)
+    for frame in np.flatnonzero(doubtful):
+        mine = np.flatnonzero(index == frame)
+        pair, mended = best_exchange(v_cam[mine], v_ref[mine], weights[mine], matrix[frame])
+        if mended < EXCHANGED_PART * min(loss[frame], max(reflected[frame], 0.0)):
+            status[frame], exchanged[frame] = "exchanged", mine[pair]
+    return replace(solved, status=status, exchanged=exchanged)
 
 
 def _judged(
@@ -297,6 +350,7 @@ def _judged(
         probability=probability,
         sigma_rad=np.sqrt(scale2),
         stars=stars,
+        exchanged=np.full((len(loss), 2), -1),
     )
 
 
@@ -370,19 +424,21 @@ def _weights(sigma_rad: ArrayLike | None, weight: ArrayLike | None, n: int) -> F
     return np.asarray(values if sigma_rad is None else values**-2)
 
 
-def _message(status: str, solutions: AttitudeSolutions, index: int) -> str:
-    stars = int(solutions.stars[index])
+def _message(found: AttitudeSolution) -> str:
+    stars, status = found.stars, found.status
     if status == "degenerate":
         return f"{stars} stars do not fix a rotation: at least two in different directions are needed"
+    if status == "exchanged":
+        first, second = found.exchanged
+        return f"stars {first} and {second} (rows) have each other's names: exchanged, the {stars} stars fit"
     if status == "mirrored":
         return (
             f"mirrored sky: a reflection fits the {stars} stars better than any rotation; one image axis is flipped, "
             "or rows and columns are exchanged"
         )
     if status == "inconsistent":
-        loss, expected = float(solutions.loss[index]), float(solutions.expected_loss[index])
         return (
-            f"loss {loss:.4g} of {stars} stars where {expected:.4g} is expected: wrong matches, "
+            f"loss {found.loss:.4g} of {stars} stars where {found.expected_loss:.4g} is expected: wrong matches, "
             "a wrong camera model or too small a sigma"
         )
-    return f"{stars} stars"
+    return joined(f"{stars} stars", found.misfit.note)

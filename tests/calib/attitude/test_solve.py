@@ -169,6 +169,44 @@ def test_mirrored_sky_of_a_wrong_focal_length():
     assert solve_wahba(wrong * [-1, 1, 1], v_ref, sigma_rad=SIGMA_RAD).status == "mirrored"
 
 
+@pytest.mark.parametrize("n", [3, 4, 5, 20])
+def test_two_exchanged_stars_are_named_and_not_called_a_mirrored_sky(n):
+    """A third of such frames of three stars fit a reflection better than any rotation; rows count in the list."""
+    rng = np.random.default_rng(9)
+    _, v_cam, v_ref, frame = many_frames(rng, frames=60, stars=n)
+    seen, given = measured(rng, v_cam), np.array(v_ref)
+    first = n * np.arange(60)
+    given[first + 1], given[first + n - 1] = v_ref[first + n - 1], v_ref[first + 1]
+    order = rng.permutation(60 * n)
+    solved = solve_wahba_many(seen[order], given[order], frame[order], sigma_rad=SIGMA_RAD)
+    assert (solved.status == "exchanged").all()
+    wanted = np.stack([first + 1, first + n - 1], axis=1)
+    np.testing.assert_array_equal(np.sort(order[solved.exchanged], axis=1), wanted)
+    pair = solved.exchanged[7]
+    assert f"stars {pair[0]} and {pair[1]}" in solved.frame(7).message
+
+
+def test_exchanged_stars_are_found_without_a_sigma_too():
+    rng = np.random.default_rng(10)
+    v_cam = star_field(rng, 12, 8.0)
+    given = v_cam[[0, 1, 9, 3, 4, 5, 6, 7, 8, 2, 10, 11]]
+    found = solve_wahba(measured(rng, v_cam), given)
+    assert found.status == "exchanged"
+    assert found.exchanged.tolist() == [2, 9]
+    assert solve_wahba(measured(rng, v_cam), v_cam).exchanged.tolist() == [-1, -1]
+
+
+@pytest.mark.parametrize("wrong", [0.01, 0.1, 1.0, 10.0, 100.0])
+def test_a_stated_sigma_that_is_wrong_is_said(wrong):
+    rng = np.random.default_rng(11)
+    v_cam = star_field(rng, 15, 8.0)
+    found = solve_wahba(measured(rng, v_cam), v_cam, sigma_rad=SIGMA_RAD * wrong)
+    assert found.misfit.degrees_of_freedom == 27
+    assert found.status == ("inconsistent" if wrong < 1 else "ok")
+    assert ("too small a sigma" in found.message) == (wrong < 1)
+    assert ("stated too large" in repr(found)) == (wrong > 1)
+
+
 def test_parity_of_two_stars_stays_undecided():
     rng = np.random.default_rng(11)
     v_cam = star_field(rng, 2, 10.0)
