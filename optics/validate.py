@@ -189,12 +189,16 @@ def _allowed(model_class: type[BaseModel], location: Location) -> str:
 def allowed_range(field: FieldInfo) -> str:
     """Bounds of a field in words, such as ``above 0 and at most 1000``; "" if it has none."""
     bounds = [
-        text.format(getattr(constraint, name))
+        text.format(_number(getattr(constraint, name)))
         for name, text in _BOUNDS
         for constraint in _constraints(field)
         if getattr(constraint, name, None) is not None
     ]
     return " and ".join(bounds)
+
+
+def _number(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _constraints(field: FieldInfo) -> Iterator[Any]:

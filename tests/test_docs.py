@@ -5,7 +5,7 @@ import os
 import re
 import subprocess
 import sys
-from importlib.util import find_spec
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import numpy as np
@@ -86,3 +86,10 @@ def test_the_script_with_stars_of_ones_own_runs_and_measures(tmp_path):
     assert len(errors) == 10  # every star, nothing else
     assert max(map(abs, errors)) < 0.1  # a Gaussian on a spot with coma; a slip of half a pixel would show
     assert (tmp_path / "frame.fits").exists()
+
+
+def test_the_page_of_the_sensor_file_is_that_of_its_model():
+    spec = spec_from_file_location("make_sensor_file_page", ROOT / "docs" / "make_sensor_file_page.py")
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert module.PAGE.read_text(encoding="utf-8") == module.page(), "run python docs/make_sensor_file_page.py"

@@ -183,8 +183,8 @@ def _defaults(experiment: Experiment, options: _Options, *, whole: bool) -> str:
         return toml_text(config, f"All settings of the experiment {experiment.name}: {run} --config THIS_FILE")
     return toml_text(
         sensor,
-        f"A sensor file: {run} --sensor THIS_FILE; every other experiment takes it too. A key that is left out has the "
-        "default of the experiment.",
+        f"A sensor file: {run} --sensor THIS_FILE; every other experiment takes it too. Keys may be left out; "
+        "docs/sensor_file.md says what holds then.",
     )
 
 

@@ -13,7 +13,7 @@ from experiments.laboratory.requirements import RequirementsConfig
 from experiments.laboratory.settings import CatalogueConfig, FilterConfig, InstrumentConfig, PassbandConfig
 from optics.validate import parse_model
 
-__all__ = ["SensorConfig", "SensorExperimentConfig", "read_sensor"]
+__all__ = ["SensorConfig", "SensorExperimentConfig", "read_sensor", "whole_sensor"]
 
 
 class SensorConfig(StrictModel):
@@ -44,12 +44,15 @@ class SensorExperimentConfig(ExperimentConfig):
     def of_sensor(cls, file: Path) -> dict[str, Any]:
         """Settings of this experiment that a sensor file decides.
 
+        The tables of the file are whole: a key that is left out in them has the default of `SensorConfig`, the same in
+        every experiment. What the file does not say of the processing is the experiment's own.
+
         Raises
         ------
         ConfigError
             As `read_sensor`.
         """
-        return {key: value for key, value in read_sensor(file).items() if key in cls.model_fields}
+        return {key: value for key, value in whole_sensor(file).items() if key in cls.model_fields}
 
     def as_sensor(self, file: Path | None) -> SensorConfig | None:
         """The sensor file of this configuration; parameters as of `ExperimentConfig.as_sensor`.
@@ -76,3 +79,12 @@ def read_sensor(file: Path) -> dict[str, Any]:
     given = read_settings(SensorConfig, file)
     parse_model(SensorConfig, given, file.name)
     return given
+
+
+def whole_sensor(file: Path) -> dict[str, Any]:
+    """As `read_sensor`, all tables whole, with the defaults of `SensorConfig`."""
+    given = read_sensor(file)
+    tables = {
+        key: value for key, value in SensorConfig.model_validate(given).model_dump().items() if isinstance(value, dict)
+    }
+    return {**given, **tables}

@@ -11,7 +11,7 @@ from pydantic import Field, field_validator, model_validator
 
 from experiments.harness.config import StrictModel
 from experiments.laboratory.centroid_methods import CentroiderName
-from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig, read_sensor
+from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig, whole_sensor
 from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
 
 __all__ = [
@@ -191,12 +191,10 @@ class Config(SensorExperimentConfig):
         Raises
         ------
         ConfigError
-            As `read_sensor`.
+            As `experiments.laboratory.sensor_file.read_sensor`.
         """
-        given = read_sensor(file)
-        own = {"instrument": given.get("instrument", {})}
-        if "faintest_mag" in given.get("catalogue", {}):
-            own["faintest_mag"] = given["catalogue"]["faintest_mag"]
+        given = whole_sensor(file)
+        own = {"instrument": given["instrument"], "faintest_mag": given["catalogue"]["faintest_mag"]}
         shared = {key: value for key, value in given.items() if key in cls.model_fields}
         return {**shared, "which": "own", "own": own}
 

@@ -10,6 +10,7 @@ import numpy as np
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.light.band import TabulatedBand
+from optics.response import check_table
 
 __all__ = ["load_band"]
 
@@ -65,6 +66,7 @@ def load_band(path: str | Path, name: str = "") -> TabulatedBand:
             "column transmission_percent"
         )
     value = np.where((value < 0.0) & (value >= -NOISE_FRACTION), 0.0, value)
+    check_table(wave, value, shown, upper=1.0)
     lit = np.flatnonzero(value >= BLOCKED_FRACTION * value.max())
     part = slice(max(int(lit[0]) - 1, 0), int(lit[-1]) + 2)
     outside = np.ones(len(wave), bool)

@@ -1,0 +1,91 @@
+"""The page of the sensor file: makes docs/sensor_file.md from the model of the configuration.
+
+python docs/make_sensor_file_page.py
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+
+from pydantic import BaseModel
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from experiments.harness.config import ExperimentConfig
+from experiments.harness.registry import found
+from experiments.harness.settings_text import about, toml_value
+from experiments.laboratory.sensor_file import SensorConfig
+
+PAGE = Path(__file__).with_name("sensor_file.md")
+
+HEAD = """# Sensor file
+
+<!-- made by docs/make_sensor_file_page.py from the model of the configuration; change that -->
+
+One TOML file describes a star sensor, and every experiment takes it:
+
+    python -m experiments.camera --sensor my.toml      # what this sensor can do: start here
+    python -m experiments.chromatic --sensor my.toml
+
+`--defaults` writes a complete one with comments, of whatever the other options say; `--defaults all` writes all
+settings of an experiment, for `--config`:
+
+    python -m experiments.camera --set instrument.f_number=4 --defaults > my.toml
+
+[An example](examples/triplet_50mm/sensor.toml) has a lens file and measured filter curves beside it.
+
+* Paths are relative to the file. A name without suffix and folder is something built in.
+* A key that is left out of a table has the default below, in every experiment; `centroid`, `window_px` and
+  `threshold_sigma` that are left out are the experiment's own.
+* A later layer wins, key by key: defaults < `--quick` < `--sensor` < `--config` < `--set` < `--seed`.
+* An unknown key is an error that names the nearest one.
+* A curve is a CSV file of wavelength [nm] and transmission as a fraction, with or without a header line; a column that
+  is called `transmission_percent` is converted. Tails below a thousandth of the peak are left out.
+"""
+
+OWN_WAYS = {
+    "acf": "focal length, distortion and detector of `[instrument]`, as a Brown-Conrady model fitted to its rays",
+    "skycal": "runs it as the camera `own`, to the magnitude of `[catalogue]`",
+}
+
+
+def fields(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
+    """Rows of the table of one model."""
+    yield "| key | default | meaning |"
+    yield "|---|---|---|"
+    for name, field in model.model_fields.items():
+        if not hasattr(field.annotation, "model_fields"):
+            default = "" if field.default is None else f"`{toml_value(field.default)}`"
+            yield f"| `{prefix}{name}` | {default} | {about(name, field)} |"
+
+
+def takers() -> Iterator[str]:
+    """What each experiment takes, one row each."""
+    yield "| experiment | takes |"
+    yield "|---|---|"
+    for name in found():
+        config: type[ExperimentConfig] = import_module(f"experiments.{name}.settings").Config
+        common = [key for key in SensorConfig.model_fields if key in config.model_fields]
+        whole = {key for key in common if hasattr(SensorConfig.model_fields[key].annotation, "model_fields")}
+        takes = ", ".join(f"`[{key}]`" if key in whole else f"`{key}`" for key in common)
+        if name in OWN_WAYS:
+            takes = OWN_WAYS[name] + (f"; {takes}" if takes else "")
+        yield f"| {name} | {takes or 'nothing: it measures no star sensor'} |"
+
+
+def page() -> str:
+    """The page as text."""
+    lines = [HEAD, "## Top level", "", *fields(SensorConfig)]
+    for name, field in SensorConfig.model_fields.items():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            words = (field.annotation.__doc__ or "").strip().partition("\n\n")[0].replace("``", "`")
+            lines += ["", f"## [{name}]", "", words, "", *fields(field.annotation)]
+    lines += ["", "## What each experiment takes", "", *takers()]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")

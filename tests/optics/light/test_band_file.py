@@ -1,0 +1,59 @@
+"""Filter curves from CSV files: what is read, what is converted, what is refused with the line."""
+
+import numpy as np
+import pytest
+
+from optics.errors import ConfigError, DomainError
+from optics.light.band_file import load_band
+
+PLAIN = "500,0.0\n510,0.8\n520,0.4\n530,0.0\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PLAIN,
+        "wavelength_nm,transmission\n" + PLAIN,
+        "# from the maker\n\nWavelength (nm);T\n" + PLAIN.replace(",", "; "),
+        PLAIN.replace(",", "\t"),
+        "\ufeff" + PLAIN.replace("\n", "\r\n"),
+        "wavelength_nm,transmission_percent\n500,0\n510,80\n520,40\n530,0\n",
+        "\n".join(reversed(PLAIN.splitlines())),
+        "300,0.00002\n490,0.0001\n" + PLAIN + "900,0.0003\n",  # a blocked filter leaks a little everywhere
+        PLAIN.replace("530,0.0", "530,-0.0004"),  # noise of a spectrophotometer
+    ],
+    ids=["bare", "header", "semicolons", "tabs", "windows", "percent", "descending", "leaks", "noise"],
+)
+def test_the_same_curve_however_it_is_written(text, tmp_path):
+    file = tmp_path / "green.csv"
+    file.write_text(text, encoding="utf-8")
+    band = load_band(file)
+    assert band.name == band.source.removesuffix(".csv") == "green"
+    assert band.transmission([505.0, 510.0, 515.0, 520.0]) == pytest.approx([0.4, 0.8, 0.6, 0.4], abs=1e-3)
+    assert band.transmission([250.0, 480.0, 535.0, 1000.0]) == pytest.approx(0.0, abs=1e-12)
+    assert np.ptp(band.breakpoints_nm) <= 30.0
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "said"),
+    [
+        ("500,0\n510,80\n520,0\n", DomainError, "green.csv: transmissions up to 80: .*transmission_percent"),
+        ("0.5,0\n0.51,0.8\n0.52,0\n", DomainError, "up to 0.52: nanometres"),
+        ("nm, %\n500,0\n510,80\n", ConfigError, "line 1: write the header as wavelength_nm, transmission_percent"),
+        ("500,0\n510,high\n520,0\n", ConfigError, "line 2: '510,high': wavelength_nm and transmission"),
+        ("500,0\n", ConfigError, "1 rows"),
+        ("500,0\n520,0.5\n510,0.7\n", DomainError, "wavelengths must increase"),
+        ("500,0\n510,nan\n520,0\n", DomainError, "NaN"),
+        ("500,0\n510,-0.2\n520,0.5\n", DomainError, "-0.2 at 510 nm"),
+        ("500,0\n510,0\n520,0\n", DomainError, "opaque"),
+    ],
+)
+def test_what_is_no_transmission_is_refused_with_what_to_do(text, error, said, tmp_path):
+    (tmp_path / "green.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(error, match=said):
+        load_band(tmp_path / "green.csv")
+
+
+def test_a_missing_file_is_said(tmp_path):
+    with pytest.raises(ConfigError, match=r"absent\.csv: no such file"):
+        load_band(tmp_path / "absent.csv")
