@@ -313,7 +313,8 @@ def _match(
         )
     return StarMatch(
         status="matched",
-        message=f"{len(association)} of {usable} detections matched, {len(association.ambiguous)} ambiguous",
+        message=f"{len(association)} of {usable} detections matched, up to {association.distance_px.max():.3g} px from "
+        f"their places, {len(association.ambiguous)} ambiguous",
         association=association,
         attitude=solution,
         chance=chance,

@@ -17,7 +17,7 @@ tetra3rs is an optional dependency: ``pip install 'starbench[solve]'``.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -25,15 +25,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calib.attitude.residuals import star_residuals
 from calib.attitude.solve import AttitudeSolution, solve_wahba
 from calib.cameras.base import CameraModel
+from calib.fitting.misfit import UNTESTED, ChiSquare, joined
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.frames import pixel_to_tetra3rs
 from optics.records import freeze
 from optics.units import DEG_RAD, RAD_ARCSEC
 
-__all__ = ["Identification", "build_database", "identify", "load_database"]
+__all__ = ["Identification", "build_database", "identify", "load_database", "with_residuals"]
 
 TRIM_SIGMA = 5.0  # matches further off are taken for wrong
 TRIM_ROUNDS = 10
@@ -62,6 +64,12 @@ class Identification:
         Probability of a false identification as tetra3rs states it; NaN if there is none.
     scale : float
         Focal length that the stars show, in units of the camera model's.
+    residual_px : (k, 2) or None
+        Measured position minus that of the catalogue star after the best rotation; None unless identified.
+    beyond : (k,) bool or None
+        Stars farther off than 5 sigma of their noise and the stated error of the model; none where no noise was stated.
+    misfit : ChiSquare
+        Residuals beside what noise and model error make them (`calib.attitude.residuals`); the message says it too.
     """
 
     status: str
@@ -72,9 +80,15 @@ class Identification:
     direction: FloatArray
     chance: float = float("nan")
     scale: float = float("nan")
+    residual_px: FloatArray | None = None
+    beyond: NDArray[np.bool_] | None = None
+    misfit: ChiSquare = UNTESTED
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
+        if self.residual_px is not None:
+            freeze(self, "residual_px", shape=("k", 2), sizes=sizes)
+            freeze(self, "beyond", shape=("k",), dtype=np.bool_, sizes=sizes)
         freeze(self, "detected", shape=("k",), dtype=np.int64, sizes=sizes)
         freeze(self, "catalogue_id", shape=("k",), dtype=np.int64, sizes=sizes)
         freeze(self, "direction", shape=("k", 3), sizes=sizes)
@@ -164,6 +178,8 @@ def identify(
     database: Any,
     *,
     flux: ArrayLike | None = None,
+    sigma_px: ArrayLike | None = None,
+    model_error_px: float = 0.0,
     focal_length_error: float = 0.02,
     tolerance_px: float = 5.0,
     catalogue: Mapping[int, ArrayLike] | None = None,
@@ -182,6 +198,10 @@ def identify(
     flux : (n,), optional
         Brightness in any linear unit: patterns are made of the brightest stars. Without it, the order of the rows
         counts, brightest first.
+    sigma_px : float or (n,), optional
+        Standard deviation of each position per axis, by which the residuals are judged.
+    model_error_px : float
+        Error of the camera model per axis that is allowed beside it.
     focal_length_error : float
         How wrong the model's focal length may be (relative).
     tolerance_px : float
@@ -232,7 +252,27 @@ def identify(
         )
     if found.parity_flip:
         return _failed("mirrored", _MIRRORED)
-    return _accepted(found, database, rows, v_cam, focal_px, tolerance_px, catalogue)
+    result = _accepted(found, database, rows, v_cam, focal_px, tolerance_px, catalogue)
+    return with_residuals(result, pixel, model, sigma_px, model_error_px)
+
+
+def with_residuals(
+    found: Identification, pixel_px: FloatArray, model: CameraModel, sigma_px: ArrayLike | None, model_error_px: float
+) -> Identification:
+    """An identification with its residuals judged; ``pixel_px`` (n, 2) and ``sigma_px`` (n,) are all detections'."""
+    if not found.ok:
+        return found
+    sigma = None if sigma_px is None else np.broadcast_to(np.asarray(sigma_px, float), (len(pixel_px),))[found.detected]
+    judged = star_residuals(
+        pixel_px[found.detected], found.direction, model, sigma_px=sigma, model_error_px=model_error_px
+    )
+    return replace(
+        found,
+        message=joined(found.message, judged.note),
+        residual_px=judged.residual_px,
+        beyond=judged.beyond,
+        misfit=judged.misfit,
+    )
 
 
 _MIRRORED = (

@@ -18,10 +18,10 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.association import associate, match_stars, pixel_angle_rad
-from calib.attitude.identify import Identification, build_database, identify
+from calib.attitude.identify import Identification, build_database, identify, with_residuals
 from calib.attitude.solve import AttitudeSolution, solve_wahba
 from calib.cameras.base import CameraModel
-from calib.records import StarTable
+from calib.records import StarTable, X, Y
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.records import freeze
@@ -118,6 +118,7 @@ def identify_stars(
     near: Rotation | None = None,
     radius_px: float = 50.0,
     tolerance_px: float = 2.0,
+    model_error_px: float = 0.0,
     database: Any = None,
 ) -> Identification:
     """Which stars of the sky the stars of a frame are: lost in space, or near an attitude that is roughly known.
@@ -136,6 +137,9 @@ def identify_stars(
         How far from its place the rough attitude may put a star.
     tolerance_px : float
         How far from its place the right attitude may put it.
+    model_error_px : float
+        Error of the camera model per axis that is allowed beside the noise of the stars; a star beyond both is told by
+        ``beyond`` and in the message.
     database : tetra3rs.SolverDatabase, optional
         Patterns (`calib.attitude.identify.build_database`); made for the field of the camera, and kept, if left out.
 
@@ -153,12 +157,16 @@ def identify_stars(
     pixel, flux = stars.pixel_px[usable], stars.flux_e[usable]
     if near is not None:
         bright = usable[np.argsort(-flux, kind="stable")[:BRIGHTEST]]
-        return _near(stars.pixel_px, bright, model, known, near, radius_px=radius_px, tolerance_px=tolerance_px)
-    patterns = _database(round(_field_deg(model), 1)) if database is None else database
-    found = identify(pixel, model, patterns, flux=flux, catalogue=_ById(known))
-    if found.status == "no_match":  # the catalogue may count its stars in another way than the patterns do
-        found = identify(pixel, model, patterns, flux=flux)
-    return replace(found, detected=usable[found.detected])
+        found = _near(stars.pixel_px, bright, model, known, near, radius_px=radius_px, tolerance_px=tolerance_px)
+    else:
+        patterns = _database(round(_field_deg(model), 1)) if database is None else database
+        found = identify(pixel, model, patterns, flux=flux, catalogue=_ById(known))
+        if found.status == "no_match":  # the catalogue may count its stars in another way than the patterns do
+            found = identify(pixel, model, patterns, flux=flux)
+        found = replace(found, detected=usable[found.detected])
+    sigma_px = np.sqrt(0.5 * (stars.covariance[:, X, X] + stars.covariance[:, Y, Y]))
+    known_noise = np.isfinite(sigma_px[found.detected]).all()
+    return with_residuals(found, stars.pixel_px, model, sigma_px if known_noise else None, model_error_px)
 
 
 def solve_attitude(

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammainc, gammaincc
 
-__all__ = ["LARGEST_RATIO", "LARGEST_WRONG_PART", "NOTE_PROBABILITY", "SAME_SPREAD", "ChiSquare", "joined"]
+__all__ = ["LARGEST_RATIO", "LARGEST_WRONG_PART", "NOTE_PROBABILITY", "SAME_SPREAD", "UNTESTED", "ChiSquare", "joined"]
 
 SAME_SPREAD = 1.2  # a typical residual this close to the stated sigma, as a factor, is the stated sigma
 NOTE_PROBABILITY = 1e-3  # two-sided, below which chance is no explanation
@@ -85,6 +85,10 @@ class ChiSquare:
         stated = "< 1e-300" if chance < 1e-300 else f"{chance:.2g}"
         spread = f"{np.sqrt(2.0 * freedom):.2g}"
         return f"chi-square {self.value:.4g}, expected {freedom} +- {spread}, probability {stated}"
+
+
+UNTESTED = ChiSquare(value=0.0, degrees_of_freedom=0)
+"""Where no noise was stated."""
 
 
 def joined(*notes: str) -> str:

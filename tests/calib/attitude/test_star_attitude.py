@@ -1,5 +1,6 @@
 """Attitude of one frame from measured stars: invented stars whose errors are known, with wrong ones among them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -77,6 +78,48 @@ def test_identification_names_stars_and_rows():
     mine = found.detected < len(row)
     assert (found.catalogue_id[mine] == 7 * row[found.detected[mine]]).all()
     assert np.array_equal(found.direction, sky.direction[found.catalogue_id // 7])
+
+
+def test_stars_within_their_noise_need_no_word():
+    sky = random_sky()
+    stars, row = measured(sky, false=0)
+    found = identify_stars(stars, MODEL, sky, near=TRUTH)
+    mine = found.detected[found.detected < len(row)]
+    assert len(mine) > 20
+    assert not found.beyond.any()
+    assert found.misfit.probability > 1e-3
+    assert "stated" not in found.message
+    place = MODEL.project(TRUTH.apply(np.array(found.direction)))
+    np.testing.assert_allclose(found.residual_px, stars.pixel_px[found.detected] - place, atol=0.1)
+
+
+def test_a_residual_beyond_the_noise_is_said_and_a_stated_model_error_covers_it():
+    """Distortion unknown to the model: matched within 10 px, which noise of 0.05 px does not allow."""
+    sky = random_sky(4000)
+    stars, _ = measured(sky, false=0)
+    poor = BrownConrady.create(GEOMETRY, focal_length_mm=25.6, q1_per_mm2=-6e-4)
+    found = identify_stars(stars, poor, sky, near=TRUTH, tolerance_px=10.0)
+    assert found.ok
+    largest = float(np.hypot(*found.residual_px.T).max())
+    assert largest > 2.0
+    assert f"{largest:.3g} px at most" in found.message
+    assert found.misfit.ratio > 10
+    assert "times what the stated sigma makes them" in found.message
+    assert found.beyond.sum() > 0.5 * len(found.beyond)
+    allowed = identify_stars(stars, poor, sky, near=TRUTH, tolerance_px=10.0, model_error_px=largest)
+    assert not allowed.beyond.any()
+
+
+def test_single_stars_beyond_their_noise_are_named():
+    sky = random_sky(4000)
+    stars, _ = measured(sky, false=0)
+    place = np.array(stars.pixel_px)
+    place[:3] += 1.0  # 20 sigma each way: a blend, within the tolerance of a match
+    moved = replace(stars, x_px=place[:, 0], y_px=place[:, 1])
+    found = identify_stars(moved, MODEL, sky, near=TRUTH)
+    assert set(found.detected[found.beyond]) == {0, 1, 2}
+    assert f"3 of {len(found.detected)} stars lie beyond 5 sigma" in found.message
+    assert found.misfit.probability > 1e-3
 
 
 def test_flagged_stars_do_not_vote():

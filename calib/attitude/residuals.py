@@ -1,0 +1,105 @@
+"""How far identified stars lie from their places, and whether their noise and the stated error of the model allow it.
+
+A match within a tolerance of some pixels says which star it is, and no more: with a camera model that is off by pixels,
+or beside a wrong partner, the tolerance is met and the attitude wrong. The stars are therefore brought together by a
+rotation that a minority of wrong ones cannot turn (least distances, then least squares of the stars within 5 sigma),
+and every residual is judged by the centroid's covariance and the stated error of the model.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from calib.attitude.association import pixel_angle_rad
+from calib.attitude.solve import solve_wahba
+from calib.attitude.wahba import rotations_of_groups
+from calib.cameras.base import CameraModel
+from calib.fitting.misfit import LARGEST_WRONG_PART, UNTESTED, ChiSquare, joined
+from optics.arrays import BoolArray, FloatArray
+from optics.errors import DomainError
+
+__all__ = ["Residuals", "star_residuals"]
+
+BEYOND_SIGMA = 5.0  # of both axes together; one star of 270 000 lies there by chance
+ROUNDS = 10
+
+
+class Residuals(NamedTuple):
+    """Residuals (k, 2) [px], measured minus catalogue; which lie beyond their noise (k,); chi-square; one line."""
+
+    residual_px: FloatArray
+    beyond: BoolArray
+    misfit: ChiSquare
+    note: str
+
+
+def star_residuals(
+    pixel_px: FloatArray,
+    v_ref: FloatArray,
+    model: CameraModel,
+    *,
+    sigma_px: ArrayLike | None = None,
+    model_error_px: float = 0.0,
+) -> Residuals:
+    """Residuals of identified stars after the best rotation.
+
+    Parameters
+    ----------
+    pixel_px, v_ref : (k, 2), (k, 3)
+        Measured positions, and directions of the catalogue.
+    model : CameraModel
+        The camera.
+    sigma_px : float or (k,), optional
+        Standard deviation of each position per axis; without it nothing can be judged.
+    model_error_px : float
+        Error per axis of the camera model, and whatever else is not in ``sigma_px``.
+
+    Raises
+    ------
+    DomainError
+        On a sigma that is not positive, or a negative model error.
+    """
+    if not (np.isfinite(model_error_px) and model_error_px >= 0):
+        raise DomainError(f"model_error_px = {model_error_px}; it must be finite and not negative")
+    v_cam, count = model.unproject(pixel_px), len(pixel_px)
+    start = rotations_of_groups(v_cam, v_ref, np.zeros(count, np.int64), 1, robust=True)[0]
+    rotation, kept = Rotation.from_matrix(start), np.ones(count, bool)
+    if sigma_px is None:
+        residual = _residual(pixel_px, v_ref, model, rotation)
+        return Residuals(residual, np.zeros(count, bool), UNTESTED, _size(residual))
+    error = np.hypot(np.broadcast_to(np.asarray(sigma_px, float), (count,)), model_error_px)
+    if not np.all(error > 0):
+        raise DomainError("sigma_px of an identified star is not positive; leave it out, or state a model_error_px")
+    kept = _within(_residual(pixel_px, v_ref, model, rotation), error)
+    for _ in range(ROUNDS):
+        if np.count_nonzero(kept) < max(3, (1.0 - LARGEST_WRONG_PART) * count):
+            kept = np.ones(count, bool)  # no minority: it is the model or the noise
+        turn = solve_wahba(v_cam[kept], v_ref[kept], sigma_rad=error[kept] * pixel_angle_rad(model))
+        rotation = turn.rotation
+        before, kept = kept, _within(_residual(pixel_px, v_ref, model, rotation), error)
+        if np.array_equal(before, kept) or np.count_nonzero(kept) < 3:
+            break
+    residual = _residual(pixel_px, v_ref, model, rotation)
+    judged = kept if np.count_nonzero(kept) >= max(3, (1.0 - LARGEST_WRONG_PART) * count) else np.ones(count, bool)
+    pull2 = np.sum((residual / error[:, None]) ** 2, axis=1)
+    misfit = ChiSquare(value=float(pull2[judged].sum()), degrees_of_freedom=max(2 * int(judged.sum()) - 3, 0))
+    beyond = ~_within(residual, error)
+    text = f"{np.count_nonzero(beyond)} of {count} stars lie beyond {BEYOND_SIGMA:g} sigma of noise and model error"
+    return Residuals(residual, beyond, misfit, joined(_size(residual), text if beyond.any() else "", misfit.note))
+
+
+def _residual(pixel: FloatArray, v_ref: FloatArray, model: CameraModel, rotation: Rotation) -> FloatArray:
+    return pixel - model.project(v_ref @ rotation.as_matrix().T)
+
+
+def _within(residual: FloatArray, error: FloatArray) -> BoolArray:
+    return np.asarray(np.sqrt(np.sum(residual**2, axis=1)) <= BEYOND_SIGMA * error)
+
+
+def _size(residual: FloatArray) -> str:
+    length = np.sqrt(np.sum(residual**2, axis=1))
+    return f"residuals {np.sqrt(np.mean(length**2)):.3g} px RMS, {length.max():.3g} px at most" if len(length) else ""
