@@ -4,8 +4,10 @@ Pixels: FITS counts from 1, starbench from 0. Array element ``[row, column]`` is
 in the order in which astropy stores it; nothing is flipped. A position measured on the array becomes a FITS position by
 adding 1 to both coordinates (``PIXOFF = 1`` in the header says so).
 
-A frame is a 16-bit image (unsigned by ``BZERO = 32768``) with an 8-bit image ``MASK`` behind it: 1 saturated, 2 defect;
-tile-compressed on request, and with more cards, such as the world coordinates of `render.fits.wcs`.
+A frame is a 16-bit image (unsigned by ``BZERO = 32768``) with an 8-bit image ``MASK`` behind it, whose bits the cards
+``SATURATE = 1`` and ``DEFECT = 2`` of its header name; tile-compressed on request, and with more cards, such as the
+world coordinates of `render.fits.wcs`. A ``MASK`` without these cards is taken as astropy's ``CCDData`` writes it: any
+value but 0 is a pixel not to be used. Files of others may hold many frames: planes of a cube, image extensions.
 Cards: ``EXPTIME`` [s], ``GAIN`` [e-/DN] (the reciprocal of EMVA's K: what astronomers call gain), ``RDNOISE`` [e-],
 ``OFFSET`` [DN], ``FILTER``, ``FRAMENUM``. Files appear complete or not at all.
 """
@@ -16,8 +18,9 @@ import io
 import os
 import tempfile
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, Literal
 
@@ -30,9 +33,10 @@ from optics.errors import ConfigError, DomainError, unknown_name
 from render.fits.headers import BLOCK, Card, block, checked_cards
 from render.records import ExpectedImage, Frame
 
-__all__ = ["read_expected", "read_frame", "write_expected", "write_frame"]
+__all__ = ["read_expected", "read_frame", "read_frames", "write_expected", "write_frame"]
 
 _SATURATED, _DEFECT = 1, 2
+_BESIDE = ("MASK", "DQ", "BPM", "ERR", "UNCERT", "WEIGHT")  # extensions that go with a frame and are none
 _PIXEL_OFFSET: Card = ("PIXOFF", 1, "add to array indices for FITS pixels")
 _COMMENT: Card = ("COMMENT", "FITS pixel = starbench pixel + 1 (column -> axis 1, row -> axis 2)", "")
 _MASK_CARDS: tuple[Card, ...] = (
@@ -185,7 +189,7 @@ def read_frame(
     Parameters
     ----------
     path : str or pathlib.Path
-        File; the first image in it is read, a third axis of length 1 dropped.
+        File; the first image in it is read, a third axis of length 1 dropped; `read_frames` reads all.
     gain_dn_per_e, offset_dn, read_noise_e, exposure_s, band : optional
         Take the place of the cards ``GAIN`` (reciprocal), ``OFFSET``, ``RDNOISE``, ``EXPTIME``, ``FILTER``.
 
@@ -201,23 +205,88 @@ def read_frame(
         is missing and not given here.
     """
     path = Path(path)
-    header, image, mask = _read(path)
-    if image.ndim == 3 and image.shape[0] == 1:
-        image = image[0]
-    if image.ndim != 2:
-        raise ConfigError(f"{path}: image has {image.ndim} axes; a frame has 2")
-    if not _is_whole(image):
-        raise ConfigError(f"{path}: image is not made of whole numbers from 0 to 65535; a raw frame is needed")
-    if mask is None or mask.shape != image.shape:
-        mask = np.zeros(image.shape, np.uint8)
+    header, image, mask = next(_images(path))
+    if image.ndim == 3 and len(image) > 1:
+        raise ConfigError(f"{path}: image has 3 axes, {len(image)} planes; one frame is needed here")
+    flags = _mask_planes(path, image.shape, mask)
+    return _frame(
+        path,
+        header,
+        image.reshape(image.shape[-2:]),
+        None if flags is None else flags[0],
+        numbers=[gain_dn_per_e, offset_dn, read_noise_e, exposure_s],
+        band=band,
+    )
+
+
+def read_frames(path: str | Path, *, gain_dn_per_e: float, offset_dn: float, read_noise_e: float) -> Iterator[Frame]:
+    """All frames of a file from elsewhere, one after the other: its image extensions, and the planes of each cube.
+
+    Extensions named MASK, DQ, BPM, ERR, UNCERT or WEIGHT are no frames. A ``MASK`` belongs to the frame with its
+    ``EXTVER``; a single one to all frames.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        The file.
+    gain_dn_per_e, offset_dn, read_noise_e : float
+        What the camera is said to have; cards of the file are not asked.
+
+    Yields
+    ------
+    Frame
+        Exposure time from ``EXPTIME`` or ``EXPOSURE``, NaN without; band from ``FILTER``, empty without; numbered from
+        0 on.
+
+    Raises
+    ------
+    ConfigError
+        As `read_frame`.
+    """
+    path, index = Path(path), 0
+    for header, image, mask in _images(path):
+        planes = image.reshape(-1, *image.shape[-2:])
+        flags = _mask_planes(path, image.shape, mask)
+        seconds = next((header[card] for card in ("EXPTIME", "EXPOSURE") if _is_number(header.get(card))), np.nan)
+        for number, plane in enumerate(planes):
+            yield replace(
+                _frame(
+                    path,
+                    header,
+                    plane,
+                    None if flags is None else flags[number % len(flags)],
+                    numbers=[gain_dn_per_e, offset_dn, read_noise_e, float(seconds)],
+                    band=None,
+                ),
+                index=index,
+            )
+            index += 1
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _frame(
+    path: Path,
+    header: fits.Header,
+    image: NDArray[Any],
+    flags: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None,
+    *,
+    numbers: list[float | None],
+    band: str | None,
+) -> Frame:
+    """A frame from an image and its cards; ``numbers``: gain, offset, read noise, exposure where given."""
+    _check_whole(path, image)
+    saturated, defect = (np.zeros(image.shape, bool), np.zeros(image.shape, bool)) if flags is None else flags
 
     def number(card: str, given: float | None, argument: str) -> float:
         value = given if given is not None else header.get(card)
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if not _is_number(value):
             raise ConfigError(f"{path}: card {card} is missing or no number ({value!r}); give {argument}")
         return float(value)
 
-    gain = gain_dn_per_e
+    gain, offset_dn, read_noise_e, exposure_s = numbers
     if gain is None:
         electrons_per_dn = number("GAIN", None, "gain_dn_per_e")
         if not electrons_per_dn > 0:
@@ -226,8 +295,8 @@ def read_frame(
     index = header.get("FRAMENUM", 0)
     return Frame(
         dn=image.astype(np.uint16),
-        saturated=(mask & _SATURATED) != 0,
-        defect=(mask & _DEFECT) != 0,
+        saturated=saturated,
+        defect=defect,
         gain_dn_per_e=gain,
         offset_dn=number("OFFSET", offset_dn, "offset_dn"),
         read_noise_e=number("RDNOISE", read_noise_e, "read_noise_e"),
@@ -269,7 +338,7 @@ def read_expected(path: str | Path) -> ExpectedImage:
         Missing or broken file, or one of another kind.
     """
     path = Path(path)
-    header, image, _ = _read(path)
+    header, image, _ = next(_images(path))
     if image.ndim != 3 or any(card not in header for card in ("EXPTIME", "DIFFUSED", "NBAND")):
         raise ConfigError(f"{path}: not an expected image; a cube with EXPTIME, DIFFUSED and NBAND is needed")
     try:
@@ -307,8 +376,8 @@ def _umask() -> int:
     return mask
 
 
-def _read(path: Path) -> tuple[fits.Header, NDArray[Any], NDArray[np.uint8] | None]:
-    """(header, first image, MASK or None)."""
+def _images(path: Path) -> Iterator[tuple[fits.Header, NDArray[Any], fits.ImageHDU | None]]:
+    """Header, data of two or three axes, and MASK or None of every frame or cube in a file."""
     if not path.is_file():
         raise ConfigError(f"{path}: no such file")
     try:
@@ -316,22 +385,67 @@ def _read(path: Path) -> tuple[fits.Header, NDArray[Any], NDArray[np.uint8] | No
             warnings.simplefilter("ignore", fits.verify.VerifyWarning)  # cards of others may be untidy
             warnings.filterwarnings("error", category=AstropyUserWarning, message=".*truncated.*")
             with path.open("rb") as stream, fits.open(stream, memmap=False) as content:
-                images = [hdu for hdu in content if hdu.is_image and hdu.name != "MASK" and hdu.data is not None]
-                if not images:
-                    raise ConfigError(f"{path}: holds no image")
-                mask = content["MASK"].data if "MASK" in content else None
-                header, image = images[0].header.copy(), np.array(images[0].data)
-    except ConfigError:
-        raise
+                pictures = [hdu for hdu in content if hdu.is_image and hdu.header.get("NAXIS", 0)]
+                masks = {hdu.ver: hdu for hdu in pictures if hdu.name == "MASK"}
+                found = [
+                    (
+                        hdu.header.copy(),
+                        np.array(hdu.data),
+                        masks.get(hdu.ver if len(masks) > 1 else min(masks, default=1)),
+                    )
+                    for hdu in pictures
+                    if hdu.name not in _BESIDE
+                ]
+                for mask in masks.values():
+                    mask.data  # noqa: B018  # read while the file is open
     except (OSError, ValueError, TypeError, AstropyUserWarning) as error:
         raise ConfigError(f"{path}: not a readable FITS file ({str(error).splitlines()[0]})") from None
-    return header, image, None if mask is None else np.asarray(mask, np.uint8)
+    if not found:
+        raise ConfigError(f"{path}: holds no image")
+    for header, image, beside in found:
+        if image.ndim not in (2, 3) or not image.size:
+            raise ConfigError(f"{path}: image has {image.ndim} axes; a frame has 2, a cube of frames 3")
+        yield header, image, beside
 
 
-def _is_whole(image: NDArray[Any]) -> bool:
-    if not image.size:
-        return False
-    low, high = float(image.min()), float(image.max())
-    if not (low >= 0 and high <= 65535):
-        return False
-    return bool(np.issubdtype(image.dtype, np.integer) or np.array_equal(image, np.rint(image)))
+def _mask_planes(
+    path: Path, shape: tuple[int, ...], mask: fits.ImageHDU | None
+) -> list[tuple[NDArray[np.bool_], NDArray[np.bool_]]] | None:
+    """(saturated, defective) pixels of every plane, or of all planes together, by a MASK."""
+    if mask is None:
+        return None
+    values, header = np.asarray(mask.data), mask.header
+    if values.shape not in (shape, shape[-2:]) or values.dtype.kind not in "iub":
+        raise ConfigError(
+            f"{path}: MASK of shape {values.shape}, {values.dtype}, for an image of shape {shape}; whole numbers for "
+            "the same pixels are needed"
+        )
+    planes = values.reshape(-1, *shape[-2:])
+    bits = {card: header.get(card) for card in ("SATURATE", "DEFECT") if isinstance(header.get(card), int)}
+    if not bits:
+        return [(np.zeros(plane.shape, bool), plane != 0) for plane in planes]
+    unknown = int(np.bitwise_or.reduce(planes, axis=None)) & ~sum(bits.values())
+    if unknown:
+        named = ", ".join(f"{card} = {bit}" for card, bit in bits.items())
+        raise ConfigError(
+            f"{path}: MASK has bits set that no card of its header names (value {unknown}; named are {named}); take "
+            "these cards out to have every value but 0 taken as a pixel not to be used"
+        )
+    return [((plane & bits.get("SATURATE", 0)) != 0, (plane & bits.get("DEFECT", 0)) != 0) for plane in planes]
+
+
+def _check_whole(path: Path, image: NDArray[Any]) -> None:
+    """Refuse what is no raw frame of up to 16 bits, and say why."""
+    if image.dtype.kind == "f" and not np.isfinite(image).all():
+        fault = (
+            f"{int((~np.isfinite(image)).sum())} pixels are NaN or infinite (name them in a MASK or a bad-pixel map)"
+        )
+    elif float(image.min()) < 0:
+        fault = f"values go down to {float(image.min()):g} (signed numbers without BZERO, or a dark frame taken away)"
+    elif float(image.max()) > 65535:
+        fault = f"values go up to {float(image.max()):g}, more than 16 bits hold (a sum of frames, or another scale)"
+    elif not (np.issubdtype(image.dtype, np.integer) or np.array_equal(image, np.rint(image))):
+        fault = "values have fractions (a mean of frames, or an image that was calibrated)"
+    else:
+        return
+    raise ConfigError(f"{path}: image is not made of whole numbers from 0 to 65535: {fault}; a raw frame is needed")

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from astropy.io import fits
+from astropy.nddata import CCDData
 
 from optics.errors import ConfigError
-from render.fits.files import read_expected, read_frame, write_expected, write_frame
+from render.fits.files import read_expected, read_frame, read_frames, write_expected, write_frame
 from render.records import ExpectedImage, Frame
 
 
@@ -213,3 +214,65 @@ def test_expected_image_comes_back(tmp_path: Path) -> None:
 def test_frame_is_no_expected_image(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="not an expected image"):
         read_expected(write_frame(frame(), tmp_path / "a.fits"))
+
+
+def test_cube_and_extensions_are_frames(tmp_path: Path) -> None:
+    """Planes of a cube and image extensions, each with its mask; ERR is no frame; CCDData masks are of bad pixels."""
+    rng = np.random.default_rng(3)
+    cube = rng.integers(0, 4095, (3, 5, 6)).astype(np.uint16)
+    stated = {"gain_dn_per_e": 0.25, "offset_dn": 64.0, "read_noise_e": 13.0}
+    header = fits.Header([("EXPOSURE", 0.2), ("FILTER", "R")])
+    fits.PrimaryHDU(cube, header).writeto(tmp_path / "cube.fits")
+    read = list(read_frames(tmp_path / "cube.fits", **stated))
+    assert [one.index for one in read] == [0, 1, 2]
+    assert all(np.array_equal(one.dn, plane) for one, plane in zip(read, cube, strict=True))
+    assert (read[2].exposure_s, read[2].band, read[2].gain_dn_per_e) == (0.2, "R", 0.25)
+    assert not read[0].defect.any()
+
+    bits = fits.Header([("SATURATE", 4), ("DEFECT", 1)])
+    parts: list[Any] = [fits.PrimaryHDU()]
+    for version, plane in enumerate(cube[:2], start=1):
+        flags = np.zeros(plane.shape, np.uint8)
+        flags[version, 0], flags[0, version] = 4, 1
+        parts += [
+            fits.ImageHDU(plane, name="SCI", ver=version),
+            fits.ImageHDU(np.ones(plane.shape), name="ERR", ver=version),
+            fits.ImageHDU(flags, bits, name="MASK", ver=version),
+        ]
+    fits.HDUList(parts).writeto(tmp_path / "many.fits")
+    read = list(read_frames(tmp_path / "many.fits", **stated))
+    assert len(read) == 2
+    for number, one in enumerate(read):
+        assert np.array_equal(one.dn, cube[number])
+        assert np.argwhere(one.saturated).tolist() == [[number + 1, 0]]
+        assert np.argwhere(one.defect).tolist() == [[0, number + 1]]
+        assert np.isnan(one.exposure_s)
+
+    data = CCDData(cube[0], unit="adu", mask=cube[0] > 3000)
+    data.write(tmp_path / "ccd.fits")
+    (one,) = read_frames(tmp_path / "ccd.fits", **stated)
+    assert np.array_equal(one.defect, cube[0] > 3000)
+    assert not one.saturated.any()
+
+
+@pytest.mark.parametrize(
+    ("image", "words"),
+    [
+        (np.array([[1.0, np.nan]]), "1 pixels are NaN"),
+        (np.array([[1, 70000]], np.int32), "values go up to 70000, more than 16 bits hold"),
+        (np.array([[-3, 5]], np.int16), "values go down to -3"),
+        (np.array([[0.5, 5.0]]), "values have fractions"),
+    ],
+)
+def test_what_is_no_raw_frame_is_said(tmp_path: Path, image: Any, words: str) -> None:
+    fits.PrimaryHDU(image).writeto(tmp_path / "a.fits")
+    with pytest.raises(ConfigError, match=words):
+        list(read_frames(tmp_path / "a.fits", gain_dn_per_e=1.0, offset_dn=0.0, read_noise_e=1.0))
+
+
+def test_mask_bits_without_a_name_are_refused(tmp_path: Path) -> None:
+    path = write_frame(frame(), tmp_path / "a.fits")
+    with fits.open(path, mode="update") as content:
+        content["MASK"].data[0, 0] = 8
+    with pytest.raises(ConfigError, match=r"value 8; named are SATURATE = 1, DEFECT = 2"):
+        read_frame(path)
