@@ -102,5 +102,5 @@ rendered = Experiment(
         "study.orders": [1, 3, 5],
     },
 )
-experiment = or_own_frames(rendered)
+experiment = or_own_frames(rendered, "experiments.distortion.own_frames")
 main = command(experiment)

@@ -278,5 +278,8 @@ def _show(run: _Run, shown: str) -> None:
     rows = [(one.name, one.value, one.demand, one.unit, "yes" if one.passed else "NO") for one in run.criteria]
     heads = ("criterion", "value", "limit", "unit", "holds")
     console.print(to_rich(Table(columns=heads, rows=rows, caption="Criteria")))
+    for one in run.criteria:
+        if one.advice and not one.passed:
+            console.print(f"{one.name}: {one.advice}", style="red", highlight=False, markup=False, soft_wrap=True)
     console.print(verdict_line(run.criteria), style="bold", highlight=False)
     console.print(f"report: {Path(shown) / 'report.html'}", highlight=False, soft_wrap=True)

@@ -39,6 +39,8 @@ class Criterion:
         ``value relation limit`` must be true.
     about : float or None
         Where the value should be; given one, ``abs(value - about) <= limit`` must be true.
+    advice : str
+        What is likely wrong where it does not hold.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Criterion:
     unit: str = ""
     relation: Relation = "<="
     about: float | None = None
+    advice: str = ""
 
     def __post_init__(self) -> None:
         if self.relation not in _RELATIONS:
@@ -149,6 +152,7 @@ def summary(
                 "passed": criterion.passed,
             }
             | ({} if criterion.about is None else {"about": to_json(criterion.about)})
+            | ({} if criterion.passed or not criterion.advice else {"advice": criterion.advice})
             for criterion in criteria
         ],
     }

@@ -130,5 +130,5 @@ rendered = Experiment(
         "compare": ["gaussian", "epsf"],
     },
 )
-experiment = or_own_frames(rendered)
+experiment = or_own_frames(rendered, "experiments.hsfe.own_frames")
 main = command(experiment)

@@ -7,12 +7,28 @@ errors of two neighbouring positions are. With independent errors the factor is 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from scipy.stats import chi2
+from scipy.stats import f as fisher_f
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = ["common_removed", "document_rms_px", "halved_px", "jackknife_px", "single_rms_px", "step_residual_px"]
+__all__ = [
+    "PositionError",
+    "common_removed",
+    "document_rms_px",
+    "halved_px",
+    "jackknife_px",
+    "position_error",
+    "single_rms_px",
+    "step_residual_px",
+]
+
+MOTION_TERMS = 3
+"""Of the motion of the image at a position: shift, and its two derivatives over the field (roll, scale, shear)."""
 
 
 def common_removed(values_px: FloatArray) -> FloatArray:
@@ -93,3 +109,113 @@ def jackknife_px(mean_px: FloatArray) -> FloatArray:
         return np.full(2, np.nan)
     left = np.stack([document_rms_px(np.delete(mean_px, j, axis=1)) for j in range(stars)])
     return np.asarray(np.sqrt((stars - 1) / stars * ((left - left.mean(0)) ** 2).sum(0)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PositionError:
+    """Error of the mean centroid at one position about its mean over the path, along x and y, without truth.
+
+    Attributes
+    ----------
+    variance_px2 : (2,)
+        Unbiased estimate; negative where temporal noise happens to explain more than all.
+    low_px, high_px : (2,)
+        Two-sided confidence interval of the standard deviation.
+    upper_px : (2,)
+        One-sided upper limit of the same confidence.
+    degrees : (2,)
+        Degrees of freedom of the scatter over the positions.
+    level : float
+        Confidence.
+    """
+
+    variance_px2: FloatArray
+    low_px: FloatArray
+    high_px: FloatArray
+    upper_px: FloatArray
+    degrees: FloatArray
+    level: float
+
+    @property
+    def value_px(self) -> FloatArray:
+        """Standard deviation (2,); NaN where the estimate of the variance is not positive."""
+        variance = self.variance_px2
+        return np.where(variance > 0, np.sqrt(np.maximum(variance, 0.0)), np.nan)
+
+
+def position_error(
+    mean_px: FloatArray, sigma_px: FloatArray, frames: FloatArray, *, level: float = 0.95
+) -> PositionError:
+    """Error of a position by an analysis of variance: scatter over the positions less what temporal noise makes of it.
+
+    With e the error of star j at position m, the mean centroid is ``base_j + motion_m(place_j) + e_mj + noise``. Star
+    means and, at every position, the motion of the image (shift; with five stars or more also roll, scale and shear)
+    are fitted. What is left has the mean square sigma_e^2 + sigma^2/N, from which the pooled variance of the frames
+    over N is taken.
+
+    Parameters
+    ----------
+    mean_px : (m, W, 2)
+        Mean centroids.
+    sigma_px : (m, W, 2)
+        Standard deviation of a single frame's centroid.
+    frames : (m,)
+        N behind each mean.
+    level : float
+        Confidence of interval and limit.
+
+    Raises
+    ------
+    DomainError
+        On fewer than two positions or two stars.
+
+    Notes
+    -----
+    The interval is that of Williams and Tukey for a component of variance (Searle, Casella and McCulloch 1992, sec.
+    3.6d): conservative where the component is small. Errors of neighbouring positions are alike, so that m positions
+    count as fewer: the degrees of freedom are ``tr(S)^2 / tr(S^2)`` times those of the stars, S the covariance of the
+    positions, with the traces estimated without bias from the stars (Srivastava 2005, J. Japan Stat. Soc. 35, 251).
+    """
+    if mean_px.ndim != 3 or mean_px.shape[0] < 2 or mean_px.shape[1] < 2:
+        raise DomainError(f"mean centroids of shape {mean_px.shape}; at least 2 positions of 2 stars are needed")
+    positions, stars, _ = mean_px.shape
+    place = mean_px.mean(0)
+    terms = np.column_stack([np.ones(stars), place - place.mean(0)])
+    across, size, _ = np.linalg.svd(terms if stars > MOTION_TERMS + 1 else terms[:, :1], full_matrices=False)
+    base = across[:, size > 1e-9 * size[0]]
+    left = mean_px - place
+    left = left - np.einsum("jk,lk,mla->mja", base, base, left)
+    free = stars - base.shape[1]
+    nominal = (positions - 1.0) * free
+    scatter = (left**2).sum((0, 1)) / nominal
+    counts = np.asarray(frames, float)[:, None, None]
+    of_noise = (sigma_px**2 / counts).mean((0, 1))
+    weight = (sigma_px**2 / counts) ** 2 / (counts - 1.0)
+    noise_degrees = of_noise**2 * (positions * stars) ** 2 / np.maximum(weight.sum((0, 1)), 1e-300)
+    degrees = np.array([_degrees(left[..., a], free) for a in range(2)])
+    tail = 0.5 * (1.0 - level)
+
+    def bound(probability: float) -> FloatArray:
+        ratio = fisher_f.isf(probability, degrees, noise_degrees)
+        pure = (scatter - of_noise * ratio) * degrees / chi2.isf(probability, degrees)
+        return np.asarray(np.sqrt(np.maximum(pure, 0.0)))
+
+    return PositionError(
+        variance_px2=scatter - of_noise,
+        low_px=bound(tail),
+        high_px=bound(1.0 - tail),
+        upper_px=bound(level),
+        degrees=degrees,
+        level=level,
+    )
+
+
+def _degrees(left_px: FloatArray, free: int) -> float:
+    """Degrees of freedom of the sum of squares of residuals (m, W) of ``free`` independent stars."""
+    covariance = left_px @ left_px.T / free
+    first, second = float(np.trace(covariance)), float((covariance**2).sum())
+    nominal = (len(left_px) - 1.0) * free
+    if free < 2 or first <= 0.0:
+        return nominal if free > 1 else float(free)
+    squared = (second - first**2 / free) * free**2 / ((free - 1.0) * (free + 2.0))
+    return float(np.clip(free * first**2 / max(squared, 1e-300), free, nominal))

@@ -105,5 +105,5 @@ rendered = Experiment(
         "compare": ["tcog", "epsf"],
     },
 )
-experiment = or_own_frames(rendered)
+experiment = or_own_frames(rendered, "experiments.temporal.own_frames")
 main = command(experiment)

@@ -1,26 +1,84 @@
-"""Tests with point targets on frames from outside: no rendering, no truth.
+"""An experiment on frames from outside: no rendering, no truth.
 
-It takes over from `temporal`, `hsfe` and `distortion` when their ``frames_folder`` names a folder.
+It takes over from the rendered experiment when ``frames_folder`` names a folder. The room reads the folder, centroids
+every series and looks at what the frames say about themselves; the experiment adds how it asks for its frames, and its
+reduction (`FramesTest`, in its module ``own_frames``).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
 
+from experiments.harness.config import ExperimentConfig
 from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
 from experiments.laboratory.centroid_methods import needs_epsf
-from experiments.laboratory.point_settings import PointConfig
 from optics.errors import ConfigError
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from experiments.harness.quantities import Outcome, Quantities
+    from experiments.harness.summary import Criterion
+    from experiments.laboratory.own_frames.checks import FrameChecks
     from experiments.laboratory.own_frames.folder import FrameFolder
-    from experiments.laboratory.own_frames.reduction import GridFrames, StepFrames, TemporalFrames
+    from experiments.laboratory.own_frames.series import SeriesFrames
+    from experiments.laboratory.own_frames.settings import Layout
 
-__all__ = ["FramesResult", "Test", "or_own_frames", "reduce_folder"]
+__all__ = ["FramesResult", "FramesTest", "Reduced", "or_own_frames", "reduce_folder"]
 
-Test = Literal["temporal", "hsfe", "distortion"]
+
+class Reduced(Protocol):
+    """What a reduction gives: the centroids of its series, beside its own numbers."""
+
+    @property
+    def series(self) -> tuple[SeriesFrames, ...]:
+        """In the order of the folder."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FramesTest:
+    """What an experiment does with own frames.
+
+    Attributes
+    ----------
+    title : str
+        Of the report.
+    layout : Layout
+        What it asks of a folder.
+    reduce : callable
+        ``reduce(folder, methods, config) -> Reduced``.
+    describe : callable
+        ``describe(quantities, reduced, methods)`` adds the numbers of the reduction.
+    headline : callable
+        ``headline(outcome)``: label -> number, for the head of the report.
+    tables : callable
+        ``tables(outcome)``: name -> table.
+    figures : mapping
+        Name -> (figure of an outcome, its caption).
+    criteria : callable
+        ``criteria(outcome)``: what has to hold besides what holds for all frames.
+    show : tuple of str
+        Tables that are printed in the terminal too.
+    series : str
+        What readers call a series.
+    """
+
+    title: str
+    layout: Layout
+    reduce: Callable[[FrameFolder, Sequence[str], Any], Reduced]
+    describe: Callable[[Quantities, Any, Sequence[str]], None]
+    headline: Callable[[Outcome], Mapping[str, Any]]
+    tables: Callable[[Outcome], Mapping[str, Any]]
+    figures: Mapping[str, tuple[Callable[[Outcome], Figure], str]] = field(default_factory=dict)
+    criteria: Callable[[Outcome], list[Criterion]] = lambda _: []
+    show: tuple[str, ...] = ()
+    series: str = "Series"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,30 +87,33 @@ class FramesResult:
 
     Attributes
     ----------
-    test : {"temporal", "hsfe", "distortion"}
-        Which reduction.
+    test : FramesTest
+        Which experiment.
     methods : tuple of str
         Centroiders, the one that counts first.
     folder : FrameFolder
         As read.
-    reduced : TemporalFrames, StepFrames or GridFrames
-        By test.
+    reduced : Reduced
+        By experiment.
+    checks : FrameChecks
+        What the frames say about themselves.
     """
 
-    test: Test
+    test: FramesTest
     methods: tuple[str, ...]
     folder: FrameFolder
-    reduced: TemporalFrames | StepFrames | GridFrames
+    reduced: Reduced
+    checks: FrameChecks
 
 
-def reduce_folder(test: Test, config: PointConfig, *, progress: Progress) -> FramesResult:
+def reduce_folder(test: FramesTest, config: Any, *, progress: Progress) -> FramesResult:
     """Read the folder of the configuration and reduce its frames.
 
     Parameters
     ----------
-    test : {"temporal", "hsfe", "distortion"}
-        Which reduction.
-    config : PointConfig
+    test : FramesTest
+        Which experiment.
+    config : ExperimentConfig
         With ``frames_folder``, ``window_px`` and the centroiders; what describes a rendering has no meaning here.
     progress : Progress
         Where to report.
@@ -62,7 +123,7 @@ def reduce_folder(test: Test, config: PointConfig, *, progress: Progress) -> Fra
     StarbenchError
         See `read_folder` and the reductions.
     """
-    from experiments.laboratory.own_frames import reduction
+    from experiments.laboratory.own_frames.checks import check_frames
     from experiments.laboratory.own_frames.folder import read_folder
 
     methods = tuple(m for m in config.methods if not needs_epsf(m))
@@ -71,47 +132,58 @@ def reduce_folder(test: Test, config: PointConfig, *, progress: Progress) -> Fra
     if not methods:
         raise ConfigError("frames from outside come without a PSF: name another centroid than epsf, e.g. gaussian")
     with progress.stage("read"):
-        folder = read_folder(config.frames_folder, window_px=config.window_px)
-    reduced: TemporalFrames | StepFrames | GridFrames
+        folder = read_folder(config.frames_folder, window_px=config.window_px, layout=test.layout)
     with progress.stage("reduce"):
-        if test == "temporal":
-            reduced = reduction.temporal_from_frames(folder, methods)
-        elif test == "hsfe":
-            reduced = reduction.hsfe_from_frames(folder, methods)
-        else:
-            reduced = reduction.distortion_from_frames(folder, methods, order=getattr(config, "order", 3))
-    return FramesResult(test=test, methods=methods, folder=folder, reduced=reduced)
+        reduced = test.reduce(folder, methods, config)
+    with progress.stage("check"):
+        checks = check_frames(folder.series, reduced.series, methods[0])
+    return FramesResult(test=test, methods=methods, folder=folder, reduced=reduced, checks=checks)
 
 
-def or_own_frames(test: Experiment) -> Experiment:
-    """A test with rendered frames that reduces those of a folder instead where ``frames_folder`` is given.
+def or_own_frames(rendered: Experiment, own: str) -> Experiment:
+    """An experiment on rendered frames that reduces those of a folder instead where ``frames_folder`` is given.
 
     Parameters
     ----------
-    test : Experiment
-        `temporal`, `hsfe` or `distortion`, on rendered frames.
+    rendered : Experiment
+        On rendered frames; its configuration has ``frames_folder``, ``window_px`` and ``methods``.
+    own : str
+        Module with ``own_frames``, the `FramesTest`; imported when it is needed.
 
     Returns
     -------
     Experiment
-        The same with an option ``--frames``; both print the same table in the terminal.
+        The same with an option ``--frames``.
     """
-    name: Any = test.name
 
-    def run(config: PointConfig, *, progress: Progress) -> FramesResult:
-        return reduce_folder(name, config, progress=progress)
-
-    def instead(config: PointConfig) -> Experiment | None:
+    def instead(config: Any) -> Experiment | None:
         if config.frames_folder is None:
             return None
-        report = f"{name}.md"
-        return Experiment(
-            name=name, config=test.config, run=run, show=test.show, report=report, renders=lambda _: False
-        )
+        test: FramesTest = import_module(own).own_frames
+        return _experiment(rendered, test)
 
     return replace(
-        test,
-        examples={**test.examples, "--frames my_frames": "reduce the FITS frames of a laboratory"},
-        options={"frames": ("frames_folder", "Reduce the FITS frames of a folder that holds frames.toml.")},
+        rendered,
+        examples={**rendered.examples, "--frames my_frames": "reduce the FITS frames of a laboratory"},
+        options={
+            **rendered.options,
+            "frames": ("frames_folder", "Reduce the FITS frames of a folder that holds frames.toml."),
+        },
         instead=instead,
+    )
+
+
+def _experiment(rendered: Experiment, test: FramesTest) -> Experiment:
+    def run(config: ExperimentConfig, *, progress: Progress) -> FramesResult:
+        return reduce_folder(test, config, progress=progress)
+
+    return Experiment(
+        name=rendered.name,
+        config=rendered.config,
+        run=run,
+        tables=test.tables,
+        figures={name: draw for name, (draw, _) in test.figures.items()},
+        report=Path(__file__).with_name("frames.md"),
+        renders=lambda _: False,
+        show=test.show,
     )

@@ -1,113 +1,76 @@
-"""Frames from a laboratory: a folder of FITS files and ``frames.toml``, which says which frame is which.
+"""Frames from a laboratory: a folder of FITS files, and ``frames.toml``, which says which frame is which.
 
-    gain_dn_per_e = 0.25
-    offset_dn = 64
-    read_noise_e = 13
-    pixel_arcsec = 5.5
-    dark = ["dark_*.fits"]           # lamp off; optional
-    points = 25                      # the brightest; or points_px = [[x, y], ...]; or target = "target.csv"
-
-    [[series]]
-    files = ["still_*.fits"]
-
-A series is a number of frames of a target at rest: a brightness level (temporal), a position (hsfe), a session
-(distortion). Target points are detected in the mean frame of each series; windows are cut around them.
+A series is a number of frames of a target, or a star, at rest: a brightness level (temporal), a position (hsfe), a
+session (distortion), a filter at a place (chromatic), a pose of the table (turntable, fisher). Points are detected in
+the mean frame of each series; windows are cut around them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Literal, TypeVar
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
 
 from calib.flags import StarFlag, has_flag
 from calib.measure.detection import detect
 from calib.measure.image import sensor_image
-from experiments.harness.config import StrictModel
+from experiments.laboratory.own_frames.files import FrameReader, find_files, refuse_shared, same
+from experiments.laboratory.own_frames.masters import Flat, MeanFrame, bad_pixels, mean_flat, mean_frame
+from experiments.laboratory.own_frames.settings import (
+    SETTINGS_FILE,
+    FolderSettings,
+    Layout,
+    SeriesSettings,
+    read_settings,
+    read_table,
+)
 from experiments.laboratory.readout.search import match_points
 from experiments.laboratory.readout.windows import cut_windows, window_corners
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.units import ARCSEC_RAD
-from optics.validate import parse_model, read_toml
-from render.fits.files import read_frame
-from render.records import Frame, WindowStack
+from render.records import WindowStack
 
-__all__ = ["SETTINGS_FILE", "FolderSettings", "FrameFolder", "FrameSeries", "SeriesSettings", "read_folder"]
+__all__ = ["FrameFolder", "FrameSeries", "read_folder"]
 
-Scalar = TypeVar("Scalar", bound=np.generic)
-
-SETTINGS_FILE = "frames.toml"
-"""Name of the file that describes a folder."""
 _COLUMNS = (("x_px", "y_px"), ("tan_x", "tan_y"))
-
-
-class SeriesSettings(StrictModel):
-    """Frames of a target at rest."""
-
-    files: tuple[str, ...] = Field(min_length=1, description="file names or patterns (*, ?), within the folder")
-    name: str = Field(default="", description="for messages and tables")
-    count: int | None = Field(default=None, ge=2, description="number of frames that must be there")
-    dark: tuple[str, ...] = Field(default=(), description="lamp off, in place of those of the folder")
-    position: int | None = Field(default=None, description="hsfe: place in the order of the steps")
-    shift_px: tuple[float, float] | None = Field(default=None, description="hsfe: commanded shift since the start")
-    session: Literal["earlier", "test"] = Field(default="test", description="distortion: which session")
-
-
-class FolderSettings(StrictModel):
-    """Contents of ``frames.toml``."""
-
-    gain_dn_per_e: float = Field(gt=0, le=1e5, description="system gain K")
-    offset_dn: float = Field(ge=0, le=65535, description="nominal offset")
-    read_noise_e: float = Field(ge=0, le=1e5, description="temporal dark noise of a pixel")
-    pixel_arcsec: float = Field(gt=0, le=36000, description="angle of a pixel")
-    saturation_dn: float | None = Field(default=None, gt=0, description="pixels from here on are saturated")
-    dark: tuple[str, ...] = Field(default=(), description="frames with the lamp off; without them patterns stay")
-    points: int | None = Field(default=None, ge=1, le=10000, description="number of target points: the brightest")
-    points_px: tuple[tuple[float, float], ...] = Field(default=(), description="nominal places (column, row)")
-    target: str | None = Field(
-        default=None, description="CSV or ECSV file of nominal places: x_px, y_px or tan_x, tan_y"
-    )
-    match_px: float = Field(default=4.0, gt=0, le=50, description="farthest a point may lie from its nominal place")
-    centre_px: tuple[float, float] | None = Field(default=None, description="where tan_x = tan_y = 0 is imaged")
-    series: tuple[SeriesSettings, ...] = Field(min_length=1, description="the frames")
-
-    @model_validator(mode="after")
-    def _one_target(self) -> FolderSettings:
-        given = [self.points is not None, bool(self.points_px), self.target is not None]
-        if sum(given) != 1:
-            raise ValueError("exactly one of points, points_px and target is needed: it says what is to be measured")
-        return self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameSeries:
-    """Windows of a series around j target points.
+    """Windows of a series around j points.
 
     Attributes
     ----------
     settings : SeriesSettings
         What the folder says of it.
-    name : str
-        For messages and tables.
     windows : WindowStack
         The frames.
     found_px : (j, 2)
         Where the points were detected.
     dark_e : (j, h, w) or None
         Mean frame with the lamp off, offset included.
+    dark_frames : int
+        How many are behind it.
+    response, response_error : (j, h, w) or None
+        The flat, and its standard deviation.
     """
 
     settings: SeriesSettings
-    name: str
     windows: WindowStack
     found_px: FloatArray
     dark_e: FloatArray | None
+    dark_frames: int
+    response: FloatArray | None
+    response_error: FloatArray | None
+
+    @property
+    def name(self) -> str:
+        """For messages and tables."""
+        return self.settings.name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,6 +89,10 @@ class FrameFolder:
         Ordered by ``position`` where that is given.
     dark_frames : int
         Frames with the lamp off.
+    flat : Flat or None
+        Response of the pixels.
+    bad_pixels : int
+        Pixels that the map calls bad.
     """
 
     settings: FolderSettings
@@ -134,6 +101,8 @@ class FrameFolder:
     nominal_px: FloatArray | None
     series: tuple[FrameSeries, ...]
     dark_frames: int
+    flat: Flat | None = None
+    bad_pixels: int = 0
 
     @property
     def centre_px(self) -> FloatArray:
@@ -142,102 +111,108 @@ class FrameFolder:
         return np.asarray(self.settings.centre_px or middle, float)
 
 
-def read_folder(folder: str | Path, *, window_px: int) -> FrameFolder:
-    """Read a folder, find the target points, cut windows.
+def read_folder(folder: str | Path, *, window_px: int, layout: Layout | None = None) -> FrameFolder:
+    """Read a folder, find the points, cut windows.
 
     Parameters
     ----------
     folder : path
-        Holds ``frames.toml`` and the FITS files: whole numbers from 0 to 65535. The mask behind frames of `write_frame`
-        is used; other frames have none.
+        Holds ``frames.toml`` and the FITS files it names.
     window_px : int
-        Side of the windows, odd.
+        Side of a window, odd.
+    layout : Layout, optional
+        What the experiment asks of the folder.
 
     Raises
     ------
     ConfigError
-        A folder, file or key is missing, unknown or broken.
+        Folder, file or key missing or wrong; a frame that is no raw FITS frame; a file that belongs to two series.
     DomainError
-        Fewer than two frames in a series, frames of different sizes, target points off the detector or not detected.
+        Too few frames in a series, frames of different sizes, exposure times or filters, points off the detector or
+        not detected.
     """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: no such folder; one with frames and {SETTINGS_FILE} is needed")
-    if not (folder / SETTINGS_FILE).is_file():
-        raise ConfigError(f"{folder}: holds no {SETTINGS_FILE}, which says which frame is which")
-    settings = parse_model(FolderSettings, read_toml(folder / SETTINGS_FILE), SETTINGS_FILE)
-    names = [one.name or f"series {number}" for number, one in enumerate(settings.series, start=1)]
-    files = [_series_files(folder, one, name) for one, name in zip(settings.series, names, strict=True)]
-    dark_files = [_files(folder, one.dark or settings.dark, "dark") for one in settings.series]
+    folder, layout = Path(folder), layout or Layout()
+    settings = read_settings(folder)
+    layout.check(settings)
+    files = [find_files(folder, one.files, one.name) for one in settings.series]
+    dark_files = [find_files(folder, one.dark or settings.dark, "dark") for one in settings.series]
     every_dark = list(dict.fromkeys(path for some in dark_files for path in some))
-    _refuse_shared([every_dark, *files], ["dark", *names])
-    reader = _Reader(settings, files[0][0])
-    nominal = _nominal_px(folder, settings, reader)
+    flat_files = find_files(folder, settings.flat, "flat")
+    refuse_shared([every_dark, flat_files, *files], ["dark", "flat", *(one.name for one in settings.series)])
+    reader = FrameReader(settings)
+    size_px = reader.size_of(files[0][0])
+    bad = bad_pixels(reader, folder, settings)
+    flat = mean_flat(reader, folder, settings, bad)
+    nominal, excluded = _nominal_px(folder, settings, size_px), _excluded(size_px, bad, flat)
+    darks: dict[tuple[Path, ...], MeanFrame] = {}
+    filters: dict[str, SeriesSettings] = {}
+    seen: dict[str, FloatArray] = {}
     series: list[FrameSeries] = []
     for number in _order(settings.series):
-        mean, defect = reader.mean(files[number])
-        dark = reader.dark(dark_files[number])
-        reference = series[0].found_px if series else nominal
-        found = reader.find(mean, defect, dark, len(files[number]), reference, names[number])
+        own = settings.series[number]
+        mean = mean_frame(reader, files[number], own.name)
+        _check_count(own, mean.frames, layout.fewest)
+        _check_filter(own, mean.band, filters)
+        dark = None
+        if paths := tuple(dark_files[number]):
+            dark = darks.setdefault(paths, darks.get(paths) or mean_frame(reader, paths, "dark"))
+            if not same(dark.exposure_s, mean.exposure_s):
+                raise DomainError(
+                    f"{own.name}: exposed {mean.exposure_s:g} s, its dark frames {dark.exposure_s:g} s; dark frames "
+                    "have the exposure time of the frames"
+                )
+        scene = {"all": "", "place": own.place, "none": own.name}[layout.same_scene]
+        found = _find(settings, mean, excluded, dark, seen.get(scene, nominal), layout.points)
+        seen.setdefault(scene, found)
         advice = "move the target, or take a smaller window_px"
-        corner = window_corners(found, window_px, reader.size, where=names[number], advice=advice)
-        windows = reader.cut(files[number], corner, window_px)
+        corner = window_corners(found, window_px, size_px, where=own.name, advice=advice)
+        gain = settings.gain_dn_per_e
         series.append(
             FrameSeries(
-                settings=settings.series[number],
-                name=names[number],
-                windows=windows,
+                settings=own,
+                windows=_cut(reader, files[number], own.name, corner, window_px, excluded),
                 found_px=found,
-                dark_e=None if dark is None else cut_windows(dark, corner, window_px) / settings.gain_dn_per_e,
+                dark_e=None if dark is None else cut_windows(dark.dn, corner, window_px) / gain,
+                dark_frames=0 if dark is None else dark.frames,
+                response=None if flat is None else cut_windows(flat.response, corner, window_px),
+                response_error=None if flat is None else cut_windows(flat.error, corner, window_px),
             )
         )
-    width, height = reader.size
     return FrameFolder(
         settings=settings,
-        width_px=width,
-        height_px=height,
+        width_px=size_px[0],
+        height_px=size_px[1],
         nominal_px=nominal,
         series=tuple(series),
-        dark_frames=len(every_dark),
+        dark_frames=sum(one.frames for one in darks.values()),
+        flat=flat,
+        bad_pixels=0 if bad is None else int(bad.sum()),
     )
 
 
-def _files(folder: Path, patterns: Sequence[str], name: str) -> list[Path]:
-    """Files of patterns in the order of the patterns, each once."""
-    found: dict[Path, None] = {}
-    for pattern in patterns:
-        steps = PurePosixPath(pattern)
-        if steps.is_absolute() or PureWindowsPath(pattern).drive or ".." in steps.parts or not steps.parts:
-            raise ConfigError(f"{SETTINGS_FILE}, {name}: {pattern!r} is not within the folder; name files in it")
-        many = any(sign in pattern for sign in "*?[")
-        here = sorted(p for p in folder.glob(pattern) if p.is_file()) if many else [folder / pattern]
-        if not here or not all(p.is_file() for p in here):
-            raise ConfigError(f"{SETTINGS_FILE}, {name}: no file {pattern!r} in the folder {folder}")
-        found.update(dict.fromkeys(here))
-    return list(found)
-
-
-def _series_files(folder: Path, settings: SeriesSettings, name: str) -> list[Path]:
-    files = _files(folder, settings.files, name)
-    if len(files) < 2:
-        raise DomainError(f"{SETTINGS_FILE}, {name}: {len(files)} frame; at least 2 are needed")
-    if settings.count is not None and len(files) != settings.count:
-        raise ConfigError(
-            f"{SETTINGS_FILE}, {name}: {len(files)} frames in the folder, count says {settings.count}; add the missing "
-            "ones or correct the count"
+def _check_count(settings: SeriesSettings, frames: int, fewest: int) -> None:
+    if frames < fewest:
+        raise DomainError(
+            f"{SETTINGS_FILE}, {settings.name}: {frames} frame{'s' if frames != 1 else ''}; at least {fewest} are "
+            "needed"
         )
-    return files
+    if settings.count is not None and frames != settings.count:
+        raise ConfigError(
+            f"{SETTINGS_FILE}, {settings.name}: {frames} frames in the folder, count says {settings.count}; add the "
+            "missing ones or correct the count"
+        )
 
 
-def _refuse_shared(groups: Sequence[Sequence[Path]], names: Sequence[str]) -> None:
-    owner: dict[Path, str] = {}
-    for group, name in zip(groups, names, strict=True):
-        for path in group:
-            if path in owner:
-                raise ConfigError(
-                    f"{SETTINGS_FILE}: {path.name} belongs to {owner[path]} and to {name}; a frame has one"
-                )
-            owner[path] = name
+def _check_filter(own: SeriesSettings, band: str, known: dict[str, SeriesSettings]) -> None:
+    """A filter that the files name stands for one wavelength."""
+    if own.filter_nm is None or not band:
+        return
+    first = known.setdefault(band, own)
+    if first.filter_nm != own.filter_nm:
+        raise ConfigError(
+            f"{SETTINGS_FILE}: FILTER = {band!r} in the files of {first.name} and of {own.name}, filter_nm says "
+            f"{first.filter_nm:g} and {own.filter_nm:g}; one of them is in the wrong series"
+        )
 
 
 def _order(series: Sequence[SeriesSettings]) -> list[int]:
@@ -251,12 +226,12 @@ def _order(series: Sequence[SeriesSettings]) -> list[int]:
     return [int(i) for i in np.argsort(known)]
 
 
-def _nominal_px(folder: Path, settings: FolderSettings, reader: _Reader) -> FloatArray | None:
+def _nominal_px(folder: Path, settings: FolderSettings, size_px: tuple[int, int]) -> FloatArray | None:
     """Nominal places of the points; they must be on the detector."""
-    width, height = reader.size
+    width, height = size_px
     if settings.target is not None:
-        path = _files(folder, [settings.target], "target")[0]
-        pair, values = _table(path)
+        path = find_files(folder, [settings.target], "target")[0]
+        pair, values = _coordinates(path)
         if pair == "tan_x":
             centre = settings.centre_px or ((width - 1) / 2, (height - 1) / 2)
             values = np.asarray(centre, float) + values / (settings.pixel_arcsec * ARCSEC_RAD)
@@ -274,134 +249,98 @@ def _nominal_px(folder: Path, settings: FolderSettings, reader: _Reader) -> Floa
     return values
 
 
-def _table(path: Path) -> tuple[str, FloatArray]:
+def _coordinates(path: Path) -> tuple[str, FloatArray]:
     """Name of the first column and the coordinates (j, 2) of a CSV or ECSV file."""
-    from astropy.table import Table
-
-    try:
-        table = Table.read(path, format="ascii.ecsv" if path.suffix == ".ecsv" else "ascii.csv")
-        for pair in _COLUMNS:
-            if set(pair) <= set(table.colnames):
-                values = np.column_stack([np.asarray(table[name], float) for name in pair])
-                if len(values) and np.isfinite(values).all():
-                    return pair[0], values
-                raise ConfigError(f"{path.name}: finite coordinates of at least one point are needed")
-    except ConfigError:
-        raise
-    except Exception as error:  # astropy raises many kinds for broken tables
-        raise ConfigError(f"{path.name}: not a readable table ({' '.join(str(error).split())[:160]})") from None
-    raise ConfigError(f"{path.name}: columns x_px and y_px, or tan_x and tan_y, are needed; it has {table.colnames}")
+    table = read_table(path)
+    for pair in _COLUMNS:
+        if set(pair) <= set(table):
+            try:
+                values = np.array([table[name] for name in pair], float).T
+            except (TypeError, ValueError):
+                values = np.zeros((0, 2))
+            if len(values) and np.isfinite(values).all():
+                return pair[0], values
+            raise ConfigError(f"{path.name}: finite coordinates of at least one point are needed")
+    raise ConfigError(f"{path.name}: columns x_px and y_px, or tan_x and tan_y, are needed; it has {list(table)}")
 
 
-class _Reader:
-    """Reads frames one at a time: a series of large frames need not fit into memory."""
+def _excluded(size_px: tuple[int, int], bad: NDArray[np.bool_] | None, flat: Flat | None) -> NDArray[np.bool_]:
+    """Pixels (h, w) that no frame may use."""
+    excluded = np.zeros(size_px[::-1], bool)
+    for more in (bad, None if flat is None else flat.unusable):
+        excluded |= False if more is None else more
+    return excluded
 
-    def __init__(self, settings: FolderSettings, first: Path) -> None:
-        self.settings = settings
-        self.first = first
-        self._last_dark: tuple[list[Path], FloatArray] | None = None
-        height, width = self._frame(first).dn.shape
-        self.size = (int(width), int(height))
 
-    def _frame(self, path: Path) -> Frame:
-        s = self.settings
-        frame = read_frame(
-            path,
-            gain_dn_per_e=s.gain_dn_per_e,
-            offset_dn=s.offset_dn,
-            read_noise_e=s.read_noise_e,
-            exposure_s=float("nan"),  # not known, not needed
+def _find(
+    settings: FolderSettings,
+    mean: MeanFrame,
+    excluded: NDArray[np.bool_],
+    dark: MeanFrame | None,
+    reference: FloatArray | None,
+    points: int | None,
+) -> FloatArray:
+    """Places (j, 2) of the points in the mean frame of a series."""
+    name = mean.name
+    image = sensor_image(
+        mean.dn if dark is None else mean.dn - dark.dn + settings.offset_dn,
+        gain_dn_per_e=settings.gain_dn_per_e,
+        offset_dn=settings.offset_dn,
+        read_noise_e=settings.read_noise_e / np.sqrt(mean.frames),
+        defect=mean.defect | excluded,
+        quantised=False,
+        source=name,
+    )
+    table = detect(image)
+    table = table.select(~has_flag(table.flags, StarFlag.SPIKE)) if len(table) else table
+    position = np.column_stack([table.x_px, table.y_px])
+    wanted = (settings.points or points) if reference is None else len(reference)
+    assert wanted is not None
+    if len(position) < wanted:
+        raise DomainError(
+            f"{name}: {len(position)} points detected of {wanted}; expose longer, focus, or correct the number"
         )
-        return frame
+    if reference is None:
+        brightest = position[:wanted]
+        return brightest[np.lexsort((brightest[:, 0], brightest[:, 1]))]
+    return match_points(
+        position,
+        reference,
+        match_px=settings.match_px,
+        where=name,
+        unseen=f"correct the coordinates or raise match_px ({settings.match_px:g})",
+        merged="lower match_px or part them",
+    )
 
-    def frames(self, files: Sequence[Path]) -> Iterator[Frame]:
-        for path in files:
-            frame = self._frame(path)
-            height, width = frame.dn.shape
-            if (width, height) != self.size:
-                raise DomainError(
-                    f"{path.name} has {width} x {height} px, {self.first.name} {self.size[0]} x {self.size[1]} px; all "
-                    "frames of a folder must have one size"
-                )
-            yield frame
 
-    def mean(self, files: Sequence[Path]) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Mean frame [DN] and pixels known to be defective in any."""
-        width, height = self.size
-        total, defect = np.zeros((height, width)), np.zeros((height, width), bool)
-        for frame in self.frames(files):
-            total += frame.dn
-            defect |= frame.defect
-        return total / len(files), defect
-
-    def dark(self, files: list[Path]) -> FloatArray | None:
-        """Mean frame with the lamp off; None without files. Read once for series that share it."""
-        if not files:
-            return None
-        if self._last_dark is None or self._last_dark[0] != files:
-            self._last_dark = (files, self.mean(files)[0])
-        return self._last_dark[1]
-
-    def find(
-        self,
-        mean: FloatArray,
-        defect: NDArray[np.bool_],
-        dark: FloatArray | None,
-        frames: int,
-        reference: FloatArray | None,
-        name: str,
-    ) -> FloatArray:
-        """Places (j, 2) of the target points in the mean frame of a series."""
-        s = self.settings
-        image = sensor_image(
-            mean if dark is None else mean - dark + s.offset_dn,
-            gain_dn_per_e=s.gain_dn_per_e,
-            offset_dn=s.offset_dn,
-            read_noise_e=s.read_noise_e / np.sqrt(frames),
-            defect=defect,
-            quantised=False,
-            source=name,
-        )
-        table = detect(image)
-        table = table.select(~has_flag(table.flags, StarFlag.SPIKE)) if len(table) else table
-        position = np.column_stack([table.x_px, table.y_px])
-        wanted = s.points if reference is None else len(reference)
-        assert wanted is not None
-        if len(position) < wanted:
-            raise DomainError(
-                f"{name}: {len(position)} points detected of {wanted}; expose longer, focus, or correct the number"
-            )
-        if reference is None:
-            brightest = position[:wanted]
-            return brightest[np.lexsort((brightest[:, 0], brightest[:, 1]))]
-        return match_points(
-            position,
-            reference,
-            match_px=s.match_px,
-            where=name,
-            unseen=f"correct the coordinates or raise match_px ({s.match_px:g})",
-            merged="lower match_px or part them",
-        )
-
-    def cut(self, files: Sequence[Path], corner: NDArray[np.int64], window_px: int) -> WindowStack:
-        """Windows of all frames."""
-        s, dn, saturated = self.settings, [], []
-        defect = np.zeros((len(corner), window_px, window_px), bool)
-        for frame in self.frames(files):
-            cut = cut_windows(frame.dn, corner, window_px)
-            full = cut_windows(frame.saturated, corner, window_px)
-            dn.append(cut)
-            saturated.append(full if s.saturation_dn is None else full | (cut.astype(float) >= s.saturation_dn))
-            defect |= cut_windows(frame.defect, corner, window_px)
-        return WindowStack(
-            dn=np.stack(dn),
-            saturated=np.stack(saturated),
-            defect=defect,
-            corner_px=corner,
-            gain_dn_per_e=s.gain_dn_per_e,
-            offset_dn=s.offset_dn,
-            read_noise_e=s.read_noise_e,
-            exposure_s=float("nan"),
-            band="",
-            first_index=0,
-        )
+def _cut(
+    reader: FrameReader,
+    files: Sequence[Path],
+    name: str,
+    corner: NDArray[np.int64],
+    window_px: int,
+    excluded: NDArray[np.bool_],
+) -> WindowStack:
+    """Windows of all frames of a series."""
+    s, dn, saturated = reader.settings, [], []
+    defect = cut_windows(excluded, corner, window_px)
+    exposure_s, band = float("nan"), ""
+    for frame in reader.frames(files, name):
+        cut = cut_windows(frame.dn, corner, window_px)
+        full = cut_windows(frame.saturated, corner, window_px)
+        dn.append(cut)
+        saturated.append(full if s.saturation_dn is None else full | (cut.astype(float) >= s.saturation_dn))
+        defect = defect | cut_windows(frame.defect, corner, window_px)
+        exposure_s, band = frame.exposure_s, frame.band
+    return WindowStack(
+        dn=np.stack(dn),
+        saturated=np.stack(saturated),
+        defect=defect,
+        corner_px=corner,
+        gain_dn_per_e=s.gain_dn_per_e,
+        offset_dn=s.offset_dn,
+        read_noise_e=s.read_noise_e,
+        exposure_s=exposure_s,
+        band=band,
+        first_index=0,
+    )

@@ -1,51 +1,31 @@
-"""Tables of frames from outside, for the report and as ECSV files."""
+"""The table of single points that several experiments show of frames from outside."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import numpy as np
 
 from experiments.harness.pivot import Pivot
-from experiments.harness.quantities import Outcome
-from experiments.laboratory.own_frames.reduction import StepFrames, TemporalFrames
+from experiments.harness.quantities import Outcome, Quantities
+from experiments.laboratory.own_frames.series import SeriesFrames
 
-__all__ = ["tables"]
+__all__ = ["add_points", "points_table"]
 
 
-def tables(outcome: Outcome) -> Mapping[str, Pivot]:
-    """Tables by file name."""
-    reduced = outcome.result.reduced
-    points = Pivot(
+def add_points(q: Quantities, series: SeriesFrames, method: str) -> None:
+    """Describe the points of a series: mean centroid and scatter of a frame."""
+    mean = series.points.mean_px(method)
+    q.axis("point", np.arange(len(mean)) + 1, "Point")
+    for name, label, values in (("mean", "Mean", mean), ("sigma", "σ", series.points.sigma_px(method))):
+        key = f"{name}_{{axis}}_px"
+        q.add(f"{name}_px", values, label, unit="px", dims="point axis", format=".4f", key=key, json="")
+
+
+def points_table(outcome: Outcome) -> Pivot:
+    """Points of the last series."""
+    last = outcome.result.reduced.series[-1].name
+    return Pivot(
         rows="point",
         across="axis",
         columns="mean_px sigma_px",
-        caption=f"Centroids of {reduced.series[-1].name}, {outcome.names('method')[0]}; σ of a single frame.",
+        caption=f"Centroids of {last}, {outcome.names('method')[0]}; σ of a single frame.",
     )
-    if isinstance(reduced, TemporalFrames):
-        return {"temporal_error": _TEMPORAL, "points": points}
-    if isinstance(reduced, StepFrames):
-        caption = f"High spatial frequency error (ACC18 eq. 3-12, 3 σ) from {len(reduced.series)} positions."
-        steps = Pivot(rows="method axis", columns="hsfe_arcsec single_arcsec", caption=caption, note=_HALVED)
-        return {"hsfe": steps, "positions": _POSITIONS, "points": points}
-    grid = Pivot(
-        rows="method reference axis",
-        columns="sigma_d_arcsec sigma_left_arcsec sigma_c1_arcsec",
-        caption=f"Distortion error (ACC18 eq. 17-30, 3 σ), polynomial of order {reduced.order}.",
-        note="*nominal*: stated coordinates as they are; *aligned*: shift, roll and scale fitted; *calibrated*: a "
-        "camera model from the earlier session.",
-    )
-    return {"distortion": grid, "points": points}
-
-
-_TEMPORAL = Pivot(
-    rows="series method axis",
-    columns="signal_e measured_arcsec noise_model_arcsec ratio",
-    caption="Temporal error (ACC18 eq. 1-2, 3 σ) of every series, and what the stated noise of the camera gives.",
-    note="Measured values carry the small-sample factor of a standard deviation; it is taken out of *Ratio*.",
-)
-_HALVED = "*One position*: temporal noise taken away, divided by √2 as if neighbouring positions were independent."
-_POSITIONS = Pivot(
-    rows="series",
-    across="axis",
-    columns="frames seen_px commanded_px",
-    caption="Shift of the whole image since the first position, as measured and as commanded.",
-)

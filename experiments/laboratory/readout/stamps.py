@@ -29,7 +29,11 @@ def centre_of_gravity(light_e: FloatArray) -> FloatArray:
 
 
 def dark_subtracted(
-    stack: WindowStack, dark_e: FloatArray, *, start_px: FloatArray | None = None
+    stack: WindowStack,
+    dark_e: FloatArray,
+    *,
+    start_px: FloatArray | None = None,
+    response: FloatArray | None = None,
 ) -> tuple[Stamps, NoiseModel]:
     """Stamps minus the mean dark frame; with the lamp off there is no light, so no background is left.
 
@@ -42,6 +46,8 @@ def dark_subtracted(
     start_px : (n, 2), optional
         Where centroiders start. Without it at the centre of gravity of the mean frame: the tail of a spot draws it away
         from the detection.
+    response : (n, h, w), optional
+        Response of the pixels, by which the light is divided.
 
     Returns
     -------
@@ -53,6 +59,8 @@ def dark_subtracted(
     stamps, noise = stamps_from_windows(stack, background_e=0.0, start_px=stack.corner_px.astype(np.float64))
     pedestal = dark_e - noise.offset_dn / noise.gain_dn_per_e
     electrons = np.where(stamps.valid, stamps.electrons - np.tile(pedestal, (frames, 1, 1)), 0.0)
+    if response is not None:
+        electrons = electrons / np.tile(response, (frames, 1, 1))
     if start_px is None:
         start_px = stack.corner_px + centre_of_gravity(electrons.reshape(frames, count, height, width).mean(0))
     return replace(
@@ -63,7 +71,9 @@ def dark_subtracted(
     ), noise
 
 
-def ring_subtracted(stack: WindowStack, found_px: FloatArray) -> tuple[Stamps, NoiseModel]:
+def ring_subtracted(
+    stack: WindowStack, found_px: FloatArray, *, response: FloatArray | None = None
+) -> tuple[Stamps, NoiseModel]:
     """Stamps minus the nominal offset and one background value per window; fixed patterns stay.
 
     The background is that of the outermost ring of the mean frame; centroiders start at its centre of gravity within
@@ -75,9 +85,13 @@ def ring_subtracted(stack: WindowStack, found_px: FloatArray) -> tuple[Stamps, N
         f frames of n windows.
     found_px : (n, 2)
         Where the light was detected.
+    response : (n, h, w), optional
+        As of `dark_subtracted`.
     """
     frames, count, height, width = stack.dn.shape
     stamps, noise = stamps_from_windows(stack, background_e=0.0, start_px=found_px)
+    if response is not None:
+        stamps = replace(stamps, electrons=stamps.electrons / np.tile(response, (frames, 1, 1)))
     mean = stamps.electrons.reshape(frames, count, height, width).mean(0)
     valid = ~stack.defect
     level = ring_background(mean, valid)

@@ -1,0 +1,271 @@
+"""What own frames say about themselves: gain, motion, noise, copies, the ends of the converter.
+
+Every number has its own statistic, and none needs more than the frames:
+
+``gain``
+    Photon transfer (Janesick 2007; EMVA 1288 Release 4.0, sec. 6.6): the temporal variance of a pixel grows with its
+    mean by K. What a moving image and a flickering lamp add is projected out frame by frame and window by window (the
+    mean image and its two derivatives); the variance that the projection takes from every pixel is accounted for.
+``motion``
+    What all points of a frame have in common. Without motion J times the variance of the common part over the variance
+    of what is left of the points follows Fisher's F with (N - 1) and (N - 1)(J - 1) degrees of freedom; with a motion
+    of the variance m^2 it is larger by 1 + J m^2 / s^2.
+``noise``
+    Variance of the centroids over the variance that the noise model predicts for them.
+``copies``, ``step``, ``clipped``, ``zero``
+    Frames of a series that equal another one; common divisor of all readings; how often the highest reading comes
+    against the four below it; share of readings of 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import f as fisher_f
+from scipy.stats import poisson
+
+from experiments.harness.summary import Measured
+from experiments.laboratory.own_frames.folder import FrameSeries
+from experiments.laboratory.own_frames.series import SeriesFrames
+from optics.arrays import FloatArray
+
+__all__ = ["FALSE_ALARM", "MOTION_SHARE", "FrameChecks", "Motion", "check_frames", "common_motion", "photon_transfer"]
+
+FALSE_ALARM = 1e-3
+"""Probability that a check objects to frames that are as they should be."""
+MOTION_SHARE = 0.21
+"""Motion that raises the scatter of a point by 10 % is let pass: its variance over that of the point."""
+FEWEST_FOR_MOTION = 3
+TOP_READINGS = 5
+FEWEST_PIXELS = 30
+ITERATIONS = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """Common motion of the points of a series along an axis.
+
+    Attributes
+    ----------
+    series, axis : str
+        Where.
+    rms_px : float
+        Standard deviation of the common part from frame to frame, noise of the points included.
+    limit_px : float
+        What it may be (see the module).
+    drift_px : float
+        Least-squares trend from the first frame to the last.
+    drift_share : float
+        Part of the variance that the trend explains.
+    """
+
+    series: str
+    axis: str
+    rms_px: float
+    limit_px: float
+    drift_px: float
+    drift_share: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameChecks:
+    """Of all series of a folder together.
+
+    Attributes
+    ----------
+    gain_dn_per_e : Measured or None
+        K by photon transfer; None without two frames in a series or enough light.
+    motion : Motion or None
+        The largest against its limit; None for single points or fewer than three frames.
+    noise_ratio : Measured or None
+        Standard deviation of a frame's centroid, measured over modelled.
+    copies, frames : int
+        Frames that equal another one of their series; of so many.
+    step_dn : int
+        Largest number that divides all differences of readings.
+    top_dn, top_count, top_limit : int
+        Highest reading, how often it comes, how often chance lets it come.
+    zero_fraction : float
+        Share of readings of 0.
+    """
+
+    gain_dn_per_e: Measured | None
+    motion: Motion | None
+    noise_ratio: Measured | None
+    copies: int
+    frames: int
+    step_dn: int
+    top_dn: int
+    top_count: int
+    top_limit: int
+    zero_fraction: float
+
+
+def check_frames(series: Sequence[FrameSeries], reduced: Sequence[SeriesFrames], method: str) -> FrameChecks:
+    """Look at all series of a folder; ``method`` is the centroider that counts."""
+    several = [one for one in series if len(one.windows.dn) > 1]
+    motions = [
+        motion
+        for one in reduced
+        for motion in common_motion(one.points.position_px[method], one.name, tests=2 * len(reduced))
+    ]
+    readings = [np.unique(_each_once(one), return_counts=True) for one in series]
+    top, count, limit = _top(readings)
+    every = sum(int(counts.sum()) for _, counts in readings)
+    zero = sum(int(counts[values == 0].sum()) for values, counts in readings)
+    steps = np.concatenate([np.diff(values.astype(np.int64)) for values, _ in readings])
+    return FrameChecks(
+        gain_dn_per_e=photon_transfer([one.windows.dn for one in several], [~one.windows.defect for one in several]),
+        motion=max(motions, key=lambda one: one.rms_px / one.limit_px, default=None),
+        noise_ratio=_noise_ratio(reduced, method),
+        copies=sum(len(one.windows.dn) - len(_unique(one)) for one in series),
+        frames=sum(len(one.windows.dn) for one in series),
+        step_dn=int(np.gcd.reduce(steps)) if steps.size else 1,
+        top_dn=top,
+        top_count=count,
+        top_limit=limit,
+        zero_fraction=zero / every,
+    )
+
+
+def _unique(series: FrameSeries) -> list[int]:
+    """Numbers of the frames of a series that equal none before them."""
+    seen: dict[bytes, int] = {}
+    for number, frame in enumerate(series.windows.dn):
+        seen.setdefault(frame.tobytes(), number)
+    return list(seen.values())
+
+
+def _each_once(series: FrameSeries) -> NDArray[np.uint16]:
+    """Readings of usable pixels, copies of frames left out."""
+    return np.asarray(series.windows.dn[_unique(series)][:, ~series.windows.defect])
+
+
+def _top(readings: Sequence[tuple[NDArray[np.uint16], NDArray[np.int64]]]) -> tuple[int, int, int]:
+    """Highest reading, how often it comes, and how often a Poisson variate with the mean of the four below it would."""
+    top = max(int(values[-1]) for values, _ in readings)
+    steps = [int(np.diff(values.astype(np.int64)).min()) for values, _ in readings if len(values) > 1]
+    step = min(steps, default=1)
+    counts = np.zeros(TOP_READINGS, np.int64)
+    for values, number in readings:
+        below = (top - values.astype(np.int64)) // step
+        near = below < TOP_READINGS
+        np.add.at(counts, below[near], number[near])
+    expected = max(float(counts[1:].mean()), 1.0)
+    return top, int(counts[0]), int(poisson.isf(FALSE_ALARM, expected))
+
+
+def common_motion(position_px: FloatArray, name: str, *, tests: int = 1) -> list[Motion]:
+    """Common motion along x and y from centroids (f, j, 2); nothing for one point or fewer than three whole frames.
+
+    Parameters
+    ----------
+    position_px : (f, j, 2)
+        Centroids; frames with NaN are left out.
+    name : str
+        Of the series.
+    tests : int
+        How many such tests are made; `FALSE_ALARM` holds for all together.
+    """
+    number = np.flatnonzero(np.isfinite(position_px).all((1, 2)))
+    place = position_px[number]
+    frames, points, _ = place.shape
+    if points < 2 or frames < FEWEST_FOR_MOTION:
+        return []
+    apart = place - place.mean(0)
+    common = apart.mean(1)
+    left = ((apart - common[:, None]) ** 2).sum((0, 1)) / ((frames - 1) * (points - 1))
+    quantile = float(fisher_f.isf(FALSE_ALARM / tests, frames - 1, (frames - 1) * (points - 1)))
+    limit = np.sqrt(np.maximum(left, 1e-24) / points * quantile * (1.0 + points * MOTION_SHARE))
+    time = (number - number.mean()) / (number[-1] - number[0])
+    slope = time @ common / (time @ time)
+    total = (common**2).sum(0)
+    share = slope**2 * (time @ time) / np.where(total > 0, total, 1.0)
+    rms = np.sqrt(total / (frames - 1))
+    return [
+        Motion(
+            series=name,
+            axis="xy"[a],
+            rms_px=float(rms[a]),
+            limit_px=float(limit[a]),
+            drift_px=float(slope[a]),
+            drift_share=float(share[a]),
+        )
+        for a in range(2)
+    ]
+
+
+def _noise_ratio(reduced: Sequence[SeriesFrames], method: str) -> Measured | None:
+    """Root of the sum of measured variances over that of modelled ones, points, axes and series together."""
+    seen = modelled = spread = 0.0
+    samples = 0
+    for one in reduced:
+        if one.frames < 2:
+            continue
+        model = one.predicted_px(method) ** 2
+        seen += float(np.nansum(one.points.sigma_px(method) ** 2) * (one.frames - 1))
+        modelled += float(model.sum() * (one.frames - 1))
+        spread += float(2.0 * (model**2).sum() * (one.frames - 1))
+        samples += one.frames * len(model)
+    if not modelled:
+        return None
+    ratio = float(np.sqrt(seen / modelled))
+    return Measured(value=ratio, uncertainty=0.5 * float(np.sqrt(spread)) / modelled, n=samples)
+
+
+def photon_transfer(dn: Sequence[NDArray[np.uint16]], usable: Sequence[NDArray[np.bool_]]) -> Measured | None:
+    """System gain K [DN/e-] by the growth of the temporal variance of pixels with their mean.
+
+    Parameters
+    ----------
+    dn : sequence of (f, j, h, w)
+        Readings of windows at rest, series by series; at least two frames each.
+    usable : sequence of (j, h, w) bool
+        Pixels that count.
+
+    Returns
+    -------
+    Measured or None
+        K with its standard deviation; None where too few pixels are there.
+    """
+    parts = [_window_variances(np.asarray(one, float), ok) for one, ok in zip(dn, usable, strict=True)]
+    if not parts or sum(len(variance) for variance, _, _ in parts) < FEWEST_PIXELS:
+        return None
+    variance, design, degrees = (np.concatenate(column) for column in zip(*parts, strict=True))
+    weight = degrees / np.maximum(np.full(len(variance), variance.mean()), 1e-12) ** 2
+    for _ in range(ITERATIONS):
+        information = design.T @ (weight[:, None] * design)
+        found = np.linalg.pinv(information, hermitian=True) @ (design.T @ (weight * variance))
+        expected = np.maximum(design @ found, max(1e-3 * float(variance.mean()), 1e-12))
+        weight = degrees / expected**2
+    chi2 = float(np.mean(0.5 * degrees * ((variance - expected) / expected) ** 2))
+    information = design.T @ (0.5 * weight[:, None] * design)
+    covariance = np.linalg.pinv(information, hermitian=True) * max(chi2, 1.0)
+    return Measured(value=float(found[1]), unit="DN/e-", uncertainty=float(np.sqrt(covariance[1, 1])), n=len(variance))
+
+
+def _window_variances(dn: FloatArray, usable: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Temporal variances (n,) of pixels, what multiplies (floor, K) in their expectation (n, 2), degrees of freedom.
+
+    With M the projection on what is neither mean image nor its derivatives, the residual of pixel i has the variance
+    sum_k M_ik^2 v_k, v_k = floor + K mean_k.
+    """
+    frames = len(dn)
+    variances, designs = [], []
+    for number in range(dn.shape[1]):
+        mean, ok = dn[:, number].mean(0), usable[number]
+        edge = np.ones(mean.shape, bool)
+        edge[1:-1, 1:-1] = False
+        light = mean - np.median(mean[edge])
+        modes = np.stack([light, *np.gradient(light)], axis=-1)[ok]
+        base = np.linalg.qr(modes / np.maximum(np.linalg.norm(modes, axis=0), 1e-300))[0]
+        keep = np.eye(len(base)) - base @ base.T
+        left = (dn[:, number][:, ok] - mean[ok]) @ keep
+        taken = keep**2
+        variances.append((left**2).sum(0) / (frames - 1))
+        designs.append(np.column_stack([taken.sum(1), taken @ mean[ok]]))
+    variance = np.concatenate(variances)
+    return variance, np.concatenate(designs), np.full(len(variance), frames - 1.0)

@@ -1,0 +1,192 @@
+"""Dark frames, flats and bad-pixel maps of a laboratory: means of many frames, with the noise that is left in them.
+
+As `ccdproc` has it: a frame minus the mean dark frame, over the mean flat (minus its own dark, over its mean). In the
+mean dark frame is left the noise of a pixel without light over the number of dark frames, in the flat the noise of its
+pixels over the number of flats; both move a centroid, the same in every frame of a series.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.laboratory.own_frames.files import FrameReader, find_files, same
+from experiments.laboratory.own_frames.settings import SETTINGS_FILE, FolderSettings
+from optics.arrays import FloatArray
+from optics.errors import ConfigError, DomainError
+
+__all__ = ["Flat", "MeanFrame", "bad_pixels", "mean_flat", "mean_frame"]
+
+LEAST_FLAT = 0.2
+"""Pixels with less of the mean response are not used."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeanFrame:
+    """Mean of frames.
+
+    Attributes
+    ----------
+    name : str
+        For messages.
+    dn : (h, w)
+        Mean [DN].
+    frames : int
+        How many.
+    exposure_s : float
+        Exposure time; NaN where unknown.
+    band : str
+        Filter that the files name.
+    defect, saturated : (h, w) bool
+        Pixels that any of the frames calls so.
+    """
+
+    name: str
+    dn: FloatArray
+    frames: int
+    exposure_s: float
+    band: str
+    defect: NDArray[np.bool_]
+    saturated: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flat:
+    """Response of the pixels.
+
+    Attributes
+    ----------
+    response : (h, w)
+        Mean over the usable pixels 1; 1 where a pixel is not usable.
+    error : (h, w)
+        Standard deviation of it, by the noise of the frames behind it.
+    unusable : (h, w) bool
+        Pixels with hardly any response.
+    frames : int
+        Flats.
+    """
+
+    response: FloatArray
+    error: FloatArray
+    unusable: NDArray[np.bool_]
+    frames: int
+
+    @property
+    def pattern(self) -> tuple[float, float]:
+        """Standard deviation of the response from pixel to pixel, and the part of it that is noise of the flats.
+
+        Differences of neighbouring columns count, over the square root of two: an uneven light does not.
+        """
+        ok = ~(self.unusable[:, 1:] | self.unusable[:, :-1])
+        step = np.diff(self.response, axis=1)[ok]
+        spread = 1.4826 * float(np.median(np.abs(step - np.median(step)))) / np.sqrt(2.0)
+        return spread, float(np.sqrt(np.mean(self.error[~self.unusable] ** 2)))
+
+
+def mean_frame(reader: FrameReader, files: Sequence[Path], name: str) -> MeanFrame:
+    """Mean of the frames of files, and what they say of themselves."""
+    total: FloatArray | None = None
+    defect = saturated = np.zeros((0, 0), bool)
+    count, exposure_s, band = 0, float("nan"), ""
+    for frame in reader.frames(files, name):
+        if total is None:
+            total = np.zeros(frame.dn.shape)
+            defect, saturated = np.zeros(frame.dn.shape, bool), np.zeros(frame.dn.shape, bool)
+            exposure_s, band = frame.exposure_s, frame.band
+        total += frame.dn
+        defect |= frame.defect
+        saturated |= frame.saturated
+        count += 1
+    assert total is not None
+    return MeanFrame(
+        name=name,
+        dn=total / count,
+        frames=count,
+        exposure_s=exposure_s,
+        band=band,
+        defect=defect,
+        saturated=saturated,
+    )
+
+
+def mean_flat(
+    reader: FrameReader, folder: Path, settings: FolderSettings, bad: NDArray[np.bool_] | None
+) -> Flat | None:
+    """The flat of a folder; None where there is none.
+
+    Raises
+    ------
+    ConfigError
+        Missing files.
+    DomainError
+        Flats that are saturated, dark, or need a dark of their own exposure time.
+    """
+    if not settings.flat:
+        return None
+    light = mean_frame(reader, find_files(folder, settings.flat, "flat"), "flat")
+    full = settings.saturation_dn or 65535.0
+    part = float((light.saturated | (light.dn >= full)).mean())
+    if part > 0.01:
+        raise DomainError(f"{SETTINGS_FILE}, flat: {part:.0%} of the pixels are saturated; expose the flats less")
+    patterns = settings.flat_dark or settings.dark
+    offset: FloatArray | float = settings.offset_dn
+    dark_noise = 0.0
+    gain, floor = settings.gain_dn_per_e, settings.read_noise_e**2 + 1.0 / (12.0 * settings.gain_dn_per_e**2)
+    if patterns:
+        dark = mean_frame(reader, find_files(folder, patterns, "flat_dark"), "flat_dark")
+        if not same(dark.exposure_s, light.exposure_s):
+            raise DomainError(
+                f"{SETTINGS_FILE}, flat: exposed {light.exposure_s:g} s, its dark frames {dark.exposure_s:g} s; give "
+                "flat_dark, frames with the lamp off exposed as the flats"
+            )
+        offset, dark_noise = dark.dn, floor / dark.frames
+    electrons = (light.dn - offset) / gain
+    usable = ~(light.defect | light.saturated) if bad is None else ~(light.defect | light.saturated | bad)
+    level = float(np.median(electrons[usable])) if usable.any() else 0.0
+    if level <= 10.0 * np.sqrt(floor):
+        raise DomainError(
+            f"{SETTINGS_FILE}, flat: {level:.0f} e- above the dark frames, where the read noise is "
+            f"{settings.read_noise_e:g} e-; brighter flats are needed"
+        )
+    usable &= electrons > LEAST_FLAT * level
+    mean = float(electrons[usable].mean())
+    variance = (np.maximum(electrons, 0.0) + floor) / light.frames + dark_noise
+    return Flat(
+        response=np.where(usable, electrons / mean, 1.0),
+        error=np.where(usable, np.sqrt(variance) / mean, 0.0),
+        unusable=~usable,
+        frames=light.frames,
+    )
+
+
+def bad_pixels(reader: FrameReader, folder: Path, settings: FolderSettings) -> NDArray[np.bool_] | None:
+    """The bad-pixel map of a folder: a FITS image that is not 0 where a pixel is bad; None where there is none.
+
+    Raises
+    ------
+    ConfigError
+        Missing file, no image.
+    DomainError
+        Another size than the frames.
+    """
+    if settings.bad_pixels is None:
+        return None
+    from astropy.io import fits
+
+    path = find_files(folder, [settings.bad_pixels], "bad_pixels")[0]
+    try:
+        values = np.squeeze(np.asarray(fits.getdata(path)))
+    except (OSError, ValueError, TypeError, IndexError) as error:
+        raise ConfigError(f"{path.name}: not a readable FITS image ({str(error).splitlines()[0][:160]})") from None
+    assert reader.size_px is not None
+    width, height = reader.size_px
+    if values.shape != (height, width):
+        raise DomainError(
+            f"{path.name} has the shape {values.shape}, the frames {width} x {height} px; a bad-pixel map has one "
+            "value for every pixel"
+        )
+    return np.asarray(~(values == 0))

@@ -1,0 +1,147 @@
+"""Centroids of a series of own frames, and what noise the frames' own light and the stated camera give them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.measure.centroid import get_centroider
+from calib.measure.linear_response import centroid_covariance, linear_response
+from calib.records import NoiseModel, Stamps
+from experiments.laboratory.own_frames.folder import FrameFolder, FrameSeries
+from experiments.laboratory.own_frames.settings import SeriesSettings
+from experiments.laboratory.point_frames import PointFrames
+from experiments.laboratory.readout.centroids import measured_positions, refuse_few_frames
+from experiments.laboratory.readout.stamps import dark_subtracted, refuse_saturated, ring_subtracted
+from optics.arrays import FloatArray
+
+__all__ = ["SeriesFrames", "reduce_series"]
+
+_SATURATED = (
+    "lower the lamp or the exposure (saturated is what reaches saturation_dn, and what the bit SATURATE of a MASK says)"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeriesFrames:
+    """Centroids of a series of N frames of j points.
+
+    Attributes
+    ----------
+    settings : SeriesSettings
+        What the folder says of it.
+    frames : int
+        N.
+    signal_e : float
+        Mean electrons in a window, background taken away.
+    points : PointFrames
+        Centroids by method, and the windows.
+    mean_e : (j, h, w)
+        Mean windows as centroided, background included where no dark frames were given.
+    frame_covariance_px2 : dict of str to (j, 2, 2)
+        Of the centroid of one frame, by method: what photons, read noise, rounding and the dark charge seen in the
+        frames with the lamp off give, through the influence of each pixel of the mean windows.
+    fixed_covariance_px2 : (j, 2, 2)
+        What moves the first method's centroids alike in all frames: noise of the mean dark frame and of the flat, and
+        the response that no flat removes.
+    """
+
+    settings: SeriesSettings
+    frames: int
+    signal_e: float
+    points: PointFrames
+    mean_e: FloatArray
+    frame_covariance_px2: Mapping[str, FloatArray]
+    fixed_covariance_px2: FloatArray
+
+    @property
+    def name(self) -> str:
+        """For messages and tables."""
+        return self.settings.name
+
+    @property
+    def usable_fraction(self) -> float:
+        """Smallest share over points and methods of frames that gave a position."""
+        return float(min(np.isfinite(p[..., 0]).mean(0).min() for p in self.points.position_px.values()))
+
+    def predicted_px(self, method: str) -> FloatArray:
+        """Standard deviation (j, 2) of a frame's centroid by the noise model."""
+        return np.sqrt(np.diagonal(self.frame_covariance_px2[method], axis1=1, axis2=2))
+
+    def mean_covariance_px2(self, method: str) -> FloatArray:
+        """Covariance (j, 2, 2) of the mean over the frames, dark frames and flat included; of the first method."""
+        return np.asarray(self.frame_covariance_px2[method] / self.frames + self.fixed_covariance_px2)
+
+
+def reduce_series(
+    folder: FrameFolder, series: FrameSeries, methods: Sequence[str], *, every_model: bool = False
+) -> SeriesFrames:
+    """Centroids of a series and their noise.
+
+    Parameters
+    ----------
+    folder, series
+        As read.
+    methods : sequence of str
+        Centroiders that need no ePSF.
+    every_model : bool
+        Whether the noise model is asked for every method; otherwise for the first.
+
+    Raises
+    ------
+    DomainError
+        On saturated points, or fewer than two usable frames of a point where there are at least two.
+    """
+    stamps, noise = _stamps(series)
+    frames = len(series.windows.dn)
+    refuse_saturated(stamps, len(series.found_px), where=f"{series.name}, target points", advice=_SATURATED)
+    position = {m: measured_positions(get_centroider(m), stamps, noise, frames) for m in methods}
+    if frames > 1:
+        for method, values in position.items():
+            refuse_few_frames(values, method, where=series.name)
+    mean = stamps.electrons.reshape(frames, *series.windows.defect.shape).mean(0)
+    light = mean - stamps.background_e[: len(mean), None, None]
+    temporal_e2, fixed_e2 = _variances(folder, series, mean, light, noise)
+    one = stamps.select(slice(0, len(mean)))
+    modelled = methods if every_model else methods[:1]
+    gain = {m: linear_response(_tight(m), one, noise, mean) for m in modelled}
+    return SeriesFrames(
+        settings=series.settings,
+        frames=frames,
+        signal_e=float(np.where(series.windows.defect, 0.0, light).sum((1, 2)).mean()),
+        points=PointFrames(position_px=position, windows=series.windows),
+        mean_e=mean,
+        frame_covariance_px2={m: centroid_covariance(gain[m], temporal_e2) for m in modelled},
+        fixed_covariance_px2=centroid_covariance(gain[methods[0]], fixed_e2),
+    )
+
+
+def _stamps(series: FrameSeries) -> tuple[Stamps, NoiseModel]:
+    if series.dark_e is None:
+        return ring_subtracted(series.windows, series.found_px, response=series.response)
+    return dark_subtracted(series.windows, series.dark_e, response=series.response)
+
+
+def _variances(
+    folder: FrameFolder, series: FrameSeries, mean_e: FloatArray, light_e: FloatArray, noise: NoiseModel
+) -> tuple[FloatArray, FloatArray]:
+    """Variance of a pixel from frame to frame, and of what is the same in all frames, (j, h, w) [e-^2] each."""
+    response: FloatArray | float = 1.0 if series.response is None else series.response
+    floor = np.full(mean_e.shape, noise.floor_e2)
+    if series.dark_e is not None:  # the charge that was subtracted still makes noise
+        floor = floor + (series.dark_e - noise.offset_dn / noise.gain_dn_per_e)
+    temporal = np.maximum(np.maximum(mean_e, 0.0) * response + floor, 0.0) / response**2
+    fixed = (folder.settings.prnu_fraction * light_e) ** 2
+    if series.dark_frames:
+        fixed = fixed + np.maximum(floor, 0.0) / series.dark_frames / response**2
+    if series.response_error is not None:
+        fixed = fixed + (light_e * series.response_error / response) ** 2
+    return temporal, fixed
+
+
+def _tight(method: str):  # type: ignore[no-untyped-def]
+    """The centroider with its iterations carried on, where it has a tolerance: differences need more digits."""
+    centroider = get_centroider(method)
+    return replace(centroider, tolerance=1e-6) if hasattr(centroider, "tolerance") else centroider  # type: ignore[type-var]

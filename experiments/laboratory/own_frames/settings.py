@@ -1,0 +1,225 @@
+"""``frames.toml``: which frame of a folder is which, and what the camera is said to have (docs/frames.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from experiments.harness.config import StrictModel
+from optics.errors import ConfigError
+from optics.validate import parse_model, read_toml
+
+__all__ = [
+    "SETTINGS_FILE",
+    "FolderSettings",
+    "Layout",
+    "SeriesSettings",
+    "TableSettings",
+    "read_settings",
+    "read_table",
+]
+
+SETTINGS_FILE = "frames.toml"
+"""Name of the file that describes a folder."""
+AXES = ("outer_deg", "middle_deg", "inner_deg")
+"""Keys of a series that hold the readings of a turntable, outermost axis first."""
+
+
+class SeriesSettings(StrictModel):
+    """Frames of a target, or of a star, at rest."""
+
+    files: tuple[str, ...] = Field(min_length=1, description="file names or patterns (*, ?), within the folder")
+    name: str = Field(default="", description="for messages and tables")
+    count: int | None = Field(default=None, ge=1, description="number of frames that must be there")
+    dark: tuple[str, ...] = Field(default=(), description="lamp off, in place of those of the folder")
+    position: int | None = Field(default=None, description="hsfe: place in the order of the steps")
+    shift_px: tuple[float, float] | None = Field(default=None, description="hsfe: commanded shift since the start")
+    session: Literal["earlier", "test"] = Field(default="test", description="distortion: which session")
+    filter_nm: float | None = Field(default=None, gt=0, description="chromatic: central wavelength of the filter")
+    place: str = Field(default="middle", min_length=1, description="chromatic: where in the field the target stands")
+    outer_deg: float | None = Field(default=None, description="turntable, fisher: reading of the outermost axis")
+    middle_deg: float | None = Field(default=None, description="turntable, fisher: of the middle one of three axes")
+    inner_deg: float | None = Field(default=None, description="turntable, fisher: of the innermost axis")
+    use: Literal["calibration", "evaluation"] = Field(
+        default="calibration", description="fisher: frames that calibrate, or whose star vectors are evaluated"
+    )
+
+    @field_validator("files", "dark", mode="before")
+    @classmethod
+    def _one_pattern(cls, value: Any) -> Any:
+        return (value,) if isinstance(value, str) else value
+
+
+class TableSettings(StrictModel):
+    """Turntable of a single-star bench (turntable, fisher)."""
+
+    axes: str = Field(description="axes, outermost first, as letters of the laboratory frame, minus for left turns")
+    reading_noise_arcsec: tuple[float, ...] = Field(
+        min_length=1, description="standard deviation of the reading of a series; one for all axes, or one per axis"
+    )
+    star_deg: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="where the star is believed to stand at zero angles, azimuth and elevation"
+    )
+
+    @field_validator("reading_noise_arcsec")
+    @classmethod
+    def _not_negative(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        if any(value < 0 for value in values):
+            raise ValueError(f"{list(values)} arcsec; a reading error cannot be negative")
+        return values
+
+
+class FolderSettings(StrictModel):
+    """Contents of ``frames.toml``."""
+
+    gain_dn_per_e: float = Field(gt=0, le=1e5, description="system gain K")
+    offset_dn: float = Field(ge=0, le=65535, description="nominal offset")
+    read_noise_e: float = Field(ge=0, le=1e5, description="temporal dark noise of a pixel")
+    pixel_arcsec: float = Field(gt=0, le=36000, description="angle of a pixel on the axis")
+    pixel_pitch_um: float | None = Field(default=None, gt=0, le=1000, description="turntable, fisher: side of a pixel")
+    saturation_dn: float | None = Field(default=None, gt=0, description="pixels from here on are saturated")
+    prnu_fraction: float = Field(
+        default=0.0, ge=0, le=0.2, description="response from pixel to pixel that no flat removes, standard deviation"
+    )
+    dark: tuple[str, ...] = Field(default=(), description="frames with the lamp off; without them patterns stay")
+    flat: tuple[str, ...] = Field(default=(), description="frames of an even light; without them the response stays")
+    flat_dark: tuple[str, ...] = Field(default=(), description="lamp off, exposed as the flats; else `dark`")
+    bad_pixels: str | None = Field(default=None, description="FITS image, not 0 where a pixel is not to be used")
+    points: int | None = Field(default=None, ge=1, le=10000, description="number of target points: the brightest")
+    points_px: tuple[tuple[float, float], ...] = Field(default=(), description="nominal places (column, row)")
+    target: str | None = Field(
+        default=None, description="CSV or ECSV file of nominal places: x_px, y_px or tan_x, tan_y"
+    )
+    match_px: float = Field(default=4.0, gt=0, le=50, description="farthest a point may lie from its nominal place")
+    centre_px: tuple[float, float] | None = Field(default=None, description="where tan_x = tan_y = 0 is imaged")
+    table: TableSettings | None = Field(default=None, description="turntable, fisher: the table")
+    series_table: str | None = Field(
+        default=None, description="CSV or ECSV file of series, a row each; columns are keys of [[series]]"
+    )
+    series: tuple[SeriesSettings, ...] = Field(default=(), description="the frames")
+
+    @field_validator("dark", "flat", "flat_dark", mode="before")
+    @classmethod
+    def _one_pattern(cls, value: Any) -> Any:
+        return (value,) if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _what_is_there(self) -> FolderSettings:
+        if bool(self.series) == (self.series_table is not None):
+            raise ValueError("[[series]] or series_table is needed, one of them: it says which frame is which")
+        return self
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """What an experiment asks of a folder.
+
+    Attributes
+    ----------
+    needs : tuple of str
+        Keys that every series must have.
+    same_scene : {"all", "place", "none"}
+        Which series show the same points, of which the first tells the others where to look: all of them; those with
+        the same ``place``; none.
+    points : int, optional
+        How many points there are, if that is not a matter of the folder.
+    fewest : int
+        Frames that a series must have.
+    """
+
+    needs: tuple[str, ...] = ()
+    same_scene: Literal["all", "place", "none"] = "all"
+    points: int | None = None
+    fewest: int = 2
+
+    def check(self, settings: FolderSettings) -> None:
+        """Refuse a folder that does not say what is needed.
+
+        Raises
+        ------
+        ConfigError
+            Naming the key.
+        """
+        given = [settings.points is not None, bool(settings.points_px), settings.target is not None]
+        if self.points is None and sum(given) != 1:
+            raise ConfigError(
+                f"{SETTINGS_FILE}: exactly one of points, points_px and target is needed: that is what is measured"
+            )
+        if self.same_scene != "all" and any(given[1:]):
+            raise ConfigError(
+                f"{SETTINGS_FILE}: points_px and target say where a target stands that does not move; this experiment "
+                "moves it" + ("" if self.points else ", give points, its number")
+            )
+        for number, one in enumerate(settings.series, start=1):
+            missing = [key for key in self.needs if getattr(one, key) is None]
+            if missing:
+                raise ConfigError(f"{SETTINGS_FILE}, {one.name or f'series {number}'}: {missing[0]} is missing")
+
+
+def read_settings(folder: Path) -> FolderSettings:
+    """Contents of a folder's ``frames.toml``, series of a table included, every series with a name.
+
+    Raises
+    ------
+    ConfigError
+        Folder or file missing, unknown key, value out of range, two series of one name.
+    """
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder; one with frames and {SETTINGS_FILE} is needed")
+    if not (folder / SETTINGS_FILE).is_file():
+        raise ConfigError(f"{folder}: holds no {SETTINGS_FILE}, which says which frame is which")
+    settings = parse_model(FolderSettings, read_toml(folder / SETTINGS_FILE), SETTINGS_FILE)
+    series: Sequence[SeriesSettings] = settings.series
+    if settings.series_table is not None:
+        if not (folder / settings.series_table).is_file():
+            raise ConfigError(f"{SETTINGS_FILE}, series_table: no file {settings.series_table!r} in the folder")
+        table = read_table(folder / settings.series_table)
+        rows = [_filled(dict(zip(table, row, strict=True))) for row in zip(*table.values(), strict=True)]
+        if not rows:
+            raise ConfigError(f"{settings.series_table}: no rows; at least one series is needed")
+        series = [
+            parse_model(SeriesSettings, row, f"{settings.series_table}, row {number}")
+            for number, row in enumerate(rows, start=1)
+        ]
+    named = [
+        one.model_copy(update={"name": one.name or f"series {number}"}) for number, one in enumerate(series, start=1)
+    ]
+    names = [one.name for one in named]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ConfigError(f"{SETTINGS_FILE}: two series have the name {twice!r}; each needs its own")
+    return settings.model_copy(update={"series": tuple(named)})
+
+
+def read_table(path: Path) -> dict[str, list[Any]]:
+    """Columns of a CSV or ECSV file by name, empty cells left out of what a row says.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read as a table.
+    """
+    from astropy.table import Table
+
+    try:
+        table = Table.read(path, format="ascii.ecsv" if path.suffix == ".ecsv" else "ascii.csv")
+    except Exception as error:  # astropy raises many kinds for broken tables
+        raise ConfigError(f"{path.name}: not a readable table ({' '.join(str(error).split())[:160]})") from None
+    return {name: [_plain(value) for value in table[name]] for name in table.colnames}
+
+
+def _filled(row: dict[str, Any]) -> dict[str, Any]:
+    """A row without its empty cells; a name may look like a number."""
+    return {key: str(value) if key in ("name", "place") else value for key, value in row.items() if value is not None}
+
+
+def _plain(value: Any) -> Any:
+    """A cell as Python has it; None for an empty one."""
+    if np.ma.is_masked(value):
+        return None
+    return value.item() if isinstance(value, np.generic) else value
