@@ -83,6 +83,30 @@ def small_camera(small_detector):
     return build_instrument(InstrumentConfig(detector=str(small_detector)))
 
 
+@pytest.fixture
+def broken(monkeypatch):
+    """``broken(function, replacement)``: every module that holds a function gets another in its place."""
+
+    def replace_everywhere(function, replacement):
+        for module in list(sys.modules.values()):
+            if getattr(module, "__name__", "").startswith(("experiments.", "calib.", "render.")):
+                for name in [name for name, value in vars(module).items() if value is function]:
+                    monkeypatch.setattr(module, name, replacement)
+
+    return replace_everywhere
+
+
+@pytest.fixture(scope="session")
+def failing():
+    """``failing(name, result)``: names of the criteria that do not hold for a result of an experiment."""
+
+    def judged(name, result):
+        declared = importlib.import_module(f"experiments.{name}.experiment").experiment
+        return [one.name for one in declared.judge(declared.outcome(result.config, result)) if not one.passed]
+
+    return judged
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TinyRun:
     """What a run from the command line to the report gave."""

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+
+from render.sensor import StarSensor
 
 ROWS, COLUMNS, ORDER, SURVEYS, MARKING_ARCSEC = 4, 5, 2, 100, 2.0
 
@@ -39,3 +43,18 @@ def test_a_polynomial_divides_marking_error_by_its_degrees_of_freedom(run):
     assert run.results["sigma_c1_of_marking_error_alone_arcsec_3sigma"] == pytest.approx(
         error * np.sqrt((terms - 1) / (points - 1)), rel=1e-12
     )
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_shifted_centroid_is_noticed(run, failing, axis):
+    measured = run.result.measured
+    moved = measured.session_px["cog"] + 0.3 * np.eye(2)[axis]
+    result = replace(run.result, measured=replace(measured, session_px={**measured.session_px, "cog": moved}))
+    names = failing("distortion", result)
+    assert [name for name in names if name.startswith("cog: centroid minus noiseless light")]
+
+
+def test_a_wrong_angle_of_a_pixel_is_noticed(run, failing, monkeypatch):
+    right = run.result.instrument.pixel_arcsec
+    monkeypatch.setattr(StarSensor, "pixel_arcsec", property(lambda self: 1.01 * right))
+    assert "angle of a pixel over that of two traced bundles beside the axis" in failing("distortion", run.result)

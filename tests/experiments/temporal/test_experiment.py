@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
+
+from experiments.harness.progress import Progress
+from experiments.laboratory.temporal_error import temporal_error_arcsec
+from experiments.temporal.experiment import experiment
+from render.sensor import StarSensor
 
 FRAMES, STARS = 40, 6
 
@@ -82,3 +89,72 @@ def test_the_fit_scatters_as_the_bound_and_the_centre_of_gravity_as_its_own_sum(
         assert np.mean([measured[axis]["value"] for axis in "xy"]) == pytest.approx(value, rel=limit)
     predicted = run.results["predicted_linear_arcsec_3sigma"]["cog"]
     np.testing.assert_allclose([predicted[axis] for axis in "xy"], scale * np.mean(gravity, axis=1), rtol=0.01)
+
+
+# What an equation may be mistaken for, and the criterion that has to notice it.
+
+
+def with_errors(change):
+    """Another result of eq. 1-2: ``change`` of its two `Measured`."""
+    return lambda sigma_px, pixel_arcsec, frames: change(*temporal_error_arcsec(sigma_px, pixel_arcsec, frames))
+
+
+def times(factor):
+    return with_errors(lambda *both: tuple(replace(one, value=factor * one.value) for one in both))
+
+
+def of_rms(sigma_px, pixel_arcsec, frames):
+    return temporal_error_arcsec(np.sqrt((sigma_px**2).mean(0, keepdims=True)), pixel_arcsec, frames)
+
+
+@pytest.mark.parametrize(
+    ("mutant", "noticed"),
+    [
+        pytest.param(times(1 / 3), "target that moves", id="one sigma for three"),
+        pytest.param(times(2.0), "target that moves", id="doubled"),
+        pytest.param(times(1 / np.sqrt(FRAMES)), "target that moves", id="error of the mean"),
+        pytest.param(times(np.sqrt(1 - 1 / FRAMES)), "printed equation", id="divisor N for N - 1"),
+        pytest.param(with_errors(lambda x, y: (y, x)), "target that moves", id="x and y exchanged"),
+        pytest.param(with_errors(lambda x, y: (x, x)), "target that moves", id="x for y"),
+        pytest.param(of_rms, "printed equation", id="RMS over the stars for their mean"),
+    ],
+)
+def test_a_wrong_equation_is_noticed(run, broken, failing, mutant, noticed):
+    broken(temporal_error_arcsec, mutant)
+    assert [name for name in failing("temporal", run.result) if noticed in name]
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_shifted_centroid_is_noticed(run, failing, axis):
+    nominal = run.result.nominal
+    moved = nominal.position_px["cog"] + 0.3 * np.eye(2)[axis]
+    result = replace(run.result, nominal=replace(nominal, position_px={**nominal.position_px, "cog": moved}))
+    (name,) = failing("temporal", result)
+    assert name.startswith("cog: centroid minus noiseless light")
+
+
+def test_a_wrong_angle_of_a_pixel_is_noticed(run, failing, monkeypatch):
+    right = run.result.instrument.pixel_arcsec
+    monkeypatch.setattr(StarSensor, "pixel_arcsec", property(lambda self: 1.01 * right))
+    assert "angle of a pixel over that of two traced bundles beside the axis" in failing("temporal", run.result)
+
+
+def test_a_centroid_that_does_not_follow_is_noticed(run, failing):
+    """Nine tenths of a motion, as a window that is too tight would show."""
+    shaken = run.result.shaken
+    seen = shaken.position_px["cog"]
+    slow = seen - 0.1 * (seen - np.nanmean(seen, axis=0))
+    result = replace(run.result, shaken=replace(shaken, position_px={**shaken.position_px, "cog": slow}))
+    (name,) = failing("temporal", result)
+    assert name.startswith("cog: temporal error of a target that moves")
+
+
+@pytest.mark.slow
+def test_no_false_alarm_in_twenty_runs(run, failing):
+    """Criteria of this kind fail by chance once in a thousand times; there are three of them for each centroider."""
+    for seed in range(20):
+        config = run.result.config.model_copy(update={"seed": seed})
+        found = failing("temporal", experiment.run(config, progress=Progress()))
+        assert not [name for name in found if any(part in name for part in ("moves", "printed", "minus", "angle"))], (
+            seed
+        )
