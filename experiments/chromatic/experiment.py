@@ -11,6 +11,7 @@ from experiments.chromatic.settings import Config
 from experiments.harness.cli import command
 from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
+from experiments.laboratory.own_frames.experiment import or_own_frames
 from optics.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ def _prepare(config: Config, instrument: Instrument) -> tuple[Bench, FloatArray]
         frames=config.frames,
         dark_frames=config.dark_frames,
         window_px=config.window_px,
-        methods=tuple(dict.fromkeys((config.centroid, *config.compare))),
+        methods=config.methods,
     )
     for band in bench.filters:
         instrument.check_band("filters.centres_nm", band)
@@ -181,7 +182,7 @@ def files(result: Result, folder: Any) -> None:
     write_frame(frame, folder / "frame_upper_left.fits")
 
 
-experiment = Experiment(
+rendered = Experiment(
     name="chromatic",
     config=Config,
     run=run,
@@ -195,4 +196,5 @@ experiment = Experiment(
     files=files,
     quick={"frames": 6, "dark_frames": 20, "stars.grid": 3, "target.rows": 3, "target.columns": 3, "compare": ["cog"]},
 )
+experiment = or_own_frames(rendered, "experiments.chromatic.own_frames")
 main = command(experiment)

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from experiments.harness.config import StrictModel
 from experiments.laboratory.centroid_methods import MethodName
-from experiments.laboratory.sensor_file import SensorExperimentConfig
+from experiments.laboratory.own_frames.option import OwnFramesConfig
 from experiments.laboratory.settings import (
     FilterConfig,
     InstrumentConfig,
@@ -31,7 +31,7 @@ class DecentreConfig(StrictModel):
     kind: Literal["decentre", "tilt"] = Field(default="decentre", description="how it moves in the rendered check")
 
 
-class Config(SensorExperimentConfig):
+class Config(OwnFramesConfig):
     """The published run: ACC18 gives all of it but the signal, the pass band of the stars and the lens."""
 
     instrument: InstrumentConfig = InstrumentConfig()
@@ -49,6 +49,11 @@ class Config(SensorExperimentConfig):
     )
     decentre: DecentreConfig = DecentreConfig()
     stars: StarsConfig = StarsConfig()
+
+    @property
+    def methods(self) -> tuple[MethodName, ...]:
+        """All centroiders, the one that counts first."""
+        return tuple(dict.fromkeys((self.centroid, *self.compare)))
 
     @property
     def pair(self) -> str:

@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from experiments.harness.config import StrictModel
 from experiments.laboratory.centroid_methods import MethodName
-from experiments.laboratory.sensor_file import SensorExperimentConfig
+from experiments.laboratory.own_frames.option import OwnFramesConfig
 from experiments.laboratory.settings import InstrumentConfig, PassbandConfig, TargetConfig
 
 __all__ = ["PointConfig", "SourceConfig", "StarTargetConfig"]
@@ -21,15 +21,12 @@ class SourceConfig(StrictModel):
     )
 
 
-class PointConfig(SensorExperimentConfig):
+class PointConfig(OwnFramesConfig):
     """What the three tests have in common."""
 
     instrument: InstrumentConfig = InstrumentConfig()
     passband: PassbandConfig = PassbandConfig()
     source: SourceConfig = SourceConfig()
-    frames_folder: str | None = Field(
-        default=None, description="reduce the FITS frames of this folder (frames.toml says which is which), render none"
-    )
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position and level (ACC18: at least 30)")
     dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off")
     window_px: int = Field(default=13, ge=7, le=63, description="window around a point, odd")

@@ -126,13 +126,14 @@ def reduce_folder(test: FramesTest, config: Any, *, progress: Progress) -> Frame
     from experiments.laboratory.own_frames.checks import check_frames
     from experiments.laboratory.own_frames.folder import read_folder
 
-    methods = tuple(m for m in config.methods if not needs_epsf(m))
     if config.frames_folder is None:
         raise ConfigError("frames_folder is not given: the folder with the frames and frames.toml")
-    if not methods:
-        raise ConfigError("frames from outside come without a PSF: name another centroid than epsf, e.g. gaussian")
     with progress.stage("read"):
         folder = read_folder(config.frames_folder, window_px=config.window_px, layout=test.layout)
+    first = () if folder.settings.centroid is None else (folder.settings.centroid,)
+    methods = tuple(dict.fromkeys(m for m in (*first, *getattr(config, "methods", ("gaussian",))) if not needs_epsf(m)))
+    if not methods:
+        raise ConfigError("frames from outside come without a PSF: name another centroid than epsf, e.g. gaussian")
     with progress.stage("reduce"):
         reduced = test.reduce(folder, methods, config)
     with progress.stage("check"):
@@ -146,7 +147,8 @@ def or_own_frames(rendered: Experiment, own: str) -> Experiment:
     Parameters
     ----------
     rendered : Experiment
-        On rendered frames; its configuration has ``frames_folder``, ``window_px`` and ``methods``.
+        On rendered frames; its configuration is an `OwnFramesConfig` with ``window_px``, and ``methods`` where several
+        centroiders are compared.
     own : str
         Module with ``own_frames``, the `FramesTest`; imported when it is needed.
 

@@ -147,6 +147,7 @@ def read_folder(folder: str | Path, *, window_px: int, layout: Layout | None = N
     darks: dict[tuple[Path, ...], MeanFrame] = {}
     filters: dict[str, SeriesSettings] = {}
     seen: dict[str, FloatArray] = {}
+    corners: dict[str, NDArray[np.int64]] = {}
     series: list[FrameSeries] = []
     for number in _order(settings.series):
         own = settings.series[number]
@@ -166,6 +167,8 @@ def read_folder(folder: str | Path, *, window_px: int, layout: Layout | None = N
         seen.setdefault(scene, found)
         advice = "move the target, or take a smaller window_px"
         corner = window_corners(found, window_px, size_px, where=own.name, advice=advice)
+        if layout.same_scene == "place":  # the same pixels behind every filter: their patterns cancel in differences
+            corner = corners.setdefault(scene, corner)
         gain = settings.gain_dn_per_e
         series.append(
             FrameSeries(

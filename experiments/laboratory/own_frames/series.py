@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.measure.centroid import get_centroider
+from calib.measure.centroid import Centroider, get_centroider
 from calib.measure.linear_response import centroid_covariance, linear_response
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.own_frames.folder import FrameFolder, FrameSeries
@@ -43,9 +43,9 @@ class SeriesFrames:
     frame_covariance_px2 : dict of str to (j, 2, 2)
         Of the centroid of one frame, by method: what photons, read noise, rounding and the dark charge seen in the
         frames with the lamp off give, through the influence of each pixel of the mean windows.
-    fixed_covariance_px2 : (j, 2, 2)
-        What moves the first method's centroids alike in all frames: noise of the mean dark frame and of the flat, and
-        the response that no flat removes.
+    pattern_px : (j, 2, h, w)
+        By how much what is the same in all frames moves the first method's centroids, pixel by pixel, one standard
+        deviation: noise of the mean dark frame and of the flat, and the response that no flat removes.
     """
 
     settings: SeriesSettings
@@ -54,7 +54,7 @@ class SeriesFrames:
     points: PointFrames
     mean_e: FloatArray
     frame_covariance_px2: Mapping[str, FloatArray]
-    fixed_covariance_px2: FloatArray
+    pattern_px: FloatArray
 
     @property
     def name(self) -> str:
@@ -72,7 +72,8 @@ class SeriesFrames:
 
     def mean_covariance_px2(self, method: str) -> FloatArray:
         """Covariance (j, 2, 2) of the mean over the frames, dark frames and flat included; of the first method."""
-        return np.asarray(self.frame_covariance_px2[method] / self.frames + self.fixed_covariance_px2)
+        fixed = np.einsum("jahw,jbhw->jab", self.pattern_px, self.pattern_px)
+        return np.asarray(self.frame_covariance_px2[method] / self.frames + fixed)
 
 
 def reduce_series(
@@ -114,7 +115,7 @@ def reduce_series(
         points=PointFrames(position_px=position, windows=series.windows),
         mean_e=mean,
         frame_covariance_px2={m: centroid_covariance(gain[m], temporal_e2) for m in modelled},
-        fixed_covariance_px2=centroid_covariance(gain[methods[0]], fixed_e2),
+        pattern_px=gain[methods[0]] * np.sqrt(fixed_e2)[:, None],
     )
 
 
@@ -141,7 +142,7 @@ def _variances(
     return temporal, fixed
 
 
-def _tight(method: str):  # type: ignore[no-untyped-def]
+def _tight(method: str) -> Centroider:
     """The centroider with its iterations carried on, where it has a tolerance: differences need more digits."""
     centroider = get_centroider(method)
     return replace(centroider, tolerance=1e-6) if hasattr(centroider, "tolerance") else centroider  # type: ignore[type-var]

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from experiments.harness.config import StrictModel
+from experiments.laboratory.centroid_methods import CentroiderName
 from optics.errors import ConfigError
 from optics.validate import parse_model, read_toml
 
@@ -26,8 +27,6 @@ __all__ = [
 
 SETTINGS_FILE = "frames.toml"
 """Name of the file that describes a folder."""
-AXES = ("outer_deg", "middle_deg", "inner_deg")
-"""Keys of a series that hold the readings of a turntable, outermost axis first."""
 
 
 class SeriesSettings(StrictModel):
@@ -96,6 +95,12 @@ class FolderSettings(StrictModel):
         default=None, description="CSV or ECSV file of nominal places: x_px, y_px or tan_x, tan_y"
     )
     match_px: float = Field(default=4.0, gt=0, le=50, description="farthest a point may lie from its nominal place")
+    centroid: CentroiderName | None = Field(
+        default=None, description="centroider that counts, in place of the configuration's; not epsf"
+    )
+    reference_nm: float | None = Field(
+        default=None, gt=0, description="chromatic: filter that the others are compared with; filters.reference_nm"
+    )
     centre_px: tuple[float, float] | None = Field(default=None, description="where tan_x = tan_y = 0 is imaged")
     table: TableSettings | None = Field(default=None, description="turntable, fisher: the table")
     series_table: str | None = Field(
