@@ -1,9 +1,9 @@
 """The inverse model: from images to stars, camera models, attitudes and calibrations. Runs on any FITS image.
 
-`find_stars` measures the stars of an image, `fit_camera` makes a camera model, `identify_stars` tells which stars they
-are, `solve_attitude` where the camera looks, `calibrate` finds camera and attitudes from many frames, for a family of
-attitudes (`FreeAttitudes`, `AttitudeCorrelated`, `GyroLinked`, `NoAttitude`, `TurntableAttitudes`), and `bound` how
-well that can be done; each is one function over the parts below it.
+`find_stars` measures the stars of an image, `camera_model` is what a known camera does (`fit_camera` tells how well),
+`identify_stars` tells which stars they are, `solve_attitude` where the camera looks, `calibrate` finds camera and
+attitudes from many frames, for a family of attitudes (`FreeAttitudes`, `AttitudeCorrelated`, `GyroLinked`,
+`NoAttitude`, `TurntableAttitudes`), and `bound` how well that can be done; each is one function over parts below it.
 
 The public names of the package stand in ``__init__.pyi`` and are loaded when they are first used, so that importing one
 small module stays cheap; everything else is imported from its module:

@@ -24,6 +24,7 @@ from .calibration.turntable import star_direction as star_direction
 from .cameras.base import CameraModel as CameraModel
 from .cameras.base import SensorGeometry as SensorGeometry
 from .cameras.brown_conrady import BrownConrady as BrownConrady
+from .cameras.fit import camera_model as camera_model
 from .cameras.fit import fit_camera as fit_camera
 from .cameras.fit import fit_to_map as fit_to_map
 from .cameras.polynomial import Polynomial as Polynomial

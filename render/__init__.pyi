@@ -16,7 +16,6 @@ from .fits.files import read_frame as read_frame
 from .fits.files import write_frame as write_frame
 from .fits.wcs import lens_wcs as lens_wcs
 from .forward import StarRenderer as StarRenderer
-from .mapping import pixel_map as pixel_map
 from .observation import Observation as Observation
 from .observation import SkySimulator as SkySimulator
 from .observation import observe as observe

@@ -9,19 +9,28 @@ from typing import Self
 
 import numpy as np
 
-from optics.errors import DomainError
+from optics.errors import ConvergenceError, DomainError
+from optics.frames import field_angles_deg
 from optics.lens.prescription import load_lens
 from optics.lens.system import LensSystem
-from optics.light.band import Band, TopHat
+from optics.light.band import Band, TopHat, band_nodes
+from optics.light.spectrum import Blackbody
 from optics.light.transmission import QuarterWave
 from optics.rays.paraxial import axial_paraxial
+from optics.rays.spots import spot_moments
 from render.camera import Camera, build_camera
+from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
 from render.detector.spec import Detector, load_detector
+from render.records import PixelMap
 
 __all__ = ["StarSensor", "load_star_sensor"]
 
 
 _ROUNDING = 1e-12
+_MAP_GRID, _MAP_NODES, _MAP_ORDER = 15, 8, (5, 12)
+"""Places along each side of the map of a camera, wavelengths, rings and azimuths of the pupil."""
+_MAP_REACH = 0.985
+"""Share of the detector's half-width that the map spans: the rays of its outermost stars stay on the detector."""
 _REACH = 1.02
 """The corner of a detector may lie this much outside the field that the lens was made for."""
 
@@ -156,6 +165,49 @@ class StarSensor:
             self,
             detector=replace(detector, chip_width_px=width_px, chip_height_px=height_px),
             camera=replace(camera, width_px=width_px, height_px=height_px, centre_px=np.full(2, np.nan)),
+        )
+
+    def pixel_map(self, band: Band | None = None, *, temperature_k: float = TYPICAL_TEMPERATURE_K) -> PixelMap:
+        """Where the camera puts stars of one colour: photon-weighted means of traced rays on a grid over the detector.
+
+        Parameters
+        ----------
+        band : Band, optional
+            Pass band; all that lens and detector are known for if left out.
+        temperature_k : float
+            Colour of the stars, as black bodies: a lens puts stars of other colours elsewhere.
+
+        Raises
+        ------
+        ConvergenceError
+            No light on most of the grid.
+        """
+        camera = self.camera
+        half = _MAP_REACH * np.array([camera.width_px, camera.height_px]) / 2
+        x, y = np.meshgrid(*(np.linspace(-h, h, _MAP_GRID) for h in half))
+        direction = camera.nominal_direction(
+            (x + camera.centre_px[0]).ravel(), (y + camera.centre_px[1]).ravel(), self.focal_length_mm
+        )
+        nodes = band_nodes([self.passband() if band is None else band], _MAP_NODES)
+        wave = nodes.wavelength_nm[0]
+        spectrum = Blackbody(temperature_k=temperature_k).photon_density(wave) * camera.response_at(wave)
+        spots = spot_moments(camera.focused_lens, *field_angles_deg(direction), wave, order=_MAP_ORDER)
+        light = nodes.weight_nm[0] * nodes.transmission[0] * spectrum * spots.transmitted_mm2
+        seen = light.sum(1) > 0.0
+        if np.count_nonzero(seen) < _MAP_GRID**2 // 2:
+            raise ConvergenceError(
+                f"lens {camera.lens.name!r}: light reaches {np.count_nonzero(seen)} of {_MAP_GRID**2} places of the "
+                "detector; a smaller window is needed to calibrate it"
+            )
+        light = light[seen] / light[seen].sum(1, keepdims=True)
+        mean = [(np.where(light > 0.0, v[seen], 0.0) * light).sum(1) for v in (spots.x_mm, spots.y_mm)]
+        return PixelMap(
+            direction=direction[seen],
+            pixel_px=np.stack(camera.to_pixel(*mean), axis=-1),
+            width_px=camera.width_px,
+            height_px=camera.height_px,
+            pixel_pitch_mm=camera.pixel_pitch_mm,
+            focal_length_mm=self.focal_length_mm,
         )
 
     def check_field(self) -> None:

@@ -29,7 +29,7 @@ ALLOWED = {"calib": {"render.records"}}
 ORDER = {
     "optics": "arrays errors units < attitude frames records validate < response < glass < lens light < rays < figures",
     "render": "engine records < catalogue detector motion < camera < fits sensor sky tracing < plugins"
-    " < bench bodies forward mapping < observation",
+    " < bench bodies forward < observation",
     "calib": "directional fitting flags < records < cameras measure < attitude < calibration figures",
 }
 # What experiments share is below them; experiments know nothing of each other's inside.

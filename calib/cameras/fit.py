@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,7 +31,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.records import PixelMap
 
-__all__ = ["MapFit", "fit_camera", "fit_to_map"]
+__all__ = ["MapFit", "Mapped", "camera_model", "fit_camera", "fit_to_map"]
 
 
 TURN_NAMES = ("turn_x_rad", "turn_y_rad", "turn_z_rad")
@@ -155,13 +156,31 @@ def fit_to_map(
     )
 
 
-def fit_camera(known: PixelMap, *, good_px: float = GOOD_PX) -> MapFit:
+class Mapped(Protocol):
+    """A camera that knows where it puts stars, such as `render.sensor.StarSensor`."""
+
+    def pixel_map(self) -> PixelMap:
+        """Directions and pixels."""
+
+
+def camera_model(camera: Mapped | PixelMap) -> CameraModel:
+    """Camera model of a camera as it is: what a calibration without noise would find (`fit_camera`).
+
+    Parameters
+    ----------
+    camera : StarSensor or PixelMap
+        The camera, or where it puts stars.
+    """
+    return fit_camera(camera).camera
+
+
+def fit_camera(camera: Mapped | PixelMap, *, good_px: float = GOOD_PX) -> MapFit:
     """The simplest of some distortion models that follows a map: Brown-Conrady, polynomials of degree 5 and 7.
 
     Parameters
     ----------
-    known : PixelMap
-        Of the camera, as its calibration would find it (`render.mapping.pixel_map`).
+    camera : StarSensor or PixelMap
+        The camera, or where it puts stars.
     good_px : float
         A model that is nowhere farther off than this is good enough.
 
@@ -171,6 +190,7 @@ def fit_camera(known: PixelMap, *, good_px: float = GOOD_PX) -> MapFit:
         The best of the models if none is good enough. ``fit_camera(...).camera`` is the camera model for star
         identification and attitudes.
     """
+    known = camera if isinstance(camera, PixelMap) else camera.pixel_map()
     geometry = SensorGeometry(width_px=known.width_px, height_px=known.height_px, pixel_pitch_mm=known.pixel_pitch_mm)
     models: list[CameraModel] = [
         BrownConrady.create(geometry, focal_length_mm=known.focal_length_mm),

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optics.arrays import FloatArray, IntArray
-from optics.errors import ConfigError, DomainError
+from optics.errors import ConfigError, ConvergenceError, DomainError
+from optics.frames import field_angles_deg
 from optics.rays.pupil import EntrancePupil, gauss_disk
+from optics.rays.spots import spot_moments
 from render.camera import Camera
 from render.records import StarField, Truth
 from render.tracing.compose import TruthSums
@@ -171,22 +173,46 @@ class Tracer:
         paths = self._in_cam(stars, None)
         light = self._light(stars, paths, 1.0)
         seen = self.planner.seen(paths, light.wavelength_nm)
-        pupil: PupilPoints = _unturned((rings, arms), light.wavelength_nm.shape[1])
-        means = self._means(seen.mid, light, np.arange(len(paths.mid)), pupil)
-        if not self.pupil.exact and len(means):
-            chiefs = self.planner.chiefs(seen.mid, light.wavelength_nm)
-            for mode, members, shapes in self.planner.shapes(seen, chiefs):
+        means = np.full((len(paths.mid), len(light.share[0]), 2), np.nan)
+        if self.pupil.exact:
+            every = np.arange(len(means))
+            means, clear = self._means(seen.mid, light, every, _unturned((rings, arms), light.wavelength_nm.shape[1]))
+            left = every[~clear]
+        else:
+            left = np.arange(len(means))
+            for mode, members, shapes in self.planner.shapes(seen, self.planner.chiefs(seen.mid, light.wavelength_nm)):
                 order = (rings, arms) if mode == "quadrature" else (rings, max(arms, ARC_LADDER[0][1]))
-                means[members] = self._means(seen.mid, light, members, shapes.points(order, members))
+                means[members], _ = self._means(seen.mid, light, members, shapes.points(order, members))
+                left = np.setdiff1d(left, members)
+        if len(left):  # beams that the kernel finds no outline of
+            means[left] = self._beam_means(paths.mid[left], light.wavelength_nm, light.share[left], (rings, arms))
         return means
 
     @staticmethod
-    def _means(kernel: StarKernel, light: Light, stars: IntArray, pupil: PupilPoints) -> FloatArray:
-        """Mean landing points (s, b, 2) of some stars."""
+    def _means(
+        kernel: StarKernel, light: Light, stars: IntArray, pupil: PupilPoints
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Mean landing points (s, b, 2) of some stars, and whether all rays arrive (s,)."""
         x, y, ok = kernel.land(pupil, light.wavelength_nm, stars.astype(np.uint32))
         weight = light.share[stars][..., None] * pupil.weight * ok
         with np.errstate(invalid="ignore"):
-            return np.stack([(weight * v).sum((2, 3)) / weight.sum((2, 3)) for v in (x, y)], axis=-1)
+            mean = np.stack([(weight * v).sum((2, 3)) / weight.sum((2, 3)) for v in (x, y)], axis=-1)
+        return mean, np.asarray(ok.all((1, 2, 3)))
+
+    def _beam_means(
+        self, direction: FloatArray, wavelength_nm: FloatArray, share: FloatArray, order: tuple[int, int]
+    ) -> FloatArray:
+        """The same (s, b, 2) on NumPy, where apertures cut the beam; NaN where no ray arrives."""
+        try:
+            waves = wavelength_nm.ravel()
+            spots = spot_moments(self.camera.focused_lens, *field_angles_deg(direction), waves, order=order)
+        except ConvergenceError:
+            return np.full((*share.shape[:2], 2), np.nan)
+        x, y, area = (v.reshape(share.shape) for v in (spots.x_mm, spots.y_mm, spots.transmitted_mm2))
+        with np.errstate(invalid="ignore"):
+            light = share * area / (share * area).sum(2, keepdims=True)
+            mean = [(np.where(light > 0.0, v, 0.0) * light).sum(2) for v in (x, y)]
+        return np.stack(self.camera.to_pixel(*mean), axis=-1)
 
     def centred_cells(self, stars: StarField, *, half_size_px: int, cells_per_px: int) -> FloatArray:
         """Light of every star and band on a fine grid around its bundle mean.

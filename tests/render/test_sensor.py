@@ -8,6 +8,8 @@ from optics.lens.prescription import load_lens
 from optics.rays.chief import chief_ray_points
 from render.detector.spec import load_detector
 from render.sensor import load_star_sensor
+from render.sky.star_light import star_light
+from render.tracing.tracer import Tracer
 
 
 @pytest.fixture(scope="module")
@@ -50,3 +52,13 @@ def test_what_cannot_be_is_refused(sensor):
         sensor.passband((300.0, 900.0))
     with pytest.raises(DomainError, match="more than 40 nm"):
         sensor.passband((600.0, 630.0), edge_nm=40.0)
+
+
+@pytest.mark.parametrize(("lens", "window_px"), [("star_tracker_26mm", 1024), ("star_tracker_26mm", 1862)])
+def test_the_map_of_a_camera_is_where_the_renderer_puts_the_light(lens, window_px):
+    """NumPy quadrature at six wavelengths against the renderer's kernel at twelve; the larger window is vignetted."""
+    sensor = load_star_sensor(lens, "cmv4000", window_px=window_px, defocus_mm=0.01)
+    known = sensor.pixel_map(temperature_k=4000.0)
+    some = known.direction[::17]
+    stars = star_light([sensor.passband()], nodes=12).stars(some, 5.0, 4000.0)
+    np.testing.assert_allclose(Tracer(sensor.camera).bundle_means(stars)[:, 0], known.pixel_px[::17], atol=3e-4)

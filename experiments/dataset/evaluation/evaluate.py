@@ -19,10 +19,10 @@ from experiments.dataset.evaluation.solve import BlindSolver, SolvedFrame
 from experiments.dataset.evaluation.wcs_check import wcs_misses_px
 from experiments.dataset.truth.files import read_table
 from experiments.dataset.truth.frame_record import FrameRecord
+from experiments.laboratory.filter_wheel import open_band
 from experiments.laboratory.readout.frames import empty_frame, mean_dark_frame
 from optics.arrays import FloatArray
 from render.fits.files import read_frame
-from render.mapping import pixel_map
 
 if TYPE_CHECKING:
     from experiments.dataset.frames.scene import Scene
@@ -128,7 +128,7 @@ def evaluate(folder: Path, scene: Scene, records: Sequence[FrameRecord], *, adva
     temperature_k = float(np.median(scene.temperature_k))
     psfs = render_psf_grid(scene, temperature_k=temperature_k, window_px=scene.config.window_px)
     reduction = reduction_of(scene, dark, psfs)
-    known = pixel_map(scene.instrument, scene.light, temperature_k=temperature_k)
+    known = scene.instrument.pixel_map(open_band(scene.config.passband, scene.instrument), temperature_k=temperature_k)
     calibration = fit_camera(known)
     solver = BlindSolver(scene, calibration)
     size = {"width_px": camera.width_px, "height_px": camera.height_px}
