@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from experiments.cube.budget import BudgetRow, face_angles_deg
+from experiments.cube.budget import PICTURES_RELATIVE, SENSOR_RELATIVE, BudgetRow, face_angles_deg
 from experiments.cube.result import Result, offset_errors_px
 from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Criterion
@@ -16,6 +16,11 @@ CHECK_DEG = 90.0121
 
 RATIO_LIMIT = 0.15
 MANY = 100
+CHANCE_SIGMAS = 3.29
+"""0.1 %, two-sided."""
+WRITTEN_OUT_ARCSEC = 0.02
+"""First order of rotation vectors of 0.01 rad."""
+DIFFERENCES = 1e-4
 OFFSET_SIGMAS = 3.0
 """Room for the shown bench's offsets, in scatters of a picture with the particles of the Monte-Carlo; it has more."""
 
@@ -34,6 +39,48 @@ def few(row: BudgetRow) -> float:
 def _widened(limit: float, asked: float, benches: int) -> str:
     """Says in the name of a criterion that its limit is not what is asked."""
     return "" if limit <= asked else f"; limit widened from {asked:g}, only {benches} benches"
+
+
+def _independent(outcome: Outcome) -> list[Criterion]:
+    """By written-out equations, by differences, and noise against what detector and light predict."""
+    sensor, count = outcome.value("r_sr_error_over_predicted"), outcome.result.repeatability.pictures
+    made = [
+        Criterion(
+            name=f"scatter of the offset in {count} pictures over its prediction, {name}",
+            value=float(ratio),
+            about=1.0,
+            limit=PICTURES_RELATIVE + CHANCE_SIGMAS * float(error),
+        )
+        for name, ratio, error in zip(
+            ("aperture and spot apart", "both from one"),
+            outcome.values("picture_noise_ratio"),
+            outcome.errors("picture_noise_ratio"),
+            strict=True,
+        )
+    ]
+    off = float(outcome.values("written_out_off_arcsec"))
+    if np.isfinite(off):
+        name = "R_sp of the shown bench, written out from readings and spots, against that found"
+        made.append(Criterion(name=name, value=off, limit=WRITTEN_OUT_ARCSEC, unit="arcsec"))
+    return [
+        *made,
+        Criterion(
+            name="errors of R_sr over what the noise of the spots predicts, RMS",
+            value=sensor.value,
+            about=1.0,
+            limit=SENSOR_RELATIVE + CHANCE_SIGMAS * float(sensor.uncertainty or 0.0),
+        ),
+        Criterion(
+            name="what uneven readings of outer and inner axis do, the budget's term against differences",
+            value=float(outcome.values("reading_off")),
+            limit=DIFFERENCES,
+        ),
+        Criterion(
+            name="covariance of R_sp of a cube and a sensor that stand askew, against differences",
+            value=float(outcome.values("covariance_off")),
+            limit=DIFFERENCES,
+        ),
+    ]
 
 
 def criteria(outcome: Outcome) -> list[Criterion]:
@@ -64,6 +111,7 @@ def criteria(outcome: Outcome) -> list[Criterion]:
             limit=0.02,
         ),
     ]
+    found += _independent(outcome)
     for row in result.budget:
         found.append(
             Criterion(

@@ -37,6 +37,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.cube.bench import build_laboratory, draw_truths
     from experiments.cube.budget import beam_rates, build_budget, lean_rates, perfect_sensor
     from experiments.cube.montecarlo import CASES, SensorCache, run_bench, run_cases
+    from experiments.cube.noise import picture_noise
     from experiments.cube.result import Result
     from experiments.cube.verify import check_light, repeatability
 
@@ -58,7 +59,8 @@ def run(config: Config, *, progress: Progress) -> Result:
     with progress.stage("checks"):
         light = check_light(laboratory)
         again = repeatability(laboratory)
-        budget = build_budget(laboratory, cases, again)
+        pictures = picture_noise(laboratory)
+        budget = build_budget(laboratory, cases, pictures)
         sensor = perfect_sensor(laboratory)
         rates = lean_rates(config, sensor), beam_rates(config, sensor)
     with progress.stage("views"):
@@ -75,6 +77,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         beam_rate=rates[1],
         light=light,
         repeatability=again,
+        picture_noise=pictures,
         views=views,
     )
 

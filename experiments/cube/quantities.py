@@ -6,12 +6,23 @@ from typing import Any
 
 import numpy as np
 
-from experiments.cube.budget import PUBLISHED_ARCSEC, face_angles_deg
+from experiments.cube.budget import (
+    PICTURES_RELATIVE,
+    PUBLISHED_ARCSEC,
+    SENSOR_RELATIVE,
+    face_angles_deg,
+    reading_term,
+)
+from experiments.cube.independent import covariance_off, reading_effect_arcsec, written_out_off_arcsec
+from experiments.cube.noise import sensor_noise
 from experiments.cube.published import PUBLISHED_TRIMS, published_rates
 from experiments.cube.result import Result, eq14_arcsec, sensor_error_arcsec, sigma1_arcsec
 from experiments.harness.quantities import Quantities
 from optics.arrays import FloatArray
 from optics.units import DEG_RAD, RAD_ARCSEC, RAD_DEG
+
+UNEQUAL_ARCSEC = (1.0, 3.0)
+"""Readings of outer and inner axis that cannot be exchanged unnoticed."""
 
 __all__ = ["describe", "trim_tables"]
 
@@ -80,11 +91,55 @@ def describe(result: Result) -> Quantities:
     ):
         unit = "" if name in ("stated_over_scatter", "pictures") else "px"
         q.add(f"repeatability_{name}", number, unit=unit, json=f"repeatability_px.{name}")
+    _independent(q, result)
     q.add("benches", len(result.truths), "Benches")
     q.add("settings_per_face", float(result.cases["procedure"].trims.mean()), "Settings per face", format=".1f")
     _every_bench(q, result)
     _published_rates(q)
     return q
+
+
+def _independent(q: Quantities, result: Result) -> None:
+    """Noise predicted beside noise measured, and R_sp written out (`experiments.cube.noise`, `independent`)."""
+    again, noise, reading = result.repeatability, result.picture_noise, result.cases["reading"]
+    place = {"dims": "reduced", "json": "picture_noise_px[reduced]"}
+    q.axis("reduced", ["two_pictures", "one_picture"])
+    measured, predicted = np.array([again.two_px, again.own_px]), np.array([noise.two_px, noise.own_px])
+    chance = 1.0 / np.sqrt(2 * 2 * (again.pictures - 1))  # two axes
+    error = PICTURES_RELATIVE * predicted
+    q.add("picture_noise_px", predicted, "Scatter of an offset, predicted", unit="px", error=error, **place)
+    where = {"dims": "reduced", "json": "picture_noise_measured_over_predicted[reduced]"}
+    ratio = measured / predicted
+    q.add("picture_noise_ratio", ratio, "measured over predicted", error=chance, **where)
+    sensor = sensor_noise(result.laboratory, reading=True, lean=False)
+    predicted = np.sqrt(np.diag(sensor.covariance_rad2)) * RAD_ARCSEC
+    place = {"dims": "axis", "unit": "arcsec"}
+    q.add("r_sr_predicted_arcsec", predicted, "Error of R_sr, predicted", error=SENSOR_RELATIVE * predicted, **place)
+    pulls = np.array([one.sensor_error_arcsec for one in reading.bench]) / predicted
+    ratio = float(np.sqrt(np.mean(pulls**2)))
+    q.add(
+        "r_sr_error_over_predicted",
+        ratio,
+        "Error of R_sr over predicted",
+        error=1 / np.sqrt(2 * pulls.size),
+        n=pulls.size,
+    )
+    q.add(
+        "spots_predicted_px",
+        sensor.spot_px,
+        "Scatter of the spots, predicted",
+        unit="px",
+        format=".4f",
+        json="r_sr.spots_predicted_px",
+    )
+    outer, inner = UNEQUAL_ARCSEC
+    off = np.abs(reading_term(outer, inner) / reading_effect_arcsec(outer, inner) - 1.0).max()
+    q.add("reading_off", off, "Effect of readings, budget against differences", json="independent.reading_off")
+    q.add(
+        "covariance_off", covariance_off(), "Covariance of R_sp against differences", json="independent.covariance_off"
+    )
+    off = written_out_off_arcsec(result.config, result.truths[0], result.shown, result.shown_run)
+    q.add("written_out_off_arcsec", off, "R_sp written out, off by", unit="arcsec", json="independent.r_sp_off_arcsec")
 
 
 def _trims(q: Quantities, result: Result) -> None:
@@ -136,8 +191,9 @@ def _budget(q: Quantities, result: Result) -> None:
     q.add("published_arcsec", published, "CUBE09", **place, json="budget[row].published_arcsec")
     angle = {"unit": "arcsec", "dims": "row axis", "format": ".2f"}
     unknown = np.full((len(rows), 3), np.nan)
+    off = [row.predicted_sigma_arcsec for row in rows]
     predicted, alone = [row.predicted_arcsec for row in rows], [row.term_arcsec for row in rows]
-    q.add("predicted", predicted, "pred.", **angle, error=unknown, json="budget[row].predicted")
+    q.add("predicted", predicted, "pred.", **angle, error=off, json="budget[row].predicted")
     q.add("predicted_alone", alone, "alone", **angle, error=unknown, json="budget[row].predicted_term_alone")
     q.add(
         "measured",

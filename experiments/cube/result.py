@@ -14,6 +14,7 @@ from experiments.cube.bench import Laboratory, Truth, build_table
 from experiments.cube.budget import BudgetRow
 from experiments.cube.checks import reflected_spot_mm
 from experiments.cube.montecarlo import CaseResult
+from experiments.cube.noise import PictureNoise
 from experiments.cube.reduce import BenchResult
 from experiments.cube.sensor import SensorRun
 from experiments.cube.settings import Config
@@ -52,7 +53,9 @@ class Result:
     light : LightCheck
         Rendered light against closed forms.
     repeatability : Repeatability
-        Noise of the pictures.
+        Noise of the pictures, measured.
+    picture_noise : PictureNoise
+        The same, predicted.
     views : sequence of (bodies, beam)
         Pictures of the bench, radiances (h, w).
     """
@@ -68,6 +71,7 @@ class Result:
     beam_rate: FloatArray
     light: LightCheck
     repeatability: Repeatability
+    picture_noise: PictureNoise
     views: Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
     def row(self, name: str) -> BudgetRow:

@@ -86,6 +86,8 @@ class SensorCalibration:
         Scatter of the spots about the fit, per axis.
     focal_length_mm, offset_px
         The sensor itself: mask distance, and the foot of the hole.
+    reading_rad : (n, 2)
+        Readings of the table that it was fitted to.
     """
 
     rotation: Rotation
@@ -98,6 +100,7 @@ class SensorCalibration:
     sigma_px: float
     focal_length_mm: float
     offset_px: FloatArray
+    reading_rad: FloatArray
 
 
 def field_angles(config: Config) -> FloatArray:
@@ -237,7 +240,7 @@ def fit_sensor(
     noise = max(solution.reduced_chi2, 1e-12)
     value, covariance = np.array(solution.value), np.array(solution.covariance) * noise
     value, covariance = _held(solution, value, covariance, STAR_NAMES, np.zeros(2))
-    return _packed(solution, value, covariance, sigma_px=float(np.sqrt(noise)) * CENTROID_SIGMA_PX)
+    return _packed(solution, value, covariance, reading_rad, sigma_px=float(np.sqrt(noise)) * CENTROID_SIGMA_PX)
 
 
 def _held(
@@ -252,7 +255,9 @@ def _held(
     return new, spread
 
 
-def _packed(solution: Solution, value: FloatArray, covariance: FloatArray, *, sigma_px: float) -> SensorCalibration:
+def _packed(
+    solution: Solution, value: FloatArray, covariance: FloatArray, reading_rad: FloatArray, *, sigma_px: float
+) -> SensorCalibration:
     at = [solution.index(name) for name in INSTALLATION_NAMES]
     theta = value[at]
     turn = increment_per_angle(theta)
@@ -270,6 +275,7 @@ def _packed(solution: Solution, value: FloatArray, covariance: FloatArray, *, si
         sigma_px=sigma_px,
         focal_length_mm=float(value[solution.index("focal_length_mm")]),
         offset_px=value[[solution.index("x0_px"), solution.index("y0_px")]],
+        reading_rad=reading_rad,
     )
 
 
