@@ -19,6 +19,15 @@ calib.figures      stars marked in an image, residuals
 =================  =====================================================================================================
 """
 
+from importlib.util import find_spec
+from pathlib import Path
+
 import lazy_loader
+
+for _name in ("optics", "render"):  # a user's module of that name makes imports fail in strange ways
+    _found = find_spec(_name)
+    _file = None if _found is None else _found.origin
+    if _file and Path(_file).resolve().parents[1] != Path(__file__).resolve().parents[1]:
+        raise ImportError(f"{_file} hides the package {_name!r} of starbench; rename it or start elsewhere")
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from importlib import metadata
 
 from experiments.harness.registry import found, load
 from optics.errors import ConfigError
@@ -36,10 +35,9 @@ def main(argv: list[str], *, own_process: bool = False) -> int:
         sys.stdout.writelines(f"{name}\n" for name in experiments)
         return 0
     if argv == ["--version"]:
-        try:
-            print(f"starbench {metadata.version('starbench')}")
-        except metadata.PackageNotFoundError:
-            print("starbench, from a source tree that is not installed")
+        from experiments.harness.provenance import program_version
+
+        print(program_version())
         return 0
     if argv and argv[0] not in ("-h", "--help"):
         try:

@@ -39,7 +39,7 @@ class Config(PointConfig):
 
     @model_validator(mode="after")
     def _enough(self) -> Config:
-        if self.frames_folder is not None:
+        if self.own_frames is not None:
             return self  # the target is another
         points, terms = self.target.rows * self.target.columns, (self.order + 1) * (self.order + 2) // 2
         if self.order >= min(self.target.rows, self.target.columns) or points <= terms:

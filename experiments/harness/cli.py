@@ -19,6 +19,7 @@ from experiments.harness.outputs import RECORD, OutputFolder
 from experiments.harness.progress import terminal_progress
 from experiments.harness.summary import Criterion
 from experiments.harness.threads import one_thread
+from optics.errors import ConfigError
 
 if TYPE_CHECKING:
     from experiments.harness.quantities import Outcome
@@ -56,6 +57,7 @@ class _Options:
     seed: int | None
     backend: str
     out: str
+    force: bool
     quick: bool
 
 
@@ -110,13 +112,18 @@ def command(experiment: Experiment) -> Main:
 
 
 def _parser(experiment: Experiment, status: list[int], interrupts: Interrupts) -> click.Command:
-    @click.command(help=_help(experiment), context_settings={"max_content_width": 100})
+    shorts = _shorts(experiment)
+
+    @click.command(
+        help=_help(experiment), context_settings={"max_content_width": 100, "help_option_names": ["-h", "--help"]}
+    )
     @click.option("--sensor", metavar="FILE", help="TOML file of a star sensor, taken by every experiment.")
     @click.option("--config", "file", metavar="FILE", help="TOML file with any part of the configuration.")
     @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="One setting, dotted keys; repeatable.")
     @click.option("--seed", type=click.IntRange(min=0), help="Seed of all random streams.")
     @click.option("--backend", type=click.Choice(["auto", "llvm", "cuda"]), default="auto", show_default=True)
     @click.option("--out", metavar="DIR", default=f"out/{experiment.name}", show_default=True, help="Output folder.")
+    @click.option("--force", is_flag=True, help="Replace the output of a run with other settings.")
     @click.option("--quick", is_flag=True, help="A small run that shows all parts in seconds.")
     @click.option(
         "--defaults",
@@ -125,12 +132,13 @@ def _parser(experiment: Experiment, status: list[int], interrupts: Interrupts) -
         flag_value="sensor",
         help="Print what the other options make of the defaults, as a commented file for --sensor (all: for --config).",
     )
+    @click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=_version)
     @click.option("--schema", is_flag=True, help="Print the JSON schema of the configuration and stop.")
     def parse(schema: bool, defaults: str | None, **options: Any) -> None:
         if schema:
             click.echo(json.dumps(experiment.config.model_json_schema(), indent=2, ensure_ascii=False))
             return
-        given = {name: options.pop(f"short_{name}") for name in experiment.options}
+        given = {name: options.pop(_parameter(name)) for name in shorts}
         short = {name: text for name, text in given.items() if text is not None}
         chosen = _Options(short=short, **options)
         if defaults is not None:
@@ -139,10 +147,21 @@ def _parser(experiment: Experiment, status: list[int], interrupts: Interrupts) -
         with one_thread(unless_told=True):
             status.append(_perform(experiment, chosen, interrupts))
 
-    for name, (key, text) in experiment.options.items():
+    for name, (key, text) in shorts.items():
         help_text = f"{text} Short for --set {key}=TEXT."
-        parse = click.option(f"--{name}", f"short_{name}", metavar="TEXT", help=help_text)(parse)
+        parse = click.option(f"--{name}", _parameter(name), metavar="TEXT", help=help_text)(parse)
     return parse
+
+
+def _shorts(experiment: Experiment) -> dict[str, tuple[str, str]]:
+    """Short options of an experiment; ``--frames`` is the number of frames wherever there is such a number."""
+    field = experiment.config.model_fields.get("frames")
+    common = {"frames": ("frames", f"Number of {field.description}.")} if field and field.annotation is int else {}
+    return {**common, **experiment.options}
+
+
+def _parameter(option: str) -> str:
+    return f"short_{option.replace('-', '_')}"
 
 
 def _help(experiment: Experiment) -> str:
@@ -161,7 +180,8 @@ def _help(experiment: Experiment) -> str:
 
 
 def _configuration(declared: Experiment, options: _Options) -> Any:
-    short = [f"{declared.options[name][0]}={text}" for name, text in options.short.items()]
+    shorts = _shorts(declared)
+    short = [f"{shorts[name][0]}={text}" for name, text in options.short.items()]
     return load_config(
         declared.config,
         quick=declared.quick if options.quick else None,
@@ -192,7 +212,7 @@ def _perform(declared: Experiment, options: _Options, interrupts: Interrupts) ->
     config = _configuration(declared, options)
     experiment = (declared.instead(config) if declared.instead is not None else None) or declared
     with interrupts.unwinding():
-        folder: Output = experiment.output(options.out, config) if experiment.output else OutputFolder(options.out)
+        folder: Output = _output(experiment, options, config)
     interrupts.said = lambda: folder.interrupted
     own = {"output": folder} if experiment.output else {}
     variant = None
@@ -209,6 +229,32 @@ def _perform(declared: Experiment, options: _Options, interrupts: Interrupts) ->
             _write(run, staging)
     _show(run, folder.shown)
     return EXIT_GOOD if all(criterion.passed for criterion in run.criteria) else EXIT_FAILED
+
+
+def _output(experiment: Experiment, options: _Options, config: ExperimentConfig) -> Output:
+    """The output folder; that of another run is refused unless the user insists."""
+    if not options.out.strip():
+        raise ConfigError("--out is empty: name a folder")
+    if experiment.output is not None:
+        if options.force:
+            raise ConfigError(f"--force: {experiment.name} goes on with its folder and never replaces one; remove it")
+        output: Output = experiment.output(options.out, config)
+        return output
+    folder = OutputFolder(options.out)
+    if not options.force:
+        from experiments.harness.provenance import without_paths
+
+        folder.refuse_other_run(experiment.name, without_paths(config.model_dump(mode="json")))
+    return folder
+
+
+def _version(context: click.Context, parameter: click.Parameter, asked: bool) -> None:
+    del parameter
+    if asked:
+        from experiments.harness.provenance import program_version
+
+        click.echo(program_version())
+        context.exit()
 
 
 def finished(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tomllib
 import typing
@@ -19,11 +20,11 @@ from optics.validate import parse_model, read_toml
 __all__ = [
     "ExperimentConfig",
     "FileName",
+    "FolderName",
     "StrictModel",
+    "absolute",
     "alternatives",
-    "is_path",
     "load_config",
-    "names_file",
     "read_settings",
     "unit_of",
     "with_settings",
@@ -34,11 +35,15 @@ Model = TypeVar("Model", bound=BaseModel)
 
 @dataclass(frozen=True)
 class _IsFile:
-    """Marks text that may be the path of a file."""
+    """Marks text that may be the path of a file, or always is a path."""
+
+    always: bool = False
 
 
 FileName = Annotated[str, _IsFile()]
 """Type of a setting that is a path, or the name of something built in; in a file, a path is relative to that file."""
+FolderName = Annotated[str, _IsFile(always=True)]
+"""Type of a setting that is always a path, in a file relative to that file."""
 
 # Last word of a field's name that tells its unit, or that says it has none.
 _LENGTHS_AND_TIMES = ("nm", "um", "mm", "m", "km", "s", "ms", "us", "min", "h", "px", "px2")
@@ -220,20 +225,24 @@ def _located(annotations: Sequence[Any], value: Any, folder: Path) -> Any:
     if isinstance(value, list):
         items = [part for one in annotations for kind in alternatives(one) for part in typing.get_args(kind)]
         return [_located(items, entry, folder) for entry in value]
-    if isinstance(value, str) and is_path(value) and any(_marked(one) for one in annotations):
+    if isinstance(value, str) and any(_is_path(value, mark) for one in annotations for mark in _marks(one)):
         return str(folder / Path(value).expanduser())
     return value
 
 
-def is_path(text: str) -> bool:
-    """Whether the text of a `FileName` is a path: a built-in name has neither a suffix nor a folder."""
+def _is_path(text: str, mark: _IsFile) -> bool:
+    """A built-in name has neither a suffix nor a folder."""
     path = Path(text)
-    return bool(path.suffix) or len(path.parts) > 1
+    return bool(text) and (mark.always or bool(path.suffix) or len(path.parts) > 1)
 
 
-def names_file(field: FieldInfo) -> bool:
-    """Whether a field holds a `FileName`, or several."""
-    return _marked(_annotated(field))
+def absolute(field: FieldInfo, value: Any) -> Any:
+    """The value of a field with its paths made absolute."""
+    if isinstance(value, (tuple, list)):
+        return [absolute(field, one) for one in value]
+    if isinstance(value, str) and any(_is_path(value, mark) for mark in _marks(_annotated(field))):
+        return os.path.abspath(Path(value).expanduser())
+    return value
 
 
 def _annotated(field: FieldInfo) -> Any:
@@ -244,8 +253,11 @@ def _is_model(annotation: Any) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
-def _marked(annotation: Any) -> bool:
-    return any(isinstance(one, _IsFile) or _marked(one) for one in typing.get_args(annotation))
+def _marks(annotation: Any) -> Iterator[_IsFile]:
+    for one in typing.get_args(annotation):
+        if isinstance(one, _IsFile):
+            yield one
+        yield from _marks(one)
 
 
 def with_settings(model_class: type[BaseModel], values: Mapping[str, Any], settings: Iterable[str]) -> dict[str, Any]:

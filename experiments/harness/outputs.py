@@ -10,12 +10,13 @@ import shutil
 import signal
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from optics.errors import ConfigError
 
-__all__ = ["PROGRAM", "RECORD", "OutputFolder"]
+__all__ = ["PROGRAM", "RECORD", "OutputFolder", "flat", "shown_value"]
 
 PROGRAM = "starbench"
 RECORD = "provenance.json"
@@ -93,6 +94,38 @@ class OutputFolder:
                         with contextlib.suppress(OSError):
                             folder.rmdir()
 
+    def refuse_other_run(self, experiment: str, config: Mapping[str, Any]) -> None:
+        """Refuse a folder that holds the output of another experiment, or of this one with other settings.
+
+        Parameters
+        ----------
+        experiment : str
+            Name of the experiment that is to write here.
+        config : mapping
+            Its configuration, JSON types, as the record will hold it.
+
+        Raises
+        ------
+        ConfigError
+            Naming the first setting that differs, and how to go on.
+        """
+        try:
+            record = json.loads((self.path / RECORD).read_text(encoding="utf-8"))
+            held, before = record["experiment"], flat(record["config"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return  # none, or none of ours, which was refused before
+        now = flat(json.loads(json.dumps(config)))
+        advice = "name another folder with --out, or replace it with --force"
+        if held != experiment:
+            raise ConfigError(f"{self.shown}: holds a run of {held}; {advice}")
+        other = [key for key in (*now, *(key for key in before if key not in now)) if before.get(key) != now.get(key)]
+        if other:
+            more = f" and {len(other) - 1} more differences" if len(other) > 1 else ""
+            raise ConfigError(
+                f"{self.shown}: holds a run with {other[0]} = {shown_value(before, other[0])}, this one has "
+                f"{shown_value(now, other[0])}{more}; {advice}"
+            )
+
     def _refuse_unsuitable(self) -> None:
         try:
             if not self.path.exists():
@@ -148,6 +181,18 @@ class OutputFolder:
                 raise
             shutil.rmtree(earlier, ignore_errors=True)
         _sync(self.path.parent)
+
+
+def flat(value: Any, key: str = "") -> dict[str, Any]:
+    """Nested settings as dotted key -> value."""
+    if isinstance(value, Mapping):
+        return {path: item for name, part in value.items() for path, item in flat(part, f"{key}.{name}").items()}
+    return {key.removeprefix("."): value}
+
+
+def shown_value(values: Mapping[str, Any], key: str) -> str:
+    """A setting for a message; it may be absent."""
+    return json.dumps(values[key], ensure_ascii=False) if key in values else "nothing there"
 
 
 def _written_before(folder: Path) -> set[str]:

@@ -7,6 +7,7 @@ Use it as ``with house_style(): figure, axes = new_figure(); axes.plot(...)``. T
 from __future__ import annotations
 
 import io
+import logging
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -15,12 +16,15 @@ from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
 
-from optics.errors import DomainError
+logging.getLogger("matplotlib").setLevel(logging.ERROR)  # that a home folder cannot hold its cache, for one
+
+from matplotlib import rc_context  # noqa: E402
+from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
+from matplotlib.backends.backend_svg import FigureCanvasSVG  # noqa: E402
+from matplotlib.figure import Figure  # noqa: E402
+
+from optics.errors import DomainError  # noqa: E402
 
 __all__ = [
     "INK",

@@ -1,14 +1,14 @@
-"""Progress of long work: a bar on a terminal, silence elsewhere, and the time each stage took in both cases."""
+"""Progress of long work: bars on a terminal, now and then a line elsewhere, and the time each stage took."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Sized
 from contextlib import contextmanager
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TextIO, TypeVar
 
-__all__ = ["Progress", "Stage", "terminal_progress"]
+__all__ = ["LineProgress", "Progress", "Stage", "terminal_progress"]
 
 Item = TypeVar("Item")
 
@@ -121,6 +121,51 @@ class _RichProgress(Progress):
                 self._bars.stop()
 
 
+class _LineStage:
+    def __init__(self, progress: LineProgress, label: str, total: int | None) -> None:
+        self._progress, self._label, self._total, self._done = progress, label, total, 0
+
+    def advance(self, steps: int = 1) -> None:
+        self._done += steps
+        of = f" of {self._total}" if self._total is not None else ""
+        self._progress.say(f"{self._label}: {self._done}{of}")
+
+
+class LineProgress(Progress):
+    """Plain lines, for a pipe or a log file: none from a run of two seconds, then one in ten seconds at most.
+
+    Parameters
+    ----------
+    stream : text stream
+        Where to write.
+    clock : callable
+        Time in seconds.
+    """
+
+    FIRST_S = 2.0
+    EVERY_S = 10.0
+
+    def __init__(self, stream: TextIO, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__()
+        self._stream, self._clock = stream, clock
+        self._start = clock()
+        self._next = self._start + self.FIRST_S
+
+    def say(self, words: str) -> None:
+        """Write a line if it is time for one."""
+        now = self._clock()
+        if now >= self._next:
+            print(f"[{now - self._start:.0f} s] {words}", file=self._stream, flush=True)
+            self._next = now + self.EVERY_S
+
+    @contextmanager
+    def _display(self, label: str, total: int | None) -> Iterator[Stage]:
+        self.say(label)
+        yield _LineStage(self, label, total)
+
+
 def terminal_progress() -> Progress:
-    """Progress bars on the standard error stream if that is a terminal, otherwise a silent `Progress`."""
-    return _RichProgress() if sys.stderr is not None and sys.stderr.isatty() else Progress()
+    """Progress on the standard error stream: bars if that is a terminal, otherwise lines; silent without the stream."""
+    if sys.stderr is None:
+        return Progress()
+    return _RichProgress() if sys.stderr.isatty() else LineProgress(sys.stderr)

@@ -18,7 +18,7 @@ from typing import Any
 from experiments.harness.outputs import PROGRAM
 from render.engine.llvm import llvm_version
 
-__all__ = ["collect", "file_digests", "peak_memory_mb", "process_seconds", "without_paths"]
+__all__ = ["collect", "file_digests", "peak_memory_mb", "process_seconds", "program_version", "without_paths"]
 
 _PACKAGES = (
     "starbench",
@@ -120,6 +120,12 @@ def without_paths(value: Any) -> Any:
         if value.startswith(("/", "~/")):
             return PurePosixPath(value).name
     return value
+
+
+def program_version() -> str:
+    """Name and version of the program, for ``--version``."""
+    found = _version(PROGRAM)
+    return f"{PROGRAM} {found}" if found else f"{PROGRAM}, from a source tree that is not installed"
 
 
 def _version(package: str) -> str | None:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
 import textwrap
 import typing
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from experiments.harness.config import alternatives, is_path, names_file, unit_of
+from experiments.harness.config import absolute, alternatives, unit_of
 from optics.validate import allowed_range
 
 __all__ = ["about", "toml_text", "toml_value"]
@@ -113,13 +111,7 @@ def _key(name: str, field: FieldInfo, value: Any) -> Iterator[str]:
     if value is None:
         yield f"# {name} ="
     else:
-        yield f"{name} = {toml_value(_absolute(value) if names_file(field) else value)}"
-
-
-def _absolute(value: Any) -> Any:
-    if isinstance(value, (tuple, list)):
-        return [_absolute(one) for one in value]
-    return os.path.abspath(Path(value).expanduser()) if isinstance(value, str) and is_path(value) else value
+        yield f"{name} = {toml_value(absolute(field, value))}"
 
 
 def _comment(text: str) -> list[str]:

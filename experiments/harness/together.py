@@ -68,7 +68,8 @@ def run_all(arguments: Sequence[str], known: Mapping[str, str]) -> int:
     Parameters
     ----------
     arguments : sequence of str
-        Command line after ``--all``: ``--out DIR``, ``--quick``, ``--seed N``, ``--backend NAME``, and names of
+        Command line after ``--all``: ``--out DIR``, ``--sensor FILE``,
+        ``--force``, ``--quick``, ``--seed N``, ``--backend NAME``, and names of
         experiments if not all are wanted.
     known : mapping
         Experiments and their descriptions.
@@ -80,18 +81,29 @@ def run_all(arguments: Sequence[str], known: Mapping[str, str]) -> int:
         Ctrl-C. The page is written in any case but bad input.
     """
 
-    @click.command()
+    @click.command(context_settings={"help_option_names": ["-h", "--help"]})
     @click.option("--out", default="out", metavar="DIR")
+    @click.option("--sensor", metavar="FILE")
+    @click.option("--force", is_flag=True)
     @click.option("--quick", is_flag=True)
     @click.option("--seed", type=click.IntRange(min=0))
     @click.option("--backend", type=click.Choice(["auto", "llvm", "cuda"]), default="auto")
     @click.argument("names", nargs=-1)
-    def parse(out: str, quick: bool, seed: int | None, backend: str, names: tuple[str, ...]) -> int:
+    def parse(
+        out: str,
+        sensor: str | None,
+        force: bool,
+        quick: bool,
+        seed: int | None,
+        backend: str,
+        names: tuple[str, ...],
+    ) -> int:
         for name in names:
             if name not in known:
                 raise unknown_name("experiment", name, known)
         folder = _folder(out)
         options = ["--backend", backend, *(["--quick"] if quick else []), *(["--seed", str(seed)] if seed else [])]
+        options += [*(["--sensor", sensor] if sensor else []), *(["--force"] if force else [])]
         return _run(folder, [name for name in known if not names or name in names], known, options)
 
     try:

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from optics.errors import BackendError
+from render.engine.cache import home_with_cache
 from render.engine.llvm import point_to_llvm
 
 __all__ = ["SAID", "dr"]
@@ -27,7 +28,7 @@ def _loaded() -> tuple[Any, str]:
         return sys.modules["drjit"], ""
     point_to_llvm()
     try:
-        with _caught_stderr() as said:
+        with home_with_cache(), _caught_stderr() as said:
             module = importlib.import_module("drjit")
     except ImportError as error:
         reason = (str(error).splitlines() or ["no reason given"])[0]

@@ -100,12 +100,13 @@ def test_acf_takes_a_camera_that_images_as_the_lens_does():
     from experiments.acf.settings import Config
     from experiments.acf.simulate import build_camera
     from optics.frames import field_direction
+    from optics.lens.perturb import refocus
     from optics.lens.prescription import load_lens
     from optics.rays.chief import chief_ray_points
 
     model = build_camera(load_config(Config, sensor=EXAMPLE))
     field = np.array([[0.3, 0.2], [3.1, -2.2], [-5.0, 5.0], [6.2, 0.0]])
-    x_mm, y_mm = chief_ray_points(load_lens(EXAMPLE.parent / "lens.toml"), *field.T)
+    x_mm, y_mm = chief_ray_points(refocus(load_lens(EXAMPLE.parent / "lens.toml"), 0.06), *field.T)
     expected = 1023.5 + np.column_stack([x_mm, -y_mm]) / 0.0055
     assert model.project(field_direction(*field.T)) == pytest.approx(expected, abs=0.01)
 
@@ -160,7 +161,7 @@ def test_layers_lie_over_one_another(tmp_path):
         settings=["instrument.f_number=8"],
     )
     assert (config.frames, config.instrument.exposure_s, config.instrument.f_number) == (8, 0.3, 8.0)
-    assert config.instrument.defocus_mm == 0.0
+    assert config.instrument.defocus_mm == 0.06
     assert config.instrument.lens == str(tmp_path / "triplet" / "lens.toml")
     assert config.filters.files[0] == str(tmp_path / "triplet" / "blue.csv")
 

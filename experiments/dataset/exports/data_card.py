@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from experiments.dataset.frames.plan import SPLITS
-from experiments.dataset.production.folder import IDENTITY, flat
+from experiments.dataset.production.folder import IDENTITY
 from experiments.dataset.production.identity import identity
 from experiments.dataset.truth.files import INDEX_COLUMNS
 from experiments.dataset.truth.star_truth import COLUMNS, FLAGS
+from experiments.harness.outputs import flat
 
 if TYPE_CHECKING:
     from experiments.dataset.result import Result

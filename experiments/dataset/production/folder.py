@@ -24,6 +24,7 @@ from typing import Any
 
 from experiments.dataset.truth.files import read_record
 from experiments.dataset.truth.frame_record import FrameRecord
+from experiments.harness.outputs import flat, shown_value
 from experiments.harness.summary import dumps
 from optics.errors import ConfigError
 
@@ -34,7 +35,6 @@ __all__ = [
     "DatasetFolder",
     "StorageError",
     "checked_frame",
-    "flat",
     "frame_files",
     "write_whole",
 ]
@@ -254,8 +254,8 @@ class DatasetFolder:
             if before.get(key) != now.get(key):
                 name = key.removeprefix("config.")
                 raise ConfigError(
-                    f"{self.shown}: holds a dataset with {name} = {_shown(before, key)}, this run has "
-                    f"{_shown(now, key)}; name another folder or take the same configuration"
+                    f"{self.shown}: holds a dataset with {name} = {shown_value(before, key)}, this run has "
+                    f"{shown_value(now, key)}; name another folder or take the same configuration"
                 )
 
     def numbers(self) -> list[int]:
@@ -291,14 +291,3 @@ class DatasetFolder:
         for file in (self.path / FRAMES).glob("frame_*.fits"):
             if file.name not in made:
                 file.unlink(missing_ok=True)
-
-
-def flat(value: Any, key: str = "") -> dict[str, Any]:
-    """Nested settings as dotted key -> value."""
-    if isinstance(value, Mapping):
-        return {path: item for name, part in value.items() for path, item in flat(part, f"{key}.{name}").items()}
-    return {key.removeprefix("."): value}
-
-
-def _shown(values: Mapping[str, Any], key: str) -> str:
-    return json.dumps(values[key], ensure_ascii=False) if key in values else "nothing there"

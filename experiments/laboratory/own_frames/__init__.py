@@ -1,1 +1,1 @@
-"""Frames of a laboratory's own camera, reduced as the tests with point targets reduce rendered ones (``--frames``)."""
+"""Frames of one's own camera, reduced as the tests with point targets reduce rendered ones (``--own-frames``)."""

@@ -1,6 +1,6 @@
 """An experiment on frames from outside: no rendering, no truth.
 
-It takes over from the rendered experiment when ``frames_folder`` names a folder. The room reads the folder, centroids
+It takes over from the rendered experiment when ``own_frames`` names a folder. The room reads the folder, centroids
 every series and looks at what the frames say about themselves; the experiment adds how it asks for its frames, and its
 reduction (`FramesTest`, in its module ``own_frames``).
 """
@@ -114,7 +114,7 @@ def reduce_folder(test: FramesTest, config: Any, *, progress: Progress) -> Frame
     test : FramesTest
         Which experiment.
     config : ExperimentConfig
-        With ``frames_folder``, ``window_px`` and the centroiders; what describes a rendering has no meaning here.
+        With ``own_frames``, ``window_px`` and the centroiders; what describes a rendering has no meaning here.
     progress : Progress
         Where to report.
 
@@ -126,10 +126,10 @@ def reduce_folder(test: FramesTest, config: Any, *, progress: Progress) -> Frame
     from experiments.laboratory.own_frames.checks import check_frames
     from experiments.laboratory.own_frames.folder import read_folder
 
-    if config.frames_folder is None:
-        raise ConfigError("frames_folder is not given: the folder with the frames and frames.toml")
+    if config.own_frames is None:
+        raise ConfigError("own_frames is not given: the folder with the frames and frames.toml")
     with progress.stage("read"):
-        folder = read_folder(config.frames_folder, window_px=config.window_px, layout=test.layout)
+        folder = read_folder(config.own_frames, window_px=config.window_px, layout=test.layout)
     first = () if folder.settings.centroid is None else (folder.settings.centroid,)
     methods = tuple(dict.fromkeys(m for m in (*first, *getattr(config, "methods", ("gaussian",))) if not needs_epsf(m)))
     if not methods:
@@ -142,7 +142,7 @@ def reduce_folder(test: FramesTest, config: Any, *, progress: Progress) -> Frame
 
 
 def or_own_frames(rendered: Experiment, own: str) -> Experiment:
-    """An experiment on rendered frames that reduces those of a folder instead where ``frames_folder`` is given.
+    """An experiment on rendered frames that reduces those of a folder instead where ``own_frames`` is given.
 
     Parameters
     ----------
@@ -155,21 +155,21 @@ def or_own_frames(rendered: Experiment, own: str) -> Experiment:
     Returns
     -------
     Experiment
-        The same with an option ``--frames``.
+        The same with an option ``--own-frames``.
     """
 
     def instead(config: Any) -> Experiment | None:
-        if config.frames_folder is None:
+        if config.own_frames is None:
             return None
         test: FramesTest = import_module(own).own_frames
         return _experiment(rendered, test)
 
     return replace(
         rendered,
-        examples={**rendered.examples, "--frames my_frames": "reduce the FITS frames of a laboratory"},
+        examples={**rendered.examples, "--own-frames my_frames": "reduce the FITS frames of a laboratory"},
         options={
             **rendered.options,
-            "frames": ("frames_folder", "Reduce the FITS frames of a folder that holds frames.toml."),
+            "own-frames": ("own_frames", "Reduce the FITS frames of a folder that holds frames.toml."),
         },
         instead=instead,
     )

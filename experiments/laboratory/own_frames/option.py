@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from experiments.harness.config import FolderName
 from experiments.laboratory.sensor_file import SensorExperimentConfig
 
 __all__ = ["OwnFramesConfig"]
 
 
 class OwnFramesConfig(SensorExperimentConfig):
-    """Of an experiment that renders frames, or reduces those of a folder (``--frames``)."""
+    """Of an experiment that renders frames, or reduces those of a folder (``--own-frames``)."""
 
-    frames_folder: str | None = Field(
+    own_frames: FolderName | None = Field(
         default=None, description="reduce the FITS frames of this folder (frames.toml says which is which), render none"
     )

@@ -19,7 +19,9 @@ __all__ = ["SEARCH_MARGIN_PX", "SEARCH_PX", "common_shift", "find_points", "find
 
 
 MATCH_PX = 4.0
-"""A detection this close to a target point's nominal place is that point."""
+"""A detection this close to a target point's nominal place is that point, whatever the lens."""
+DISTORTED_FRACTION = 0.03
+"""By this part of its distance from the middle of the target a lens may displace a point besides."""
 SEARCH_MARGIN_PX = 80
 """How far the whole target may be displaced."""
 SEARCH_PX = 48
@@ -73,7 +75,16 @@ def find_points(
     )
     table = detect(image, estimate_background(image))
     position = np.column_stack([table.x_px, table.y_px]) + low
-    return match_points(position, nominal_px, match_px=MATCH_PX, where=where, unseen=unseen, merged=merged)
+    match_px = _reach_px(nominal_px)
+    return match_points(position, nominal_px, match_px=match_px, where=where, unseen=unseen, merged=merged)
+
+
+def _reach_px(nominal_px: FloatArray) -> float:
+    """How far from its nominal place a point is looked for: distortion and scale displace it, its neighbours do not."""
+    spread = float(np.linalg.norm(nominal_px - nominal_px.mean(0), axis=1).max())
+    apart = np.linalg.norm(nominal_px[:, None] - nominal_px[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    return max(MATCH_PX, min(DISTORTED_FRACTION * spread, 0.4 * float(apart.min())))
 
 
 def match_points(

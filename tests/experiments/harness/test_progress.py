@@ -1,4 +1,4 @@
-"""Progress: silent without a terminal, bars with one, times in both cases."""
+"""Progress: bars on a terminal, now and then a line elsewhere, times in all cases."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from experiments.harness.progress import Progress, terminal_progress
+from experiments.harness.progress import LineProgress, Progress, terminal_progress
 from experiments.harness.provenance import peak_memory_mb, process_seconds, without_paths
 
 
@@ -26,12 +26,30 @@ def work(progress):
     return list(progress.track(iter("ab"), "inner"))
 
 
-def test_silent_without_a_terminal(capsys):
-    progress = terminal_progress()
-    assert type(progress) is Progress
-    assert work(progress) == ["a", "b"]
+def test_a_run_of_a_moment_says_nothing_in_a_pipe(capsys):
+    assert work(terminal_progress()) == ["a", "b"]
     said = capsys.readouterr()
     assert said.out == said.err == ""
+
+
+def test_silent_where_there_is_no_error_stream(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", None)
+    assert type(terminal_progress()) is Progress
+
+
+def test_long_work_in_a_pipe_says_a_line_now_and_then():
+    """Seven steps of 3 s: a line after 2 s, then one in ten seconds; no control characters in a log file."""
+    now, log = [100.0], io.StringIO()
+    progress = LineProgress(log, clock=lambda: now[0])
+    with progress.stage("render", total=7) as stage:
+        for _ in range(7):
+            now[0] += 3.0
+            stage.advance()
+    with progress.stage("write"):
+        now[0] += 30.0
+    with progress.stage("judge"):
+        pass
+    assert log.getvalue() == "[3 s] render: 1 of 7\n[15 s] render: 5 of 7\n[51 s] judge\n"
 
 
 def test_bars_on_a_terminal(monkeypatch):

@@ -38,7 +38,7 @@ def judged(folder, out, frames, *, gain=GAIN, offset=OFFSET, more="", name="temp
     )
     main = importlib.import_module(f"experiments.{name}.experiment").main
     quick = ("--set", "compare=[]", *arguments)
-    status = main(["--frames", str(folder), "--out", str(out), "--set", "centroid=gaussian", *quick])
+    status = main(["--own-frames", str(folder), "--out", str(out), "--set", "centroid=gaussian", *quick])
     found = json.loads((out / "summary.json").read_text(encoding="utf-8")) if out.exists() else {}
     return status, {one["name"]: one for one in found.get("criteria", [])}, found.get("results", {})
 

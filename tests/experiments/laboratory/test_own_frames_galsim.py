@@ -65,7 +65,7 @@ class Camera:
 
 def run(name, folder, out, *arguments):
     main = importlib.import_module(f"experiments.{name}.experiment").main
-    status = main(["--frames", str(folder), "--out", str(out), *arguments])
+    status = main(["--own-frames", str(folder), "--out", str(out), *arguments])
     content = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert status == 0, [one for one in content["criteria"] if not one["passed"]]
     assert "truth" not in (out / "report.html").read_text(encoding="utf-8").lower().replace("no truth", "")

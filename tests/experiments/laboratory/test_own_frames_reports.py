@@ -1,4 +1,4 @@
-"""``--frames FOLDER`` of temporal, hsfe and distortion: a report of frames from elsewhere, bad folders in one line."""
+"""``--own-frames FOLDER`` of temporal, hsfe and distortion: reports of frames from elsewhere, bad folders in a line."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def folder(tmp_path_factory):
 def run(name, folder, text, capsys, *arguments, out):
     (folder / "frames.toml").write_text(HEAD + text)
     main = importlib.import_module(f"experiments.{name}.experiment").main
-    status = main(["--frames", str(folder), "--out", str(out), *arguments])
+    status = main(["--own-frames", str(folder), "--out", str(out), *arguments])
     return status, capsys.readouterr().err.strip()
 
 
@@ -111,7 +111,7 @@ def test_a_bad_folder_is_one_line(name, text, said, folder, capsys, tmp_path, en
 
 def test_a_missing_folder_and_a_fit_without_psf_are_one_line(folder, capsys, tmp_path, engine):
     main = importlib.import_module("experiments.temporal.experiment").main
-    assert main(["--frames", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
+    assert main(["--own-frames", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
     assert "no such folder" in capsys.readouterr().err
     only = ("--set", "centroid=epsf", "--set", "compare=[]")
     status, text = run("temporal", folder, TEXTS["temporal"], capsys, *only, out=tmp_path / "out")
