@@ -27,6 +27,10 @@ class StarFlag(IntFlag):
         The iteration ended without reaching its tolerance; the values are those of the last step.
     NO_DATA
         No usable pixel or no light: position and flux are NaN.
+    PIXEL_PHASE
+        The error that depends on where in its pixel the star sits exceeds half the stated standard deviation, which
+        does not hold it: the star is too narrow for this centroider, or reaches beyond its window
+        (``StarTable.width_px`` and ``phase_error_px``). The star may be used; its error is larger than stated.
     """
 
     SATURATED = 1
@@ -36,6 +40,7 @@ class StarFlag(IntFlag):
     SPIKE = 16
     NOT_CONVERGED = 32
     NO_DATA = 64
+    PIXEL_PHASE = 128
 
 
 UNFIT = (

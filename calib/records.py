@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -179,6 +179,8 @@ _COLUMN_UNITS: dict[str, Any] = {
     "chi2": None,
     "iterations": None,
     "flags": None,
+    "width_px": units.pix,
+    "phase_error_px": units.pix,
 }
 
 
@@ -195,13 +197,19 @@ class StarTable:
     background_e : (n,)
         Electrons per pixel under the star.
     covariance : (n, 3, 3)
-        Of (x, y, flux) [px, px, e-]: temporal noise as the noise model states it.
+        Of (x, y, flux) [px, px, e-]: temporal noise as the noise model states it. What depends on the place of the star
+        in its pixel and does not change from frame to frame is not in it, see ``phase_error_px``.
     chi2 : (n,)
         Weighted squared residual per degree of freedom, NaN where no model was fitted.
     iterations : (n,) int64
         Steps the estimator took.
     flags : (n,) uint32
         `StarFlag` bits.
+    width_px : (n,)
+        Standard deviation of the star as a Gaussian, before pixels integrate it; NaN where it was not measured.
+    phase_error_px : (n,)
+        RMS error per axis by the place of the star in its pixel (`calib.measure.pixel_phase`), for a Gaussian star of
+        this width; NaN for centroiders that fit a PSF, whose error depends on how well they know it.
     """
 
     x_px: FloatArray
@@ -212,10 +220,15 @@ class StarTable:
     chi2: FloatArray
     iterations: NDArray[np.int64]
     flags: NDArray[np.uint32]
+    width_px: FloatArray = field(default_factory=lambda: np.empty(0))
+    phase_error_px: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        for name in ("x_px", "y_px", "flux_e", "background_e", "chi2"):
+        for name in ("width_px", "phase_error_px"):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.full(len(self.x_px), np.nan))
+        for name in ("x_px", "y_px", "flux_e", "background_e", "chi2", "width_px", "phase_error_px"):
             freeze(self, name, shape=("n",), finite=False, sizes=sizes)
         freeze(self, "covariance", shape=("n", 3, 3), finite=False, sizes=sizes)
         freeze(self, "iterations", shape=("n",), dtype=np.int64, sizes=sizes)
@@ -254,6 +267,12 @@ class StarTable:
     def sharp(self) -> NDArray[np.bool_]:
         """Detections (n,) that are sharper than a star or sit on a pixel that is known to be bad."""
         return has_flag(self.flags, StarFlag.SPIKE | StarFlag.DEFECT)
+
+    @property
+    def position_sigma_px(self) -> FloatArray:
+        """Standard deviation per axis (n,) of one position: noise, mean of both axes, and the error by pixel phase."""
+        noise = 0.5 * (self.covariance[:, X, X] + self.covariance[:, Y, Y])
+        return np.asarray(np.sqrt(noise + np.nan_to_num(self.phase_error_px) ** 2))
 
     @property
     def sigma_x_px(self) -> FloatArray:

@@ -21,7 +21,7 @@ from calib.attitude.association import associate, match_stars, pixel_angle_rad
 from calib.attitude.identify import Identification, build_database, identify, with_residuals
 from calib.attitude.solve import AttitudeSolution, solve_wahba
 from calib.cameras.base import CameraModel
-from calib.records import StarTable, X, Y
+from calib.records import StarTable
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.records import freeze
@@ -164,7 +164,7 @@ def identify_stars(
         if found.status == "no_match":  # the catalogue may count its stars in another way than the patterns do
             found = identify(pixel, model, patterns, flux=flux)
         found = replace(found, detected=usable[found.detected])
-    sigma_px = np.sqrt(0.5 * (stars.covariance[:, X, X] + stars.covariance[:, Y, Y]))
+    sigma_px = stars.position_sigma_px
     known_noise = np.isfinite(sigma_px[found.detected]).all()
     return with_residuals(found, stars.pixel_px, model, sigma_px if known_noise else None, model_error_px)
 

@@ -30,8 +30,9 @@ def find_stars(
 ) -> StarTable:
     """Detected and centroided stars of an image, brightest first.
 
-    Every detection keeps its row; what is wrong with it is in its flags. ``stars.select(stars.flags == 0)`` are those
-    without any.
+    Every detection keeps its row; what is wrong with it is in its flags. ``stars.select(stars.fit)`` are those that may
+    count in an attitude. ``PIXEL_PHASE`` says that a star is too narrow (or too wide) for the centroider:
+    ``stars.width_px``, and ``stars.phase_error_px`` is what its covariance does not hold.
 
     Parameters
     ----------

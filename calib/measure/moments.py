@@ -1,8 +1,8 @@
 """Sums that moment centroids are made of: light above the background, its moments, their noise.
 
 No PSF is needed; the price is noise from the whole window, or a bias that depends on where in its pixel the star sits
-(S-curve). The covariance propagates the temporal noise, sum over pixels of (dx/dd)^2 variance(d); it does not know
-that bias.
+(S-curve). The covariance propagates the temporal noise, sum over pixels of (dx/dd)^2 variance(d); the bias stands
+beside it (`calib.measure.pixel_phase`).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.flags import StarFlag, has_flag
+from calib.measure.pixel_phase import PhaseTable, phase_columns
 from calib.records import FLUX, NoiseModel, Stamps, StarTable, X, Y
 from optics.arrays import FloatArray
 
@@ -99,18 +100,30 @@ def half_light_radius(light: FloatArray, x: FloatArray, y: FloatArray) -> FloatA
 
 
 def gravity_table(
-    stamps: Stamps, noise: NoiseModel, *, weight: FloatArray, light: FloatArray, used: NDArray[np.bool_]
+    stamps: Stamps,
+    noise: NoiseModel,
+    known: PhaseTable | None,
+    *,
+    weight: FloatArray,
+    light: FloatArray,
+    used: NDArray[np.bool_],
 ) -> StarTable:
-    """Centre of gravity of ``weight`` and sum of ``light``, both (n, h, w), over the ``used`` pixels."""
+    """Centre of gravity of ``weight`` and sum of ``light``, both (n, h, w), over the ``used`` pixels.
+
+    The width follows from the second moment of the weight, mean of both axes.
+    """
     _, height, width = weight.shape
     columns, rows = np.arange(width, dtype=float), np.arange(height, dtype=float)
     total = weight.sum(axis=(1, 2))
     lost = ~(total > 0)
     safe = np.where(lost, 1.0, total)
-    x = weight.sum(axis=1) @ columns / safe
-    y = weight.sum(axis=2) @ rows / safe
+    across, down = weight.sum(axis=1), weight.sum(axis=2)
+    x = across @ columns / safe
+    y = down @ rows / safe
     variance = pixel_variance(stamps, noise, used)
-    second = Moments.of(variance * (weight != 0), powers(rows - y[:, None]), powers(columns - x[:, None]))
+    along_y, along_x = powers(rows - y[:, None]), powers(columns - x[:, None])
+    second = Moments.of(variance * (weight != 0), along_y, along_x)
+    spread = (across[:, None, :] @ along_x[:, 2, :, None] + down[:, None, :] @ along_y[:, 2, :, None])[:, 0, 0]
     covariance = np.empty((len(x), 3, 3))
     covariance[:, X, X] = second.xx / safe**2
     covariance[:, Y, Y] = second.yy / safe**2
@@ -122,7 +135,18 @@ def gravity_table(
     outside = (np.abs(x - (width - 1) / 2) > width / 2) | (np.abs(y - (height - 1) / 2) > height / 2)
     flags[outside & ~lost] |= int(StarFlag.NOT_CONVERGED)
     once = np.ones(len(x), np.int64)
-    return measured_table(stamps, x=x, y=y, light=light, covariance=covariance, iterations=once, flags=flags, lost=lost)
+    return measured_table(
+        stamps,
+        x=x,
+        y=y,
+        light=total if light is weight else light.sum(axis=(1, 2)),
+        covariance=covariance,
+        iterations=once,
+        flags=flags,
+        lost=lost,
+        moment_px2=np.where(lost, np.nan, 0.5 * spread / safe),
+        known=known,
+    )
 
 
 def measured_table(
@@ -135,6 +159,8 @@ def measured_table(
     iterations: NDArray[np.int64],
     flags: NDArray[np.uint32],
     lost: NDArray[np.bool_],
+    moment_px2: FloatArray | None = None,
+    known: PhaseTable | None = None,
 ) -> StarTable:
     """What a centroider without a PSF model found, as a `StarTable`.
 
@@ -144,8 +170,8 @@ def measured_table(
         The n windows that were measured.
     x, y : (n,)
         Positions from each window's first pixel [px].
-    light : (n, h, w)
-        Light above the background; its sum is the flux.
+    light : (n, h, w) or (n,)
+        Light above the background, or its sum: the flux.
     covariance : (n, 3, 3)
         Of (x, y, flux).
     iterations : (n,)
@@ -154,6 +180,10 @@ def measured_table(
         `StarFlag` bits.
     lost : (n,) bool
         Stars that could not be measured: flagged ``NO_DATA``, their numbers NaN.
+    moment_px2 : (n,), optional
+        Second moment that tells the width; without it the width stays unknown.
+    known : PhaseTable, optional
+        Width and error by pixel phase (`calib.measure.pixel_phase.MomentCentroider.measure_by`).
     """
     flags = np.where(lost, flags | np.uint32(int(StarFlag.NO_DATA)), flags)
     lost = has_flag(flags, StarFlag.NO_DATA)
@@ -162,10 +192,10 @@ def measured_table(
     return StarTable(
         x_px=np.where(lost, np.nan, x + stamps.corner_px[:, 0]),
         y_px=np.where(lost, np.nan, y + stamps.corner_px[:, 1]),
-        flux_e=np.where(lost, np.nan, light.sum(axis=(1, 2))),
+        flux_e=np.where(lost, np.nan, light.sum(axis=(1, 2)) if light.ndim == 3 else light),
         background_e=stamps.background_e,
         covariance=covariance,
         chi2=np.full(len(x), np.nan),
         iterations=iterations,
-        flags=flags,
+        **phase_columns(moment_px2, covariance, flags, known),
     )

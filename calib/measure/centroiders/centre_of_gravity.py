@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from calib.measure.moments import gravity_table, light_above_background
 from calib.measure.options import check_options, option
+from calib.measure.pixel_phase import PhaseTable, measure_with_phase
 from calib.records import NoiseModel, Stamps, StarTable
 
 __all__ = ["CentreOfGravity"]
@@ -34,5 +35,9 @@ class CentreOfGravity:
 
     def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
         """Position, flux of the window and covariance of every stamp."""
+        return measure_with_phase(self, stamps, noise)
+
+    def measure_by(self, stamps: Stamps, noise: NoiseModel, known: PhaseTable | None) -> StarTable:
+        """The same, width and error by pixel phase from a table (`calib.measure.pixel_phase`)."""
         light, used = light_above_background(stamps, self.half_width_px)
-        return gravity_table(stamps, noise, weight=light, light=light, used=used)
+        return gravity_table(stamps, noise, known, weight=light, light=light, used=used)

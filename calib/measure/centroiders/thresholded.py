@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.measure.moments import gravity_table, light_above_background
 from calib.measure.options import check_options, option
+from calib.measure.pixel_phase import PhaseTable, measure_with_phase
 from calib.records import NoiseModel, Stamps, StarTable
 
 __all__ = ["ThresholdedCentreOfGravity"]
@@ -40,7 +41,11 @@ class ThresholdedCentreOfGravity:
 
     def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
         """Position, flux of the window and covariance (selection of pixels taken as fixed) of every stamp."""
+        return measure_with_phase(self, stamps, noise)
+
+    def measure_by(self, stamps: Stamps, noise: NoiseModel, known: PhaseTable | None) -> StarTable:
+        """The same, width and error by pixel phase from a table (`calib.measure.pixel_phase`)."""
         light, used = light_above_background(stamps, self.half_width_px)
         sky = np.sqrt(noise.variance_e2(stamps.background_e))
         above = np.maximum(light - self.threshold_sigma * sky[:, None, None], 0.0) * used
-        return gravity_table(stamps, noise, weight=above, light=light, used=used)
+        return gravity_table(stamps, noise, known, weight=above, light=light, used=used)

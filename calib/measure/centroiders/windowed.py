@@ -19,6 +19,7 @@ from calib.measure.moments import (
     powers,
 )
 from calib.measure.options import check_options, option
+from calib.measure.pixel_phase import PhaseTable, measure_with_phase
 from calib.records import FLUX, NoiseModel, Stamps, StarTable
 from optics.arrays import FloatArray
 
@@ -60,21 +61,34 @@ class WindowedCentroid:
 
     def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
         """Position, flux of the stamp and covariance of every stamp."""
+        return measure_with_phase(self, stamps, noise)
+
+    def measure_by(self, stamps: Stamps, noise: NoiseModel, known: PhaseTable | None) -> StarTable:
+        """The same, width and error by pixel phase from a table.
+
+        A Gaussian of variance s^2 under a window of variance w^2 has the moment m with 1/m = 1/s^2 + 1/w^2.
+        """
         light, used = light_above_background(stamps, None)
         start = stamps.start_px - stamps.corner_px
         sigma = self._window_sigma(light, start)
         found = self._fixed_point(light, np.asarray(used.any(axis=(1, 2))), start, sigma)
         flags = np.array(stamps.flags)
         flags[~found.done & ~found.lost] |= int(StarFlag.NOT_CONVERGED)
+        sums = _window_sums(light, found.x, found.y, sigma)
+        variance = pixel_variance(stamps, noise, used)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            narrower = 2.0 * sums.one / (sums.xx + sums.yy) - sigma**-2
         return measured_table(
             stamps,
             x=found.x,
             y=found.y,
             light=light,
-            covariance=_covariance(light, pixel_variance(stamps, noise, used), found.x, found.y, sigma),
+            covariance=_covariance(sums, variance, found.x, found.y, sigma),
             iterations=found.iterations,
             flags=flags,
             lost=found.lost,
+            moment_px2=np.where(found.lost, np.nan, 1.0 / np.maximum(narrower, 1e-2)),
+            known=known,
         )
 
     def _window_sigma(self, light: FloatArray, start: FloatArray) -> FloatArray:
@@ -136,9 +150,8 @@ def _window_sums(light: FloatArray, x: FloatArray, y: FloatArray, sigma: FloatAr
     return Moments.of(light, powers(along_y) * weight_y[:, None, :], powers(along_x) * weight_x[:, None, :])
 
 
-def _covariance(light: FloatArray, variance: FloatArray, x: FloatArray, y: FloatArray, sigma: FloatArray) -> FloatArray:
+def _covariance(sums: Moments, variance: FloatArray, x: FloatArray, y: FloatArray, sigma: FloatArray) -> FloatArray:
     """Covariance of the root of ``f = sum w s (x_i - x)``: M^-1 C M^-T with the slope M and the noise C of f."""
-    sums = _window_sums(light, x, y, sigma)
     squared = _window_sums(variance, x, y, sigma / np.sqrt(2.0))  # the window squared is a narrower window
     single = _window_sums(variance, x, y, sigma)
     inverse2 = 1.0 / sigma**2
