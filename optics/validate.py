@@ -49,7 +49,8 @@ def parse_model(model_class: type[Model], mapping: Mapping[str, Any], where: str
     try:
         return model_class.model_validate(dict(mapping))
     except ValidationError as error:
-        lines = [f"{where}: {_sentence(model_class, dict(fault))}" for fault in error.errors(include_url=False)]
+        faults = [dict(fault) for fault in error.errors(include_url=False)]
+        lines = [f"{where}: {_sentence(model_class, fault)}" for fault in faults if not _follows(fault, faults)]
     raise ConfigError("\n".join(dict.fromkeys(lines)))
 
 
@@ -73,7 +74,7 @@ def parse_toml(model_class: type[Model], path: str | Path) -> Model:
     ConfigError
         File missing or unreadable, not TOML (with the line), or not valid (see `parse_model`).
     """
-    return parse_model(model_class, read_toml(path), Path(path).name)
+    return parse_model(model_class, read_toml(path), str(path))
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
@@ -104,6 +105,12 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: not valid TOML ({error})") from None
 
 
+def _follows(fault: dict[str, Any], faults: list[dict[str, Any]]) -> bool:
+    """Whether a list is only too short because its items are at fault, which is said of them."""
+    at = fault["loc"]
+    return fault["type"] == "too_short" and any(other["loc"][: len(at)] == at for other in faults if other != fault)
+
+
 def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
     location: Location = fault["loc"]
     key = ".".join(str(step) for step in _without_tags(model_class, location)) or "(whole table)"
@@ -128,9 +135,15 @@ def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
     if kind in ("model_type", "model_attributes_type", "dict_type"):
         keys = sorted({name for owner in _owners(model_class, location) for name in owner.model_fields})
         reason = "a table is needed" + (f" with the keys {', '.join(keys)}" if keys else "")
+    if kind in ("tuple_type", "list_type"):
+        tables = bool(_owners(model_class, location))
+        reason = f"a list of tables is needed, [[{key}]] before each" if tables else "a list is needed, such as [1, 2]"
     if not location:  # a check of the whole model: its sentence says it all
         return reason
-    return f"{key} = {_shown(fault.get('input'))}: {reason}{_allowed(model_class, location)}"
+    given = fault.get("input")
+    table = isinstance(given, Mapping) and bool(_owners(model_class, location))
+    shown = key if table else f"{key} = {_shown(given)}"
+    return f"{shown}: {reason}{_allowed(model_class, location)}"
 
 
 def _shown(value: Any) -> str:

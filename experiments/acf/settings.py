@@ -203,7 +203,7 @@ class Config(SensorExperimentConfig):
 
     def as_sensor(self, file: Path | None) -> SensorConfig | None:
         """The sensor file that the camera was fitted to; None for a camera that is only a model."""
-        return None if file is None else parse_model(SensorConfig, read_sensor(file), file.name)
+        return None if file is None else parse_model(SensorConfig, read_sensor(file), str(file))
 
     @field_validator("noise_px")
     @classmethod

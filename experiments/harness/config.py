@@ -183,10 +183,10 @@ def load_config(
         if not issubclass(model_class, ExperimentConfig):
             raise TypeError(f"{model_class.__name__} is no ExperimentConfig")
         values = _merged(model_class, values, model_class.of_sensor(Path(sensor)))
-        sources.append(Path(sensor).name)
+        sources.append(str(sensor))
     if file is not None:
         values = _merged(model_class, values, read_settings(model_class, file))
-        sources.append(Path(file).name)
+        sources.append(str(file))
     if settings:
         values = with_settings(model_class, values, settings)
         sources.append(f"--set {settings[0]}" if len(settings) == 1 else "--set")

@@ -77,7 +77,7 @@ def read_sensor(file: Path) -> dict[str, Any]:
         File missing or no TOML, an unknown key (with the nearest name), a value of the wrong type or out of range.
     """
     given = read_settings(SensorConfig, file)
-    parse_model(SensorConfig, given, file.name)
+    parse_model(SensorConfig, given, str(file))
     return given
 
 

@@ -44,7 +44,7 @@ class SurfaceTable(_Table):
     """What every surface has, whatever its shape. Tilts are about x, then y, of the surface's own vertex."""
 
     kind: str
-    thickness_mm: FiniteFloat
+    thickness_mm: NotNegative
     medium: str
     semi_diameter_mm: Positive
     inner_semi_diameter_mm: NotNegative = 0.0
@@ -219,12 +219,12 @@ def load_lens(name_or_path: str | Path, *, environment: Environment = CATALOGUE_
         path = Path(name_or_path)
     else:
         raise unknown_name("lens", text, builtin)
-    file = parse_toml(LensFile, path)
+    file, shown = parse_toml(LensFile, path), str(name_or_path)
     surfaces, image_z = _surfaces(file)
-    glasses = _glasses(file, [s.medium for s in surfaces], path.name)
+    glasses = _glasses(file, [s.medium for s in surfaces], shown)
     if surfaces[-1].medium != AMBIENT:
-        raise ConfigError(f"{path.name}: the last surface is followed by {surfaces[-1].medium!r}; it must be 'air'")
-    _check_apertures(file, path.name)
+        raise ConfigError(f"{shown}: the last surface is followed by {surfaces[-1].medium!r}; it must be 'air'")
+    _check_apertures(file, shown)
     return LensSystem(
         name=file.name,
         source=file.source,

@@ -200,7 +200,7 @@ def test_tilt_decentre_asphere_and_own_glass_from_a_file(tmp_path):
         ('source = "test"\n', "", "source"),
         ("radius_mm = 50.0", "radios_mm = 50.0", "did you mean 'radius_mm'"),
         ("radius_mm = 50.0", "radius_mm = 0.0", "other than zero"),
-        ("radius_mm = 50.0", "radius_mm = nan", "other than zero"),
+        ("radius_mm = 50.0", "radius_mm = nan", r"surface\.0: radius_mm = nan: a number other than zero"),
         ("N-BK7", "N-BK77", "did you mean N-BK7"),
         ('"air"', '"N-BK7"', "it must be 'air'"),
         ("[stop]\nz_mm = -1.0\nsemi_diameter_mm = 5.0\n", "", "exactly one is needed"),
@@ -209,12 +209,30 @@ def test_tilt_decentre_asphere_and_own_glass_from_a_file(tmp_path):
         ("semi_diameter_mm = 6.0", "semi_diameter_mm = 6.0\ninner_semi_diameter_mm = 7.0", "between 0 and"),
         ("max_field_deg = 2.0", "max_field_deg = 95.0", "below 90"),
         ("[[surface]]", "[[surface", "not valid TOML"),
+        ("thickness_mm = 5.0", "thickness_mm = -5.0", r"surface\.0\.thickness_mm = -5.0: .*at least 0"),
     ],
 )
 def test_bad_files_get_one_clear_line(tmp_path, old, new, message):
     assert old in MINIMAL
     with pytest.raises((ConfigError, DomainError), match=message):
         load_lens(write(tmp_path, MINIMAL.replace(old, new)))
+
+
+@pytest.mark.parametrize(
+    ("surface", "said"),
+    [
+        ("surface = 3", "surface = 3: a list of tables is needed, [[surface]] before each"),
+        ("surface = [3]", "surface.0 = 3: a table is needed"),
+        ("[surface]\nradius_mm = 3.0", "surface: a list of tables is needed"),
+    ],
+)
+def test_what_is_no_list_of_surfaces_is_said_in_one_line_with_the_file_as_it_was_named(tmp_path, surface, said):
+    head = 'name = "a"\nsource = "b"\ndesign_wavelength_nm = 500.0\nmax_field_deg = 3.0\n'
+    path = write(tmp_path, head + surface)
+    with pytest.raises(ConfigError) as caught:
+        load_lens(path)
+    assert str(caught.value).startswith(f"{path}: {said}")
+    assert "\n" not in str(caught.value)
 
 
 def test_unknown_and_missing_lenses(tmp_path):
