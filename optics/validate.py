@@ -141,8 +141,8 @@ def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
     if not location:  # a check of the whole model: its sentence says it all
         return reason
     given = fault.get("input")
-    table = isinstance(given, Mapping) and bool(_owners(model_class, location))
-    shown = key if table else f"{key} = {_shown(given)}"
+    is_table = isinstance(given, Mapping) and bool(_owners(model_class, location))
+    shown = key if is_table else f"{key} = {_shown(given)}"
     return f"{shown}: {reason}{_allowed(model_class, location)}"
 
 
