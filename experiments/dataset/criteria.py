@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.stats import f
 
+from experiments.dataset.evaluation.independent import LEAST_KEPT, TURN_DEG
 from experiments.dataset.evaluation.statistics import BOUND_SNR, BRIGHT_SNR
 from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Criterion
@@ -26,6 +28,12 @@ BOUND_RATIO = (0.93, 1.3)
 BOUND_STARS = 200
 """Fewer tell the ratio to worse than 5 %."""
 FALSE_SIGMA = 4.0
+POINTING_ARCSEC = 1e-3
+PLAIN_FOUND = 0.5
+"""Faint stars, and stars with unseen neighbours, fall out of the fit: a quarter at most. Of empty windows all do."""
+FALSE_ALARM = 1e-3
+TURNED_SIGMA = 1.0
+"""The same noise in the same stars; those that change are few."""
 
 
 def criteria(outcome: Outcome) -> list[Criterion]:
@@ -56,6 +64,7 @@ def criteria(outcome: Outcome) -> list[Criterion]:
                 unit="px",
             )
         )
+    made += _independent(outcome)
     return made + (_attitudes(outcome) if evaluation.solved else [])
 
 
@@ -81,6 +90,37 @@ def _detections(outcome: Outcome) -> list[Criterion]:
                 unit="sigma",
             )
         )
+    return made
+
+
+def _independent(outcome: Outcome) -> list[Criterion]:
+    """By plain NumPy and astropy from files and records, and a turn that was put in."""
+    frames, turned = int(outcome.values("plain_frames")), float(outcome.values("turned_off_sigma"))
+    made = [
+        Criterion(
+            name="written boresight and roll against the written quaternion, by astropy, largest",
+            value=float(outcome.values("pointing_off_arcsec")),
+            limit=POINTING_ARCSEC,
+            unit="arcsec",
+        )
+    ]
+    if frames:
+        made += [
+            Criterion(
+                name=f"stars of {frames} files where written quaternion and a pinhole put them, least part",
+                value=float(outcome.values("plain_found")),
+                limit=PLAIN_FOUND,
+                relation=">=",
+            ),
+            Criterion(
+                name=f"written attitudes of {frames} files against their pixels by plain NumPy, RMS in sigma",
+                value=float(np.sqrt(outcome.values("plain_square") / (3 * frames))),
+                limit=float(np.sqrt(f.isf(FALSE_ALARM, 3 * frames, 2 * LEAST_KEPT - 6))),
+            ),
+        ]
+    if np.isfinite(turned):
+        name = f"stars turned by {TURN_DEG:g} deg about the middle: blind attitude off that turn, sense included"
+        made.append(Criterion(name=name, value=turned, limit=TURNED_SIGMA, unit="sigma"))
     return made
 
 

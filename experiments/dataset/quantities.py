@@ -47,6 +47,7 @@ def describe(result: Result) -> Quantities:
         _detections(q, result.evaluation)
         _flags(q, result.evaluation)
         _centroids(q, result.evaluation)
+        _independent(q, result.evaluation)
         _attitudes(q, result.evaluation)
     return q
 
@@ -153,6 +154,37 @@ def _centroids(q: Quantities, evaluation: Evaluation) -> None:
     largest = float(evaluation.wcs_miss_px.max()) if len(evaluation.wcs_miss_px) else float("nan")
     q.add("wcs_max_error_px", largest, "Largest WCS error", unit="px")
     q.add("camera_model_max_px", evaluation.calibration.max_px, "Camera model, largest misfit", unit="px", format=".1e")
+
+
+def _independent(q: Quantities, evaluation: Evaluation) -> None:
+    """Written attitudes against the pixels of the files, by no detection, camera model or attitude of this project."""
+    plain = evaluation.plain
+    q.axis("plain_axis", ["x", "y", "roll"], "Axis")
+    error = np.array([one.error_arcsec for one in plain]).reshape(-1, 3)
+    sigma = np.array([one.sigma_arcsec for one in plain]).reshape(-1, 3)
+    q.add("plain_frames", len(plain), "Frames judged by plain NumPy", json="independent.frames")
+    q.add("plain_square", float(((error / sigma) ** 2).sum()), "Sum of their squared errors over sigma", json="")
+    mean = error.mean(0) if len(plain) else np.full(3, np.nan)
+    spread = np.sqrt((sigma**2).sum(0)) / max(len(plain), 1)
+    q.add(
+        "plain_mean_arcsec",
+        mean,
+        "Pixels minus written attitude, mean",
+        unit="arcsec",
+        dims="plain_axis",
+        error=spread,
+        n=len(plain),
+        json="independent.mean_error_arcsec",
+    )
+    least = min((one.found for one in plain), default=float("nan"))
+    q.add("plain_found", least, "Stars where the written attitude puts them, least part", json="independent.found")
+    q.add(
+        "pointing_off_arcsec",
+        float(evaluation.pointing_off_arcsec.max()),
+        "Written boresight and roll off",
+        unit="arcsec",
+    )
+    q.add("turned_off_sigma", evaluation.turned_off_sigma, "Blind solution of turned stars, off", unit="sigma")
 
 
 def _attitudes(q: Quantities, evaluation: Evaluation) -> None:

@@ -13,6 +13,15 @@ from numpy.typing import NDArray
 from calib.cameras.fit import MapFit, fit_camera
 from experiments.dataset.evaluation.centroid_bound import CentroidBound, dataset_bound
 from experiments.dataset.evaluation.detection import FoundStars, compare_frame, joined
+from experiments.dataset.evaluation.independent import (
+    TURN_DEG,
+    PlainAttitude,
+    plain_attitude,
+    pointing_off_arcsec,
+    read_pixels,
+    turn_missed_sigma,
+    turned_px,
+)
 from experiments.dataset.evaluation.psf_grid import render_psf_grid
 from experiments.dataset.evaluation.reduction import MeasuredFrame, Reduction, measure_frame, reduction_of
 from experiments.dataset.evaluation.solve import BlindSolver, SolvedFrame
@@ -85,6 +94,13 @@ class Evaluation:
         What was detected in them without a flag of the measurement.
     wcs_miss_px : (n,)
         Of all stars of all frames.
+    plain : tuple of PlainAttitude
+        Written attitudes against the pixels, of frames at rest (`experiments.dataset.evaluation.independent`).
+    pointing_off_arcsec : (n,)
+        Written boresight and roll against the written quaternion.
+    turned_off_sigma : float
+        How far the blind solution is off that of the same stars turned by a known angle, in its sigmas, for the first
+        frame that is solved; NaN without one.
     example : Example or None
         The first frame with stars.
     """
@@ -100,6 +116,9 @@ class Evaluation:
     empty_frames: int
     empty_detections: int
     wcs_miss_px: FloatArray
+    plain: tuple[PlainAttitude, ...]
+    pointing_off_arcsec: FloatArray
+    turned_off_sigma: float
     example: Example | None
 
 
@@ -132,7 +151,8 @@ def evaluate(folder: Path, scene: Scene, records: Sequence[FrameRecord], *, adva
     calibration = fit_camera(known)
     solver = BlindSolver(scene, calibration)
     size = {"width_px": camera.width_px, "height_px": camera.height_px}
-    stars, solved, misses = [], [], [np.zeros(0)]
+    stars, solved, misses, plain = [], [], [np.zeros(0)], []
+    focal_px, turned_off = scene.instrument.focal_length_mm / camera.pixel_pitch_mm, float("nan")
     example: Example | None = None
     for one in records:
         frame = read_frame(folder / one.file)
@@ -144,8 +164,14 @@ def evaluate(folder: Path, scene: Scene, records: Sequence[FrameRecord], *, adva
         rows_differ = scene.config.instrument.line_time_us and any(one.rate_deg_per_s)  # each has its own attitude
         if not rows_differ:
             misses.append(wcs_misses_px(folder / one.file, truth, **size))
+        if not any(one.rate_deg_per_s):
+            pixels = read_pixels(folder / one.file)
+            plain.append(plain_attitude(pixels, one, truth, focal_px=focal_px, centre_px=camera.centre_px))
         if solver.database is not None:
             solved.append(solver.solve(one, measured.at_once(solver.turned(one, measured))))
+            if np.isnan(turned_off) and solved[-1].solved and not any(one.rate_deg_per_s):
+                turned = measured.at_once(turned_px(measured.stars.pixel_px, camera.centre_px, TURN_DEG))
+                turned_off = turn_missed_sigma(solved[-1], solver.solve(one, turned))
         if example is None and one.stars:
             light = (frame.dn - dark) / np.float32(frame.gain_dn_per_e)
             example = Example(frame=one.frame, electrons=light, measured=measured, truth=truth)
@@ -163,6 +189,9 @@ def evaluate(folder: Path, scene: Scene, records: Sequence[FrameRecord], *, adva
         empty_frames=verify.dark_frames,
         empty_detections=_in_empty_frames(scene, reduction, sky_e, streams.child("empty")),
         wcs_miss_px=np.concatenate(misses),
+        plain=tuple(one for one in plain if one is not None),
+        pointing_off_arcsec=np.array([pointing_off_arcsec(one) for one in records]),
+        turned_off_sigma=turned_off,
         example=example,
     )
 
