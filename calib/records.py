@@ -11,7 +11,8 @@ from astropy import units
 from astropy.table import Table
 from numpy.typing import NDArray
 
-from calib.flags import UNFIT, StarFlag, has_flag
+from calib.fitting.misfit import ChiSquare, joined
+from calib.flags import UNFIT, StarFlag, describe_flags, has_flag
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
@@ -184,7 +185,7 @@ _COLUMN_UNITS: dict[str, Any] = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class StarTable:
     """Measured stars; a star that could not be measured keeps its row, with NaN and a flag.
 
@@ -203,6 +204,8 @@ class StarTable:
         Weighted squared residual per degree of freedom, NaN where no model was fitted.
     iterations : (n,) int64
         Steps the estimator took.
+    freedom : (n,) int64
+        Degrees of freedom of ``chi2``; 0 where no model was fitted.
     flags : (n,) uint32
         `StarFlag` bits.
     width_px : (n,)
@@ -220,22 +223,40 @@ class StarTable:
     chi2: FloatArray
     iterations: NDArray[np.int64]
     flags: NDArray[np.uint32]
+    freedom: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
     width_px: FloatArray = field(default_factory=lambda: np.empty(0))
     phase_error_px: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        for name in ("width_px", "phase_error_px"):
+        for name, nothing in (("freedom", 0), ("width_px", np.nan), ("phase_error_px", np.nan)):
             if not len(getattr(self, name)):
-                object.__setattr__(self, name, np.full(len(self.x_px), np.nan))
+                object.__setattr__(self, name, np.full(len(self.x_px), nothing))
         for name in ("x_px", "y_px", "flux_e", "background_e", "chi2", "width_px", "phase_error_px"):
             freeze(self, name, shape=("n",), finite=False, sizes=sizes)
         freeze(self, "covariance", shape=("n", 3, 3), finite=False, sizes=sizes)
         freeze(self, "iterations", shape=("n",), dtype=np.int64, sizes=sizes)
+        freeze(self, "freedom", shape=("n",), dtype=np.int64, sizes=sizes)
         freeze(self, "flags", shape=("n",), dtype=np.uint32, sizes=sizes)
+
+    def __repr__(self) -> str:
+        if not len(self):
+            return "<StarTable: no stars>"
+        flagged = [(describe_flags(int(bit)), int(has_flag(self.flags, bit).sum())) for bit in StarFlag]
+        sigma = f"sigma {np.nanmedian(self.position_sigma_px):.3g} px" if self.fit.any() else ""
+        seen = ", ".join(f"{count} {name}" for name, count in flagged if count)
+        tested = str(self.misfit) if self.misfit.tested else ""
+        return f"<StarTable: {joined(f'{len(self)} stars', sigma, seen, tested, self.misfit.note)}>"
 
     def __len__(self) -> int:
         return len(self.x_px)
+
+    @property
+    def misfit(self) -> ChiSquare:
+        """Whether pixels scatter about the fitted stars as the noise model states, over all stars that are `fit`."""
+        rows = self.fit & (self.freedom > 0) & np.isfinite(self.chi2)
+        freedom = self.freedom[rows]
+        return ChiSquare(value=float(self.chi2[rows] @ freedom), degrees_of_freedom=int(freedom.sum()))
 
     @classmethod
     def empty(cls) -> StarTable:

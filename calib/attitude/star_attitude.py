@@ -21,6 +21,7 @@ from calib.attitude.association import associate, match_stars, pixel_angle_rad
 from calib.attitude.identify import Identification, build_database, identify, with_residuals
 from calib.attitude.solve import AttitudeSolution, solve_wahba
 from calib.cameras.base import CameraModel
+from calib.fitting.misfit import joined
 from calib.records import StarTable
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
@@ -85,7 +86,10 @@ class StarAttitude:
 
     def __repr__(self) -> str:
         x, y, z = self.sigma_arcsec
-        return f"<StarAttitude {self.solution.status}: {len(self)} stars, sigma {x:.3g}, {y:.3g}, {z:.3g} arcsec>"
+        text = f"{len(self)} stars, sigma {x:.3g}, {y:.3g}, {z:.3g} arcsec"
+        common = f"{self.common_px:.2g} px beside the stated noise" if self.common_px > 0 else ""
+        note = self.solution.misfit.note if self.ok else self.solution.message
+        return f"<StarAttitude {self.solution.status}: {joined(text, common, note)}>"
 
     def __len__(self) -> int:
         return len(self.detected)

@@ -35,6 +35,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.solve import solve_wahba
+from calib.fitting.misfit import UNTESTED, ChiSquare
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
@@ -70,11 +71,15 @@ class MirrorSolution:
         Of the error's rotation vector in the cube frame.
     face_angle_rad : float
         Between the first two normals.
+    misfit : ChiSquare
+        Whether the measured normals agree with one another, and with the cube's by Wahba's problem, as their
+        covariances state; not tested for TRIAD of two faces measured once.
     """
 
     rotation: Rotation
     covariance_rad2: FloatArray
     face_angle_rad: float
+    misfit: ChiSquare = UNTESTED
 
     def __post_init__(self) -> None:
         freeze(self, "covariance_rad2", shape=(3, 3))
@@ -210,7 +215,7 @@ def cube_from_table(
             f"normals of shape {cube.shape} (cube), {table.shape} (table), covariance {spread.shape}; "
             "(n, 3), (n, 3), (n, 3, 3) are needed"
         )
-    cube, table, spread = _merged(cube, table, spread)
+    cube, table, spread, repeats = _merged(cube, table, spread)
     if len(cube) < 2:
         raise DomainError("only one face was measured; a second one that is not parallel to it is needed")
     if method == "wahba":
@@ -219,17 +224,26 @@ def cube_from_table(
         if solution.status == "degenerate":
             raise DomainError(f"the faces do not fix the cube: {solution.message}")
         rotation, covariance = solution.rotation, solution.covariance_rad2
+        repeats = ChiSquare(
+            value=repeats.value + solution.misfit.value,
+            degrees_of_freedom=repeats.degrees_of_freedom + solution.misfit.degrees_of_freedom,
+        )
     else:
         matrix = triad((cube[0], cube[1]), (table[0], table[1]))
         rotation = Rotation.from_matrix(matrix)
         covariance = _triad_covariance(matrix, table[:2], spread[:2])
     return MirrorSolution(
-        rotation=rotation, covariance_rad2=covariance, face_angle_rad=angle_between_rad(table[0], table[1])
+        rotation=rotation,
+        covariance_rad2=covariance,
+        face_angle_rad=angle_between_rad(table[0], table[1]),
+        misfit=repeats,
     )
 
 
-def _merged(cube: FloatArray, table: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Repeated measurements of a face averaged; faces keep the order of their first appearance."""
+def _merged(
+    cube: FloatArray, table: FloatArray, spread: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, ChiSquare]:
+    """Repeated measurements of a face averaged, and how they scatter; faces keep the order of first appearance."""
     first: list[int] = []
     group = np.empty(len(cube), int)
     for i, normal in enumerate(cube):
@@ -238,12 +252,17 @@ def _merged(cube: FloatArray, table: FloatArray, spread: FloatArray) -> tuple[Fl
             first.append(i)
         group[i] = same[0] if same else len(first) - 1
     mean, covariance = [], []
+    scatter, freedom = 0.0, 0
     for k in range(len(first)):
         rows = group == k
         together = table[rows].mean(0)
         mean.append(together / np.linalg.norm(together))
         covariance.append(spread[rows].sum(0) / rows.sum() ** 2)
-    return cube[first], np.array(mean), np.array(covariance)
+        off = table[rows] - together
+        # nothing is known along the normal itself: two directions count
+        scatter += float(np.einsum("ni,nij,nj->", off, np.linalg.pinv(spread[rows], hermitian=True, rcond=1e-9), off))
+        freedom += 2 * (int(rows.sum()) - 1) if spread[rows].any() else 0
+    return cube[first], np.array(mean), np.array(covariance), ChiSquare(value=scatter, degrees_of_freedom=freedom)
 
 
 def _triad_covariance(matrix: FloatArray, table: FloatArray, spread: FloatArray) -> FloatArray:

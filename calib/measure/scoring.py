@@ -51,11 +51,12 @@ class PixelModel(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PixelFit:
-    """What `fit_pixels` returns: parameters (n, k), covariance (n, k, k); chi2, iterations and converged (n,)."""
+    """What `fit_pixels` returns: parameters (n, k), covariance (n, k, k); chi2, freedom, iterations, converged (n,)."""
 
     parameters: FloatArray
     covariance: FloatArray
     chi2: FloatArray
+    freedom: NDArray[np.int64]
     iterations: NDArray[np.int64]
     converged: NDArray[np.bool_]
 
@@ -144,7 +145,14 @@ def fit_pixels(
         iterations[active] += 1
         converged[active] = small & good
         active = active[good & ~small]
-    return PixelFit(parameters=theta, covariance=covariance, chi2=chi2, iterations=iterations, converged=converged)
+    return PixelFit(
+        parameters=theta,
+        covariance=covariance,
+        chi2=chi2,
+        freedom=freedom,
+        iterations=iterations,
+        converged=converged,
+    )
 
 
 def _inverse(information: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -266,6 +274,7 @@ def _table(stamps: Stamps, fit: PixelFit, fit_background: bool, max_shift_px: fl
         background_e=theta[:, -1] if fit_background else stamps.background_e,
         covariance=fit.covariance[:, : FLUX + 1, : FLUX + 1],
         chi2=fit.chi2,
+        freedom=fit.freedom,
         iterations=fit.iterations,
         flags=flags,
     )

@@ -148,3 +148,18 @@ def test_faces_that_do_not_fix_a_frame_are_refused():
         cube_from_table([[0, 0, 1], [0, 0, 1]], [[0, 0, 1], [0, 0, 1]], covariance_rad2=zero)
     with pytest.raises(DomainError, match="are needed"):
         cube_from_table([[0, 0, 1]], [[0, 0, 1], [1, 0, 0]], covariance_rad2=zero)
+
+
+@pytest.mark.parametrize("wrong", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize("method", ["triad", "wahba"])
+def test_repeated_normals_tell_whether_their_covariance_is_right(method, wrong):
+    """Two faces measured eight times each: 2 x 2 x 7 degrees of freedom, one more from the angle of the faces."""
+    rng = np.random.default_rng(6)
+    faces = np.repeat([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], 8, axis=0)
+    across = np.eye(3) - faces[:, :, None] * faces[:, None, :]
+    table = faces + 1e-5 * np.einsum("nij,nj->ni", across, rng.standard_normal((16, 3)))
+    table /= np.linalg.norm(table, axis=1)[:, None]
+    found = cube_from_table(faces, table, covariance_rad2=(1e-5 * wrong) ** 2 * across, method=method)
+    assert found.misfit.degrees_of_freedom == 28 + (method == "wahba")
+    assert ("stated too small" in found.misfit.note) == (wrong < 1)
+    assert ("stated too large" in found.misfit.note) == (wrong > 1)

@@ -231,3 +231,16 @@ def test_far_neighbour_pulls_a_fit_away_and_is_reported(make, sky, noise):
     electrons = 1e5 * sky.gaussian([9.0], [9.0], 0.7) + 200.0 * sky.gaussian([5.0], [5.0], 0.7)
     table = make("epsf", max_shift_px=1.0).measure(sky.stamps(electrons, [6.5], [6.5]), noise)
     assert has_flag(table.flags, StarFlag.NOT_CONVERGED)[0]
+
+
+@pytest.mark.parametrize("stated_e", [0.5, 5.0, 50.0])
+@pytest.mark.parametrize("name", LIKELIHOOD)
+def test_fitted_stars_tell_whether_the_noise_was_stated_rightly(name, make, sky, stated_e):
+    """Faint stars on read noise of 5 e-; moments have no residuals, and say that nothing was tested."""
+    rng = np.random.default_rng(12)
+    x, y = 5.0 + rng.uniform(-0.5, 0.5, (2, 30))
+    stamps = sky.stamps(sky.noisy(500.0 * sky.gaussian(x, y, 0.7), 5.0, rng), x, y)
+    table = make(name).measure(stamps, NoiseModel(read_noise_e=stated_e))
+    assert ("stated too small" in repr(table)) == (stated_e < 5)
+    assert ("stated too large" in repr(table)) == (stated_e > 5)
+    assert not make("windowed").measure(stamps, NoiseModel(read_noise_e=stated_e)).misfit.tested
