@@ -26,6 +26,7 @@ from experiments.fisher.field_of_view import baseline_over_sphere
 from experiments.fisher.predict import (
     Scatter,
     calibration_of_rows,
+    covariance_of_rows,
     jitter_covariance_px2,
     on_the_sphere,
     predict_independent,
@@ -382,10 +383,7 @@ class _Work:
         centroid = np.array(taken.covariance_px2)
         noise = centroid + table_covariance_px2(self.model, self.bench, angle, motion)
         rows = calibration_of_rows(self.model, self.bench, angle)
-        solution = self.calibration.solution
-        star = [solution.index(name) for name in ("star_azimuth_rad", "star_elevation_rad")]
-        order = [i for i in range(len(solution.names)) if i not in star] + star
-        known = np.array(solution.covariance)[np.ix_(order, order)]
+        known = covariance_of_rows(self.calibration)
         quiet = predict_independent(maps, 1e-30 * np.broadcast_to(np.eye(2), maps.shape), rows, known)
         expected = {
             "centroids": on_the_sphere(maps, centroid),

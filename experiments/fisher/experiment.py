@@ -8,6 +8,7 @@ from experiments.fisher.settings import Config
 from experiments.harness.cli import command
 from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
+from experiments.laboratory.own_frames.experiment import or_own_frames
 
 if TYPE_CHECKING:
     from experiments.fisher.result import Result
@@ -80,7 +81,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     )
 
 
-experiment = Experiment(
+rendered = Experiment(
     name="fisher",
     config=Config,
     run=run,
@@ -106,4 +107,5 @@ experiment = Experiment(
         "same_data.runs": 20,
     },
 )
+experiment = or_own_frames(rendered, "experiments.fisher.own_frames")
 main = command(experiment)

@@ -22,6 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2, norm
 
+from calib.calibration.record import Calibration
+from calib.calibration.turntable import STAR_NAMES
 from calib.cameras.base import CameraModel, unproject_jacobian
 from calib.directional.fisher import tangent_basis
 from experiments.fisher.acquire import Motion
@@ -33,6 +35,7 @@ from optics.units import RAD_ARCSEC
 __all__ = [
     "Scatter",
     "calibration_of_rows",
+    "covariance_of_rows",
     "jitter_covariance_px2",
     "on_the_sphere",
     "predict_independent",
@@ -126,6 +129,14 @@ def calibration_of_rows(model: CameraModel, bench: Bench, angle_rad: FloatArray,
     star = len(model.parameters) + np.arange(STAR_COLUMNS)
     rest = np.setdiff1d(np.arange(rows.shape[2]), star)
     return np.asarray(rows[:, :, np.concatenate([rest, star])])
+
+
+def covariance_of_rows(calibration: Calibration) -> FloatArray:
+    """Covariance (q, q) of the unknowns in the order of `calibration_of_rows`."""
+    solution = calibration.solution
+    star = [solution.index(name) for name in STAR_NAMES]
+    order = [i for i in range(len(solution.names)) if i not in star] + star
+    return np.array(solution.covariance)[np.ix_(order, order)]
 
 
 def predict_independent(

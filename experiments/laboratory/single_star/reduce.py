@@ -143,8 +143,8 @@ def calibrated_bench(calibration: Calibration, table: Turntable) -> Bench:
     return Bench(table=table, star=star_direction(calibration), installation=calibration.installation)
 
 
-def check_count(places: int, table: Turntable) -> None:
-    """Refuse fewer measurements than unknowns, before anything is rendered.
+def check_count(places: int, table: Turntable, *, advice: str = "raise grid.columns or grid.rows") -> None:
+    """Refuse fewer measurements than unknowns, before anything is rendered; ``advice`` says what to do.
 
     Raises
     ------
@@ -155,12 +155,14 @@ def check_count(places: int, table: Turntable) -> None:
     if 2 * places <= unknowns:
         raise DomainError(
             f"{places} places give {2 * places} measurements for {unknowns} unknowns (8 of the camera, 2 of the star, "
-            f"3 of the installation, {len(table.axis) - 1} of the axes); raise grid.columns or grid.rows"
+            f"3 of the installation, {len(table.axis) - 1} of the axes); {advice}"
         )
 
 
-def check_parity(data: Data, table: Turntable, start: CameraModel, start_star: FloatArray) -> None:
-    """Refuse axes that turn the other way than believed.
+def check_parity(
+    data: Data, table: Turntable, start: CameraModel, start_star: FloatArray, *, key: str = "reduction.axes"
+) -> None:
+    """Refuse axes that turn the other way than believed; ``key`` is where that is said.
 
     The affine map from where the believed table puts the star to where it was seen keeps its orientation, whatever the
     camera and its roll, as long as the axes are right: a camera cannot mirror.
@@ -177,7 +179,7 @@ def check_parity(data: Data, table: Turntable, start: CameraModel, start_star: F
     forward = on_table @ middle
     if np.any(forward <= 0):
         raise DomainError(
-            "with the axes as believed (reduction.axes) the star would stand behind the camera at some readings; look "
+            f"with the axes as believed ({key}) the star would stand behind the camera at some readings; look "
             "at the order and the sense of the axes"
         )
     design = np.column_stack([on_table @ across.T / forward[:, None], np.ones(len(on_table))])
@@ -186,7 +188,7 @@ def check_parity(data: Data, table: Turntable, start: CameraModel, start_star: F
     if np.linalg.det(affine) / scale**2 < 0:
         raise DomainError(
             "the images are mirrored against the readings: one axis of the table turns the other way than believed; "
-            "put a minus before one letter of reduction.axes, or exchange its letters"
+            f"put a minus before one letter of {key}, or exchange its letters"
         )
 
 

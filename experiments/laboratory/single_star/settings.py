@@ -7,7 +7,7 @@ from typing import Self
 from pydantic import Field, field_validator, model_validator
 
 from experiments.harness.config import StrictModel
-from experiments.laboratory.sensor_file import SensorExperimentConfig
+from experiments.laboratory.own_frames.option import OwnFramesConfig
 from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
 
 __all__ = ["LARGEST_STAR_ANGLE_DEG", "GridConfig", "SingleStarConfig", "StarConfig", "TableConfig"]
@@ -61,7 +61,7 @@ class GridConfig(StrictModel):
     edge_px: float = Field(default=60.0, ge=0, description="distance of the outermost places from the edge")
 
 
-class SingleStarConfig(SensorExperimentConfig):
+class SingleStarConfig(OwnFramesConfig):
     """Camera, simulator, and how the star is measured; tables are the experiment's own."""
 
     instrument: InstrumentConfig = InstrumentConfig()

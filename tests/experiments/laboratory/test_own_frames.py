@@ -6,7 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from astropy.io import fits
 
+from experiments.chromatic.own_frames import reduce as chromatic_from_frames
+from experiments.chromatic.settings import Config as ChromaticConfig
 from experiments.distortion.own_frames import reduce as distortion_from_frames
 from experiments.distortion.settings import Config as DistortionConfig
 from experiments.hsfe.own_frames import reduce as hsfe_from_frames
@@ -16,6 +19,7 @@ from experiments.laboratory.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
 from experiments.laboratory.instrument import build_instrument
 from experiments.laboratory.own_frames.folder import read_folder
+from experiments.laboratory.own_frames.settings import Layout
 from experiments.laboratory.point_scene import point_scene
 from experiments.laboratory.points import nominal_px
 from experiments.laboratory.settings import InstrumentConfig
@@ -304,3 +308,80 @@ def test_series_are_ordered_by_position(folder):
     (folder / "frames.toml").write_text(HEAD + "points = 1\n" + two)
     with pytest.raises(ConfigError, match="position must be given for every series or none"):
         read_folder(folder, window_px=9)
+
+
+def raw(path, dn, **cards):
+    fits.PrimaryHDU(np.asarray(dn), fits.Header(list(cards.items()))).writeto(path, overwrite=True)
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "said"),
+    [
+        (
+            "points = 1\n[[series]]\nfiles = 'a_1.fits'\n[[series]]\nname='series 1'\nfiles = 'b_1.fits'",
+            ConfigError,
+            "two",
+        ),
+        (
+            "points = 1\n[[series]]\nfiles = ['a_1.fits', 'slow.fits']",
+            DomainError,
+            ("points = 1\n" + ONE + ONE + "name = 'series 1'", ConfigError, "two series have"),
+            "exposure time 0.3 s, a_1.fits 0.1 s",
+        ),
+        ("points = 1\ndark = 'slow.fits'\n" + ONE, DomainError, "dark frames 0.3 s; dark frames have the exposure"),
+        (
+            "points = 1\nflat = 'slow.fits'\ndark = 'b_1.fits'\n" + ONE,
+            DomainError,
+            "flat: exposed 0.3 s, its dark frames",
+        ),
+        ("points = 1\nflat = 'b_1.fits'\n" + ONE, DomainError, "brighter flats are needed"),
+        ("points = 1\nbad_pixels = 'small.fits'\n" + ONE, DomainError, "one value for every pixel"),
+        ("points = 1\nbad_pixels = 'none.fits'\n" + ONE, ConfigError, "no file 'none.fits'"),
+        ("points = 1\nseries_table = 'none.csv'\n", ConfigError, "no file 'none.csv'"),
+        ("points = 1\nseries_table = 'wrong.csv'\n", ConfigError, "row 1: .*outer"),
+        ("points = 1\n", ConfigError, "series_table is needed"),
+        ("points = 1\n[[series]]\nfiles = 'nan.fits'", ConfigError, "NaN or infinite"),
+        ("points = 1\n[[series]]\nfiles = 'sum.fits'", ConfigError, "more than 16 bits hold"),
+    ],
+)
+def test_files_that_do_not_fit_are_one_line(folder, text, error, said):
+    image = np.full((64, 96), 60, np.uint16)
+    raw(folder / "slow.fits", image, EXPTIME=0.3)
+    raw(folder / "nan.fits", np.where(np.eye(64, 96) > 0, np.nan, 60.0))
+    raw(folder / "sum.fits", image.astype(np.int32) * 2000)
+    (folder / "wrong.csv").write_text("files,outer\na_1.fits,3\n")
+    (folder / "frames.toml").write_text(HEAD + text)
+    with pytest.raises(error, match=said) as caught:
+        read_folder(folder, window_px=9)
+    assert "\n" not in str(caught.value)
+
+
+def test_filters_and_places_must_be_complete(folder):
+    """A place without a filter, one filter twice, a reference that is not there, FILTER against filter_nm."""
+    layout, config = Layout(needs=("filter_nm",), same_scene="place"), ChromaticConfig()
+    for name in "abcd":
+        for number in range(2):
+            blank(folder, f"{name}_{number}.fits")
+
+    def reduced(*series, more=""):
+        rows = "".join(f"[[series]]\nfiles = '{n}_[01].fits'\nfilter_nm = {nm}\nplace = '{p}'\n" for n, nm, p in series)
+        (folder / "frames.toml").write_text(f"{HEAD}points = 1\n{more}\n{rows}")
+        return chromatic_from_frames(read_folder(folder, window_px=9, layout=layout), ("cog",), config)
+
+    both = [("a", 600, "left"), ("b", 800, "left")]
+    assert reduced(*both).filters_nm == (600.0, 800.0)
+    with pytest.raises(ConfigError, match="no series of 800 nm at place 'right'"):
+        reduced(*both, ("c", 600, "right"))
+    with pytest.raises(ConfigError, match="both of 800 nm at place 'left'"):
+        reduced(*both, ("c", 800, "left"))
+    with pytest.raises(ConfigError, match="reference filter, 600 nm, is none of those"):
+        reduced(("a", 500, "left"), ("b", 800, "left"))
+    assert reduced(("a", 500, "left"), ("b", 800, "left"), more="reference_nm = 500").reference == 0
+    with pytest.raises(ConfigError, match="one filter, 600 nm"):
+        reduced(both[0])
+    for name in "ab":
+        for number in range(2):
+            with fits.open(folder / f"{name}_{number}.fits", mode="update") as content:
+                content[0].header["FILTER"] = "R"
+    with pytest.raises(ConfigError, match="FILTER = 'R' in the files of series 1 and of series 2"):
+        reduced(*both)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
-import json
-
 import numpy as np
 import pytest
 from astropy.io import fits
+
+from experiments.harness.progress import Progress
+from experiments.temporal.experiment import Config, experiment
 
 GAIN, OFFSET, READ = 0.25, 60.0, 12.0
 PLACES = np.array([(25.0 + 22.3 * i, 25.0 + 22.2 * j) for j in range(3) for i in range(3)])
@@ -28,23 +28,22 @@ def readout(light, rng, *, top=65535, step=1):
     return (np.rint((OFFSET + GAIN * electrons) / step) * step).clip(0, top).astype(np.uint16)
 
 
-def judged(folder, out, frames, *, gain=GAIN, offset=OFFSET, more="", name="temporal", arguments=()):
-    """Status, and criteria by the beginning of their names, of a folder of one series in one cube."""
+def judged(folder, frames, *, gain=GAIN, offset=OFFSET):
+    """Criteria by their names, and results, of a folder with one series in one cube."""
     folder.mkdir(parents=True, exist_ok=True)
     fits.PrimaryHDU(np.stack(frames)).writeto(folder / "cube.fits", overwrite=True)
     (folder / "frames.toml").write_text(
-        f"gain_dn_per_e = {gain}\noffset_dn = {offset}\nread_noise_e = {READ}\npixel_arcsec = 5.5\npoints = 9\n{more}\n"
+        f"gain_dn_per_e = {gain}\noffset_dn = {offset}\nread_noise_e = {READ}\npixel_arcsec = 5.5\npoints = 9\n"
         '[[series]]\nfiles = "cube.fits"\nname = "still"\n'
     )
-    main = importlib.import_module(f"experiments.{name}.experiment").main
-    quick = ("--set", "compare=[]", *arguments)
-    status = main(["--own-frames", str(folder), "--out", str(out), "--set", "centroid=gaussian", *quick])
-    found = json.loads((out / "summary.json").read_text(encoding="utf-8")) if out.exists() else {}
-    return status, {one["name"]: one for one in found.get("criteria", [])}, found.get("results", {})
+    config = Config(own_frames=str(folder), centroid="gaussian", compare=())
+    own = experiment.instead(config)
+    outcome = own.outcome(config, own.run(config, progress=Progress()))
+    return {one.name: one for one in own.judge(outcome)}, own.results(outcome)
 
 
 def failed(criteria):
-    return {name: one["advice"] for name, one in criteria.items() if not one["passed"]}
+    return {name: one.advice for name, one in criteria.items() if not one.passed}
 
 
 @pytest.fixture(scope="module")
@@ -53,63 +52,57 @@ def rng():
 
 
 def test_good_frames_hold_every_criterion(tmp_path, rng):
-    status, criteria, results = judged(
-        tmp_path / "a", tmp_path / "o", [readout(expected(), rng) for _ in range(FRAMES)]
-    )
-    assert status == 0, failed(criteria)
+    criteria, results = judged(tmp_path / "a", [readout(expected(), rng) for _ in range(FRAMES)])
+    assert not failed(criteria)
     assert len(criteria) >= 8
     found = results["gain_dn_per_e"]["photon_transfer"]
-    assert found["value"] == pytest.approx(GAIN, abs=4 * found["uncertainty"])
-    assert found["uncertainty"] < 0.05 * GAIN
+    assert found.value == pytest.approx(GAIN, abs=4 * found.uncertainty)
+    assert found.uncertainty < 0.05 * GAIN
 
 
 def test_a_gain_in_electrons_per_dn_is_named(tmp_path, rng):
     frames = [readout(expected(), rng) for _ in range(FRAMES)]
-    status, criteria, results = judged(tmp_path / "a", tmp_path / "o", frames, gain=1.0 / GAIN)
+    criteria, results = judged(tmp_path / "a", frames, gain=1.0 / GAIN)
     said = failed(criteria)
-    assert status == 1
     assert any("the reciprocal: it was given in e⁻/DN" in one for one in said.values()), said
-    assert results["gain_dn_per_e"]["photon_transfer"]["value"] == pytest.approx(GAIN, rel=0.1)
+    assert results["gain_dn_per_e"]["photon_transfer"].value == pytest.approx(GAIN, rel=0.1)
 
 
 def test_a_target_that_moves_is_named(tmp_path, rng):
     """By 2 px at random, and by 0.3 px as a drift, which photon transfer does not take for noise."""
     moving = [readout(expected(rng.uniform(-1.0, 1.0, 2)), rng) for _ in range(FRAMES)]
-    status, criteria, _ = judged(tmp_path / "a", tmp_path / "o", moving)
-    assert status == 1
+    criteria, _ = judged(tmp_path / "a", moving)
     assert any("from frame to frame, all points alike" in one for one in failed(criteria).values())
     drifting = [readout(expected((0.3 * n / (FRAMES - 1), 0.0)), rng) for n in range(FRAMES)]
-    status, criteria, results = judged(tmp_path / "b", tmp_path / "p", drifting)
+    criteria, results = judged(tmp_path / "b", drifting)
     said = failed(criteria)
     assert any("the image drifts by 0.3" in one for one in said.values()), said
     assert not any(name.startswith("gain by") for name in said)
-    assert results["gain_dn_per_e"]["photon_transfer"]["value"] == pytest.approx(GAIN, rel=0.1)
+    assert results["gain_dn_per_e"]["photon_transfer"].value == pytest.approx(GAIN, rel=0.1)
 
 
 def test_copies_are_named(tmp_path, rng):
     one = readout(expected(), rng)
-    status, criteria, _ = judged(tmp_path / "a", tmp_path / "o", [one] * FRAMES)
-    assert status == 1
+    criteria, _ = judged(tmp_path / "a", [one] * FRAMES)
     said = failed(criteria)
     assert any("29 of 30 frames are copies" in words for words in said.values()), said
     some = [readout(expected(), rng) for _ in range(FRAMES - 1)]
-    status, criteria, _ = judged(tmp_path / "b", tmp_path / "p", [*some, some[3]])
+    criteria, _ = judged(tmp_path / "b", [*some, some[3]])
     assert list(failed(criteria)) == ["frames that repeat another frame of their series, pixel by pixel"]
 
 
 def test_ends_of_the_converter_are_named(tmp_path, rng):
     """Clipped at 300 DN without saturation_dn; twelve bits stored in sixteen; an offset below the noise."""
     clipped = [readout(expected(), rng, top=200) for _ in range(FRAMES)]
-    status, criteria, _ = judged(tmp_path / "a", tmp_path / "o", clipped)
-    assert status == 1
+    criteria, _ = judged(tmp_path / "a", clipped)
     assert any("state saturation_dn = 200" in one for one in failed(criteria).values()), failed(criteria)
     shifted = [16 * readout(expected(), rng) for _ in range(FRAMES)]
-    _, criteria, _ = judged(tmp_path / "b", tmp_path / "p", shifted, gain=16 * GAIN, offset=16 * OFFSET)
-    assert criteria["common step of all readings"]["value"] == 16
-    assert not criteria["common step of all readings"]["passed"]
+    criteria, _ = judged(tmp_path / "b", shifted, gain=16 * GAIN, offset=16 * OFFSET)
+    assert criteria["common step of all readings"].value == 16
+    assert not criteria["common step of all readings"].passed
     low = [(readout(expected(), rng).astype(int) - int(OFFSET)).clip(0).astype(np.uint16) for _ in range(FRAMES)]
-    _, criteria, _ = judged(tmp_path / "c", tmp_path / "q", low, offset=0.0)
-    assert not criteria["share of readings of 0 DN"]["passed"]
+    criteria, _ = judged(tmp_path / "c", low, offset=0.0)
+    assert not criteria["share of readings of 0 DN"].passed
 
 
 def test_too_little_noise_is_named(tmp_path, rng):
@@ -117,6 +110,5 @@ def test_too_little_noise_is_named(tmp_path, rng):
     frames = [
         np.rint(np.mean([readout(expected(), rng) for _ in range(4)], axis=0)).astype(np.uint16) for _ in range(FRAMES)
     ]
-    status, criteria, _ = judged(tmp_path / "a", tmp_path / "o", frames)
-    assert status == 1
+    criteria, _ = judged(tmp_path / "a", frames)
     assert any("frames were averaged" in one for one in failed(criteria).values())

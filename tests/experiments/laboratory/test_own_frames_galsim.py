@@ -126,3 +126,102 @@ def test_flats_and_their_noise_are_in_positions_and_covariance(tmp_path):
         assert (sigma > 1.2 * alone).all()
         pulls.append(apart / sigma)
     assert np.mean(np.square(pulls)) == pytest.approx(1.0, abs=4 * np.sqrt(2.0 / np.size(pulls)))
+
+
+F_MM, PITCH_MM, Q1, PRINCIPAL = 24.0, 0.032, -2.5e-4, (3.0, -2.0)  # a camera of 14 x 11 degrees
+READING, LEAN = 8.0, 60.0  # arcsec
+STAR, INSTALLATION = (0.3, -0.2), (0.4, -0.7, 1.2)  # degrees: azimuth, elevation; rotation vector
+POSE_SIZE = (200, 150)
+
+
+def turn(axis, angle):
+    """Rodrigues' formula."""
+    x, y, z = axis
+    skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * skew + (1 - np.cos(angle)) * skew @ skew
+
+
+def image_px(outer, inner):
+    """Where the star is imaged at true angles [rad]: outer axis X, inner axis Y that leans towards it."""
+    lean = np.radians(LEAN / 3600)
+    table = turn((1.0, 0.0, 0.0), outer) @ turn((np.sin(lean), np.cos(lean), 0.0), inner)
+    azimuth, elevation = np.radians(STAR)
+    star = [np.cos(elevation) * np.sin(azimuth), np.sin(elevation), np.cos(elevation) * np.cos(azimuth)]
+    length = np.radians(np.linalg.norm(INSTALLATION))
+    seen = turn(np.array(INSTALLATION) / np.linalg.norm(INSTALLATION), length) @ table.T @ star
+    ideal = F_MM * seen[:2] / seen[2]
+    focal = ideal * (1 + Q1 * (ideal @ ideal))
+    return (np.array(POSE_SIZE) - 1) / 2 + PRINCIPAL + focal / PITCH_MM
+
+
+@pytest.fixture(scope="module")
+def poses(tmp_path_factory):
+    """48 poses of three frames that calibrate, 40 of one frame that are evaluated; series in a CSV table."""
+    folder, rng = tmp_path_factory.mktemp("poses"), np.random.default_rng(17)
+    camera = Camera(*POSE_SIZE, 9, prnu=0.005)
+    rows = ["files,name,outer_deg,inner_deg,use"]
+    for use, columns, lines, frames in (("calibration", 8, 6, 3), ("evaluation", 8, 5, 1)):
+        grid = np.stack(np.meshgrid(np.linspace(-5.6, 5.6, columns), np.linspace(-3.7, 3.7, lines)), -1).reshape(-1, 2)
+        for number, (inner, outer) in enumerate(grid + rng.uniform(-0.1, 0.1, grid.shape)):
+            name = f"{use[:3]}{number:02d}"
+            light = camera.light(image_px(np.radians(outer), np.radians(inner)), 30000.0)
+            camera.cube(folder / f"{name}.fits", light, frames, EXPTIME=0.1)
+            read = np.array([outer, inner]) + rng.normal(0.0, READING / 3600, 2)
+            rows.append(f"{name}.fits,{name},{read[0]!r},{read[1]!r},{use}")
+    (folder / "poses.csv").write_text("\n".join(rows).replace("np.float64(", "").replace(")", "") + "\n")
+    (folder / "frames.toml").write_text(
+        f"{HEAD}pixel_arcsec = 270\npixel_pitch_um = 32\nseries_table = 'poses.csv'\n{camera.masters(folder, 20)}"
+        f"[table]\naxes = 'xy'\nreading_noise_arcsec = [{READING}]\n"
+    )
+    return folder
+
+
+@pytest.mark.slow
+def test_turntable_calibration_of_galsim_frames(poses, tmp_path, engine):
+    results, criteria = run("turntable", poses, tmp_path / "out")
+    wanted = {
+        "focal_length_mm": F_MM,
+        "q1_per_mm2": Q1,
+        "star_azimuth_rad": np.radians(STAR[0]),
+        "star_elevation_rad": np.radians(STAR[1]),
+    }
+    for name, value in wanted.items():
+        found = results["unknowns"][name]
+        assert found["value"] == pytest.approx(value, abs=4 * found["uncertainty"]), name
+    assert results["unknowns"]["focal_length_mm"]["uncertainty"] < 0.02
+    assert any(one["name"].startswith("calibration: mean square") for one in criteria)
+
+
+def test_star_vectors_of_galsim_frames_are_as_accurate_as_what_was_put_in(poses, tmp_path, engine):
+    """Readings of 8 arcsec and centroids of some 2 arcsec."""
+    results, _ = run("fisher", poses, tmp_path / "out")
+    low, high = results["interval_arcsec"]
+    expected = np.hypot(READING, results["predicted_parts_arcsec"]["centroids"])
+    assert results["predicted_parts_arcsec"]["readings"] == pytest.approx(READING, rel=0.02)
+    assert results["sigma_arcsec"] == pytest.approx(expected, rel=4 / np.sqrt(4 * 39) + 0.05)
+    assert low < results["sigma_arcsec"] < high
+    assert results["vectors"] == 40
+
+
+@pytest.mark.slow
+def test_poses_that_are_wrong_are_one_line(poses, tmp_path, engine, capsys):
+    """Axes that turn the other way, a third axis, no evaluation; a reading noise ten times too small is no success."""
+    text, main = (poses / "frames.toml").read_text(), importlib.import_module("experiments.turntable.experiment").main
+    fisher = importlib.import_module("experiments.fisher.experiment").main
+    try:
+        for before, after, command, said in (
+            ("axes = 'xy'", "axes = 'x-y'", main, "put a minus before one letter of axes in [table]"),
+            ("axes = 'xy'", "axes = 'xyz'", main, "has 3 axes, a pose then has the readings outer_deg, middle_deg"),
+            ("pixel_pitch_um = 32\n", "", main, "pixel_pitch_um is missing"),
+            ("poses.csv", "calibration.csv", fisher, "no series has use = 'evaluation'"),
+        ):
+            rows = (poses / "poses.csv").read_text().splitlines()
+            (poses / "calibration.csv").write_text("\n".join(one for one in rows if "evaluation" not in one) + "\n")
+            (poses / "frames.toml").write_text(text.replace(before, after))
+            assert command(["--own-frames", str(poses), "--out", str(tmp_path / "none")]) == 2
+            assert said in capsys.readouterr().err
+        (poses / "frames.toml").write_text(text.replace(f"[{READING}]", "[0.8]"))
+        assert main(["--own-frames", str(poses), "--out", str(tmp_path / "out")]) in (1, 2)
+        assert "residuals" in capsys.readouterr().err or json.loads((tmp_path / "out" / "summary.json").read_text())
+    finally:
+        (poses / "frames.toml").write_text(text)

@@ -1,0 +1,169 @@
+"""Own frames of a star on a turntable: a series is a pose, with the readings of the table; the joint calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.calibration.record import Calibration
+from calib.cameras import BrownConrady, SensorGeometry
+from calib.cameras.line_of_sight import line_of_sight_map
+from experiments.harness.summary import Criterion
+from experiments.laboratory.collimator import star_direction
+from experiments.laboratory.own_frames.folder import FrameFolder
+from experiments.laboratory.own_frames.series import SeriesFrames, reduce_series
+from experiments.laboratory.own_frames.settings import SETTINGS_FILE, Layout
+from experiments.laboratory.single_star.bench import Bench
+from experiments.laboratory.single_star.reduce import (
+    Data,
+    calibrated_bench,
+    check_count,
+    check_fit,
+    check_parity,
+    reduce_data,
+)
+from experiments.laboratory.turntable import Turntable, build_turntable
+from optics.arrays import FloatArray
+from optics.errors import ConfigError
+from optics.units import ARCSEC_RAD
+
+__all__ = ["POSES", "PoseCalibration", "calibrate_poses", "fit_criteria", "pose_data"]
+
+POSES = Layout(needs=("outer_deg", "inner_deg"), same_scene="none", points=1, fewest=1)
+"""What a folder of poses must say; a third axis has ``middle_deg`` too."""
+KEYS = {2: ("outer_deg", "inner_deg"), 3: ("outer_deg", "middle_deg", "inner_deg")}
+LEAST_COVERAGE = 0.5
+SIGMA_LIMIT = 4.0
+MAP_PX = 15
+"""Places along a side of the detector over which the error of the map is averaged."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseCalibration:
+    """Joint calibration of camera, star, installation and axes from n poses.
+
+    Attributes
+    ----------
+    series : tuple of SeriesFrames
+        Poses.
+    data : Data
+        Images and readings.
+    calibration : Calibration
+        As the estimator gives it; axes that lean are unknowns.
+    bench : Bench
+        Table, star and installation as calibrated.
+    """
+
+    series: tuple[SeriesFrames, ...]
+    data: Data
+    calibration: Calibration
+    bench: Bench
+
+    @property
+    def residual_px(self) -> FloatArray:
+        """Images minus what the calibration says at the angles as read (n, 2)."""
+        return np.asarray(self.data.pixel_px - self.calibration.model.project(self.bench.seen(self.data.reading_rad)))
+
+    @property
+    def coverage(self) -> float:
+        """Part of the detector's width or height that the images span, the smaller."""
+        geometry = self.calibration.model.geometry
+        return float((np.ptp(self.data.pixel_px, axis=0) / [geometry.width_px, geometry.height_px]).min())
+
+    @property
+    def map_error_arcsec(self) -> float:
+        """Error of the line of sight over the detector by the covariance, RMS length, the best rotation removed."""
+        geometry, model = self.calibration.model.geometry, self.calibration.model
+        x, y = (np.linspace(0, n - 1, MAP_PX) for n in (geometry.width_px, geometry.height_px))
+        pixel = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+        covariance = self.calibration.covariance
+        return line_of_sight_map(model, model.unproject(pixel), pixel, covariance=covariance).predicted_rms_arcsec
+
+
+def calibrate_poses(folder: FrameFolder, methods: Sequence[str], use: Sequence[str]) -> PoseCalibration:
+    """Joint calibration from those series of a folder that have one of the uses.
+
+    Raises
+    ------
+    ConfigError
+        No ``[table]`` or ``pixel_pitch_um``, axes that do not fit to the readings.
+    DomainError
+        Too few poses, axes that turn the other way than said, a calibration that does not converge.
+    """
+    s = folder.settings
+    table = _believed_table(folder)
+    series = tuple(reduce_series(folder, one, methods[:1]) for one in folder.series if one.settings.use in use)
+    check_count(len(series), table, advice="give more poses")
+    assert s.pixel_pitch_um is not None
+    assert s.table is not None
+    pitch_mm = s.pixel_pitch_um * 1e-3
+    geometry = SensorGeometry(width_px=folder.width_px, height_px=folder.height_px, pixel_pitch_mm=pitch_mm)
+    start = BrownConrady.create(geometry, focal_length_mm=pitch_mm / np.tan(s.pixel_arcsec * ARCSEC_RAD))
+    star = star_direction(*s.table.star_deg)
+    data = pose_data(series, table, methods[0])
+    check_parity(data, table, start, star, key="axes in [table]")
+    calibration = reduce_data(data, table, start, leans=True, start_star=star)
+    advice = (
+        "the axes, the reading noise or star_deg in [table], pixel_arcsec or pixel_pitch_um are wrong, readings belong "
+        "to other frames, or too little of the field is visited"
+    )
+    check_fit(calibration, f"{SETTINGS_FILE}, {len(series)} poses", advice)
+    return PoseCalibration(
+        series=series, data=data, calibration=calibration, bench=calibrated_bench(calibration, table)
+    )
+
+
+def _believed_table(folder: FrameFolder) -> Turntable:
+    s = folder.settings
+    if s.table is None or s.pixel_pitch_um is None:
+        missing = "[table]" if s.table is None else "pixel_pitch_um"
+        raise ConfigError(f"{SETTINGS_FILE}: {missing} is missing; poses need both [table] and pixel_pitch_um")
+    noise = s.table.reading_noise_arcsec
+    table = build_turntable(s.table.axes, reading_noise_arcsec=noise[0] if len(noise) == 1 else noise)
+    third = [one for one in s.series if (one.middle_deg is not None) != (len(table.axis) == 3)]
+    if third:
+        raise ConfigError(
+            f"{SETTINGS_FILE}, {third[0].name}: axes = {s.table.axes!r} has {len(table.axis)} axes, a pose then has "
+            f"the readings {', '.join(KEYS[len(table.axis)])}"
+        )
+    return table
+
+
+def pose_data(series: Sequence[SeriesFrames], table: Turntable, method: str) -> Data:
+    """Mean images with their covariance, and readings, of poses."""
+    keys = KEYS[len(table.axis)]
+    position = [np.nanmean(one.points.position_px[method], axis=0)[0] for one in series]
+    return Data(
+        pixel_px=np.array(position),
+        covariance_px2=np.array([one.mean_covariance_px2(method)[0] for one in series]),
+        reading_rad=np.radians([[getattr(one.settings, key) for key in keys] for one in series]),
+    )
+
+
+def fit_criteria(found: PoseCalibration) -> list[Criterion]:
+    """Residuals as their noise has them, and a detector that was visited."""
+    misfit = found.calibration.solution.misfit
+    more = (
+        "the reading noise is larger than stated, the star or the table moved during a pose, or the lens has more "
+        "distortion than five terms describe"
+    )
+    less = "the reading noise or read_noise_e is smaller than stated"
+    reduced = misfit.value / max(misfit.degrees_of_freedom, 1)
+    return [
+        Criterion(
+            name="calibration: mean square of the residuals over what centroids and readings make them",
+            value=reduced,
+            about=1.0,
+            limit=SIGMA_LIMIT * float(np.sqrt(2.0 / max(misfit.degrees_of_freedom, 1))),
+            advice=f"{str(misfit).capitalize()}: {more if reduced > 1.0 else less}",
+        ),
+        Criterion(
+            name="part of the width and of the height of the detector that the star visited, the smaller",
+            value=found.coverage,
+            limit=LEAST_COVERAGE,
+            relation=">=",
+            advice="a calibration says nothing about the rest of the field: visit more of it",
+        ),
+    ]
