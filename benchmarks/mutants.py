@@ -39,8 +39,23 @@ ROOT = Path(__file__).resolve().parents[1]
 LIST = Path(__file__).with_suffix(".toml")
 RESULTS, PAGE = ROOT / "out" / "mutants.json", ROOT / "docs" / "mutants.md"
 TEST_FAILED, NOT_COLLECTED = 1, 2
-HOLDS, FAILS = 0, 1
-LONGEST_S = 900.0
+LONGEST_S = 1800.0
+ENDS = "the run ends: "
+JUDGED = """
+import json, sys, tempfile
+from importlib import import_module
+from experiments.harness.config import load_config
+from experiments.harness.progress import Progress
+from render.engine import Engine
+declared = import_module(f"experiments.{sys.argv[1]}.experiment").experiment
+config = load_config(declared.config, quick=declared.quick)
+Engine.start("auto")
+with tempfile.TemporaryDirectory() as folder:
+    output = {"output": declared.output(f"{folder}/out", config)} if declared.output else {}
+    outcome = declared.outcome(config, declared.run(config, progress=Progress(), **output))
+    print(json.dumps([criterion.name for criterion in declared.judge(outcome) if not criterion.passed]))
+"""
+"""``--quick`` without what it writes and draws."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,14 +153,11 @@ def failing_test(copy: Copy, files: Sequence[str]) -> str:
 
 def failing_criteria(copy: Copy, experiment: str) -> list[str]:
     """Names of the criteria that do not hold in a quick run; its last line, if it ends with an error."""
-    out = copy.folder / "out" / experiment
-    shutil.rmtree(out, ignore_errors=True)
-    done = copy.run("-m", f"experiments.{experiment}", "--quick", "--out", str(out))
-    if done.returncode not in (HOLDS, FAILS):
+    done = copy.run("-c", JUDGED, experiment)
+    if done.returncode:
         last = [line for line in done.stderr.splitlines() if line.strip()][-1:]
-        return [f"run ends: {' '.join(last).strip()[:160]}"]
-    criteria = json.loads((out / "summary.json").read_text(encoding="utf-8"))["criteria"]
-    return [criterion["name"] for criterion in criteria if not criterion["passed"]]
+        return [f"{ENDS}{' '.join(last).strip()[:160]}"]
+    return list(json.loads(done.stdout.splitlines()[-1]))
 
 
 class Study:
@@ -195,10 +207,13 @@ class Study:
                 return
 
     def unbroken_criteria(self, experiment: str, copy: Copy) -> None:
-        """What does not hold without any mutant."""
+        """What does not hold without any mutant; where the run ends with an error, nothing can be said."""
         unbroken = self.found.setdefault("unbroken", {})
         if experiment not in unbroken:
-            unbroken[experiment] = failing_criteria(copy, experiment)
+            failed = failing_criteria(copy, experiment)
+            if failed and failed[0].startswith(ENDS):
+                sys.exit(f"{experiment} without any mutant: {failed[0]}")
+            unbroken[experiment] = failed
 
     @staticmethod
     def _broken(mutant: Mutant, copy: Copy, what: Callable[[], Any]) -> Any:

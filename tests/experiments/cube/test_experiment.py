@@ -3,7 +3,6 @@
 import json
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from experiments.cube.budget import (
     lean_rates,
     play_trim,
     stratified_variance_ratio,
-    terms,
 )
 from experiments.cube.checks import reflected_spot_mm, spot_profile
 from experiments.cube.published import PUBLISHED_TRIMS, published_rates
@@ -95,27 +93,6 @@ def test_concentric_angles_return_the_light_into_the_aperture(face):
     angle = concentric_angles(table, truth.normal_in_table(face), face)
     pose = CubePose.of_table(of, table.rotation(angle[None])[0].as_matrix(), truth.table_from_cube, truth.normal)
     assert reflected_spot_mm(of, pose, face) == pytest.approx([0, 0], abs=1e-9)
-
-
-def test_each_reading_acts_on_the_axes_that_it_turns():
-    """Readings of 0.3 and 2 arcsec, N = 20 000: faces +Z at (0, 180) and +X at (0, 90) deg, the cube frame of the ECSS
-    rule built from the two directions that the readings give, its turn against the true one from the base vectors."""
-    config = Config(table={"outer_reading_arcsec": 0.3, "inner_reading_arcsec": 2.0})
-    bench = SimpleNamespace(config=config, pitch_mm=0.015, geometry=cube_bench.geometry_of(config))
-    predicted = terms(bench, mask(), np.ones(2))["reading"]
-    off = np.random.default_rng(9).standard_normal((2, 2, 20_000)) * np.array([[0.3], [2.0]]) * ARCSEC
-
-    def direction(outer, inner):
-        turn = Rotation.from_euler("XY", np.stack([outer, inner], axis=1))
-        return turn.inv().apply([0.0, 0.0, 1.0])
-
-    z, x = direction(off[0, 0], np.pi + off[0, 1]), direction(off[1, 0], np.pi / 2 + off[1, 1])
-    x -= np.sum(x * z, axis=1, keepdims=True) * z
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
-    axes = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])  # of the cube, on the table
-    found = np.stack([x, np.cross(z, x), z], axis=1)
-    turns = 0.5 * np.cross(found, axes[None]).sum(axis=1) @ axes.T / ARCSEC
-    assert turns.std(axis=0) == pytest.approx(predicted, rel=0.025)
 
 
 def test_profile_of_the_spot():
