@@ -322,10 +322,10 @@ def raw(path, dn, **cards):
             ConfigError,
             "two",
         ),
+        ("points = 1\n" + ONE + ONE + "name = 'series 1'", ConfigError, "two series have"),
         (
             "points = 1\n[[series]]\nfiles = ['a_1.fits', 'slow.fits']",
             DomainError,
-            ("points = 1\n" + ONE + ONE + "name = 'series 1'", ConfigError, "two series have"),
             "exposure time 0.3 s, a_1.fits 0.1 s",
         ),
         ("points = 1\ndark = 'slow.fits'\n" + ONE, DomainError, "dark frames 0.3 s; dark frames have the exposure"),
