@@ -36,6 +36,7 @@ from calib.calibration.observations import Observations
 from calib.calibration.stages import free_names
 from calib.cameras.base import CameraModel, unproject_jacobian
 from calib.fitting.arrow import ArrowSystem, Step
+from calib.fitting.least_squares import covariance_of
 from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.errors import DomainError
 
@@ -306,15 +307,13 @@ def pair_covariance(problem: PairProblem, evaluation: PairEvaluation, weight: Fl
     table = problem.stars.weight_table(weight)
     reach = problem.stars.reach(seen, table)
     normal, _ = problem.stars.normal_equations(seen, weight)
-    scale = np.sqrt(np.maximum(np.diagonal(normal), 0.0))
-    if not np.all(scale > 0):
-        return np.diag(np.full(problem.unknowns, np.inf))
-    value, vector = np.linalg.eigh(normal / np.outer(scale, scale))
-    if not value[0] > 1e-13 * value[-1]:
-        return np.diag(np.full(problem.unknowns, np.inf))
-    inverse = (vector / value) @ vector.T / np.outer(scale, scale)
-    root = inverse @ reach
-    return np.asarray(root @ root.T)
+    reduced = ArrowSystem(common=normal, gradient=np.zeros(len(normal))).reduce()
+    inverse = covariance_of(reduced, problem.names).covariance
+    lost = np.isinf(np.diagonal(inverse))
+    root = np.where(lost[:, None] | lost, 0.0, inverse) @ reach
+    out = root @ root.T
+    out[lost, lost] = np.inf
+    return np.asarray(out)
 
 
 class WeightedPairProblem(_CameraProblem):

@@ -10,6 +10,7 @@ import pytest
 from calib.calibration.calibrate import calibrate
 from calib.calibration.free_attitudes import FreeAttitudes
 from calib.calibration.no_attitude import NoAttitude
+from calib.cameras import PerBand
 from calib.cameras.line_of_sight import line_of_sight_map
 from optics.errors import ConfigError, DomainError
 
@@ -133,3 +134,16 @@ def test_bad_input(scenes):
     crowded = scenes.make_scene(frames=1, stars=6000)
     with pytest.raises(DomainError, match="keep the brightest 5477 stars"):
         calibrate(crowded.observations, scenes.START, NoAttitude())
+
+
+@pytest.mark.parametrize("family", [NoAttitude(), NoAttitude(weighting="full"), FreeAttitudes()])
+def test_parameters_of_a_band_without_stars_are_unknown_and_the_others_are_not(scenes, family):
+    scene = scenes.make_scene(frames=10, stars=15)
+    start = PerBand.create(scenes.GEOMETRY, focal_length_mm=[25.0, 25.0], x0_px=[0.0, 0.0], y0_px=[0.0, 0.0])
+    found = calibrate(scene.observations, start, family).solution
+    assert found.status == "singular"
+    unknown = np.isinf(found.sigma)
+    assert [name for name, lost in zip(found.names, unknown, strict=True) if lost] == list(start.parameter_names[3:6])
+    assert all(name in found.message for name in start.parameter_names[3:6])
+    one_band = calibrate(scene.observations, scenes.START, family).solution
+    np.testing.assert_allclose(found.sigma[~unknown], one_band.sigma, rtol=1e-3)
