@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from experiments.budget.combine import Value
 from experiments.budget.laboratory import Laboratory
 from experiments.laboratory.bench import point_field
-from experiments.laboratory.centroid_methods import needs_epsf
-from experiments.laboratory.chromatic_error import measure_chromatic, reduce_chromatic, rms, shifts, table1
+from experiments.laboratory.centroid_methods import has_own_epsf
+from experiments.laboratory.chromatic_error import measure_chromatic, rms, shifts, table1, uncertainties
 from experiments.laboratory.point_noise import drawn_positions, expected_windows
 from experiments.laboratory.ray_prediction import bundle_prediction
 from experiments.laboratory.readout.centroids import centroiders
@@ -21,7 +22,7 @@ from render.engine.random import Streams
 from render.records import EffectivePsf
 from render.tracing.psf import epsf_tracer, render_epsf
 
-__all__ = ["ChromaticTerm", "TracedTarget", "measured_term", "predicted_term", "trace_target"]
+__all__ = ["ChromaticTerm", "TracedTarget", "measured_terms", "predicted_terms", "trace_target"]
 
 
 ROUNDING_PX = 1e-6
@@ -84,7 +85,7 @@ class TracedTarget:
     place_px : (p, j, b, 2)
         Traced bundle means.
     psf : list
-        PSFs ``[corner][point][band]``; empty where the centroider knows them.
+        PSFs ``[corner][point][band]``; empty where every centroider knows them.
     """
 
     direction: FloatArray
@@ -93,7 +94,7 @@ class TracedTarget:
 
 
 def trace_target(lab: Laboratory) -> TracedTarget:
-    """Trace the target behind every filter; PSFs only if the centroider does not know them.
+    """Trace the target behind every filter; PSFs only if a centroider does not know them.
 
     Parameters
     ----------
@@ -103,14 +104,16 @@ def trace_target(lab: Laboratory) -> TracedTarget:
     bench, instrument = lab.filtered, lab.instrument
     direction = corner_directions(bench.target, instrument)
     psf: list[list[list[EffectivePsf]]] = []
-    if not needs_epsf(bench.methods[0]):
+    if not all(has_own_epsf(method) for method in bench.methods):
         tracer, half = epsf_tracer(instrument.camera), bench.window_px // 2 + 2
         psf = [render_epsf(tracer, point_field(bench, instrument, one), half_size_px=half) for one in direction]
     return TracedTarget(direction, bundle_prediction(bench, instrument, direction), psf)
 
 
-def predicted_term(lab: Laboratory, traced: TracedTarget, *, draws: int) -> ChromaticTerm:
-    """Positions by ray trace, or where the centroider puts them on PSFs with noise.
+def predicted_terms(
+    lab: Laboratory, traced: TracedTarget, *, draws: int, defect: NDArray[np.bool_] | None = None
+) -> dict[str, ChromaticTerm]:
+    """By centroider: positions by ray trace, or where the centroider puts them on PSFs with noise.
 
     Parameters
     ----------
@@ -120,42 +123,61 @@ def predicted_term(lab: Laboratory, traced: TracedTarget, *, draws: int) -> Chro
         Of this lens, focus, light and window (`trace_target`).
     draws : int
         Noisy copies of each window; a threshold makes the mean centroid depend on the noise.
+    defect : (h, w) bool, optional
+        The camera's list of hot and dead pixels, which the reduction leaves out; none without it.
     """
-    place, error = traced.place_px, np.zeros_like(traced.place_px)
-    if traced.psf:
-        place, error = _as_centroided(lab, traced, draws)
-    pairs = lab.filtered.pairs
-    shift, sigma = shifts(place, pairs), {}
-    for name, high, low in pairs:
-        square = (error[:, :, high] ** 2 + error[:, :, low] ** 2).sum((0, 1))
-        sigma[name] = np.sqrt(square) / (2.0 * error.shape[0] * error.shape[1])
-    return ChromaticTerm(
-        table1_px={name: table1(v) for name, v in shift.items()},
-        sigma_px=sigma,
-        rms_px={name: rms(v) for name, v in shift.items()},
-        pixel_arcsec=lab.instrument.pixel_arcsec,
-        n=0,
-    )
+    pairs, found = lab.filtered.pairs, {}
+    place = dict.fromkeys(lab.filtered.methods, traced.place_px)
+    error = {m: np.zeros_like(traced.place_px) for m in lab.filtered.methods}
+    others = [m for m in lab.filtered.methods if not has_own_epsf(m)]
+    if others:
+        drawn = _as_centroided(lab, traced, others, draws, defect)
+        place, error = place | drawn[0], error | drawn[1]
+    for method in lab.filtered.methods:
+        shift, sigma = shifts(place[method], pairs), {}
+        for name, high, low in pairs:
+            square = (error[method][:, :, high] ** 2 + error[method][:, :, low] ** 2).sum((0, 1))
+            sigma[name] = np.sqrt(square) / (2.0 * traced.place_px.shape[0] * traced.place_px.shape[1])
+        found[method] = ChromaticTerm(
+            table1_px={name: table1(v) for name, v in shift.items()},
+            sigma_px=sigma,
+            rms_px={name: rms(v) for name, v in shift.items()},
+            pixel_arcsec=lab.instrument.pixel_arcsec,
+            n=0,
+        )
+    return found
 
 
-def _as_centroided(lab: Laboratory, traced: TracedTarget, draws: int) -> tuple[FloatArray, FloatArray]:
-    """Mean positions (p, j, b, 2) of the centroider over drawn noise, and their standard deviations."""
-    bench, instrument, method = lab.filtered, lab.instrument, lab.filtered.methods[0]
-    noise, rng = instrument.pixel_noise(), Streams(lab.config.seed).generator("chromatic prediction")
-    place, error = np.empty_like(traced.place_px), np.empty_like(traced.place_px)
+def _as_centroided(
+    lab: Laboratory, traced: TracedTarget, methods: Sequence[str], draws: int, defect: NDArray[np.bool_] | None
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Mean positions (p, j, b, 2) of the centroiders over drawn noise, and their standard deviations, by method."""
+    bench, instrument = replace(lab.filtered, methods=methods), lab.instrument
+    noise = instrument.pixel_noise()
+    place, error = ({m: np.empty_like(traced.place_px) for m in methods} for _ in range(2))
+    rng = {m: Streams(lab.config.seed).generator("chromatic prediction") for m in methods}
     for p, points in enumerate(traced.direction):
-        for band in range(place.shape[2]):
+        for band in range(traced.place_px.shape[2]):
             psf = [row[band] for row in traced.psf[p]]
-            windows = expected_windows(replace(bench, reference=band), instrument, points[None], psf)
-            centroider = centroiders((method,), psf)[method]
-            drawn = drawn_positions(centroider, instrument, windows, noise, draws=draws, rng=rng)
-            place[p, :, band] = np.nanmean(drawn, axis=0)
-            error[p, :, band] = np.nanstd(drawn, axis=0, ddof=1) / np.sqrt(draws)
+            windows = expected_windows(
+                replace(bench, reference=band),
+                instrument,
+                points[None],
+                psf,
+                traced.place_px[p, :, band],
+                defect=defect,
+            )
+            for method, centroider in centroiders(bench, psf).items():
+                drawn = drawn_positions(centroider, instrument, windows, noise, draws=draws, rng=rng[method])
+                place[method][p, :, band] = np.nanmean(drawn, axis=0)
+                error[method][p, :, band] = np.nanstd(drawn, axis=0, ddof=1) / np.sqrt(draws)
     return place, error
 
 
-def measured_term(lab: Laboratory, streams: Streams, *, advance: Callable[[], None] = lambda: None) -> ChromaticTerm:
-    """The target in the four corners behind every filter, rendered, read out, reduced.
+def measured_terms(
+    lab: Laboratory, streams: Streams, *, advance: Callable[[], None] = lambda: None
+) -> dict[str, ChromaticTerm]:
+    """By centroider: the target in the four corners behind every filter, rendered, read out, reduced.
 
     Parameters
     ----------
@@ -166,12 +188,15 @@ def measured_term(lab: Laboratory, streams: Streams, *, advance: Callable[[], No
     advance : callable
         Called after each corner.
     """
-    measured = measure_chromatic(lab.filtered, lab.instrument, streams, advance=advance)
-    found = reduce_chromatic(lab.filtered, lab.instrument, measured)
-    return ChromaticTerm(
-        table1_px=found.table1_px,
-        sigma_px=found.table1_sigma_px,
-        rms_px={name: rms(v) for name, v in found.shift_px.items()},
-        pixel_arcsec=lab.instrument.pixel_arcsec,
-        n=lab.filtered.frames * int(np.prod(measured.nominal_px.shape[:2])),
-    )
+    bench, found = lab.filtered, {}
+    measured = measure_chromatic(bench, lab.instrument, streams, patterns=bench.methods, advance=advance)
+    for method in bench.methods:
+        shift = shifts(measured.mean_px[method], bench.pairs)
+        found[method] = ChromaticTerm(
+            table1_px={name: table1(v) for name, v in shift.items()},
+            sigma_px=uncertainties(measured, bench.pairs, method)[1],
+            rms_px={name: rms(v) for name, v in shift.items()},
+            pixel_arcsec=lab.instrument.pixel_arcsec,
+            n=bench.frames * int(np.prod(measured.nominal_px.shape[:2])),
+        )
+    return found

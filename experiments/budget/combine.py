@@ -20,10 +20,12 @@ from experiments.laboratory.published import ACC18_ARCSEC
 from optics.arrays import FloatArray
 from optics.records import freeze
 
-__all__ = ["ECSS", "PRINTED", "SUMS", "TERMS", "Budget", "Value", "combine", "published"]
+__all__ = ["ECSS", "FRAME_TERMS", "PRINTED", "SUMS", "TERMS", "Budget", "Value", "combine", "published"]
 
 
 TERMS = ("TE", "HSFE", "LSFE-S", "LSFE-C1", "LSFE-C2")
+FRAME_TERMS = ("TE", "HSFE", "LSFE-S")
+"""Terms that frames can contradict: C2 is an input, and C1 of a good lens is its marking error seen once more."""
 SUMS = ("LSFE", "total", "attitude")
 ECSS = {
     "TE": "temporal noise",

@@ -5,48 +5,68 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm
 
-from experiments.budget.combine import TERMS
 from experiments.harness.quantities import Outcome
-from experiments.harness.summary import Criterion
+from experiments.harness.summary import Criterion, farthest_from_one
 
 __all__ = ["criteria"]
 
-TERM_LIMIT, TOTAL_LIMIT = 0.10, 0.05
-ALARM = 0.01
-"""Probability that a pull criterion fails although everything is right."""
+TOGETHER_LIMIT = 0.10
+ALARM = 0.05
+"""Probability that any of the comparisons in standard deviations fails although everything is right."""
 
 
-def _limit(count: int) -> float:
-    return float(norm.isf(ALARM / (2 * count)))
+def _limit(count: int, alarm: float = 0.01) -> float:
+    """Largest of so many normal deviations that is exceeded with this probability."""
+    return float(norm.isf(alarm / (2 * count)))
 
 
 def criteria(outcome: Outcome) -> list[Criterion]:
-    """Predicted over measured, term by term; sums; statistics of the tolerances; the document's arithmetic.
+    """Predicted against measured, term by term and centroider by centroider; tolerances; the document's arithmetic.
 
-    A ratio is judged by 10 % (the total by 5 %), or by three of its own standard deviations where a run was made too
-    small to tell 10 %. A term that does not stand out of its uncertainty has no ratio: its difference is judged.
+    Terms are compared in standard deviations that hold what is frozen into one chip. The terms that frames can
+    contradict are also compared together, as a ratio: within 10 %, or three of its own standard deviations where a run
+    was made too small to tell 10 %.
     """
-    found: list[Criterion] = []
-    for name, limit in (*((term, TERM_LIMIT) for term in TERMS[:-1]), ("total", TOTAL_LIMIT)):
-        for axis in "xy":
-            ratio, spread = (float(read("ratio", term=name, axis=axis)) for read in (outcome.values, outcome.errors))
-            if np.isfinite(ratio):
-                own = max(limit, float(f"{3.0 * spread:.2g}"))
-                found.append(
-                    Criterion(name=f"{name} {axis}: predicted / measured, off 1 by", value=abs(ratio - 1.0), limit=own)
+    result, found = outcome.result, []
+    tested, methods = outcome.data["tested"].values.tolist(), result.config.methods
+    for method in methods:
+        for name in tested:
+            pulls = result.chromatic_pulls(method) if name == "LSFE-S" else result.pull(name, method)
+            found.append(
+                Criterion(
+                    name=f"{name}, {method}: predicted minus measured, largest",
+                    value=float(np.abs(pulls).max()),
+                    limit=round(_limit(pulls.size, ALARM / (len(methods) * len(tested))), 2),
+                    unit="sigma",
                 )
-    for name in TERMS[:-1]:
-        pulls = outcome.result.pull(name)
-        count = 2 * (outcome.data.sizes["pair"] if name == "LSFE-S" else 1)
+            )
+        together, spread = result.together(method)
         found.append(
             Criterion(
-                name=f"{name}: predicted minus measured, x and y, largest",
-                value=float(np.abs(pulls).max()),
-                limit=round(_limit(count), 2),
-                unit="sigma",
+                name=f"TE, HSFE and S together, {method}: predicted / measured",
+                value=farthest_from_one(together),
+                about=1.0,
+                limit=max(TOGETHER_LIMIT, float(f"{3.0 * spread.max():.2g}")),
             )
         )
-    return [*found, *_others(outcome)]
+    return [*found, *_target(outcome), *_others(outcome)]
+
+
+def _target(outcome: Outcome) -> list[Criterion]:
+    """The surveys have the marking error that the budget takes for C2."""
+    grid = outcome.config.grid
+    if not grid.marking_error_arcsec:
+        return []
+    marked, surveyed = outcome.values("measured_arcsec", term="LSFE-C2"), outcome.values("surveyed_arcsec")
+    samples = grid.surveys * grid.rows * grid.columns
+    return [
+        Criterion(
+            name="scatter of the surveyed places about the true ones over C2",
+            value=farthest_from_one(surveyed / marked),
+            about=1.0,
+            limit=float(f"{_limit(2) / np.sqrt(2.0 * samples):.2g}"),
+        )
+    ]
 
 
 def _others(outcome: Outcome) -> list[Criterion]:

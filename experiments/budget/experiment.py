@@ -28,9 +28,11 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.budget.attitude import StarErrors, attitude_study
     from experiments.budget.combine import published
     from experiments.budget.laboratory import build_laboratory
+    from experiments.budget.measure import measure_terms, steps_of
+    from experiments.budget.predict import predict_terms
     from experiments.budget.result import Result
     from experiments.budget.sweep import check_full_well, predict_sweep, predict_tornado, tornado_size
-    from experiments.budget.terms import Psfs, measure_terms, predict_terms, steps_of
+    from experiments.budget.terms import Psfs
     from experiments.budget.tolerances import tolerance_study
     from experiments.budget.tune import differences
     from experiments.laboratory.checks import check_light
@@ -55,7 +57,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     with progress.stage("built lenses", total=config.tolerances.draws) as stage:
         tolerances = tolerance_study(lab, streams.child("tolerances"), advance=stage.advance)
     with progress.stage("attitude", total=len(config.attitude.counts)) as stage:
-        errors = StarErrors.of(measured.budget)
+        errors = StarErrors.of(measured[config.centroid].budget)
         attitude = attitude_study(
             lab.instrument, errors, config.attitude, streams.child("attitude"), advance=stage.advance
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from experiments.budget.settings import Config, MovedConfig
 from experiments.laboratory.bench import Bench
@@ -14,6 +14,7 @@ from optics.lens.perturb import decentre, despace, tilt
 from optics.lens.system import LensSystem
 from optics.light.spectrum import Blackbody
 from optics.units import UM_MM
+from render.records import EffectivePsf
 
 __all__ = ["Laboratory", "build_laboratory", "moved_lens"]
 
@@ -38,6 +39,10 @@ class Laboratory:
     instrument: Instrument
     bench: Bench
     filtered: Bench
+
+    def with_epsf(self, epsf: EffectivePsf) -> Laboratory:
+        """The same, with a PSF that was built from frames."""
+        return replace(self, bench=replace(self.bench, epsf=epsf), filtered=replace(self.filtered, epsf=epsf))
 
 
 def moved_lens(lens: LensSystem, moved: MovedConfig) -> LensSystem:
@@ -93,7 +98,7 @@ def build_laboratory(config: Config, lens: LensSystem | None = None) -> Laborato
             frames=config.frames,
             dark_frames=config.dark_frames,
             window_px=config.window_px,
-            methods=(config.centroid,),
+            methods=config.methods,
         )
 
     return Laboratory(

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from experiments.budget.attitude import READINGS
-from experiments.budget.combine import ECSS, PRINTED, SUMS, TERMS, Budget
+from experiments.budget.combine import ECSS, FRAME_TERMS, PRINTED, SUMS, TERMS, Budget
 from experiments.budget.result import Result
 from experiments.budget.sweep import Sweep, Tornado
 from experiments.harness.quantities import Quantities
+from experiments.laboratory.centroid_methods import MethodLabels
 from optics.arrays import FloatArray
 
 __all__ = ["describe", "extra"]
@@ -42,9 +43,12 @@ def describe(result: Result) -> Quantities:
     q.axis("term", list(names), "Term", names=names)
     q.axis("axis", ["x", "y"], "Axis")
     q.axis("component", ["x", "y", "roll"], "Component")
-    q.axis("pair", list(result.measured.chromatic.table1_px), "Bands", unit="nm", key="bands")
+    labels = MethodLabels(own="simulator's PSF", measured="PSF from frames")
+    q.axis("method", list(result.config.methods), "Centroider", names=labels)
+    q.axis("pair", result.lab.filtered.pair_names, "Bands", unit="nm", key="bands")
     q.add("ecss", [ECSS[name] for name in names], "ECSS-E-ST-60-20C", dims="term")
     _terms(q, result)
+    _methods(q, result)
     _parts(q, result)
     _chromatic(q, result)
     if result.sweep is not None:
@@ -68,8 +72,8 @@ def _of(budget: Budget, part: str = "arcsec") -> list[Any]:
 
 def _terms(q: Quantities, result: Result) -> None:
     for name, label, budget in (
-        ("predicted", "Predicted", result.predicted.budget),
-        ("measured", "Measured", result.measured.budget),
+        ("predicted", "Predicted", result.predicted[result.config.centroid].budget),
+        ("measured", "Measured", result.measured[result.config.centroid].budget),
     ):
         q.add(
             f"{name}_arcsec",
@@ -80,12 +84,13 @@ def _terms(q: Quantities, result: Result) -> None:
             json=f"terms[term][axis].{name}_arcsec_3sigma",
             json_error=f"terms[term][axis].{name}_uncertainty",
         )
-    samples = np.repeat([[result.measured.budget[name].n] for name in (*TERMS, *SUMS)], 2, axis=1)
+    counting = result.measured[result.config.centroid].budget
+    samples = np.repeat([[counting[name].n] for name in (*TERMS, *SUMS)], 2, axis=1)
     q.add("measured_n", samples, "Samples", dims="term axis", json="terms[term][axis].measured_n")
     printed = [PRINTED.get(name, result.published[name].arcsec) for name in (*TERMS, *SUMS)]
     place = "terms[term][axis].published_arcsec_3sigma"
     q.add("published_arcsec", printed, "Published", **OF_TERMS, format=".2f", json=place)
-    ratio, spread = zip(*(result.ratio(name) for name in (*TERMS, *SUMS)), strict=True)
+    ratio, spread = zip(*(result.ratio(name, result.config.centroid) for name in (*TERMS, *SUMS)), strict=True)
     place = "terms[term][axis].ratio"
     error = f"{place}_uncertainty"
     label = "Predicted / measured"
@@ -100,9 +105,47 @@ def _terms(q: Quantities, result: Result) -> None:
     )
 
 
+def _methods(q: Quantities, result: Result) -> None:
+    """The budget by every centroider on the same frames, and how far each term is from its prediction."""
+    methods, every = result.config.methods, (*TERMS, *SUMS)
+    place = "methods[method][term][axis]"
+    for name, label, budgets in (
+        ("predicted", "Predicted", [result.predicted[m].budget for m in methods]),
+        ("measured", "Measured", [result.measured[m].budget for m in methods]),
+    ):
+        q.add(
+            f"method_{name}_arcsec",
+            [_of(one) for one in budgets],
+            label,
+            **ANGLE,
+            dims="method term axis",
+            error=[_of(one, "uncertainty_arcsec") for one in budgets],
+            key=f"{{method}}_{name}_arcsec",
+            json=f"{place}.{name}_arcsec_3sigma",
+            json_error=f"{place}.{name}_uncertainty",
+        )
+    q.axis("tested", [*FRAME_TERMS, "LSFE-C1"], "Term")
+    ratio, spread = zip(*(zip(*(result.ratio(t, m) for t in every), strict=True) for m in methods), strict=True)
+    q.add("method_ratio", ratio, "Predicted / measured", dims="method term axis", error=spread, json=f"{place}.ratio")
+    pulls = [[result.pull(name, method) for name in (*FRAME_TERMS, "LSFE-C1")] for method in methods]
+    label = "Predicted minus measured"
+    q.add("pull", pulls, label, unit="sigma", dims="method tested axis", format="+.2f", json="pulls[method][tested]")
+    together, spread = zip(*(result.together(method) for method in methods), strict=True)
+    label, place = "Predicted / measured, together", "frame_terms_together[method][axis]"
+    q.add(
+        "together",
+        together,
+        label,
+        dims="method axis",
+        error=spread,
+        json=f"{place}.ratio",
+        json_error=f"{place}.uncertainty",
+    )
+
+
 def _parts(q: Quantities, result: Result) -> None:
     """What the terms are made of."""
-    predicted, measured = result.predicted, result.measured
+    predicted, measured = result.predicted[result.config.centroid], result.measured[result.config.centroid]
     q.axis("cause", list(predicted.causes_arcsec), "Cause")
     causes = list(predicted.causes_arcsec.values())
     q.add("cause_arcsec", causes, "3σ", **ANGLE, dims="cause axis", json="parts.hsfe_causes_predicted")
@@ -114,6 +157,8 @@ def _parts(q: Quantities, result: Result) -> None:
         ("measured_found", "σ_d", "sigma_d.measured", measured.found_arcsec),
         ("predicted_left", "σ_Dd", "sigma_dd.predicted", predicted.left_arcsec),
         ("measured_left", "σ_Dd", "sigma_dd.measured", measured.left_arcsec),
+        ("marking_alone", "C1 of marking errors alone", "c1_of_marking_errors_alone", predicted.marking_alone_arcsec),
+        ("surveyed", "Marking error of the surveys", "marking_error_of_the_surveys", measured.surveyed_arcsec),
         ("one_survey", "C1, one survey", "c1_one_survey.measured", measured.one_survey_arcsec),
         (
             "survey_scatter",
@@ -127,7 +172,8 @@ def _parts(q: Quantities, result: Result) -> None:
 
 def _chromatic(q: Quantities, result: Result) -> None:
     """Table 1 of ACC18."""
-    predicted, measured = result.predicted.chromatic, result.measured.chromatic
+    counting = result.config.centroid
+    predicted, measured = result.predicted[counting].chromatic, result.measured[counting].chromatic
 
     def by_pair(values: Mapping[str, FloatArray]) -> list[FloatArray]:
         return [values[name] for name in measured.table1_px]

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from experiments.budget.range import SweepRange, check_range, leaf_keys, parse_sweep
 from experiments.harness.config import StrictModel
 from experiments.laboratory import settings as laboratory_settings
-from experiments.laboratory.centroid_methods import CentroiderName
+from experiments.laboratory.centroid_methods import CentroiderName, ProcessingName
 from experiments.laboratory.detector_changes import DetectorConfig
 from experiments.laboratory.point_settings import SourceConfig
 from experiments.laboratory.sensor_file import SensorExperimentConfig
@@ -143,7 +143,12 @@ class Config(SensorExperimentConfig):
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position (ACC18: at least 30)")
     dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off, per position")
     window_px: int = Field(default=13, ge=7, le=63, description="window around a point, odd")
-    centroid: CentroiderName = Field(default="epsf", description="centroider")
+    centroid: CentroiderName = Field(
+        default="cog", description="centroider that counts; ACC18 names the centre of gravity"
+    )
+    compare: tuple[ProcessingName, ...] = Field(
+        default=("epsf", "epsf_measured"), description="others on the same frames; epsf_measured: PSF built from frames"
+    )
     attitude: AttitudeConfig = AttitudeConfig()
     tolerances: ToleranceConfig = ToleranceConfig()
     tornado: TornadoConfig = TornadoConfig()
@@ -165,6 +170,11 @@ class Config(SensorExperimentConfig):
         if self.sweep:
             check_range(type(self), parse_sweep(self.sweep, leaf_keys(type(self))))
         return self
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """All centroiders, the one that counts first."""
+        return tuple(dict.fromkeys((self.centroid, *self.compare)))
 
     def sweep_range(self) -> SweepRange | None:
         """The sweep that is asked for; None if there is none."""

@@ -16,9 +16,11 @@ import numpy as np
 
 from experiments.budget.combine import Budget, Value, combine
 from experiments.budget.laboratory import Laboratory, build_laboratory
+from experiments.budget.measure import measure_terms
+from experiments.budget.predict import predict_terms
 from experiments.budget.range import SweepRange, value_at, with_value
 from experiments.budget.settings import Config
-from experiments.budget.terms import Measurement, Psfs, measure_terms, predict_terms
+from experiments.budget.terms import Measurement, Psfs
 from experiments.laboratory.ray_prediction import expected_spots
 from experiments.laboratory.target import corner_directions
 from optics.arrays import FloatArray
@@ -139,6 +141,11 @@ def widened(config: Config) -> Config:
     return config if wanted == config.window_px else config.model_copy(update={"window_px": wanted})
 
 
+def counting(config: Config) -> Config:
+    """The configuration with the centroider that counts alone."""
+    return config.model_copy(update={"compare": ()})
+
+
 def _coarse(config: Config) -> tuple[Config, float]:
     """With a 3 x 3 target, and the factor of the pixel term."""
     target = config.target
@@ -162,11 +169,12 @@ def coarse_budget(config: Config, psfs: Psfs) -> Budget:
     """
     from experiments.laboratory.checks import check_light
 
-    few, factor = _coarse(config)
+    few, factor = _coarse(counting(config))
     lab = build_laboratory(few)
     check_light(lab.filtered, lab.instrument, corner_directions(few.target, lab.instrument))
     check_full_well(lab)
-    budget = predict_terms(lab, psfs=psfs, draws=DRAWS, step_draws=DRAWS, ideal_platform=True).budget
+    found = predict_terms(lab, psfs=psfs, draws=DRAWS, step_draws=DRAWS, coarse=True)
+    budget = found[config.centroid].budget
     hsfe = budget["HSFE"]
     scaled = Value(arcsec=hsfe.arcsec * factor, uncertainty_arcsec=hsfe.uncertainty_arcsec * factor)
     return combine({**budget.term, "HSFE": scaled}, stars=budget.stars)
@@ -232,7 +240,7 @@ def _setting(config: Config, key: str, value: float, psfs: Psfs, number: int) ->
     if config.sweep_measured:
         try:
             streams = Streams(config.seed).child("budget", "sweep").child(f"point {number}")
-            measured = measure_terms(build_laboratory(changed), streams=streams)
+            measured = measure_terms(build_laboratory(counting(changed)), streams=streams)[config.centroid]
         except StarbenchError as error:
             refusal = str(error).splitlines()[0]
     return Setting(value=value, window_px=window, predicted=predicted, measured=measured, refusal=refusal)

@@ -106,7 +106,8 @@ def tune(start: Config, *, prnu: bool = False, report: Callable[[str], None] = l
     from scipy.optimize import least_squares
 
     from experiments.budget.laboratory import build_laboratory
-    from experiments.budget.terms import predict_terms
+    from experiments.budget.predict import predict_terms
+    from experiments.budget.sweep import counting
 
     signal = value_at(start, "source.signal_e")
     share = build_laboratory(start).instrument.detector.prnu
@@ -129,7 +130,8 @@ def tune(start: Config, *, prnu: bool = False, report: Callable[[str], None] = l
             return known[tuple(state)]
         count += 1
         config = _apply(start, values(state))
-        budget = predict_terms(build_laboratory(config), draws=DRAWS, step_draws=DRAWS, ideal_platform=True).budget
+        lab = build_laboratory(counting(config))
+        budget = predict_terms(lab, draws=DRAWS, step_draws=DRAWS, coarse=True)[config.centroid].budget
         numbers = " ".join(f"{n} {budget[n].arcsec[0]:.2f} {budget[n].arcsec[1]:.2f}" for n in _AIM)
         report(f"{count:3d}  " + "  ".join(f"{k} = {v:.5g}" for k, v in values(state).items()) + f"  ->  {numbers}")
         known[tuple(state)] = budget
@@ -150,7 +152,7 @@ def tune(start: Config, *, prnu: bool = False, report: Callable[[str], None] = l
         state = solved.x
         cheap = _aimed(predicted(state))
         config = _apply(start, {key: float(f"{value:.4g}") for key, value in values(state).items()})
-        budget = predict_terms(build_laboratory(config)).budget
+        budget = predict_terms(build_laboratory(counting(config)))[config.centroid].budget
         short = _aimed(budget) / cheap
     return Tuned(config=config, budget=budget, evaluations=count, cost=float(solved.cost))
 

@@ -109,7 +109,7 @@ def s_curves(bench: Bench, instrument: Instrument, psf: Sequence[EffectivePsf], 
     x, y = (v.ravel() for v in np.meshgrid(along, across))
     light = bench.signal_e * np.maximum(draw_epsf(psf[middle], x + size // 2, y + size // 2, (size, size)), 0.0)
     error = {}
-    for name, centroider in centroiders(bench.methods, [psf[middle]]).items():
+    for name, centroider in centroiders(bench, [psf[middle]]).items():
         found, _ = noiseless_positions(
             centroider,
             nominal_noise(instrument),

@@ -12,7 +12,7 @@ from optics.arrays import FloatArray
 from optics.light.band import band_nodes
 from optics.light.spectrum import Sed
 from optics.rays.spots import collecting_area_mm2
-from render.records import StarField
+from render.records import EffectivePsf, StarField
 
 __all__ = ["Bench", "band_pairs", "point_field"]
 
@@ -43,6 +43,8 @@ class Bench:
         Window read out around each point.
     methods : sequence of str
         Centroiders; the first is the one that counts.
+    epsf : EffectivePsf, optional
+        Built from frames beforehand: what methods of the name ``NAME_measured`` use.
     """
 
     target: TargetConfig
@@ -54,11 +56,17 @@ class Bench:
     dark_frames: int
     window_px: int
     methods: Sequence[str]
+    epsf: EffectivePsf | None = None
 
     @property
     def pairs(self) -> list[tuple[str, int, int]]:
         """Differences between the filters; see `band_pairs`."""
         return band_pairs([band.centre_nm for band in self.filters], self.reference)
+
+    @property
+    def pair_names(self) -> list[str]:
+        """Names of the differences."""
+        return [name for name, _, _ in self.pairs]
 
 
 def band_pairs(centres_nm: Sequence[float], reference: int) -> list[tuple[str, int, int]]:

@@ -3,12 +3,13 @@
 Names, their checks and their labels come from the registry (`calib.measure.centroid`): a centroider that is added there
 can be named in every experiment. A centroider that needs an ePSF makes two *methods* where an experiment has several
 PSFs: under its own name every place and filter is measured with the PSF of that place and filter, as ``NAME_reference``
-all are measured with the PSF of one place or one filter.
+all are measured with the PSF of one place or one filter. As ``NAME_measured`` all are measured with one PSF that was
+built from frames (`experiments.laboratory.epsf_session`), where an experiment takes such frames.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,15 +17,25 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
 from calib.measure.centroid import centroider_class, get_centroider, list_centroiders
-from optics.errors import unknown_name
+from optics.errors import ConfigError, unknown_name
 
 if TYPE_CHECKING:
     from calib.measure.centroid import Centroider
     from render.records import EffectivePsf
 
-__all__ = ["CentroiderName", "MethodLabels", "MethodName", "list_methods", "method_centroiders", "needs_epsf"]
+__all__ = [
+    "CentroiderName",
+    "MethodLabels",
+    "MethodName",
+    "ProcessingName",
+    "has_own_epsf",
+    "list_methods",
+    "method_centroiders",
+    "needs_epsf",
+    "needs_measured_epsf",
+]
 
-_REFERENCE = "_reference"
+_REFERENCE, _MEASURED = "_reference", "_measured"
 
 
 def needs_epsf(method: str) -> bool:
@@ -38,32 +49,41 @@ def needs_epsf(method: str) -> bool:
     return centroider_class(_split(method)[0]).needs_epsf
 
 
-def list_methods() -> tuple[str, ...]:
-    """Names of all centroiders, and of those that need an ePSF with the reference one."""
-    names = list_centroiders()
-    return (*names, *(f"{name}{_REFERENCE}" for name in names if centroider_class(name).needs_epsf))
+def has_own_epsf(method: str) -> bool:
+    """Whether every place is measured with the PSF of that place: nothing but noise and patterns then moves it."""
+    return needs_epsf(method) and not _split(method)[1]
 
 
-def _split(method: str) -> tuple[str, bool]:
-    """Name of the centroider, and whether it is given the reference ePSF."""
+def needs_measured_epsf(method: str) -> bool:
+    """Whether a method needs an ePSF that was built from frames."""
+    return _split(method)[1] == _MEASURED
+
+
+def list_methods(*, measured: bool = False) -> tuple[str, ...]:
+    """Names of all centroiders, and of those that need an ePSF with the reference one, or with the measured one too."""
+    names, endings = list_centroiders(), (_REFERENCE, _MEASURED) if measured else (_REFERENCE,)
+    return (*names, *(f"{name}{end}" for name in names if centroider_class(name).needs_epsf for end in endings))
+
+
+def _split(method: str) -> tuple[str, str]:
+    """Name of the centroider, and which ePSF it is given: "" for that of each place."""
     if method in list_centroiders():  # needs no look at the classes
-        return method, False
-    if method not in list_methods():
-        raise unknown_name("centroider", method, list_methods())
-    return method.removesuffix(_REFERENCE), True
+        return method, ""
+    if method not in list_methods(measured=True):
+        raise unknown_name("centroider", method, list_methods(measured=True))
+    ending = _MEASURED if method.endswith(_MEASURED) else _REFERENCE
+    return method.removesuffix(ending), ending
 
 
 @dataclass(frozen=True)
 class _Name:
     """Text that must be a known name when a configuration is read; its JSON schema lists those known at that time."""
 
-    with_reference: bool
+    names: Callable[[], tuple[str, ...]]
 
     def _checked(self, value: str) -> str:
-        if self.with_reference:
-            _split(value)
-        elif value not in list_centroiders():
-            raise unknown_name("centroider", value, list_centroiders())
+        if value not in list_centroiders() and value not in self.names():
+            raise unknown_name("centroider", value, self.names())
         return value
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
@@ -72,14 +92,17 @@ class _Name:
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        return handler(schema) | {"enum": list(list_methods() if self.with_reference else list_centroiders())}
+        return handler(schema) | {"enum": list(self.names())}
 
 
-CentroiderName = Annotated[str, _Name(with_reference=False)]
+CentroiderName = Annotated[str, _Name(list_centroiders)]
 """Type of a setting that names a centroider."""
 
-MethodName = Annotated[str, _Name(with_reference=True)]
+MethodName = Annotated[str, _Name(list_methods)]
 """Type of a setting that names a centroider, and which ePSF it is given."""
+
+ProcessingName = Annotated[str, _Name(lambda: list_methods(measured=True))]
+"""The same where frames are taken from which an ePSF can be built."""
 
 
 @dataclass(frozen=True)
@@ -88,16 +111,19 @@ class MethodLabels(Mapping[str, str]):
 
     Attributes
     ----------
-    own, reference : str
-        What an experiment calls the ePSF of each place, and the reference one; "" where that needs no word.
+    own, reference, measured : str
+        What an experiment calls the ePSF of each place, the reference one and the one built from frames; "" where that
+        needs no word.
     """
 
     own: str = ""
     reference: str = "middle ePSF"
+    measured: str = "measured ePSF"
 
     def __getitem__(self, method: str) -> str:
-        name, shared = _split(method)
-        words = (self.reference if shared else self.own) if needs_epsf(method) else ""
+        name, which = _split(method)
+        given = {"": self.own, _REFERENCE: self.reference, _MEASURED: self.measured}
+        words = given[which] if needs_epsf(method) else ""
         return f"{centroider_class(name).label} ({words})" if words else centroider_class(name).label
 
     def __iter__(self) -> Iterator[str]:
@@ -108,7 +134,11 @@ class MethodLabels(Mapping[str, str]):
 
 
 def method_centroiders(
-    methods: Iterable[str], *, own: Sequence[EffectivePsf], reference: Sequence[EffectivePsf]
+    methods: Iterable[str],
+    *,
+    own: Sequence[EffectivePsf],
+    reference: Sequence[EffectivePsf],
+    measured: EffectivePsf | None = None,
 ) -> dict[str, Centroider]:
     """Centroiders by method.
 
@@ -118,15 +148,20 @@ def method_centroiders(
         Of `list_methods`.
     own, reference : sequence of EffectivePsf
         PSF of each place, as ``Stamps.psf_index`` counts them; those that ``NAME_reference`` uses instead.
+    measured : EffectivePsf, optional
+        What ``NAME_measured`` uses at every place.
 
     Raises
     ------
     ConfigError
-        On an unknown name.
+        On an unknown name, or if the measured PSF is needed and there is none.
     """
     found = {}
     for method in methods:
-        name, shared = _split(method)
-        options = {"epsf": list(reference if shared else own)} if needs_epsf(method) else {}
+        name, which = _split(method)
+        if which == _MEASURED and measured is None:
+            raise ConfigError(f"centroider {method!r} needs an ePSF built from frames; none was")
+        given = {"": own, _REFERENCE: reference, _MEASURED: [measured] * len(own)}
+        options = {"epsf": list(given[which])} if needs_epsf(method) else {}
         found[method] = get_centroider(name, **options)
     return found

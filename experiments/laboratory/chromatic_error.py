@@ -28,6 +28,7 @@ __all__ = [
     "rms",
     "shifts",
     "table1",
+    "uncertainties",
 ]
 
 
@@ -91,8 +92,8 @@ class ChromaticMeasurement:
         Mean centroid over the frames, by method.
     sigma_px : dict of str to (p, j, b, 2)
         Standard deviation of a single frame's centroid.
-    pattern_px : (q, p, j, b, 2)
-        Predicted effect of q fixed patterns on the first method's centroids, common to the filters.
+    pattern_px : dict of str to (q, p, j, b, 2)
+        Predicted effect of q fixed patterns on the centroids, common to the filters, by method.
     frames_used : (p, j, b)
         Frames that converged, first method.
     rms_spot_um : (b,)
@@ -110,7 +111,7 @@ class ChromaticMeasurement:
     photon_px: FloatArray
     mean_px: Mapping[str, FloatArray]
     sigma_px: Mapping[str, FloatArray]
-    pattern_px: FloatArray
+    pattern_px: Mapping[str, FloatArray]
     frames_used: NDArray[np.int64]
     rms_spot_um: FloatArray
     example: ExpectedImage
@@ -123,6 +124,7 @@ def measure_chromatic(
     streams: Streams,
     *,
     directions: FloatArray | None = None,
+    patterns: Sequence[str] = (),
     advance: Callable[[], None] = lambda: None,
 ) -> ChromaticMeasurement:
     """Run the test on one lens.
@@ -135,6 +137,8 @@ def measure_chromatic(
         Root of the noise of this run.
     directions : (4, j, 3), optional
         Unit vectors in cam, in place of those to the target in the four corners.
+    patterns : sequence of str
+        Methods for which the effect of fixed patterns is predicted; none given: the first of the bench.
     advance : callable
         Called after each position.
 
@@ -152,7 +156,9 @@ def measure_chromatic(
         stars = point_field(bench, instrument, direction)
         expected = renderer.render(stars)
         first = first or expected
-        parts.append(PointReadout(bench, instrument, streams.child(place), place).measure(stars, expected, tracer))
+        parts.append(
+            PointReadout(bench, instrument, streams.child(place), place, patterns).measure(stars, expected, tracer)
+        )
         advance()
     assert first is not None
     return ChromaticMeasurement(
@@ -163,7 +169,7 @@ def measure_chromatic(
         photon_px=np.stack([part.photon_px for part in parts]),
         mean_px={m: np.stack([part.mean_px[m] for part in parts]) for m in bench.methods},
         sigma_px={m: np.stack([part.sigma_px[m] for part in parts]) for m in bench.methods},
-        pattern_px=np.stack([part.pattern_px for part in parts], axis=1),
+        pattern_px={m: np.stack([part.pattern_px[m] for part in parts], axis=1) for m in parts[0].pattern_px},
         frames_used=np.stack([part.frames_used for part in parts]),
         rms_spot_um=np.stack([part.spot_um for part in parts]).mean((0, 1)),
         example=first,
@@ -217,6 +223,32 @@ class ChromaticReduction:
     truth_bias_px: tuple[float, float]
 
 
+def uncertainties(
+    measured: ChromaticMeasurement, pairs: Sequence[tuple[str, int, int]], method: str
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Standard deviations by pair of bands: of every shift (p, j, 2), and of the mean of eq. 16 (2,).
+
+    Parameters
+    ----------
+    measured : ChromaticMeasurement
+        With the effect of fixed patterns on this method.
+    pairs : sequence of (str, int, int)
+        `Bench.pairs`.
+    method : str
+        The centroider.
+    """
+    pattern = shifts(measured.pattern_px[method], pairs)
+    # pooled over the points of a position: one point's own estimate from 30 frames would have pulls of Student's law
+    of_mean = (measured.sigma_px[method] ** 2).mean(1, keepdims=True) / measured.frames_used[..., None]
+    sigma, sigma_table = {}, {}
+    for name, high, low in pairs:
+        temporal = of_mean[..., high, :] + of_mean[..., low, :]
+        sigma[name] = np.sqrt(temporal + (pattern[name] ** 2).mean(0))
+        count = temporal.shape[0] * temporal.shape[1]
+        sigma_table[name] = np.sqrt(temporal.sum((0, 1)) / (2 * count) ** 2 + (table1(pattern[name]) ** 2).mean(0))
+    return sigma, sigma_table
+
+
 def reduce_chromatic(bench: Bench, instrument: Instrument, measured: ChromaticMeasurement) -> ChromaticReduction:
     """Reduce one measurement as ACC18 does and set it beside truth and prediction.
 
@@ -228,19 +260,11 @@ def reduce_chromatic(bench: Bench, instrument: Instrument, measured: ChromaticMe
         Centroids and truth.
     """
     pairs, method = bench.pairs, bench.methods[0]
-    mean, single = measured.mean_px[method], measured.sigma_px[method]
+    mean = measured.mean_px[method]
     found = shifts(mean, pairs)
     photon, bundle = shifts(measured.photon_px, pairs), shifts(measured.bundle_px, pairs)
     predicted = shifts(bundle_prediction(bench, instrument, measured.direction), pairs)
-    pattern = shifts(measured.pattern_px, pairs)
-    # pooled over the points of a position: one point's own estimate from 30 frames would have pulls of Student's law
-    of_mean = (single**2).mean(1, keepdims=True) / measured.frames_used[..., None]
-    sigma, sigma_table = {}, {}
-    for name, high, low in pairs:
-        temporal = of_mean[..., high, :] + of_mean[..., low, :]
-        sigma[name] = np.sqrt(temporal + (pattern[name] ** 2).mean(0))
-        count = temporal.shape[0] * temporal.shape[1]
-        sigma_table[name] = np.sqrt(temporal.sum((0, 1)) / (2 * count) ** 2 + (table1(pattern[name]) ** 2).mean(0))
+    sigma, sigma_table = uncertainties(measured, pairs, method)
     place = measured.nominal_px - instrument.camera.centre_px
     pulls = np.stack([(found[n] - photon[n]) / sigma[n] for n, _, _ in pairs])
     distance = np.linalg.norm(mean - measured.photon_px, axis=-1)

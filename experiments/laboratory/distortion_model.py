@@ -25,7 +25,7 @@ points, an error e of the residuals becomes A (B^T B)^-1 B^T e in the map.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from calib.measure.linear_response import centroid_covariance
 from experiments.laboratory.bench import Bench
+from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.distortion_error import camera_place, dense_grid, traced_bundles
 from experiments.laboratory.distortion_statistics import REFERENCES, Reference, without_pointing
 from experiments.laboratory.instrument import Instrument
@@ -51,6 +52,7 @@ __all__ = [
     "GridErrors",
     "MapForecast",
     "forecast_map",
+    "marking_errors",
     "predict_distortion",
     "predicted_numbers",
 ]
@@ -198,6 +200,22 @@ def _variance(q: FloatArray, u: FloatArray, covariance: FloatArray) -> float:
     return float(2.0 * (inside * inside.T).sum() + 4.0 * u @ inside @ u)
 
 
+def marking_errors(target: GridTarget, instrument: Instrument, direction: FloatArray) -> GridErrors:
+    """What reaches the residuals of a target (n, 3) through a perfect camera without noise: marking errors alone."""
+    _, place = camera_place(instrument, direction)
+    # an error of the surveyed tangent is one of the nominal coordinate, the same at every place
+    scale_px = instrument.focal_length_mm / instrument.camera.pixel_pitch_mm
+    none = np.zeros((len(place), 2, 2))
+    return GridErrors(
+        place=place,
+        offset_px=np.zeros_like(place),
+        chip_px2=none,
+        session_px2=none,
+        mean_px2=none,
+        marking_px=target.marking_error_arcsec * ARCSEC_RAD * scale_px,
+    )
+
+
 def predict_distortion(
     bench: Bench,
     instrument: Instrument,
@@ -227,7 +245,8 @@ def predict_distortion(
         How target coordinates become pixels.
     noise_draws : int
         Noisy copies of each window, from which mean and scatter of the centroid are taken; 0 takes the noiseless window
-        and the influence function, which is the same but for methods with a threshold at little light.
+        and the influence function, which is the same but for methods with a threshold at little light. Fits of a PSF
+        take none.
     defect : (h, w) bool, optional
         The camera's list of hot and dead pixels, which the reduction leaves out; none without it.
     seed : int
@@ -236,14 +255,11 @@ def predict_distortion(
     bench = one_filter(bench)
     noise = instrument.pixel_noise()
     windows = expected_windows(bench, instrument, direction[None], psf, defect=defect)
-    nominal, place = camera_place(instrument, direction)
-    # an error of the surveyed tangent is one of the nominal coordinate, the same at every place
-    marking_px = (
-        target.marking_error_arcsec * ARCSEC_RAD * instrument.focal_length_mm / instrument.camera.pixel_pitch_mm
-    )
+    nominal, _ = camera_place(instrument, direction)
+    marked = marking_errors(target, instrument, direction)
     found: dict[str, dict[Reference, Numbers]] = {}
     point: dict[str, FloatArray] = {}
-    for name, centroider in centroiders(bench.methods, psf).items():
+    for name, centroider in centroiders(bench, psf).items():
         gain = influence(centroider, instrument, windows)
 
         def covariance(variance_e2: FloatArray, gain_px_per_e: FloatArray = gain.gain_px_per_e) -> FloatArray:
@@ -252,7 +268,7 @@ def predict_distortion(
         chip = covariance(noise.response_e2(windows.light_e))
         position, single = gain.position_px, covariance(noise.temporal_e2(windows.light_e))
         own = np.zeros_like(chip)
-        if noise_draws:
+        if noise_draws and not needs_epsf(name):
             lots = Streams(seed).generator("distortion noise")
             drawn = drawn_positions(centroider, instrument, windows, noise, draws=noise_draws, rng=lots)
             position, single = np.nanmean(drawn, axis=0), _covariance(drawn)
@@ -260,14 +276,8 @@ def predict_distortion(
         dark = covariance(np.full_like(windows.light_e, noise.floor_e2 / bench.dark_frames))
         session = single / bench.frames + dark
         point[name] = np.sqrt(np.diagonal(chip + session, axis1=1, axis2=2))
-        errors = GridErrors(
-            place=place,
-            offset_px=position - nominal,
-            chip_px2=chip,
-            session_px2=session,
-            mean_px2=own,
-            marking_px=marking_px,
-        )
+        offset = position - nominal
+        errors = replace(marked, offset_px=offset, chip_px2=chip, session_px2=session, mean_px2=own)
         found[name] = {reference: predicted_numbers(errors, order, reference) for reference in references}
     return DistortionPrediction(
         pixel_arcsec=instrument.pixel_arcsec,

@@ -347,7 +347,7 @@ def measure_high_frequency(
 def _noiseless(lights: Sequence[PointLight], bench: Bench, instrument: Instrument) -> dict[str, FloatArray]:
     """What each method makes of the rendered light itself."""
     noise, out = nominal_noise(instrument), {}
-    for name, centroider in centroiders(bench.methods, lights[0].psf).items():
+    for name, centroider in centroiders(bench, lights[0].psf).items():
         found = [
             noiseless_positions(centroider, noise, light_e=one.light_e, corner_px=one.corner_px)[0] for one in lights
         ]

@@ -15,13 +15,14 @@ and shorter steps sample that curve otherwise. So a prediction is made either fo
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.measure.centroid import Centroider
 from experiments.laboratory.bench import Bench
+from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import CAUSES, StepPlan
 from experiments.laboratory.instrument import Instrument
@@ -148,7 +149,7 @@ def predict_high_frequency(
         Drawn chips.
     noise_draws : int
         Noisy copies of each window from which the mean centroid is taken; 0 takes the noiseless window's, which is the
-        same but for methods with a threshold at little light.
+        same but for methods with a threshold at little light. Fits of a PSF take none.
     seed : int
         Of the draws; they have nothing in common with the frames.
     """
@@ -179,7 +180,11 @@ def predict_high_frequency(
     return HighFrequencyPrediction(
         pixel_arcsec=instrument.pixel_arcsec,
         place_px=windows.place_px.reshape(plan.positions, -1, 2),
-        method={name: model.method(one, rng) for name, one in centroiders(bench.methods, psf).items()},
+        method={
+            # a fit of a PSF has no bias that noise could change
+            name: replace(model, noise_draws=0 if needs_epsf(name) else noise_draws).method(one, rng)
+            for name, one in centroiders(bench, psf).items()
+        },
     )
 
 

@@ -114,7 +114,7 @@ def read_points(
     refuse_saturated(stamps, len(light), where=where, advice="lower signal_e or the highest level")
     position = {
         name: measured_positions(centroider, stamps, noise, bench.frames)
-        for name, centroider in centroiders(bench.methods, light.psf).items()
+        for name, centroider in centroiders(bench, light.psf).items()
     }
     refuse_few_frames(position[bench.methods[0]], bench.methods[0], where=where)
     return PointFrames(position_px=position, windows=stack)

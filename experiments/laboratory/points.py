@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -47,8 +47,8 @@ class PointMeasurement:
         Mean centroid over the frames, by method.
     sigma_px : dict of str to (j, b, 2)
         Standard deviation of a single frame's centroid.
-    pattern_px : (q, j, b, 2)
-        Predicted effect of q fixed patterns on the first method's centroids, common to the filters.
+    pattern_px : dict of str to (q, j, b, 2)
+        Predicted effect of q fixed patterns on the centroids, common to the filters, by method.
     frames_used : (j, b)
         Frames that converged, first method.
     spot_um : (j, b)
@@ -64,7 +64,7 @@ class PointMeasurement:
     photon_px: FloatArray
     mean_px: Mapping[str, FloatArray]
     sigma_px: Mapping[str, FloatArray]
-    pattern_px: FloatArray
+    pattern_px: Mapping[str, FloatArray]
     frames_used: NDArray[np.int64]
     spot_um: FloatArray
     windows: tuple[WindowStack, ...]
@@ -82,12 +82,15 @@ class PointReadout:
         Noise of this place.
     place : str
         What error messages call the place, e.g. "upper left".
+    patterns : sequence of str
+        Methods for which the effect of fixed patterns is predicted; none given: the first of the bench.
     """
 
     bench: Bench
     instrument: Instrument
     streams: Streams
     place: str
+    patterns: Sequence[str] = ()
 
     def corners(self, expected: ExpectedImage, nominal: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
         """Detected places (j, 2) of the points behind the reference filter, and first pixels of windows around them.
@@ -145,7 +148,7 @@ class PointReadout:
             advice = f"lower signal_e ({bench.signal_e:g} e-)"
             refuse_saturated(stamps, len(corner), where=f"{self.place} position, filter {name}", advice=advice)
             own, reference = ([row[k] for row in epsf] for k in (band, bench.reference))
-            chosen = method_centroiders(bench.methods, own=own, reference=reference)
+            chosen = method_centroiders(bench.methods, own=own, reference=reference, measured=bench.epsf)
             results.append(self._centroids(stamps, noise, light[band].astype(float), chosen))
             stacks.append(stack)
         return PointMeasurement(
@@ -157,29 +160,33 @@ class PointReadout:
             mean_px={m: np.stack([one[0][m] for one in results], axis=1) for m in bench.methods},
             sigma_px={m: np.stack([one[1][m] for one in results], axis=1) for m in bench.methods},
             frames_used=np.stack([one[2] for one in results], axis=1),
-            pattern_px=np.stack([one[3] for one in results], axis=2),
+            pattern_px={m: np.stack([one[3][m] for one in results], axis=2) for m in results[0][3]},
             spot_um=np.sqrt(truth.variance_x_px2 + truth.variance_y_px2) * camera.pixel_pitch_mm * 1e3,
             windows=tuple(stacks),
         )
 
     def _centroids(
         self, stamps: Stamps, noise: NoiseModel, light_e: FloatArray, centroiders: Mapping[str, Centroider]
-    ) -> tuple[dict[str, FloatArray], dict[str, FloatArray], NDArray[np.int64], FloatArray]:
-        """Mean and scatter by method; usable frames and effect of fixed patterns for the first method."""
+    ) -> tuple[dict[str, FloatArray], dict[str, FloatArray], NDArray[np.int64], dict[str, FloatArray]]:
+        """Mean and scatter by method; usable frames of the first method; effect of fixed patterns by method."""
         bench, first = self.bench, self.bench.methods[0]
         position = {m: measured_positions(c, stamps, noise, bench.frames) for m, c in centroiders.items()}
         refuse_few_frames(position[first], first, where=f"{self.place} position")
         statistics = {m: frame_statistics(p) for m, p in position.items()}
         pixel = self.instrument.pixel_noise()
-        pattern = pattern_effect(
-            centroiders[first],
-            stamps,
-            noise,
-            light_e,
-            prnu=pixel.prnu,
-            dark_e=float(np.sqrt(pixel.floor_e2 / bench.dark_frames)),
-            rng=self.streams.generator("predicted pattern"),  # the same patterns for every filter
-        )
+        dark_e = float(np.sqrt(pixel.floor_e2 / bench.dark_frames))
+        pattern = {
+            m: pattern_effect(
+                centroiders[m],
+                stamps,
+                noise,
+                light_e,
+                prnu=pixel.prnu,
+                dark_e=dark_e,
+                rng=self.streams.generator("predicted pattern"),  # the same patterns for every filter
+            )
+            for m in self.patterns or (first,)
+        }
         mean, sigma = {m: one[0] for m, one in statistics.items()}, {m: one[1] for m, one in statistics.items()}
         return mean, sigma, statistics[first][2], pattern
 

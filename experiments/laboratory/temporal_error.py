@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from experiments.harness.summary import Measured
@@ -235,6 +236,7 @@ def predict_temporal(
     levels_e: Sequence[float] | FloatArray | None = None,
     place_px: Sequence[float] | None = None,
     draws: int = 100,
+    defect: NDArray[np.bool_] | None = None,
     seed: int = 0,
 ) -> TemporalPrediction:
     """The same without frames: PSFs, traced positions, the detector's data sheet.
@@ -247,6 +249,8 @@ def predict_temporal(
         Of the target's points (`PointScene.psfs`).
     draws : int
         Noisy copies per star and level for the sampled prediction; 0 leaves it out (it is then the linear one).
+    defect : (h, w) bool, optional
+        The camera's list of hot and dead pixels, which the reduction leaves out; none without it.
     seed : int
         Of the draws; they have nothing in common with the frames.
     """
@@ -254,14 +258,16 @@ def predict_temporal(
     direction = target_place(bench, instrument, place_px)[None]
     levels = np.array([bench.signal_e] if levels_e is None else levels_e, float)
     noise, rng = instrument.pixel_noise(), Streams(seed).generator("temporal prediction")
-    methods = centroiders(bench.methods, psf)
+    methods = centroiders(bench, psf)
     linear: dict[str, list[FloatArray]] = {m: [] for m in methods}
     sampled: dict[str, list[FloatArray]] = {m: [] for m in methods}
     device: dict[str, list[FloatArray]] = {m: [] for m in methods}
     bound = []
     place = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
     for level in levels:
-        windows = expected_windows(replace(bench, signal_e=float(level)), instrument, direction, psf, place)
+        windows = expected_windows(
+            replace(bench, signal_e=float(level)), instrument, direction, psf, place, defect=defect
+        )
         bound.append(bound_px(windows, noise))
         for name, centroider in methods.items():
             gain = influence(centroider, instrument, windows)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from calib.flags import StarFlag, has_flag
 from calib.measure.centroid import Centroider
 from calib.records import NoiseModel, Stamps
+from experiments.laboratory.bench import Bench
 from experiments.laboratory.centroid_methods import method_centroiders
 from experiments.laboratory.readout.stamps import centre_of_gravity
 from optics.arrays import FloatArray
@@ -23,9 +24,10 @@ FEWEST_FRAMES = 2
 """A scatter needs two."""
 
 
-def centroiders(methods: Sequence[str], psf: Sequence[EffectivePsf]) -> dict[str, Centroider]:
-    """Centroiders by method; the PSF for all points is that of the middle one."""
-    return method_centroiders(methods, own=psf, reference=[psf[len(psf) // 2]] * len(psf))
+def centroiders(bench: Bench, psf: Sequence[EffectivePsf]) -> dict[str, Centroider]:
+    """Centroiders of the bench by method; the PSF for all points is that of the middle one."""
+    reference = [psf[len(psf) // 2]] * len(psf)
+    return method_centroiders(bench.methods, own=psf, reference=reference, measured=bench.epsf)
 
 
 def measured_positions(centroider: Centroider, stamps: Stamps, noise: NoiseModel, frames: int) -> FloatArray:

@@ -102,3 +102,13 @@ def test_each_place_gets_its_own_psf_or_all_get_the_same(template):
     assert [type(one).__name__ for one in made.values()] == ["CentreOfGravity", "Template", "Template"]
     assert all(a is b for a, b in zip(made["template"].epsf, own, strict=True))
     assert [one is own[1] for one in made["template_reference"].epsf] == [True] * 3
+
+
+def test_a_psf_built_from_frames_serves_every_place_and_must_be_there(template):
+    own = [psf(0), psf(1)]
+    made = method_centroiders(("epsf_measured",), own=own, reference=own, measured=psf(2))
+    np.testing.assert_array_equal([one.values for one in made["epsf_measured"].epsf], [psf(2).values] * 2)
+    with pytest.raises(ConfigError, match="needs an ePSF built from frames"):
+        method_centroiders(("epsf_measured",), own=own, reference=own)
+    assert "epsf_measured" not in list_methods()
+    assert MethodLabels()["epsf_measured"] == "ePSF fit (measured ePSF)"

@@ -129,7 +129,7 @@ def test_fixed_patterns_of_a_point_target(engine, bench_of, camera):
     readout = PointReadout(bench, camera, Streams(5), "middle")
     found = readout.measure(stars, expected, epsf_tracer(camera.camera))
     off2 = (found.mean_px["epsf"] - found.photon_px) ** 2 - found.sigma_px["epsf"] ** 2 / found.frames_used[..., None]
-    within(off2, found.pattern_px**2)
+    within(off2, found.pattern_px["epsf"] ** 2)
 
 
 def test_temporal_error_of_a_point_target(engine, bench_of, camera):

@@ -1,0 +1,176 @@
+"""Every term measured in the virtual laboratory, for every centroider of the bench on the same frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from experiments.budget.chromatic import measured_terms
+from experiments.budget.combine import Value, combine
+from experiments.budget.laboratory import Laboratory
+from experiments.budget.terms import Measurement, grid_streams, grid_target, marking, places_px, platform, step_plan
+from experiments.laboratory.centroid_methods import needs_measured_epsf
+from experiments.laboratory.distortion_error import DistortionMeasurement, measure_distortion
+from experiments.laboratory.epsf_session import epsf_session, measured_epsf
+from experiments.laboratory.high_frequency import HighFrequencyMeasurement, measure_high_frequency
+from experiments.laboratory.point_scene import PointScene, point_scene
+from experiments.laboratory.temporal_error import measure_temporal, target_place
+from optics.arrays import FloatArray
+from optics.units import ARCSEC_RAD
+from render.engine.random import Streams
+
+__all__ = ["measure_terms", "steps_of"]
+
+
+def measure_terms(
+    lab: Laboratory,
+    *,
+    advance: Callable[[], None] = lambda: None,
+    streams: Streams | None = None,
+) -> dict[str, Measurement]:
+    """Run the virtual laboratory for every term, and reduce its frames with every centroider.
+
+    Parameters
+    ----------
+    lab : Laboratory
+        The laboratory.
+    advance : callable
+        Called after every piece of work (`steps_of` of them).
+    streams : Streams, optional
+        Root of the noise; from the seed of the configuration if left out.
+
+    Raises
+    ------
+    DomainError
+        On points that are not detected, saturated or off the detector.
+    """
+    root = streams or Streams(lab.config.seed).child("budget", "measured")
+    instrument, grid = lab.instrument, lab.config.grid
+    scene = point_scene(lab.bench, instrument)
+    if _builds_epsf(lab):
+        epsf = measured_epsf(
+            lab.bench,
+            instrument,
+            platform(lab),
+            psf=scene.psfs(target_place(lab.bench, instrument)),
+            streams=root.child("ePSF"),
+            scene=scene,
+            advance=advance,
+        )
+        lab = lab.with_epsf(epsf)
+    temporal = measure_temporal(lab.bench, instrument, streams=root.child("TE"), scene=scene)
+    advance()
+    places = _step_tests(lab, scene, root.child("HSFE"), advance)
+    chromatic = measured_terms(lab, root.child("LSFE-S"), advance=advance)
+    distortion = measure_distortion(
+        lab.bench,
+        instrument,
+        grid_target(lab),
+        order=grid.order,
+        surveys=grid.surveys,
+        streams=grid_streams(lab),
+        scene=scene,
+        advance=advance,
+    )
+    found = {}
+    for method in lab.bench.methods:
+        hsfe, single, of_places = _over_places(lab, places, method)
+        every, rms, spread = _over_surveys(lab, distortion, method)
+        c1 = Value(
+            arcsec=rms[2],
+            uncertainty_arcsec=spread[2] / np.sqrt(len(every)),
+            n=len(every) * grid.rows * grid.columns,
+        )
+        term = {
+            "TE": _of_measured(temporal.te_arcsec(method)),
+            "HSFE": hsfe,
+            "LSFE-S": chromatic[method].value(),
+            "LSFE-C1": c1,
+            "LSFE-C2": marking(lab),
+        }
+        found[method] = Measurement(
+            budget=combine(term, stars=lab.config.attitude.stars),
+            single_arcsec=single,
+            left_arcsec=rms[1],
+            found_arcsec=rms[0],
+            one_survey_arcsec=every[0, 2],
+            survey_scatter_arcsec=spread[2],
+            surveyed_arcsec=_surveyed(distortion),
+            places_arcsec=of_places,
+            chromatic=chromatic[method],
+        )
+    return found
+
+
+def _builds_epsf(lab: Laboratory) -> bool:
+    return any(needs_measured_epsf(method) for method in lab.bench.methods)
+
+
+def steps_of(lab: Laboratory) -> int:
+    """How often `measure_terms` calls ``advance``."""
+    before = epsf_session(lab.bench).positions if _builds_epsf(lab) else 0
+    return before + 1 + lab.config.steps.places * lab.config.steps.positions + 4 + 2
+
+
+def _over_surveys(
+    lab: Laboratory, distortion: DistortionMeasurement, method: str
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """sigma_d, sigma_Dd, sigma_C1 [arcsec, 3 sigma] of every survey (q, 3, 2), their RMS and their scatter (3, 2)."""
+    every = distortion.over_surveys(method, lab.config.grid.reference) * (3.0 * lab.instrument.pixel_arcsec)
+    spread = every.std(0, ddof=1) if len(every) > 1 else np.full((3, 2), np.nan)
+    return every, np.sqrt((every**2).mean(0)), spread
+
+
+def _surveyed(distortion: DistortionMeasurement) -> FloatArray:
+    """Scatter (2,) [arcsec, 3 sigma] of the surveyed places about the true ones, in the plane of the target."""
+    plane, true = (v[..., :2] / v[..., 2:] for v in (distortion.surveyed, distortion.direction))
+    return np.asarray(3.0 * np.sqrt(((plane - true) ** 2).mean((0, 1))) / ARCSEC_RAD)
+
+
+def _of_measured(pair: Sequence[Any]) -> Value:
+    return Value(
+        arcsec=np.array([one.value for one in pair]),
+        uncertainty_arcsec=np.array([one.uncertainty for one in pair]),
+        n=int(pair[0].n),
+    )
+
+
+def _step_tests(
+    lab: Laboratory, scene: PointScene, streams: Streams, advance: Callable[[], None]
+) -> list[HighFrequencyMeasurement]:
+    """The step test at every place."""
+    return [
+        measure_high_frequency(
+            lab.bench,
+            lab.instrument,
+            platform(lab),
+            step_plan(lab),
+            place_px=place.tolist(),
+            split=False,
+            streams=streams.child(f"place {number}"),
+            scene=scene,
+            advance=advance,
+        )
+        for number, place in enumerate(places_px(lab))
+    ]
+
+
+def _over_places(
+    lab: Laboratory, places: Sequence[HighFrequencyMeasurement], method: str
+) -> tuple[Value, FloatArray, FloatArray]:
+    """HSFE over all places (RMS), of one position, and of every place (q, 2)."""
+    scale = 3.0 * lab.instrument.pixel_arcsec
+    pairs = [one.document_arcsec(method) for one in places]
+    squares = np.array([[one.value**2 for one in pair] for pair in pairs])
+    errors = np.array([[2.0 * one.value * (one.uncertainty or 0.0) for one in pair] for pair in pairs])
+    single = np.array([(one.single_px(method) * scale) ** 2 for one in places])
+    value = np.sqrt(squares.mean(0))
+    spread = np.sqrt((errors**2).sum(0)) / len(errors) / np.maximum(2.0 * value, 1e-300)
+    count = sum(int(pair[0].n or 0) for pair in pairs)
+    return (
+        Value(arcsec=value, uncertainty_arcsec=spread, n=count),
+        np.sqrt(single.mean(0)),
+        np.sqrt(squares),
+    )

@@ -1,0 +1,183 @@
+"""Every term predicted without frames, for every centroider of the bench, by `experiments.laboratory`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.budget.chromatic import predicted_terms, trace_target
+from experiments.budget.combine import Value, combine
+from experiments.budget.laboratory import Laboratory
+from experiments.budget.terms import (
+    PredictedTerms,
+    Psfs,
+    grid_streams,
+    grid_target,
+    marking,
+    places_px,
+    platform,
+    step_plan,
+)
+from experiments.laboratory.centroid_methods import needs_measured_epsf
+from experiments.laboratory.distortion_model import marking_errors, predict_distortion, predicted_numbers
+from experiments.laboratory.epsf_session import predicted_epsf
+from experiments.laboratory.high_frequency_model import MethodPrediction, predict_high_frequency
+from experiments.laboratory.targets import grid_directions
+from experiments.laboratory.temporal_error import predict_temporal, small_sample_factor, target_place
+from optics.arrays import FloatArray
+from render.detector.maps import sensor_maps
+
+__all__ = ["predict_terms"]
+
+STEP_NOISE_DRAWS = 60
+"""Noisy copies of each window of the step test: their mean is then good to an eighth of the noise of a frame."""
+
+_STEP_PARTS = {"document": "document_px", "single": "single_px", "roll": "roll_px"}
+_CAUSES = {"S-curve": "s_curve", "PRNU": "prnu", "offset pattern": "pattern", "defects": "defects"}
+
+
+def predict_terms(
+    lab: Laboratory,
+    *,
+    psfs: Psfs | None = None,
+    draws: int = 200,
+    step_draws: int = 200,
+    coarse: bool = False,
+) -> dict[str, PredictedTerms]:
+    """Predict every term, by centroider.
+
+    Parameters
+    ----------
+    lab : Laboratory
+        The laboratory.
+    psfs : Psfs, optional
+        Where PSFs are kept between calls.
+    draws : int
+        Noisy copies behind the temporal term, half of those behind the distortion term.
+    step_draws : int
+        Drawn chips behind the pixel term.
+    coarse : bool
+        Whether the step test is predicted for equal steps at one place, and for a chip without bad pixels.
+    """
+    psfs = psfs or Psfs()
+    instrument, seed = lab.instrument, lab.config.seed
+    psf = psfs.of(lab, lab.bench, "place 0", target_place(lab.bench, instrument))
+    if any(needs_measured_epsf(method) for method in lab.bench.methods):
+        lab = lab.with_epsf(predicted_epsf(lab.bench, instrument, psf, seed=seed))
+    defect = None if coarse else sensor_maps(instrument.detector).defect
+    scale = 3.0 * instrument.pixel_arcsec
+    temporal = predict_temporal(lab.bench, instrument, psf=psf, draws=draws, defect=defect, seed=seed)
+    steps = _steps(lab, psfs, step_draws, defect, coarse=coarse)
+    traced = psfs.once(lab, lab.filtered, "chromatic", lambda: trace_target(lab))
+    chromatic = predicted_terms(lab, traced, draws=draws, defect=defect)
+    distortion = _distortion(lab, psfs, draws, defect)
+    alone = _marking_alone_px(lab)
+    # the document's mean over standard deviations of N frames
+    short = small_sample_factor(lab.config.frames)
+    found = {}
+    for method in lab.bench.methods:
+        te = Value(
+            arcsec=short * temporal.sampled_te_arcsec(method),
+            uncertainty_arcsec=short * temporal.te_uncertainty_arcsec(method),
+        )
+        hsfe, causes, single = steps[method]
+        number, spread = (v * scale for v in distortion[method])
+        term = {
+            "TE": te,
+            "HSFE": hsfe,
+            "LSFE-S": chromatic[method].value(),
+            "LSFE-C1": Value(arcsec=number[2], uncertainty_arcsec=spread[2]),
+            "LSFE-C2": marking(lab),
+        }
+        found[method] = PredictedTerms(
+            budget=combine(term, stars=lab.config.attitude.stars),
+            bound_te_arcsec=temporal.bound_te_arcsec(),
+            causes_arcsec=causes,
+            single_arcsec=single,
+            left_arcsec=number[1],
+            found_arcsec=number[0],
+            marking_alone_arcsec=alone * scale,
+            chromatic=chromatic[method],
+            window_px=lab.bench.window_px,
+        )
+    return found
+
+
+def _steps(
+    lab: Laboratory, psfs: Psfs, draws: int, defect: NDArray[np.bool_] | None, *, coarse: bool
+) -> dict[str, tuple[Value, dict[str, FloatArray], FloatArray]]:
+    """HSFE, its causes and the error of one position, by centroider: RMS over every second place of the test."""
+    bench, instrument = lab.bench, lab.instrument
+    places = places_px(lab)[:: 2 if not coarse else len(places_px(lab))]  # the field changes slowly
+    predicted = []
+    for number, middle in enumerate(places):
+        direction = target_place(bench, instrument, middle.tolist())
+        one = predict_high_frequency(
+            bench,
+            instrument,
+            step_plan(lab),
+            psf=psfs.of(lab, bench, f"place {number}", direction),
+            hexapod=replace(platform(lab), step_error_arcsec=0.0) if coarse else platform(lab),
+            place_px=middle.tolist(),
+            defect=defect,
+            draws=draws,
+            noise_draws=STEP_NOISE_DRAWS // 3 if coarse else STEP_NOISE_DRAWS,
+            seed=lab.config.seed + number,
+        )
+        predicted.append(one.method)
+    return {method: _over_places(lab, [one[method] for one in predicted]) for method in bench.methods}
+
+
+def _over_places(lab: Laboratory, found: list[MethodPrediction]) -> tuple[Value, dict[str, FloatArray], FloatArray]:
+    """RMS over places; the uncertainty is the scatter of the measured number: other chips, other noise, other paths."""
+    scale, parts = 3.0 * lab.instrument.pixel_arcsec, _parts(found)
+    mean = {label: np.sqrt(np.mean(np.square(values), axis=0)) for label, values in parts.items()}
+    whole, scatters = mean["document"], [one.document_px * one.scatter_px for one in found]
+    spread = np.sqrt(np.square(scatters).mean(0) / lab.config.steps.places) / np.maximum(whole, 1e-300)
+    causes = {label: mean[label] * scale for label in _CAUSES}
+    causes |= {"averaged noise": mean["noise"] * scale, "roll of the platform": mean["roll"] * scale}
+    return Value(arcsec=whole * scale, uncertainty_arcsec=spread * scale), causes, mean["single"] * scale
+
+
+def _parts(found: list[MethodPrediction]) -> Mapping[str, list[FloatArray]]:
+    """What is predicted at each place (2,), by name."""
+    parts = {label: [getattr(one, name) for one in found] for label, name in _STEP_PARTS.items()}
+    parts |= {label: [one.cause_px[key] for one in found] for label, key in _CAUSES.items()}
+    return parts | {"noise": [np.hypot(one.temporal_px, one.dark_px) for one in found]}
+
+
+def _distortion(
+    lab: Laboratory, psfs: Psfs, draws: int, defect: NDArray[np.bool_] | None
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """sigma_d, sigma_Dd, sigma_C1 (3, 2) [px], and the scatter of their RMS over the surveys of a chip and a run."""
+    bench, grid, target = lab.bench, lab.config.grid, grid_target(lab)
+    direction = grid_directions(target, lab.instrument, grid_streams(lab).generator("target"))
+    predicted = predict_distortion(
+        bench,
+        lab.instrument,
+        target,
+        direction,
+        psf=psfs.of(lab, bench, "grid", direction),
+        order=grid.order,
+        references=(grid.reference,),
+        noise_draws=2 * draws,
+        defect=defect,
+        seed=lab.config.seed,
+    )
+    return {
+        method: (
+            predicted.mean_px[method][grid.reference],
+            predicted.of_surveys_px(method, grid.reference, grid.surveys),
+        )
+        for method in bench.methods
+    }
+
+
+def _marking_alone_px(lab: Laboratory) -> FloatArray:
+    """sigma_C1 (2,) [px] of marking errors alone."""
+    grid, target = lab.config.grid, grid_target(lab)
+    direction = grid_directions(target, lab.instrument, grid_streams(lab).generator("target"))
+    return predicted_numbers(marking_errors(target, lab.instrument, direction), grid.order, grid.reference).rms_px[2]

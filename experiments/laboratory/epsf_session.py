@@ -1,0 +1,128 @@
+"""One effective PSF built from frames of the point target, and the same from what is known without frames.
+
+As a laboratory does it before its tests: the target stands at one place of the field, the platform steps the image to
+other fractions of a pixel, and the frames of each position are added up. The PSF that comes out is the mean over the
+target, with the noise of those frames and the response pattern of those pixels in it, and it serves the whole field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.measure.epsf_build import build_epsf
+from calib.records import NoiseModel, Stamps
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.hexapod import Hexapod, turned
+from experiments.laboratory.high_frequency import StepPlan
+from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.point_noise import expected_windows
+from experiments.laboratory.point_scene import PointScene, one_filter
+from experiments.laboratory.readout.stamps import centre_of_gravity, dark_subtracted
+from experiments.laboratory.readout.windows import WindowReader
+from experiments.laboratory.temporal_error import target_place
+from optics.arrays import FloatArray
+from render.engine.random import Streams
+from render.records import EffectivePsf
+
+__all__ = ["epsf_session", "measured_epsf", "predicted_epsf"]
+
+POSITIONS, STAMPS = 5, 20
+"""Steps of a fifth of a pixel cover it along both axes; a PSF of four samples per pixel needs 16 stars at least."""
+
+
+def epsf_session(bench: Bench) -> StepPlan:
+    """Positions of the session: more of them where the target has few points."""
+    points = bench.target.rows * bench.target.columns
+    return StepPlan(positions=max(POSITIONS, -(-STAMPS // points)), step_px=1.0 / POSITIONS, direction_deg=45.0)
+
+
+def measured_epsf(
+    bench: Bench,
+    instrument: Instrument,
+    hexapod: Hexapod,
+    *,
+    psf: Sequence[EffectivePsf],
+    streams: Streams,
+    scene: PointScene,
+    advance: Callable[[], None] = lambda: None,
+) -> EffectivePsf:
+    """Effective PSF from frames of the target in the middle of the first chip.
+
+    Parameters
+    ----------
+    bench, instrument, hexapod, scene
+        The laboratory.
+    psf : sequence of EffectivePsf
+        Of the target's points; where the windows stand depends on them, the result does not.
+    streams : Streams
+        Root of the noise.
+    advance : callable
+        Called after each position.
+
+    Raises
+    ------
+    DomainError
+        On points that are not detected, or too few that can be used.
+    """
+    path = epsf_session(bench).path(instrument, hexapod, streams.generator("hexapod"))
+    parts = []
+    for number, direction in enumerate(turned(target_place(bench, instrument), path.true_rad)):
+        here = streams.child("position", number)
+        light = scene.light(direction, here, f"ePSF, position {number + 1}", psf=psf)
+        reader = WindowReader(instrument, here)
+        stack = reader.expose(light.light_e, light.corner_px, frames=bench.frames, label="lamp")
+        dark_e = reader.dark(light.corner_px, bench.window_px, frames=bench.dark_frames)
+        stamps, _ = dark_subtracted(stack, dark_e)
+        added = stamps.electrons.reshape(bench.frames, *light.light_e.shape).sum(0)
+        parts.append((added, ~stack.defect, light.corner_px))
+        advance()
+    return _built(parts, bench, instrument)
+
+
+def predicted_epsf(bench: Bench, instrument: Instrument, psf: Sequence[EffectivePsf], *, seed: int) -> EffectivePsf:
+    """The same without frames: PSFs and traced places, noise and response drawn with NumPy.
+
+    Parameters
+    ----------
+    bench, instrument
+        The laboratory.
+    psf : sequence of EffectivePsf
+        Of the target's points (`PointScene.psfs`).
+    seed : int
+        Of the draws.
+    """
+    rng, noise, frames = Streams(seed).generator("predicted ePSF"), instrument.pixel_noise(), bench.frames
+    ideal = Hexapod(step_error_arcsec=0.0, roll_error_arcsec=0.0, reading_error_arcsec=0.0)
+    path, parts = epsf_session(bench).path(instrument, ideal, rng), []
+    for direction in turned(target_place(bench, instrument), path.commanded_rad):
+        windows = expected_windows(one_filter(bench), instrument, direction[None], psf)
+        light = windows.light_e * (1.0 + noise.prnu * rng.standard_normal(windows.light_e.shape))
+        spread = np.sqrt(noise.temporal_e2(light, frames=frames, dark_frames=bench.dark_frames))
+        added = frames * (light + spread * rng.standard_normal(light.shape))
+        parts.append((added, windows.valid, windows.corner_px))
+    return _built(parts, bench, instrument)
+
+
+def _built(
+    parts: Sequence[tuple[FloatArray, NDArray[np.bool_], NDArray[np.int64]]], bench: Bench, instrument: Instrument
+) -> EffectivePsf:
+    """PSF from sums of frames (j, h, w), usable pixels and first pixels of every position."""
+    electrons, valid, corner = (np.concatenate(one) for one in zip(*parts, strict=True))
+    electrons, points = np.where(valid, electrons, 0.0), len(parts[0][0])
+    stamps = Stamps(
+        electrons=electrons,
+        valid=valid,
+        corner_px=corner,
+        background_e=np.zeros(len(electrons)),
+        start_px=corner + centre_of_gravity(electrons),
+        flags=np.zeros(len(electrons), np.uint32),
+        psf_index=np.zeros(len(electrons), np.int64),
+    )
+    # the sum of N frames and N mean dark frames; its photons are a Poisson variate as those of one frame are
+    floor_e2 = instrument.pixel_noise().floor_e2 * bench.frames * (1.0 + bench.frames / bench.dark_frames)
+    star, position = np.tile(np.arange(points), len(parts)), np.repeat(np.arange(len(parts)), points)
+    noise = NoiseModel(read_noise_e=float(np.sqrt(floor_e2)))
+    return build_epsf(stamps, noise, star_index=star, frame_index=position).epsf
