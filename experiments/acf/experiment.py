@@ -25,6 +25,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     """
     from experiments.acf.checks import check_design
     from experiments.acf.expected import expected_results
+    from experiments.acf.independent import check_night
     from experiments.acf.inference import infer
     from experiments.acf.monte_carlo import perform
     from experiments.acf.points import make_plan
@@ -42,16 +43,20 @@ def run(config: Config, *, progress: Progress) -> Result:
         expected = expected_results(config, plan, inferred_um)
     with progress.stage("Monte Carlo", total=sum(plan.runs(config, point) for point in plan.points)) as stage:
         trials = perform(config, plan, advance=stage.advance)
+    stars = sky_of(config, plan.table2, 0).stars
+    with progress.stage("equations written out"):
+        check = check_night(config, scene, stars)
     rendered = calibrate_rendered(config, progress)
     return Result(
         config=config,
         scene=scene,
-        stars=sky_of(config, plan.table2, 0).stars,
+        stars=stars,
         plan=plan,
         trials=trials,
         expected=expected,
         inference=inference,
         rendered=rendered,
+        check=check,
     )
 
 

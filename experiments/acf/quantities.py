@@ -69,6 +69,12 @@ def describe(result: Result) -> Quantities:
     _gains(q, result)
     _inference(q, result)
     _failures(q, result)
+    for name, label, unit in (
+        ("images_off_px", "Stars off where eq. 1 to 6 put them, largest", "px"),
+        ("adjusted_off_sigma", "Unknowns off those of eq. 11 written out, largest", "sigma"),
+        ("moved_part", "Known moves of stars and sky, part that did not come back", ""),
+    ):
+        q.add(name, getattr(result.check, name), label, unit=unit, format=".1e", json=f"independent.{name}")
     return q
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from experiments.acf.expected import ExpectedResults
+from experiments.acf.independent import Check
 from experiments.acf.inference import Inference
 from experiments.acf.monte_carlo import Trials
 from experiments.acf.points import Plan
@@ -41,6 +42,8 @@ class Result:
         Pixel and stars from the document's own numbers.
     rendered : Outcome or None
         The calibration on rendered frames, by the experiment ``skycal``.
+    check : Check
+        The same night and adjustment by equations written out.
     """
 
     config: Config
@@ -51,3 +54,4 @@ class Result:
     expected: ExpectedResults
     inference: Inference
     rendered: Outcome | None
+    check: Check
