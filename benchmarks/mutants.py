@@ -27,6 +27,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -165,22 +166,25 @@ class Study:
 
     def __init__(self, results: Path, mutants: Sequence[Mutant], *, every: bool) -> None:
         self.path, self.mutants, self.every = results, mutants, every
+        self._lock = threading.RLock()
         self.found: dict[str, Any] = json.loads(results.read_text(encoding="utf-8")) if results.exists() else {}
 
     def entry(self, mutant: Mutant) -> dict[str, Any]:
         """What is known of a mutant; nothing, if its change is not the one that was made then."""
         change = {"file": mutant.file, "old": mutant.old, "new": mutant.new}
-        known = self.found.get(mutant.name)
-        if known is None or known["change"] != change:
-            self.found[mutant.name] = known = {"change": change, "criteria": {}}
-        return known
+        with self._lock:
+            known = self.found.get(mutant.name)
+            if known is None or known["change"] != change:
+                self.found[mutant.name] = known = {"change": change, "criteria": {}}
+            return known
 
     def save(self) -> None:
         """Write what was found so far, at once or not at all."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        beside = self.path.with_suffix(".part")
-        beside.write_text(json.dumps(self.found, indent=1, ensure_ascii=False), encoding="utf-8")
-        beside.replace(self.path)
+        with self._lock:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            beside = self.path.with_suffix(".part")
+            beside.write_text(json.dumps(self.found, indent=1, ensure_ascii=False), encoding="utf-8")
+            beside.replace(self.path)
 
     def forget_missed(self) -> None:
         """Let what nobody noticed be tried again, and the unbroken runs with it."""
@@ -194,26 +198,33 @@ class Study:
         """Which test notices."""
         entry = self.entry(mutant)
         if "test" not in entry:
-            entry["test"] = self._broken(mutant, copy, lambda: failing_test(copy, mutant.tests))
+            noticed = self._broken(mutant, copy, lambda: failing_test(copy, mutant.tests))
+            with self._lock:
+                entry["test"] = noticed
 
     def criteria(self, mutant: Mutant, copy: Copy) -> None:
         """Which criteria notice, experiment by experiment."""
-        known, unbroken = self.entry(mutant)["criteria"], self.found["unbroken"]
+        known = self.entry(mutant)["criteria"]
         for experiment in mutant.experiments:
             if experiment not in known:
                 failed = self._broken(mutant, copy, lambda name=experiment: failing_criteria(copy, name))
-                known[experiment] = [name for name in failed if name not in unbroken[experiment]]
+                unbroken = self.unbroken(experiment, copy) if failed else []
+                with self._lock:
+                    known[experiment] = [name for name in failed if name not in unbroken]
+                    self.save()
             if known[experiment] and not self.every:
                 return
 
-    def unbroken_criteria(self, experiment: str, copy: Copy) -> None:
+    def unbroken(self, experiment: str, copy: Copy) -> list[str]:
         """What does not hold without any mutant; where the run ends with an error, nothing can be said."""
-        unbroken = self.found.setdefault("unbroken", {})
-        if experiment not in unbroken:
-            failed = failing_criteria(copy, experiment)
-            if failed and failed[0].startswith(ENDS):
-                sys.exit(f"{experiment} without any mutant: {failed[0]}")
-            unbroken[experiment] = failed
+        with self._lock:
+            unbroken = self.found.setdefault("unbroken", {})
+            if experiment not in unbroken:
+                failed = failing_criteria(copy, experiment)
+                if failed and failed[0].startswith(ENDS):
+                    sys.exit(f"{experiment} without any mutant: {failed[0]}")
+                unbroken[experiment] = failed
+            return list(unbroken[experiment])
 
     @staticmethod
     def _broken(mutant: Mutant, copy: Copy, what: Callable[[], Any]) -> Any:
@@ -254,7 +265,9 @@ def row(mutant: Mutant, entry: dict[str, Any]) -> str:
     test = entry.get("test", "")
     test = f"`{test.rsplit('/', 1)[-1].replace('.py::', ': ')}`" if test else "**none**"
     noticed = "; ".join(f"{name}: {failed[0]}" for name, failed in entry["criteria"].items() if failed)
-    asked = f"none of {', '.join(mutant.experiments)}" if mutant.experiments else "none"
+    run, left = list(entry["criteria"]), [name for name in mutant.experiments if name not in entry["criteria"]]
+    asked = f"none of {', '.join(run)}" if run else "no experiment is expected to" if not left else ""
+    asked += f"{'; ' if asked else ''}not run: {', '.join(left)}" if left else ""
     cells = f"`{mutant.file}`", f"{mutant.equation} ({mutant.source})", mutant.fault, test, noticed or asked
     return f"| {' | '.join(text.replace('|', chr(92) + '|') for text in cells)} |"
 
@@ -327,9 +340,6 @@ def main() -> None:
                 copies.put(copy)
             in_copies(copies, study, study.tests, todo)
         if not (asked.tests_only or asked.table):
-            in_copies(
-                copies, study, study.unbroken_criteria, sorted({name for one in chosen for name in one.experiments})
-            )
             in_copies(copies, study, study.criteria, chosen)
     for mutant in chosen:
         entry = study.entry(mutant)
