@@ -68,7 +68,7 @@ def fit_stages(
     for stage in stages[:-1]:
         problem = make(stage)
         if loss.redescending:
-            state, _, count = _lower_scale(problem, state, loss)
+            state, _, count = _descended(problem, state, loss)
         else:
             fit = solve(problem, state, loss=loss, tolerance=1.0, slack=0.02, max_iterations=60)
             state, count = fit.state, fit.solution.iterations
