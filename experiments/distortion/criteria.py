@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Criterion, farthest_from_one
-from experiments.laboratory.criteria import centroids_on_the_light, pixel_angle
+from experiments.laboratory import as_printed
+from experiments.laboratory.criteria import as_the_paper, centroids_on_the_light, pixel_angle
 from experiments.laboratory.distortion_statistics import REFERENCES
+from experiments.laboratory.target import nudged
+from optics.arrays import FloatArray
 
 __all__ = ["criteria"]
 
@@ -65,7 +70,49 @@ def criteria(outcome: Outcome) -> list[Criterion]:
             limit=0.1 + 3.0 * sampling,
         )
     )
-    found.append(pixel_angle(outcome.result.instrument))
-    measured = outcome.result.measured
+    return [*found, *_end_to_end(outcome)]
+
+
+def _end_to_end(outcome: Outcome) -> list[Criterion]:
+    """By paths that share no equation with the reduction: known errors, the printed equations, the light itself."""
+    config, measured, instrument = outcome.config, outcome.result.measured, outcome.result.instrument
     test = {method: measured.session_px[method][1] for method in config.methods}
-    return [*found, *centroids_on_the_light("", test, measured.light.photon_px)]
+    direction, camera = measured.surveyed[0], instrument.camera
+    scale = instrument.focal_length_mm / camera.pixel_pitch_mm
+    coordinate = camera.centre_px + scale * np.column_stack([direction[:, k] / direction[:, 2] for k in (0, 1)])
+    stated = outcome.value("pixel_arcsec")
+    reported = [outcome.values("one_survey_arcsec", method=m, reference="nominal") for m in config.methods]
+    printed = [as_printed.distortion_arcsec(test[m], coordinate, config.order, stated) for m in config.methods]
+    found = [as_the_paper("σδ, σΔδ, σC1 of one survey, nominal coordinates", reported, printed, "arcsec")]
+    if 2 * len(coordinate) >= (config.order + 2) * (config.order + 3):  # enough for one degree more
+        found.append(_bent_target(outcome, coordinate))
+    return [*found, pixel_angle(instrument), *centroids_on_the_light("", test, measured.light.photon_px)]
+
+
+def _bent_target(outcome: Outcome, coordinate_px: FloatArray) -> Criterion:
+    """The reduction with target coordinates (n, 2) that are wrong by known polynomials.
+
+    In x by one of the fitted degree that is orthogonal to all lower ones, in y by one of the next degree that is so:
+    all of the first is removed, all of the second is left. Bent both ways, the mean of the squares less the square
+    without has no product of the bend with anything else.
+    """
+    measured, order = outcome.result.measured, outcome.config.order
+    size_px, points = np.array([1.0, 0.5]), len(coordinate_px)
+    x, y = ((coordinate_px - coordinate_px.mean(0)) / np.ptp(coordinate_px, axis=0)).T
+    bend = np.empty((points, 2))
+    for axis, degree in enumerate((order, order + 1)):
+        lower = np.column_stack([x**a * y**b for a in range(degree) for b in range(degree - a)])
+        new = x**degree - lower @ np.linalg.lstsq(lower, x**degree, rcond=None)[0]
+        bend[:, axis] = size_px[axis] * new / np.sqrt((new**2).mean())
+    square = []
+    for way in (1.0, -1.0, 0.0):
+        surveyed = nudged(outcome.result.instrument, measured.surveyed[0], way * bend)[None]
+        one = replace(measured, surveyed=surveyed).statistics(outcome.config.methods[0], "nominal")
+        square.append(np.array([one.sigma_d_px, one.sigma_left_px, one.sigma_c1_px]) ** 2)
+    grown = (0.5 * (square[0] + square[1]) - square[2]) * (points - 1.0) / (points * size_px**2)
+    return Criterion(
+        name=f"target bent by a polynomial of degree {order} in x, {order + 1} in y: its share (x y) in σδ² is 1 1, "
+        "in σΔδ² 0 1, in σC1² 1 0; largest difference",
+        value=float(np.abs(grown - np.array([[1.0, 1.0], [0.0, 1.0], [1.0, 0.0]])).max()),
+        limit=0.05,
+    )

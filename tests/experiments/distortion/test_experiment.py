@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.laboratory.distortion_statistics import distortion_statistics
 from render.sensor import StarSensor
 
 ROWS, COLUMNS, ORDER, SURVEYS, MARKING_ARCSEC = 4, 5, 2, 100, 2.0
@@ -58,3 +59,40 @@ def test_a_wrong_angle_of_a_pixel_is_noticed(run, failing, monkeypatch):
     right = run.result.instrument.pixel_arcsec
     monkeypatch.setattr(StarSensor, "pixel_arcsec", property(lambda self: 1.01 * right))
     assert "angle of a pixel over that of two traced bundles beside the axis" in failing("distortion", run.result)
+
+
+def changed(**fields):
+    """Another result of eq. 21-30: fields of the right one, changed."""
+
+    def wrong(place, d_px, order):
+        right = distortion_statistics(place, d_px, order)
+        return replace(right, **{name: change(right) for name, change in fields.items()})
+
+    return wrong
+
+
+def lower(place, d_px, order):
+    return distortion_statistics(place, d_px, order - 1)
+
+
+def divided_by_w(place, d_px, order):
+    factor = np.sqrt((len(place) - 1) / len(place))
+    right = distortion_statistics(place, d_px, order)
+    numbers = ("sigma_d_px", "sigma_left_px", "sigma_c1_px")
+    return replace(right, **{name: factor * getattr(right, name) for name in numbers})
+
+
+@pytest.mark.parametrize(
+    ("mutant", "noticed"),
+    [
+        pytest.param(changed(sigma_c1_px=lambda s: s.sigma_left_px), "target bent", id="C1: what is left"),
+        pytest.param(changed(sigma_c1_px=lambda s: s.sigma_d_px - s.sigma_left_px), "target bent", id="linear"),
+        pytest.param(changed(sigma_d_px=lambda s: s.sigma_d_px[::-1]), "target bent", id="x and y exchanged"),
+        pytest.param(changed(sigma_d_px=lambda s: np.sqrt((s.d_px**2).mean(0))), "printed equation", id="RMS"),
+        pytest.param(lower, "target bent", id="an order too low"),
+        pytest.param(divided_by_w, "printed equation", id="divisor W for W - 1"),
+    ],
+)
+def test_a_wrong_equation_is_noticed(run, broken, failing, mutant, noticed):
+    broken(distortion_statistics, mutant)
+    assert [name for name in failing("distortion", run.result) if noticed in name]
