@@ -114,5 +114,5 @@ def _bent_target(outcome: Outcome, coordinate_px: FloatArray) -> Criterion:
         name=f"target bent by a polynomial of degree {order} in x, {order + 1} in y: its share (x y) in σδ² is 1 1, "
         "in σΔδ² 0 1, in σC1² 1 0; largest difference",
         value=float(np.abs(grown - np.array([[1.0, 1.0], [0.0, 1.0], [1.0, 0.0]])).max()),
-        limit=0.05,
+        limit=0.01,
     )
