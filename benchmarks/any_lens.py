@@ -19,13 +19,24 @@ import numpy as np
 
 REFERENCE = "star_camera_206mm"
 NAMES = ("chromatic", "temporal", "hsfe", "distortion", "budget", "turntable", "fisher")
-LENSES = ("star_tracker_26mm", "double_gauss_50mm", str(Path(__file__).parents[1] / "docs/examples/triplet_50mm.toml"))
+SETTINGS = (  # a window that all these lenses fill
+    "instrument.detector=cmv4000",
+    "instrument.width_px=1024",
+    "instrument.height_px=1024",
+    "instrument.defocus_mm=0",
+    "instrument.absorption=false",
+)
+LENSES = (
+    "star_tracker_26mm",
+    "double_gauss_50mm",
+    str(Path(__file__).parents[1] / "docs/examples/triplet_50mm/lens.toml"),
+)
 
 
 def processor_seconds(name: str, lens: str, folder: Path) -> tuple[float, str]:
     """Processor time of a run [s], and what it ended with if that is no result."""
     out = Path(tempfile.mkdtemp(dir=folder)) / "out"
-    settings = [f"instrument.lens={lens}", "instrument.detector=cmv4000", "instrument.absorption=false"]
+    settings = [f"instrument.lens={lens}", *SETTINGS]
     command = [sys.executable, "-m", f"experiments.{name}", "--quick", "--out", str(out)]
     before = os.times()
     done = subprocess.run(
@@ -44,7 +55,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=1)
     options = parser.parse_args()
     lenses = [REFERENCE, *options.lenses]
-    print("| experiment | " + " | ".join(Path(lens).stem for lens in lenses) + " |")
+    print("| experiment | " + " | ".join(lens if "/" not in lens else Path(lens).parent.name for lens in lenses) + " |")
     print("|---" * (len(lenses) + 1) + "|")
     with tempfile.TemporaryDirectory() as folder:
         for name in options.names:

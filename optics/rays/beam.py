@@ -88,21 +88,23 @@ class _Apertures:
 
     def trace(
         self, x: FloatArray, y: FloatArray, direction: FloatArray, wave: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Largest height (...) of rays on any aperture in radii of it, infinite where they miss; place at the stop."""
-        highest, stop = np.zeros(x.shape), np.zeros((2, *x.shape))
+    ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
+        """Largest height (...) of rays on any aperture in radii of it, infinite where they miss; on which; the stop."""
+        highest, which, stop = np.zeros(x.shape), np.full(x.shape, -1), np.zeros((2, *x.shape))
 
         def visit(number: int, rays: Rays) -> None:
             if number == self.stop:
                 stop[:] = rays.x, rays.y
             if number in self.radius:
-                np.maximum(highest, np.hypot(rays.x, rays.y) / self.radius[number], out=highest)  # NaN stays NaN
+                height = np.hypot(rays.x, rays.y) / self.radius[number]
+                which[height > highest] = number
+                np.maximum(highest, height, out=highest)  # NaN stays NaN
 
         rays = Rays.create(x_mm=x, y_mm=y, z_mm=self.z_mm, direction=direction, wavelength_nm=wave)
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             status = trace_program(self.program, self.theta, rays, NUMPY, visit).status
         through = np.isfinite(highest) & ((status == OK) | (status == VIGNETTED))
-        return np.where(through, highest, np.inf), stop[0] / self.unit_mm, stop[1] / self.unit_mm
+        return np.where(through, highest, np.inf), which, stop[0] / self.unit_mm, stop[1] / self.unit_mm
 
 
 def find_beams(lens: LensSystem, v_cam: FloatArray, wavelength_nm: ArrayLike, *, rings: int, arms: int) -> Beams:
@@ -134,19 +136,20 @@ def find_beams(lens: LensSystem, v_cam: FloatArray, wavelength_nm: ArrayLike, *,
     wave = np.broadcast_to(picks, direction.shape[:2])
     centre, lit = _centres(apertures, direction, wave)
     count = max(arms, LEAST_ARMS)
-    radius = _outline(apertures, centre, lit, direction, wave, count)
+    radius, rim = _outline(apertures, centre, lit, direction, wave, count)
     harmonic = np.abs(np.fft.rfft(radius, axis=-1))[..., -2:].max(-1) * 2.0 / count
     if (harmonic > SMOOTH * np.maximum(radius.mean(-1), 1e-300)).any():
         count *= FINER
-        radius = _outline(apertures, centre, lit, direction, wave, count)
+        radius, rim = _outline(apertures, centre, lit, direction, wave, count)
+    share = _shares(radius, rim)
     radius = np.where(lit[..., None], radius, 0.0)
-    radius, centre = (np.einsum("wp,fpm->fwm", factors, v) for v in (radius, centre))
+    radius, share, centre = (np.einsum("wp,fpm->fwm", factors, v) for v in (radius, share, centre))
     node, weight = np.polynomial.legendre.leggauss(rings)
     part = np.sqrt(0.5 * (1.0 + node))[:, None]
     azimuth = _azimuth(count)
     reach = radius[..., None, :] * part
     x, y = (centre[..., axis, None, None] + reach * v for axis, v in enumerate((np.cos(azimuth), np.sin(azimuth))))
-    area = radius[..., None, :] ** 2 * (0.5 * weight[:, None] * np.pi / count)
+    area = (radius**2 * share)[..., None, :] * (0.5 * weight[:, None] * np.pi / count)
     shape = (*radius.shape[:2], rings * count)
     return Beams(z_mm=apertures.z_mm, x_mm=x.reshape(shape), y_mm=y.reshape(shape), area_mm2=area.reshape(shape))
 
@@ -154,6 +157,27 @@ def find_beams(lens: LensSystem, v_cam: FloatArray, wavelength_nm: ArrayLike, *,
 def _azimuth(count: int) -> FloatArray:
     """Equidistant azimuths [rad]; for multiples of four points lie symmetrically about both axes."""
     return 2.0 * np.pi * (np.arange(count) + 0.5) / count
+
+
+def _shares(radius: FloatArray, rim: IntArray) -> FloatArray:
+    """Weights (f, p, m) of the azimuths, 1 where the outline is smooth.
+
+    At a kink between two azimuths, a steps after the first and b before the second, the sum of a periodic function is
+    short of the integral by (a b / 2 - 1 / 12) times the drop of its slope per step: the triangle above the chord, less
+    the end terms of the Euler-Maclaurin formula on both sides. The slopes are those of the steps beside it.
+    """
+    before, after, beyond = (np.roll(radius, -k, axis=-1) - np.roll(radius, -k + 1, axis=-1) for k in (0, 1, 2))
+    bend = before - beyond
+    aperture = [np.roll(rim, -k, axis=-1) for k in (-1, 0, 1, 2)]
+    kink = (aperture[0] == aperture[1]) & (aperture[1] != aperture[2]) & (aperture[2] == aperture[3])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        a = (after - beyond) / bend  # where the tangents meet, in steps
+    kink &= (a > 0.0) & (a < 1.0)
+    more = np.where(kink, 0.5 * a * (1.0 - a) - 1.0 / 12.0, 0.0)
+    share = np.ones(radius.shape)
+    for offset, sign in ((-1, -1.0), (0, 1.0), (1, 1.0), (2, -1.0)):
+        share += sign * np.roll(more, offset, axis=-1)
+    return share
 
 
 def _picks(wavelength_nm: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -176,18 +200,18 @@ def _centres(apertures: _Apertures, direction: FloatArray, wave: FloatArray) -> 
     """A point (f, p, 2) inside each beam, and whether there is one (f, p)."""
     x, y = np.zeros(wave.shape), np.zeros(wave.shape)
     h = AIM_DIFFERENCE * apertures.scale_mm
-    highest, u, v = apertures.trace(x, y, direction, wave)
+    highest, _, u, v = apertures.trace(x, y, direction, wave)
     for _ in range(AIM_STEPS):
         if not (np.hypot(u, v) > AIM_TOLERANCE).any():
             break
-        _, ux, vx = apertures.trace(x + h, y, direction, wave)
-        _, uy, vy = apertures.trace(x, y + h, direction, wave)
+        _, _, ux, vx = apertures.trace(x + h, y, direction, wave)
+        _, _, uy, vy = apertures.trace(x, y + h, direction, wave)
         a, b, c, d = (ux - u) / h, (uy - u) / h, (vx - v) / h, (vy - v) / h
         with np.errstate(invalid="ignore", divide="ignore"):
             dx, dy = -(d * u - b * v) / (a * d - b * c), -(a * v - c * u) / (a * d - b * c)
         going = np.isfinite(dx + dy) & (np.hypot(x + dx, y + dy) < WIDEST * apertures.scale_mm)
         x, y = np.where(going, x + dx, x), np.where(going, y + dy, y)
-        highest, u, v = apertures.trace(x, y, direction, wave)
+        highest, _, u, v = apertures.trace(x, y, direction, wave)
     lit = np.asarray(highest < 1.0)
     if not lit.all():
         where = np.nonzero(~lit)
@@ -214,8 +238,8 @@ def _scanned(
 
 def _outline(
     apertures: _Apertures, centre: FloatArray, lit: BoolArray, direction: FloatArray, wave: FloatArray, arms: int
-) -> FloatArray:
-    """Radius (f, p, arms) [mm] of each outline about its centre.
+) -> tuple[FloatArray, IntArray]:
+    """Radius (f, p, arms) [mm] of each outline about its centre, and the surface whose rim it is.
 
     False position with the Illinois rule; bisection where a ray misses a surface.
     """
@@ -262,4 +286,7 @@ def _outline(
         lanes = lanes[~done]
         if not len(lanes):
             break
-    return low.reshape(shape)
+    rim = np.full(len(x0), -1)
+    at = low[open_]
+    rim[open_] = apertures.trace(x0[open_] + at * c[open_], y0[open_] + at * s[open_], towards[open_], colour[open_])[1]
+    return low.reshape(shape), rim.reshape(shape)

@@ -26,13 +26,13 @@ from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, ConvergenceError, DomainError
-from optics.frames import light_direction
+from optics.frames import field_angles_deg
 from optics.light.band import Band, band_nodes
 from optics.light.photometry import band_integral, photon_rate
 from optics.light.spectrum import Sed
-from optics.rays.trace import Rays, trace
+from optics.rays.spots import spot_moments
 from optics.records import freeze
-from render.camera import Camera, launch_disk
+from render.camera import Camera
 from render.catalogue.motion import Observer, earth_observer
 from render.sky.field import FieldOfView, field_of_view
 from render.sky.sunlight import sun_spectrum, sunlight
@@ -44,9 +44,8 @@ __all__ = ["BackgroundMap", "UniformSky", "background_map", "sky_background"]
 SQUARE_ARCSEC_SR = (math.pi / 180.0 / 3600.0) ** 2
 TRACED_NODES = 13
 """Places per axis at which the etendue is traced; a spline runs between them."""
-TRACED_RAYS = 2048
-RIM_RAYS = 64
-"""Where all of these pass and the launch disk is the stop, all others do."""
+ARMS = 48
+"""Azimuths at which the outlines of beams are traced."""
 TRACED_WAVELENGTHS = 3
 NODE_STEP_RAD = math.radians(1.0)
 """Distance of the places at which the radiance of a frame is computed; the table changes over 5 deg and more."""
@@ -309,33 +308,11 @@ def _etendue(
     solid_angle = v[:, 2] ** 3 / np.abs(np.linalg.det(_slope(view, t)))  # d(tan) d(tan) cos^3 is a solid angle
     low, high = wavelength_nm.min(), wavelength_nm.max()
     traced = np.unique(np.linspace(low, high, TRACED_WAVELENGTHS))
-    share = np.stack([_passing(camera, v, wave) for wave in traced])
+    area = spot_moments(camera.focused_lens, *field_angles_deg(v), traced, order=(1, ARMS)).transmitted_mm2
     # a polynomial through the traced wavelengths
     basis = np.ones((*wavelength_nm.shape, len(traced)))
     for i, at in enumerate(traced):
         for other in np.delete(traced, i):
             basis[..., i] *= (wavelength_nm - other) / (at - other)
-    mean = np.einsum("bk,bki,in->nb", light / light.sum(1, keepdims=True), basis, share)
-    area = launch_disk(camera).area_mm2 * v[:, 2] * solid_angle
-    return np.asarray(area[:, None] * mean).reshape(*tangent.shape[:2], -1)
-
-
-def _passing(camera: Camera, v_cam: FloatArray, wavelength_nm: float) -> FloatArray:
-    """Share (n,) of the rays through the launch disk that reach the image plane."""
-    pupil, lens = launch_disk(camera), camera.focused_lens
-
-    def arriving(v: FloatArray, r: FloatArray, phi: FloatArray) -> FloatArray:
-        x, y = pupil.x_mm + pupil.radius_mm * r * np.cos(phi), pupil.y_mm + pupil.radius_mm * r * np.sin(phi)
-        direction = light_direction(v)[:, None, :]
-        rays = Rays.create(x_mm=x, y_mm=y, z_mm=pupil.z_mm, direction=direction, wavelength_nm=wavelength_nm)
-        return np.asarray(trace(lens, rays).ok.mean(1))
-
-    rim = np.full(RIM_RAYS, 1.0 - 1e-9)
-    share = arriving(v_cam, rim, np.linspace(0.0, 2.0 * math.pi, RIM_RAYS, endpoint=False))
-    cut = np.arange(len(v_cam)) if not pupil.exact else np.flatnonzero(share < 1.0)
-    i = np.arange(TRACED_RAYS, dtype=np.float64)
-    r, phi = np.sqrt((i + 0.5) / TRACED_RAYS), i * math.pi * (3.0 - math.sqrt(5.0))  # a sunflower: equal areas
-    for start in range(0, len(cut), 32):
-        some = cut[start : start + 32]
-        share[some] = arriving(v_cam[some], r, phi)
-    return share
+    mean = np.einsum("bk,bki,ni->nb", light / light.sum(1, keepdims=True), basis, area)
+    return np.asarray((v[:, 2] * solid_angle)[:, None] * mean).reshape(*tangent.shape[:2], -1)

@@ -41,7 +41,7 @@ def test_a_beam_cut_by_a_hood_is_the_overlap_of_two_circles(hood_mm, field_deg):
     distance, stop = 400.0, CAMERA.surfaces[0].semi_diameter_mm
     expected = overlap_mm2(hood_mm, stop, distance * math.tan(math.radians(field_deg)))
     beams = find_beams(with_hood(hood_mm, distance), field_direction([field_deg], [0.0]), [600.0], rings=5, arms=12)
-    assert float(beams.area_mm2.sum()) == pytest.approx(expected, rel=2e-4)
+    assert float(beams.area_mm2.sum()) == pytest.approx(expected, rel=2e-5)
     spot = spot_moments(with_hood(hood_mm, distance), field_deg, 0.0, 600.0)
     assert float(spot.transmitted_mm2[0, 0]) == pytest.approx(expected, rel=2e-5)
 
@@ -60,8 +60,8 @@ def test_light_and_centroid_against_counted_rays_where_several_apertures_cut():
     counted = spot_moments(GAUSS, 14.0, -8.0, waves[[1, 4]], samples=sobol_disk(1 << 18, seed=4))
     np.testing.assert_allclose(here.transmitted_mm2[:, [1, 4]], counted.transmitted_mm2, rtol=3e-4)
     np.testing.assert_allclose(here.x_mm[:, [1, 4]], counted.x_mm, atol=1e-5)
-    # the kinks of the outline cost 6e-4 of the radius against a hundred times as many azimuths, counting as much again
-    np.testing.assert_allclose(here.rms_radius_mm[:, [1, 4]], counted.rms_radius_mm, rtol=2e-3)
+    # counting is good to 1e-3 of the radius
+    np.testing.assert_allclose(here.rms_radius_mm[:, [1, 4]], counted.rms_radius_mm, rtol=1.5e-3)
 
 
 def test_area_on_the_axis():
