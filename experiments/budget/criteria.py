@@ -31,7 +31,7 @@ def criteria(outcome: Outcome) -> list[Criterion]:
     tested, methods = outcome.data["tested"].values.tolist(), result.config.methods
     for method in methods:
         for name in tested:
-            pulls = result.chromatic_pulls(method) if name == "LSFE-S" else result.pull(name, method)
+            pulls = result.pair(method).pulls(name)
             found.append(
                 Criterion(
                     name=f"{name}, {method}: predicted minus measured, largest",
@@ -40,7 +40,7 @@ def criteria(outcome: Outcome) -> list[Criterion]:
                     unit="sigma",
                 )
             )
-        together, spread = result.together(method)
+        together, spread = result.pair(method).together()
         found.append(
             Criterion(
                 name=f"TE, HSFE and S together, {method}: predicted / measured",

@@ -90,7 +90,7 @@ def _terms(q: Quantities, result: Result) -> None:
     printed = [PRINTED.get(name, result.published[name].arcsec) for name in (*TERMS, *SUMS)]
     place = "terms[term][axis].published_arcsec_3sigma"
     q.add("published_arcsec", printed, "Published", **OF_TERMS, format=".2f", json=place)
-    ratio, spread = zip(*(result.ratio(name, result.config.centroid) for name in (*TERMS, *SUMS)), strict=True)
+    ratio, spread = zip(*(result.pair(result.config.centroid).ratio(name) for name in (*TERMS, *SUMS)), strict=True)
     place = "terms[term][axis].ratio"
     error = f"{place}_uncertainty"
     label = "Predicted / measured"
@@ -125,12 +125,12 @@ def _methods(q: Quantities, result: Result) -> None:
             json_error=f"{place}.{name}_uncertainty",
         )
     q.axis("tested", [*FRAME_TERMS, "LSFE-C1"], "Term")
-    ratio, spread = zip(*(zip(*(result.ratio(t, m) for t in every), strict=True) for m in methods), strict=True)
+    ratio, spread = zip(*(zip(*(result.pair(m).ratio(t) for t in every), strict=True) for m in methods), strict=True)
     q.add("method_ratio", ratio, "Predicted / measured", dims="method term axis", error=spread, json=f"{place}.ratio")
-    pulls = [[result.pull(name, method) for name in (*FRAME_TERMS, "LSFE-C1")] for method in methods]
+    pulls = [[result.pair(method).largest_pull(name) for name in (*FRAME_TERMS, "LSFE-C1")] for method in methods]
     label = "Predicted minus measured"
     q.add("pull", pulls, label, unit="sigma", dims="method tested axis", format="+.2f", json="pulls[method][tested]")
-    together, spread = zip(*(result.together(method) for method in methods), strict=True)
+    together, spread = zip(*(result.pair(method).together() for method in methods), strict=True)
     label, place = "Predicted / measured, together", "frame_terms_together[method][axis]"
     q.add(
         "together",

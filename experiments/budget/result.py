@@ -16,7 +16,74 @@ from experiments.budget.sweep import Sweep, Tornado
 from experiments.budget.terms import Measurement, PredictedTerms
 from experiments.budget.tolerances import ToleranceStudy
 
-__all__ = ["Result"]
+__all__ = ["Result", "TermPair"]
+
+
+@dataclass(frozen=True, slots=True)
+class TermPair:
+    """What one centroider should show, and what it shows.
+
+    Attributes
+    ----------
+    predicted : PredictedTerms
+        Without frames.
+    measured : Measurement
+        From frames.
+    """
+
+    predicted: PredictedTerms
+    measured: Measurement
+
+    def ratio(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Predicted over measured (2,) and its standard deviation; NaN where nothing was found (`found`)."""
+        a, b = self.predicted.budget[name], self.measured.budget[name]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            value = a.arcsec / b.arcsec
+            relative = self._together(name, a.uncertainty_arcsec / a.arcsec, b.uncertainty_arcsec / b.arcsec)
+        known = self.found(name)
+        return np.where(known, value, np.nan), np.where(known, value * relative, np.nan)
+
+    def found(self, name: str) -> NDArray[np.bool_]:
+        """Per axis, whether a term stands out of its uncertainty (5 sigma of the measurement): else no ratio."""
+        a, b = self.predicted.budget[name], self.measured.budget[name]
+        return np.asarray((a.arcsec > 5.0 * b.uncertainty_arcsec) & (a.arcsec > 0))
+
+    def pulls(self, name: str) -> NDArray[np.float64]:
+        """Predicted minus measured (2,) in standard deviations; of the chromatic term of its signed entries (b, 2)."""
+        if name == "LSFE-S":
+            a, b = self.predicted.chromatic, self.measured.chromatic
+            entries = [
+                (a.table1_px[pair] - b.table1_px[pair]) / np.hypot(a.sigma_px[pair], b.sigma_px[pair])
+                for pair in b.table1_px
+            ]
+            return np.stack(entries)
+        one, other = self.predicted.budget[name], self.measured.budget[name]
+        spread = self._together(name, one.uncertainty_arcsec, other.uncertainty_arcsec)
+        return np.asarray((one.arcsec - other.arcsec) / spread)
+
+    def largest_pull(self, name: str) -> NDArray[np.float64]:
+        """The largest of `pulls` per axis (2,)."""
+        pulls = np.atleast_2d(self.pulls(name))
+        return np.asarray(pulls[np.abs(pulls).argmax(0), [0, 1]])
+
+    def together(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Root sum of squares of `FRAME_TERMS`, predicted over measured (2,), and its standard deviation."""
+        sides = (self.predicted.budget, self.measured.budget)
+        a, b = (np.sqrt(sum((one[name].arcsec ** 2 for name in FRAME_TERMS), np.zeros(2))) for one in sides)
+        spread = np.zeros(2)
+        for name in FRAME_TERMS:
+            of = self._together(name, *(one[name].uncertainty_arcsec for one in sides))
+            spread = spread + (sides[1][name].arcsec * of) ** 2
+        return np.asarray(a / b), np.asarray(np.sqrt(spread) / b**2)
+
+    @staticmethod
+    def _together(name: str, predicted: NDArray[np.float64], measured: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Standard deviation of a difference.
+
+        Of the HSFE and of C1 the prediction's is the scatter of the measured number itself, from chip to chip; what
+        jackknife and surveys see is part of it and not added once more.
+        """
+        return np.asarray(predicted if name in ("HSFE", "LSFE-C1") else np.hypot(predicted, measured))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,59 +125,6 @@ class Result:
     attitude: AttitudeStudy
     changed: Mapping[str, tuple[object, object]]
 
-    def ratio(self, name: str, method: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Predicted over measured (2,) and its standard deviation; NaN where nothing was found (`found`)."""
-        a, b = self.predicted[method].budget[name], self.measured[method].budget[name]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            value = a.arcsec / b.arcsec
-            relative = self._together(name, a.uncertainty_arcsec / a.arcsec, b.uncertainty_arcsec / b.arcsec)
-        known = self.found(name, method)
-        return np.where(known, value, np.nan), np.where(known, value * relative, np.nan)
-
-    def found(self, name: str, method: str) -> NDArray[np.bool_]:
-        """Per axis, whether a term stands out of its uncertainty (5 sigma of the measurement): else no ratio."""
-        a, b = self.predicted[method].budget[name], self.measured[method].budget[name]
-        return np.asarray((a.arcsec > 5.0 * b.uncertainty_arcsec) & (a.arcsec > 0))
-
-    def pull(self, name: str, method: str) -> NDArray[np.float64]:
-        """Predicted minus measured (2,) in standard deviations; of the chromatic term by its signed entries."""
-        if name == "LSFE-S":
-            return self.chromatic_pull(method)
-        a, b = self.predicted[method].budget[name], self.measured[method].budget[name]
-        spread = self._together(name, a.uncertainty_arcsec, b.uncertainty_arcsec)
-        return np.asarray((a.arcsec - b.arcsec) / spread)
-
-    def together(self, method: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Root sum of squares of `FRAME_TERMS`, predicted over measured (2,), and its standard deviation."""
-        sides = (self.predicted[method].budget, self.measured[method].budget)
-        a, b = (np.sqrt(sum((one[name].arcsec ** 2 for name in FRAME_TERMS), np.zeros(2))) for one in sides)
-        spread = np.zeros(2)
-        for name in FRAME_TERMS:
-            of = self._together(name, *(one[name].uncertainty_arcsec for one in sides))
-            spread = spread + (sides[1][name].arcsec * of) ** 2
-        return np.asarray(a / b), np.asarray(np.sqrt(spread) / b**2)
-
-    @staticmethod
-    def _together(name: str, predicted: NDArray[np.float64], measured: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Standard deviation of a difference.
-
-        Of the HSFE and of C1 both are estimates of one scatter, by model and from the data (jackknife over the stars,
-        surveys); the larger counts. That of C1 contains what is frozen into chip and frames, which no survey shows.
-        """
-        same = name in ("HSFE", "LSFE-C1")
-        return np.asarray(np.maximum(predicted, measured) if same else np.hypot(predicted, measured))
-
-    def chromatic_pulls(self, method: str) -> NDArray[np.float64]:
-        """Distance of every signed entry of Table 1 (b, 2) from its prediction, in standard deviations."""
-        a, b = self.predicted[method].chromatic, self.measured[method].chromatic
-        return np.stack(
-            [
-                (a.table1_px[name] - b.table1_px[name]) / np.hypot(a.sigma_px[name], b.sigma_px[name])
-                for name in b.table1_px
-            ]
-        )
-
-    def chromatic_pull(self, method: str) -> NDArray[np.float64]:
-        """The largest of them (2,)."""
-        pulls = self.chromatic_pulls(method)
-        return np.asarray(pulls[np.abs(pulls).argmax(0), [0, 1]])
+    def pair(self, method: str) -> TermPair:
+        """Both sides of a centroider."""
+        return TermPair(self.predicted[method], self.measured[method])

@@ -14,7 +14,7 @@ from experiments.laboratory.distortion_statistics import REFERENCES
 from experiments.laboratory.target import nudged
 from optics.arrays import FloatArray
 
-__all__ = ["criteria"]
+__all__ = ["criteria", "wide_criteria"]
 
 
 def criteria(outcome: Outcome) -> list[Criterion]:
@@ -70,7 +70,7 @@ def criteria(outcome: Outcome) -> list[Criterion]:
             limit=0.1 + 3.0 * sampling,
         )
     )
-    return [*found, *_end_to_end(outcome)]
+    return [*found, *wide_criteria(outcome), *_end_to_end(outcome)]
 
 
 def _end_to_end(outcome: Outcome) -> list[Criterion]:
@@ -116,3 +116,29 @@ def _bent_target(outcome: Outcome, coordinate_px: FloatArray) -> Criterion:
         value=float(np.abs(grown - np.array([[1.0, 1.0], [0.0, 1.0], [1.0, 0.0]])).max()),
         limit=0.01,
     )
+
+
+def wide_criteria(outcome: Outcome) -> list[Criterion]:
+    """The rendered distortion against the prescription, where it is what the numbers consist of."""
+    wide = outcome.result.wide
+    apart, expected = wide.points_px
+    freedom = apart.size - 4  # shift, roll and scale are fitted
+    return [
+        Criterion(
+            name="wide field: found, left and removed against the prescription, largest deviation",
+            value=float(np.abs((wide.numbers_px - wide.expected_px) / wide.scatter_px).max()),
+            limit=4.0,
+            unit="sigma",
+        ),
+        Criterion(
+            name="wide field: residuals minus those of the prescription, RMS over points in units of its expectation",
+            value=float(np.sqrt((apart**2).sum() / (expected**2).mean() / freedom)),
+            about=1.0,
+            limit=float(f"{4.0 / np.sqrt(2.0 * freedom):.2g}"),
+        ),
+        Criterion(
+            name="wide field: what marking errors alone give of what is removed, largest share",
+            value=float((wide.marking_px / wide.expected_px)[2].max()),
+            limit=0.05,
+        ),
+    ]

@@ -31,6 +31,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         saturated, too few points for the polynomial, light beyond the range of the data.
     """
     from experiments.distortion.result import Result, correction_maps, forecasts
+    from experiments.distortion.wide_field import wide_field
     from experiments.laboratory.distortion_error import dense_grid, measure_distortion, traced_bundles
     from experiments.laboratory.distortion_model import predict_distortion
     from experiments.laboratory.point_scene import point_laboratory, prepared_scene
@@ -79,6 +80,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         predicted=predicted,
         maps=maps,
         forecast=forecast,
+        wide=wide_field(config, streams.child("wide field"), progress=progress),
     )
 
 

@@ -37,6 +37,7 @@ def describe(result: Result) -> Quantities:
     _maps(q, result)
     _forecasts(q, result)
     _points(q, result)
+    _wide(q, result)
     q.add("points", config.target.rows * config.target.columns, "Points")
     q.add("frames", result.measured.frames, "Frames")
     q.add("pixel_arcsec", result.instrument.pixel_arcsec, "Angle of a pixel", unit="arcsec")
@@ -137,3 +138,24 @@ def _points(q: Quantities, result: Result) -> None:
         ("left", "Left", s.left_px),
     ):
         q.add(f"{name}_px", values, label, unit="px", dims="point axis", key=f"{name}_{{axis}}_px", json="")
+
+
+def _wide(q: Quantities, result: Result) -> None:
+    """The test on the wide field: one survey, shift, roll and scale fitted."""
+    wide = result.wide
+    scale, place = wide.measured.arcsec_3sigma, "wide_field_arcsec_3sigma[number][axis]"
+    angle: dict[str, Any] = {"unit": "arcsec", "dims": "number axis", "format": ".3f"}
+    q.add("wide_measured_arcsec", scale * wide.numbers_px, "Measured", **angle, json=f"{place}.measured")
+    q.add(
+        "wide_predicted_arcsec",
+        scale * wide.expected_px,
+        "Prescription",
+        unit="arcsec",
+        dims="number axis",
+        error=scale * wide.scatter_px,
+        json=f"{place}.predicted",
+        json_error=f"{place}.predicted_scatter",
+    )
+    q.add(
+        "wide_marking_arcsec", scale * wide.marking_px, "Marking errors alone", **angle, json=f"{place}.marking_alone"
+    )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from experiments.distortion.settings import Config
+from experiments.distortion.wide_field import WideField
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.distortion_error import DenseMap, DistortionMeasurement, dense_map
 from experiments.laboratory.distortion_model import DistortionPrediction, MapForecast, forecast_map
@@ -51,6 +52,8 @@ class Result:
         True map errors, first method.
     forecast : tuple of MapForecast
         Map errors to be expected of other targets and polynomials.
+    wide : WideField
+        The test with a lens whose distortion decides its numbers.
     """
 
     config: Config
@@ -59,6 +62,7 @@ class Result:
     predicted: DistortionPrediction
     maps: Mapping[Reference, CorrectionMap]
     forecast: tuple[MapForecast, ...]
+    wide: WideField
 
     @property
     def scale(self) -> float:

@@ -9,9 +9,9 @@ from pydantic import Field, model_validator
 from experiments.harness.config import StrictModel
 from experiments.laboratory.centroid_methods import MethodName
 from experiments.laboratory.point_settings import PointConfig
-from experiments.laboratory.settings import GridTargetConfig
+from experiments.laboratory.settings import GridTargetConfig, InstrumentConfig
 
-__all__ = ["Config", "StudyConfig"]
+__all__ = ["Config", "StudyConfig", "WideConfig"]
 
 
 class StudyConfig(StrictModel):
@@ -19,6 +19,14 @@ class StudyConfig(StrictModel):
 
     rows: tuple[int, ...] = Field(default=(4, 6, 8, 12, 16), min_length=1, description="rows; twice as many columns")
     orders: tuple[int, ...] = Field(default=(1, 2, 3, 5, 7), min_length=1, description="orders of the polynomial")
+
+
+class WideConfig(StrictModel):
+    """A camera whose distortion decides the document's numbers, and its target."""
+
+    instrument: InstrumentConfig = InstrumentConfig(lens="star_tracker_26mm", detector="cmv4000", defocus_mm=0.0)
+    target: GridTargetConfig = GridTargetConfig(edge_px=350.0)
+    order: int = Field(default=3, ge=3, le=5, description="of the polynomial; less does not follow a distortion")
 
 
 class Config(PointConfig):
@@ -36,6 +44,7 @@ class Config(PointConfig):
     draws: int = Field(default=200, ge=10, le=5000, description="noisy copies of a window behind the prediction")
     map_rows: int = Field(default=17, ge=5, le=101, description="rows of the dense map; twice as many columns")
     study: StudyConfig = StudyConfig()
+    wide: WideConfig = WideConfig()
 
     @model_validator(mode="after")
     def _enough(self) -> Config:

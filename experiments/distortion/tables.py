@@ -32,6 +32,11 @@ def tables(outcome: Outcome) -> Mapping[str, Pivot]:
             caption="The true map (3 σ of its RMS over the whole detector, shift and roll taken out): before and after "
             "the correction.",
         ),
+        "wide_field": Pivot(
+            rows="number axis",
+            columns="wide_measured_arcsec wide_predicted_arcsec wide_marking_arcsec",
+            caption="A lens whose distortion decides the numbers (3 σ): one survey, shift, roll and scale fitted.",
+        ),
         "forecasts": Pivot(
             rows="forecast",
             hidden="forecast",

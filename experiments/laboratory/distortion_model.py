@@ -109,8 +109,12 @@ class DistortionPrediction:
         one survey; standard deviation, from chip to chip and run to run, of the RMS over many surveys.
     bundle_px : (n, 2)
         Traced positions of the points.
+    position_px : dict of str to (n, 2)
+        Expected mean centroids: traced light as the centroider sees it.
     point_px : dict of str to (n, 2)
         Predicted error of a mean centroid by noise and response pattern.
+    marking_px : float
+        Standard deviation per axis of a surveyed coordinate.
     """
 
     pixel_arcsec: float
@@ -118,7 +122,9 @@ class DistortionPrediction:
     scatter_px: Mapping[str, Mapping[Reference, FloatArray]]
     frozen_px: Mapping[str, Mapping[Reference, FloatArray]]
     bundle_px: FloatArray
+    position_px: Mapping[str, FloatArray]
     point_px: Mapping[str, FloatArray]
+    marking_px: float
 
     def of_surveys_px(self, method: str, reference: Reference, surveys: int) -> FloatArray:
         """Standard deviation (3, 2) of the RMS over so many surveys of one chip and one run."""
@@ -259,6 +265,7 @@ def predict_distortion(
     marked = marking_errors(target, instrument, direction)
     found: dict[str, dict[Reference, Numbers]] = {}
     point: dict[str, FloatArray] = {}
+    expected: dict[str, FloatArray] = {}
     for name, centroider in centroiders(bench, psf).items():
         gain = influence(centroider, instrument, windows)
 
@@ -275,6 +282,7 @@ def predict_distortion(
             own = single / noise_draws
         dark = covariance(np.full_like(windows.light_e, noise.floor_e2 / bench.dark_frames))
         session = single / bench.frames + dark
+        expected[name] = position
         point[name] = np.sqrt(np.diagonal(chip + session, axis1=1, axis2=2))
         offset = position - nominal
         errors = replace(marked, offset_px=offset, chip_px2=chip, session_px2=session, mean_px2=own)
@@ -285,7 +293,9 @@ def predict_distortion(
         scatter_px={m: {r: v.scatter_px for r, v in of.items()} for m, of in found.items()},
         frozen_px={m: {r: v.frozen_px for r, v in of.items()} for m, of in found.items()},
         bundle_px=windows.place_px,
+        position_px=expected,
         point_px=point,
+        marking_px=marked.marking_px,
     )
 
 

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from experiments.distortion.criteria import wide_criteria
+from experiments.distortion.settings import Config
+from experiments.distortion.wide_field import wide_field
+from experiments.harness.config import load_config
+from experiments.harness.progress import Progress
 from experiments.laboratory.distortion_statistics import distortion_statistics
+from render.engine.random import Streams
 from render.sensor import StarSensor
 
 ROWS, COLUMNS, ORDER, SURVEYS, MARKING_ARCSEC = 4, 5, 2, 100, 2.0
@@ -27,7 +34,15 @@ def run(tiny_run):
 def test_the_run_is_complete(run):
     assert run.status == 0
     assert (run.folder / "report.html").stat().st_size > 50_000
-    names = {"distortion.ecsv", "centroiders.ecsv", "map.ecsv", "forecasts.ecsv", "points.ecsv", "results.nc"}
+    names = {
+        "wide_field.ecsv",
+        "distortion.ecsv",
+        "centroiders.ecsv",
+        "map.ecsv",
+        "forecasts.ecsv",
+        "points.ecsv",
+        "results.nc",
+    }
     assert names < {path.name for path in run.folder.iterdir()}
 
 
@@ -96,3 +111,33 @@ def divided_by_w(place, d_px, order):
 def test_a_wrong_equation_is_noticed(run, broken, failing, mutant, noticed):
     broken(distortion_statistics, mutant)
     assert [name for name in failing("distortion", run.result) if noticed in name]
+
+
+@pytest.fixture(scope="module")
+def wide(engine):
+    """The wide field of a small run."""
+    config = load_config(Config, settings=["frames=8", "dark_frames=30", "draws=20", "compare=[]"])
+    return wide_field(config, Streams(3), progress=Progress())
+
+
+def _failing(wide):
+    outcome = SimpleNamespace(result=SimpleNamespace(wide=wide))
+    return [criterion.name for criterion in wide_criteria(outcome) if not criterion.passed]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("factor", "fails"), [(1.0, 0), (1.05, 2), (0.98, 2), (-1.0, 1)])
+def test_a_wrong_distortion_in_the_frames_is_noticed(wide, factor, fails):
+    """Rationale: frames of another lens. Expected: its distortion times 1.05, 0.98 or -1 fails; its own does not."""
+    middle = wide.measured.instrument.camera.centre_px
+    place = wide.measured.light.nominal_px - middle
+    design = np.zeros((*place.shape, 5))  # shift, scale, roll, cubic
+    design[:, 0, 0] = design[:, 1, 1] = 1.0
+    design[..., 2], design[..., 3] = place, np.column_stack([-place[:, 1], place[:, 0]])
+    design[..., 4] = place * (place**2).sum(1)[:, None] * 1e-6
+    offset = (wide.measured.light.photon_px - wide.measured.light.nominal_px).reshape(-1)
+    cubic = np.linalg.lstsq(design.reshape(-1, 5), offset, rcond=None)[0][4] * design[..., 4]
+    moved = {m: v + (factor - 1.0) * cubic for m, v in wide.measured.session_px.items()}
+    broken = replace(wide, measured=replace(wide.measured, session_px=moved))
+    assert len(_failing(broken)) >= fails
+    assert bool(_failing(broken)) is (fails > 0)
