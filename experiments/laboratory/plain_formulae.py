@@ -33,6 +33,7 @@ __all__ = [
 ARCSEC = np.pi / 648000.0
 """One second of arc [rad]."""
 INVERSION_STEPS = 60
+NEAR_TO_ONE = 0.1
 
 
 def turn_matrix(axis: ArrayLike, angle_rad: ArrayLike) -> FloatArray:
@@ -137,10 +138,11 @@ def best_turn(of: ArrayLike, onto: ArrayLike) -> FloatArray:
 
 
 def small_turn_rad(matrix: ArrayLike) -> FloatArray:
-    """Rotation vectors (..., 3) of matrices near to one, to first order."""
+    """Rotation vectors (..., 3) of matrices near to one, to first order; infinite for matrices that are not."""
     m = np.asarray(matrix, float)
     parts = (m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1])
-    return np.asarray(np.stack(parts, axis=-1) / 2.0)
+    small = np.abs(m - np.eye(3)).max(axis=(-2, -1)) < NEAR_TO_ONE  # half a turn has no antisymmetric part either
+    return np.asarray(np.where(small[..., None], np.stack(parts, axis=-1) / 2.0, np.inf))
 
 
 def star_vector(azimuth_rad: float, elevation_rad: float) -> FloatArray:

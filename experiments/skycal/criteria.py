@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+from scipy.stats import norm
+
 from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Criterion
 
@@ -10,6 +13,11 @@ __all__ = ["criteria"]
 LEAST_PROBABILITY = 1e-3
 """A noise map may be as unlikely as this; with four of them one seed in 250 fails."""
 WRONG_LIMIT = 1e-3
+FALSE_ALARM = 1e-3
+"""Probability that the farthest attitude of a camera fails although all is well (Bonferroni)."""
+MOVED_LIMIT, RESIDUAL_OFF_PX = 1e-3, 1e-6
+FOCAL_LIMIT = 2e-3
+"""Defocus and the light's colours move the scale by some 5e-4."""
 ROBUST, TOO_MANY = 1, 2
 """Trials with wrong matches put in: the robust fit with the configured part of them, and with far too many."""
 
@@ -34,6 +42,7 @@ def _of_camera(outcome: Outcome, name: str, title: str) -> list[Criterion]:
     )
     matched = outcome.value("detections", outcome="used", **camera)
     return [
+        *_independent(outcome, name, title),
         Criterion(
             name=f"{title}: wrong matches among the stars calibrated with, part of them",
             value=outcome.value("wrong_matches", **camera) / matched,
@@ -75,3 +84,31 @@ def _of_camera(outcome: Outcome, name: str, title: str) -> list[Criterion]:
             limit=0.0,
         ),
     ]
+
+
+def _independent(outcome: Outcome, name: str, title: str) -> list[Criterion]:
+    """By equations written out apart from simulation and estimator, and by known moves."""
+
+    def value(what: str) -> float:
+        return float(outcome.values(what, camera=name))
+
+    count = outcome.result.cameras[name].evaluation.check.attitudes
+    made = [
+        Criterion(
+            name=f"{title}: attitudes against the commanded motion put together anew, farthest of {count}",
+            value=value("attitude_off_sigma"),
+            limit=float(norm.isf(FALSE_ALARM / (2 * count))),
+            unit="sigma",
+        ),
+        Criterion(
+            name=f"{title}: stars and sky moved by known amounts, part that did not come back",
+            value=value("moved_part"),
+            limit=MOVED_LIMIT,
+        ),
+    ]
+    if np.isfinite(value("focal_ratio")):  # a Brown-Conrady model
+        what = f"{title}: residuals against ACF17 eq. 3 and 4 and quaternions written out, largest"
+        made.append(Criterion(name=what, value=value("residual_off_px"), limit=RESIDUAL_OFF_PX, unit="px"))
+        what = f"{title}: calibrated focal length over the paraxial one of the prescription"
+        made.append(Criterion(name=what, value=value("focal_ratio"), about=1.0, limit=FOCAL_LIMIT))
+    return made

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.skycal.calibrate import CalibratedMap, Calibrator, rms
+from experiments.skycal.independent import Check, check_calibration
 from experiments.skycal.match import Matched
 from experiments.skycal.measure import Recording
 from experiments.skycal.positions import STEPS, positions
@@ -71,6 +72,8 @@ class Evaluation:
         Residuals of the used stars in the measured fit that counts.
     wrong_matches : tuple of WrongMatchFit
         Fits with wrong matches put in.
+    check : Check
+        The calibration that counts by equations written out.
     """
 
     chart: Chart
@@ -83,6 +86,7 @@ class Evaluation:
     part_arcsec: dict[str, FloatArray]
     residual_px: FloatArray
     wrong_matches: tuple[WrongMatchFit, ...]
+    check: Check
 
     @property
     def part_rms_arcsec(self) -> dict[str, float]:
@@ -166,6 +170,7 @@ def evaluate(
         part_arcsec=_parts([maps["free", name, data] for data in STEPS]),
         residual_px=calibrator.residuals(maps["free", name, "measured"]),
         wrong_matches=wrong_matches,
+        check=check_calibration(scene, calibrator, maps["free", name, "measured"].calibration, config),
     )
 
 

@@ -52,6 +52,7 @@ def describe(result: Result) -> Quantities:
     _stars(of_each)
     _noise_map_and_parts(of_each)
     _wrong_matches(of_each)
+    _independent(of_each)
     for data in DATA:
         _map_errors(q, cameras, data)
     for camera in cameras:
@@ -101,6 +102,21 @@ def _stars(of_each: _OfEach) -> None:
     of_each.add("wrong_used", "of them wrong", lambda c: int((~c.matched.correct[c.evaluation.used]).sum()), json="")
     floor_px = _values("floor_px")
     of_each.add("centroid_floor_px", "Error beyond noise", floor_px, "camera data", unit="px", format=".3f")
+
+
+def _independent(of_each: _OfEach) -> None:
+    """The calibration that counts by equations written out (`experiments.skycal.independent`)."""
+    for name, label, unit in (
+        ("attitude_off_sigma", "Attitudes off the commanded motion, farthest", "sigma"),
+        ("residual_off_px", "Residuals off those written out, largest", "px"),
+        ("moved_part", "Known moves of stars and sky, part that did not come back", ""),
+        ("focal_ratio", "Focal length over the paraxial one", ""),
+    ):
+        of_each.add(name, label, _checked(name), unit=unit, json=f"independent.{name}")
+
+
+def _checked(name: str) -> Callable[[CameraResult], float]:
+    return lambda camera: float(getattr(camera.evaluation.check, name))
 
 
 def _values(name: str) -> Callable[[CameraResult], list[Any]]:

@@ -20,7 +20,6 @@ from experiments.fisher.independent import (
     written_out_vectors,
 )
 from experiments.fisher.settings import Config
-from experiments.laboratory import collimator
 from experiments.laboratory.single_star import setup
 from experiments.laboratory.single_star.bench import aim
 from experiments.laboratory.single_star.reduce import Data, calibrated_bench, reduce_data
@@ -88,7 +87,7 @@ def cone_of_one_side(self, level=0.95, _original=FisherFit.mean_cone_rad):
     return _original(self, 1.0 - (1.0 - level) / 2.0)
 
 
-def swapped_star(azimuth_deg, elevation_deg, _original=collimator.star_direction):
+def swapped_star(azimuth_deg, elevation_deg, _original=setup.star_direction):
     return _original(elevation_deg, azimuth_deg)
 
 
@@ -103,7 +102,7 @@ MUTANTS = {
     "sigma of both axes together": (FisherFit, "sigma_rad", property(of_both_axes), "variance"),
     "2 n degrees of freedom": (FisherFit, "sigma_rad", property(about_the_sample), "written_out"),
     "cone of another level": (FisherFit, "mean_cone_rad", cone_of_one_side, "cone"),
-    "azimuth and elevation of the star exchanged": (collimator, "star_direction", swapped_star, "mean"),
+    "azimuth and elevation of the star exchanged": (setup, "star_direction", swapped_star, "mean"),
 }
 
 
