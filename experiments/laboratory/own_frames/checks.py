@@ -24,6 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import convolve
 from scipy.stats import f as fisher_f
 from scipy.stats import poisson
 
@@ -42,6 +43,7 @@ FEWEST_FOR_MOTION = 3
 TOP_READINGS = 5
 FEWEST_PIXELS = 30
 ITERATIONS = 8
+AROUND = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0]])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -230,31 +232,40 @@ def photon_transfer(dn: Sequence[NDArray[np.uint16]], usable: Sequence[NDArray[n
     -------
     Measured or None
         K with its standard deviation; None where too few pixels are there.
+
+    Notes
+    -----
+    Offsets differ from pixel to pixel, so that the mean of a pixel is its light with an error, which would lower the
+    slope of least squares; the mean of its neighbours has the light without that error and serves as the instrument
+    (Durbin 1954). The standard deviation is that of White (1980): it needs no word about how read noise differs.
     """
     parts = [_window_variances(np.asarray(one, float), ok) for one, ok in zip(dn, usable, strict=True)]
-    if not parts or sum(len(variance) for variance, _, _ in parts) < FEWEST_PIXELS:
+    if not parts or sum(len(variance) for variance, *_ in parts) < FEWEST_PIXELS:
         return None
-    variance, design, degrees = (np.concatenate(column) for column in zip(*parts, strict=True))
+    variance, design, instrument, degrees = (np.concatenate(column) for column in zip(*parts, strict=True))
     weight = degrees / np.maximum(np.full(len(variance), variance.mean()), 1e-12) ** 2
     for _ in range(ITERATIONS):
-        information = design.T @ (weight[:, None] * design)
-        found = np.linalg.pinv(information, hermitian=True) @ (design.T @ (weight * variance))
+        back = np.linalg.pinv(instrument.T @ (weight[:, None] * design))
+        found = back @ (instrument.T @ (weight * variance))
         expected = np.maximum(design @ found, max(1e-3 * float(variance.mean()), 1e-12))
         weight = degrees / expected**2
-    chi2 = float(np.mean(0.5 * degrees * ((variance - expected) / expected) ** 2))
-    information = design.T @ (0.5 * weight[:, None] * design)
-    covariance = np.linalg.pinv(information, hermitian=True) * max(chi2, 1.0)
+    moved = back @ (instrument * (weight * (variance - design @ found))[:, None]).T
+    covariance = moved @ moved.T
     return Measured(value=float(found[1]), unit="DN/e-", uncertainty=float(np.sqrt(covariance[1, 1])), n=len(variance))
 
 
-def _window_variances(dn: FloatArray, usable: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _window_variances(
+    dn: FloatArray, usable: NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Temporal variances (n,) of pixels, what multiplies (floor, K) in their expectation (n, 2), degrees of freedom.
+
+    Third of four: the same with the mean of a pixel's neighbours in place of its own (n, 2).
 
     With M the projection on what is neither mean image nor its derivatives, the residual of pixel i has the variance
     sum_k M_ik^2 v_k, v_k = floor + K mean_k.
     """
     frames = len(dn)
-    variances, designs = [], []
+    variances, designs, instruments = [], [], []
     for number in range(dn.shape[1]):
         mean, ok = dn[:, number].mean(0), usable[number]
         edge = np.ones(mean.shape, bool)
@@ -266,6 +277,8 @@ def _window_variances(dn: FloatArray, usable: NDArray[np.bool_]) -> tuple[FloatA
         left = (dn[:, number][:, ok] - mean[ok]) @ keep
         taken = keep**2
         variances.append((left**2).sum(0) / (frames - 1))
+        around = convolve(np.where(ok, mean, 0.0), AROUND) / np.maximum(convolve(ok.astype(float), AROUND), 1.0)
         designs.append(np.column_stack([taken.sum(1), taken @ mean[ok]]))
+        instruments.append(np.column_stack([taken.sum(1), taken @ around[ok]]))
     variance = np.concatenate(variances)
-    return variance, np.concatenate(designs), np.full(len(variance), frames - 1.0)
+    return variance, np.concatenate(designs), np.concatenate(instruments), np.full(len(variance), frames - 1.0)

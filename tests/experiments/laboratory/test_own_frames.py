@@ -18,6 +18,7 @@ from experiments.laboratory.distortion_error import measure_distortion
 from experiments.laboratory.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
 from experiments.laboratory.instrument import build_instrument
+from experiments.laboratory.own_frames.checks import check_frames
 from experiments.laboratory.own_frames.folder import read_folder
 from experiments.laboratory.own_frames.settings import Layout
 from experiments.laboratory.point_scene import point_scene
@@ -145,6 +146,19 @@ def test_the_noise_model_gives_the_scatter(still):
         assert found == pytest.approx(
             np.sqrt((reduced.series[0].predicted_px(method) ** 2).mean()), rel=4.0 / np.sqrt(2 * 60)
         )
+
+
+def test_rendered_frames_are_what_their_folder_says(still, steps, camera):
+    """A detector with patterns, spread of read noise, non-linearity: gain, rest and noise hold."""
+    for folder, reduce in ((still, temporal_from_frames), (steps, hsfe_from_frames)):
+        read = read_folder(folder, window_px=WINDOW_PX)
+        checks = check_frames(read.series, reduce(read, METHODS).series, "cog")
+        gain = checks.gain_dn_per_e
+        assert gain.value == pytest.approx(camera.detector.gain_dn_per_e, abs=4 * gain.uncertainty)
+        assert checks.motion.rms_px < checks.motion.limit_px
+        assert checks.noise_ratio.value == pytest.approx(1.0, abs=4 * checks.noise_ratio.uncertainty)
+        assert (checks.copies, checks.step_dn, checks.zero_fraction) == (0, 1, 0.0)
+        assert checks.top_count <= checks.top_limit
 
 
 def test_the_noise_model_knows_the_dark_charge_of_each_pixel(tmp_path, scene, camera):

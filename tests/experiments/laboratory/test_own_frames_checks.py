@@ -7,6 +7,7 @@ import pytest
 from astropy.io import fits
 
 from experiments.harness.progress import Progress
+from experiments.laboratory.own_frames.checks import photon_transfer
 from experiments.temporal.experiment import Config, experiment
 
 GAIN, OFFSET, READ = 0.25, 60.0, 12.0
@@ -112,3 +113,28 @@ def test_too_little_noise_is_named(tmp_path, rng):
     ]
     criteria, _ = judged(tmp_path / "a", frames)
     assert any("frames were averaged" in one for one in failed(criteria).values())
+
+
+def test_photon_transfer_states_its_own_error():
+    """Forty cameras whose offsets (30 e-) and read noise (30 %) differ from pixel to pixel, images that wander: pulls.
+
+    Least squares against the pixels' own means is low by five of its errors: their offsets are not light.
+    """
+    rng, pulls = np.random.default_rng(2), []
+    row, column = np.indices((13, 13)) - 6.0
+    for _ in range(40):
+        shape, offset, read = (
+            (25, 9, 13, 13),
+            rng.normal(0.0, 30.0, (9, 13, 13)),
+            READ * rng.lognormal(0, 0.3, (9, 13, 13)),
+        )
+        at = rng.normal(0.0, 0.03, (25, 1, 1, 1, 2))
+        spot = np.exp(-((column - at[..., 0]) ** 2 + (row - at[..., 1]) ** 2) / (2 * SIGMA**2))
+        light = np.broadcast_to(1000.0 * rng.uniform(0.95, 1.05, (25, 1, 1, 1)) * spot, shape)
+        electrons = rng.poisson(light) + offset + read * rng.standard_normal(shape)
+        dn = np.rint(200.0 + GAIN * electrons).clip(0, 65535).astype(np.uint16)
+        found = photon_transfer([dn], [np.ones(shape[1:], bool)])
+        pulls.append((found.value - GAIN) / found.uncertainty)
+        assert found.uncertainty < 0.1 * GAIN
+    assert np.mean(pulls) == pytest.approx(0.0, abs=4 / np.sqrt(40))
+    assert np.std(pulls) == pytest.approx(1.0, abs=4 / np.sqrt(80))
