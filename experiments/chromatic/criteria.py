@@ -9,7 +9,13 @@ import numpy as np
 from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Criterion, farthest_from_one
 from experiments.laboratory import as_printed
-from experiments.laboratory.criteria import as_the_paper, centroids_on_the_light, pixel_angle, two_sided_limit
+from experiments.laboratory.criteria import (
+    MOTION_RATIO,
+    as_the_paper,
+    centroids_on_the_light,
+    pixel_angle,
+    two_sided_limit,
+)
 from optics.rays.pupil import stop_in_front
 
 __all__ = ["criteria"]
@@ -53,7 +59,7 @@ def _end_to_end(outcome: Outcome) -> list[Criterion]:
             "ratio",
             value=farthest_from_one(wedge.change_px / half),
             about=1.0,
-            limit=float((two_sided_limit(2) * wedge.sigma_px / 2.0 / np.abs(half)).max()),
+            limit=MOTION_RATIO + float((two_sided_limit(2) * wedge.sigma_px / 2.0 / np.abs(half)).max()),
         ),
         pixel_angle(result.instrument),
     ]

@@ -14,12 +14,14 @@ from optics.arrays import FloatArray
 from optics.rays.pupil import gauss_disk
 from optics.rays.spots import spot_moments
 
-__all__ = ["as_the_paper", "centroids_on_the_light", "pixel_angle", "two_sided_limit"]
+__all__ = ["MOTION_RATIO", "as_the_paper", "centroids_on_the_light", "pixel_angle", "two_sided_limit"]
 
 FALSE_ALARM = 1e-3
 """Chance that a criterion of this module fails by noise alone; that of 3.29 standard deviations of one number."""
 WHOLE_LIGHT = ("cog", "epsf")
 """Centroiders whose mean is that of all the light; the others follow the core of a spot with a tail."""
+MOTION_RATIO = 0.01
+"""What a known motion may be off besides noise: it is that of some sixty rays of each bundle."""
 WINDOW_PX = 0.05
 """What a window that cuts the wings of a spot may shift their centre of gravity by."""
 
@@ -43,7 +45,7 @@ def as_the_paper(name: str, reported: Any, printed: Any, unit: str) -> Criterion
 def pixel_angle(instrument: Instrument) -> Criterion:
     """The angle of a pixel that turns px into arcsec, over that between two traced bundles at both sides of the axis.
 
-    The limit leaves room for a focus that is not the paraxial one: it changes the scale.
+    The limit leaves room for a focus that is not the paraxial one, which changes the scale.
     """
     camera, apart_deg = instrument.camera, 0.02
     ends = np.array([-0.5, 0.5]) * apart_deg
@@ -54,7 +56,7 @@ def pixel_angle(instrument: Instrument) -> Criterion:
     return Criterion(
         name="angle of a pixel over that of two traced bundles beside the axis",
         value=instrument.pixel_arcsec * distance_px / (3600.0 * apart_deg),
-        limit=0.005,
+        limit=0.005 + 2.0 * abs(instrument.config.defocus_mm) / instrument.focal_length_mm,
         about=1.0,
     )
 

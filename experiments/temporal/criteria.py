@@ -7,7 +7,13 @@ import numpy as np
 from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Criterion, farthest_from_one
 from experiments.laboratory import as_printed
-from experiments.laboratory.criteria import as_the_paper, centroids_on_the_light, pixel_angle, two_sided_limit
+from experiments.laboratory.criteria import (
+    MOTION_RATIO,
+    as_the_paper,
+    centroids_on_the_light,
+    pixel_angle,
+    two_sided_limit,
+)
 from experiments.laboratory.temporal_error import small_sample_factor
 
 __all__ = ["criteria"]
@@ -81,5 +87,5 @@ def _shaken(outcome: Outcome, method: str) -> Criterion:
         name=f"{method}: temporal error of a target that moves by {motion} (3 σ, x and y), over what that gives",
         value=farthest_from_one(seen / expected),
         about=1.0,
-        limit=two_sided_limit(2) * float(error.max()),
+        limit=MOTION_RATIO + two_sided_limit(2) * float(error.max()),
     )
