@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import logging
 import os
@@ -129,19 +130,20 @@ def _on_processes(job: Job, frames: Sequence[int], count: int, done: Done) -> in
 
 def _on_cluster(job: Job, frames: Sequence[int], address: str, done: Done) -> int:
     dask, distributed = _dask()
-    if not address.startswith(("tcp://", "tls://", "ws://", "wss://", "ucx://", "inproc://")):
+    if not address.startswith(("tcp://", "tls://", "ws://", "wss://", "ucx://")):
         raise ConfigError(f"scheduler = {address!r}; an address such as tcp://host:8786 is needed")
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is wrong is said below, in one line
     with contextlib.ExitStack() as stack:
         stack.enter_context(dask.config.set({"distributed.comm.timeouts.connect": f"{CONNECT_S:g}s"}))
         try:
+            asyncio.run(_greet(distributed, address))
             client = stack.enter_context(
                 distributed.Client(address, timeout=f"{CONNECT_S:g}s", set_as_default=False, name="starbench")
             )
         except (OSError, TimeoutError, ValueError, RuntimeError) as error:
             reason = " ".join(str(error).split())[:160] or type(error).__name__
             raise ConfigError(
-                f"scheduler {address} does not answer within {CONNECT_S:g} s ({reason}); start one with 'dask "
+                f"scheduler {address} does not answer as one within {CONNECT_S:g} s ({reason}); start one with 'dask "
                 "scheduler', or leave scheduler out to use this machine"
             ) from None
         workers = client.scheduler_info(n_workers=-1)["workers"]
@@ -151,6 +153,13 @@ def _on_cluster(job: Job, frames: Sequence[int], address: str, done: Done) -> in
         slots = sum(int(worker["nthreads"]) for worker in workers.values())
         _gather(distributed, client, job, frames, slots=slots, threads=None, done=done)
     return len(workers)
+
+
+async def _greet(distributed: Any, address: str) -> None:
+    """Speak to the scheduler once: a client would wait for ever at a port where something else listens."""
+    arguments = distributed.Security().get_connection_args("client")
+    comm = await asyncio.wait_for(distributed.comm.connect(address, timeout=CONNECT_S, **arguments), CONNECT_S)
+    comm.abort()
 
 
 def _check_workers(client: Any, job: Job, address: str) -> None:

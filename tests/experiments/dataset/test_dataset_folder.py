@@ -6,6 +6,7 @@ import errno
 import hashlib
 import json
 import shutil
+import socket
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -18,6 +19,7 @@ from experiments.dataset.production.folder import DatasetFolder
 from experiments.dataset.production.job import Job, make_frame
 from experiments.dataset.settings import Config
 from experiments.dataset.truth.files import read_record, truth_bytes
+from optics.errors import ConfigError
 
 SMALL = [
     *(
@@ -220,3 +222,14 @@ def test_ecsv_says_the_same(dataset, tmp_path):
     path.write_bytes(path.read_bytes()[:-200])  # cut off
     with pytest.raises(Exception, match=r"rows|columns"):
         read_record(path)
+
+
+def test_a_port_where_something_else_listens_is_no_scheduler(monkeypatch):
+    """It takes the connection and says nothing, as a busy port of another service may."""
+    from experiments.dataset.production import schedule
+
+    monkeypatch.setattr(schedule, "CONNECT_S", 0.3)
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        address = f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+        with pytest.raises(ConfigError, match=f"{address} does not answer as one within 0.3 s"):
+            schedule.make_frames(None, [0], workers=0, scheduler=address, done=lambda _: None)
