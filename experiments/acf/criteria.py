@@ -7,6 +7,7 @@ from scipy.stats import norm
 
 from experiments.acf import rendered
 from experiments.acf.published import RUNS
+from experiments.acf.settings import CameraConfig
 from experiments.acf.statistics import camera_errors, pull_limit
 from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Criterion
@@ -24,6 +25,7 @@ def criteria(outcome: Outcome) -> list[Criterion]:
     """Reprojection, pulls, methods and gains against what the design says; the criteria of the rendered cameras."""
     return [
         *_reprojection(outcome),
+        *(_published(outcome) if outcome.config.camera == CameraConfig() else ()),
         *_independent(outcome),
         *_pulls(outcome),
         *_methods(outcome),
@@ -46,7 +48,6 @@ def _reprojection(outcome: Outcome) -> list[Criterion]:
     fig3 = [outcome.values(f"fig3{part}_deviation") for part in "ab"]
     every = np.concatenate([fig3[0].ravel(), fig3[1][:, 1:].ravel(), outcome.values("counts_deviation").ravel()])
     table2 = outcome.values("table2_deviation")
-    here, there = (abs(float(outcome.value("fig4_published_deviation", case=case))) for case in ("assumed", "inferred"))
     return [
         Criterion(
             name=f"Fig. 3 and star counts: mean reprojection error against its prediction, largest of {every.size}",
@@ -61,6 +62,19 @@ def _reprojection(outcome: Outcome) -> list[Criterion]:
             unit="sigma",
         ),
         Criterion(
+            name=f"Table 2: mean of the runs against the truth, largest of {table2.size}",
+            value=float(table2.max()),
+            limit=_two_sided(table2.size),
+            unit="sigma",
+        ),
+    ]
+
+
+def _published(outcome: Outcome) -> list[Criterion]:
+    """The document's Fig. 4, which is of its own camera."""
+    here, there = (abs(float(outcome.value("fig4_published_deviation", case=case))) for case in ("assumed", "inferred"))
+    return [
+        Criterion(
             name=f"Fig. 4: published RMS (called a mean of {RUNS} runs) against the expected mean here, in the scatter "
             "of one run, not of a mean",
             value=here,
@@ -71,12 +85,6 @@ def _reprojection(outcome: Outcome) -> list[Criterion]:
             name="Fig. 4: the same, in the scatter of one run, with pixel and stars inferred from Table 2",
             value=there,
             limit=2.0,
-            unit="sigma",
-        ),
-        Criterion(
-            name=f"Table 2: mean of the runs against the truth, largest of {table2.size}",
-            value=float(table2.max()),
-            limit=_two_sided(table2.size),
             unit="sigma",
         ),
     ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import re
+import subprocess
 import sys
 from collections.abc import Iterable
 from glob import glob
@@ -12,10 +13,9 @@ from pathlib import Path
 
 from optics.errors import BackendError
 
-__all__ = ["check_llvm", "find_llvm", "llvm_version", "point_to_llvm"]
+__all__ = ["check_llvm", "find_llvm", "llvm_version", "packaged", "point_to_llvm"]
 
 _LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
-_INSTALL = "install it with: apt-get install libllvm15"
 _OLDEST_LLVM = 15
 # Measured: drjit 1.5.0 (mitsuba 3.9.1) emits fmaximum/fminimum, which LLVM 15 and 16 cannot select for x86-64; LLVM
 # then ends the process ("LLVM ERROR: Cannot select"), which no caller can catch. LLVM 19 has it.
@@ -74,15 +74,14 @@ def check_llvm(version: Iterable[int], drjit_version: str, *, said: str = "") ->
     if major < 0 and refused:
         major = int(refused.group(1))
     if major < 0:
-        raise BackendError(f"backend 'llvm' needs the LLVM library, which {_where_missing()}; {_INSTALL}")
+        raise BackendError(f"backend 'llvm' needs the LLVM library, which {_where_missing()}; {_advice()}")
     if major < _OLDEST_LLVM:
-        raise BackendError(f"LLVM {major} is too old: version {_OLDEST_LLVM} or newer is needed; {_INSTALL}")
+        raise BackendError(f"LLVM {major} is too old: version {_OLDEST_LLVM} or newer is needed; {_advice()}")
     release = tuple(int(part) for part in re.findall(r"\d+", drjit_version)[:2])
     if release >= _ABORTING_DRJIT and major < _OLDEST_LLVM_FOR_ABORTING_DRJIT:
         raise BackendError(
             f"drjit {drjit_version} ends the process on LLVM {major} ('Cannot select: fmaximum'); "
-            "install the pinned pair with: pip install 'mitsuba==3.9.0' 'drjit==1.4.0', or LLVM 19 with: "
-            "apt-get install libllvm19"
+            "install the pinned pair with: pip install 'mitsuba==3.9.0' 'drjit==1.4.0', or LLVM 19"
         )
 
 
@@ -109,6 +108,27 @@ def find_llvm(folders: Iterable[str | Path]) -> Path | None:
             if major >= _OLDEST_LLVM and (best is None or major > best[0]):
                 best = (major, Path(name))
     return None if best is None else best[1]
+
+
+def packaged(names: Iterable[str]) -> str | None:
+    """Newest package of a library that works among names such as ``libllvm15``, ``libllvm17t64``; None if none is."""
+    known = [match for match in map(re.compile(r"libllvm(1[5-9])(t64)?").fullmatch, names) if match]
+    return max(known, key=lambda match: int(match[1]))[0] if known else None
+
+
+def _advice() -> str:
+    """How to install the library here: Debian and Ubuntu name it differently in every release."""
+    try:
+        listed = subprocess.run(
+            ["apt-cache", "pkgnames", "libllvm1"], capture_output=True, text=True, check=False, timeout=20
+        )
+        package = packaged(listed.stdout.split())
+    except (OSError, subprocess.SubprocessError):
+        return "install LLVM 15 to 19 (Fedora: dnf install llvm-libs; macOS: brew install llvm)"
+    sudo = "" if os.geteuid() == 0 else "sudo "
+    if package is None:
+        return f"install it with: {sudo}apt-get update, then a package from libllvm15 to libllvm19"
+    return f"install it with: {sudo}apt-get install -y {package}"
 
 
 def _where_missing() -> str:

@@ -11,7 +11,7 @@ import pytest
 
 from optics.errors import BackendError
 from render.engine import Engine
-from render.engine.llvm import check_llvm, find_llvm
+from render.engine.llvm import check_llvm, find_llvm, packaged
 
 ROOT = Path(__file__).parents[3]
 PROGRAM = """
@@ -44,7 +44,8 @@ def test_missing_llvm_is_one_line_with_the_install_command(tmp_path):
     assert done.returncode == 2
     assert done.stderr == ""  # Dr.Jit's own two lines do not reach the user
     assert done.stdout.count("\n") == 1
-    assert "apt-get install libllvm15" in done.stdout
+    assert "install" in done.stdout
+    assert "LLVM" in done.stdout
     assert "does not exist" in done.stdout
 
 
@@ -87,9 +88,23 @@ def test_newest_usable_library_is_found_by_name(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("listed", "package"),
+    [
+        ("libllvm13 libllvm15 libllvm16 libllvm19 libllvmlibc-19-dev libllvm-19-ocaml-dev", "libllvm19"),  # Debian 12
+        ("libllvm17t64 libllvm18 libllvm19 libllvm22", "libllvm19"),  # Debian 13
+        ("libllvm11 libllvm14 libllvm15", "libllvm15"),  # Ubuntu 22.04
+        ("libllvm14t64 libllvm15t64 libllvm17t64", "libllvm17t64"),  # Ubuntu 24.04 without its updates
+        ("libllvm14 libllvmspirvlib15", None),
+    ],
+)
+def test_the_package_of_a_distribution_is_found(listed, package):
+    assert packaged(listed.split()) == package
+
+
+@pytest.mark.parametrize(
     ("version", "drjit", "said", "expected"),
     [
-        ((-1, -1, -1), "1.4.0", "", "apt-get install libllvm15"),
+        ((-1, -1, -1), "1.4.0", "", "was not found; install"),
         ((14, 0, 6), "1.4.0", "", "LLVM 14 is too old"),
         ((-1, -1, -1), "1.4.0", "the located LLVM version (14) is too old.", "LLVM 14 is too old"),
         ((15, 0, 6), "1.5.0", "", "ends the process on LLVM 15"),
