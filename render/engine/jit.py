@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -30,10 +31,18 @@ def _loaded() -> tuple[Any, str]:
     try:
         with home_with_cache(), _caught_stderr() as said:
             module = importlib.import_module("drjit")
-    except ImportError as error:
-        reason = (str(error).splitlines() or ["no reason given"])[0]
-        raise BackendError(f"Dr.Jit cannot be loaded ({reason}); pip install 'drjit==1.4.0'") from None
+    except (ImportError, NameError) as error:  # NameError: drjit 1.4.0 fails over its own message
+        raise BackendError(_why_not(error)) from None
     return module, "".join(said)
+
+
+def _why_not(error: Exception) -> str:
+    """Why Dr.Jit cannot be loaded, and what to do."""
+    found = error.__cause__ or error.__context__ or error
+    reason = (str(found).splitlines() or ["no reason given"])[0]
+    missing = re.match(r"(lib[\w+-]+)\.so\.(\d+): cannot open", reason)
+    advice = f"apt-get install {missing[1]}{missing[2]}" if missing else "pip install 'drjit==1.4.0'"
+    return f"Dr.Jit cannot be loaded ({reason}); {advice}"
 
 
 @contextmanager
