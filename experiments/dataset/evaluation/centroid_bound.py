@@ -17,8 +17,8 @@ from optics.records import freeze
 from render.records import EffectivePsf
 
 if TYPE_CHECKING:
-    from experiments.dataset.evaluation.psf_grid import PsfGrid
     from experiments.dataset.frames.scene import Scene
+    from experiments.laboratory.readout.psf_grid import PsfGrid
 
 __all__ = ["CentroidBound", "centroid_bound", "dataset_bound"]
 

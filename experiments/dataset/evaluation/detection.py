@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from calib.flags import UNFIT, StarFlag, has_flag
-from experiments.dataset.evaluation.reduction import SMEAR_PX, MeasuredFrame
 from experiments.dataset.truth.star_truth import FLAGS
+from experiments.laboratory.readout.reduction import SMEAR_PX, MeasuredFrame
 from optics.arrays import FloatArray
 from optics.records import concatenated, freeze
 

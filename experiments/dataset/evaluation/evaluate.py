@@ -22,14 +22,16 @@ from experiments.dataset.evaluation.independent import (
     turn_missed_sigma,
     turned_px,
 )
-from experiments.dataset.evaluation.psf_grid import render_psf_grid
-from experiments.dataset.evaluation.reduction import MeasuredFrame, Reduction, measure_frame, reduction_of
 from experiments.dataset.evaluation.solve import BlindSolver, SolvedFrame
 from experiments.dataset.evaluation.wcs_check import wcs_misses_px
 from experiments.dataset.truth.files import read_table
 from experiments.dataset.truth.frame_record import FrameRecord
+from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.filter_wheel import open_band
 from experiments.laboratory.readout.frames import empty_frame, mean_dark_frame
+from experiments.laboratory.readout.noise_model import true_noise
+from experiments.laboratory.readout.psf_grid import PsfGrid, render_psf_grid
+from experiments.laboratory.readout.reduction import MeasuredFrame, Reduction, measure_frame
 from optics.arrays import FloatArray
 from render.fits.files import read_frame
 
@@ -145,8 +147,8 @@ def evaluate(folder: Path, scene: Scene, records: Sequence[FrameRecord], *, adva
     streams = scene.plan.streams.child("verify")
     dark = mean_dark_frame(scene.instrument, verify.dark_frames, streams=streams, label=EMPTY)
     temperature_k = float(np.median(scene.temperature_k))
-    psfs = render_psf_grid(scene, temperature_k=temperature_k, window_px=scene.config.window_px)
-    reduction = reduction_of(scene, dark, psfs)
+    psfs = render_psf_grid(scene.instrument, scene.light, temperature_k=temperature_k, window_px=scene.config.window_px)
+    reduction = _reduction(scene, dark, psfs)
     known = scene.instrument.pixel_map(open_band(scene.config.passband, scene.instrument), temperature_k=temperature_k)
     calibration = fit_camera(known)
     solver = BlindSolver(scene, calibration)
@@ -204,3 +206,16 @@ def _in_empty_frames(scene: Scene, reduction: Reduction, sky_e: float, streams: 
         found = measure_frame(empty, reduction)
         count += int(np.count_nonzero(~found.stars.sharp))
     return count
+
+
+def _reduction(scene: Scene, dark_dn: NDArray[Any], psfs: PsfGrid | None) -> Reduction:
+    """The configured reduction."""
+    config = scene.config
+    return Reduction(
+        dark_dn=dark_dn,
+        noise=true_noise(scene.instrument, dark_frames=config.verify.dark_frames),
+        centroid=config.centroid,
+        window_px=config.window_px,
+        threshold_sigma=config.threshold_sigma,
+        psfs=psfs if needs_epsf(config.centroid) else None,
+    )

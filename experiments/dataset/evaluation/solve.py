@@ -21,7 +21,7 @@ from calib.attitude.association import associate
 from calib.attitude.identify import Identification, build_database, identify
 from calib.attitude.star_attitude import FEWEST, MATCH_PX, balanced_attitude
 from calib.cameras.base import CameraModel
-from experiments.dataset.evaluation.reduction import MeasuredFrame
+from experiments.laboratory.readout.reduction import MeasuredFrame
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.records import freeze

@@ -7,8 +7,8 @@ from calib.flags import StarFlag
 from calib.records import NoiseModel, StarTable
 from experiments.dataset.evaluation.centroid_bound import centroid_bound
 from experiments.dataset.evaluation.detection import compare_frame, joined
-from experiments.dataset.evaluation.reduction import MeasuredFrame
 from experiments.dataset.truth.star_truth import FLAGS
+from experiments.laboratory.readout.reduction import MeasuredFrame
 from render.records import EffectivePsf
 
 

@@ -8,9 +8,9 @@ from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
 from calib.flags import StarFlag
 from calib.records import StarTable
-from experiments.dataset.evaluation.reduction import MeasuredFrame
 from experiments.dataset.evaluation.solve import SkyMap, SolvedFrame, solve_frame
 from experiments.dataset.evaluation.statistics import solver_statistics
+from experiments.laboratory.readout.reduction import MeasuredFrame
 from optics.units import RAD_ARCSEC
 from render.catalogue.gaia import load_gaia
 from render.catalogue.index import build_index

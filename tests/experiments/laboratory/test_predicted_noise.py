@@ -193,11 +193,11 @@ def test_bound_of_the_dataset(dataset, engine):
     """The bound of a faint star is that of a background with the measured variance of a pixel."""
     from calib.records import NoiseModel
     from experiments.dataset.evaluation.centroid_bound import centroid_bound, dataset_bound
-    from experiments.dataset.evaluation.psf_grid import render_psf_grid
+    from experiments.laboratory.readout.psf_grid import render_psf_grid
 
     maker, made = dataset
     scene = maker.scene
-    psfs = render_psf_grid(scene, temperature_k=5800.0, window_px=scene.config.window_px)
+    psfs = render_psf_grid(scene.instrument, scene.light, temperature_k=5800.0, window_px=scene.config.window_px)
     stated = dataset_bound(scene, psfs, made.background_e)
     variance = empty_pixels(scene, made.background_e, scene.config.verify.dark_frames)
     nearest = int(np.hypot(*(psfs.place_px - scene.instrument.camera.centre_px).T).argmin())

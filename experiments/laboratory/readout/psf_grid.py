@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.laboratory.instrument import Instrument
 from optics.arrays import FloatArray
 from render.records import EffectivePsf
+from render.sky.star_light import StarLight
 from render.tracing.psf import epsf_tracer, render_epsf
-
-if TYPE_CHECKING:
-    from experiments.dataset.frames.scene import Scene
 
 __all__ = ["PsfGrid", "render_psf_grid"]
 
@@ -46,29 +44,35 @@ class PsfGrid:
         return np.asarray(((at[:, None] - self.place_px) ** 2).sum(-1).argmin(1))
 
 
-def render_psf_grid(scene: Scene, *, temperature_k: float, window_px: int) -> PsfGrid:
+def render_psf_grid(
+    instrument: Instrument, light: StarLight, *, temperature_k: float, window_px: int, long_side: int = LONG_SIDE
+) -> PsfGrid:
     """Render the PSFs of a camera.
 
     Parameters
     ----------
-    scene : Scene
-        Camera and band.
+    instrument : Instrument
+        Camera.
+    light : StarLight
+        Of its pass band.
     temperature_k : float
         Colour of the star.
     window_px : int
         Window that they have to cover, at any sub-pixel phase.
+    long_side : int
+        PSFs along the longer side.
 
     Raises
     ------
     DomainError
         No light reaches one of the places.
     """
-    camera = scene.instrument.camera
+    camera = instrument.camera
     size = np.array([camera.width_px, camera.height_px])
-    columns, rows = np.maximum(3, np.rint(LONG_SIDE * size / size.max()).astype(int) // 2 * 2 + 1)
+    columns, rows = np.maximum(3, np.rint(long_side * size / size.max()).astype(int) // 2 * 2 + 1)
     x, y = (INSET * n / 2 * np.linspace(-1.0, 1.0, count) for n, count in zip(size, (columns, rows), strict=True))
     place = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) + camera.centre_px
-    direction = camera.nominal_direction(place[:, 0], place[:, 1], scene.instrument.focal_length_mm)
-    stars = scene.light.stars(direction, 5.0, temperature_k)
+    direction = camera.nominal_direction(place[:, 0], place[:, 1], instrument.focal_length_mm)
+    stars = light.stars(direction, 5.0, temperature_k)
     rendered = render_epsf(epsf_tracer(camera), stars, oversampling=OVERSAMPLING, half_size_px=window_px // 2 + 2)
     return PsfGrid(psfs=tuple(row[0] for row in rendered), place_px=place)

@@ -13,19 +13,16 @@ from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
 from calib.measure.find import find_stamps
 from calib.records import NoiseModel, StarTable
-from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.readout.frames import dark_subtracted_frame
-from experiments.laboratory.readout.noise_model import true_noise
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
 if TYPE_CHECKING:
-    from experiments.dataset.evaluation.psf_grid import PsfGrid
-    from experiments.dataset.frames.scene import Scene
+    from experiments.laboratory.readout.psf_grid import PsfGrid
     from render.records import Frame
 
-__all__ = ["SMEAR_PX", "MeasuredFrame", "Reduction", "measure_frame", "reduction_of"]
+__all__ = ["SMEAR_PX", "MeasuredFrame", "Reduction", "measure_frame"]
 
 
 FWHM_PX = 1.8
@@ -52,6 +49,8 @@ class Reduction:
         Its window.
     threshold_sigma : float
         Detection limit.
+    fwhm_px : float
+        Width of the detection filter.
     psfs : PsfGrid or None
         For a centroider that needs one.
     """
@@ -61,6 +60,7 @@ class Reduction:
     centroid: str
     window_px: int
     threshold_sigma: float
+    fwhm_px: float = FWHM_PX
     psfs: PsfGrid | None = None
 
     def __post_init__(self) -> None:
@@ -121,7 +121,7 @@ def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) 
         image,
         background=background,
         threshold_sigma=reduction.threshold_sigma,
-        fwhm_px=FWHM_PX,
+        fwhm_px=reduction.fwhm_px,
         size_px=min(window_px, (min(frame.dn.shape) - 1) // 2 * 2 + 1),
     )
     options: dict[str, Any] = {}
@@ -133,17 +133,4 @@ def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) 
         stars=stars,
         fit=stars.fit,
         detected_px=stamps.start_px,
-    )
-
-
-def reduction_of(scene: Scene, dark_dn: NDArray[Any], psfs: PsfGrid | None) -> Reduction:
-    """The configured reduction."""
-    config = scene.config
-    return Reduction(
-        dark_dn=dark_dn,
-        noise=true_noise(scene.instrument, dark_frames=config.verify.dark_frames),
-        centroid=config.centroid,
-        window_px=config.window_px,
-        threshold_sigma=config.threshold_sigma,
-        psfs=psfs if needs_epsf(config.centroid) else None,
     )
