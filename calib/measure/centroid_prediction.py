@@ -25,10 +25,12 @@ from optics.errors import ConfigError
 from optics.records import freeze
 from render.records import EffectivePsf
 
-__all__ = ["CentroidErrors", "phase_windows", "predict_centroids"]
+__all__ = ["CentroidErrors", "CentroidResponse", "phase_windows", "predict_centroids", "psf_mismatch"]
 
 
 NOT_LINEAR = frozenset({"tcog"})
+SCALE_FREE = frozenset({"cog", "windowed"})
+"""Centroiders whose weights do not depend on the light."""
 KNOTS = 3
 
 
@@ -121,6 +123,7 @@ def predict_centroids(
     offset_e: float = 0.0,
     window_px: int = 11,
     phases: int = 4,
+    response: CentroidResponse | None = None,
 ) -> CentroidErrors:
     """Errors of a centroider on stars alone in their window.
 
@@ -142,22 +145,21 @@ def predict_centroids(
         Side of the window, odd.
     phases : int
         Sub-pixel phases along each axis.
+    response : CentroidResponse, optional
+        Of a centroider without a PSF, made before with these PSFs and window; made here if left out.
 
     Raises
     ------
     ConfigError
         An unknown centroider, or one whose response to noise is not linear.
     """
-    if centroider in NOT_LINEAR:
-        raise ConfigError(
-            f"centroid = {centroider!r}: its threshold lies in the noise, so that no prediction without frames holds; "
-            "take another centroider, e.g. epsf or windowed"
-        )
-    windows = phase_windows(psfs, window_px, phases)
-    flux, count = np.asarray(electrons, np.float64), phases**2
-    fits = centroider_class(centroider).needs_epsf
+    flux = np.asarray(electrons, np.float64)
+    if response is None and not centroider_class(centroider).needs_epsf:
+        ends = (float(flux[0]), float(flux[-1]))
+        response = CentroidResponse(centroider, psfs, ends, noise=noise, window_px=window_px, phases=phases)
+    windows = phase_windows(psfs, window_px, phases) if response is None else response.windows
+    count = len(windows.light) // len(psfs)
     rows: dict[str, list[FloatArray]] = {"noise": [], "bound": [], "pattern": [], "phase": []}
-    response = None if fits else _Response(centroider, windows, noise, flux)
     for value in flux:
         light = value * windows.light
         expected = light + background_e
@@ -165,8 +167,7 @@ def predict_centroids(
         inverse = np.linalg.inv(fisher_information(jacobian, expected.reshape(len(light), -1), noise))
         variance = noise.variance_e2(expected)
         if response is None:
-            weight = 1.0 / variance.reshape(len(light), 1, -1)
-            gain = (inverse @ (jacobian * weight))[:, :2].reshape(len(light), 2, *light.shape[1:])
+            gain = _fit_gain(windows, float(value), noise, background_e)
             offset = np.zeros((len(light), 2))
         else:
             gain, offset = response.at(value)
@@ -187,20 +188,77 @@ def predict_centroids(
     )
 
 
-class _Response:
-    """Response and bias of a centroider on noiseless windows, against the star's electrons.
+def psf_mismatch(
+    psfs: tuple[EffectivePsf, ...],
+    true: tuple[EffectivePsf, ...],
+    electrons: ArrayLike,
+    *,
+    noise: NoiseModel,
+    background_e: float = 0.0,
+    window_px: int = 11,
+    phases: int = 4,
+) -> FloatArray:
+    """Bias of an ePSF fit that is told other PSFs than the stars have, root mean square over phases and axes, (f, k).
+
+    Both PSFs are centred on the mean of the light. To first order the bias is the response of the fit to the difference
+    of the two images; parameters as of `predict_centroids`.
+
+    Parameters
+    ----------
+    psfs, true : tuple of EffectivePsf
+        f PSFs, as told and as they are.
+    electrons : (k,)
+        Electrons of the star.
+    """
+    told, are = phase_windows(psfs, window_px, phases), phase_windows(true, window_px, phases)
+    found = []
+    for value in np.asarray(electrons, np.float64):
+        gain = _fit_gain(told, float(value), noise, background_e)
+        bias = np.einsum("nahw,nhw->na", gain, value * (are.light - told.light))
+        found.append(np.sqrt((bias.reshape(len(psfs), -1) ** 2).mean(1)))
+    return np.stack(found, axis=1)
+
+
+def _fit_gain(windows: PhaseWindows, flux: float, noise: NoiseModel, background_e: float) -> FloatArray:
+    """Response (n, 2, h, w) of weighted least squares for position and flux."""
+    variance = noise.variance_e2(flux * windows.light + background_e)
+    jacobian = windows.jacobian * np.array([flux, flux, 1.0])[:, None]
+    weighted = jacobian / variance.reshape(len(variance), 1, -1)
+    information = weighted @ jacobian.swapaxes(1, 2)
+    gain = np.linalg.solve(information, weighted)[:, :2]
+    return np.asarray(gain.reshape(len(variance), 2, *variance.shape[1:]))
+
+
+class CentroidResponse:
+    """Response and bias of a centroider without a PSF on noiseless windows, against the star's electrons.
 
     Where the weights of the estimator do not depend on the light, response times electrons is the same for all;
     elsewhere
     it changes slowly, and is interpolated between three stars in the logarithm of their electrons.
     """
 
-    def __init__(self, name: str, windows: PhaseWindows, noise: NoiseModel, flux: FloatArray) -> None:
+    def __init__(
+        self,
+        name: str,
+        psfs: tuple[EffectivePsf, ...],
+        electrons: tuple[float, float],
+        *,
+        noise: NoiseModel,
+        window_px: int,
+        phases: int = 4,
+    ) -> None:
+        if name in NOT_LINEAR:
+            raise ConfigError(
+                f"centroid = {name!r}: its threshold lies in the noise, so that no prediction without frames holds; "
+                "take another centroider, e.g. epsf or windowed"
+            )
+        windows = self.windows = phase_windows(psfs, window_px, phases)
         chosen: Any = get_centroider(name)
         if hasattr(chosen, "tolerance"):
             chosen = replace(chosen, tolerance=1e-6)
         count = len(windows.light)
-        self.log_flux = np.log(np.geomspace(flux[0], flux[-1], KNOTS if flux[0] < flux[-1] else 1))
+        knots = 1 if name in SCALE_FREE or electrons[0] == electrons[1] else KNOTS
+        self.log_flux = np.log(np.geomspace(*electrons, knots))
         self.gain, self.bias = [], []
         for value in np.exp(self.log_flux):
             light = value * windows.light

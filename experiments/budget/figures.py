@@ -9,11 +9,11 @@ from matplotlib.ticker import MaxNLocator
 from scipy.stats import norm
 
 from experiments.budget.combine import TERMS
-from experiments.budget.range import value_at
 from experiments.budget.tables import SWEPT
 from experiments.budget.tolerances import MOVES
 from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure
 from experiments.harness.quantities import Outcome
+from experiments.harness.range import value_at
 
 __all__ = [
     "attitude_curves",

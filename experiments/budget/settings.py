@@ -7,8 +7,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from experiments.budget.range import SweepRange, check_range, leaf_keys, parse_sweep
 from experiments.harness.config import StrictModel
+from experiments.harness.range import SweepRange, check_range, leaf_keys, parse_sweep
 from experiments.laboratory import settings as laboratory_settings
 from experiments.laboratory.centroid_methods import CentroiderName, ProcessingName
 from experiments.laboratory.detector_changes import DetectorConfig

@@ -18,9 +18,9 @@ from experiments.budget.combine import Budget, Value, combine
 from experiments.budget.laboratory import Laboratory, build_laboratory
 from experiments.budget.measure import measure_terms
 from experiments.budget.predict import predict_terms
-from experiments.budget.range import SweepRange, value_at, with_value
 from experiments.budget.settings import Config
 from experiments.budget.terms import Measurement, Psfs
+from experiments.harness.range import SweepRange, value_at, with_value
 from experiments.laboratory.ray_prediction import expected_spots
 from experiments.laboratory.target import corner_directions
 from optics.arrays import FloatArray

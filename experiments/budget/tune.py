@@ -21,10 +21,10 @@ import click
 import numpy as np
 
 from experiments.budget.combine import PRINTED, Budget
-from experiments.budget.range import value_at, with_value
 from experiments.budget.settings import Config
 from experiments.harness.cli import configuration_file
 from experiments.harness.config import load_config
+from experiments.harness.range import value_at, with_value
 from experiments.laboratory.published import ACC18_ARCSEC
 from optics.arrays import FloatArray
 from optics.errors import StarbenchError

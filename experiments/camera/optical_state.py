@@ -16,7 +16,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.light.band import Band
 from optics.rays.performance import LensPerformance, lens_performance, white_focus
-from optics.rays.spots import trace_spots
+from optics.rays.spots import Spots, trace_spots
 from optics.units import ARCSEC_RAD
 from render.records import EffectivePsf
 from render.sky.star_light import StarLight, star_light
@@ -32,6 +32,10 @@ PARTS = (0.0, 0.45, 0.7, 0.87, 1.0)
 RAYS = (32, 64)
 """Rings and azimuths of the pupil."""
 OVERSAMPLING = 8
+AZIMUTH_DEG = 22.5
+"""Direction in which PSFs lie from the middle: halfway between the axes and the diagonals of the pixels."""
+COLD_K, HOT_K = 3500.0, 10000.0
+"""Stars whose spots are compared with that of the star that is quoted."""
 _LAYERS = 64
 
 
@@ -57,6 +61,8 @@ class OpticalState:
         Of the focused lens at these fields.
     psfs : tuple of EffectivePsf
         Of these fields, for the star that is quoted.
+    cold_psfs, hot_psfs : tuple of EffectivePsf
+        The same of stars of 3500 and 10 000 K.
     fwhm_px : float
         Width of the mean spot on the pixels, and so of the detection filter.
     colour_px : (c, f)
@@ -73,6 +79,8 @@ class OpticalState:
     radius_px: FloatArray
     performance: LensPerformance
     psfs: tuple[EffectivePsf, ...]
+    cold_psfs: tuple[EffectivePsf, ...]
+    hot_psfs: tuple[EffectivePsf, ...]
     fwhm_px: float
     colour_px: FloatArray
     temperatures_k: FloatArray
@@ -143,21 +151,11 @@ def _state(
     field_deg = np.degrees(np.arctan(radius_px * camera.pixel_pitch_mm / instrument.focal_length_mm))
     spots = trace_spots(lens, field_deg, np.zeros_like(field_deg), wave, order=RAYS)
     performance = lens_performance(lens, field_deg, wave, share, spots=spots)
-    weight = spots.area_mm2 * share[:, None]
     pitch, diffusion_px = camera.pixel_pitch_mm, camera.charge_diffusion_px
     rms_px = white_focus(spots, share).rms_mm() / pitch
     half = int(np.clip(np.ceil(4.0 * np.nanmax(rms_px)) + 4, 8, 40))
-    psfs = tuple(
-        ray_epsf(
-            (spots.rays.x[k] / pitch).ravel(),
-            (-spots.rays.y[k] / pitch).ravel(),
-            weight[k].ravel(),
-            diffusion_px=diffusion_px,
-            oversampling=OVERSAMPLING,
-            half_size_px=half,
-        )
-        for k in range(len(field_deg))
-    )
+    camera_px = _Bundles(spots, pitch, diffusion_px, half)
+    psfs = camera_px.psfs(share, AZIMUTH_DEG)
     sigma2 = float(np.nanmean(rms_px**2)) / 2.0 + diffusion_px**2 + 1.0 / 12.0
     kelvin = np.exp(light.log_temperature[4:-4:4])
     shares = np.stack([_share(light, response, float(t)) for t in kelvin])
@@ -172,6 +170,8 @@ def _state(
         radius_px=radius_px,
         performance=performance,
         psfs=psfs,
+        cold_psfs=camera_px.psfs(_share(light, response, COLD_K), AZIMUTH_DEG),
+        hot_psfs=camera_px.psfs(_share(light, response, HOT_K), AZIMUTH_DEG),
         fwhm_px=float(np.clip(2.3548 * np.sqrt(sigma2), 0.8, 20.0)),
         colour_px=(means - performance.white_mm) / pitch,
         temperatures_k=kelvin,
@@ -181,3 +181,26 @@ def _state(
 def _share(light: StarLight, response: FloatArray, temperature_k: float) -> FloatArray:
     rate = light.photon_rate(np.zeros(1), np.array([temperature_k]))[0, 0] * response
     return np.asarray(rate / rate.sum())
+
+
+class _Bundles:
+    """Rays of all fields and wavelengths on the pixels, to be weighed by spectra."""
+
+    def __init__(self, spots: Spots, pitch_mm: float, diffusion_px: float, half_size_px: int) -> None:
+        self.x, self.y = spots.rays.x / pitch_mm, -spots.rays.y / pitch_mm
+        self.area, self.diffusion_px, self.half_size_px = spots.area_mm2, diffusion_px, half_size_px
+
+    def psfs(self, share: FloatArray, azimuth_deg: float) -> tuple[EffectivePsf, ...]:
+        """PSFs of all fields for light of which each wavelength has a share; the fields lie in a direction."""
+        cos, sin = np.cos(np.radians(azimuth_deg)), np.sin(np.radians(azimuth_deg))
+        return tuple(
+            ray_epsf(
+                (cos * x - sin * y).ravel(),
+                (sin * x + cos * y).ravel(),
+                (area * share[:, None]).ravel(),
+                diffusion_px=self.diffusion_px,
+                oversampling=OVERSAMPLING,
+                half_size_px=self.half_size_px,
+            )
+            for x, y, area in zip(self.x, self.y, self.area, strict=True)
+        )

@@ -148,6 +148,10 @@ def _parser(experiment: Experiment, status: list[int], interrupts: Interrupts) -
             status.append(_perform(experiment, chosen, interrupts))
 
     for name, (key, text) in shorts.items():
+        if _is_switch(experiment, key):
+            help_text = f"{text} Short for --set {key}=true."
+            parse = click.option(f"--{name}", _parameter(name), flag_value="true", default=None, help=help_text)(parse)
+            continue
         help_text = f"{text} Short for --set {key}=TEXT."
         parse = click.option(f"--{name}", _parameter(name), metavar="TEXT", help=help_text)(parse)
     return parse
@@ -158,6 +162,11 @@ def _shorts(experiment: Experiment) -> dict[str, tuple[str, str]]:
     field = experiment.config.model_fields.get("frames")
     common = {"frames": ("frames", f"Number of {field.description}.")} if field and field.annotation is int else {}
     return {**common, **experiment.options}
+
+
+def _is_switch(experiment: Experiment, key: str) -> bool:
+    field = experiment.config.model_fields.get(key)
+    return field is not None and field.annotation is bool
 
 
 def _parameter(option: str) -> str:

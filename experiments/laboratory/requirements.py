@@ -25,7 +25,7 @@ class RequirementsConfig(StrictModel):
     nea_arcsec: float | None = _asked("noise-equivalent angle of the star of [star], one axis, at most")
     single_star_arcsec: float | None = _asked("error of the star of [star], one axis, noise and patterns, at most")
     stars_mean_per_frame: float | None = _asked("stars found per frame, mean over the sky, at least")
-    stars_worst_percent_per_frame: float | None = _asked("stars found per frame in the worst 1 % of the sky, at least")
+    stars_worst_per_frame: float | None = _asked("stars found per frame in the worst 1 % of the sky, at least")
     attitude_cross_arcsec: float | None = _asked("attitude error across the boresight, median over the sky, at most")
     attitude_cross_worst_arcsec: float | None = _asked("the same in the worst 1 % of the sky, at most")
     attitude_roll_arcsec: float | None = _asked("attitude error about the boresight, median over the sky, at most")

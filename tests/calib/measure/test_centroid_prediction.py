@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.measure.centroid import get_centroider
-from calib.measure.centroid_prediction import phase_windows, predict_centroids
+from calib.measure.centroid_prediction import phase_windows, predict_centroids, psf_mismatch
 from calib.records import NoiseModel, Stamps
 from optics.errors import ConfigError
 from render.records import EffectivePsf
@@ -80,3 +80,30 @@ def test_no_method_beats_the_bound_and_thresholds_are_refused():
         assert (found.phase_px > 0.0).all()
     with pytest.raises(ConfigError, match="threshold lies in the noise"):
         predict_centroids("tcog", (psf,), [300.0], noise=NOISE)
+
+
+def test_wrong_psf_is_what_the_fit_makes_of_it():
+    """A fit told a symmetric PSF on stars with a tail to the right: its bias, noiseless, for each phase and axis."""
+    told, wide = gaussian_psf(0.8), gaussian_psf(1.1)
+    tail = np.roll(wide.values, 4, axis=1) * 0.15 + told.values * 0.85
+    offset = (np.arange(len(tail)) - len(tail) // 2) / 8.0
+    centre = float((tail.sum(0) @ offset) / tail.sum())
+    shifted = np.stack([np.interp(offset + centre, offset, row) for row in tail])  # about its own mean again
+    true = EffectivePsf(values=shifted, oversampling=8)
+    window, flux = 11, 20000.0
+    light = flux * phase_windows((true,), window).light
+    place, count = phase_windows((told,), window).place_px, len(light)
+    stamps = Stamps(
+        electrons=light,
+        valid=np.ones(light.shape, bool),
+        corner_px=np.zeros((count, 2), np.int64),
+        background_e=np.zeros(count),
+        start_px=place,
+        flags=np.zeros(count, np.uint32),
+        psf_index=np.zeros(count, np.int64),
+    )
+    table = get_centroider("epsf", epsf=(told,)).measure(stamps, NOISE)
+    predicted = psf_mismatch((told,), (true,), [flux], noise=NOISE, window_px=window)[0, 0]
+    rms = np.sqrt(((np.column_stack([table.x_px, table.y_px]) - place) ** 2).mean())
+    assert predicted == pytest.approx(rms, rel=0.25)  # first order
+    assert psf_mismatch((told,), (told,), [flux], noise=NOISE, window_px=window)[0, 0] == 0.0

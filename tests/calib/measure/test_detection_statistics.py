@@ -3,9 +3,14 @@
 import numpy as np
 import pytest
 
-from calib.measure.background import Background
+from calib.measure.background import Background, estimate_background
 from calib.measure.detection import detect
-from calib.measure.detection_statistics import detection_probability, false_alarms, threshold_for_false_alarms
+from calib.measure.detection_statistics import (
+    clipped_noise,
+    detection_probability,
+    false_alarms,
+    threshold_for_false_alarms,
+)
 from calib.records import NoiseModel, SensorImage
 from optics.errors import DomainError
 
@@ -78,3 +83,14 @@ def test_share_of_stars_that_are_found(sky, flux):
     expected = float(detection_probability(unit, flux, empty_e2=100.0, threshold_sigma=limit, fwhm_px=fwhm).mean())
     assert 0.1 < expected < 0.95
     assert abs(found - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / 400) + 0.01
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.6])
+def test_noise_that_clipping_finds(spread):
+    """A clipped standard deviation of 262144 pixels is known to 0.2 %; four of it, and no stars to be left out."""
+    rng, size = np.random.default_rng(6), 512
+    variance = 100.0 * rng.lognormal(-0.5 * np.log1p(spread**2), np.sqrt(np.log1p(spread**2)), (size, size))
+    found = estimate_background(image_of(np.sqrt(variance) * rng.standard_normal((size, size))), box_px=128)
+    assert found.sigma_e.mean() / 10.0 == pytest.approx(clipped_noise(spread), abs=0.012)
+    assert clipped_noise(0.6) < 0.97
+    assert clipped_noise(0.0) == pytest.approx(1.0, abs=1e-6)

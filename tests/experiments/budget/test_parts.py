@@ -6,12 +6,12 @@ import pytest
 from experiments.budget.attitude import StarErrors, attitude_study
 from experiments.budget.combine import PRINTED, TERMS, Value, combine, published
 from experiments.budget.laboratory import build_laboratory, moved_lens
-from experiments.budget.range import leaf_keys, parse_sweep, value_at, with_value
 from experiments.budget.settings import AttitudeConfig, Config, MovedConfig
 from experiments.budget.tolerances import cubic_basis
 from experiments.budget.tune import as_toml, differences
 from experiments.harness.cli import configuration_file
 from experiments.harness.config import load_config
+from experiments.harness.range import leaf_keys, parse_sweep, value_at, with_value
 from experiments.laboratory.detector_changes import DetectorConfig, overridden
 from optics.errors import ConfigError
 from optics.lens.prescription import load_lens

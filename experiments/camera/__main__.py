@@ -1,0 +1,8 @@
+"""``python -m experiments.camera``."""
+
+import sys
+
+from experiments.camera.experiment import main
+
+if __name__ == "__main__":
+    sys.exit(main())

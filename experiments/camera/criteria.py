@@ -1,0 +1,90 @@
+"""Whether the frames confirm the prediction; whether the sensor is good enough is another question (`verdicts`)."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from experiments.harness.quantities import Outcome
+from experiments.harness.summary import Criterion
+
+__all__ = ["criteria"]
+
+
+ALARM = 1e-3
+"""Probability that a criterion fails although everything is right."""
+MODEL_SHARE = 0.03
+"""What the prediction leaves out may make of the NEA: fields between five, PSFs in cells, a linear response."""
+MODEL_MAG = 0.05
+
+
+def criteria(outcome: Outcome) -> list[Criterion]:
+    """Light, noise, detection, false alarms, stars and attitudes of the frames against their prediction."""
+    result = outcome.result
+    if result.rendered is None:
+        return []
+    compared = {one.name: one for one in result.compared}
+    limit = float(norm.isf(ALARM / 2.0))
+    light, noise, faint = compared["electrons"], compared["nea"], compared["limiting_magnitude"]
+    allowed = limit * noise.error / noise.predicted + MODEL_SHARE
+    found = [
+        Criterion(
+            name="electrons of a star, rendered against predicted, relative",
+            value=abs(light.measured / light.predicted - 1.0),
+            limit=2e-3,
+        ),
+        Criterion(
+            name="NEA, scatter of readouts over prediction, off 1 by",
+            value=abs(noise.measured / noise.predicted - 1.0),
+            limit=round(allowed, 4),
+        ),
+        Criterion(
+            name="limiting magnitude, share of chart stars that are found against prediction",
+            value=abs(faint.measured - faint.predicted),
+            limit=round(limit * faint.error + MODEL_MAG, 3),
+            unit="mag",
+        ),
+    ]
+    for name, words in (("false_alarms", "false alarms"), ("stars", "stars found in the sky")):
+        found.append(
+            Criterion(
+                name=f"{words}, counted against predicted",
+                value=abs(compared[name].pull),
+                limit=round(limit, 2),
+                unit="sigma",
+            )
+        )
+    return [*found, *_attitudes(outcome)]
+
+
+def _attitudes(outcome: Outcome) -> list[Criterion]:
+    """Sum of the squared errors over their predicted variances: chi-square of as many degrees of freedom."""
+    sky, forecast = outcome.result.rendered.sky, outcome.result.prediction.attitude
+    ratio = sky.error_arcsec / forecast.total_arcsec[: len(sky.error_arcsec)]
+    solved = np.isfinite(ratio).all(axis=1)
+    enough = forecast.stars[: len(solved)] >= FEWEST_STARS
+    found = [
+        Criterion(
+            name=f"frames of the sky with {FEWEST_STARS} stars or more that are not solved",
+            value=float(np.count_nonzero(enough & ~solved)),
+            limit=0.0,
+        )
+    ]
+    for columns, words in ((slice(0, 2), "across"), (slice(2, 3), "roll")):
+        squares = ratio[solved][:, columns] ** 2
+        if not squares.size:
+            continue
+        chance = float(chi2.sf(squares.sum(), squares.size))
+        found.append(
+            Criterion(
+                name=f"attitude {words}, chance of errors as large (or as small) as those of the frames",
+                value=2.0 * min(chance, 1.0 - chance),
+                limit=ALARM,
+                relation=">=",
+            )
+        )
+    return found
+
+
+FEWEST_STARS = 8
+"""Fewer are not always told from chance."""

@@ -1,0 +1,72 @@
+"""My camera: run and declaration."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from experiments.camera.settings import Config
+from experiments.harness.cli import command
+from experiments.harness.experiment import Experiment
+from experiments.harness.progress import Progress
+
+if TYPE_CHECKING:
+    from experiments.camera.result import Result
+    from experiments.camera.tornado import Swing
+
+__all__ = ["Config", "experiment", "main", "run"]
+
+
+def run(config: Config, *, progress: Progress) -> Result:
+    """Predict, warm and cool, vary, render.
+
+    Raises
+    ------
+    StarbenchError
+        On anything the user can mend: unknown lens or detector, a pass band beyond what is known, a detector beyond the
+        field of the lens, a sky without a star that the sensor finds.
+    """
+    from experiments.camera.prediction import predict_camera
+    from experiments.camera.result import Result
+    from experiments.camera.thermal import thermal_study
+    from experiments.camera.tornado import predict_tornado, tornado_size
+
+    with progress.stage("predict"):
+        prediction = predict_camera(config)
+    with progress.stage("temperature"):
+        thermal = thermal_study(config)
+    swings: tuple[Swing, ...] = ()
+    if config.tornado.parameters:
+        with progress.stage("what to change", total=tornado_size(config, prediction)) as stage:
+            swings = predict_tornado(config, prediction, advance=stage.advance)
+    rendered = None
+    if not config.predict_only:
+        from experiments.camera.rendered import render_frames
+
+        with progress.stage("frames", total=config.frames.readouts + config.frames.sky) as stage:
+            rendered = render_frames(prediction, advance=stage.advance)
+    return Result(config=config, prediction=prediction, thermal=thermal, swings=swings, rendered=rendered)
+
+
+experiment = Experiment(
+    name="camera",
+    config=Config,
+    run=run,
+    takes="40 s (--quick: 20 s, --predict-only: 8 s)",
+    examples={
+        "--sensor my.toml": "your own sensor",
+        "--sensor my.toml --predict-only": "the answer without frames",
+        "--sensor my.toml --set instrument.exposure_s=0.2": "the same with another exposure",
+    },
+    show=("requirements",),
+    options={"predict-only": ("predict_only", "No rendered frames: an answer in seconds.")},
+    renders=lambda config: not config.predict_only,
+    quick={
+        "sky.attitudes": 200,
+        "thermal.points": 3,
+        "frames.sky": 4,
+        "frames.chart_stars": 200,
+        "frames.readouts": 5,
+        "dark_frames": 8,
+    },
+)
+main = command(experiment)

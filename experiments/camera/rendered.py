@@ -1,0 +1,318 @@
+"""Rendered frames that confirm the prediction: an artificial chart read out many times, and frames of the real sky.
+
+The chart has stars of one brightness, whose scatter from readout to readout is the noise, and stars about the limiting
+magnitude, of which a share is found. The sky is seen in the first attitudes that were predicted; the camera is
+calibrated without error (a model fitted to its traced map), the attitude roughly known, as by a sensor that tracks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from calib.attitude.solve import solve_wahba
+from calib.attitude.star_attitude import identify_stars, solve_attitude
+from calib.cameras.base import CameraModel
+from calib.cameras.fit import fit_camera
+from experiments.camera.records import CameraPrediction, exposed_s
+from experiments.laboratory.centroid_methods import needs_epsf
+from experiments.laboratory.detector_changes import overridden
+from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector
+from experiments.laboratory.readout.frames import mean_dark_frame
+from experiments.laboratory.readout.psf_grid import render_psf_grid
+from experiments.laboratory.readout.reduction import MeasuredFrame, Reduction, measure_frame
+from optics.arrays import FloatArray
+from optics.attitude import attitude_error_arcsec
+from render.detector.readout import expose
+from render.engine.random import Streams
+from render.records import Frame, StarField
+from render.tracing.tracer import Tracer
+
+__all__ = ["ChartFrames", "Rendered", "SkyFrames", "render_frames"]
+
+
+MATCH_PX = 2.0
+"""A detection this near to the light of a star is that star."""
+FAINTER_MAG, BRIGHTER_MAG = 0.8, 1.2
+"""Chart stars about the limiting magnitude."""
+ROUGH_PX = 5.0
+LONG_SIDE = 17
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChartFrames:
+    """n artificial stars in k readouts.
+
+    Attributes
+    ----------
+    bright_mag : float
+        Magnitude of the stars whose scatter is measured.
+    magnitude, radius_px, electrons : (n,)
+        Of the stars; electrons as rendered, those that reach the detector.
+    found : (k, n) bool
+        Whether a detection belongs to the star.
+    error_px : (k, n, 2)
+        Centroid minus mean of the noiseless light; NaN where there is none.
+    false_alarms : (k,) int64
+        Detections without a star, those that are flagged as too sharp left out.
+    """
+
+    bright_mag: float
+    magnitude: FloatArray
+    radius_px: FloatArray
+    electrons: FloatArray
+    found: NDArray[np.bool_]
+    error_px: FloatArray
+    false_alarms: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SkyFrames:
+    """m frames of the real sky; frame k has attitude k of the prediction.
+
+    Attributes
+    ----------
+    found : (m,)
+        Stars that are found and fit.
+    false_alarms : (m,) int64
+        As for the chart.
+    error_arcsec : (m, 3)
+        Attitude minus truth about x, y (across) and z (roll); NaN where there is none.
+    status : tuple of str
+        Of the identification.
+    """
+
+    found: NDArray[np.int64]
+    false_alarms: NDArray[np.int64]
+    error_arcsec: FloatArray
+    status: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rendered:
+    """What the frames showed.
+
+    Attributes
+    ----------
+    chart : ChartFrames
+        Artificial stars.
+    sky : SkyFrames
+        Real sky.
+    example_e : (h, w) float32
+        First frame of the sky, electrons above the dark.
+    example_px : (n, 2)
+        Where its stars were measured.
+    """
+
+    chart: ChartFrames
+    sky: SkyFrames
+    example_e: NDArray[np.float32]
+    example_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Known:
+    """Stars that the attitude is solved with."""
+
+    id: NDArray[np.int64]
+    direction: FloatArray
+
+
+class _Bench:
+    """Everything that all frames share."""
+
+    def __init__(self, prediction: CameraPrediction) -> None:
+        self.prediction, config = prediction, prediction.config
+        setting = config.instrument
+        detector = overridden(configured_detector(setting), config.detector)
+        self.instrument: Instrument = build_instrument(setting, detector=detector)
+        self.streams = Streams(config.seed).child("camera")
+        self.tracer = Tracer(self.instrument.camera, tolerance=1e-4)
+        light, kelvin = prediction.state.light, config.star.temperature_k
+        psfs = None
+        if needs_epsf(config.centroid):
+            psfs = render_psf_grid(
+                self.instrument, light, temperature_k=kelvin, window_px=config.window_px, long_side=LONG_SIDE
+            )
+        processing = prediction.processing
+        self.reduction = Reduction(
+            dark_dn=mean_dark_frame(self.instrument, config.dark_frames, streams=self.streams, label="dark"),
+            noise=processing.noise,
+            centroid=config.centroid,
+            window_px=config.window_px,
+            threshold_sigma=processing.threshold_sigma,
+            fwhm_px=processing.fwhm_px,
+            psfs=psfs,
+            background_step_px=1,
+        )
+        self.model: CameraModel = fit_camera(
+            self.instrument.pixel_map(prediction.state.band, temperature_k=kelvin)
+        ).camera
+
+    def expected(self, stars: StarField) -> tuple[NDArray[np.float32], FloatArray, FloatArray]:
+        """Noiseless image, and place (n, 2) and electrons (n,) of the light of the stars on it."""
+        traced = self.tracer.render(stars, exposure_s=exposed_s(self.prediction.config))
+        truth = traced.truth
+        place = np.column_stack([truth.photon_x_px[:, 0], truth.photon_y_px[:, 0]])
+        return traced.electrons[:, :, 0], place, truth.electrons_image[:, 0]
+
+    def read(self, electrons: NDArray[np.float32], number: int, label: str) -> Frame:
+        config = self.prediction.config
+        return expose(
+            electrons,
+            self.instrument.detector,
+            streams=self.streams,
+            frame=number,
+            exposure_s=config.instrument.exposure_s,
+            temperature_c=config.instrument.chip_temperature_c,
+            background_e_per_s=config.background_e_per_s,
+            band=label,
+        )
+
+
+def render_frames(prediction: CameraPrediction, *, advance: Callable[[], None] = lambda: None) -> Rendered:
+    """Render, read out, measure.
+
+    Parameters
+    ----------
+    prediction : CameraPrediction
+        What is to be confirmed.
+    advance : callable
+        Called after every frame, ``frames.readouts + frames.sky`` times.
+
+    Raises
+    ------
+    StarbenchError
+        As of the renderer and the centroider.
+    """
+    bench = _Bench(prediction)
+    chart = _chart(bench, advance)
+    found, alarms, errors, status = [], [], [], []
+    example: tuple[NDArray[np.float32], FloatArray] | None = None
+    for number in range(prediction.config.frames.sky):
+        seen, frame, measured, place = _sky_frame(bench, number)
+        partner, false = _matched(measured, place, prediction.config.window_px)
+        fit = partner >= 0
+        fit[fit] = measured.fit[partner[fit]]
+        found.append(int(np.count_nonzero(fit)))
+        alarms.append(false)
+        error, how = _attitude_error(bench, measured, number, seen)
+        errors.append(error)
+        status.append(how)
+        if example is None:
+            light = (frame.dn - bench.reduction.dark_dn) / np.float32(frame.gain_dn_per_e)
+            example = (light, measured.stars.pixel_px)
+        advance()
+    assert example is not None
+    sky = SkyFrames(
+        found=np.array(found, np.int64),
+        false_alarms=np.array(alarms, np.int64),
+        error_arcsec=np.array(errors),
+        status=tuple(status),
+    )
+    return Rendered(chart=chart, sky=sky, example_e=example[0], example_px=example[1])
+
+
+def _chart(bench: _Bench, advance: Callable[[], None]) -> ChartFrames:
+    prediction, camera = bench.prediction, bench.instrument.camera
+    config, rng = prediction.config, bench.streams.generator("chart")
+    limit = prediction.value("limiting_magnitude_mag")
+    bright = max(config.star.magnitude_mag, prediction.value("saturation_mag") + 0.3)
+    bright = min(bright, prediction.value("complete_magnitude_mag") - 0.5)
+    place = _scattered(camera.width_px, camera.height_px, config.frames.chart_stars, config.window_px, rng)
+    magnitude = np.full(len(place), bright)
+    faint = np.arange(len(place)) % 2 == 1
+    magnitude[faint] = limit + rng.uniform(-BRIGHTER_MAG, FAINTER_MAG, np.count_nonzero(faint))
+    direction = camera.nominal_direction(place[:, 0], place[:, 1], bench.instrument.focal_length_mm)
+    stars = prediction.state.light.stars(direction, magnitude, config.star.temperature_k)
+    image, light_px, electrons = bench.expected(stars)
+    found, errors, alarms = [], [], []
+    for number in range(config.frames.readouts):
+        measured = measure_frame(bench.read(image, number, "chart"), bench.reduction)
+        partner, false = _matched(measured, light_px, config.window_px)
+        error = np.full((len(place), 2), np.nan)
+        seen = partner >= 0
+        error[seen] = np.where(
+            measured.fit[partner[seen], None], measured.stars.pixel_px[partner[seen]] - light_px[seen], np.nan
+        )
+        found.append(seen)
+        errors.append(error)
+        alarms.append(false)
+        advance()
+    return ChartFrames(
+        bright_mag=bright,
+        magnitude=magnitude,
+        radius_px=np.hypot(*(light_px - camera.centre_px).T),
+        electrons=electrons,
+        found=np.array(found),
+        error_px=np.array(errors),
+        false_alarms=np.array(alarms, np.int64),
+    )
+
+
+def _scattered(width: int, height: int, count: int, window_px: int, rng: np.random.Generator) -> FloatArray:
+    """Places (n, 2), at most ``count``, each in a cell of its own, two windows from the next one and from the edge."""
+    least = 3.0 * window_px
+    columns = max(1, int(min(np.sqrt(count * width / height), width // least)))
+    rows = max(1, int(min(np.ceil(count / columns), height // least)))
+    cell = np.array([width / columns, height / rows])
+    x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
+    middle = np.column_stack([x.ravel(), y.ravel()]) * cell - 0.5
+    return np.asarray(middle + rng.uniform(-0.5, 0.5, middle.shape) * (cell - 2.0 * window_px))
+
+
+def _matched(measured: MeasuredFrame, light_px: FloatArray, near_px: float) -> tuple[NDArray[np.int64], int]:
+    """Detection of each star (n,), -1 for none, and how many detections are no star: farther than ``near_px`` from all.
+
+    What is flagged as too sharp for a star is left out.
+    """
+    partner = np.full(len(light_px), -1)
+    lit = np.flatnonzero(np.isfinite(light_px).all(axis=1))
+    detected = measured.detected_px
+    if not len(detected):
+        return partner, 0
+    if not len(lit):
+        return partner, int(np.count_nonzero(~measured.stars.sharp))
+    distance, nearest = cKDTree(detected).query(light_px[lit])
+    back_distance, back = cKDTree(light_px[lit]).query(detected)
+    mutual = (back[nearest] == np.arange(len(lit))) & (distance <= MATCH_PX)
+    partner[lit[mutual]] = nearest[mutual]
+    return partner, int(np.count_nonzero((back_distance > near_px) & ~measured.stars.sharp))
+
+
+def _sky_frame(bench: _Bench, number: int) -> tuple[NDArray[np.bool_], Frame, MeasuredFrame, FloatArray]:
+    view = bench.prediction.view
+    seen = view.sample.frame == number
+    stars = bench.prediction.state.light.stars(
+        view.sample.direction[seen], view.magnitude[seen], view.temperature_k[seen]
+    )
+    image, place, _ = bench.expected(stars)
+    frame = bench.read(image, number, "sky")
+    return seen, frame, measure_frame(frame, bench.reduction), place
+
+
+def _attitude_error(
+    bench: _Bench, measured: MeasuredFrame, number: int, seen: NDArray[np.bool_]
+) -> tuple[FloatArray, str]:
+    view = bench.prediction.view
+    truth = view.attitudes[number]
+    known = _Known(id=view.sample.row[seen], direction=truth.inv().apply(np.array(view.sample.direction[seen])))
+    pixel_rad = np.radians(bench.prediction.state.pixel_arcsec / 3600.0)
+    rng = bench.streams.generator("rough", number)
+    rough = Rotation.from_rotvec(ROUGH_PX * pixel_rad * rng.standard_normal(3)) * truth
+    found = identify_stars(measured.stars, bench.model, known, near=rough, radius_px=4.0 * ROUGH_PX)
+    solved = solve_attitude(measured.stars, found, bench.model, known)
+    if not solved.ok:
+        return np.full(3, np.nan), found.status if not found.ok else solved.solution.status
+    # weights: the errors that the sensor knows its stars to have
+    pixel = measured.stars.pixel_px[solved.detected]
+    sigma_px = bench.prediction.attitude.sigma_px[seen][solved.catalogue]
+    weighted = solve_wahba(
+        bench.model.unproject(pixel), known.direction[solved.catalogue], sigma_rad=pixel_rad * sigma_px
+    )
+    return attitude_error_arcsec(weighted.rotation, truth), "solved"

@@ -1,0 +1,85 @@
+"""The camera report as a user runs it."""
+
+import json
+
+import pytest
+
+from experiments.camera.experiment import main
+
+SENSOR = """
+name = "Small tracker"
+[instrument]
+lens = "star_tracker_26mm"
+detector = "cmv4000"
+width_px = 800
+height_px = 800
+exposure_s = 0.2
+defocus_mm = 0.0
+[passband]
+range_nm = [500, 800]
+[requirements]
+limiting_magnitude_mag = 4.0
+attitude_roll_arcsec = 0.001
+"""
+
+
+@pytest.fixture(scope="module")
+def sensor(tmp_path_factory):
+    path = tmp_path_factory.mktemp("sensor") / "my.toml"
+    path.write_text(SENSOR)
+    return path
+
+
+def run(sensor, folder, *options):
+    status = main(["--sensor", str(sensor), "--quick", *options, "--out", str(folder / "out")], own_process=False)
+    return (
+        status,
+        json.loads((folder / "out" / "summary.json").read_text()),
+        (folder / "out" / "report.html").read_text(),
+    )
+
+
+@pytest.mark.slow
+def test_prediction_alone_says_what_is_missed_and_ends_well(sensor, tmp_path, capsys):
+    """A missed requirement is an answer: exit status 0."""
+    status, summary, page = run(sensor, tmp_path, "--predict-only", "--set", "sky.attitudes=50")
+    assert status == 0
+    assert summary["results"]["requirements_missed"] == 1
+    assert summary["criteria"] == []
+    assert "misses 1 of 2 requirements" in page
+    assert "Small tracker" in page
+    assert "Frames beside the prediction" not in page
+    assert "MISSED" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_frames_confirm_the_prediction(sensor, tmp_path, engine):
+    """Every criterion of a healthy sensor holds, and all of them are there."""
+    status, summary, page = run(sensor, tmp_path)
+    assert status == 0
+    assert len(summary["criteria"]) == 8
+    frames = summary["results"]["frames"]
+    assert frames["nea"]["measured"] == pytest.approx(frames["nea"]["predicted"], rel=0.15)
+    assert "Frames beside the prediction" in page
+
+
+@pytest.mark.slow
+def test_criteria_fail_on_a_wrong_prediction(sensor, tmp_path, engine, monkeypatch):
+    """Read noise half of what the frames have: noise, false alarms and attitudes are noticed."""
+    from dataclasses import replace
+
+    from experiments.camera import prediction
+
+    true = prediction._processing
+
+    def quieter(config, state):
+        found = true(config, state)
+        pixel = replace(found.pixel, read_e2=found.pixel.read_e2 / 4.0)
+        return replace(found, pixel=pixel, empty_e2=found.empty_e2 - found.pixel.read_e2 * 0.75)
+
+    monkeypatch.setattr(prediction, "_processing", quieter)
+    status, summary, _ = run(sensor, tmp_path)
+    assert status == 1
+    failed = " ".join(one["name"] for one in summary["criteria"] if not one["passed"])
+    assert "NEA" in failed
+    assert "limiting magnitude" in failed

@@ -1,0 +1,156 @@
+"""The fast path of the camera: by hand, against other rooms, and monotone where it has to be."""
+
+import time
+
+import numpy as np
+import pytest
+
+from experiments.camera import predict
+from experiments.camera.settings import Config
+from experiments.camera.tornado import predict_tornado
+from experiments.camera.verdicts import judge, verdict_words
+from experiments.harness.range import with_value
+from experiments.laboratory.requirements import RequirementsConfig
+from optics.errors import ConfigError, DomainError
+from optics.light.photometry import band_photon_rate
+from optics.light.spectrum import Blackbody
+
+TRACKER = {
+    "instrument": {
+        "lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 1024, "height_px": 1024, "exposure_s": 0.2,
+        "defocus_mm": 0.0,
+    },
+    "passband": {"range_nm": [500.0, 800.0]},
+    "sky": {"attitudes": 120},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def config():
+    return Config(**TRACKER)
+
+
+@pytest.fixture(scope="module")
+def tracker(config):
+    return predict(config)
+
+
+def test_first_order_by_hand(tracker):
+    """f = 25.6 mm and 5.5 um make 44.3 arcsec; 1024 of them 2 atan(2.816 / 25.6) = 12.55 deg; F/2."""
+    pixel = np.degrees(5.5e-3 / tracker.value("focal_length_mm")) * 3600.0
+    assert tracker.value("pixel_arcsec") == pytest.approx(pixel, rel=2e-3)
+    field = 2.0 * np.degrees(np.arctan(512 * 5.5e-3 / tracker.value("focal_length_mm")))
+    assert tracker.value("field_deg") == pytest.approx(field, rel=2e-3)
+    assert tracker.value("f_number") == pytest.approx(2.0, rel=0.03)
+    assert tracker.value("depth_of_focus_um") == pytest.approx(tracker.value("f_number") * 5.5, rel=1e-9)
+
+
+def test_electrons_by_hand(tracker):
+    """Photons of a 5th magnitude star through the band, times throughput at its middle, pupil area and exposure.
+
+    The throughput changes by some 10 % about its value at the middle: 6 % is what this sum can promise.
+    """
+    sensor, band = tracker.state.instrument, tracker.state.band
+    photons = float(band_photon_rate(Blackbody(temperature_k=5800.0), 5.0, [band], system="G")[0])
+    wave = np.linspace(500.0, 800.0, 61)
+    throughput = float(sensor.camera.response_at(wave).mean())
+    area = np.pi / 4.0 * tracker.value("pupil_mm") ** 2
+    assert tracker.value("electrons_e") == pytest.approx(photons * throughput * area * 0.2, rel=0.06)
+
+
+def test_nea_lies_between_its_limits(tracker):
+    """At least sigma / SNR of a spot as wide as the pixelated one, at most twice that for a matched fit."""
+    spot_px = tracker.state.fwhm_px / 2.3548
+    least = tracker.value("pixel_arcsec") * spot_px / tracker.value("snr")
+    assert 0.7 * least < tracker.value("nea_arcsec") < 2.5 * least
+
+
+def test_attitude_follows_from_stars_and_their_errors(tracker):
+    """N like stars: across sigma / sqrt(N), roll by the spread of the field; the brightest few make it better."""
+    forecast = tracker.attitude
+    assert np.all(forecast.total_arcsec >= forecast.noise_arcsec)
+    cross, roll = tracker.value("attitude_cross_noise_arcsec"), tracker.value("attitude_roll_noise_arcsec")
+    half = np.radians(tracker.value("field_deg") / 2.0)
+    assert roll / cross == pytest.approx(np.sqrt(1.5) / half, rel=0.2)  # rms distance of a square is sqrt(2 / 3) half
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "better"),
+    [
+        ("instrument.exposure_s", 0.4, True),
+        ("detector.read_noise_e", 20.0, False),
+        ("throughput_fraction", 0.5, False),
+        ("instrument.f_number", 2.8, False),
+        ("background_e_per_s", 2000.0, False),
+    ],
+)
+def test_what_helps_and_what_harms(config, tracker, key, value, better):
+    other = predict(with_value(config, key, value))
+    for name, more_is_better in (
+        ("nea_arcsec", False),
+        ("limiting_magnitude_mag", True),
+        ("stars_mean_per_frame", True),
+        ("attitude_cross_noise_arcsec", False),
+    ):
+        assert (other.value(name) > tracker.value(name)) == (more_is_better == better), name
+
+
+def test_twice_the_light_is_three_quarters_of_a_magnitude(config, tracker):
+    """Faint stars: the limit of half the throughput is brighter by 2.5 log 2."""
+    half = predict(with_value(config, "throughput_fraction", 0.5))
+    shift = tracker.value("limiting_magnitude_mag") - half.value("limiting_magnitude_mag")
+    assert shift == pytest.approx(2.5 * np.log10(2.0), abs=0.01)
+
+
+def test_false_alarms_that_were_asked_for(config):
+    asked = predict(with_value(config, "false_alarms_per_frame", 0.01))
+    assert asked.value("false_alarms_per_frame") == pytest.approx(0.01, rel=1e-3)
+    assert asked.value("threshold_sigma") > 5.0
+
+
+def test_later_calls_are_fast(config):
+    predict(config)
+    began = time.process_time()
+    predict(with_value(config, "instrument.exposure_s", 0.21))
+    assert time.process_time() - began < 1.0
+
+
+def test_tornado_and_verdicts(config, tracker):
+    few = config.model_copy(
+        update={
+            "tornado": config.tornado.model_copy(
+                update={"parameters": ("detector.prnu", "instrument.exposure_s", "throughput_fraction")}
+            )
+        }
+    )
+    swings = predict_tornado(few, tracker)
+    assert swings[-1].key == "detector.prnu"
+    light = {swing.key: swing for swing in swings}["throughput_fraction"]
+    assert light.at_low["limiting_magnitude_mag"] == pytest.approx(2.5 * np.log10(0.8), abs=0.01)
+    asked = RequirementsConfig(limiting_magnitude_mag=3.0, nea_arcsec=0.01, field_deg=10.0)
+    verdicts = judge(asked, tracker.scalars)
+    assert [one.met for one in verdicts] == [True, True, False]
+    assert verdicts[1].margin == pytest.approx(tracker.value("limiting_magnitude_mag") - 3.0)
+    assert "misses 1 of 3 requirements: NEA" in verdict_words(verdicts)
+    assert "Nothing was asked" in verdict_words(judge(RequirementsConfig(), tracker.scalars))
+
+
+def test_every_requirement_has_its_prediction(tracker):
+    from experiments.camera.result import thermal_scalars
+    from experiments.camera.thermal import ThermalStudy
+
+    one = np.ones(1)
+    study = ThermalStudy(
+        temperature_c=one, focus_um=one, scale_ppm=one, spot_px=one, colour_px=one, nea_arcsec=one, attitude_arcsec=one
+    )
+    known = {**tracker.scalars, **thermal_scalars(study)}
+    assert set(RequirementsConfig.model_fields) <= set(known)
+
+
+def test_refused(config):
+    with pytest.raises(ConfigError, match="threshold lies in the noise"):
+        predict(config.model_copy(update={"centroid": "tcog"}))
+    with pytest.raises(DomainError, match="brighter than"):
+        predict(with_value(with_value(config, "instrument.exposure_s", 1e-5), "throughput_fraction", 0.001))
+    with pytest.raises(DomainError, match="read at most"):
+        predict(with_value(with_value(config, "instrument.width_px", 0), "instrument.height_px", 0))
