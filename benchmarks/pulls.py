@@ -22,13 +22,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 METHODS = ("cog", "tcog", "windowed", "gaussian", "epsf", "epsf_measured")
 TERMS = ("TE", "HSFE", "LSFE-S", "LSFE-C1")
+DRAWS = 80
 SMALL = (
     "centroid=cog",
     f"compare={json.dumps(METHODS[1:])}",
-    "frames=15",
-    "dark_frames=50",
+    "target.rows=4",
+    "target.columns=4",
+    "frames=12",
+    "dark_frames=40",
     "steps.places=1",
-    "steps.positions=6",
+    "steps.positions=5",
     "sweep=",
 )
 
@@ -52,7 +55,7 @@ def pulls_of(seed: int, settings: tuple[str, ...] = ()) -> dict[str, dict[str, l
 
     given = [*SMALL, f"seed={seed}", f"detector.sensor_seed={1000 + seed}", *settings]
     lab = build_laboratory(load_config(Config, settings=given))
-    predicted, measured = predict_terms(lab), measure_terms(lab)
+    predicted, measured = predict_terms(lab, draws=DRAWS, step_draws=DRAWS), measure_terms(lab)
     pairs = {method: TermPair(predicted[method], measured[method]) for method in lab.bench.methods}
     return {method: {term: np.ravel(pair.pulls(term)).tolist() for term in TERMS} for method, pair in pairs.items()}
 
@@ -82,12 +85,13 @@ def main() -> None:
     """Run the seeds that are not done yet, print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=20, help="how many")
+    parser.add_argument("--first", type=int, default=1, help="the first of them")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--set", dest="settings", action="append", default=[], help="KEY=VALUE of the budget")
     parser.add_argument("--out", type=Path, default=Path("pulls"), help="folder of what is done")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    files = {seed: options.out / f"{seed:03d}.json" for seed in range(1, options.seeds + 1)}
+    files = {seed: options.out / f"{seed:03d}.json" for seed in range(options.first, options.first + options.seeds)}
     missing = [seed for seed, file in files.items() if not file.exists()]
     with ProcessPoolExecutor(options.jobs) as pool:
         for seed, found in zip(
