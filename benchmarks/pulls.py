@@ -26,8 +26,9 @@ DRAWS = 80
 SMALL = (
     "centroid=cog",
     f"compare={json.dumps(METHODS[1:])}",
-    "target.rows=4",
-    "target.columns=4",
+    "target.rows=3",
+    "target.columns=3",
+    "filters.centres_nm=[600, 800]",
     "frames=12",
     "dark_frames=40",
     "steps.places=1",
@@ -69,10 +70,10 @@ def table(found: list[dict[str, dict[str, list[float]]]]) -> str:
     for method in METHODS:
         cells = []
         for term in TERMS:
-            pulls = np.array([one[method][term] for one in found]).ravel()
+            pulls = np.concatenate([one[method][term] for one in found])
             cells.append(f"{pulls.mean():+.2f}, {np.sqrt((pulls**2).mean()):.2f}")
         lines.append(f"| {method} | " + " | ".join(cells) + " |")
-    counts = {term: np.size([one[METHODS[0]][term] for one in found]) for term in TERMS}
+    counts = {term: sum(len(one[METHODS[0]][term]) for one in found) for term in TERMS}
     expected = ", ".join(
         f"{term} {n}: ± {1 / np.sqrt(n):.2f}, ± {1 / np.sqrt(2 * n):.2f}" for term, n in counts.items()
     )
