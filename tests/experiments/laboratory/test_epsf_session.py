@@ -1,0 +1,41 @@
+"""A PSF built from frames measures as the one predicted without them, and as the PSF of the simulator."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.measure.centroid import get_centroider
+from experiments.laboratory.epsf_session import epsf_session, measured_epsf, predicted_epsf
+from experiments.laboratory.hexapod import Hexapod
+from experiments.laboratory.point_noise import expected_windows, influence
+from experiments.laboratory.point_scene import one_filter, point_scene
+from experiments.laboratory.temporal_error import target_place
+from render.engine.random import Streams
+
+
+def test_few_points_take_more_positions(bench_of):
+    assert epsf_session(bench_of(rows=5, columns=5)).positions == 5
+    assert epsf_session(bench_of(rows=1, columns=2)).positions == 10  # a PSF of four samples per pixel needs 16 stars
+
+
+@pytest.mark.slow
+def test_a_measured_psf_places_stars_as_the_predicted_and_the_true_one_do(engine, bench_of, small_camera):
+    """Rationale: same pixels, other PSFs. Expected: positions alike within what the noise of the session leaves."""
+    bench = bench_of(rows=3, columns=3, frames=30, dark_frames=100)
+    bench = replace(bench, target=bench.target.model_copy(update={"pitch_px": 40.4}))
+    scene, rest = point_scene(bench, small_camera), target_place(bench, small_camera)
+    psf = scene.psfs(rest)
+    platform = Hexapod(step_error_arcsec=0.4, roll_error_arcsec=1.0, reading_error_arcsec=0.2)
+    measured = measured_epsf(bench, small_camera, platform, psf=psf, streams=Streams(4), scene=scene)
+    predicted = predicted_epsf(bench, small_camera, psf, seed=1)
+    windows = expected_windows(one_filter(bench), small_camera, rest[None], psf)
+    alone = replace(windows, psf_index=np.zeros(len(rest), np.int64))
+    place = {
+        name: influence(get_centroider("epsf", epsf=one), small_camera, alone).position_px - windows.place_px
+        for name, one in (("measured", measured), ("predicted", predicted))
+    }
+    # 45 stars of 30 frames: a frame's 0.01 px becomes 0.002 px for each phase of the pixel; the points are 40 px apart
+    for found in place.values():
+        assert np.sqrt((found**2).mean()) < 8e-3
+    assert np.sqrt(((place["measured"] - place["predicted"]) ** 2).mean()) < 6e-3
