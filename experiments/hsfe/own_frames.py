@@ -119,7 +119,7 @@ def _describe(q: Quantities, reduced: StepFrames, methods: Sequence[str]) -> Non
     for name, label, values in (
         ("estimate", "One position", [one.value_px for one in errors]),
         ("low", "from", [one.low_px for one in errors]),
-        ("high", "to", [one.high_px for one in errors]),
+        ("high", "to", [np.where(one.low_px > 0, one.high_px, np.nan) for one in errors]),
         ("upper", "at most", [one.upper_px for one in errors]),
     ):
         q.add(f"single_{name}_arcsec", scale * np.array(values), label, **angle, format=".4f", json=f"{place}.{name}")

@@ -172,9 +172,11 @@ def position_error(
     Notes
     -----
     The interval is that of Williams and Tukey for a component of variance (Searle, Casella and McCulloch 1992, sec.
-    3.6d): conservative where the component is small. Errors of neighbouring positions are alike, so that m positions
-    count as fewer: the degrees of freedom are ``tr(S)^2 / tr(S^2)`` times those of the stars, S the covariance of the
-    positions, with the traces estimated without bias from the stars (Srivastava 2005, J. Japan Stat. Soc. 35, 251).
+    3.6d): conservative where the component is small. A negative estimate has the upper limit of an estimate of zero:
+    a lucky draw of the noise does not make the test more sensitive than it is. Errors of neighbouring positions are
+    alike, so that m positions count as fewer: the degrees of freedom are ``tr(S)^2 / tr(S^2)`` times those of the
+    stars, S the covariance of the positions, with the traces estimated without bias from the stars (Srivastava 2005, J.
+    Japan Stat. Soc. 35, 251).
     """
     if mean_px.ndim != 3 or mean_px.shape[0] < 2 or mean_px.shape[1] < 2:
         raise DomainError(f"mean centroids of shape {mean_px.shape}; at least 2 positions of 2 stars are needed")
@@ -195,16 +197,16 @@ def position_error(
     degrees = np.array([_degrees(left[..., a], free) for a in range(2)])
     tail = 0.5 * (1.0 - level)
 
-    def bound(probability: float) -> FloatArray:
+    def bound(probability: float, least: FloatArray | float = 0.0) -> FloatArray:
         ratio = fisher_f.isf(probability, degrees, noise_degrees)
-        pure = (scatter - of_noise * ratio) * degrees / chi2.isf(probability, degrees)
+        pure = (np.maximum(scatter, least) - of_noise * ratio) * degrees / chi2.isf(probability, degrees)
         return np.asarray(np.sqrt(np.maximum(pure, 0.0)))
 
     return PositionError(
         variance_px2=scatter - of_noise,
         low_px=bound(tail),
         high_px=bound(1.0 - tail),
-        upper_px=bound(level),
+        upper_px=bound(level, of_noise),
         degrees=degrees,
         level=level,
     )

@@ -54,10 +54,11 @@ def test_estimate_and_interval_hold_the_truth(error_px, neighbours):
 
 
 def test_no_error_is_consistent_with_zero():
-    """Frames of a camera without this error: said in 97 % of the cases, the limit is that of the noise."""
+    """Frames of a camera without this error: that is said in 97 % of the cases; the limit is below a mean's noise."""
     found = estimates(0.0, 0.05)
     words = [said(one, axis, 1.0) for one in found for axis in range(2)]
     assert np.mean([one.startswith("consistent with zero, upper limit 0.0") for one in words]) > 0.95
     upper = np.array([one.upper_px for one in found])
-    assert 0.0 < np.median(upper) < 0.05 / np.sqrt(FRAMES)
+    assert upper.min() > 0.0  # also where the estimate is far below zero
+    assert np.median(upper) < 0.05 / np.sqrt(FRAMES)
     assert np.isnan(found[0].value_px).any() or found[0].variance_px2.min() > 0
