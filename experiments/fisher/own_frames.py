@@ -184,7 +184,7 @@ def _criteria(outcome: Outcome) -> list[Criterion]:
     more = "the star moved during exposures, the table's readings are worse than stated, or the lens needs more terms"
     less = "the reading noise or the camera's noise is stated too large"
     return [
-        *fit_criteria(outcome.result.reduced.fitted),
+        *fit_criteria(outcome.result.reduced.fitted, outcome.result.folder),
         Criterion(
             name="scatter of the star vectors against what covariances predict",
             value=z,

@@ -78,7 +78,7 @@ def _arrows(outcome: Outcome) -> Figure:
 
 
 def _criteria(outcome: Outcome) -> list[Criterion]:
-    return fit_criteria(outcome.result.reduced)
+    return fit_criteria(outcome.result.reduced, outcome.result.folder)
 
 
 own_frames = FramesTest(

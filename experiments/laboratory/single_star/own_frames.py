@@ -142,13 +142,15 @@ def pose_data(series: Sequence[SeriesFrames], table: Turntable, method: str) -> 
     )
 
 
-def fit_criteria(found: PoseCalibration) -> list[Criterion]:
+def fit_criteria(found: PoseCalibration, folder: FrameFolder) -> list[Criterion]:
     """Residuals as their noise has them, and a detector that was visited."""
     misfit = found.calibration.solution.misfit
     more = (
         "the reading noise is larger than stated, the star or the table moved during a pose, or the lens has more "
         "distortion than five terms describe"
     )
+    if folder.flat is None and not folder.settings.prnu_fraction:
+        more += "; there is no flat, and prnu_fraction = 0 says that the pixels respond alike"
     less = "the reading noise or read_noise_e is smaller than stated"
     reduced = misfit.value / max(misfit.degrees_of_freedom, 1)
     return [
