@@ -268,7 +268,13 @@ def row(mutant: Mutant, entry: dict[str, Any]) -> str:
     run, left = list(entry["criteria"]), [name for name in mutant.experiments if name not in entry["criteria"]]
     asked = f"none of {', '.join(run)}" if run else "no experiment is expected to" if not left else ""
     asked += f"{'; ' if asked else ''}not run: {', '.join(left)}" if left else ""
-    cells = f"`{mutant.file}`", f"{mutant.equation} ({mutant.source})", mutant.fault, test, noticed or asked
+    cells = (
+        f"`{mutant.name}` `{mutant.file}`",
+        f"{mutant.equation} ({mutant.source})",
+        mutant.fault,
+        test,
+        noticed or asked,
+    )
     return f"| {' | '.join(text.replace('|', chr(92) + '|') for text in cells)} |"
 
 
@@ -276,7 +282,12 @@ def page(study: Study) -> str:
     """The table for the documents."""
     entries = [study.entry(mutant) for mutant in study.mutants]
     by_tests = sum(bool(entry.get("test")) for entry in entries)
-    by_criteria = sum(any(entry["criteria"].values()) for entry in entries)
+    noticed = [any(entry["criteria"].values()) for entry in entries]
+    judged = [
+        seen or set(mutant.experiments) <= set(entry["criteria"])
+        for mutant, entry, seen in zip(study.mutants, entries, noticed, strict=True)
+    ]
+    left = f"; {judged.count(False)} were not judged" if not all(judged) else ""
     rooms = Counter(mutant.file.split("/")[0] for mutant in study.mutants)
     counts = ", ".join(f"{count} in `{room}`" for room, count in rooms.items())
     lines = [
@@ -285,10 +296,12 @@ def page(study: Study) -> str:
         f"{len(entries)} equations ({counts}), each broken alone by `python benchmarks/mutants.py`.",
         "",
         f"* Noticed by tests: {by_tests} of {len(entries)}. The first test that fails is named.",
-        f"* Noticed by criteria of quick runs: {by_criteria} of {len(entries)}, {by_criteria / len(entries):.0%}. The"
-        " first criterion that does not hold is named; after *none of* stand the experiments that were run.",
+        f"* Noticed by criteria of quick runs: {sum(noticed)} of {sum(judged)}, "
+        f"{sum(noticed) / max(sum(judged), 1):.0%}{left}.",
         "",
-        "| file | equation | broken | test that notices | criterion that notices |",
+        "The first criterion that does not hold is named; after *none of* stand the experiments that were run.",
+        "",
+        "| name, file | equation | broken | test that notices | criterion that notices |",
         "|---|---|---|---|---|",
         *map(row, study.mutants, entries),
     ]
