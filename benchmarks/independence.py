@@ -1,0 +1,445 @@
+"""What predictions and measurements share: the functions of this repository that both sides of a comparison run.
+
+Run from the repository root: ``python benchmarks/independence.py`` (some ten minutes); it writes docs/independence.md.
+``--only NAME`` runs one experiment and prints what it finds.
+
+Every experiment runs as ``--quick`` in this process, under a profiler (`sys.setprofile`) that notes which Python
+functions are called. A comparison names the functions with which its two sides begin; what they call belongs to their
+side, and what both sides call is shared. Caches are emptied when a side begins, so that none lives on what the other
+one computed; processes of a Monte Carlo are run in this one. Not counted: the harness, records, checks of input, units,
+array backends, and what is prepared for both sides (instrument, target, source). Kernels of Dr.Jit count through the
+Python functions that write them. What sharing can hide is said in words, room by room (`WORDS`); a shared room without
+words ends the run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import concurrent.futures
+import sys
+import tempfile
+import threading
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from types import CodeType, FrameType
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+PAGE = ROOT / "docs" / "independence.md"
+ROOMS = ("optics", "render", "calib", "experiments")
+LEFT_OUT = (
+    *(
+        "experiments/harness",
+        "optics/records",
+        "render/records",
+        "calib/records",
+        "calib/flags",
+        "calib/measure/options",
+    ),
+    *("optics/errors", "optics/validate", "optics/units", "optics/arrays"),
+    *("render/plugins", "render/engine/engine", "render/engine/arrays", "render/engine/jit"),
+)
+PREDICTED, MEASURED = 1, 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """A prediction beside a measurement.
+
+    Attributes
+    ----------
+    experiment : str
+        Which runs both.
+    what : str
+        Number that is compared.
+    predicted, measured : tuple of str
+        Functions with which the sides begin, ``module:qualified name``; a side ends where one of the other's begins.
+    both : tuple of str
+        Functions whose results both sides take, whoever calls them.
+    settings : tuple of str
+        Of the run.
+    """
+
+    experiment: str
+    what: str
+    predicted: tuple[str, ...]
+    measured: tuple[str, ...]
+    both: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
+
+    def sides(self) -> dict[str, int]:
+        """Function -> the side that it begins."""
+        named = ((self.predicted, PREDICTED), (self.measured, MEASURED), (self.both, PREDICTED | MEASURED))
+        return {name: side for names, side in named for name in names}
+
+
+NO, YES = "no", "yes"
+WORDS: dict[str, tuple[str, str]] = {
+    "optics/glass": (YES, "indices against the makers' printed values, opticalglass, SCHOTT's dn/dT; air against NIST"),
+    "optics/lens": (
+        YES,
+        "rays through three lenses against batoid, surfaces against their own sag; a lens against its patent",
+    ),
+    "optics/rays": (YES, "rays, path and pupils against batoid and optiland; foci against ABCD matrices"),
+    "optics/light": (YES, "band integrals and black bodies against closed forms (Stefan-Boltzmann, zero points)"),
+    "optics/response": (YES, "linear between nodes; curves are data with a source"),
+    "optics/frames": (YES, "a star towards +X lands at a larger column; conversions against FITS, tetra3, Mitsuba"),
+    "render/camera": (YES, "pixels of chief rays against a trace in other coordinates (chromatic, tests)"),
+    "render/sensor": (YES, "angle of a pixel against focal length and pitch"),
+    "render/forward": (NO, "passes arguments on"),
+    "render/tracing": (
+        "yes, where the prediction takes its PSF from the renderer: charge that spreads too far passes hsfe",
+        "pixels within 1e-5 of a NumPy trace with integrals by the error function; moments in closed form",
+    ),
+    "render/detector": (
+        "no: data sheet, and mean and variance of a pixel; the read-out chain runs on the measured side alone",
+        "photon transfer of frames; each effect of the chain against its law",
+    ),
+    "render/engine": (NO, "named random streams: both sides draw from streams of different names"),
+    "render/sky": (YES, "light of a star against one spectrum at a time; magnitudes against published zero points"),
+    "render/bench": (NO, "sizes of the bench, and where the mask's spot falls, against traced particles"),
+    "calib/measure": (
+        "yes: a biased centroider is biased on both sides; hsfe holds the centre of gravity against the light",
+        "every centroider against truth, bound and scatter on stars of other code; photutils, sep; known shifts put in",
+    ),
+    "calib/cameras": (
+        YES,
+        "projections against OpenCV, derivatives against differences, maps against drawn parameters",
+    ),
+    "calib/attitude": (YES, "matrices as printed in the documents; SciPy; scatter of 4000 frames"),
+    "calib/calibration": (
+        "no: the budget predicts leaning axes with it, on exact positions",
+        "truth of simulated benches; scipy.optimize.least_squares; scatter over the bound",
+    ),
+    "calib/fitting": (NO, "NIST's certified fits; scipy.optimize.least_squares"),
+    "calib/directional": (NO, "a basis of the tangent plane; any will do"),
+    "experiments/laboratory": (
+        "yes: the document's statistics (RMS of steps, polynomial, mean shift) and where the target stands",
+        "closed forms and written-out sums in the tests; known shifts and polynomials put into frames; criteria by "
+        "paths of their own",
+    ),
+    "experiments/budget": (
+        "yes: sums of the terms; the marking error is an input of both",
+        "the document's printed terms give its printed sums",
+    ),
+    "experiments/acf": (
+        "yes: stars, motion, and the derivatives of the linear model (which also bounds each run)",
+        "derivatives against differences, bound against calib.calibration, scatter against both",
+    ),
+    "experiments/cube": (
+        "yes: geometry of faces and readings, and the reduction of perfect positions",
+        "R_sp written out from the document's equations; light really reflected; differences",
+    ),
+    "experiments/skycal": (
+        YES,
+        "the truth is traced by the tracer that renders: what covers `render/tracing` covers it",
+    ),
+}
+"""Shared room -> whether an error in it can go unseen because both sides make it, and what would see it."""
+
+LABORATORY, PSFS = "experiments.laboratory", ("experiments.laboratory.point_scene:PointScene.psfs",)
+COMPARISONS = (
+    Comparison(
+        experiment="temporal",
+        what="temporal error",
+        predicted=(f"{LABORATORY}.temporal_error:predict_temporal",),
+        measured=(f"{LABORATORY}.temporal_error:measure_temporal",),
+        both=PSFS,
+    ),
+    Comparison(
+        experiment="hsfe",
+        what="high-frequency error",
+        predicted=(f"{LABORATORY}.high_frequency_model:predict_high_frequency",),
+        measured=(f"{LABORATORY}.high_frequency:measure_high_frequency",),
+        both=PSFS,
+    ),
+    Comparison(
+        experiment="distortion",
+        what="found, left and removed distortion",
+        predicted=(f"{LABORATORY}.distortion_model:predict_distortion",),
+        measured=(
+            f"{LABORATORY}.distortion_error:measure_distortion",
+            f"{LABORATORY}.distortion_error:DistortionMeasurement.over_surveys",
+        ),
+        both=PSFS,
+    ),
+    Comparison(
+        experiment="chromatic",
+        what="shift between filters",
+        predicted=(
+            f"{LABORATORY}.ray_prediction:bundle_prediction",
+            f"{LABORATORY}.ray_prediction:paraxial_prediction",
+        ),
+        measured=(
+            f"{LABORATORY}.chromatic_error:measure_chromatic",
+            f"{LABORATORY}.chromatic_error:reduce_chromatic",
+        ),
+    ),
+    Comparison(
+        experiment="budget",
+        what="all terms",
+        predicted=("experiments.budget.terms:predict_terms", f"{LABORATORY}.ray_prediction:bundle_prediction"),
+        measured=("experiments.budget.terms:measure_terms",),
+        both=PSFS,
+    ),
+    Comparison(
+        experiment="acf",
+        what="reprojection error and covariance",
+        predicted=("experiments.acf.expected:expected_results",),
+        measured=("experiments.acf.monte_carlo:perform",),
+    ),
+    Comparison(
+        experiment="skycal",
+        what="map of the line of sight against the traced lens",
+        predicted=("experiments.skycal.truth:trace_chart",),
+        measured=(
+            "experiments.skycal.measure:record",
+            "experiments.skycal.match:match_frames",
+            "experiments.skycal.calibrate:Calibrator.calibrate",
+        ),
+    ),
+    Comparison(
+        experiment="turntable",
+        what="map error against its bound",
+        predicted=("experiments.turntable.bound:bound",),
+        measured=("experiments.turntable.monte_carlo:monte_carlo", "experiments.turntable.case:_calibrate"),
+    ),
+    Comparison(
+        experiment="fisher",
+        what="scatter of star vectors",
+        predicted=(
+            "experiments.fisher.predict:predict_independent",
+            "experiments.fisher.predict:predict_same_data",
+            "experiments.fisher.predict:tangent_maps",
+            "experiments.fisher.predict:table_covariance_px2",
+            "experiments.fisher.predict:calibration_of_rows",
+            "experiments.fisher.bench:_Work._predict",
+        ),
+        measured=("experiments.fisher.bench:run_bench", "experiments.fisher.degrees_of_freedom:same_data_sweep"),
+    ),
+    Comparison(
+        experiment="cube",
+        what="error of R_sp, term by term",
+        predicted=("experiments.cube.budget:build_budget",),
+        measured=("experiments.cube.montecarlo:run_cases",),
+    ),
+    Comparison(
+        experiment="dataset",
+        what="centroid error against its bound",
+        predicted=("experiments.dataset.evaluation.centroid_bound:dataset_bound",),
+        measured=(
+            "experiments.dataset.production.schedule:make_frames",
+            "experiments.dataset.evaluation.evaluate:evaluate",
+        ),
+        settings=("workers=1", "verify.resume_frames=0"),
+    ),
+)
+
+
+@dataclass(slots=True)
+class Recorder:
+    """Which functions run on which side; a profile function.
+
+    Attributes
+    ----------
+    side : dict of str to int
+        Function -> the side that it begins.
+    seen : dict of str to int
+        Function -> the sides on which it ran.
+    begun : set of str
+        Those of ``side`` that were called.
+    """
+
+    side: Mapping[str, int]
+    seen: defaultdict[str, int] = field(default_factory=lambda: defaultdict(int))
+    begun: set[str] = field(default_factory=set)
+    _name: dict[CodeType, str] = field(default_factory=dict)
+    _stack: threading.local = field(default_factory=threading.local)
+    _main: list[int] = field(default_factory=list)
+
+    def __call__(self, frame: FrameType, event: str, _: Any) -> None:
+        """Note a call or a return."""
+        try:
+            stack = self._stack.sides
+        except AttributeError:  # a new thread works for the side that started it
+            stack = self._stack.sides = [self._main[-1]] if self._main else [0]
+            if threading.current_thread() is threading.main_thread():
+                self._main = stack
+        if event == "call":
+            name = self._name.get(frame.f_code)
+            if name is None:
+                name = self._name[frame.f_code] = name_of(frame)
+            side = stack[-1]
+            if name in self.side:
+                self.begun.add(name)
+                if not side:
+                    empty_caches()
+                side = self.side[name]
+            stack.append(side)
+            if side and name:
+                self.seen[name] |= side
+        elif event == "return" and len(stack) > 1:
+            stack.pop()
+
+    @contextmanager
+    def recording(self) -> Iterator[None]:
+        """Profile this and all new threads."""
+        threading.setprofile(self)
+        sys.setprofile(self)
+        try:
+            yield
+        finally:
+            sys.setprofile(None)
+            threading.setprofile(None)
+
+
+class Here(concurrent.futures.Executor):
+    """Does at once what processes of their own would do, where nobody sees them."""
+
+    def __init__(self, *_: Any, **__: Any) -> None:
+        pass
+
+    def submit(self, function: Any, /, *arguments: Any, **named: Any) -> Any:
+        """The result, as of a process."""
+        done: concurrent.futures.Future[Any] = concurrent.futures.Future()
+        done.set_result(function(*arguments, **named))
+        return done
+
+
+def name_of(frame: FrameType) -> str:
+    """``module:function`` of a function of this repository that counts, inner ones under the outer one; else ""."""
+    path = Path(frame.f_code.co_filename)
+    if not path.is_relative_to(ROOT) or path.relative_to(ROOT).parts[0] not in ROOMS:
+        return ""
+    inside = path.relative_to(ROOT).with_suffix("").as_posix()
+    name = frame.f_code.co_qualname.partition(".<locals>")[0]
+    if inside.startswith(LEFT_OUT) or "<" in name or name.endswith("__post_init__"):
+        return ""
+    return f"{inside.replace('/', '.').removesuffix('.__init__')}:{name}"
+
+
+def empty_caches() -> None:
+    """Forget what functions of this repository remember."""
+    for name, module in list(sys.modules.items()):
+        if name.partition(".")[0] in ROOMS and not name.startswith(("render.engine", "experiments.harness")):
+            for value in list(vars(module).values()):
+                if hasattr(value, "cache_clear"):
+                    value.cache_clear()
+
+
+def record(comparison: Comparison) -> Recorder:
+    """Run an experiment and note who runs what."""
+    from experiments.harness.cli import finished
+    from experiments.harness.config import load_config
+    from experiments.harness.progress import Progress
+    from render.engine import Engine
+
+    concurrent.futures.ProcessPoolExecutor = Here  # type: ignore[misc]
+    declared = import_module(f"experiments.{comparison.experiment}.experiment").experiment
+    config = load_config(declared.config, quick=declared.quick, settings=list(comparison.settings))
+    Engine.start("auto")
+    recorder = Recorder(comparison.sides())
+    with tempfile.TemporaryDirectory() as folder:
+        output = {"output": declared.output(f"{folder}/out", config)} if declared.output else {}
+        with recorder.recording():
+            result = declared.run(config, progress=Progress(), **output)
+            finished(declared, config, result, quick=True)
+    missing = set(comparison.sides()) - recorder.begun
+    if missing:
+        sys.exit(f"{comparison.experiment}: {', '.join(sorted(missing))} did not run; name where its sides begin")
+    return recorder
+
+
+def room_of(function: str) -> str:
+    """Room of a function: ``optics/rays``."""
+    return "/".join(function.partition(":")[0].split(".")[:2])
+
+
+Found = Mapping[str, tuple[set[str], set[str]]]
+"""Experiment -> functions of the predicted and of the measured side."""
+
+
+def overview(found: Found) -> list[str]:
+    """A line for each comparison: how many functions each side runs, and how many of which room are shared."""
+    lines = [
+        "| experiment | compared | predicted runs | measured runs | shared | of these |",
+        "|---|---|---|---|---|---|",
+    ]
+    what = {one.experiment: one.what for one in COMPARISONS}
+    for name, (predicted, measured) in found.items():
+        rooms = Counter(map(room_of, predicted & measured))
+        of_these = ", ".join(f"`{room}` {count}" for room, count in sorted(rooms.items()))
+        counts = f"{len(predicted)} | {len(measured)} | {len(predicted & measured)}"
+        lines.append(f"| {name} | {what[name]} | {counts} | {of_these} |")
+    return lines
+
+
+def in_words(rooms: Sequence[str]) -> list[str]:
+    """A line for each shared room: what sharing can hide, and what covers it."""
+    unsaid = [room for room in rooms if room not in WORDS]
+    if unsaid:
+        sys.exit(f"shared, and nothing is said of them in WORDS: {', '.join(unsaid)}")
+    lines = ["| shared room | can an error hide? | what covers it |", "|---|---|---|"]
+    return lines + [f"| `{room}` | {WORDS[room][0]} | {WORDS[room][1]} |" for room in rooms]
+
+
+def functions(found: Found) -> list[str]:
+    """A line for each module: its shared functions, and the experiments that share any of them."""
+    modules: defaultdict[str, dict[str, set[str]]] = defaultdict(dict)
+    for experiment, (predicted, measured) in found.items():
+        for function in predicted & measured:
+            module, _, name = function.partition(":")
+            modules[module].setdefault(name, set()).add(experiment)
+    lines = ["| module | shared functions | by |", "|---|---|---|"]
+    for module, names in sorted(modules.items()):
+        by = ", ".join(name for name in found if any(name in experiments for experiments in names.values()))
+        lines.append(f"| `{module}` | {', '.join(f'`{name}`' for name in sorted(names))} | {by} |")
+    return lines
+
+
+def page(found: Found) -> str:
+    """The page of the documents."""
+    rooms = sorted({room_of(name) for predicted, measured in found.values() for name in predicted & measured})
+    parts = [
+        ["# What predictions and measurements share"],
+        [
+            "Functions that ran on both sides of each comparison, traced in quick runs by",
+            "`python benchmarks/independence.py`; records, checks of input, units, the harness and array backends are",
+            "left out. An agreement says nothing about an equation that both sides use: that is for tests, which stand",
+            "in `tests/` under the name of the room; [broken equations](mutants.md) show that they notice.",
+        ],
+        overview(found),
+        ["## What sharing can hide"],
+        in_words(rooms),
+        ["## The functions"],
+        functions(found),
+    ]
+    return "\n\n".join("\n".join(part) for part in parts) + "\n"
+
+
+def main() -> None:
+    """Trace, intersect, write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", metavar="NAME", help="one experiment; its shared functions are printed")
+    only = parser.parse_args().only
+    found = {}
+    for one in COMPARISONS:
+        if only in (None, one.experiment):
+            seen = record(one).seen
+            sides = [{name for name, side in seen.items() if side & wanted} for wanted in (PREDICTED, MEASURED)]
+            found[one.experiment] = (sides[0], sides[1])
+            print(f"{one.experiment}: {len(sides[0] & sides[1])} of {len(sides[0])} and {len(sides[1])}", flush=True)
+    if only:
+        print("\n".join(sorted(set.intersection(*found[only]))))
+    else:
+        PAGE.write_text(page(found), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
