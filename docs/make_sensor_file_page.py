@@ -42,6 +42,8 @@ settings of an experiment, for `--config`:
   `threshold_sigma` that are left out are the experiment's own.
 * A later layer wins, key by key: defaults < `--quick` < `--sensor` < `--config` < `--set` < `--seed`.
 * An unknown key is an error that names the nearest one.
+* A rolling shutter (`line_time_us`) shows where the image moves during a frame, in `dataset`; `skycal` and `fisher`
+  take every frame as exposed at once, targets of the laboratory stand still.
 * A curve is a CSV file of wavelength [nm] and transmission as a fraction, with or without a header line; a column that
   is called `transmission_percent` is converted. Tails below a thousandth of the peak are left out.
 """
