@@ -15,6 +15,8 @@ __all__ = ["Comparison", "compare"]
 
 
 WIDEST_MAG = 3.0
+UNFIT_SHARE = 0.02
+"""Of faint stars, whose fit does not converge: nobody predicts them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,7 +161,7 @@ def _stars(prediction: CameraPrediction, rendered: Rendered) -> Comparison:
         unit="",
         measured=float(rendered.sky.found.sum()),
         predicted=float(expected),
-        error=float(np.sqrt(variance + 1.0)),
+        error=float(np.sqrt(variance + 1.0 + (UNFIT_SHARE * expected) ** 2)),
         n=frames,
     )
 

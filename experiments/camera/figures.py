@@ -140,17 +140,17 @@ def electrons(outcome: Outcome) -> Figure:
     magnitude, values = outcome.values("magnitude"), outcome.values("star_electrons_e")
     for row, t, colour in zip(values, outcome.config.star.colours_k, STAR_COLOURS, strict=False):
         panel.plot(magnitude, row, color=colour, label=f"{t:g} K")
-    for name, words in (
-        ("saturation_mag", "saturates"),
-        ("complete_magnitude_mag", "90 % found"),
-        ("limiting_magnitude_mag", "50 % found"),
+    for name, words, height, align in (
+        ("saturation_mag", "saturates", 0.55, "center"),
+        ("complete_magnitude_mag", "90 % found", 0.97, "top"),
+        ("limiting_magnitude_mag", "50 % found", 0.97, "top"),
     ):
         at = outcome.value(name)
         panel.axvline(at, color="0.45", linewidth=0.8, dashes=(4, 3))
-        panel.annotate(words, (at, 0.03), xycoords=("data", "axes fraction"), xytext=(-3, 0), rotation=90,
-                       textcoords="offset points", ha="right", va="bottom", fontsize=7.5)  # fmt: skip
+        panel.annotate(words, (at, height), xycoords=("data", "axes fraction"), xytext=(-3, 0), rotation=90,
+                       textcoords="offset points", ha="right", va=align, fontsize=7.5)  # fmt: skip
     panel.set(yscale="log", xlabel="magnitude", ylabel="electrons in one exposure [e⁻]")
-    panel.legend(loc="upper right")
+    panel.legend(loc="lower left")
     return figure
 
 
@@ -235,8 +235,8 @@ def thermal(outcome: Outcome) -> Figure:
         panel.plot(at, outcome.values(name), color=colour, marker="o")
         panel.set(xlabel="temperature [°C]", title=words)
     axes[0].axhspan(-depth, depth, color="0.93", zorder=0)
-    for panel in axes[2:]:
-        panel.set_ylim(0, None)
+    for panel, name in zip(axes[2:], ("thermal_spot_px", "thermal_nea_arcsec"), strict=True):
+        panel.set_ylim(0, 1.15 * float(outcome.values(name).max()))
     return figure
 
 

@@ -42,8 +42,10 @@ from experiments.camera.settings import Config
 from experiments.camera.sky import SkyView, sky_view
 from experiments.laboratory.detector_changes import overridden
 from experiments.laboratory.instrument import configured_detector
+from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC
 from render.detector.noise import PixelNoise
+from render.records import EffectivePsf
 
 __all__ = ["CameraPrediction", "predict_camera"]
 
@@ -52,7 +54,7 @@ FLUX_KNOTS = 14
 PLAIN = NoiseModel(read_noise_e=10.0)
 """For centroiders that take no notice of the noise."""
 FAINTEST_E, BRIGHTEST_E = 20.0, 1e6
-FOUND_KNOTS, FOUND_RANGE = 40, (0.2, 8.0)
+FOUND_KNOTS, FOUND_RANGE = 32, (0.2, 8.0)
 DEEPER_MAG = 1.0
 """Stars that the sky is searched for are so much fainter than what half of the time is found."""
 
@@ -163,7 +165,7 @@ def _star_errors(config: Config, state: OpticalState, processing: Processing) ->
                 phases=2,
             )
             colour = np.maximum(colour, bias)
-    windows = phase_windows(state.psfs, max(config.window_px, 9))
+    windows = phase_windows(state.psfs, max(config.window_px, 9), phases=3)
     # a Gaussian of the mean width, matched: at half the chance the others lie within a factor of a few
     half = processing.threshold_sigma * np.sqrt(processing.empty_e2 * 4.0 * np.pi) * processing.fwhm_px / 2.3548
     flux = half * np.geomspace(*FOUND_RANGE, FOUND_KNOTS)
@@ -178,9 +180,15 @@ def _star_errors(config: Config, state: OpticalState, processing: Processing) ->
         radius_px=state.radius_px,
         centroid=errors,
         colour_px=colour,
+        sharpness=np.stack([_sharpness(other, state.psfs) for other in (state.cold_psfs, state.hot_psfs)]),
         found_electrons=flux,
         found=found.reshape(len(flux), len(state.psfs), -1).mean(2).T,
     )
+
+
+def _sharpness(psfs: tuple[EffectivePsf, ...], reference: tuple[EffectivePsf, ...]) -> FloatArray:
+    """Root of the sum of squares, relative: what a matched filter makes of the same light in white noise (f,)."""
+    return np.array([np.sqrt((a.values**2).sum() / (b.values**2).sum()) for a, b in zip(psfs, reference, strict=True)])
 
 
 @lru_cache(maxsize=32)
@@ -204,7 +212,8 @@ def _attitude(
 ) -> AttitudeForecast:
     sample, r = view.sample, view.radius_px
     electrons = state.electrons_per_s(view.magnitude, view.temperature_k, r) * exposed_s(config)
-    share = stars.found_at(electrons, r)
+    shown = stars.effective(electrons, view.temperature_k, r, config.star.temperature_k)
+    share = stars.found_at(shown, r)
     peak = np.interp(r, stars.radius_px, stars.centroid.peak)
     share = np.where(peak * electrons > processing.top_e, 0.0, share)
     chip = processing.detector
@@ -215,7 +224,7 @@ def _attitude(
     # a neighbour within the window spoils both, if it is found
     beside = electrons * 10.0 ** (-0.4 * (view.neighbour_mag - view.magnitude))
     share = share * (1.0 - stars.found_at(beside, r))
-    noise = stars.sigma_at(stars.centroid.noise_px, electrons, r)
+    noise = stars.sigma_at(stars.centroid.noise_px, shown, r)
     static = stars.sigma_at(np.hypot(stars.centroid.pattern_px, stars.centroid.phase_px), electrons, r)
     colour = state.colour_shift_px(view.temperature_k, r)
     spot = stars.sigma_at(stars.colour_px, electrons, r) * colour_distance(

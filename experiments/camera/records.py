@@ -109,6 +109,9 @@ class StarErrors:
         Noise, patterns, pixel phase; k numbers of electrons.
     colour_px : (f, k)
         By the spots of stars of another colour than the PSF's, for one of 10 000 K or 3500 K, whichever is more.
+    sharpness : (2, f)
+        How much sharper spots of stars of 3500 and 10 000 K are than that of the quoted star: light that shows as
+        well against the noise, relative.
     found_electrons : (d,)
         Electrons about the detection limit.
     found : (f, d)
@@ -118,6 +121,7 @@ class StarErrors:
     radius_px: FloatArray
     centroid: CentroidErrors
     colour_px: FloatArray
+    sharpness: FloatArray
     found_electrons: FloatArray
     found: FloatArray
 
@@ -130,6 +134,15 @@ class StarErrors:
         """Probability (n,) that stars are found."""
         share = self._at(self.found, self.found_electrons, electrons, radius_px)
         return np.where(electrons < self.found_electrons[0], 0.0, share)
+
+    def effective(
+        self, electrons: FloatArray, temperature_k: FloatArray, radius_px: FloatArray, reference_k: float
+    ) -> FloatArray:
+        """Electrons of stars of the quoted colour that show as well against the noise as these stars (n,)."""
+        cold, hot = (np.interp(radius_px, self.radius_px, row) for row in self.sharpness)
+        apart = np.minimum(colour_distance(temperature_k, reference_k), 2.0)
+        towards = np.where(temperature_k < reference_k, cold, hot)
+        return np.asarray(electrons * towards**apart)
 
     def _at(self, values: FloatArray, knots: FloatArray, electrons: FloatArray, radius_px: FloatArray) -> FloatArray:
         from scipy.ndimage import map_coordinates
