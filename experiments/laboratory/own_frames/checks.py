@@ -5,7 +5,8 @@ Every number has its own statistic, and none needs more than the frames:
 ``gain``
     Photon transfer (Janesick 2007; EMVA 1288 Release 4.0, sec. 6.6): the temporal variance of a pixel grows with its
     mean by K. What a moving image and a flickering lamp add is projected out frame by frame and window by window (the
-    mean image and its two derivatives); the variance that the projection takes from every pixel is accounted for.
+    mean image, and itself shifted by whole pixels, of which a shift by parts of one is made); the variance that the
+    projection takes from every pixel is accounted for.
 ``motion``
     What all points of a frame have in common. Without motion J times the variance of the common part over the variance
     of what is left of the points follows Fisher's F with (N - 1) and (N - 1)(J - 1) degrees of freedom; with a motion
@@ -24,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import convolve
+from scipy.ndimage import convolve, shift
 from scipy.stats import f as fisher_f
 from scipy.stats import poisson
 
@@ -43,6 +44,7 @@ FEWEST_FOR_MOTION = 3
 TOP_READINGS = 5
 FEWEST_PIXELS = 30
 ITERATIONS = 8
+SHIFTS = (-2, -1, 1, 2)
 AROUND = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0]])
 
 
@@ -261,7 +263,7 @@ def _window_variances(
 
     Third of four: the same with the mean of a pixel's neighbours in place of its own (n, 2).
 
-    With M the projection on what is neither mean image nor its derivatives, the residual of pixel i has the variance
+    With M the projection on what is neither the mean image nor a shifted one, the residual of pixel i has the variance
     sum_k M_ik^2 v_k, v_k = floor + K mean_k.
     """
     frames = len(dn)
@@ -271,7 +273,8 @@ def _window_variances(
         edge = np.ones(mean.shape, bool)
         edge[1:-1, 1:-1] = False
         light = mean - np.median(mean[edge])
-        modes = np.stack([light, *np.gradient(light)], axis=-1)[ok]
+        moved = [shift(light, at, order=0) for step in SHIFTS for at in ((step, 0), (0, step))]
+        modes = np.stack([light, *moved], axis=-1)[ok]
         base = np.linalg.qr(modes / np.maximum(np.linalg.norm(modes, axis=0), 1e-300))[0]
         keep = np.eye(len(base)) - base @ base.T
         left = (dn[:, number][:, ok] - mean[ok]) @ keep
