@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -13,6 +14,7 @@ from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, P
 
 __all__ = [
     "BackgroundConfig",
+    "BodyPointing",
     "ConePointing",
     "Config",
     "FilesConfig",
@@ -53,6 +55,19 @@ class ConePointing(StrictModel):
         default=None, ge=-360, le=360, description="position angle of up in the image; left out: random"
     )
     sun_exclusion_deg: float = Field(default=0.0, ge=0, le=120, description=SUN_EXCLUSION)
+
+
+class BodyPointing(StrictModel):
+    """A field with the Moon or a planet, seen from the Earth: the body anywhere within a circle about the boresight."""
+
+    kind: Literal["body"] = "body"
+    body: Literal["moon", "mercury", "venus", "mars", "jupiter", "saturn", "uranus", "neptune"] = Field(
+        default="moon", description="which"
+    )
+    offset_deg: float = Field(default=2.0, ge=0, le=60, description="farthest that it stands from the boresight")
+    roll_deg: float | None = Field(
+        default=None, ge=-360, le=360, description="position angle of up in the image; left out: random"
+    )
 
 
 class ListPointing(StrictModel):
@@ -123,7 +138,7 @@ class JitterConfig(StrictModel):
         return self
 
 
-Pointing = SkyPointing | ConePointing | ListPointing | ScanPointing
+Pointing = SkyPointing | ConePointing | BodyPointing | ListPointing | ScanPointing
 Rate = FixedRate | RandomRate
 
 
@@ -192,7 +207,7 @@ class VerifyConfig(StrictModel):
 
     frames: int = Field(default=200, ge=0, le=10_000_000, description="frames looked at, the first ones; 0: none")
     resume_frames: int = Field(
-        default=6, ge=0, le=1000, description="frames made again by a run that is killed and taken up; 0 or 1: none"
+        default=0, ge=0, le=1000, description="frames made again by a run that is killed and taken up; 0 or 1: none"
     )
     dark_frames: int = Field(default=20, ge=1, le=1000, description="frames without light in the mean dark")
 
@@ -230,6 +245,21 @@ class Config(SensorExperimentConfig):
     verify: VerifyConfig = VerifyConfig()
     workers: int = Field(default=0, ge=0, le=4096, description="processes; 0: one per processor; 1: this one")
     scheduler: str = Field(default="", description="Dask scheduler such as tcp://host:8786; left out: this machine")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _seen_from_the_earth(cls, values: Any) -> Any:
+        """A field with a body has the body in it, where the Earth sees it."""
+        pointing = values.get("pointing") if isinstance(values, Mapping) else None
+        kind = pointing.get("kind") if isinstance(pointing, Mapping) else getattr(pointing, "kind", None)
+        if kind != "body":
+            return values
+        implied: dict[str, dict[str, Any]] = {"catalogue": {"observer": "earth"}, "background": {"moon_planets": True}}
+        tables = {
+            name: {**(dict(old) if isinstance(old := values.get(name, {}), Mapping) else old.model_dump()), **more}
+            for name, more in implied.items()
+        }
+        return {**values, **tables}
 
     @field_validator("window_px")
     @classmethod

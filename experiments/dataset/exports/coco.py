@@ -1,12 +1,14 @@
-"""COCO-like export: frames as PNG, stars as objects with a box and one keypoint, one JSON file per split.
+"""COCO-like export: frames as PNG, what they show as objects with a box and one keypoint, one JSON file per split.
 
 COCO counts from the outer corner of the first pixel, whose centre therefore is (0.5, 0.5)
-(https://cocodataset.org/#format-data; the same as Mitsuba's film).
+(https://cocodataset.org/#format-data; the same as Mitsuba's film): half a pixel more than ``photon_x_px`` and
+``photon_y_px`` of the truth.
 """
 
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,26 +17,39 @@ import numpy as np
 
 from experiments.dataset.exports.contact_sheet import stretched
 from experiments.dataset.frames.plan import SPLITS
+from experiments.dataset.frames.sky_light import LAST_PLANET_ID
 from experiments.dataset.production.folder import storage_error, write_whole
 from experiments.dataset.truth.files import read_table
 from experiments.dataset.truth.frame_record import FrameRecord
+from experiments.dataset.truth.labels import CLASSES, Label
 from experiments.dataset.truth.star_truth import FLAGS, footprint_px
 from optics.frames import pixel_to_mitsuba
 
 __all__ = ["export_coco"]
 
 FOLDER = "coco"
-_CATEGORY = {
-    "id": 1,
-    "name": "star",
-    "supercategory": "sky",
-    "keypoints": ["photon centroid"],
-    "skeleton": [],
-}
+_SKY = ("star", "planet", "moon")
+_CATEGORIES = [
+    {
+        "id": number,
+        "name": name,
+        "supercategory": "sky" if name in _SKY else "detector",
+        "keypoints": ["centre"],
+        "skeleton": [],
+    }
+    for number, name in enumerate(CLASSES, start=1)
+]
+_ID = {name: number for number, name in enumerate(CLASSES, start=1)}
 
 
 def export_coco(
-    folder: Path, records: Sequence[FrameRecord], *, diffusion_px: float, bits: int, done: Callable[[], None]
+    folder: Path,
+    records: Sequence[FrameRecord],
+    *,
+    diffusion_px: float,
+    bits: int,
+    labels: Callable[[int], Sequence[Label]],
+    done: Callable[[], None],
 ) -> str:
     """Write ``coco/images/frame_000123.png`` and ``coco/annotations/instances_SPLIT.json``.
 
@@ -48,6 +63,8 @@ def export_coco(
         Charge diffusion of the detector, part of the stars' boxes.
     bits : int
         16: digital numbers as they are; 8: stretched for the eye.
+    labels : callable
+        ``labels(frame)``: what else a frame shows (`experiments.dataset.truth.labels.LabelMaker`).
     done : callable
         Called after every frame.
 
@@ -68,19 +85,22 @@ def export_coco(
     except OSError as error:
         raise storage_error(root, error) from None
     content: dict[str, dict[str, list[Any]]] = {split: {"images": [], "annotations": []} for split in SPLITS}
-    count = 0
+    count, found = 0, Counter[int]()
     for one in records:
         held = content[one.split]
         image = _image(folder, root, one, bits)
         stars = _stars(read_table(folder / one.truth), one, image, diffusion_px, first=count + 1)
+        others = [_other(one, label, count + len(stars) + k) for k, label in enumerate(labels(one.frame), start=1)]
         held["images"].append(image)
-        held["annotations"].extend(stars)
-        count += len(stars)
+        held["annotations"].extend([*stars, *others])
+        found = found + Counter(annotation["category_id"] for annotation in (*stars, *others))
+        count += len(stars) + len(others)
         done()
     for split, held in content.items():
-        text = json.dumps({"info": {"description": f"starbench, {split}"}, **held, "categories": [_CATEGORY]})
+        text = json.dumps({"info": {"description": f"starbench, {split}"}, **held, "categories": _CATEGORIES})
         write_whole(root / "annotations" / f"instances_{split}.json", text.encode())
-    return f"{len(records)} PNG files of {bits} bit and {count} stars in {FOLDER}/"
+    said = ", ".join(f"{found[number]} of class {name}" for name, number in _ID.items() if found[number])
+    return f"{len(records)} PNG files of {bits} bit in {FOLDER}/; objects: {said or 'none'}"
 
 
 def _image(folder: Path, root: Path, one: FrameRecord, bits: int) -> dict[str, Any]:
@@ -127,7 +147,7 @@ def _stars(truth: Any, one: FrameRecord, image: dict[str, Any], diffusion_px: fl
             {
                 "id": first + len(found),
                 "image_id": one.frame,
-                "category_id": 1,
+                "category_id": _ID["star" if truth["star_id"][i] > LAST_PLANET_ID else "planet"],
                 "bbox": [round(float(v), 4) for v in (left, top, right - left, bottom - top)],
                 "area": round(float((right - left) * (bottom - top)), 4),
                 "iscrowd": 0,
@@ -141,3 +161,24 @@ def _stars(truth: Any, one: FrameRecord, image: dict[str, Any], diffusion_px: fl
             }
         )
     return found
+
+
+def _other(one: FrameRecord, label: Label, number: int) -> dict[str, Any]:
+    """Annotation of what is no star."""
+    x, y = pixel_to_mitsuba(np.array([label.x_px]), np.array([label.y_px]))
+    width, height = label.box_px[2:]
+    entry: dict[str, Any] = {
+        "id": number,
+        "image_id": one.frame,
+        "category_id": _ID[label.kind],
+        "bbox": [round(v, 4) for v in label.box_px],
+        "area": round(width * height, 4),
+        "iscrowd": 0,
+        "keypoints": [float(x[0]), float(y[0]), 2],
+        "num_keypoints": 1,
+    }
+    if label.name:
+        entry["name"] = label.name
+    if np.isfinite(label.electrons):
+        entry["electrons"] = label.electrons
+    return entry

@@ -10,6 +10,7 @@ from experiments.dataset.frames.plan import SPLITS
 from experiments.dataset.production.folder import IDENTITY
 from experiments.dataset.production.identity import identity
 from experiments.dataset.truth.files import INDEX_COLUMNS
+from experiments.dataset.truth.labels import CLASSES
 from experiments.dataset.truth.star_truth import COLUMNS, FLAGS
 from experiments.harness.outputs import flat
 
@@ -46,5 +47,6 @@ def data_card(result: Result) -> str:
         truth_columns=COLUMNS,
         index_columns=INDEX_COLUMNS,
         flags=FLAGS,
+        classes=CLASSES,
         settings=flat(identity(result.config)),
     )

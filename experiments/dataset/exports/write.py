@@ -28,15 +28,21 @@ def write_exports(scene: Scene, folder: Path, records: Sequence[FrameRecord], pr
     """
     from experiments.dataset.exports.coco import export_coco
     from experiments.dataset.exports.webdataset_shards import export_shards
+    from experiments.dataset.frames.maker import FrameMaker
+    from experiments.dataset.truth.labels import LabelMaker
 
     config = scene.config
     written: dict[str, str] = {}
     for name in config.exports:
         with progress.stage(f"export {name}", total=len(records)) as stage:
             if name == "coco":
-                diffusion_px = scene.instrument.detector.diffusion_sigma_px
                 written[name] = export_coco(
-                    folder, records, diffusion_px=diffusion_px, bits=config.png_bits, done=stage.advance
+                    folder,
+                    records,
+                    diffusion_px=scene.instrument.detector.diffusion_sigma_px,
+                    bits=config.png_bits,
+                    labels=LabelMaker(scene, FrameMaker(scene).hits).labels,
+                    done=stage.advance,
                 )
             else:
                 written[name] = export_shards(folder, records, done=stage.advance)

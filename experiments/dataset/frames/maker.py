@@ -81,7 +81,7 @@ class FrameMaker:
         traced = self._traced(seen, plan)
         electrons = traced.electrons[:, :, 0]
         sky_e = self._add_sky(electrons, plan)
-        hits = self._hits(frame)
+        hits = self.hits(frame)
         band = scene.light.band[0]
         read = expose(
             electrons,
@@ -160,7 +160,8 @@ class FrameMaker:
             electrons += disks
         return mean
 
-    def _hits(self, frame: int) -> CosmicRayHits | None:
+    def hits(self, frame: int) -> CosmicRayHits | None:
+        """What cosmic rays leave in a frame; None without them."""
         radiation = self.scene.config.radiation
         if radiation.environment == "none":
             return None

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments.dataset.frames.attitude_files import read_attitudes, read_motion
 from experiments.dataset.settings import (
+    BodyPointing,
     ConePointing,
     Config,
     FixedRate,
@@ -61,6 +62,8 @@ class Plan:
         From the start of the exposure of the first row to the end of that of the last.
     attitudes : Rotation or None
         Of a list.
+    aim : SkyPointing, ConePointing or None
+        Where attitudes are drawn; a cone about the body that is asked for.
     path : Trajectory or None
         Of a scan.
     to_sun : (3,) or None
@@ -73,6 +76,7 @@ class Plan:
     streams: Streams
     duration_s: float
     attitudes: Rotation | None
+    aim: SkyPointing | ConePointing | None
     path: Trajectory | None
     to_sun: FloatArray | None
     jitter: JitterSpectrum | None
@@ -142,16 +146,22 @@ def build_plan(config: Config, height_px: int | None = None) -> Plan:
         path = _scan(pointing, config, duration_s)
         if jitter is not None:
             path = jittered(path, jitter, streams=streams)  # one motion for all frames
+    aim: SkyPointing | ConePointing | None = None
+    if isinstance(pointing, BodyPointing):
+        aim = _cone_about(pointing, config.catalogue.epoch_year)
     to_sun = None
-    if isinstance(pointing, SkyPointing | ConePointing) and pointing.sun_exclusion_deg > 0:
-        to_sun = sun_direction(config.catalogue.epoch_year)
-        if isinstance(pointing, ConePointing):
-            _check_cone(pointing, to_sun)
+    if isinstance(pointing, SkyPointing | ConePointing):
+        aim = pointing
+        if pointing.sun_exclusion_deg > 0:
+            to_sun = sun_direction(config.catalogue.epoch_year)
+            if isinstance(pointing, ConePointing):
+                _check_cone(pointing, to_sun)
     return Plan(
         config=config,
         streams=streams,
         duration_s=duration_s,
         attitudes=attitudes,
+        aim=aim,
         path=path,
         to_sun=to_sun,
         jitter=jitter,
@@ -181,6 +191,19 @@ def sun_direction(epoch_year: float) -> FloatArray:
     away = earth_observer(epoch_year).from_sun_au
     assert away is not None
     return np.asarray(-away / np.linalg.norm(away))
+
+
+def _cone_about(pointing: BodyPointing, epoch_year: float) -> ConePointing:
+    """The cone of boresights that have a body in their field, as the Earth sees it."""
+    from render.bodies.solar_system import solar_system
+
+    x, y, z = solar_system(epoch_year, observer=earth_observer(epoch_year), bodies=(pointing.body,)).direction[0]
+    return ConePointing(
+        ra_deg=float(np.degrees(np.arctan2(y, x)) % 360.0),
+        dec_deg=float(np.degrees(np.arcsin(z))),
+        radius_deg=pointing.offset_deg,
+        roll_deg=pointing.roll_deg,
+    )
 
 
 def _check_cone(pointing: ConePointing, to_sun: FloatArray) -> None:
@@ -241,10 +264,10 @@ def plan_frame(plan: Plan, frame: int) -> FramePlan:
 
 
 def _attitude(plan: Plan, frame: int) -> Rotation:
-    pointing = plan.config.pointing
     if plan.attitudes is not None:
         return plan.attitudes[frame]
-    assert isinstance(pointing, SkyPointing | ConePointing)
+    pointing = plan.aim
+    assert pointing is not None
     rng = plan.streams.generator("attitude", frame)
     nearest = np.cos(pointing.sun_exclusion_deg * DEG_RAD)
     while True:

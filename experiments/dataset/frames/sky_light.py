@@ -35,6 +35,7 @@ PLANET_IDS = {
     "neptune": -1000899,
 }
 """``star_id`` of bodies of the solar system: minus one million minus the number that JPL's NAIF gives them."""
+LAST_PLANET_ID = max(PLANET_IDS.values())
 RESOLVED_PX = 1.0
 """A body of a larger diameter is rendered as a disk, a smaller one is a point of light among the stars."""
 SUN_MARGIN_DEG = 0.5

@@ -18,6 +18,7 @@ from experiments.dataset.production.folder import StorageError
 from experiments.dataset.production.job import Job, make_frame
 from experiments.dataset.settings import ConePointing, Config, VerifyConfig
 from experiments.dataset.truth.files import read_table
+from experiments.dataset.truth.labels import CLASSES
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
 from optics.errors import ConfigError
 from render.fits.files import read_frame
@@ -43,13 +44,13 @@ def dataset(engine, tmp_path_factory):
 def test_coco(dataset):
     folder, records = dataset
     seen = []
-    said = export_coco(folder, records, diffusion_px=0.3, bits=16, done=lambda: seen.append(1))
+    said = export_coco(folder, records, diffusion_px=0.3, bits=16, labels=lambda _: [], done=lambda: seen.append(1))
     assert len(seen) == 2
     parts = {split: _coco(folder, split) for split in ("train", "validation", "test")}
     images = [image for part in parts.values() for image in part["images"]]
     stars = [star for part in parts.values() for star in part["annotations"]]
     assert [one["id"] for one in parts[records[0].split]["images"]].count(0) == 1
-    assert f"{len(stars)} stars" in said
+    assert f"{len(stars)} of class star" in said
     assert len({star["id"] for star in stars}) == len(stars)
     for image in images:
         one = records[image["id"]]
@@ -69,7 +70,7 @@ def test_coco(dataset):
 
 def _coco(folder, split):
     content = json.loads((folder / "coco" / "annotations" / f"instances_{split}.json").read_text())
-    assert [one["name"] for one in content["categories"]] == ["star"]
+    assert [one["name"] for one in content["categories"]] == list(CLASSES)
     return content
 
 

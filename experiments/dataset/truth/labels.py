@@ -1,0 +1,151 @@
+"""What a frame shows besides stars: disks of the Moon and the planets, hot pixels, tracks of cosmic rays.
+
+All of it follows from the configuration and the frame number; nothing is found in the image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import ndimage
+
+from experiments.dataset.frames.plan import plan_frame
+from experiments.dataset.frames.scene import Scene
+from optics.arrays import FloatArray
+from optics.units import ARCSEC_RAD
+from render.detector.cosmic_rays import CosmicRayHits
+from render.detector.maps import sensor_maps
+
+__all__ = ["CLASSES", "Label", "LabelMaker"]
+
+Class = Literal["star", "planet", "moon", "hot_pixel", "cosmic_ray"]
+CLASSES: dict[str, str] = {
+    "star": "of the catalogue",
+    "planet": "of the solar system, as a point or as a disk",
+    "moon": "the Earth's, as a disk",
+    "hot_pixel": "a pixel that the detector's map calls defective and whose dark charge exceeds five times its noise",
+    "cosmic_ray": "neighbouring pixels in which cosmic rays left at least an electron each",
+}
+HOT_SIGMA = 5.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Label:
+    """One thing in one frame.
+
+    Attributes
+    ----------
+    kind : str
+        One of `CLASSES`.
+    name : str
+        Of a body of the solar system; otherwise empty.
+    x_px, y_px : float
+        Its middle: column and row, the centre of the first pixel being 0.
+    box_px : (4,)
+        First column, first row, width and height that it covers, from the outer corner of the first pixel [px].
+    electrons : float
+        Charge of a hot pixel (dark charge, mean) or a track; NaN for a body.
+    """
+
+    kind: Class
+    name: str = ""
+    x_px: float
+    y_px: float
+    box_px: tuple[float, float, float, float]
+    electrons: float = float("nan")
+
+
+class LabelMaker:
+    """Labels of the frames of one dataset.
+
+    Parameters
+    ----------
+    scene : Scene
+        What the frames have in common.
+    hits_of : callable
+        ``hits_of(frame)``: what cosmic rays leave in it, or None (`experiments.dataset.frames.maker.FrameMaker.hits`).
+    """
+
+    def __init__(self, scene: Scene, hits_of: Callable[[int], CosmicRayHits | None]) -> None:
+        self.scene, self._hits_of = scene, hits_of
+        self._hot = self._hot_pixels()
+
+    def labels(self, frame: int) -> list[Label]:
+        """Labels of a frame but its stars and point-like planets, which have rows in its truth."""
+        hits = self._hits_of(frame)
+        return [*self._bodies(frame), *self._hot, *([] if hits is None else _tracks(hits))]
+
+    def _bodies(self, frame: int) -> list[Label]:
+        scene, disks = self.scene, self.scene.sky_light.disks
+        if disks is None or not len(disks):
+            return []
+        camera = scene.instrument.camera
+        v_cam = disks.direction @ plan_frame(scene.plan, frame).attitude.as_matrix().T
+        ahead = np.flatnonzero(v_cam[:, 2] > 0.0)
+        place = _pixel_of(scene, v_cam[ahead])
+        radius = 0.5 * disks.angular_diameter_rad[ahead] / (scene.instrument.pixel_arcsec * ARCSEC_RAD)
+        found = []
+        for body, (x, y), r in zip(ahead, place, radius, strict=True):
+            box = _clipped(x + 0.5 - r, y + 0.5 - r, x + 0.5 + r, y + 0.5 + r, camera.width_px, camera.height_px)
+            if np.isfinite(x + y) and box is not None:
+                name = str(disks.name[body])
+                kind: Class = "moon" if name == "moon" else "planet"
+                found.append(Label(kind=kind, name=name, x_px=float(x), y_px=float(y), box_px=box))
+        return found
+
+    def _hot_pixels(self) -> list[Label]:
+        instrument = self.scene.instrument
+        detector, config = instrument.detector, self.scene.config.instrument
+        maps = sensor_maps(detector)
+        dark_e = maps.dark_current_e_per_s * (detector.dark_factor(config.chip_temperature_c) * config.exposure_s)
+        noise_e = np.sqrt(instrument.pixel_noise(detector).temporal_e2(0.0))
+        rows, columns = np.nonzero(maps.defect & (dark_e > HOT_SIGMA * noise_e))
+        return [
+            Label(kind="hot_pixel", x_px=x, y_px=y, box_px=(x, y, 1.0, 1.0), electrons=e)
+            for x, y, e in np.column_stack([columns, rows, dark_e[rows, columns]]).astype(float).tolist()
+        ]
+
+
+def _pixel_of(scene: Scene, v_cam: FloatArray) -> FloatArray:
+    """Column and row (n, 2) of directions; by an undistorted lens outside the field, from where disks reach in."""
+    camera = scene.instrument.camera
+    ideal = v_cam[:, :2] / v_cam[:, 2:] * (scene.instrument.focal_length_mm / camera.pixel_pitch_mm) + camera.centre_px
+    traced = scene.view.pixel_of(v_cam)
+    return np.where(np.isfinite(traced), traced, ideal)
+
+
+def _clipped(
+    left: float, top: float, right: float, bottom: float, width: int, height: int
+) -> tuple[float, float, float, float] | None:
+    """The part of a box that lies in the image; None for none."""
+    left, right = max(left, 0.0), min(right, float(width))
+    top, bottom = max(top, 0.0), min(bottom, float(height))
+    if right <= left or bottom <= top:
+        return None
+    return float(left), float(top), float(right - left), float(bottom - top)
+
+
+def _tracks(hits: CosmicRayHits) -> list[Label]:
+    """One label for every group of neighbouring pixels."""
+    charge = np.zeros(hits.shape)
+    charge[hits.row, hits.column] = hits.charge_e
+    group, count = ndimage.label(charge >= 1.0, structure=np.ones((3, 3)))
+    numbers = np.arange(1, count + 1)
+    total = np.atleast_1d(ndimage.sum_labels(charge, group, numbers))
+    middle = ndimage.center_of_mass(charge, group, numbers)
+    found = []
+    for (rows, columns), (y, x), electrons in zip(ndimage.find_objects(group), middle, total, strict=True):
+        box = (columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
+        found.append(
+            Label(
+                kind="cosmic_ray",
+                x_px=float(x),
+                y_px=float(y),
+                box_px=tuple(float(v) for v in box),  # type: ignore[arg-type]  # four of them
+                electrons=float(electrons),
+            )
+        )
+    return found
