@@ -239,7 +239,8 @@ def photon_transfer(dn: Sequence[NDArray[np.uint16]], usable: Sequence[NDArray[n
     -----
     Offsets differ from pixel to pixel, so that the mean of a pixel is its light with an error, which would lower the
     slope of least squares; the mean of its neighbours has the light without that error and serves as the instrument
-    (Durbin 1954). The standard deviation is that of White (1980): it needs no word about how read noise differs.
+    (Durbin 1954). Offsets that scatter by 3 % of the brightest pixel still lower K by some 6 %. The standard deviation
+    is that of White (1980): it needs no word about how read noise differs.
     """
     parts = [_window_variances(np.asarray(one, float), ok) for one, ok in zip(dn, usable, strict=True)]
     if not parts or sum(len(variance) for variance, *_ in parts) < FEWEST_PIXELS:
