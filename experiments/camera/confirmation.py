@@ -15,8 +15,8 @@ __all__ = ["Comparison", "compare"]
 
 
 WIDEST_MAG = 3.0
-UNFIT_SHARE = 0.02
-"""Of faint stars, whose fit does not converge: nobody predicts them."""
+UNFIT_SHARE = 0.05
+"""Stars whose fit does not converge, or that look too sharp: known to so much of their number."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +56,7 @@ def compare(prediction: CameraPrediction, rendered: Rendered) -> tuple[Compariso
         _noise(prediction, rendered),
         _limit(prediction, rendered),
         _alarms(prediction, rendered),
-        _stars(prediction, rendered),
+        *_stars(prediction, rendered),
         *_attitude(prediction, rendered),
     )
 
@@ -152,17 +152,23 @@ def _alarms(prediction: CameraPrediction, rendered: Rendered) -> Comparison:
     )
 
 
-def _stars(prediction: CameraPrediction, rendered: Rendered) -> Comparison:
-    frames = len(rendered.sky.found)
-    expected, variance = (one[:frames].sum() for one in (prediction.attitude.stars, prediction.attitude.stars_variance))
-    return Comparison(
-        name="stars",
-        label=f"Stars in {frames} frames of the sky",
-        unit="",
-        measured=float(rendered.sky.found.sum()),
-        predicted=float(expected),
-        error=float(np.sqrt(variance + 1.0 + (UNFIT_SHARE * expected) ** 2)),
-        n=frames,
+def _stars(prediction: CameraPrediction, rendered: Rendered) -> tuple[Comparison, ...]:
+    forecast, frames = prediction.attitude, len(rendered.sky.found)
+    variance = float(forecast.found_variance[:frames].sum())
+    return tuple(
+        Comparison(
+            name=name,
+            label=words,
+            unit="",
+            measured=float(seen.sum()),
+            predicted=float(expected[:frames].sum()),
+            error=float(np.sqrt(variance + 1.0 + (share * expected[:frames].sum()) ** 2)),
+            n=frames,
+        )
+        for name, words, seen, expected, share in (
+            ("stars", f"Stars found in {frames} frames of the sky", rendered.sky.found, forecast.found, 0.0),
+            ("fit_stars", "of them fit for an attitude", rendered.sky.fit, forecast.stars, UNFIT_SHARE),
+        )
     )
 
 

@@ -29,18 +29,23 @@ def criteria(outcome: Outcome) -> list[Criterion]:
     allowed = limit * noise.error / noise.predicted + MODEL_SHARE
     found = [
         Criterion(
-            name="electrons of a star, rendered against predicted, relative",
-            value=abs(light.measured / light.predicted - 1.0),
+            name="electrons of a star, rendered over predicted",
+            value=light.measured / light.predicted,
+            about=1.0,
             limit=2e-3,
+            advice="the pupil of the lens is found in two ways that differ: look at its apertures",
         ),
         Criterion(
-            name="NEA, scatter of readouts over prediction, off 1 by",
-            value=abs(noise.measured / noise.predicted - 1.0),
+            name="NEA, scatter of readouts over prediction",
+            value=noise.measured / noise.predicted,
+            about=1.0,
             limit=round(allowed, 4),
+            advice="the centroider does not follow its linear response: too faint a star, too small a window",
         ),
         Criterion(
-            name="limiting magnitude, share of chart stars that are found against prediction",
-            value=abs(faint.measured - faint.predicted),
+            name="limiting magnitude, from the share of chart stars that are found",
+            value=faint.measured,
+            about=round(faint.predicted, 3),
             limit=round(limit * faint.error + MODEL_MAG, 3),
             unit="mag",
         ),

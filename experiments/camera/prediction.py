@@ -213,7 +213,7 @@ def _attitude(
     sample, r = view.sample, view.radius_px
     electrons = state.electrons_per_s(view.magnitude, view.temperature_k, r) * exposed_s(config)
     shown = stars.effective(electrons, view.temperature_k, r, config.star.temperature_k)
-    share = stars.found_at(shown, r)
+    share = seen = stars.found_at(shown, r)
     peak = np.interp(r, stars.radius_px, stars.centroid.peak)
     share = np.where(peak * electrons > processing.top_e, 0.0, share)
     chip = processing.detector
@@ -239,8 +239,9 @@ def _attitude(
         )
         spread.append(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) * RAD_ARCSEC)
     return AttitudeForecast(
+        found=sample.summed(seen),
+        found_variance=sample.summed(seen * (1.0 - seen)),
         stars=sample.summed(share),
-        stars_variance=sample.summed(share * (1.0 - share)),
         noise_arcsec=spread[0],
         total_arcsec=spread[1],
         sigma_px=np.sqrt(variance),

@@ -158,8 +158,10 @@ class AttitudeForecast:
 
     Attributes
     ----------
-    stars, stars_variance : (f,)
-        Expected number of stars that are found and fit, and its variance by noise.
+    found, found_variance : (f,)
+        Expected number of stars that are found, and its variance by noise.
+    stars : (f,)
+        Expected number of those that are fit: not saturated, whole and alone in their window, on good pixels.
     noise_arcsec, total_arcsec : (f, 3)
         One standard deviation about x, y (across) and z (roll): by temporal noise; with patterns, pixel phase and star
         colours. Infinite where too few stars are seen.
@@ -167,8 +169,9 @@ class AttitudeForecast:
         Error of each sighting of the view, per axis, all terms.
     """
 
+    found: FloatArray
+    found_variance: FloatArray
     stars: FloatArray
-    stars_variance: FloatArray
     noise_arcsec: FloatArray
     total_arcsec: FloatArray
     sigma_px: FloatArray

@@ -77,8 +77,8 @@ class SkyFrames:
 
     Attributes
     ----------
-    found : (m,)
-        Stars that are found and fit.
+    found, fit : (m,)
+        Stars that are found, and those of them that are fit for an attitude.
     false_alarms : (m,) int64
         As for the chart.
     error_arcsec : (m, 3)
@@ -88,6 +88,7 @@ class SkyFrames:
     """
 
     found: NDArray[np.int64]
+    fit: NDArray[np.int64]
     false_alarms: NDArray[np.int64]
     error_arcsec: FloatArray
     status: tuple[str, ...]
@@ -192,14 +193,15 @@ def render_frames(prediction: CameraPrediction, *, advance: Callable[[], None] =
     """
     bench = _Bench(prediction)
     chart = _chart(bench, advance)
-    found, alarms, errors, status = [], [], [], []
+    found, useful, alarms, errors, status = [], [], [], [], []
     example: tuple[NDArray[np.float32], FloatArray] | None = None
     for number in range(prediction.config.frames.sky):
         seen, frame, measured, place = _sky_frame(bench, number)
         partner, false = _matched(measured, place, prediction.config.window_px)
         fit = partner >= 0
-        fit[fit] = measured.fit[partner[fit]]
         found.append(int(np.count_nonzero(fit)))
+        fit[fit] = measured.fit[partner[fit]]
+        useful.append(int(np.count_nonzero(fit)))
         alarms.append(false)
         error, how = _attitude_error(bench, measured, number, seen)
         errors.append(error)
@@ -211,6 +213,7 @@ def render_frames(prediction: CameraPrediction, *, advance: Callable[[], None] =
     assert example is not None
     sky = SkyFrames(
         found=np.array(found, np.int64),
+        fit=np.array(useful, np.int64),
         false_alarms=np.array(alarms, np.int64),
         error_arcsec=np.array(errors),
         status=tuple(status),
