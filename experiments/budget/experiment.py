@@ -33,6 +33,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.budget.result import Result
     from experiments.budget.sweep import check_full_well, predict_sweep, predict_tornado, tornado_size
     from experiments.budget.terms import Psfs
+    from experiments.budget.thermal import thermal_term
     from experiments.budget.tolerances import tolerance_study
     from experiments.budget.tune import differences
     from experiments.laboratory.checks import check_light
@@ -47,6 +48,8 @@ def run(config: Config, *, progress: Progress) -> Result:
         predicted = predict_terms(lab, psfs=psfs)
     with progress.stage("measure", total=steps_of(lab)) as stage:
         measured = measure_terms(lab, advance=stage.advance)
+    with progress.stage("temperature"):
+        thermal = thermal_term(lab, streams.child("temperature"))
     sweep, tornado = None, None
     if sweep_range is not None:
         with progress.stage("sweep", total=len(sweep_range.values)) as stage:
@@ -71,6 +74,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         tornado=tornado,
         tolerances=tolerances,
         attitude=attitude,
+        thermal=thermal,
         changed=differences(config),
     )
 

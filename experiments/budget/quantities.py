@@ -11,6 +11,7 @@ from experiments.budget.attitude import READINGS
 from experiments.budget.combine import ECSS, FRAME_TERMS, PRINTED, SUMS, TERMS, Budget
 from experiments.budget.result import Result
 from experiments.budget.sweep import Sweep, Tornado
+from experiments.budget.thermal import ThermalTerm
 from experiments.harness.quantities import Quantities
 from experiments.laboratory.centroid_methods import MethodLabels
 from optics.arrays import FloatArray
@@ -57,6 +58,8 @@ def describe(result: Result) -> Quantities:
         _tornado(q, result.tornado)
     _built(q, result)
     _attitude(q, result)
+    if isinstance(result.thermal, ThermalTerm):
+        _thermal(q, result, result.thermal)
     return q
 
 
@@ -305,3 +308,44 @@ def _attitude(q: Quantities, result: Result) -> None:
             key=f"{word}_{{component}}_arcsec",
             json="",
         )
+
+
+def _thermal(q: Quantities, result: Result, term: ThermalTerm) -> None:
+    """LSFE-T, and the total with it."""
+    q.add("calibrated_at_c", term.temperature_c, "Calibrated at", unit="degC", json="thermal.calibrated_at_c")
+    for name, label, value, total in (
+        ("predicted", "Predicted", term.predicted, result.predicted[result.config.centroid].budget.total),
+        ("measured", "Measured", term.measured, result.measured[result.config.centroid].budget.total),
+    ):
+        place = f"thermal.{name}_arcsec_3sigma"
+        q.add(
+            f"thermal_{name}_arcsec",
+            value.arcsec,
+            label,
+            **ANGLE,
+            dims="axis",
+            format=".3f",
+            error=value.uncertainty_arcsec,
+            json=place,
+            json_error=f"thermal.{name}_uncertainty",
+        )
+        both = np.hypot(value.arcsec, total.arcsec)
+        place = f"thermal.total_{name}_arcsec_3sigma"
+        q.add(f"thermal_total_{name}_arcsec", both, label, **ANGLE, dims="axis", format=".3f", json=place)
+    ppm: dict[str, Any] = {"unit": "1e-6/K", "format": ".2f"}
+    place = "thermal.scale_ppm_per_k"
+    q.add("scale_ppm_per_k", term.scale_ppm_per_k, "Scale", **ppm, dims="axis", json=f"{place}.predicted")
+    q.add(
+        "measured_scale_ppm_per_k",
+        term.measured_scale_ppm_per_k,
+        "Scale",
+        **ppm,
+        dims="axis",
+        error=term.scale_sigma_ppm_per_k,
+        json=f"{place}.measured",
+        json_error=f"{place}.sigma",
+    )
+    q.add("paraxial_ppm_per_k", term.paraxial_ppm_per_k, "Scale, paraxial", **ppm, json=f"{place}.paraxial")
+    q.add("focus_um_per_k", term.focus_um_per_k, "Focus", unit="um/K", format=".2f", json="thermal.focus_um_per_k")
+    place = "thermal.outermost_star_px_per_k"
+    q.add("corner_px_per_k", term.corner_px_per_k, "Outermost star", unit="px/K", format=".3f", json=place)

@@ -14,6 +14,7 @@ from experiments.budget.laboratory import Laboratory
 from experiments.budget.settings import Config
 from experiments.budget.sweep import Sweep, Tornado
 from experiments.budget.terms import Measurement, PredictedTerms
+from experiments.budget.thermal import ThermalTerm
 from experiments.budget.tolerances import ToleranceStudy
 
 __all__ = ["Result", "TermPair"]
@@ -110,6 +111,8 @@ class Result:
         Lenses as built.
     attitude : AttitudeStudy
         From the measured budget.
+    thermal : ThermalTerm, str or None
+        LSFE-T, apart from the budget; why there is none; None where it is switched off.
     changed : mapping of str to (object, object)
         Settings that differ from the defaults: default, here.
     """
@@ -123,6 +126,7 @@ class Result:
     tornado: Tornado | None
     tolerances: ToleranceStudy
     attitude: AttitudeStudy
+    thermal: ThermalTerm | str | None
     changed: Mapping[str, tuple[object, object]]
 
     def pair(self, method: str) -> TermPair:

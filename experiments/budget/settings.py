@@ -30,6 +30,7 @@ __all__ = [
     "GridConfig",
     "MovedConfig",
     "StepConfig",
+    "ThermalConfig",
     "ToleranceConfig",
     "TornadoConfig",
 ]
@@ -88,6 +89,14 @@ class AttitudeConfig(StrictModel):
         return self
 
 
+class ThermalConfig(StrictModel):
+    """Temperature of lens and housing in use, about that of the calibration."""
+
+    stability_k: float = Field(
+        default=1.0, ge=0, le=40, description="3 sigma; ACC18 holds its laboratory to 20 +- 1 C; 0: no thermal term"
+    )
+
+
 class ToleranceConfig(StrictModel):
     """Monte-Carlo of the lens as built: standard deviations, every element, both axes."""
 
@@ -140,6 +149,7 @@ class Config(SensorExperimentConfig):
     hexapod: HexapodConfig = HexapodConfig()
     steps: StepConfig = StepConfig()
     grid: GridConfig = GridConfig()
+    thermal: ThermalConfig = ThermalConfig()
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position (ACC18: at least 30)")
     dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off, per position")
     window_px: int = Field(default=13, ge=7, le=63, description="window around a point, odd")

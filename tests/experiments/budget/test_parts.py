@@ -13,6 +13,7 @@ from experiments.harness.cli import configuration_file
 from experiments.harness.config import load_config
 from experiments.harness.range import leaf_keys, parse_sweep, value_at, with_value
 from experiments.laboratory.detector_changes import DetectorConfig, overridden
+from experiments.laboratory.published import chromatic_of_table1_arcsec
 from optics.errors import ConfigError
 from optics.lens.prescription import load_lens
 from optics.rays.paraxial import axial_paraxial
@@ -27,6 +28,12 @@ def test_printed_terms_give_the_printed_sums_but_for_the_slip():
     assert made.lsfe.arcsec[1] == pytest.approx(PRINTED["LSFE"][1], abs=0.0051)
     assert made.lsfe.arcsec[0] == pytest.approx(0.79, abs=0.0051)  # the printed 0.91 is 0.41 + 0.50
     assert abs(made.lsfe.arcsec[0] - PRINTED["LSFE"][0]) > 0.1
+
+
+def test_the_chromatic_term_in_x_is_a_slip_and_in_y_is_not():
+    x, y = chromatic_of_table1_arcsec()
+    assert y == pytest.approx(0.66)  # printed, 0.12 px
+    assert x == pytest.approx(0.0385)  # printed 0.03: 5e-3 px x 5.5" = 0.0275
 
 
 def test_uncertainty_of_the_sums_is_that_of_drawn_terms():
