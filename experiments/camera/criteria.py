@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2, norm
 
+from experiments.camera.confirmation import compare
+from experiments.camera.records import CameraPrediction
+from experiments.camera.rendered import Rendered
 from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Criterion
 
-__all__ = ["criteria"]
+__all__ = ["criteria", "frame_criteria"]
 
 
 ALARM = 1e-3
@@ -21,10 +24,24 @@ MODEL_MAG = 0.05
 def criteria(outcome: Outcome) -> list[Criterion]:
     """Light, noise, detection, false alarms, stars and attitudes of the frames against their prediction."""
     result = outcome.result
-    if result.rendered is None:
-        return []
-    compared = {one.name: one for one in result.compared}
-    limit = float(norm.isf(ALARM / 2.0))
+    return [] if result.rendered is None else frame_criteria(result.prediction, result.rendered)
+
+
+def frame_criteria(prediction: CameraPrediction, rendered: Rendered, *, looks: int = 1) -> list[Criterion]:
+    """Criteria on the frames of one sensor.
+
+    Parameters
+    ----------
+    prediction : CameraPrediction
+        What was predicted.
+    rendered : Rendered
+        The frames.
+    looks : int
+        How many sensors are judged in this run; that one of them fails by chance stays as unlikely as for one.
+    """
+    compared = {one.name: one for one in compare(prediction, rendered)}
+    alarm = ALARM / looks
+    limit = float(norm.isf(alarm / 2.0))
     light, noise, faint = compared["electrons"], compared["nea"], compared["limiting_magnitude"]
     allowed = limit * noise.error / noise.predicted + MODEL_SHARE
     found = [
@@ -59,15 +76,15 @@ def criteria(outcome: Outcome) -> list[Criterion]:
                 unit="sigma",
             )
         )
-    return [*found, *_attitudes(outcome)]
+    return [*found, *_attitudes(prediction, rendered, alarm)]
 
 
-def _attitudes(outcome: Outcome) -> list[Criterion]:
+def _attitudes(prediction: CameraPrediction, rendered: Rendered, alarm: float) -> list[Criterion]:
     """Sum of the squared errors over their predicted variances: chi-square of as many degrees of freedom."""
-    sky, forecast = outcome.result.rendered.sky, outcome.result.prediction.attitude
+    sky, forecast = rendered.sky, prediction.attitude
     ratio = sky.error_arcsec / forecast.total_arcsec[: len(sky.error_arcsec)]
     solved = np.isfinite(ratio).all(axis=1)
-    enough = forecast.stars[: len(solved)] >= FEWEST_STARS
+    enough = forecast.stars[: len(ratio)] >= FEWEST_STARS
     found = [
         Criterion(
             name=f"frames of the sky with {FEWEST_STARS} stars or more that are not solved",
@@ -84,7 +101,7 @@ def _attitudes(outcome: Outcome) -> list[Criterion]:
             Criterion(
                 name=f"attitude {words}, chance of errors as large (or as small) as those of the frames",
                 value=2.0 * min(chance, 1.0 - chance),
-                limit=ALARM,
+                limit=alarm,
                 relation=">=",
             )
         )

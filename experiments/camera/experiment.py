@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from experiments.camera.settings import Config
+from experiments.camera.sweep.experiment import experiment as sweep
 from experiments.harness.cli import command
 from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
@@ -47,6 +48,10 @@ def run(config: Config, *, progress: Progress) -> Result:
     return Result(config=config, prediction=prediction, thermal=thermal, swings=swings, rendered=rendered)
 
 
+def _instead(config: Config) -> Experiment | None:
+    return sweep if config.sweep else None
+
+
 experiment = Experiment(
     name="camera",
     config=Config,
@@ -56,9 +61,18 @@ experiment = Experiment(
         "--sensor my.toml": "your own sensor",
         "--sensor my.toml --predict-only": "the answer without frames",
         "--sensor my.toml --set instrument.exposure_s=0.2": "the same with another exposure",
+        "--sensor my.toml --sweep instrument.exposure_s=0.05:0.4:8": "what if: curves over the exposure, in seconds",
+        "--sensor my.toml --sweep exposure_s=0.05:0.4:8 --sweep f_number=3:5:5": "a map over two keys",
     },
     show=("requirements",),
-    options={"predict-only": ("predict_only", "No rendered frames: an answer in seconds.")},
+    options={
+        "predict-only": ("predict_only", "No rendered frames: an answer in seconds."),
+        "sweep": (
+            "sweep",
+            "KEY=LOW:HIGH:POINTS: predict a range of any number of the sensor; two make a map.",
+        ),
+    },
+    instead=_instead,
     renders=lambda config: not config.predict_only,
     quick={
         "sky.attitudes": 200,

@@ -211,6 +211,11 @@ class CameraPrediction:
         """A scalar by name."""
         return self.scalars[name].value
 
+    @property
+    def catalogue_ends(self) -> bool:
+        """Whether the sensor finds stars that the catalogue does not hold."""
+        return self.view.depth_mag < self.value("limiting_magnitude_mag")
+
     def electrons(self, magnitude: FloatArray, temperature_k: float, radius_px: FloatArray | float = 0.0) -> FloatArray:
         """Electrons in one exposure of stars of magnitudes (n,)."""
         m = np.atleast_1d(np.asarray(magnitude, float))

@@ -60,7 +60,7 @@ class Result:
     @property
     def catalogue_ends(self) -> bool:
         """Whether the sensor finds stars that the catalogue does not hold."""
-        return self.prediction.view.depth_mag < self.prediction.value("limiting_magnitude_mag")
+        return self.prediction.catalogue_ends
 
     @property
     def compared(self) -> tuple[Comparison, ...]:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import typing
 from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from experiments.harness.config import StrictModel
+from experiments.harness.range import SweepRange, check_range, leaf_keys, parse_sweep
 from experiments.laboratory.detector_changes import DetectorConfig
 from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig
 
 __all__ = ["Config", "FramesConfig", "Parameter", "SkyConfig", "StarConfig", "ThermalConfig", "TornadoConfig"]
+
+
+MOST_POINTS = 400
+_NO_SENSOR = frozenset({"requirements", "filters", "sky", "thermal", "frames", "tornado"})
+"""Tables that say nothing of the sensor's prediction."""
 
 
 class StarConfig(StrictModel):
@@ -102,3 +109,29 @@ class Config(SensorExperimentConfig, SensorConfig):
     frames: FramesConfig = FramesConfig()
     tornado: TornadoConfig = TornadoConfig()
     predict_only: bool = Field(default=False, description="no rendered frames: an answer in seconds")
+    sweep: tuple[str, ...] = Field(
+        default=(), max_length=2, description="KEY=LOW:HIGH:POINTS of a key of the sensor; two of them: a map"
+    )
+    sweep_measured: bool = Field(default=False, description="render frames at every point of a sweep too")
+
+    @model_validator(mode="after")
+    def _sweeps(self) -> Config:
+        ranges = self.sweep_ranges
+        for one in ranges:
+            check_range(type(self), one)
+        keys = {one.key for one in ranges}
+        if len(keys) < len(ranges):
+            raise ValueError(f"sweep: {ranges[0].key} is swept twice")
+        points = math.prod(len(one.values) for one in ranges)
+        if points > MOST_POINTS:
+            raise ValueError(f"sweep: {points} points; at most {MOST_POINTS} together")
+        if self.sweep_measured and (self.predict_only or len(ranges) > 1):
+            why = "predict_only asks for none" if self.predict_only else "a map would take hours; sweep one key"
+            raise ValueError(f"sweep_measured renders frames at every point: {why}")
+        return self
+
+    @property
+    def sweep_ranges(self) -> tuple[SweepRange, ...]:
+        """The sweeps that are asked for."""
+        keys = {key: field for key, field in leaf_keys(type(self)).items() if key.partition(".")[0] not in _NO_SENSOR}
+        return tuple(parse_sweep(text, keys) for text in self.sweep)

@@ -6,7 +6,7 @@ import contextlib
 import inspect
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -20,6 +20,7 @@ from experiments.harness.progress import terminal_progress
 from experiments.harness.summary import Criterion
 from experiments.harness.threads import one_thread
 from optics.errors import ConfigError
+from optics.validate import parse_model
 
 if TYPE_CHECKING:
     from experiments.harness.quantities import Outcome
@@ -50,7 +51,7 @@ class Output(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Options:
-    sensor: str | None
+    sensor: tuple[str, ...]
     file: str | None
     settings: tuple[str, ...]
     short: Mapping[str, str]
@@ -117,7 +118,7 @@ def _parser(experiment: Experiment, status: list[int], interrupts: Interrupts) -
     @click.command(
         help=_help(experiment), context_settings={"max_content_width": 100, "help_option_names": ["-h", "--help"]}
     )
-    @click.option("--sensor", metavar="FILE", help="TOML file of a star sensor, taken by every experiment.")
+    @click.option("--sensor", metavar="FILE", multiple=True, help=_sensor_help(experiment))
     @click.option("--config", "file", metavar="FILE", help="TOML file with any part of the configuration.")
     @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="One setting, dotted keys; repeatable.")
     @click.option("--seed", type=click.IntRange(min=0), help="Seed of all random streams.")
@@ -139,7 +140,7 @@ def _parser(experiment: Experiment, status: list[int], interrupts: Interrupts) -
             click.echo(json.dumps(experiment.config.model_json_schema(), indent=2, ensure_ascii=False))
             return
         given = {name: options.pop(_parameter(name)) for name in shorts}
-        short = {name: text for name, text in given.items() if text is not None}
+        short = {name: _text(value) for name, value in given.items() if value not in (None, ())}
         chosen = _Options(short=short, **options)
         if defaults is not None:
             click.echo(_defaults(experiment, chosen, whole=defaults == "all"), nl=False)
@@ -151,6 +152,10 @@ def _parser(experiment: Experiment, status: list[int], interrupts: Interrupts) -
         if _is_switch(experiment, key):
             help_text = f"{text} Short for --set {key}=true."
             parse = click.option(f"--{name}", _parameter(name), flag_value="true", default=None, help=help_text)(parse)
+            continue
+        if _is_list(experiment, key):
+            help_text = f"{text} Repeatable."
+            parse = click.option(f"--{name}", _parameter(name), metavar="TEXT", multiple=True, help=help_text)(parse)
             continue
         help_text = f"{text} Short for --set {key}=TEXT."
         parse = click.option(f"--{name}", _parameter(name), metavar="TEXT", help=help_text)(parse)
@@ -167,6 +172,21 @@ def _shorts(experiment: Experiment) -> dict[str, tuple[str, str]]:
 def _is_switch(experiment: Experiment, key: str) -> bool:
     field = experiment.config.model_fields.get(key)
     return field is not None and field.annotation is bool
+
+
+def _is_list(experiment: Experiment, key: str) -> bool:
+    field = experiment.config.model_fields.get(key)
+    return field is not None and field.annotation == tuple[str, ...]
+
+
+def _text(value: str | tuple[str, ...]) -> str:
+    """What ``--set`` would be given: text, or a list of text as TOML writes it."""
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+
+
+def _sensor_help(experiment: Experiment) -> str:
+    text = "TOML file of a star sensor, taken by every experiment."
+    return text if experiment.comparison is None else f"{text} Repeatable: sensors side by side."
 
 
 def _parameter(option: str) -> str:
@@ -188,13 +208,27 @@ def _help(experiment: Experiment) -> str:
     return "\n\n".join(parts)
 
 
+def _asked(declared: Experiment, options: _Options) -> tuple[Experiment, ExperimentConfig]:
+    """What is to be run, and its configuration; several sensors are a configuration each."""
+    if len(options.sensor) < 2:
+        config = _configuration(declared, options)
+        return (declared.instead(config) if declared.instead is not None else None) or declared, config
+    side_by_side = declared.comparison
+    if side_by_side is None:
+        raise ConfigError(f"--sensor is given {len(options.sensor)} times: {declared.name} takes one sensor")
+    sensors = [_configuration(declared, replace(options, sensor=(file,))) for file in options.sensor]
+    return side_by_side, parse_model(
+        side_by_side.config, {"seed": sensors[0].seed, "sensors": sensors}, "several --sensor"
+    )
+
+
 def _configuration(declared: Experiment, options: _Options) -> Any:
     shorts = _shorts(declared)
     short = [f"{shorts[name][0]}={text}" for name, text in options.short.items()]
     return load_config(
         declared.config,
         quick=declared.quick if options.quick else None,
-        sensor=options.sensor,
+        sensor=options.sensor[0] if options.sensor else None,
         file=configuration_file(options.file),
         settings=[*options.settings, *short],
         seed=options.seed,
@@ -205,8 +239,10 @@ def _defaults(experiment: Experiment, options: _Options, *, whole: bool) -> str:
     """The configuration as a file: the sensor that it runs with, or all of it."""
     from experiments.harness.settings_text import toml_text
 
+    if len(options.sensor) > 1:
+        raise ConfigError("--defaults writes one sensor: give one --sensor")
     config = _configuration(experiment, options)
-    sensor = None if whole else config.as_sensor(Path(options.sensor) if options.sensor else None)
+    sensor = None if whole else config.as_sensor(Path(options.sensor[0]) if options.sensor else None)
     run = f"python -m experiments.{experiment.name}"
     if sensor is None:
         return toml_text(config, f"All settings of the experiment {experiment.name}: {run} --config THIS_FILE")
@@ -218,8 +254,7 @@ def _defaults(experiment: Experiment, options: _Options, *, whole: bool) -> str:
 
 
 def _perform(declared: Experiment, options: _Options, interrupts: Interrupts) -> int:
-    config = _configuration(declared, options)
-    experiment = (declared.instead(config) if declared.instead is not None else None) or declared
+    experiment, config = _asked(declared, options)
     with interrupts.unwinding():
         folder: Output = _output(experiment, options, config)
     interrupts.said = lambda: folder.interrupted

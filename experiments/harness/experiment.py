@@ -76,12 +76,14 @@ class Experiment:
         ``renders(config)``: whether the backend has to be ready before ``run``.
     options : mapping
         Name of an option without dashes -> (key of the configuration, help text): ``--NAME TEXT`` is short for
-        ``--set KEY=TEXT`` and wins over it.
+        ``--set KEY=TEXT`` and wins over it; where the key holds a list of text, the option is repeatable.
     output : callable, optional
         ``output(path, config)``: an output folder of its own kind, for work that can be taken up again; ``run`` is then
         given it as ``output=``.
     instead : callable, optional
         ``instead(config)``: another declaration that takes over for some settings, or None.
+    comparison : Experiment, optional
+        What several ``--sensor`` run; its configuration has a field ``sensors``, one of this experiment for each.
     """
 
     name: str
@@ -102,6 +104,7 @@ class Experiment:
     options: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     output: Callable[[str, Any], Any] | None = None
     instead: Callable[[Any], Experiment | None] | None = None
+    comparison: Experiment | None = None
 
     @property
     def package(self) -> str:

@@ -16,8 +16,9 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from optics.errors import ConfigError, unknown_name
+from optics.validate import parse_model
 
-__all__ = ["SweepRange", "check_range", "leaf_keys", "parse_sweep", "value_at", "with_value"]
+__all__ = ["SweepRange", "check_range", "leaf_keys", "parse_sweep", "quantity_of", "value_at", "with_value"]
 
 LARGEST = 200
 """Most points of a sweep."""
@@ -115,6 +116,25 @@ def _full_key(name: str, keys: Mapping[str, FieldInfo]) -> str:
     raise unknown_name("parameter of the sweep", name, keys if "." in name else words)
 
 
+_UNITS = {
+    "e_per_s": "e-/s", "dn_per_e": "DN/e-", "arcsec_per_s": "arcsec/s", "deg_per_s": "deg/s", "s": "s", "us": "µs",
+    "mm": "mm", "um": "um", "nm": "nm", "px": "px", "e": "e-", "c": "°C", "k": "K", "mag": "mag", "deg": "deg",
+    "arcsec": "arcsec", "arcmin": "arcmin", "sigma": "sigma", "ppm": "ppm", "hz": "Hz", "percent": "percent",
+}  # fmt: skip
+
+
+_NAMES = {"f number": "F-number", "prnu": "PRNU", "dsnu": "DSNU"}
+
+
+def quantity_of(key: str) -> tuple[str, str]:
+    """What a key is called and its unit, which its name ends in: "instrument.exposure_s" is ("exposure", "s")."""
+    words = key.rpartition(".")[2].split("_")
+    ends = (n for n in range(1, len(words)) if "_".join(words[n:]) in _UNITS)
+    end = next(ends, len(words))
+    name = " ".join(words[:end])
+    return _NAMES.get(name, name), _UNITS.get("_".join(words[end:]), "")
+
+
 def check_range(model: type[BaseModel], sweep: SweepRange) -> None:
     """Refuse a sweep that leaves the allowed values of its parameter.
 
@@ -142,11 +162,17 @@ def value_at(config: BaseModel, key: str) -> Any:
 
 
 def with_value(config: Any, key: str, value: Any) -> Any:
-    """A copy of a configuration with another value at a dotted key; checked again."""
+    """A copy of a configuration with another value at a dotted key; checked again.
+
+    Raises
+    ------
+    ConfigError
+        If the value does not go together with the others.
+    """
     values = config.model_dump()
     node = values
     words: Sequence[str] = key.split(".")
     for word in words[:-1]:
         node = node[word]
     node[words[-1]] = value
-    return type(config).model_validate(values)
+    return parse_model(type(config), values, key)

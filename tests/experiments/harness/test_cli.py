@@ -186,6 +186,7 @@ def test_quick_yields_to_the_user(shot_noise, tmp_path):
         (["--set", "mean_e=[nan]"], "finite"),
         (["--set", "mean_e=[1e13]"], "lower it"),  # found out while running
         (["surplus"], "surplus"),
+        (["--sensor", "a.toml", "--sensor", "b.toml"], "shot_noise takes one sensor"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_2(shot_noise, tmp_path, capsys, monkeypatch, arguments, expected):

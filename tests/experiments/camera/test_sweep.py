@@ -1,0 +1,144 @@
+"""Sweeps of the camera: closed forms, crossings, refusals, and the command."""
+
+import json
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+from experiments.camera.experiment import main
+from experiments.camera.settings import Config
+from experiments.camera.sweep.study import sweep_study
+from experiments.harness.range import quantity_of
+from optics.errors import ConfigError, DomainError
+from optics.validate import parse_model
+
+SENSOR = """
+name = "Small tracker"
+[instrument]
+lens = "star_tracker_26mm"
+detector = "cmv4000"
+width_px = 800
+height_px = 800
+exposure_s = 0.2
+defocus_mm = 0.0
+[passband]
+range_nm = [500, 800]
+[requirements]
+update_rate_hz = 4.0
+focus_shift_um = 50.0
+"""
+TRACKER = {
+    "instrument": {
+        "lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 800, "height_px": 800, "exposure_s": 0.2,
+        "defocus_mm": 0.0,
+    },
+    "passband": {"range_nm": [500.0, 800.0]},
+    "sky": {"attitudes": 40},
+}  # fmt: skip
+STILL = {"dark_current_e_per_s": 0.0, "dark_spread_e_per_s": 0.0, "hot_fraction": 0.0}
+
+
+def study(*sweep, **tables):
+    return sweep_study(parse_model(Config, {**TRACKER, "sweep": sweep, **tables}, "test"))
+
+
+def test_limiting_magnitude_follows_the_exposure_as_the_noise_says():
+    """Against read noise a star needs so many electrons: 2.5 log10 t; against background light half that."""
+    for background, slope in ((0.0, 2.5), (1e5, 1.25)):
+        found = study("exposure_s=0.1:0.4:2", detector=STILL, background_e_per_s=background)
+        moved = np.diff(found.series("limiting_magnitude_mag"))[0]
+        assert moved == pytest.approx(slope * np.log10(4.0), abs=0.02)
+
+
+def test_a_stop_takes_light_by_its_square():
+    """Closed far enough for the pupil to be paraxial; at F-numbers that the lens has not, the point is refused."""
+    found = study("f_number=1:16:4")
+    assert [bool(point.scalars) for point in found.points] == [False, True, True, True]
+    assert "f_number" in found.points[0].refusal or "F-number" in found.points[0].refusal
+    assert np.isnan(found.series("electrons_e")[0])
+    light, stop = found.series("electrons_e")[1:], found.series("f_number")[1:]
+    np.testing.assert_allclose(light * stop**2, (light * stop**2)[0], rtol=3e-3)
+
+
+def test_focus_over_temperature_in_an_aluminium_housing():
+    """Paraxial trace of the 206 mm lens with warm glasses, gaps and housing: 4.55 um per kelvin."""
+    found = sweep_study(Config(sweep=("lens_temperature_c=10:30:2",), sky={"attitudes": 20}))
+    assert abs(np.diff(found.series("best_focus_um"))[0]) / 20.0 == pytest.approx(4.55, rel=0.02)
+
+
+def test_magnitude_of_the_star_that_is_quoted():
+    light = study("magnitude_mag=3:8:3").series("electrons_e")
+    np.testing.assert_allclose(light[:-1] / light[1:], 10.0, rtol=1e-9)
+
+
+def test_where_a_requirement_is_crossed():
+    """Frames per second are 1 / exposure: 4 Hz at 0.25 s, and more below."""
+    found = study("exposure_s=0.235:0.275:3", requirements={"update_rate_hz": 4.0})
+    assert found.met.tolist() == [True, False, False]
+    (crossing,) = found.crossings
+    assert crossing.at == pytest.approx(0.25, abs=2e-3)
+    assert not crossing.above
+    assert found.best.at == (0.235,)
+
+
+def test_two_keys_make_a_map():
+    found = study("exposure_s=0.1:0.2:2", "threshold_sigma=4:8:3")
+    assert found.shape == (2, 3)
+    limit = found.grid("limiting_magnitude_mag")
+    assert (np.diff(limit, axis=0) > 0).all()
+    assert (np.diff(limit, axis=1) < 0).all()
+    assert found.points[4].at == (0.2, 6.0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"sweep": ["exposre_s=0.1:0.2:3"]}, "did you mean exposure_s"),
+        ({"sweep": ["frames.readouts=3:9:3"]}, "unknown parameter"),
+        ({"sweep": ["exposure_s=-1:0.2:3"]}, "above 0"),
+        ({"sweep": ["exposure_s=0.1:0.2:3", "instrument.exposure_s=0.1:0.3:2"]}, "swept twice"),
+        ({"sweep": ["exposure_s=0.1:0.2:100", "threshold_sigma=4:8:5"]}, "at most 400"),
+        ({"sweep": ["exposure_s=0.1:0.2:3"], "sweep_measured": True, "predict_only": True}, "predict_only"),
+    ],
+)
+def test_sweep_refused(settings, words):
+    with pytest.raises(ConfigError, match=words):
+        parse_model(Config, settings, "test")
+
+
+def test_no_point_at_all():
+    with pytest.raises(DomainError, match="no value of the sweep"):
+        study("f_number=0.9:1.1:2")
+
+
+@pytest.mark.parametrize(
+    ("key", "name", "unit"),
+    [
+        ("instrument.exposure_s", "exposure", "s"),
+        ("detector.dark_current_e_per_s", "dark current", "e-/s"),
+        ("instrument.f_number", "F-number", ""),
+        ("instrument.gain_dn_per_e", "gain", "DN/e-"),
+    ],
+)
+def test_the_name_of_a_key_ends_in_its_unit(key, name, unit):
+    assert quantity_of(key) == (name, unit)
+
+
+@pytest.mark.slow
+def test_the_command_writes_all_of_it(tmp_path, capsys):
+    sensor, out = tmp_path / "my.toml", tmp_path / "out"
+    sensor.write_text(SENSOR)
+    line = ["--sensor", str(sensor), "--set", "sky.attitudes=20", "--sweep", "exposure_s=0.2:0.3:2", "--out", str(out)]
+    assert main(line, own_process=False) == 0
+    results = json.loads((out / "summary.json").read_text())["results"]
+    assert results["keys"]["first"] == "instrument.exposure_s"
+    assert [point["first"] for point in results["points"]] == [0.2, 0.3]
+    assert [point["meets"] for point in results["points"]] == [True, False]
+    every = Table.read(out / "all.ecsv", format="ascii.ecsv")
+    assert every["instrument_exposure_s"].unit == "s"
+    assert every["nea_arcsec"][1] == results["points"][1]["nea_arcsec"]
+    page = (out / "report.html").read_text()
+    assert "1 of 2 points meet all requirements" in page
+    assert "focus_shift_um" in page  # asked, and said not to be judged
+    assert "Meets" in capsys.readouterr().out
