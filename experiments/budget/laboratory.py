@@ -10,6 +10,7 @@ from experiments.laboratory.bench import Bench
 from experiments.laboratory.detector_changes import overridden
 from experiments.laboratory.filter_wheel import Filter, interference_filters, open_band
 from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector, configured_lens
+from experiments.laboratory.signal import Signal, signal_of
 from optics.lens.perturb import decentre, despace, tilt
 from optics.lens.system import LensSystem
 from optics.light.spectrum import Blackbody
@@ -33,12 +34,15 @@ class Laboratory:
         Point target in the whole pass band: temporal, pixel and distortion terms.
     filtered : Bench
         The same behind the filters: chromatic term.
+    signal : Signal
+        Of a point, and the star that it means.
     """
 
     config: Config
     instrument: Instrument
     bench: Bench
     filtered: Bench
+    signal: Signal
 
     def with_epsf(self, epsf: EffectivePsf) -> Laboratory:
         """The same, with a PSF that was built from frames."""
@@ -88,13 +92,15 @@ def build_laboratory(config: Config, lens: LensSystem | None = None) -> Laborato
     for band in narrow:
         instrument.check_band("filters.centres_nm", band)
 
+    light = signal_of(config.source, wide[0], instrument, config.source.star_k)
+
     def bench(bands: Sequence[Filter], reference: int) -> Bench:
         return Bench(
             target=config.target,
             lamp=Blackbody(temperature_k=config.source.lamp_k),
             filters=bands,
             reference=reference,
-            signal_e=config.source.signal_e,
+            signal_e=light.signal_e,
             frames=config.frames,
             dark_frames=config.dark_frames,
             window_px=config.window_px,
@@ -105,5 +111,6 @@ def build_laboratory(config: Config, lens: LensSystem | None = None) -> Laborato
         config=config,
         instrument=instrument,
         bench=bench(wide, 0),
+        signal=light,
         filtered=bench(narrow, filters.centres_nm.index(filters.reference_nm)),
     )

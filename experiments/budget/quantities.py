@@ -14,6 +14,7 @@ from experiments.budget.sweep import Sweep, Tornado
 from experiments.budget.thermal import ThermalTerm
 from experiments.harness.quantities import Quantities
 from experiments.laboratory.centroid_methods import MethodLabels
+from experiments.laboratory.signal import add_signal
 from optics.arrays import FloatArray
 
 __all__ = ["describe", "extra"]
@@ -48,6 +49,7 @@ def describe(result: Result) -> Quantities:
     q.axis("method", list(result.config.methods), "Centroider", names=labels)
     q.axis("pair", result.lab.filtered.pair_names, "Bands", unit="nm", key="bands")
     q.add("ecss", [ECSS[name] for name in names], "ECSS-E-ST-60-20C", dims="term")
+    add_signal(q, result.lab.signal)
     _terms(q, result)
     _methods(q, result)
     _parts(q, result)

@@ -190,14 +190,14 @@ def check_full_well(lab: Laboratory) -> None:
     """
     from optics.errors import DomainError
 
-    chip, signal = lab.instrument.detector, lab.config.source.signal_e
+    chip, signal = lab.instrument.detector, lab.signal.signal_e
     top = min(chip.full_well_e, (chip.largest_dn - chip.offset_dn) / chip.gain_dn_per_e)
     _, radius, _ = expected_spots(lab.filtered, lab.instrument, corner_directions(lab.config.target, lab.instrument))
     sigma2 = float(np.nanmin(radius)) ** 2 / 2.0 + chip.diffusion_sigma_px**2 + 1.0 / 12.0
     if signal / (2.0 * np.pi * sigma2 + 1.0) > top:
         raise DomainError(
-            f"source.signal_e = {signal:g} e- saturates the brightest pixel of a point (it holds {top:.0f} e-); "
-            "lower source.signal_e or defocus"
+            f"{signal:g} e- per point and frame saturate the brightest pixel of a point (it holds {top:.0f} e-); "
+            "lower source.signal_e (raise source.magnitude_mag) or defocus"
         )
 
 
@@ -248,9 +248,10 @@ def _setting(config: Config, key: str, value: float, psfs: Psfs, number: int) ->
 
 def _parameters(config: Config) -> Sequence[tuple[str, str, str, float, float]]:
     """Key, label, unit, low and high of the parameters of the tornado chart."""
-    detector, change = load_detector(config.instrument.detector), config.tornado
+    detector, change, source = load_detector(config.instrument.detector), config.tornado, config.source
+    by_star = source.magnitude_mag is not None
     relative = (
-        ("source.signal_e", "signal", "e⁻", config.source.signal_e),
+        *(() if by_star else (("source.signal_e", "signal", "e⁻", source.default_signal_e),)),
         ("detector.read_noise_e", "read noise", "e⁻", detector.read_noise_e),
         ("detector.prnu", "PRNU", "", detector.prnu),
         ("detector.diffusion_sigma_um", "charge diffusion", "µm", detector.diffusion_sigma_mm * 1e3),
@@ -260,6 +261,7 @@ def _parameters(config: Config) -> Sequence[tuple[str, str, str, float, float]]:
     )
     moved = f" of {config.moved.element}"
     absolute = (
+        *((("source.magnitude_mag", "star", "mag", 2.5 * np.log10(1.0 + change.change_fraction)),) if by_star else ()),
         ("instrument.defocus_mm", "defocus", "mm", change.focus_mm),
         ("instrument.chip_temperature_c", "chip temperature", "°C", change.chip_k),
         ("moved.decentre_x_um", "decentre x" + moved, "µm", change.decentre_um),
@@ -276,7 +278,7 @@ def _parameters(config: Config) -> Sequence[tuple[str, str, str, float, float]]:
     for key, label, unit, step in absolute:
         centre = float(value_at(config, key))
         out.append((key, label, unit, centre - step, centre + step))
-    return [row for row in out if row[3] < row[4] and row[0] in change.parameters]
+    return [row for row in out if row[3] < row[4] and row[0].replace("magnitude_mag", "signal_e") in change.parameters]
 
 
 def tornado_size(config: Config) -> int:

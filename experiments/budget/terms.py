@@ -122,7 +122,8 @@ class Psfs:
         """Anything that depends on the light alone."""
         config = lab.config
         keys = (config.instrument, config.moved, config.target, config.source, config.filters, config.grid)
-        light = [part.model_copy(update={"signal_e": 1.0}) if part is config.source else part for part in keys]
+        scale = {"signal_e": None, "magnitude_mag": None}
+        light = [part.model_copy(update=scale) if part is config.source else part for part in keys]
         key = repr((what, light, config.detector.diffusion_sigma_um, bench.window_px, bench.methods))
         if key not in self._known:
             self._known[key] = make()

@@ -24,7 +24,7 @@ from experiments.budget.combine import PRINTED, Budget
 from experiments.budget.settings import Config
 from experiments.harness.cli import configuration_file
 from experiments.harness.config import load_config
-from experiments.harness.range import value_at, with_value
+from experiments.harness.range import with_value
 from experiments.laboratory.published import ACC18_ARCSEC
 from optics.arrays import FloatArray
 from optics.errors import StarbenchError
@@ -109,8 +109,9 @@ def tune(start: Config, *, prnu: bool = False, report: Callable[[str], None] = l
     from experiments.budget.predict import predict_terms
     from experiments.budget.sweep import counting
 
-    signal = value_at(start, "source.signal_e")
-    share = build_laboratory(start).instrument.detector.prnu
+    lab = build_laboratory(start)
+    signal, share = lab.signal.signal_e, lab.instrument.detector.prnu
+    start = with_value(with_value(start, "source.magnitude_mag", None), "source.signal_e", signal)
     count = 0
 
     def values(state: FloatArray) -> dict[str, float]:

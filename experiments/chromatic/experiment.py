@@ -34,18 +34,20 @@ def run(config: Config, *, progress: Progress) -> Result:
     """
 
     from experiments.chromatic.result import Result
-    from experiments.chromatic.stars import electrons_of_star, stellar_shift
+    from experiments.chromatic.stars import stellar_shift
     from experiments.laboratory.chromatic_error import measure_chromatic, reduce_chromatic, shifts
     from experiments.laboratory.filter_wheel import open_band
     from experiments.laboratory.instrument import build_instrument
     from experiments.laboratory.known_motion import measure_wedged
     from experiments.laboratory.ray_prediction import bundle_prediction, paraxial_prediction
+    from experiments.laboratory.signal import electrons_of_star, signal_of
     from experiments.laboratory.target import CORNERS
     from render.engine.random import Streams
 
     instrument = build_instrument(config.instrument)
     band = open_band(config.passband, instrument, "full pass band")
-    bench, direction = _prepare(config, instrument)
+    signal = signal_of(config, band, instrument, config.stars.reference_k)
+    bench, direction = _prepare(config, instrument, signal.signal_e)
     paraxial_px = paraxial_prediction(bench, instrument, direction)
     solutions = _solve(config, bench, instrument, direction, progress)
     chosen = _choose(config, bench, solutions)
@@ -76,10 +78,11 @@ def run(config: Config, *, progress: Progress) -> Result:
         moved_stellar=moved_stellar,
         field_shift_px={name: shift[0] for name, shift in field_shift.items()},
         star_e=star_e,
+        signal=signal,
     )
 
 
-def _prepare(config: Config, instrument: Instrument) -> tuple[Bench, FloatArray]:
+def _prepare(config: Config, instrument: Instrument, signal_e: float) -> tuple[Bench, FloatArray]:
     """Laboratory and target points; whatever can be refused without rendering is refused here."""
     from experiments.laboratory.bench import Bench
     from experiments.laboratory.checks import check_light
@@ -94,7 +97,7 @@ def _prepare(config: Config, instrument: Instrument) -> tuple[Bench, FloatArray]
         lamp=Blackbody(temperature_k=config.lamp_k),
         filters=interference_filters(filters),
         reference=filters.centres_nm.index(filters.reference_nm),
-        signal_e=config.signal_e,
+        signal_e=signal_e,
         frames=config.frames,
         dark_frames=config.dark_frames,
         window_px=config.window_px,

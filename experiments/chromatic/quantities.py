@@ -13,6 +13,7 @@ from experiments.harness.summary import Measured
 from experiments.laboratory.centroid_methods import MethodLabels
 from experiments.laboratory.chromatic_error import ChromaticReduction, rms
 from experiments.laboratory.published import ACC18_ARCSEC, ACC18_TABLE1_PX
+from experiments.laboratory.signal import add_signal
 from optics.arrays import FloatArray
 
 __all__ = ["describe"]
@@ -40,6 +41,7 @@ def describe(result: Result) -> Quantities:
     _stars(q, result)
     radius_um = result.centred.measurement.rms_spot_um
     q.add("rms_spot_um", radius_um, "RMS spot radius", unit="um", dims="band", format=".1f")
+    add_signal(q, result.signal)
     q.add("pixel_arcsec", result.instrument.pixel_arcsec, "Angle of a pixel", unit="arcsec")
     return q
 

@@ -12,6 +12,7 @@ from experiments.laboratory.bench import Bench
 from experiments.laboratory.chromatic_error import ChromaticReduction
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.known_motion import WedgedFilter
+from experiments.laboratory.signal import Signal
 from optics.arrays import FloatArray
 
 __all__ = ["Result"]
@@ -45,6 +46,8 @@ class Result:
         The same stars through the lens with the moved element.
     star_e : float
         Electrons of a V = 7.5 star of the reference temperature through the full pass band.
+    signal : Signal
+        Of a point behind every filter, and the star that gives as many electrons through the full pass band.
     """
 
     config: Config
@@ -60,6 +63,7 @@ class Result:
     field_shift_px: Mapping[str, FloatArray]
     moved_stellar: StellarShift
     star_e: float
+    signal: Signal
 
     @property
     def pairs(self) -> Sequence[tuple[str, int, int]]:

@@ -13,6 +13,7 @@ from experiments.laboratory.settings import (
     FilterConfig,
     InstrumentConfig,
     PassbandConfig,
+    SignalConfig,
     StarsConfig,
     TargetConfig,
     check_windows,
@@ -31,7 +32,7 @@ class DecentreConfig(StrictModel):
     kind: Literal["decentre", "tilt"] = Field(default="decentre", description="how it moves in the rendered check")
 
 
-class Config(OwnFramesConfig):
+class Config(OwnFramesConfig, SignalConfig):
     """The published run: ACC18 gives all of it but the signal, the pass band of the stars and the lens."""
 
     instrument: InstrumentConfig = InstrumentConfig()
@@ -39,7 +40,9 @@ class Config(OwnFramesConfig):
     passband: PassbandConfig = PassbandConfig()
     filters: FilterConfig = FilterConfig()
     lamp_k: float = Field(default=3000.0, ge=1000, le=20000, description="colour temperature of the lamp")
-    signal_e: float = Field(default=6000.0, gt=0, le=1e6, description="electrons per point and frame, every filter")
+    signal_e: float | None = Field(
+        default=None, gt=0, le=1e7, description="electrons per point and frame, every filter; both left out: 6000"
+    )
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position and filter")
     dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off, per position")
     window_px: int = Field(default=13, ge=7, le=63, description="window around a point, odd")

@@ -11,13 +11,11 @@ from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.settings import StarsConfig
 from optics.arrays import FloatArray
 from optics.light.band import Band, band_nodes
-from optics.light.photometry import photon_rate
 from optics.light.spectrum import Blackbody
-from optics.rays.spots import collecting_area_mm2
 from render.forward import StarRenderer
 from render.records import StarField
 
-__all__ = ["StellarShift", "electrons_of_star", "stellar_shift"]
+__all__ = ["StellarShift", "stellar_shift"]
 
 
 NODES = 48
@@ -64,15 +62,6 @@ class StellarShift:
         """RMS distance over the field of the two stars that differ most, whatever the reference."""
         apart = self.shift_px[:, None] - self.shift_px[None]
         return float(np.sqrt((apart**2).sum(-1).mean(-1)).max())
-
-
-def electrons_of_star(band: Band, instrument: Instrument, *, magnitude: float, temperature_k: float) -> float:
-    """Electrons per exposure of a star of V magnitude on the axis, through the camera's pass band."""
-    nodes = band_nodes([band], NODES)
-    rate = photon_rate(Blackbody(temperature_k=temperature_k), magnitude, wavelength_nm=nodes.wavelength_nm)
-    camera = instrument.camera
-    detected = nodes.integrate(rate * camera.response_at(nodes.wavelength_nm))
-    return float(detected[0] * collecting_area_mm2(camera.lens) * instrument.config.exposure_s)
 
 
 def stellar_shift(config: StarsConfig, band: Band, instrument: Instrument) -> StellarShift:

@@ -10,7 +10,9 @@ from experiments.distortion.result import Result
 from experiments.harness.quantities import Quantities, Quantity
 from experiments.laboratory.distortion_statistics import LABELS, REFERENCES
 from experiments.laboratory.point_quantities import point_quantities
+from experiments.laboratory.point_scene import point_signal
 from experiments.laboratory.published import ACC18_ARCSEC
+from experiments.laboratory.signal import add_signal
 from optics.arrays import FloatArray
 
 __all__ = ["describe"]
@@ -20,6 +22,7 @@ def describe(result: Result) -> Quantities:
     """Quantities of a run: the document's numbers, the true map, forecasts, point by point."""
     config = result.config
     q = point_quantities(config.methods)
+    add_signal(q, point_signal(config, result.instrument))
     q.axis("reference", list(REFERENCES), "Coordinates")
     q.axis("number", ["sigma_d", "sigma_left", "sigma_c1"], "Number", names=LABELS)
     _numbers(q, result)

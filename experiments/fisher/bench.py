@@ -49,7 +49,7 @@ from experiments.laboratory.single_star.reduce import (
     reduce_data,
     start_model,
 )
-from experiments.laboratory.single_star.setup import averaged, build_bench, build_star, build_table
+from experiments.laboratory.single_star.setup import averaged, build_bench, build_star, build_table, star_signal
 from experiments.laboratory.turntable import Turntable
 from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC
@@ -206,7 +206,9 @@ def run_bench(config: Config, instrument: Instrument, progress: Progress) -> Ben
         bench=bench,
         true_bench=build_bench(config, config.table),
         calibration=calibration,
-        star=replace(build_star(config, instrument), signal_e=config.evaluation.signal_e),
+        star=replace(
+            build_star(config, instrument), signal_e=star_signal(config, instrument, config.evaluation).signal_e
+        ),
         renderer=StarRenderer(instrument.camera, exposure_s=instrument.config.exposure_s),
         wanted_px=evaluation_px(config, instrument),
         streams=streams,

@@ -17,6 +17,8 @@ from experiments.fisher.reduce import CONFIDENCE, Evaluation
 from experiments.fisher.result import Result
 from experiments.harness.quantities import Quantities
 from experiments.harness.summary import Measured
+from experiments.laboratory.signal import add_signal
+from experiments.laboratory.single_star.setup import star_signal
 from optics.units import RAD_ARCSEC
 from render.engine.random import Streams
 
@@ -50,6 +52,9 @@ def describe(result: Result) -> Quantities:
     _same_data(q, result)
     _precision(q, result)
     _other_tables(q, result)
+    config, instrument = result.config, result.instrument
+    add_signal(q, star_signal(config, instrument), "calibration_")
+    add_signal(q, star_signal(config, instrument, config.evaluation), "")
     return q
 
 

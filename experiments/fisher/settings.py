@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from pydantic import Field, field_validator, model_validator
 
 from experiments.harness.config import StrictModel
+from experiments.laboratory.settings import SignalConfig
 from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
 
 __all__ = ["Config", "CoverageConfig", "DynamicConfig", "EvaluationConfig", "FieldConfig", "SameDataConfig"]
@@ -16,14 +19,19 @@ def _table() -> TableConfig:
     return TableConfig(axes="xy", reading_noise_arcsec=(0.10,), non_orthogonality_arcsec=(5.0,))
 
 
-class EvaluationConfig(StrictModel):
+class EvaluationConfig(SignalConfig):
     """Acquisition of the star vectors (S200): one frame and one reading of the table at every place."""
+
+    default_signal_e: ClassVar[float] = 2000.0
 
     columns: int = Field(default=21, ge=2, le=200, description="places along a row")
     rows: int = Field(default=11, ge=2, le=200, description="places along a column")
     edge_px: float = Field(default=45.0, ge=0, description="distance of the outermost places from the edge")
-    signal_e: float = Field(
-        default=2000.0, gt=0, le=1e7, description="electrons per exposure of the star whose accuracy is asked"
+    signal_e: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e7,
+        description="electrons per exposure of the star whose accuracy is asked; both left out: 2000",
     )
     outlier_probability: float = Field(
         default=0.01, gt=0, lt=0.5, description="chance of taking a good sample for one with outliers"

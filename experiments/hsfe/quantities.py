@@ -10,7 +10,9 @@ from experiments.harness.quantities import Quantities
 from experiments.hsfe.result import Result
 from experiments.laboratory.high_frequency import CAUSES
 from experiments.laboratory.point_quantities import point_quantities
+from experiments.laboratory.point_scene import point_signal
 from experiments.laboratory.published import ACC18_ARCSEC
+from experiments.laboratory.signal import add_signal
 from experiments.laboratory.step_statistics import step_residual_px
 
 __all__ = ["describe"]
@@ -27,6 +29,7 @@ def describe(result: Result) -> Quantities:
     """Quantities of a run: by centroider, by cause, of hexapods, step by step."""
     measured, config = result.measured, result.config
     q = point_quantities(config.methods)
+    add_signal(q, point_signal(config, result.instrument))
     q.axis("cause", CAUSES, "Cause", names=CAUSE_NAMES)
     _methods(q, result)
     _causes(q, result)

@@ -17,6 +17,7 @@ from experiments.laboratory.point_settings import PointConfig
 from experiments.laboratory.points import PointReadout, nominal_px
 from experiments.laboratory.readout.windows import cut_windows
 from experiments.laboratory.settings import TargetConfig
+from experiments.laboratory.signal import Signal, signal_of
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.light.spectrum import Blackbody
@@ -33,6 +34,7 @@ __all__ = [
     "one_filter",
     "point_laboratory",
     "point_scene",
+    "point_signal",
     "prepared_scene",
     "scene_of",
 ]
@@ -166,6 +168,12 @@ def point_scene(bench: Bench, instrument: Instrument) -> PointScene:
     return PointScene(one_filter(bench), instrument, renderer, epsf_tracer(camera))
 
 
+def point_signal(config: PointConfig, instrument: Instrument) -> Signal:
+    """Brightness of a target point, and the star that it means."""
+    band = open_band(config.passband, instrument, "open")
+    return signal_of(config.source, band, instrument, config.source.star_k)
+
+
 def point_laboratory(config: PointConfig, target: TargetConfig | None = None) -> tuple[Bench, Instrument]:
     """Bench and instrument of a configuration; a test without the multi-star target leaves it out."""
     source, instrument = config.source, build_instrument(config.instrument)
@@ -174,7 +182,7 @@ def point_laboratory(config: PointConfig, target: TargetConfig | None = None) ->
         lamp=Blackbody(temperature_k=source.lamp_k),
         filters=[open_band(config.passband, instrument, "open")],
         reference=0,
-        signal_e=source.signal_e,
+        signal_e=point_signal(config, instrument).signal_e,
         frames=config.frames,
         dark_frames=config.dark_frames,
         window_px=config.window_px,

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from experiments.harness.config import StrictModel
 from experiments.laboratory.centroid_methods import MethodName
 from experiments.laboratory.own_frames.option import OwnFramesConfig
-from experiments.laboratory.settings import InstrumentConfig, PassbandConfig, TargetConfig
+from experiments.laboratory.settings import InstrumentConfig, PassbandConfig, SignalConfig, TargetConfig
 
 __all__ = ["PointConfig", "SourceConfig", "StarTargetConfig"]
 
 
-class SourceConfig(StrictModel):
+class SourceConfig(SignalConfig):
     """Lamp and brightness; the light reaches the camera through its pass band."""
 
     lamp_k: float = Field(default=3000.0, ge=1000, le=20000, description="colour temperature of the lamp")
-    signal_e: float = Field(
-        default=6000.0, gt=0, le=1e6, description="electrons per point and frame; about a star of V = 7.5 in 0.1 s"
+    star_k: float = Field(
+        default=5800.0, ge=1000, le=1e5, description="temperature of the star whose magnitude the electrons are"
     )
 
 

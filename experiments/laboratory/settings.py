@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from experiments.harness.config import FileName, StrictModel
 from experiments.laboratory.housing import DEFAULT_HOUSING, EXPANSION_PPM_PER_K, expansion_per_k
@@ -17,6 +17,7 @@ __all__ = [
     "HexapodConfig",
     "InstrumentConfig",
     "PassbandConfig",
+    "SignalConfig",
     "StarsConfig",
     "StepConfig",
     "TargetConfig",
@@ -98,6 +99,31 @@ class PassbandConfig(StrictModel):
             return f"the curve of {Path(self.file).name}"
         low, high = self.range_nm
         return f"{low:g} to {high:g} nm" if high else "all wavelengths that lens and detector are known for"
+
+
+class SignalConfig(StrictModel):
+    """How bright a target is: electrons, or the magnitude of the star that gives as many."""
+
+    default_signal_e: ClassVar[float] = 6000.0
+
+    signal_e: float | None = Field(
+        default=None, gt=0, le=1e7, description="electrons per point and frame; both left out: 6000"
+    )
+    magnitude_mag: float | None = Field(
+        default=None,
+        ge=-10,
+        le=25,
+        description="V magnitude of a star that gives them, in place of signal_e",
+    )
+
+    @model_validator(mode="after")
+    def _either(self) -> Self:
+        if self.signal_e is not None and self.magnitude_mag is not None:
+            raise ValueError(
+                f"signal_e = {self.signal_e:g} e- and magnitude_mag = {self.magnitude_mag:g}: give one of them, the "
+                "other follows from aperture, pass band and exposure"
+            )
+        return self
 
 
 class CatalogueConfig(StrictModel):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -36,6 +37,7 @@ def level_curves(outcome: Outcome) -> Figure:
         panel.set_ylim(0.75 * min(bound), None)
         log_ticks(panel, "x")
         log_ticks(panel, "y")
+        _magnitudes(outcome, panel)
     axes[0].set_ylabel("temporal error, 3 σ [″]")
     handles = [
         Line2D([], [], color=colour, marker=marker, markerfacecolor="white", label=outcome.label("method", method))
@@ -44,6 +46,19 @@ def level_curves(outcome: Outcome) -> Figure:
     handles.append(Line2D([], [], color=INK, linewidth=1.0, label="Cramér-Rao bound"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure
+
+
+def _magnitudes(outcome: Outcome, panel: Axes) -> None:
+    """A second axis above: V magnitude of the star that gives a signal."""
+    signal_e, magnitude = float(outcome.value("signal_e")), float(outcome.value("signal_magnitude_mag"))
+    low, high = panel.get_xlim()
+    whole = np.arange(-10.0, 25.0)
+    reached = signal_e * 10.0 ** (-0.4 * (whole - magnitude))
+    shown = (reached >= low) & (reached <= high)
+    top = panel.secondary_xaxis("top")
+    top.set_xticks(reached[shown], [f"{one:g}" for one in whole[shown]])
+    top.minorticks_off()
+    top.set_xlabel(f"V of a star of {outcome.value('signal_star_k'):.0f} K [mag]")
 
 
 def ratio_plot(outcome: Outcome) -> Figure:

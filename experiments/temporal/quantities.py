@@ -9,7 +9,9 @@ import numpy as np
 from experiments.harness.quantities import Quantities
 from experiments.harness.summary import Measured
 from experiments.laboratory.point_quantities import point_quantities
+from experiments.laboratory.point_scene import point_signal
 from experiments.laboratory.published import ACC18_ARCSEC
+from experiments.laboratory.signal import add_signal
 from experiments.laboratory.temporal_error import TemporalMeasurement, TemporalPrediction, small_sample_factor
 from experiments.temporal.result import Result
 
@@ -41,10 +43,14 @@ def describe(result: Result) -> Quantities:
     _levels(q, result)
     published, place = ACC18_ARCSEC["TE"], "published_arcsec_3sigma"
     q.add("published_arcsec", published, "Published", unit="arcsec", dims="axis", json=place)
-    signal, place = [result.published_level_e[m] for m in methods], "signal_that_gives_the_published_e"
+    faint, place = [result.published_level_e[m] for m in methods], "signal_that_gives_the_published_e"
     label = "Signal that gives the published error"
-    q.add("published_signal_e", signal, label, unit="e-", dims="method axis", json=place)
-    q.add("source_signal_e", result.config.source.signal_e, "Signal", unit="e-", json="signal_e")
+    q.add("published_signal_e", faint, label, unit="e-", dims="method axis", json=place)
+    signal = point_signal(result.config, result.instrument)
+    add_signal(q, signal)
+    magnitude = [signal.magnitude_of(level) for level in result.measured.levels_e]
+    described = {"unit": "mag", "dims": "level", "format": ".2f", "key": "magnitude_mag"}
+    q.add("level_magnitude_mag", magnitude, "V", **described, json="levels[level].magnitude_mag")
     _stars(q, result)
     q.add("frames", result.measured.frames, "Frames")
     q.add("stars", len(result.measured.light), "Stars")

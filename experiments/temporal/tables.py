@@ -13,7 +13,7 @@ __all__ = ["tables"]
 
 def tables(outcome: Outcome) -> Mapping[str, Table | Pivot]:
     """Tables by file name."""
-    signal = f"{outcome.config.source.signal_e:g} e⁻"
+    signal = f"{outcome.value('signal_e'):.0f} e⁻"
     result, published = outcome.result, outcome.values("published_arcsec")
     main = Pivot(
         rows="method axis",
@@ -28,8 +28,9 @@ def tables(outcome: Outcome) -> Mapping[str, Table | Pivot]:
         "temporal_error": _with_bound(outcome, main),
         "levels": Pivot(
             rows="level method axis",
-            columns="level_dark_arcsec level_raw_arcsec level_influence_arcsec level_drawn_arcsec level_bound_arcsec",
-            caption="Temporal error (3 σ) against signal.",
+            columns="level_magnitude_mag level_dark_arcsec level_raw_arcsec level_influence_arcsec level_drawn_arcsec "
+            "level_bound_arcsec",
+            caption="Temporal error (3 σ) against signal; V: the star that gives it.",
         ),
         "stars": Pivot(
             rows="star",

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from experiments.harness.quantities import Quantities
+from experiments.laboratory.signal import add_signal
+from experiments.laboratory.single_star.setup import star_signal
 from experiments.turntable.bound import closed_form_px
 from experiments.turntable.case import Case
 from experiments.turntable.evaluation import vector_scatter_arcsec
@@ -73,6 +75,7 @@ def describe(result: Result) -> Quantities:
     q = Quantities()
     q.axis("table", TABLES, "Table", names=[case.name for case in result.cases])
     q.axis("axis", ["x", "y"], "Axis")
+    add_signal(q, star_signal(result.config, result.instrument))
     for name, label in UNKNOWNS.items():
         _unknown(q, result, name, label)
     _fit(q, result)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import ClassVar, Self
 
 from pydantic import Field, field_validator, model_validator
 
 from experiments.harness.config import StrictModel
 from experiments.laboratory.own_frames.option import OwnFramesConfig
-from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
+from experiments.laboratory.settings import InstrumentConfig, PassbandConfig, SignalConfig
 
 __all__ = ["LARGEST_STAR_ANGLE_DEG", "GridConfig", "SingleStarConfig", "StarConfig", "TableConfig"]
 
@@ -16,8 +16,10 @@ LARGEST_STAR_ANGLE_DEG = 60.0
 LARGEST_INSTALLATION_DEG = 30.0
 
 
-class StarConfig(StrictModel):
+class StarConfig(SignalConfig):
     """Single-star simulator; its direction is an unknown of the calibration."""
+
+    default_signal_e: ClassVar[float] = 12000.0
 
     azimuth_deg: float = Field(
         default=0.35,
@@ -29,7 +31,9 @@ class StarConfig(StrictModel):
         default=-0.25, ge=-LARGEST_STAR_ANGLE_DEG, le=LARGEST_STAR_ANGLE_DEG, description="true direction, towards +Y"
     )
     temperature_k: float = Field(default=5800.0, ge=1000, le=1e5, description="colour temperature")
-    signal_e: float = Field(default=12000.0, gt=0, le=1e7, description="electrons per exposure on the axis")
+    signal_e: float | None = Field(
+        default=None, gt=0, le=1e7, description="electrons per exposure on the axis; both left out: 12000"
+    )
 
 
 class TableConfig(StrictModel):

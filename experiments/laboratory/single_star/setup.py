@@ -12,6 +12,8 @@ from experiments.laboratory.collimator import SingleStar, star_direction
 from experiments.laboratory.filter_wheel import open_band
 from experiments.laboratory.instrument import Instrument, build_instrument
 from experiments.laboratory.readout.search import SEARCH_PX
+from experiments.laboratory.settings import SignalConfig
+from experiments.laboratory.signal import Signal, signal_of
 from experiments.laboratory.single_star.bench import Bench
 from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
 from experiments.laboratory.turntable import Turntable, axis_directions, build_turntable
@@ -19,7 +21,16 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.light.spectrum import Blackbody
 
-__all__ = ["averaged", "build_bench", "build_star", "build_table", "camera_under_test", "check_table", "grid_px"]
+__all__ = [
+    "averaged",
+    "build_bench",
+    "build_star",
+    "build_table",
+    "camera_under_test",
+    "check_table",
+    "grid_px",
+    "star_signal",
+]
 
 
 LEAST_COVERAGE = 0.5
@@ -41,13 +52,26 @@ def build_star(config: SingleStarConfig, instrument: Instrument) -> SingleStar:
     ConfigError, DomainError
         A pass band that reaches beyond what is known of the camera.
     """
+    band = open_band(config.passband, instrument, "star simulator")
     return SingleStar(
         azimuth_deg=config.star.azimuth_deg,
         elevation_deg=config.star.elevation_deg,
         spectrum=Blackbody(temperature_k=config.star.temperature_k),
-        band=open_band(config.passband, instrument, "star simulator"),
-        signal_e=config.star.signal_e,
+        band=band,
+        signal_e=star_signal(config, instrument).signal_e,
     )
+
+
+def star_signal(config: SingleStarConfig, instrument: Instrument, brightness: SignalConfig | None = None) -> Signal:
+    """Electrons of the simulated star, or of the same star at another brightness, and its magnitude.
+
+    Raises
+    ------
+    ConfigError, DomainError
+        As `build_star`.
+    """
+    band = open_band(config.passband, instrument, "star simulator")
+    return signal_of(brightness or config.star, band, instrument, config.star.temperature_k)
 
 
 def build_table(config: TableConfig, axes: str | None = None) -> Turntable:

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.chromatic.stars import electrons_of_star, stellar_shift
+from experiments.chromatic.stars import stellar_shift
 from experiments.laboratory.filter_wheel import open_band
-from experiments.laboratory.settings import PassbandConfig, StarsConfig
+from experiments.laboratory.settings import PassbandConfig, SignalConfig, StarsConfig
+from experiments.laboratory.signal import electrons_of_star, signal_of
 from optics.errors import DomainError
 from optics.lens.perturb import decentre
 from optics.light.band import TopHat
@@ -94,6 +95,22 @@ def test_electrons_of_a_star_in_round_numbers(star_camera):
     """
     electrons = electrons_of_star(PASSBAND, star_camera, magnitude=7.5, temperature_k=5800.0)
     assert 17e3 * 0.2 < electrons < 17e3 * 0.6
+
+
+def test_electrons_and_magnitude_say_the_same(star_camera):
+    """A star of the magnitude that electrons mean gives them; 2.512 times less light is a magnitude."""
+    found = signal_of(SignalConfig(signal_e=3000.0), PASSBAND, star_camera, 5800.0)
+    star = signal_of(SignalConfig(magnitude_mag=found.magnitude_mag), PASSBAND, star_camera, 5800.0)
+    seen = electrons_of_star(PASSBAND, star_camera, magnitude=found.magnitude_mag, temperature_k=5800.0)
+    assert star.signal_e == pytest.approx(3000.0, rel=1e-12) == seen
+    fainter = electrons_of_star(PASSBAND, star_camera, magnitude=found.magnitude_mag + 1.0, temperature_k=5800.0)
+    assert found.magnitude_of(fainter) == pytest.approx(found.magnitude_mag + 1.0)
+    assert fainter == pytest.approx(3000.0 / 2.511886, rel=1e-6)
+
+
+def test_a_signal_is_given_in_one_way():
+    with pytest.raises(ValueError, match="give one of them"):
+        SignalConfig(signal_e=3000.0, magnitude_mag=7.0)
 
 
 def test_half_of_the_light_passes_at_the_ends_of_the_range(star_camera):

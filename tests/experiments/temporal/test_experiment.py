@@ -42,7 +42,7 @@ def bounds_px(run):
 
     The pixels' light is the sampled PSF read by a cubic spline of SciPy's, its slopes are finite differences.
     """
-    light, signal = run.result.nominal.light, run.result.config.source.signal_e
+    light, signal = run.result.nominal.light, run.results["signal_e"]
     index = np.arange(light.light_e.shape[1])
     found = []
     for (x, y), corner, psf in zip(light.bundle_px, light.corner_px, light.psf, strict=True):
