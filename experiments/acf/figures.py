@@ -19,9 +19,11 @@ from experiments.acf.statistics import (
 )
 from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure
 from experiments.harness.quantities import Outcome
+from experiments.laboratory import sketches
 from optics.arrays import FloatArray
 
 __all__ = [
+    "camera_sketch",
     "coefficient_cloud",
     "correlation_map",
     "count_curves",
@@ -52,6 +54,11 @@ SYMBOLS = (
     r"$x_0$", r"$y_0$", r"$f$", r"$q_1$", r"$q_2$", r"$q_3$", r"$p_1$", r"$p_2$",
     r"$\varphi_1$", r"$\varphi_2$", r"$\varphi_3$", r"$\theta_1$", r"$\theta_2$", r"$\theta_3$",
 )  # fmt: skip
+
+
+def camera_sketch(outcome: Outcome) -> Figure:
+    """What ACF17 Fig. 1 shows, drawn anew: the camera model."""
+    return sketches.camera_model()
 
 
 def star_tracks(outcome: Outcome) -> Figure:

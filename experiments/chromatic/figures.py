@@ -11,18 +11,31 @@ from matplotlib.lines import Line2D
 
 from experiments.harness.plotting import INK, MARKERS, PALETTE, band_colours, log_ticks, new_figure
 from experiments.harness.quantities import Outcome
+from experiments.laboratory import sketches
 from optics.arrays import FloatArray
 
 __all__ = [
     "arrow_map",
     "arrow_panels",
+    "bench_sketch",
     "calibration_dots",
     "element_bars",
     "fig7",
+    "place_sketch",
     "spot_gallery",
     "star_shifts",
     "target_image",
 ]
+
+
+def bench_sketch(outcome: Outcome) -> Figure:
+    """What ACC18 Fig. 1 shows, drawn anew, with a filter in front of the target."""
+    return sketches.collimator_bench(filters=True)
+
+
+def place_sketch(outcome: Outcome) -> Figure:
+    """What ACC18 Fig. 3 shows, drawn anew and to scale: the target in its four places."""
+    return sketches.field_places(outcome.config.target, outcome.result.instrument)
 
 
 def spot_gallery(outcome: Outcome, lens: str) -> Figure:

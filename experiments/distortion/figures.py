@@ -7,9 +7,15 @@ from matplotlib.figure import Figure
 
 from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure
 from experiments.harness.quantities import Outcome
+from experiments.laboratory import sketches
 from experiments.laboratory.point_figures import arrows, detector_outline
 
-__all__ = ["forecasts", "map_panels", "point_residuals", "survey_histogram"]
+__all__ = ["forecasts", "grid_sketch", "map_panels", "point_residuals", "survey_histogram"]
+
+
+def grid_sketch(outcome: Outcome) -> Figure:
+    """What ACC18 Fig. 4 shows, drawn anew and to scale: the surveyed target on the detector."""
+    return sketches.grid_on_detector(outcome.values("nominal_px"), outcome.result.instrument)
 
 
 def point_residuals(outcome: Outcome) -> Figure:

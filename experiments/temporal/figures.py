@@ -9,10 +9,16 @@ from matplotlib.lines import Line2D
 
 from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure
 from experiments.harness.quantities import Outcome
+from experiments.laboratory import sketches
 from experiments.laboratory.point_figures import centroid_cloud
 from experiments.laboratory.temporal_error import small_sample_factor
 
-__all__ = ["frame_cloud", "level_curves", "ratio_plot", "star_scatter", "target_frame"]
+__all__ = ["bench_sketch", "frame_cloud", "level_curves", "ratio_plot", "star_scatter", "target_frame"]
+
+
+def bench_sketch(outcome: Outcome) -> Figure:
+    """What ACC18 Fig. 1 shows, drawn anew: the bench."""
+    return sketches.collimator_bench()
 
 
 def level_curves(outcome: Outcome) -> Figure:
