@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from experiments.camera.comparison.experiment import experiment as comparison
 from experiments.camera.settings import Config
 from experiments.camera.sweep.experiment import experiment as sweep
 from experiments.harness.cli import command
@@ -56,13 +57,14 @@ experiment = Experiment(
     name="camera",
     config=Config,
     run=run,
-    takes="40 s (--quick: 20 s, --predict-only: 8 s)",
+    takes="40 s (--quick: 20 s)",
     examples={
         "--sensor my.toml": "your own sensor",
-        "--sensor my.toml --predict-only": "the answer without frames",
+        "--sensor my.toml --predict-only": "the answer without frames, in 8 s",
         "--sensor my.toml --set instrument.exposure_s=0.2": "the same with another exposure",
         "--sensor my.toml --sweep instrument.exposure_s=0.05:0.4:8": "what if: curves over the exposure, in seconds",
         "--sensor my.toml --sweep exposure_s=0.05:0.4:8 --sweep f_number=3:5:5": "a map over two keys",
+        "--sensor a.toml --sensor b.toml": "sensors side by side, by prediction",
     },
     show=("requirements",),
     options={
@@ -73,6 +75,7 @@ experiment = Experiment(
         ),
     },
     instead=_instead,
+    comparison=comparison,
     renders=lambda config: not config.predict_only,
     quick={
         "sky.attitudes": 200,

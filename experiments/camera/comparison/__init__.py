@@ -1,0 +1,1 @@
+"""Several sensors side by side, predicted under the same sky."""

@@ -1,0 +1,62 @@
+"""Sensors side by side."""
+
+import json
+
+import pytest
+
+from experiments.camera import predict
+from experiments.camera.comparison.study import side_by_side
+from experiments.camera.experiment import main
+from experiments.camera.settings import Config
+from experiments.harness.range import with_value
+from optics.errors import DomainError
+
+SENSOR = """
+name = "{name}"
+[instrument]
+lens = "star_tracker_26mm"
+detector = "cmv4000"
+width_px = 800
+height_px = 800
+exposure_s = {exposure}
+defocus_mm = 0.0
+[passband]
+range_nm = [500, 800]
+[requirements]
+update_rate_hz = 4.0
+"""
+ONE = Config(
+    instrument={"lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 800, "height_px": 800},
+    passband={"range_nm": [500.0, 800.0]},
+    sky={"attitudes": 30},
+)
+
+
+def test_each_sensor_is_what_it_is_alone_and_differs_in_what_was_changed():
+    other = with_value(ONE, "instrument.exposure_s", 0.3)
+    found = side_by_side([ONE, other])
+    assert len(set(found.names)) == 2  # though both are the same lens on the same detector
+    for sensor, config in zip(found.sensors, (ONE, other), strict=True):
+        alone = predict(config)
+        assert sensor.scalars["attitude_roll_arcsec"].value == alone.value("attitude_roll_arcsec")
+    assert found.differences == {"instrument.exposure_s": (0.1, 0.3)}
+    assert found.best("limiting_magnitude_mag", more=True) is found.sensors[1]
+    with pytest.raises(DomainError, match=r"sensor 2 .*width_px"):
+        side_by_side([ONE, with_value(with_value(ONE, "instrument.width_px", 0), "instrument.height_px", 0)])
+
+
+@pytest.mark.slow
+def test_two_sensor_files_make_a_page(tmp_path, capsys):
+    for name, exposure in (("fast", 0.1), ("slow", 0.5)):
+        (tmp_path / f"{name}.toml").write_text(SENSOR.format(name=f"The {name} one", exposure=exposure))
+    files = ["--sensor", str(tmp_path / "fast.toml"), "--sensor", str(tmp_path / "slow.toml")]
+    assert main([*files, "--sweep", "exposure_s=0.1:0.2:2"], own_process=False) == 2
+    assert "a sweep is of one sensor" in capsys.readouterr().err
+    assert main([*files, "--set", "sky.attitudes=20", "--out", str(tmp_path / "out")], own_process=False) == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    sensors = summary["results"]["sensors"]
+    assert [sensors[f"The {name} one"]["requirements_missed"] for name in ("fast", "slow")] == [0, 1]
+    assert sensors["The slow one"]["electrons_e"] > 4.9 * sensors["The fast one"]["electrons_e"]
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "MISSED" in page
+    assert "instrument.exposure_s" in page
