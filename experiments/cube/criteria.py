@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from experiments.cube.budget import PICTURES_RELATIVE, SENSOR_RELATIVE, BudgetRow, face_angles_deg
+from experiments.cube.budget import DETECTOR_RELATIVE, SENSOR_RELATIVE, BudgetRow, face_angles_deg
 from experiments.cube.result import Result, offset_errors_px
 from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Criterion
@@ -46,15 +46,15 @@ def _independent(outcome: Outcome) -> list[Criterion]:
     sensor, count = outcome.value("r_sr_error_over_predicted"), outcome.result.repeatability.pictures
     made = [
         Criterion(
-            name=f"scatter of the offset in {count} pictures over its prediction, {name}",
+            name=f"scatter of the offset by the detector, {count} pictures of one light, over its prediction, {name}",
             value=float(ratio),
             about=1.0,
-            limit=PICTURES_RELATIVE + CHANCE_SIGMAS * float(error),
+            limit=DETECTOR_RELATIVE + CHANCE_SIGMAS * float(error),
         )
         for name, ratio, error in zip(
             ("aperture and spot apart", "both from one"),
-            outcome.values("picture_noise_ratio"),
-            outcome.errors("picture_noise_ratio"),
+            outcome.values("detector_noise_ratio"),
+            outcome.errors("detector_noise_ratio"),
             strict=True,
         )
     ]

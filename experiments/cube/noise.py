@@ -7,10 +7,12 @@ brightness there,
     g = W(r - R) cos(theta) / (pi R |s|)           per unit area, for x; sin(theta) for y.
 
 For noise of a pixel of variance v, sampled along n rays between which pixels are left out, bilinear interpolation
-leaves 2/3 of the variance across a ray, and 3 / (5 h) of it along:  var = (2 / n) (2/3) 3 v / (5 h s^2). The particles
-of the rendering are no noise of a laboratory, but they are in its pictures: the sum of g over the landing points of a
-Sobol net, scrambled anew each time, gives their part; it is a quarter or so of what independent particles would do. The
-rim and its slope follow from the overlap of two circles (`experiments.cube.checks.spot_profile`).
+leaves 2/3 of the variance across a ray, and 3 / (5 h) of it along:  var = (2 / n) (2/3) 3 v / (5 h s^2). A spoke of the
+hole's edge takes half of its own brightness beside the edge for level, whose noise adds to that. The particles of the
+rendering are no noise of a laboratory, but they are in its pictures: the sum of g over the landing points of a Sobol
+net, scrambled anew each time, gives their part to first order; it is a quarter or so of what independent particles
+would do, so that what they do to the slopes, where nothing cancels, is as large. The rim and its slope follow from the
+overlap of two circles (`experiments.cube.checks.spot_profile`).
 
 Sun sensor. The centre of light of a window moves by ``(x - x_c) / F`` times the noise of a pixel, F its electrons. The
 spots' noise, and that of the readings at each position, go through the least squares of a pinhole on a table, whose
@@ -29,7 +31,7 @@ from scipy.stats import qmc
 from experiments.cube.bench import Laboratory
 from experiments.cube.checks import spot_profile
 from experiments.cube.sensor import EXPOSURE_S, field_angles
-from experiments.cube.trim import EDGE_HALF_WIDTH_PX, RAYS, RIM_LEVEL, SPOKES
+from experiments.cube.trim import BESIDE_PX, EDGE_HALF_WIDTH_PX, RAYS, RIM_LEVEL, SPOKES
 from experiments.laboratory.plain_formulae import ARCSEC, small_turn_rad, table_matrices, turn_matrix
 from optics.arrays import FloatArray
 from render.bench.trace import OVERSCAN
@@ -63,19 +65,14 @@ class PictureNoise:
     ----------
     two_px, own_px : float
         Aperture and spot from two pictures; both from the picture of the spot.
-    detector_px : float
-        Detector's part of the first.
-    particles_px : float
-        What the number of traced particles adds to the first.
-    relative : float
-        Standard deviation of the prediction itself, relative.
+    two_detector_px, own_detector_px : float
+        Parts of the detector and of the light's shot noise: all that a laboratory has.
     """
 
     two_px: float
     own_px: float
-    detector_px: float
-    particles_px: float
-    relative: float
+    two_detector_px: float
+    own_detector_px: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,12 +108,16 @@ def _slope(value: FloatArray, offset: FloatArray, half_px: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Edge:
-    """A contour: its radius [px], slope [parts of full brightness per px], brightness there, window [px]."""
+    """A contour: its radius [px], slope [parts of full brightness per px], brightness there, window [px].
+
+    ``beside``: brightness of the rim whose half is the level, carried to the edge by a line; 0 for one level of all.
+    """
 
     radius: float
     slope: float
     brightness: float
     half: float
+    beside: float = 0.0
 
 
 def _spot_edge(laboratory: Laboratory) -> _Edge:
@@ -145,9 +146,16 @@ def _blurred_step(laboratory: Laboratory, half_px: float) -> float:
 def _of_detector_px2(laboratory: Laboratory, edge: _Edge, full_e: float) -> float:
     """Variance of a centre by the detector."""
     noise = _pixel_noise(laboratory.detector, laboratory.config.camera.exposure_s)
-    light = edge.brightness * full_e
-    pixel = float(noise.temporal_e2(light) + noise.response_e2(light)) + noise.offset_e**2
-    return 2.0 / (SPOKES * RAYS) * ACROSS * ALONG * pixel / edge.half / (edge.slope * full_e) ** 2
+
+    def pixel_e2(light_e: float) -> float:
+        return float(noise.temporal_e2(light_e) + noise.response_e2(light_e)) + noise.offset_e**2
+
+    along = ALONG / edge.half * pixel_e2(edge.brightness * full_e)
+    if edge.beside:
+        near, far = BESIDE_PX
+        middle, length = (near + far) / 2, far - near
+        along += 0.25 * (1.0 / length + 12.0 * middle**2 / length**3) * pixel_e2(edge.beside * full_e)
+    return 2.0 / (SPOKES * RAYS) * ACROSS * along / (edge.slope * full_e) ** 2
 
 
 def picture_noise(laboratory: Laboratory) -> PictureNoise:
@@ -157,20 +165,19 @@ def picture_noise(laboratory: Laboratory) -> PictureNoise:
     spot = _spot_edge(laboratory)
     step = _blurred_step(laboratory, EDGE_HALF_WIDTH_PX["hole"])
     beside = float(spot_profile(laboratory.geometry, [(hole + 1.0) * pitch])[0])
-    own = _Edge(radius=hole, slope=step * beside, brightness=beside / 2, half=EDGE_HALF_WIDTH_PX["hole"])
+    own = _Edge(radius=hole, slope=step * beside, brightness=beside / 2, half=EDGE_HALF_WIDTH_PX["hole"], beside=beside)
     glow = float(np.percentile(laboratory.aperture_e, 99.0))
     aperture = _Edge(radius=hole, slope=step, brightness=0.5, half=EDGE_HALF_WIDTH_PX["aperture"])
     full = config.camera.plateau_e
     of_spot, of_hole = (_of_detector_px2(laboratory, edge, full) for edge in (spot, own))
-    detector2 = of_spot + _of_detector_px2(laboratory, aperture, glow)
+    two2, own2 = of_spot + _of_detector_px2(laboratory, aperture, glow), of_spot + of_hole
     sums = np.array([_of_particles_px(laboratory, spot, own, seed) for seed in range(NETS)])
     spots2, owns2 = np.mean(sums**2, axis=(0, 2))
     return PictureNoise(
-        two_px=float(np.sqrt(detector2 + spots2)),
-        own_px=float(np.sqrt(of_spot + of_hole + owns2)),
-        detector_px=float(np.sqrt(detector2)),
-        particles_px=float(np.sqrt(spots2)),
-        relative=float(1.0 / np.sqrt(4 * NETS)),
+        two_px=float(np.sqrt(two2 + spots2)),
+        own_px=float(np.sqrt(own2 + owns2)),
+        two_detector_px=float(np.sqrt(two2)),
+        own_detector_px=float(np.sqrt(own2)),
     )
 
 
@@ -232,7 +239,7 @@ def _hole_response(laboratory: Laboratory, offset: FloatArray, half_px: float) -
     The line goes from 2.5 to 7 px; the light of a particle is as wide as diffusion, pixel and interpolation.
     """
     sigma = _blur_px(laboratory)
-    near, far = 2.5, 7.0
+    near, far = BESIDE_PX
     middle, length = (near + far) / 2, far - near
     fine = np.linspace(-12.0, 16.0, 2801)
     line = np.where((fine > near) & (fine < far), 1 / length - middle * (fine - middle) / (length**3 / 12), 0.0)

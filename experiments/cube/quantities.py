@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from experiments.cube.budget import (
+    DETECTOR_RELATIVE,
     PICTURES_RELATIVE,
     PUBLISHED_ARCSEC,
     SENSOR_RELATIVE,
@@ -111,6 +112,13 @@ def _independent(q: Quantities, result: Result) -> None:
     where = {"dims": "reduced", "json": "picture_noise_measured_over_predicted[reduced]"}
     ratio = measured / predicted
     q.add("picture_noise_ratio", ratio, "measured over predicted", error=chance, **where)
+    measured = np.array([again.two_detector_px, again.own_detector_px])
+    predicted = np.array([noise.two_detector_px, noise.own_detector_px])
+    place = {"dims": "reduced", "json": "detector_noise_px[reduced]", "unit": "px", "format": ".4f"}
+    error = DETECTOR_RELATIVE * predicted
+    q.add("detector_noise_px", predicted, "The same by the detector alone, predicted", error=error, **place)
+    where = {"dims": "reduced", "json": "detector_noise_measured_over_predicted[reduced]"}
+    q.add("detector_noise_ratio", measured / predicted, "measured over predicted", error=chance, **where)
     sensor = sensor_noise(result.laboratory, reading=True, lean=False)
     predicted = np.sqrt(np.diag(sensor.covariance_rad2)) * RAD_ARCSEC
     place = {"dims": "axis", "unit": "arcsec"}

@@ -31,7 +31,18 @@ from render.bench.camera import BenchCamera
 from render.bench.scene import CubePose
 from render.engine.random import Streams
 
-__all__ = ["FaceTrim", "Offset", "Picture", "TrimRow", "measure_offset", "take_aperture", "take_spot", "trim_face"]
+__all__ = [
+    "FaceTrim",
+    "Offset",
+    "Picture",
+    "TrimRow",
+    "exposed",
+    "measure_offset",
+    "spot_light",
+    "take_aperture",
+    "take_spot",
+    "trim_face",
+]
 
 
 RIM_LEVEL = 0.3
@@ -43,6 +54,8 @@ INNER_MARGIN_PX = 2.0
 ROUGH_PX, ROUGH_LOG2 = 3.0, 2
 """Pictures that will show a larger offset than this take a quarter of the particles: they only steer."""
 
+BESIDE_PX = (2.5, 7.0)
+"""Part of the rim, from the hole's edge, whose brightness a line carries to the edge."""
 EDGE_HALF_WIDTH_PX = {"aperture": 1.5, "spot": 14.0, "hole": 1.5}
 
 
@@ -131,7 +144,8 @@ class FaceTrim:
     pictures: tuple[Picture, ...] = ()
 
 
-def _exposed(laboratory: Laboratory, electrons: NDArray[np.float32], streams: Streams) -> Picture:
+def exposed(laboratory: Laboratory, electrons: NDArray[np.float32], streams: Streams) -> Picture:
+    """Picture of expected electrons (h, w): noise of light and detector, read out."""
     from render.detector.readout import expose
 
     frame = expose(
@@ -146,7 +160,7 @@ def _exposed(laboratory: Laboratory, electrons: NDArray[np.float32], streams: St
 
 def take_aperture(laboratory: Laboratory, streams: Streams) -> Picture:
     """Picture of the covered aperture; the light is the same every time, the noise is not."""
-    return _exposed(laboratory, laboratory.aperture_e, streams.child("aperture"))
+    return exposed(laboratory, laboratory.aperture_e, streams.child("aperture"))
 
 
 def take_spot(
@@ -158,6 +172,14 @@ def take_spot(
     inner_mm: float = 0.0,
 ) -> Picture:
     """Picture of the spot, with the cube of the scene where it is."""
+    light = spot_light(laboratory, streams, sensor=sensor, log2_particles=log2_particles, inner_mm=inner_mm)
+    return exposed(laboratory, light, streams.child("spot"))
+
+
+def spot_light(
+    laboratory: Laboratory, streams: Streams, *, sensor: Any, log2_particles: int, inner_mm: float = 0.0
+) -> NDArray[np.float32]:
+    """Expected electrons (h, w) of a picture of the spot, but for the number of particles."""
     from render.bench.trace import trace_screen
     from render.detector.diffusion import diffuse
 
@@ -172,7 +194,7 @@ def take_spot(
         seed=streams.key("particles") >> 1,
     )
     scaled = light * np.float32(electrons_per_radiance(laboratory.config))
-    return _exposed(laboratory, diffuse(scaled, laboratory.detector.diffusion_sigma_px), streams.child("spot"))
+    return diffuse(scaled, laboratory.detector.diffusion_sigma_px)
 
 
 def moved_sensor(laboratory: Laboratory, shift_mm: FloatArray) -> Any:
@@ -250,7 +272,8 @@ def fit_hole(picture: Picture, aperture: CircleFit) -> CircleFit:
     while moved > 2.0 * pitch:
         spokes = _spokes(picture, centre, 0.6 * aperture.radius, aperture.radius + 9 * pitch)
         inside = spokes.radius < aperture.radius - 5 * pitch
-        beside = (spokes.radius > aperture.radius + 2.5 * pitch) & (spokes.radius < aperture.radius + 7 * pitch)
+        out_px = (spokes.radius - aperture.radius) / pitch
+        beside = (out_px > BESIDE_PX[0]) & (out_px < BESIDE_PX[1])
         dark = np.nanmedian(spokes.value[:, inside])
         at_edge = _lines(spokes.radius[beside] - aperture.radius, spokes.value[:, beside])
         edge = edge_crossings(spokes, 0.5 * (dark + at_edge), rising=True, half_width=width)

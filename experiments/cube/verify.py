@@ -5,22 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from experiments.cube.bench import NOMINAL_CUBE, SQUARE, Laboratory
 from experiments.cube.checks import spot_profile
 from experiments.cube.trim import (
+    exposed,
     fit_aperture,
     fit_hole,
     fit_spot,
     measure_offset,
+    spot_light,
     spot_reach_mm,
     take_aperture,
-    take_spot,
 )
 from optics.arrays import FloatArray
 from render.bench.scene import CubePose, place_cube
 from render.bench.trace import land
+from render.engine.random import Streams
 
 __all__ = ["LightCheck", "Repeatability", "check_light", "repeatability"]
 
@@ -29,6 +32,8 @@ TILTS_ARCSEC = (700.0, 800.0, 1000.0, 1300.0)
 LOG2_PARTICLES = 20
 RINGS = 60
 REPEATS = 24
+SMOOTH_LOG2 = 21
+"""Particles of the light that is exposed again and again: from 2^19 on their texture changes the scatter no more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +80,8 @@ class Repeatability:
     ----------
     two_px, own_px : float
         Scatter of the offset per axis: aperture and spot from two pictures, and both from the picture of the spot.
+    two_detector_px, own_detector_px : float
+        The same with one and the same light each time, so that only the noise of light and detector is new.
     stated_px : float
         What the covariances of the fits say of the first.
     pictures : int
@@ -83,6 +90,8 @@ class Repeatability:
 
     two_px: float
     own_px: float
+    two_detector_px: float
+    own_detector_px: float
     stated_px: float
     pictures: int
 
@@ -96,25 +105,33 @@ def repeatability(laboratory: Laboratory) -> Repeatability:
     """Scatter of the measured offset on a bench where nothing moves."""
     place_cube(laboratory.scene, laboratory.geometry, tilted_pose(laboratory, 0.0))
     radius, reach = laboratory.geometry.aperture_mm / 2, spot_reach_mm(laboratory)
-    two, own, stated = [], [], []
+
+    def traced(streams: Streams, log2_particles: int) -> NDArray[np.float32]:
+        inner = max(radius - 3 * laboratory.pitch_mm, 0.0)
+        return spot_light(laboratory, streams, sensor=laboratory.sensor, log2_particles=log2_particles, inner_mm=inner)
+
+    smooth = traced(laboratory.streams.child("repeatability"), SMOOTH_LOG2)
+    offsets: list[list[FloatArray]] = [[], [], [], []]
+    stated = []
     for number in range(REPEATS):
         streams = laboratory.streams.child("repeatability", number)
         aperture = fit_aperture(take_aperture(laboratory, streams), radius)
-        picture = take_spot(
-            laboratory,
-            streams,
-            sensor=laboratory.sensor,
-            log2_particles=laboratory.config.benches.log2_particles,
-            inner_mm=max(radius - 3 * laboratory.pitch_mm, 0.0),
-        )
-        spot = fit_spot(picture, aperture, reach)
-        offset = measure_offset(aperture, spot, laboratory.pitch_mm)
-        two.append(offset.offset_px)
-        own.append(measure_offset(fit_hole(picture, aperture), spot, laboratory.pitch_mm).offset_px)
-        stated.append(np.trace(offset.covariance_px2) / 2)
+        sampled = traced(streams, laboratory.config.benches.log2_particles)
+        for kind, light in enumerate((sampled, smooth)):
+            picture = exposed(laboratory, light, streams.child("spot"))
+            spot = fit_spot(picture, aperture, reach)
+            two = measure_offset(aperture, spot, laboratory.pitch_mm)
+            offsets[2 * kind].append(two.offset_px)
+            own = measure_offset(fit_hole(picture, aperture), spot, laboratory.pitch_mm)
+            offsets[2 * kind + 1].append(own.offset_px)
+            if light is sampled:
+                stated.append(np.trace(two.covariance_px2) / 2)
+    scatter = [float(np.sqrt(np.var(one, axis=0, ddof=1).mean())) for one in offsets]
     return Repeatability(
-        two_px=float(np.sqrt(np.var(two, axis=0, ddof=1).mean())),
-        own_px=float(np.sqrt(np.var(own, axis=0, ddof=1).mean())),
+        two_px=scatter[0],
+        own_px=scatter[1],
+        two_detector_px=scatter[2],
+        own_detector_px=scatter[3],
         stated_px=float(np.sqrt(np.mean(stated))),
         pictures=REPEATS,
     )
