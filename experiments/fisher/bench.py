@@ -31,6 +31,7 @@ from experiments.fisher.predict import (
     on_the_sphere,
     predict_independent,
     predict_same_data,
+    ratio_scatter,
     table_covariance_px2,
     tangent_maps,
 )
@@ -87,8 +88,9 @@ class Case:
         "calibration".
     realised_arcsec : mapping of str to float
         What the causes made in this run, known to the simulation alone: "centroids", "table", "camera".
-    expected_ratio : float
-        Pixel method over Fisher as covariances and the lens predict it, with the calibrated angle per pixel.
+    expected_ratio, ratio_scatter : float
+        Pixel method over Fisher as covariances and the lens predict it, with the calibrated angle per pixel, and the
+        standard deviation of that ratio of so many vectors, relative.
     smear_px : float
         Length of the streak.
     """
@@ -99,6 +101,7 @@ class Case:
     expected_arcsec: Mapping[str, float]
     realised_arcsec: Mapping[str, float]
     expected_ratio: float
+    ratio_scatter: float
     smear_px: float
 
     @property
@@ -358,7 +361,7 @@ class _Work:
             taken.places.reading_rad,
             outlier_probability=self.config.evaluation.outlier_probability,
         )
-        predicted, expected, ratio = self._predict(taken, motion)
+        predicted, expected, (ratio, scatter) = self._predict(taken, motion)
         return Case(
             acquisition=taken,
             evaluation=evaluation,
@@ -366,6 +369,7 @@ class _Work:
             expected_arcsec=expected,
             realised_arcsec=self._realised(taken),
             expected_ratio=ratio,
+            ratio_scatter=scatter,
             smear_px=smear_px(motion, self.instrument),
         )
 
@@ -379,7 +383,7 @@ class _Work:
         path = self.model.project(seen.reshape(-1, 3)).reshape(len(seen), -1, 2)
         return np.asarray(path - path.mean(1, keepdims=True))
 
-    def _predict(self, taken: Acquisition, motion: Motion) -> tuple[Scatter, dict[str, float], float]:
+    def _predict(self, taken: Acquisition, motion: Motion) -> tuple[Scatter, dict[str, float], tuple[float, float]]:
         angle = np.array(taken.places.reading_rad)
         maps = tangent_maps(self.model, self.bench, angle)
         centroid = np.array(taken.covariance_px2)
@@ -393,7 +397,7 @@ class _Work:
             "clocks": on_the_sphere(maps, jitter_covariance_px2(self.model, self.bench, angle, motion)),
             "calibration": quiet.sigma_arcsec,
         }
-        ratio = baseline_over_sphere(self.model, np.array(taken.position_px), noise)
+        ratio = baseline_over_sphere(self.model, np.array(taken.position_px), noise), ratio_scatter(maps, noise)
         return predict_independent(maps, noise, rows, known), expected, ratio
 
     def _realised(self, taken: Acquisition) -> dict[str, float]:

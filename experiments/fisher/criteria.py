@@ -108,10 +108,14 @@ def _independent(outcome: Outcome) -> list[Criterion]:
 
 
 def _ratio_limit(outcome: Outcome, case: int) -> float:
-    """Both methods take the same mean off; of a rolled camera they do not, which makes some 1/n of a difference."""
-    places = outcome.result.bench.cases[case].acquisition.places
+    """Both methods take the same mean off; of a rolled camera they do not, which makes some 1/n of a difference.
+
+    Where the angle per pixel changes over the field, the ratio scatters with the places of the large residuals.
+    """
+    one = outcome.result.bench.cases[case]
+    places = one.acquisition.places
     rolled = places.true_rad.shape[1] > 2
-    return 3.0 / len(places) if rolled else SAME_VECTORS_LIMIT
+    return (3.0 / len(places) if rolled else SAME_VECTORS_LIMIT) + KNOWN_SIGMAS * one.ratio_scatter
 
 
 def _on_coordinates(outcome: Outcome) -> list[Criterion]:

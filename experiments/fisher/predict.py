@@ -40,6 +40,7 @@ __all__ = [
     "on_the_sphere",
     "predict_independent",
     "predict_same_data",
+    "ratio_scatter",
     "table_covariance_px2",
     "tangent_maps",
 ]
@@ -170,6 +171,29 @@ def predict_same_data(maps: FloatArray, noise_px2: FloatArray, rows: FloatArray)
     left = np.eye(len(flat)) - flat[:, :-STAR_COLUMNS] @ gain[:-STAR_COLUMNS]
     carried = _blocks(maps) @ left
     return _scatter(carried @ _blocks(noise_px2) @ carried.T, maps, noise_px2)
+
+
+def ratio_scatter(maps: FloatArray, noise_px2: FloatArray) -> float:
+    r"""Standard deviation, relative, of pixel method over Fisher on the same vectors.
+
+    Both are roots of sums of squares, ``b`` of the residuals n_i in pixels and ``a`` of T_i n_i on the sphere. Were an
+    angle per pixel the same all over the field they would scatter alike; where it is not, the ratio hangs on which
+    places got the large residuals. To first order, for normal n_i of covariance C_i and M_i = T_i^T T_i,
+
+    .. math:: \mathrm{var}\,\log(b/a) = \frac{1}{4} \sum_i 2\, \mathrm{tr}
+        \left[\left(C_i / \textstyle\sum \mathrm{tr}\, C_j
+        - M_i C_i / \sum \mathrm{tr}\, M_j C_j\right)^2\right]
+
+    Parameters
+    ----------
+    maps : (n, 2, 2)
+        `tangent_maps`.
+    noise_px2 : (n, 2, 2)
+        Of the images, whatever the cause.
+    """
+    sphere = np.swapaxes(maps, 1, 2) @ maps @ noise_px2
+    apart = noise_px2 / np.einsum("nii->", noise_px2) - sphere / np.einsum("nii->", sphere)
+    return float(np.sqrt(np.einsum("nij,nji->", apart, apart) / 2.0))
 
 
 def _blocks(matrices: FloatArray) -> FloatArray:

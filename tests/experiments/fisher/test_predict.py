@@ -22,6 +22,7 @@ from experiments.fisher.predict import (
     on_the_sphere,
     predict_independent,
     predict_same_data,
+    ratio_scatter,
     table_covariance_px2,
     tangent_maps,
 )
@@ -73,19 +74,22 @@ def test_tangent_maps_against_differences(model, bench, angle) -> None:
 
 
 def test_the_prediction_is_what_noisy_data_scatter(model, bench, angle) -> None:
-    """N = 800 runs of 81 vectors: the mean sum of squares is known to 0.3 %, its variance to 5 %."""
+    """N = 800 runs of 81 vectors: the mean sum of squares is known to 0.3 %, variances to 5 %."""
     maps, rows = tangent_maps(model, bench, angle), calibration_of_rows(model, bench, angle)
     noise = SIGMA_PX**2 * np.broadcast_to(np.eye(2), maps.shape) + table_covariance_px2(model, bench, angle, Motion())
     predicted = predict_independent(maps, noise, rows, np.zeros((rows.shape[2], rows.shape[2])))
-    rng, exact, sums = np.random.default_rng(3), model.project(bench.seen(angle)), []
+    rng, exact, sums, ratios = np.random.default_rng(3), model.project(bench.seen(angle)), [], []
     sigma = np.array([0.2, 0.5]) * ARCSEC_RAD
     for _ in range(800):
         pixel = exact + SIGMA_PX * rng.standard_normal(exact.shape)
-        w = _vectors(model, bench, pixel, angle + sigma * rng.standard_normal(angle.shape))
-        sums.append(mean_and_chords(w[None])[1].sum())
+        read = angle + sigma * rng.standard_normal(angle.shape)
+        sums.append(mean_and_chords(_vectors(model, bench, pixel, read)[None])[1].sum())
+        ratios.append(baseline_px(pixel - model.project(bench.seen(read))) / np.sqrt(sums[-1]))
     error = np.std(sums) / np.sqrt(len(sums))
     assert np.mean(sums) == pytest.approx(predicted.sum_rad2, abs=4 * error)
     assert np.var(sums) == pytest.approx(predicted.variance_rad4, rel=4 * np.sqrt(2 / 800))
+    chance = 1 / np.sqrt(2 * 800)
+    assert np.std(ratios) / np.mean(ratios) == pytest.approx(ratio_scatter(maps, noise), rel=4 * chance)
     z = [predicted.z_score(s) for s in sums]
     assert np.std(z) == pytest.approx(1.0, abs=4 / np.sqrt(1600))
     assert predicted.sigma_arcsec == pytest.approx(predicted.noise_arcsec, rel=1e-3)
