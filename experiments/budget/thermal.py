@@ -35,6 +35,8 @@ __all__ = ["ThermalTerm", "field_directions", "thermal_term", "warmed"]
 
 
 METHOD = "cog"
+BRIGHT_E = 6000.0
+"""Electrons per star and frame at least: a centre of gravity that drowns in read noise says nothing of the lens."""
 PLACES = (8, 6)
 """Stars along a row and a column."""
 STEP_K = 1.0
@@ -51,6 +53,8 @@ class ThermalTerm:
         At which the camera is calibrated.
     stability_k : float
         Temperature about it, 3 sigma.
+    signal_e : float
+        Of a star, per frame.
     predicted, measured : Value
         The term.
     place_px : (n, 2)
@@ -67,6 +71,7 @@ class ThermalTerm:
 
     temperature_c: float
     stability_k: float
+    signal_e: float
     predicted: Value
     measured: Value
     place_px: FloatArray
@@ -148,6 +153,7 @@ def thermal_term(lab: Laboratory, streams: Streams) -> ThermalTerm | str | None:
     return ThermalTerm(
         temperature_c=lab.instrument.camera.lens.environment.temperature_c,
         stability_k=span,
+        signal_e=max(lab.bench.signal_e, BRIGHT_E),
         predicted=Value(arcsec=predicted.std(axis=0) * scale),
         measured=Value(
             arcsec=np.sqrt(np.maximum(square, 0.0)) * scale,
@@ -172,7 +178,8 @@ def _images(
     psf = point_scene(lab.bench, lab.instrument).psfs(direction[:1]) * len(direction)  # the centroider uses none
     found = []
     for name, end in zip(("cold", "warm"), ends, strict=True):
-        scene = point_scene(replace(end.bench, methods=(METHOD,)), end.instrument)
+        bright = max(end.bench.signal_e, BRIGHT_E)
+        scene = point_scene(replace(end.bench, methods=(METHOD,), signal_e=bright), end.instrument)
         light = scene.light(direction, streams.child(name), f"{name} lens", psf=psf)
         frames = read_points(light, scene.bench, end.instrument, streams=streams.child(name, "frames"))
         found.append(frames.mean_px(METHOD))
