@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from experiments.budget.prediction.experiment import experiment as prediction
 from experiments.budget.settings import Config
 from experiments.harness.cli import command
 from experiments.harness.experiment import Experiment
@@ -79,6 +80,10 @@ def run(config: Config, *, progress: Progress) -> Result:
     )
 
 
+def _instead(config: Config) -> Experiment | None:
+    return prediction if config.predict_only else None
+
+
 experiment = Experiment(
     name="budget",
     config=Config,
@@ -87,11 +92,16 @@ experiment = Experiment(
     examples={
         "--quick": "a small run",
         "--sweep detector.read_noise_e=2:20:10": "the budget against the read noise",
+        "--predict-only --set sweep=": "the predicted terms alone, in seconds",
         "--config acc18_tuned": "an instrument with the published budget",
     },
     extra="quantities:extra",
     show=("budget",),
-    options={"sweep": ("sweep", "The budget against a parameter, e.g. defocus_mm=-0.2:0.2:9.")},
+    options={
+        "sweep": ("sweep", "The budget against a parameter, e.g. defocus_mm=-0.2:0.2:9."),
+        "predict-only": ("predict_only", "No rendered frames: the predicted terms and sums alone."),
+    },
+    instead=_instead,
     quick={
         "frames": 10,
         "dark_frames": 30,

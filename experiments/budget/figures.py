@@ -21,6 +21,7 @@ __all__ = [
     "cause_bars",
     "element_map",
     "layout_bars",
+    "predicted_bars",
     "share_bars",
     "sweep_curves",
     "tolerance_histograms",
@@ -57,6 +58,25 @@ def budget_bars(outcome: Outcome) -> Figure:
         panel.grid(visible=False, axis="x")
     axes[0].set(ylabel="3σ [″]", ylim=(0, None))
     axes[0].legend(loc="upper left")
+    return figure
+
+
+def predicted_bars(outcome: Outcome) -> Figure:
+    """Every term and sum, predicted alone, x and y."""
+    figure, panel = new_figure(aspect_ratio=0.36)
+    place = np.arange(len(SHOWN))
+    for k, axis in enumerate("xy"):
+        bars, spread = (
+            np.array([float(read("predicted_arcsec", term=name, axis=axis)) for name in SHOWN])
+            for read in (outcome.values, outcome.errors)
+        )
+        at = place + 0.2 * (2 * k - 1)
+        panel.bar(at, bars, width=0.36, color=PALETTE[k], label=axis)
+        panel.errorbar(at, bars, yerr=3 * spread, fmt="none", ecolor=INK, elinewidth=0.8)
+    panel.set_xticks(place, [name.replace("LSFE-", "LSFE\n") for name in SHOWN])
+    panel.set(ylabel="3σ [″]", ylim=(0, None))
+    panel.grid(visible=False, axis="x")
+    panel.legend(loc="upper left")
     return figure
 
 

@@ -17,7 +17,7 @@ from experiments.laboratory.centroid_methods import MethodLabels
 from experiments.laboratory.signal import add_signal
 from optics.arrays import FloatArray
 
-__all__ = ["describe", "extra"]
+__all__ = ["ANGLE", "LABELS", "OF_TERMS", "describe", "describe_sweep", "extra", "of_budget"]
 
 LABELS = {
     "LSFE-S": "LSFE-S, chromatic",
@@ -55,7 +55,7 @@ def describe(result: Result) -> Quantities:
     _parts(q, result)
     _chromatic(q, result)
     if result.sweep is not None:
-        _sweep(q, result.sweep)
+        describe_sweep(q, result.sweep)
     if result.tornado is not None:
         _tornado(q, result.tornado)
     _built(q, result)
@@ -70,7 +70,7 @@ def extra(result: Result) -> dict[str, Any]:
     return {"changed_settings": {key: {"default": was, "here": now} for key, (was, now) in result.changed.items()}}
 
 
-def _of(budget: Budget, part: str = "arcsec") -> list[Any]:
+def of_budget(budget: Budget, part: str = "arcsec") -> list[Any]:
     """Values of the terms and sums of a budget, or their uncertainties."""
     return [getattr(budget[name], part) for name in (*TERMS, *SUMS)]
 
@@ -82,10 +82,10 @@ def _terms(q: Quantities, result: Result) -> None:
     ):
         q.add(
             f"{name}_arcsec",
-            _of(budget),
+            of_budget(budget),
             label,
             **OF_TERMS,
-            error=_of(budget, "uncertainty_arcsec"),
+            error=of_budget(budget, "uncertainty_arcsec"),
             json=f"terms[term][axis].{name}_arcsec_3sigma",
             json_error=f"terms[term][axis].{name}_uncertainty",
         )
@@ -102,7 +102,7 @@ def _terms(q: Quantities, result: Result) -> None:
     q.add("ratio", ratio, label, dims="term axis", error=spread, json=place, json_error=error)
     q.add(
         "by_equations_arcsec",
-        _of(result.published),
+        of_budget(result.published),
         "Recomputed",
         **OF_TERMS,
         format=".3f",
@@ -120,11 +120,11 @@ def _methods(q: Quantities, result: Result) -> None:
     ):
         q.add(
             f"method_{name}_arcsec",
-            [_of(one) for one in budgets],
+            [of_budget(one) for one in budgets],
             label,
             **ANGLE,
             dims="method term axis",
-            error=[_of(one, "uncertainty_arcsec") for one in budgets],
+            error=[of_budget(one, "uncertainty_arcsec") for one in budgets],
             key=f"{{method}}_{name}_arcsec",
             json=f"{place}.{name}_arcsec_3sigma",
             json_error=f"{place}.{name}_uncertainty",
@@ -202,7 +202,7 @@ def _chromatic(q: Quantities, result: Result) -> None:
     q.add("rms_shift_px", values, "RMS shift of a point", **entry, format=".4f", key="rms_px", json="")
 
 
-def _sweep(q: Quantities, sweep: Sweep) -> None:
+def describe_sweep(q: Quantities, sweep: Sweep) -> None:
     """The budget against a parameter; NaN where it is refused or was not measured."""
     settings = sweep.settings
     q.axis("setting", [float(one.value) for one in settings], sweep.key, format=".5g", key="value")
@@ -212,11 +212,11 @@ def _sweep(q: Quantities, sweep: Sweep) -> None:
     q.add("sweep_window_px", windows, "Window", unit="px", dims="setting", key="window_px", json="sweep.window_px")
     nothing = np.full((len(TERMS) + len(SUMS), 2), np.nan)
     found = {**ANGLE, "dims": "setting term axis"}
-    values = [nothing if one.predicted is None else _of(one.predicted) for one in settings]
+    values = [nothing if one.predicted is None else of_budget(one.predicted) for one in settings]
     q.add("sweep_predicted_arcsec", values, "3σ", **found, json="sweep.predicted")
     if any(one.measured is not None for one in settings):
         values, error = (
-            [nothing if one.measured is None else _of(one.measured.budget, part) for one in settings]
+            [nothing if one.measured is None else of_budget(one.measured.budget, part) for one in settings]
             for part in ("arcsec", "uncertainty_arcsec")
         )
         place = "sweep.measured"

@@ -167,6 +167,7 @@ class Config(SensorExperimentConfig):
     )
     sweep: str = Field(default="instrument.defocus_mm=-0.04:0.06:9", description="KEY=LOW:HIGH:POINTS; empty: none")
     sweep_measured: bool = Field(default=False, description="measure every point of the sweep too, not only predict")
+    predict_only: bool = Field(default=False, description="no rendered frames: the predicted terms and sums alone")
 
     @model_validator(mode="after")
     def _windows(self) -> Config:
@@ -177,6 +178,8 @@ class Config(SensorExperimentConfig):
 
     @model_validator(mode="after")
     def _sweep(self) -> Config:
+        if self.sweep_measured and self.predict_only:
+            raise ValueError("sweep_measured asks for frames and predict_only for none; leave out one of them")
         if self.sweep:
             check_range(type(self), parse_sweep(self.sweep, leaf_keys(type(self))))
         return self

@@ -16,7 +16,7 @@ from experiments.harness.summary import Measured
 from experiments.harness.tables import Cell, Column, Table
 from experiments.laboratory.published import chromatic_of_table1_arcsec
 
-__all__ = ["tables"]
+__all__ = ["sweep_table", "tables"]
 
 SIDES = ("predicted", "measured")
 SWEPT = (*TERMS[:-1], "total")
@@ -49,7 +49,7 @@ def tables(outcome: Outcome) -> Mapping[str, Table | Pivot]:
         ),
     }
     if outcome.result.sweep is not None:
-        made["sweep"] = _sweep(outcome)
+        made["sweep"] = sweep_table(outcome)
     if outcome.result.tornado is not None:
         made["tornado"] = Pivot(
             rows="swing",
@@ -211,7 +211,7 @@ def _cells(values: Any) -> list[Cell]:
     return [float(v) if np.isfinite(v) else None for v in np.ravel(values)]
 
 
-def _sweep(outcome: Outcome) -> Table:
+def sweep_table(outcome: Outcome) -> Table:
     """The budget at every value of a parameter, at full precision."""
     key = outcome.value("sweep_key")
     shown = [("", "sweep_predicted_arcsec", name, axis, ".3f") for name in SWEPT for axis in "xy"]

@@ -1,6 +1,7 @@
 """The budget from end to end: what it writes, and whether predictions, frames and sums agree as they must."""
 
 import itertools
+import json
 
 import numpy as np
 import pytest
@@ -221,3 +222,22 @@ def test_sweep_is_measured_and_refused_values_are_said(tiny_run):
     text = (out.folder / "report.html").read_text(encoding="utf-8")
     assert "1 of 2 values are refused" in text
     assert ">total, measured [″]</th>" in text
+
+
+@pytest.mark.slow
+def test_prediction_alone_is_near_the_prediction_of_the_whole_run(small, engine, tmp_path, capsys):
+    """No measured number, no criterion; TE and C2 are the same, HSFE is that of one place."""
+    settings = [word for one in SMALL for word in ("--set", one)]
+    line = [*settings, "--predict-only", "--set", "sweep=instrument.defocus_mm=0:0.02:2"]
+    assert main([*line, "--set", "sweep_measured=true"], own_process=False) == 2
+    assert "predict_only" in capsys.readouterr().err
+    assert main([*line, "--out", str(tmp_path / "out")], own_process=False) == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    terms, whole = summary["results"]["terms"], small[2].budget
+    assert summary["criteria"] == []
+    assert "measured" not in json.dumps(summary["results"])
+    for name, tolerance in (("TE", 0.1), ("HSFE", 0.3), ("LSFE-C2", 1e-9)):
+        found = [terms[name][axis]["predicted_arcsec_3sigma"] for axis in "xy"]
+        np.testing.assert_allclose(found, whole[name].arcsec, rtol=tolerance)
+    assert len(summary["results"]["sweep"]["predicted"]) == 2
+    assert "no criterion was judged" in (tmp_path / "out" / "report.html").read_text()

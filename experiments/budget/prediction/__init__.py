@@ -1,0 +1,1 @@
+"""The budget without frames: every term predicted, in seconds."""
