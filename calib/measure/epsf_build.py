@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
+from scipy.linalg import solveh_banded
 from scipy.ndimage import correlate1d, spline_filter
 from scipy.sparse.linalg import spsolve
 
@@ -195,6 +196,15 @@ class _Dither:
         return replace(stars, **position)
 
 
+def _solve_banded(matrix: sparse.spmatrix, right: FloatArray) -> FloatArray:
+    """Solution with a symmetric positive definite matrix whose elements lie near the diagonal (Cholesky)."""
+    upper = sparse.triu(matrix).tocoo()
+    width = int((upper.col - upper.row).max())
+    band = np.zeros((width + 1, matrix.shape[0]))
+    np.add.at(band, (width + upper.row - upper.col, upper.col), upper.data)
+    return np.asarray(solveh_banded(band, right))
+
+
 class _Grid:
     """Least squares for spline coefficients on a square grid that covers a window around its star."""
 
@@ -249,14 +259,14 @@ class _Grid:
         light = stamps.electrons[used].ravel() - background
         # first round: the data's own light, clipped, as expectation; then the last PSF's
         expected = np.maximum(light, 0.0) if last is None else flux * (design @ self.coefficients(last))
-        weight = stamps.valid[used].ravel() / noise.variance_e2(expected + background)
+        weight = np.sqrt(stamps.valid[used].ravel() / noise.variance_e2(expected + background))
         scaled = sparse.diags(weight * flux) @ design
-        normal = (design.T @ sparse.diags(flux) @ scaled).tocsc()
+        normal = scaled.T @ scaled
         # the peak of the PSF in a pixel, from the light the stars have in their brightest one
         peak = np.median((light.reshape(shape) * stamps.valid[used]).max(axis=(1, 2)) / stars.flux_e[used])
         prior = (roughness * peak * (4.0 / self.step) ** 3) ** -2 * self.penalty()
         ridge = 1e-9 * normal.diagonal().mean() * sparse.identity(self.size**2)
-        found = spsolve((normal + prior + ridge).tocsc(), scaled.T @ light)
+        found = _solve_banded(normal + prior + ridge, scaled.T @ (weight * light))
         nodes = found.reshape(self.size, self.size)
         values = np.pad(nodes, 1)
         for axis in (0, 1):

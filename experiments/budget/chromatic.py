@@ -8,14 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.measure.centroid import Centroider
 from experiments.budget.combine import Value
 from experiments.budget.laboratory import Laboratory
 from experiments.laboratory.bench import point_field
 from experiments.laboratory.centroid_methods import has_own_epsf
 from experiments.laboratory.chromatic_error import measure_chromatic, rms, shifts, table1, uncertainties
-from experiments.laboratory.point_noise import drawn_positions, expected_windows
+from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.point_noise import ExpectedWindows, drawn_positions, expected_windows
 from experiments.laboratory.ray_prediction import bundle_prediction
-from experiments.laboratory.readout.centroids import centroiders
+from experiments.laboratory.readout.centroids import centroiders, noiseless_positions, session_centroiders
+from experiments.laboratory.readout.noise_model import nominal_noise
 from experiments.laboratory.target import corner_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams
@@ -129,15 +132,19 @@ def predicted_terms(
     pairs, found = lab.filtered.pairs, {}
     place = dict.fromkeys(lab.filtered.methods, traced.place_px)
     error = {m: np.zeros_like(traced.place_px) for m in lab.filtered.methods}
+    built: dict[str, FloatArray] = {}
     others = [m for m in lab.filtered.methods if not has_own_epsf(m)]
     if others:
         drawn = _as_centroided(lab, traced, others, draws, defect)
-        place, error = place | drawn[0], error | drawn[1]
+        place, error, built = place | drawn[0], error | drawn[1], drawn[2]
     for method in lab.filtered.methods:
         shift, sigma = shifts(place[method], pairs), {}
         for name, high, low in pairs:
             square = (error[method][:, :, high] ** 2 + error[method][:, :, low] ** 2).sum((0, 1))
             sigma[name] = np.sqrt(square) / (2.0 * traced.place_px.shape[0] * traced.place_px.shape[1])
+            if method in built:  # one PSF for all filters and corners: its noise is in every shift
+                each = np.array([table1(shifts(one, [(name, high, low)])[name]) for one in built[method]])
+                sigma[name] = np.sqrt(sigma[name] ** 2 + each.var(0, ddof=1) * (1.0 + 1.0 / len(each)))
         found[method] = ChromaticTerm(
             table1_px={name: table1(v) for name, v in shift.items()},
             sigma_px=sigma,
@@ -150,11 +157,16 @@ def predicted_terms(
 
 def _as_centroided(
     lab: Laboratory, traced: TracedTarget, methods: Sequence[str], draws: int, defect: NDArray[np.bool_] | None
-) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    """Mean positions (p, j, b, 2) of the centroiders over drawn noise, and their standard deviations, by method."""
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray], dict[str, FloatArray]]:
+    """Mean positions (p, j, b, 2) over drawn noise, their standard deviations, and positions (k, p, j, b, 2) by method.
+
+    The latter with the PSFs that drawn sessions build, of methods that use such a one; no noise is drawn for these, and
+    the mean is that over the sessions.
+    """
     bench, instrument = replace(lab.filtered, methods=methods), lab.instrument
     noise = instrument.pixel_noise()
     place, error = ({m: np.empty_like(traced.place_px) for m in methods} for _ in range(2))
+    built: dict[str, FloatArray] = {}
     rng = {m: Streams(lab.config.seed).generator("chromatic prediction") for m in methods}
     for p, points in enumerate(traced.direction):
         for band in range(traced.place_px.shape[2]):
@@ -168,10 +180,27 @@ def _as_centroided(
                 defect=defect,
             )
             for method, centroider in centroiders(bench, psf).items():
+                if sessions := session_centroiders(bench, psf, method):
+                    of_all = built.setdefault(method, np.empty((len(sessions), *traced.place_px.shape)))
+                    of_all[:, p, :, band] = [_noiseless(one, instrument, windows) for one in sessions]
+                    place[method][p, :, band] = of_all[:, p, :, band].mean(0)
+                    error[method][p, :, band] = 0.0
+                    continue
                 drawn = drawn_positions(centroider, instrument, windows, noise, draws=draws, rng=rng[method])
                 place[method][p, :, band] = np.nanmean(drawn, axis=0)
                 error[method][p, :, band] = np.nanstd(drawn, axis=0, ddof=1) / np.sqrt(draws)
-    return place, error
+    return place, error, built
+
+
+def _noiseless(centroider: Centroider, instrument: Instrument, windows: ExpectedWindows) -> FloatArray:
+    return noiseless_positions(
+        centroider,
+        nominal_noise(instrument),
+        light_e=windows.light_e,
+        corner_px=windows.corner_px,
+        valid=windows.valid,
+        psf_index=windows.psf_index,
+    )[0]
 
 
 def measured_terms(

@@ -44,9 +44,10 @@ class Laboratory:
     filtered: Bench
     signal: Signal
 
-    def with_epsf(self, epsf: EffectivePsf) -> Laboratory:
-        """The same, with a PSF that was built from frames."""
-        return replace(self, bench=replace(self.bench, epsf=epsf), filtered=replace(self.filtered, epsf=epsf))
+    def with_epsf(self, epsf: EffectivePsf, sessions: Sequence[EffectivePsf] = ()) -> Laboratory:
+        """The same, with a PSF that was built from frames, and what it might have been."""
+        bench, filtered = (replace(one, epsf=epsf, sessions=sessions) for one in (self.bench, self.filtered))
+        return replace(self, bench=bench, filtered=filtered)
 
 
 def moved_lens(lens: LensSystem, moved: MovedConfig) -> LensSystem:

@@ -23,7 +23,7 @@ from experiments.budget.terms import (
 )
 from experiments.laboratory.centroid_methods import needs_measured_epsf
 from experiments.laboratory.distortion_model import marking_errors, predict_distortion, predicted_numbers
-from experiments.laboratory.epsf_session import predicted_epsf
+from experiments.laboratory.epsf_session import predicted_epsfs
 from experiments.laboratory.high_frequency_model import MethodPrediction, predict_high_frequency
 from experiments.laboratory.targets import grid_directions
 from experiments.laboratory.temporal_error import predict_temporal, small_sample_factor, target_place
@@ -34,6 +34,9 @@ __all__ = ["predict_terms"]
 
 STEP_NOISE_DRAWS = 60
 """Noisy copies of each window of the step test: their mean is then good to an eighth of the noise of a frame."""
+
+SESSIONS = 8
+"""Drawn sets of frames from which a PSF is built: its scatter is then known to a quarter."""
 
 _STEP_PARTS = {"document": "document_px", "single": "single_px", "roll": "roll_px"}
 _CAUSES = {"S-curve": "s_curve", "PRNU": "prnu", "offset pattern": "pattern", "defects": "defects"}
@@ -66,7 +69,8 @@ def predict_terms(
     instrument, seed = lab.instrument, lab.config.seed
     psf = psfs.of(lab, lab.bench, "place 0", target_place(lab.bench, instrument))
     if any(needs_measured_epsf(method) for method in lab.bench.methods):
-        lab = lab.with_epsf(predicted_epsf(lab.bench, instrument, psf, seed=seed))
+        built = predicted_epsfs(lab.bench, instrument, psf, seed=seed, sessions=2 if coarse else SESSIONS)
+        lab = lab.with_epsf(built[0], built)
     defect = None if coarse else sensor_maps(instrument.detector).defect
     scale = 3.0 * instrument.pixel_arcsec
     temporal = predict_temporal(lab.bench, instrument, psf=psf, draws=draws, defect=defect, seed=seed)
@@ -135,8 +139,15 @@ def _over_places(lab: Laboratory, found: list[MethodPrediction]) -> tuple[Value,
     """RMS over places; the uncertainty is the scatter of the measured number: other chips, other noise, other paths."""
     scale, parts = 3.0 * lab.instrument.pixel_arcsec, _parts(found)
     mean = {label: np.sqrt(np.mean(np.square(values), axis=0)) for label, values in parts.items()}
-    whole, scatters = mean["document"], [one.document_px * one.scatter_px for one in found]
-    spread = np.sqrt(np.square(scatters).mean(0) / lab.config.steps.places) / np.maximum(whole, 1e-300)
+    whole, count = mean["document"], len(found[0].session_px2)
+    variance = np.mean([(2.0 * one.document_px * one.scatter_px) ** 2 for one in found], axis=0)  # of the square
+    if count:  # one session serves all places: what it does is no less over many of them
+        alone = np.mean([one.session_px2.var(0, ddof=1) for one in found], axis=0)
+        common = np.mean([one.session_px2 for one in found], axis=0).var(0, ddof=1) * (1.0 + 1.0 / count)
+    else:
+        alone = common = np.zeros(2)
+    variance = np.maximum(variance - alone, 0.0) / lab.config.steps.places + common
+    spread = np.sqrt(variance) / np.maximum(2.0 * whole, 1e-300)
     causes = {label: mean[label] * scale for label in _CAUSES}
     causes |= {"averaged noise": mean["noise"] * scale, "roll of the platform": mean["roll"] * scale}
     return Value(arcsec=whole * scale, uncertainty_arcsec=spread * scale), causes, mean["single"] * scale

@@ -45,6 +45,8 @@ class Bench:
         Centroiders; the first is the one that counts.
     epsf : EffectivePsf, optional
         Built from frames beforehand: what methods of the name ``NAME_measured`` use.
+    sessions : sequence of EffectivePsf
+        For predictions: what that PSF might have been, one for each drawn set of such frames.
     """
 
     target: TargetConfig
@@ -57,6 +59,7 @@ class Bench:
     window_px: int
     methods: Sequence[str]
     epsf: EffectivePsf | None = None
+    sessions: Sequence[EffectivePsf] = ()
 
     @property
     def pairs(self) -> list[tuple[str, int, int]]:

@@ -32,15 +32,17 @@ import numpy as np
 from numpy.polynomial.legendre import legvander2d
 from numpy.typing import NDArray
 
+from calib.measure.centroid import Centroider
 from calib.measure.linear_response import centroid_covariance
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.distortion_error import camera_place, dense_grid, traced_bundles
 from experiments.laboratory.distortion_statistics import REFERENCES, Reference, without_pointing
 from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_noise import drawn_positions, expected_windows, influence
+from experiments.laboratory.point_noise import ExpectedWindows, drawn_positions, expected_windows, influence
 from experiments.laboratory.point_scene import one_filter
-from experiments.laboratory.readout.centroids import centroiders
+from experiments.laboratory.readout.centroids import centroiders, noiseless_positions, session_centroiders
+from experiments.laboratory.readout.noise_model import nominal_noise
 from experiments.laboratory.targets import GridTarget, grid_directions
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
@@ -280,6 +282,9 @@ def predict_distortion(
             drawn = drawn_positions(centroider, instrument, windows, noise, draws=noise_draws, rng=lots)
             position, single = np.nanmean(drawn, axis=0), _covariance(drawn)
             own = single / noise_draws
+        if sessions := session_centroiders(bench, psf, name):
+            position, built = _over_sessions(sessions, instrument, windows)
+            chip, own = chip + built, own + built / len(sessions)
         dark = covariance(np.full_like(windows.light_e, noise.floor_e2 / bench.dark_frames))
         session = single / bench.frames + dark
         expected[name] = position
@@ -297,6 +302,30 @@ def predict_distortion(
         point_px=point,
         marking_px=marked.marking_px,
     )
+
+
+def _over_sessions(
+    sessions: Sequence[Centroider], instrument: Instrument, windows: ExpectedWindows
+) -> tuple[FloatArray, FloatArray]:
+    """Mean position (n, 2) over the PSFs that sessions might give, and the covariance (n, 2, 2) of what they do apart.
+
+    What a PSF does depends on where in the pixel a point lies, which differs from point to point; what it does to all
+    of them is a shift of the camera.
+    """
+    noise = nominal_noise(instrument)
+    each = [
+        noiseless_positions(
+            one,
+            noise,
+            light_e=windows.light_e,
+            corner_px=windows.corner_px,
+            valid=windows.valid,
+            psf_index=windows.psf_index,
+        )[0]
+        for one in sessions
+    ]
+    position = np.stack(each)
+    return position.mean(0), _covariance(position - position.mean(1, keepdims=True))
 
 
 def _covariance(drawn_px: FloatArray) -> FloatArray:

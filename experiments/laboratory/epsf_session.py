@@ -18,7 +18,7 @@ from experiments.laboratory.bench import Bench
 from experiments.laboratory.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import StepPlan
 from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_noise import expected_windows
+from experiments.laboratory.point_noise import ExpectedWindows, expected_windows
 from experiments.laboratory.point_scene import PointScene, one_filter
 from experiments.laboratory.readout.stamps import centre_of_gravity, dark_subtracted
 from experiments.laboratory.readout.windows import WindowReader
@@ -27,7 +27,7 @@ from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import EffectivePsf
 
-__all__ = ["epsf_session", "measured_epsf", "predicted_epsf"]
+__all__ = ["epsf_session", "measured_epsf", "predicted_epsfs"]
 
 POSITIONS, STAMPS = 5, 20
 """Steps of a fifth of a pixel cover it along both axes; a PSF of four samples per pixel needs 16 stars at least."""
@@ -79,11 +79,16 @@ def measured_epsf(
         added = stamps.electrons.reshape(bench.frames, *light.light_e.shape).sum(0)
         parts.append((added, ~stack.defect, light.corner_px))
         advance()
-    return _built(parts, bench, instrument)
+    electrons, valid, corner = (np.concatenate(one) for one in zip(*parts, strict=True))
+    return _built(electrons, valid, corner, bench, instrument)
 
 
-def predicted_epsf(bench: Bench, instrument: Instrument, psf: Sequence[EffectivePsf], *, seed: int) -> EffectivePsf:
-    """The same without frames: PSFs and traced places, noise and response drawn with NumPy.
+def predicted_epsfs(
+    bench: Bench, instrument: Instrument, psf: Sequence[EffectivePsf], *, seed: int, sessions: int = 1
+) -> tuple[EffectivePsf, ...]:
+    """The same without frames, for several sessions: PSFs and traced places, noise and response drawn with NumPy.
+
+    The image moves by less than a pixel: the response of a pixel is the same at all positions and does not average out.
 
     Parameters
     ----------
@@ -93,25 +98,44 @@ def predicted_epsf(bench: Bench, instrument: Instrument, psf: Sequence[Effective
         Of the target's points (`PointScene.psfs`).
     seed : int
         Of the draws.
+    sessions : int
+        How many, each with its own chip and noise.
     """
     rng, noise, frames = Streams(seed).generator("predicted ePSF"), instrument.pixel_noise(), bench.frames
     ideal = Hexapod(step_error_arcsec=0.0, roll_error_arcsec=0.0, reading_error_arcsec=0.0)
-    path, parts = epsf_session(bench).path(instrument, ideal, rng), []
-    for direction in turned(target_place(bench, instrument), path.commanded_rad):
-        windows = expected_windows(one_filter(bench), instrument, direction[None], psf)
-        light = windows.light_e * (1.0 + noise.prnu * rng.standard_normal(windows.light_e.shape))
-        spread = np.sqrt(noise.temporal_e2(light, frames=frames, dark_frames=bench.dark_frames))
+    path = epsf_session(bench).path(instrument, ideal, rng)
+    direction = turned(target_place(bench, instrument), path.commanded_rad)
+    windows = expected_windows(one_filter(bench), instrument, direction, psf)
+    spread = np.sqrt(noise.temporal_e2(windows.light_e, frames=frames, dark_frames=bench.dark_frames))
+    found = []
+    for _ in range(sessions):
+        light = windows.light_e * (1.0 + noise.prnu * _pixels(windows, len(path.commanded_rad), rng))
         added = frames * (light + spread * rng.standard_normal(light.shape))
-        parts.append((added, windows.valid, windows.corner_px))
-    return _built(parts, bench, instrument)
+        found.append(_built(added, windows.valid, windows.corner_px, bench, instrument))
+    return tuple(found)
+
+
+def _pixels(windows: ExpectedWindows, positions: int, rng: np.random.Generator) -> FloatArray:
+    """A normal deviate for every pixel of the chip, in the windows (n, h, w) of every position of the same points."""
+    corner = windows.corner_px.reshape(positions, -1, 2)
+    _, height, width = windows.light_e.shape
+    first = corner.min(0)
+    extent = (corner - first).max((0, 1))
+    chip = rng.standard_normal((corner.shape[1], height + int(extent[1]), width + int(extent[0])))
+    parts = [chip[star, y : y + height, x : x + width] for place in corner - first for star, (x, y) in enumerate(place)]
+    return np.stack(parts)
 
 
 def _built(
-    parts: Sequence[tuple[FloatArray, NDArray[np.bool_], NDArray[np.int64]]], bench: Bench, instrument: Instrument
+    electrons: FloatArray,
+    valid: NDArray[np.bool_],
+    corner: NDArray[np.int64],
+    bench: Bench,
+    instrument: Instrument,
 ) -> EffectivePsf:
-    """PSF from sums of frames (j, h, w), usable pixels and first pixels of every position."""
-    electrons, valid, corner = (np.concatenate(one) for one in zip(*parts, strict=True))
-    electrons, points = np.where(valid, electrons, 0.0), len(parts[0][0])
+    """PSF from sums of frames (n, h, w), usable pixels and first pixels, position after position."""
+    points = bench.target.rows * bench.target.columns
+    electrons, positions = np.where(valid, electrons, 0.0), len(electrons) // points
     stamps = Stamps(
         electrons=electrons,
         valid=valid,
@@ -123,6 +147,6 @@ def _built(
     )
     # the sum of N frames and N mean dark frames; its photons are a Poisson variate as those of one frame are
     floor_e2 = instrument.pixel_noise().floor_e2 * bench.frames * (1.0 + bench.frames / bench.dark_frames)
-    star, position = np.tile(np.arange(points), len(parts)), np.repeat(np.arange(len(parts)), points)
+    star, position = np.tile(np.arange(points), positions), np.repeat(np.arange(positions), points)
     noise = NoiseModel(read_noise_e=float(np.sqrt(floor_e2)))
     return build_epsf(stamps, noise, star_index=star, frame_index=position).epsf

@@ -35,7 +35,7 @@ from experiments.laboratory.point_noise import (
 )
 from experiments.laboratory.point_scene import one_filter
 from experiments.laboratory.ray_prediction import bundle_prediction
-from experiments.laboratory.readout.centroids import centroiders, noiseless_positions
+from experiments.laboratory.readout.centroids import centroiders, noiseless_positions, session_centroiders
 from experiments.laboratory.readout.noise_model import nominal_noise
 from experiments.laboratory.step_statistics import document_rms_px, single_rms_px
 from experiments.laboratory.temporal_error import target_place
@@ -68,9 +68,12 @@ class MethodPrediction:
         Averaged temporal noise, noise of the averaged dark frames, and roll of the hexapod, which the mean over the
         stars does not take out, in the document's number.
     document_px : (2,)
-        The document's number, RMS over drawn chips, paths and noise.
+        The document's number, RMS over drawn chips, paths, noise, and sessions that gave the PSF.
     scatter_px : (2,)
         Standard deviation of the document's number over them.
+    session_px2 : (k, 2)
+        Square of the document's number by the S-curve alone, for each session that might have given the PSF; the same
+        session serves all places. Empty where no PSF was built.
     single_px : (2,)
         Error of one position.
     single_scatter_px : (2,)
@@ -85,6 +88,7 @@ class MethodPrediction:
     roll_px: FloatArray
     document_px: FloatArray
     scatter_px: FloatArray
+    session_px2: FloatArray
     single_px: FloatArray
     single_scatter_px: FloatArray
 
@@ -182,7 +186,9 @@ def predict_high_frequency(
         place_px=windows.place_px.reshape(plan.positions, -1, 2),
         method={
             # a fit of a PSF has no bias that noise could change
-            name: replace(model, noise_draws=0 if needs_epsf(name) else noise_draws).method(one, rng)
+            name: replace(model, noise_draws=0 if needs_epsf(name) else noise_draws).method(
+                one, session_centroiders(bench, psf, name), rng
+            )
             for name, one in centroiders(bench, psf).items()
         },
     )
@@ -203,18 +209,16 @@ class _Model:
     seed: int
     roll_rad: float
 
-    def method(self, centroider: Centroider, rng: np.random.Generator) -> MethodPrediction:
-        """Everything about one centroider."""
+    def method(
+        self, centroider: Centroider, sessions: Sequence[Centroider], rng: np.random.Generator
+    ) -> MethodPrediction:
+        """Everything about one centroider, and the same with the PSF of each session."""
         windows, m = self.windows, self.positions
         gain = influence(centroider, self.instrument, windows)
-        first = (gain.position_px - windows.place_px).reshape(m, -1, 2)
-        curves, masked = [self._curve(centroider, windows) if self.noise_draws else first], []
-        masked.append(self._masked(centroider, windows))
-        for other in self.others:
-            curves.append(self._curve(centroider, other))
-            masked.append(self._masked(centroider, other))
-        if self.others:  # the ideal path is not one of those that an erring hexapod takes
-            curves, masked = curves[1:], masked[1:]
+        each = sessions or [centroider]
+        # the ideal path is not one of those that an erring hexapod takes
+        runs = [(each[i % len(each)], one) for i, one in enumerate(self.others or [windows] * len(each))]
+        curves, masked = ([of(*one) for one in runs] for of in (self._curve, self._masked))
         g, stars = gain.gain_px_per_e, curves[0].shape[1]
         prnu = self._fixed(g * windows.light_e[:, None], self.noise.prnu)
         offsets, dark = self._offsets(g)
@@ -249,6 +253,7 @@ class _Model:
             roll_px=self.roll_rad * np.sqrt(2.0 * (lever**2).mean(0)),
             document_px=_rms(document),
             scatter_px=np.std(document, axis=0, ddof=1),
+            session_px2=np.array([document_rms_px(self._curve(one, windows)) ** 2 for one in sessions]).reshape(-1, 2),
             single_px=_rms(error),
             single_scatter_px=np.std(error, axis=0, ddof=1),
         )

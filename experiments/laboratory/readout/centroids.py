@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +12,20 @@ from calib.flags import StarFlag, has_flag
 from calib.measure.centroid import Centroider
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench import Bench
-from experiments.laboratory.centroid_methods import method_centroiders
+from experiments.laboratory.centroid_methods import method_centroiders, needs_measured_epsf
 from experiments.laboratory.readout.stamps import centre_of_gravity
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.records import EffectivePsf
 
-__all__ = ["centroiders", "frame_statistics", "measured_positions", "noiseless_positions", "refuse_few_frames"]
+__all__ = [
+    "centroiders",
+    "frame_statistics",
+    "measured_positions",
+    "noiseless_positions",
+    "refuse_few_frames",
+    "session_centroiders",
+]
 
 
 FEWEST_FRAMES = 2
@@ -28,6 +36,13 @@ def centroiders(bench: Bench, psf: Sequence[EffectivePsf]) -> dict[str, Centroid
     """Centroiders of the bench by method; the PSF for all points is that of the middle one."""
     reference = [psf[len(psf) // 2]] * len(psf)
     return method_centroiders(bench.methods, own=psf, reference=reference, measured=bench.epsf)
+
+
+def session_centroiders(bench: Bench, psf: Sequence[EffectivePsf], method: str) -> list[Centroider]:
+    """A method with the PSF of each of the bench's drawn sessions; none if it uses no PSF that was built."""
+    if not needs_measured_epsf(method):
+        return []
+    return [centroiders(replace(bench, methods=(method,), epsf=one), psf)[method] for one in bench.sessions]
 
 
 def measured_positions(centroider: Centroider, stamps: Stamps, noise: NoiseModel, frames: int) -> FloatArray:

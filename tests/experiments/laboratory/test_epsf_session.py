@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.measure.centroid import get_centroider
-from experiments.laboratory.epsf_session import epsf_session, measured_epsf, predicted_epsf
+from experiments.laboratory.epsf_session import epsf_session, measured_epsf, predicted_epsfs
 from experiments.laboratory.hexapod import Hexapod
 from experiments.laboratory.point_noise import expected_windows, influence
 from experiments.laboratory.point_scene import one_filter, point_scene
@@ -28,7 +28,7 @@ def test_a_measured_psf_places_stars_as_the_predicted_and_the_true_one_do(engine
     psf = scene.psfs(rest)
     platform = Hexapod(step_error_arcsec=0.4, roll_error_arcsec=1.0, reading_error_arcsec=0.2)
     measured = measured_epsf(bench, small_camera, platform, psf=psf, streams=Streams(4), scene=scene)
-    predicted = predicted_epsf(bench, small_camera, psf, seed=1)
+    predicted = predicted_epsfs(bench, small_camera, psf, seed=1)[0]
     windows = expected_windows(one_filter(bench), small_camera, rest[None], psf)
     alone = replace(windows, psf_index=np.zeros(len(rest), np.int64))
     place = {
