@@ -15,11 +15,11 @@ CHANCE = 1e-4
 @pytest.fixture(scope="module")
 def found(engine):
     """Pulls of four chips."""
-    return [PULLS["pulls_of"](seed, ('compare=["epsf"]',)) for seed in SEEDS]
+    return [PULLS["pulls_of"](seed, ('compare=["epsf", "epsf_measured"]',)) for seed in SEEDS]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["cog", "epsf"])
+@pytest.mark.parametrize("method", ["cog", "epsf", "epsf_measured"])
 @pytest.mark.parametrize("term", PULLS["TERMS"])
 def test_pulls_are_those_of_right_uncertainties(found, method, term):
     """Rationale: chip and noise are drawn anew. Expected: sum of squares of chi-square, neither too large nor small."""

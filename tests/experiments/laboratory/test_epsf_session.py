@@ -1,12 +1,13 @@
 """A PSF built from frames measures as the one predicted without them, and as the PSF of the simulator."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from calib.measure.centroid import get_centroider
-from experiments.laboratory.epsf_session import epsf_session, measured_epsf, predicted_epsfs
+from experiments.laboratory.epsf_session import _pixels, epsf_session, measured_epsf, predicted_epsfs
 from experiments.laboratory.hexapod import Hexapod
 from experiments.laboratory.point_noise import expected_windows, influence
 from experiments.laboratory.point_scene import one_filter, point_scene
@@ -17,6 +18,16 @@ from render.engine.random import Streams
 def test_few_points_take_more_positions(bench_of):
     assert epsf_session(bench_of(rows=5, columns=5)).positions == 5
     assert epsf_session(bench_of(rows=1, columns=2)).positions == 10  # a PSF of four samples per pixel needs 16 stars
+
+
+def test_a_pixel_has_one_response_at_all_positions():
+    corner = np.array([[10, 20], [40, 20], [11, 20], [40, 19]])  # two stars at two positions
+    windows = SimpleNamespace(corner_px=corner, light_e=np.zeros((4, 5, 6)))
+    drawn, seen = _pixels(windows, 2, np.random.default_rng(1)), {}
+    for (x0, y0), window in zip(corner.tolist(), drawn, strict=True):
+        for (y, x), value in np.ndenumerate(window):
+            assert seen.setdefault((x0 + x, y0 + y), value) == value
+    assert len(seen) == 5 * 7 + 6 * 6 == len(set(seen.values()))
 
 
 @pytest.mark.slow
