@@ -38,6 +38,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.budget.tolerances import tolerance_study
     from experiments.budget.tune import differences
     from experiments.laboratory.checks import check_light
+    from experiments.laboratory.published import is_published_sensor
     from experiments.laboratory.target import corner_directions
     from render.engine.random import Streams
 
@@ -65,12 +66,13 @@ def run(config: Config, *, progress: Progress) -> Result:
         attitude = attitude_study(
             lab.instrument, errors, config.attitude, streams.child("attitude"), advance=stage.advance
         )
+    known = is_published_sensor(config) or config.published_within_fraction is not None
     return Result(
         config=config,
         lab=lab,
         predicted=predicted,
         measured=measured,
-        published=published(),
+        published=published() if known else None,
         sweep=sweep,
         tornado=tornado,
         tolerances=tolerances,

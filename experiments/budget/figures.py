@@ -28,10 +28,14 @@ __all__ = [
     "tornado_chart",
 ]
 
-COLUMNS = ("predicted", "measured", "published")
 SHADES = (PALETTE[5], PALETTE[0], "#b9bec5")
 TERM_COLOURS = dict(zip(TERMS, (PALETTE[0], PALETTE[2], PALETTE[1], PALETTE[4], "#b9bec5"), strict=True))
 SHOWN = (*TERMS, "LSFE", "total")
+
+
+def _columns(outcome: Outcome) -> tuple[str, ...]:
+    known = ("published",) if outcome.result.published is not None else ()
+    return ("predicted", "measured", *known)
 
 
 def budget_bars(outcome: Outcome) -> Figure:
@@ -39,7 +43,7 @@ def budget_bars(outcome: Outcome) -> Figure:
     figure, axes = new_figure(1, 2, aspect_ratio=0.44, sharey=True)
     place = np.arange(len(SHOWN))
     for panel, axis in zip(axes, "xy", strict=True):
-        for k, (column, colour) in enumerate(zip(COLUMNS, SHADES, strict=True)):
+        for k, (column, colour) in enumerate(zip(_columns(outcome), SHADES, strict=False)):
             bars, spread = (
                 np.array([float(read(f"{column}_arcsec", term=name, axis=axis)) for name in SHOWN])
                 for read in (outcome.values, outcome.errors)
@@ -82,9 +86,10 @@ def predicted_bars(outcome: Outcome) -> Figure:
 
 def share_bars(outcome: Outcome) -> Figure:
     """Share of each term in the squared total."""
+    columns = _columns(outcome)
     figure, axes = new_figure(1, 2, aspect_ratio=0.26, sharey=True)
     for panel, axis in zip(axes, "xy", strict=True):
-        for row, column in enumerate(COLUMNS):
+        for row, column in enumerate(columns):
             term = {name: float(outcome.values(f"{column}_arcsec", term=name, axis=axis)) for name in TERMS}
             linear = term["LSFE-C1"] + term["LSFE-C2"]
             # C1 and C2 add before they are squared: the cross term is shared out in their proportion
@@ -99,7 +104,7 @@ def share_bars(outcome: Outcome) -> Figure:
                         left + share / 2, row, f"{share:.0f}", ha="center", va="center", fontsize=7, color="white"
                     )
                 left += share
-        panel.set_yticks(range(3), COLUMNS)
+        panel.set_yticks(range(len(columns)), columns)
         panel.set(xlim=(0, 100), title=axis, xlabel="share of the squared total [%]")
         panel.grid(visible=False)
     axes[0].invert_yaxis()

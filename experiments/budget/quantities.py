@@ -51,6 +51,8 @@ def describe(result: Result) -> Quantities:
     q.add("ecss", [ECSS[name] for name in names], "ECSS-E-ST-60-20C", dims="term")
     add_signal(q, result.lab.signal)
     _terms(q, result)
+    if result.published is not None:
+        _published(q, result.published)
     _methods(q, result)
     _parts(q, result)
     _chromatic(q, result)
@@ -92,22 +94,20 @@ def _terms(q: Quantities, result: Result) -> None:
     counting = result.measured[result.config.centroid].budget
     samples = np.repeat([[counting[name].n] for name in (*TERMS, *SUMS)], 2, axis=1)
     q.add("measured_n", samples, "Samples", dims="term axis", json="terms[term][axis].measured_n")
-    printed = [PRINTED.get(name, result.published[name].arcsec) for name in (*TERMS, *SUMS)]
-    place = "terms[term][axis].published_arcsec_3sigma"
-    q.add("published_arcsec", printed, "Published", **OF_TERMS, format=".2f", json=place)
     ratio, spread = zip(*(result.pair(result.config.centroid).ratio(name) for name in (*TERMS, *SUMS)), strict=True)
     place = "terms[term][axis].ratio"
     error = f"{place}_uncertainty"
     label = "Predicted / measured"
     q.add("ratio", ratio, label, dims="term axis", error=spread, json=place, json_error=error)
-    q.add(
-        "by_equations_arcsec",
-        of_budget(result.published),
-        "Recomputed",
-        **OF_TERMS,
-        format=".3f",
-        json={name: f"published_by_eq_31_32.{name}" for name in SUMS},
-    )
+
+
+def _published(q: Quantities, budget: Budget) -> None:
+    """The document's budget, as printed and as its equations give it."""
+    printed = [PRINTED.get(name, budget[name].arcsec) for name in (*TERMS, *SUMS)]
+    place = "terms[term][axis].published_arcsec_3sigma"
+    q.add("published_arcsec", printed, "Published", **OF_TERMS, format=".2f", json=place)
+    places = {name: f"published_by_eq_31_32.{name}" for name in SUMS}
+    q.add("by_equations_arcsec", of_budget(budget), "Recomputed", **OF_TERMS, format=".3f", json=places)
 
 
 def _methods(q: Quantities, result: Result) -> None:

@@ -101,8 +101,8 @@ class Result:
         Without frames, by centroider; the one that counts first.
     measured : dict of str to Measurement
         From frames, the same ones for all centroiders.
-    published : Budget
-        ACC18's terms, added up by its own equations.
+    published : Budget or None
+        ACC18's terms, added up by its own equations; None for another sensor than the published one.
     sweep : Sweep or None
         The budget against a parameter.
     tornado : Tornado or None
@@ -121,7 +121,7 @@ class Result:
     lab: Laboratory
     predicted: Mapping[str, PredictedTerms]
     measured: Mapping[str, Measurement]
-    published: Budget
+    published: Budget | None
     sweep: Sweep | None
     tornado: Tornado | None
     tolerances: ToleranceStudy

@@ -29,7 +29,7 @@ def tables(outcome: Outcome) -> Mapping[str, Table | Pivot]:
     made: dict[str, Table | Pivot] = {
         "budget": _budget(outcome),
         "agreement": _agreement(outcome),
-        "printed_slips": _slips(outcome),
+        **({"printed_slips": _slips(outcome)} if outcome.result.published is not None else {}),
         "parts": _parts(outcome),
         "chromatic": pivot(
             upper,
@@ -73,6 +73,7 @@ def _columns(outcome: Outcome, names: str) -> list[Column]:
 
 def _budget(outcome: Outcome) -> Table:
     """Published, then predicted and measured by every centroider."""
+    beside = ["published_arcsec"] if outcome.result.published is not None else []
     methods = outcome.data["method"].values.tolist()
     labels = dict(zip(methods, outcome.names("method"), strict=True))
     rows: list[tuple[Cell, ...]] = []
@@ -82,12 +83,12 @@ def _budget(outcome: Outcome) -> Table:
             cells = [
                 outcome.value(f"method_{side}_arcsec", method=method, **at) for method in methods for side in SIDES
             ]
-            rows.append((label, axis, outcome.value("published_arcsec", **at), *cells))
+            rows.append((label, axis, *(outcome.value(name, **at) for name in beside), *cells))
     return Table(
         columns=(
             "Term",
             "Axis",
-            *_columns(outcome, "published_arcsec"),
+            *_columns(outcome, " ".join(beside)),
             *(
                 Column(name=f"{labels[method]}: {side}", unit="″", key=f"{method}_{side}_arcsec")
                 for method in methods
@@ -96,7 +97,8 @@ def _budget(outcome: Outcome) -> Table:
         ),
         rows=rows,
         caption="The budget, 3 sigma, by centroider on the same frames; uncertainties are one standard deviation.",
-        note="Published: as printed. C2 is an input. C1 is what the polynomial takes of the marking errors: "
+        note=("Published: as printed. " if beside else "")
+        + "C2 is an input. C1 is what the polynomial takes of the marking errors: "
         + ", ".join(f"{v:.3f}″" for v in outcome.values("marking_alone_arcsec"))
         + " (x, y) with a perfect camera. Predicted uncertainties of HSFE and C1 are the scatter from chip to chip.",
     )

@@ -12,7 +12,7 @@ from experiments.harness.quantities import Quantities
 from experiments.harness.summary import Measured
 from experiments.laboratory.centroid_methods import MethodLabels
 from experiments.laboratory.chromatic_error import ChromaticReduction, rms
-from experiments.laboratory.published import ACC18_ARCSEC, ACC18_TABLE1_PX
+from experiments.laboratory.published import ACC18_ARCSEC, ACC18_TABLE1_PX, is_published_sensor
 from experiments.laboratory.signal import add_signal
 from optics.arrays import FloatArray
 
@@ -63,8 +63,9 @@ def _table1(q: Quantities, result: Result) -> None:
     count = result.config.frames * found.shape[0] * found.shape[1]
     entry = {"unit": "px", "dims": "lens pair axis"}
     nothing = (np.nan, np.nan)
-    published = [ACC18_TABLE1_PX.get(name, nothing) for name, _, _ in result.pairs]
-    q.add("published_px", published, "Published", unit="px", dims="pair axis", format=".4f", json="")
+    if is_published_sensor(result.config):
+        published = [ACC18_TABLE1_PX.get(name, nothing) for name, _, _ in result.pairs]
+        q.add("published_px", published, "Published", unit="px", dims="pair axis", format=".4f", json="")
     q.add(
         "table1_px",
         _of_both(result, lambda e: e.table1_px),
@@ -90,7 +91,9 @@ def _table1(q: Quantities, result: Result) -> None:
         dims="lens axis",
         json=_places("lsfe_s_arcsec_3sigma", moved=""),
     )
-    q.add("published_lsfe_arcsec", ACC18_ARCSEC["LSFE-S"], "Published", unit="arcsec", dims="axis", json="")
+    if is_published_sensor(result.config):
+        of = ACC18_ARCSEC["LSFE-S"]
+        q.add("published_lsfe_arcsec", of, "Published", unit="arcsec", dims="axis", json="")
 
 
 def _lsfe(result: Result, evaluation: ChromaticReduction, axis: int, count: int) -> Measured:

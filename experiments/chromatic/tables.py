@@ -29,7 +29,8 @@ def tables(outcome: Outcome) -> Mapping[str, Table | Pivot]:
     return {
         "table1": Pivot(
             rows="lens pair axis",
-            columns="published_px predicted_table1_px photon_table1_px table1_px",
+            columns=("published_px " if "published_px" in outcome.data else "")
+            + "predicted_table1_px photon_table1_px table1_px",
             caption="ACC18 Table 1: mean shift between filters, halved (eq. 16), beside prediction and truth.",
             note=f"One standard deviation, from {config.frames} frames x {points} points per filter and the fixed "
             "pattern's size.",

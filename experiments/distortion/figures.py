@@ -80,10 +80,12 @@ def survey_histogram(outcome: Outcome) -> Figure:
     every = outcome.values("survey_c1_arcsec")
     figure, panel = new_figure(aspect_ratio=0.34)
     bins = np.linspace(0.0, max(1.15 * float(every.max()), 0.6), 40)
-    for values, axis, published, colour in zip(
-        every.T, "xy", outcome.values("published_arcsec"), PALETTE, strict=False
-    ):
+    known = "published_arcsec" in outcome.data
+    for number, (values, axis, colour) in enumerate(zip(every.T, "xy", PALETTE, strict=False)):
         panel.hist(values, bins=bins.tolist(), color=colour, alpha=0.55, label=f"{axis}, {len(every)} surveys")
+        if not known:
+            continue
+        published = float(outcome.values("published_arcsec")[number])
         panel.axvline(published, color=colour, linewidth=1.4, dashes=(4, 2))
         panel.annotate(
             f"published, {axis}",

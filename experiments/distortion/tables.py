@@ -14,12 +14,15 @@ __all__ = ["tables"]
 
 def tables(outcome: Outcome) -> Mapping[str, Pivot]:
     """Tables by file name."""
-    config, published = outcome.config, outcome.values("published_arcsec")
+    config, beside = outcome.config, ""
+    if "published_arcsec" in outcome.data:
+        x, y = outcome.values("published_arcsec")
+        beside = f"; published for σC1: {x}″ in x, {y}″ in y"
     coordinates = "; ".join(f"{name}: {text}" if name != "nominal" else text for name, text in REFERENCES.items())
     every = Pivot(
         rows="method reference number axis",
         columns="one_survey_arcsec all_surveys_arcsec predicted_arcsec",
-        caption=f"The document's three numbers (3 σ); published for σC1: {published[0]}″ in x, {published[1]}″ in y.",
+        caption=f"The document's three numbers (3 σ){beside}.",
         note=f"*Coordinates*: how surveyed places become pixels; nominal: {coordinates}. *All surveys*: RMS and "
         f"scatter over {config.surveys} independent surveys of the same target, same frames.",
     )

@@ -58,10 +58,12 @@ def s_curves(outcome: Outcome) -> Figure:
 
 
 def step_residuals(outcome: Outcome) -> Figure:
-    """ACC18 Fig. 6: residuals of all stars and steps, and the published 3 sigma beside ours."""
+    """ACC18 Fig. 6: residuals of all stars and steps, and 3 sigma, the published one beside ours."""
     residual = outcome.values("residual_px") * outcome.result.instrument.pixel_arcsec
     here = outcome.values("document_arcsec", method=outcome.config.methods[0])
-    ellipses = {"3 σ, here": here, "3 σ, published": outcome.values("published_arcsec")}
+    ellipses = {"3 σ, here": here}
+    if "published_arcsec" in outcome.data:
+        ellipses["3 σ, published"] = outcome.values("published_arcsec")
     return point_figures.step_residuals(residual, ellipses)
 
 

@@ -11,7 +11,7 @@ from experiments.hsfe.result import Result
 from experiments.laboratory.high_frequency import CAUSES
 from experiments.laboratory.point_quantities import point_quantities
 from experiments.laboratory.point_scene import point_signal
-from experiments.laboratory.published import ACC18_ARCSEC
+from experiments.laboratory.published import ACC18_ARCSEC, is_published_sensor
 from experiments.laboratory.signal import add_signal
 from experiments.laboratory.step_statistics import step_residual_px
 
@@ -33,8 +33,9 @@ def describe(result: Result) -> Quantities:
     q.axis("cause", CAUSES, "Cause", names=CAUSE_NAMES)
     _methods(q, result)
     _causes(q, result)
-    published, place = ACC18_ARCSEC["HSFE"], "published_arcsec_3sigma"
-    q.add("published_arcsec", published, "Published", unit="arcsec", dims="axis", format=".2f", json=place)
+    if is_published_sensor(config):
+        published, place = ACC18_ARCSEC["HSFE"], "published_arcsec_3sigma"
+        q.add("published_arcsec", published, "Published", unit="arcsec", dims="axis", format=".2f", json=place)
     q.add("subtraction", config.subtraction, "Subtraction")
     q.add("motion_px", measured.motion_px, "Motion left", unit="px", dims="axis", json="motion_left_px")
     _hexapods(q, result)

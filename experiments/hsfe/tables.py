@@ -17,14 +17,17 @@ __all__ = ["axes_rms", "tables"]
 
 def tables(outcome: Outcome) -> Mapping[str, Table | Pivot]:
     """Tables by file name."""
-    published = outcome.values("published_arcsec")
+    beside = ""
+    if "published_arcsec" in outcome.data:
+        x, y = outcome.values("published_arcsec")
+        beside = f"; published {x}″ in x and {y}″ in y"
     return {
         "hsfe": Pivot(
             rows="method axis",
             columns="document_arcsec predicted_arcsec ratio halved_arcsec one_position_arcsec "
             "one_position_predicted_arcsec",
             plain="document_arcsec ratio",
-            caption=f"HSFE (3 σ) of one star; published {published[0]}″ in x and {published[1]}″ in y.",
+            caption=f"HSFE (3 σ) of one star{beside}.",
             note="*Document*: RMS difference of neighbouring positions, as printed (eq. 9-12), temporal noise "
             "included. *Over √2*: the same without temporal noise, divided by √2, as if neighbours erred "
             "independently. *One position*: what a star really errs by, mean centroid against the truth, common motion "

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-__all__ = ["ACC18_ARCSEC", "ACC18_PIXEL_ARCSEC", "ACC18_TABLE1_PX", "chromatic_of_table1_arcsec"]
+from pydantic import BaseModel
+
+from experiments.laboratory.settings import FilterConfig, InstrumentConfig, PassbandConfig
+
+__all__ = ["ACC18_ARCSEC", "ACC18_PIXEL_ARCSEC", "ACC18_TABLE1_PX", "chromatic_of_table1_arcsec", "is_published_sensor"]
 
 ACC18_ARCSEC: Mapping[str, tuple[float, float]] = {
     "TE": (1.14, 1.23),
@@ -31,3 +35,23 @@ def chromatic_of_table1_arcsec() -> tuple[float, float]:
     columns = zip(*ACC18_TABLE1_PX.values(), strict=True)
     x, y = (max(abs(v) for v in column) / 3.0 * 3.0 * ACC18_PIXEL_ARCSEC for column in columns)
     return y, x
+
+
+_OPEN = ("defocus_mm", "exposure_s")
+"""Of the instrument, what ACC18 does not state: an instrument that is tuned in these is still the published one."""
+
+
+def is_published_sensor(config: BaseModel) -> bool:
+    """Whether a configuration runs the published sensor, so that published numbers have a place beside its own.
+
+    Lens, detector, pass band and filters (those of them that the experiment has) have to be the defaults; focus and
+    exposure are free, for the document states neither.
+    """
+    standard = {"instrument": InstrumentConfig(), "passband": PassbandConfig(), "filters": FilterConfig()}
+    for key, wanted in standard.items():
+        given = getattr(config, key, wanted)
+        if isinstance(given, InstrumentConfig):
+            given = given.model_copy(update={name: getattr(wanted, name) for name in _OPEN})
+        if given != wanted:
+            return False
+    return True

@@ -33,6 +33,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.laboratory.brightness import BrightnessControl
     from experiments.laboratory.known_motion import measure_shaken
     from experiments.laboratory.point_scene import point_laboratory, prepared_scene
+    from experiments.laboratory.published import is_published_sensor
     from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
     from experiments.temporal.result import Result, published_levels
     from render.engine.random import Streams
@@ -73,7 +74,8 @@ def run(config: Config, *, progress: Progress) -> Result:
         at_nominal = predict_temporal(
             bench, instrument, psf=psf, place_px=config.place_px, draws=config.draws, seed=config.seed + 1
         )
-        levels = published_levels(bench, instrument, psf, config.place_px)
+        known = is_published_sensor(config)
+        levels = published_levels(bench, instrument, psf, config.place_px) if known else {}
     return Result(
         config=config,
         instrument=instrument,

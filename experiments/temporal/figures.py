@@ -36,9 +36,10 @@ def level_curves(outcome: Outcome) -> Figure:
             )
             found = outcome.values("level_dark_arcsec", method=method, axis=axis) / c4
             panel.plot(signal, found, marker, color=colour, markerfacecolor="white")
-        published = float(outcome.values("published_arcsec", axis=axis))
-        panel.axhline(published, color="#8a9099", linewidth=0.9, dashes=(5, 3))
-        panel.text(signal[-1], published * 1.05, f"published {published}″", ha="right")
+        if "published_arcsec" in outcome.data:
+            published = float(outcome.values("published_arcsec", axis=axis))
+            panel.axhline(published, color="#8a9099", linewidth=0.9, dashes=(5, 3))
+            panel.text(signal[-1], published * 1.05, f"published {published}″", ha="right")
         panel.set(xscale="log", yscale="log", xlabel="signal [e⁻ per star and frame]", title=axis)
         panel.set_ylim(0.75 * min(bound), None)
         log_ticks(panel, "x")

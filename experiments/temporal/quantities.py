@@ -10,7 +10,7 @@ from experiments.harness.quantities import Quantities
 from experiments.harness.summary import Measured
 from experiments.laboratory.point_quantities import point_quantities
 from experiments.laboratory.point_scene import point_signal
-from experiments.laboratory.published import ACC18_ARCSEC
+from experiments.laboratory.published import ACC18_ARCSEC, is_published_sensor
 from experiments.laboratory.signal import add_signal
 from experiments.laboratory.temporal_error import TemporalMeasurement, TemporalPrediction, small_sample_factor
 from experiments.temporal.result import Result
@@ -41,11 +41,12 @@ def describe(result: Result) -> Quantities:
     q = point_quantities(methods)
     _nominal(q, result)
     _levels(q, result)
-    published, place = ACC18_ARCSEC["TE"], "published_arcsec_3sigma"
-    q.add("published_arcsec", published, "Published", unit="arcsec", dims="axis", json=place)
-    faint, place = [result.published_level_e[m] for m in methods], "signal_that_gives_the_published_e"
-    label = "Signal that gives the published error"
-    q.add("published_signal_e", faint, label, unit="e-", dims="method axis", json=place)
+    if is_published_sensor(result.config):
+        published, place = ACC18_ARCSEC["TE"], "published_arcsec_3sigma"
+        q.add("published_arcsec", published, "Published", unit="arcsec", dims="axis", json=place)
+        faint, place = [result.published_level_e[m] for m in methods], "signal_that_gives_the_published_e"
+        label = "Signal that gives the published error"
+        q.add("published_signal_e", faint, label, unit="e-", dims="method axis", json=place)
     signal = point_signal(result.config, result.instrument)
     add_signal(q, signal)
     magnitude = [signal.magnitude_of(level) for level in result.measured.levels_e]

@@ -37,6 +37,7 @@ class Result:
         At the signal of the source, the target moved by a known amount while frames were taken.
     published_level_e : dict of str to (2,)
         Signal at which each centroider would show the published numbers, x and y, by prediction; NaN outside 50 to 2e4.
+        Empty for another sensor than the published one.
     """
 
     config: Config

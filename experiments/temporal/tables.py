@@ -14,12 +14,14 @@ __all__ = ["tables"]
 def tables(outcome: Outcome) -> Mapping[str, Table | Pivot]:
     """Tables by file name."""
     signal = f"{outcome.value('signal_e'):.0f} e⁻"
-    result, published = outcome.result, outcome.values("published_arcsec")
+    result, beside = outcome.result, ""
+    if "published_arcsec" in outcome.data:
+        x, y = outcome.values("published_arcsec")
+        beside = f"; published {x}″ in x and {y}″ in y"
     main = Pivot(
         rows="method axis",
         columns="dark_arcsec raw_arcsec influence_arcsec drawn_arcsec ratio",
-        caption=f"Temporal error (3 σ) of one star at {signal} per frame, dark-subtracted and raw; published "
-        f"{published[0]}″ in x and {published[1]}″ in y.",
+        caption=f"Temporal error (3 σ) of one star at {signal} per frame, dark-subtracted and raw{beside}.",
         note=f"{result.nominal.frames} frames of {len(result.nominal.light)} stars. Measured values carry the "
         "small-sample factor of a standard deviation, as the document's do; it is taken out of *Ratio*, measured over "
         "drawn noise.",

@@ -18,6 +18,7 @@ from experiments.laboratory.instrument import build_instrument
 from experiments.laboratory.known_motion import measure_wedged
 from experiments.laboratory.ray_prediction import bundle_prediction
 from experiments.laboratory.settings import InstrumentConfig
+from experiments.laboratory.signal import Signal
 from render.engine.random import Streams
 from render.sensor import StarSensor
 
@@ -62,6 +63,7 @@ def whole(bench, instrument, seed=1):
         moved_stellar=stars,
         field_shift_px={name: np.zeros((1, 2)) for name, _, _ in bench.pairs},
         star_e=6000.0,
+        signal=Signal(signal_e=6000.0, magnitude_mag=7.5, temperature_k=5800.0),
     )
 
 

@@ -1,0 +1,25 @@
+"""Published numbers stand beside the published sensor only."""
+
+import pytest
+
+from experiments.harness.config import load_config
+from experiments.laboratory.published import is_published_sensor
+
+
+def test_what_the_document_leaves_open_may_change():
+    from experiments.budget.settings import Config
+
+    assert is_published_sensor(Config())
+    open_keys = ["instrument.defocus_mm=0.02", "instrument.exposure_s=0.2", "source.magnitude_mag=7"]
+    assert is_published_sensor(load_config(Config, settings=open_keys))
+    assert is_published_sensor(load_config(Config, file="experiments/data/acc18_tuned.toml"))
+
+
+@pytest.mark.parametrize(
+    "setting",
+    ["instrument.lens=star_camera_50mm", "instrument.f_number=4", "passband.range_nm=[450,850]", "filters.width_nm=80"],
+)
+def test_another_sensor_is_not_the_published_one(setting):
+    from experiments.budget.settings import Config
+
+    assert not is_published_sensor(load_config(Config, settings=[setting]))
