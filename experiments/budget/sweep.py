@@ -196,7 +196,7 @@ def check_full_well(lab: Laboratory) -> None:
     sigma2 = float(np.nanmin(radius)) ** 2 / 2.0 + chip.diffusion_sigma_px**2 + 1.0 / 12.0
     if signal / (2.0 * np.pi * sigma2 + 1.0) > top:
         raise DomainError(
-            f"{signal:g} e- per point and frame saturate the brightest pixel of a point (it holds {top:.0f} e-); "
+            f"source: a point of {signal:g} e- saturates its brightest pixel (it holds {top:.0f} e-); "
             "lower source.signal_e (raise source.magnitude_mag) or defocus"
         )
 
