@@ -26,8 +26,10 @@ __all__ = [
     "expected_sight_map",
     "failures",
     "gains",
+    "iac_pulls",
     "method_errors",
     "outside_limit",
+    "own_pulls_over_expected",
     "pooled_errors",
     "published_deviation",
     "pull_limit",
@@ -188,6 +190,26 @@ def pulls(result: Result) -> dict[str, FloatArray]:
         found["carried"].append(error / np.sqrt(np.diag(expected.acc)))
         found["linked"].append(trials.of("linked", "error") / trials.of("linked", "sigma"))
     return {which: np.concatenate(parts) for which, parts in found.items()}
+
+
+def own_pulls_over_expected(result: Result) -> FloatArray:
+    """RMS pulls (14,) of ACC by its own covariance, over what the design lets expect at each noise of Fig. 5.
+
+    That is above 1 by what the gyro's error, which the covariance lacks, adds to an unknown; it adds most where the
+    stars are least noisy, so that pulls are divided noise by noise before they are put together.
+    """
+    square = []
+    for point, expected in zip(result.plan.fig5, result.expected.fig5, strict=True):
+        trials = result.trials[point.name]
+        pull = trials.of("acc", "error") / trials.of("acc", "sigma")
+        square.append((pull**2).mean(0) * np.diag(expected.perfect) / np.diag(expected.acc))
+    return np.asarray(np.sqrt(np.mean(square, axis=0)))
+
+
+def iac_pulls(result: Result) -> FloatArray:
+    """RMS pulls (8,) of the camera's unknowns by unweighted angles and their own covariance, all noises together."""
+    pull = _fig5(result, "iac", "error")[..., :8] / _fig5(result, "iac", "sigma")[..., :8]
+    return np.asarray(np.sqrt((pull**2).mean((0, 1))))
 
 
 def pull_limit(runs: int) -> float:
