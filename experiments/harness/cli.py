@@ -371,5 +371,5 @@ def _show(run: _Run, shown: str) -> None:
     for one in run.criteria:
         if one.advice and not one.passed:
             console.print(f"{one.name}: {one.advice}", style="red", highlight=False, markup=False, soft_wrap=True)
-    console.print(verdict_line(run.criteria), style="bold", highlight=False)
+    console.print(verdict_line(run.criteria, run.experiment.judged), style="bold", highlight=False)
     console.print(f"report: {Path(shown) / 'report.html'}", highlight=False, soft_wrap=True)

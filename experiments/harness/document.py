@@ -173,6 +173,7 @@ def render_document(
     draw: Callable[..., Any],
     criteria: Sequence[Criterion],
     provenance: Mapping[str, Any],
+    judged: str = "simulation",
 ) -> str:
     """The report as one HTML page without any reference to another file or host.
 
@@ -190,6 +191,8 @@ def render_document(
         Shown with the verdict.
     provenance : mapping
         As of `experiments.harness.provenance.collect`.
+    judged : str
+        What the criteria judge.
 
     Returns
     -------
@@ -232,7 +235,7 @@ def render_document(
     return environment.get_template("report.html").render(
         **filled,
         passed=all(criterion.passed for criterion in criteria),
-        verdict_line=verdict_line(criteria),
+        verdict_line=verdict_line(criteria, judged),
         criteria_table=None if placed or not criteria else show(_Criteria()),
     )
 

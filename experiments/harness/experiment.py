@@ -70,6 +70,8 @@ class Experiment:
         Dotted key -> value of the ``--quick`` run; the user's own settings win over it.
     show : sequence of str
         Tables that are printed in the terminal too.
+    judged : str
+        What the criteria judge, a word of the verdict.
     files : "module:function" or callable, optional
         ``files(result, folder)`` writes further files.
     renders : callable
@@ -99,6 +101,7 @@ class Experiment:
     extra: Part | None = None
     quick: Mapping[str, Any] = field(default_factory=dict)
     show: Sequence[str] = ()
+    judged: str = "simulation"
     files: Part | None = None
     renders: Callable[[Any], bool] = field(default=lambda _: True)
     options: Mapping[str, tuple[str, str]] = field(default_factory=dict)
@@ -190,4 +193,5 @@ class Experiment:
             draw=self.draw(outcome),
             criteria=criteria,
             provenance=provenance,
+            judged=self.judged,
         )

@@ -101,16 +101,21 @@ class Measured:
     n: int | None = None
 
 
-def verdict_line(criteria: Sequence[Criterion]) -> str:
-    """How many criteria hold, as a sentence."""
+def verdict_line(criteria: Sequence[Criterion], judged: str = "simulation") -> str:
+    """Whether what was judged (the simulation, or a reduction of frames) is consistent, and how many criteria say so.
+
+    It says nothing about whether a sensor is good enough: that is what requirements are for (`experiments.camera`).
+    """
     failed = sum(not criterion.passed for criterion in criteria)
     if not criteria:
         return "No criteria were set."
     if len(criteria) == 1:
-        return "The criterion does not hold." if failed else "The criterion holds."
+        holds = "does not hold" if failed else "holds"
+        return f"The {judged} is {'not ' if failed else ''}consistent: the criterion {holds}."
     if failed == 0:
-        return f"All {len(criteria)} criteria hold."
-    return f"{failed} of {len(criteria)} criteria {'does' if failed == 1 else 'do'} not hold."
+        return f"The {judged} is consistent: all {len(criteria)} criteria hold."
+    not_so = f"{failed} of {len(criteria)} criteria {'does' if failed == 1 else 'do'} not hold"
+    return f"The {judged} is not consistent: {not_so}."
 
 
 def summary(

@@ -187,5 +187,6 @@ def _experiment(rendered: Experiment, test: FramesTest) -> Experiment:
         figures={name: draw for name, (draw, _) in test.figures.items()},
         report=Path(__file__).with_name("frames.md"),
         renders=lambda _: False,
+        judged="reduction",
         show=test.show,
     )

@@ -133,7 +133,7 @@ def test_report_stands_alone_and_is_escaped(output):
     assert len(page.ids) == len(set(page.ids))
     words = "".join(page.words)
     assert "<b>7 & 8</b>" in words  # seen as text, not taken as markup
-    assert "The criterion holds." in words
+    assert "the criterion holds." in words
     assert "Figure 3." in words
     assert "Table 1." in words
     assert text.count("<svg") == 3  # two drawings and an equation
@@ -161,7 +161,7 @@ def test_same_seed_same_bytes(shot_noise, tmp_path, output):
 def test_failed_criterion_is_exit_1_and_still_written(shot_noise, tmp_path, capsys):
     out = tmp_path / "out"
     assert shot_noise.main(["--quick", "--out", str(out), "--set", "limit_sigma=1e-6"]) == 1
-    assert "The criterion does not hold." in capsys.readouterr().out
+    assert "the criterion does not hold." in capsys.readouterr().out
     assert json.loads((out / "summary.json").read_text())["criteria"][0]["passed"] is False
 
 

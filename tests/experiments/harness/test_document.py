@@ -74,11 +74,11 @@ def criterion(passed):
     ("passed", "line"),
     [
         ([], "No criteria were set."),
-        ([True], "The criterion holds."),
-        ([False], "The criterion does not hold."),
-        ([True, True], "All 2 criteria hold."),
-        ([True, False, True], "1 of 3 criteria does not hold."),
-        ([False, False, True], "2 of 3 criteria do not hold."),
+        ([True], "The simulation is consistent: the criterion holds."),
+        ([False], "The simulation is not consistent: the criterion does not hold."),
+        ([True, True], "The simulation is consistent: all 2 criteria hold."),
+        ([True, False, True], "The simulation is not consistent: 1 of 3 criteria does not hold."),
+        ([False, False, True], "The simulation is not consistent: 2 of 3 criteria do not hold."),
     ],
 )
 def test_verdict_line(passed, line):
@@ -91,7 +91,9 @@ def test_prose_and_what_is_said_first(page):
     )
     assert "<h1>T &amp; T</h1>" in html
     assert "<title>T &amp; T</title>" in html
-    assert "<strong>The criterion holds.</strong> In <em>short</em>: 1.000 ± 0.012″." in html
+    assert (
+        "<strong>The simulation is consistent: the criterion holds.</strong> In <em>short</em>: 1.000 ± 0.012″." in html
+    )
     assert '<div class="lead"><p>Lead one.</p>' in html.replace("\n", "")
 
 
