@@ -112,7 +112,7 @@ experiment = Experiment(
         "steps.places": 1,
         "steps.positions": 6,
         "sweep": "instrument.defocus_mm=0:0.02:2",
-        "tornado.parameters": ["source.signal_e", "detector.read_noise_e"],
+        "tornado.parameters": ["source.signal_e"],
         "tolerances.draws": 30,
         "attitude.trials": 500,
         "attitude.counts": [2, 5, 10, 30],
