@@ -33,6 +33,7 @@ import numpy as np
 from markupsafe import Markup
 
 from experiments.harness.blocks import Artist, Equation, Figure, KeyNumber, Row
+from experiments.harness.glossary import Glossary
 from experiments.harness.quantities import Outcome, Quantity, shown_unit
 from experiments.harness.summary import Criterion, Measured, dumps, verdict_line
 from experiments.harness.tables import Table, cell_text, significant
@@ -231,12 +232,15 @@ def render_document(
         name: Markup(_MARK.sub(lambda mark: str(show(context.blocks[int(mark[1])])).strip(), html))
         for name, html in page.items()
     }
+    glossary = Glossary()
+    filled = {name: html if name == "title" else glossary.mark(str(html)) for name, html in filled.items()}
     placed = any(isinstance(block, _Criteria) for block in context.blocks)
     return environment.get_template("report.html").render(
         **filled,
         passed=all(criterion.passed for criterion in criteria),
         verdict_line=verdict_line(criteria, judged),
         criteria_table=None if placed or not criteria else show(_Criteria()),
+        glossary=glossary,
     )
 
 
