@@ -113,9 +113,11 @@ def predict_terms(
 def _steps(
     lab: Laboratory, psfs: Psfs, draws: int, defect: NDArray[np.bool_] | None, *, coarse: bool
 ) -> dict[str, tuple[Value, dict[str, FloatArray], FloatArray]]:
-    """HSFE, its causes and the error of one position, by centroider: RMS over every second place of the test."""
+    """HSFE, its causes and the error of one position, by centroider: RMS over places of the test."""
     bench, instrument = lab.bench, lab.instrument
-    places = places_px(lab)[:: 2 if not coarse else len(places_px(lab))]  # the field changes slowly
+    # the field changes slowly, but not what one PSF for all of it does to the S-curve
+    every = 1 if any(needs_measured_epsf(method) for method in bench.methods) else 2
+    places = places_px(lab)[:: every if not coarse else len(places_px(lab))]
     predicted = []
     for number, middle in enumerate(places):
         direction = target_place(bench, instrument, middle.tolist())
