@@ -141,6 +141,7 @@ def test_errors_of_table_2_as_the_document_prints_them(outcome):
     assert published[8:] == pytest.approx([26.64, -13.68, 3.6, 6.84, -18.0, 0.36], rel=1e-3)  # arcsec
 
 
+@pytest.mark.slow
 def test_report(outcome):
     tables, criteria = experiment.make_tables(outcome), experiment.judge(outcome)
     provenance = collect("acf", SMALL.model_dump(mode="json"), variant=None, quick=False, times_s={})

@@ -56,6 +56,7 @@ def run(tiny_run):
     return tiny_run("fisher", instrument__detector=DETECTOR, **places, **table, **star, **study, **more, **clocks)
 
 
+@pytest.mark.slow
 def test_the_run_is_complete(run) -> None:
     assert run.status == 0
     assert (run.folder / "report.html").stat().st_size > 50_000
@@ -64,6 +65,7 @@ def test_the_run_is_complete(run) -> None:
     assert {f"{name}.ecsv" for name in names} < {path.name for path in run.folder.iterdir()}
 
 
+@pytest.mark.slow
 def test_the_scatter_is_that_of_the_table(run) -> None:
     """Both axes stand across the star: each reading errs in full along one of two directions, the clocks along one."""
     clocks = RATE_DEG_PER_S * 3600 * JITTER_MS / 1000 / np.sqrt(2)
