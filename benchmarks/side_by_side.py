@@ -20,17 +20,35 @@ import numpy as np
 
 from experiments.harness.threads import THREADS
 
+PRODUCTS = """
+import numpy as np
+a, b, s = np.ones((200, 40)), np.ones((40, 200)), np.eye(80)
+for _ in range(6000):
+    a @ b
+    np.linalg.solve(s, np.ones(80))
+"""
+"""Small matrices alone, as fits and predictions have them."""
+
+
+def command_of(name: str, out: Path) -> list[str]:
+    """What is run: an experiment, or matrix products alone."""
+    if name == "products":
+        return [sys.executable, "-c", PRODUCTS]
+    return [sys.executable, "-m", f"experiments.{name}", "--quick", "--out", str(out)]
+
 
 def seconds(name: str, copies: int, threads: int | None, folder: Path) -> tuple[float, float]:
     """Wall and processor time [s] of so many runs at once; ``threads`` None leaves the choice to the program."""
     environment = {key: value for key, value in os.environ.items() if key not in THREADS}
     if threads is not None:
         environment |= dict.fromkeys(THREADS, str(threads))
+    elif name == "products":
+        environment |= dict.fromkeys(THREADS, "1")  # as `one_thread` has it in a command
     out = Path(tempfile.mkdtemp(dir=folder))
     before, start = os.times(), time.perf_counter()
     running = [
         subprocess.Popen(
-            [sys.executable, "-m", f"experiments.{name}", "--quick", "--out", str(out / str(copy))],
+            command_of(name, out / str(copy)),
             env=environment,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -48,7 +66,7 @@ def seconds(name: str, copies: int, threads: int | None, folder: Path) -> tuple[
 def main() -> None:
     """Measure and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--names", nargs="+", default=["turntable", "fisher", "skycal"])
+    parser.add_argument("--names", nargs="+", default=["products", "fisher", "turntable"])
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--copies", type=int, default=4)
     options = parser.parse_args()
