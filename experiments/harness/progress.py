@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sized
@@ -165,7 +166,10 @@ class LineProgress(Progress):
 
 
 def terminal_progress() -> Progress:
-    """Progress on the standard error stream: bars if that is a terminal, otherwise lines; silent without the stream."""
-    if sys.stderr is None:
+    """Progress on the standard error stream: bars if that is a terminal, otherwise lines.
+
+    Silent without the stream; no lines where the environment says ``STARBENCH_PROGRESS=none``.
+    """
+    if sys.stderr is None or (not sys.stderr.isatty() and os.environ.get("STARBENCH_PROGRESS") == "none"):
         return Progress()
     return _RichProgress() if sys.stderr.isatty() else LineProgress(sys.stderr)

@@ -267,7 +267,7 @@ def test_missing_llvm_is_exit_2(tmp_path):
     assert done.returncode == 2
     assert done.stderr.startswith("error: backend 'llvm' needs the LLVM library")
     assert done.stderr.count("\n") == 1
-    assert "apt-get install libllvm15" in done.stderr
+    assert re.search(r"apt-get install -y libllvm1\d", done.stderr)
     assert names(tmp_path) == []
 
 
