@@ -56,6 +56,7 @@ ROUGH_PX, ROUGH_LOG2 = 3.0, 2
 
 BESIDE_PX = (2.5, 7.0)
 """Part of the rim, from the hole's edge, whose brightness a line carries to the edge."""
+BETTER_LIGHT = "is it in the picture and bright enough? (camera.plateau_e, simulator.source_arcmin, trim.start_px)"
 EDGE_HALF_WIDTH_PX = {"aperture": 1.5, "spot": 14.0, "hole": 1.5}
 
 
@@ -230,8 +231,7 @@ def fit_aperture(picture: Picture, radius_mm: float) -> CircleFit:
         outside = spokes.radius > radius_mm + 8 * picture.camera.pitch_mm
         level = 0.5 * (np.nanmedian(spokes.value[:, inside]) + np.nanmedian(spokes.value[:, outside]))
         edge = edge_crossings(spokes, level, rising=False, half_width=width)
-        _enough(edge, "aperture")
-        fit = _circle(edge)
+        fit = _circle(edge, "aperture")
         moved, centre = float(np.hypot(*(fit.centre - centre))), fit.centre
     return fit
 
@@ -258,8 +258,7 @@ def fit_spot(picture: Picture, aperture: CircleFit, reach_mm: float) -> CircleFi
         level = dark + RIM_LEVEL * (np.nanpercentile(rim, 90) - dark)
         edge = edge_crossings(spokes, level, rising=False, half_width=width)
         edge = edge.outside(aperture.centre, aperture.radius + HOLE_MARGIN_PX * pitch)
-        _enough(edge, "spot")
-        fit = _circle(edge)
+        fit = _circle(edge, "spot")
         centre = fit.centre
     return fit
 
@@ -277,21 +276,23 @@ def fit_hole(picture: Picture, aperture: CircleFit) -> CircleFit:
         dark = np.nanmedian(spokes.value[:, inside])
         at_edge = _lines(spokes.radius[beside] - aperture.radius, spokes.value[:, beside])
         edge = edge_crossings(spokes, 0.5 * (dark + at_edge), rising=True, half_width=width)
-        _enough(edge, "edge of the hole")
-        fit = _circle(edge)
+        fit = _circle(edge, "edge of the hole")
         moved, centre = float(np.hypot(*(fit.centre - centre))), fit.centre
     return fit
 
 
-def _circle(edge: EdgePoints) -> CircleFit:
+def _circle(edge: EdgePoints, what: str) -> CircleFit:
     """Circle whose covariance follows from the scatter of the points about it, in either direction.
 
     The line through an edge that curves leaves residuals that are the same on every spoke; counted as noise they make
     the stated errors of the points too large, up to ten times on the sharp edge of the aperture.
     """
+    if len(edge) < SPOKES // 6:
+        raise ConvergenceError(f"the {what} shows only {len(edge)} edge points on {SPOKES} spokes; {BETTER_LIGHT}")
     fit = fit_circle(edge.point, sigma=edge.sigma)
     if not fit.converged:
-        raise ConvergenceError(f"{len(edge)} edge points show no circle ({fit.status}): {fit.message}")
+        why = fit.message.partition(";")[0]
+        raise ConvergenceError(f"the {len(edge)} edge points of the {what} show no circle ({why}); {BETTER_LIGHT}")
     return replace(fit, covariance=fit.covariance * min(fit.misfit.ratio**2, 1.0))
 
 
@@ -313,14 +314,6 @@ def _brightest(picture: Picture, aperture: CircleFit) -> FloatArray:
     if not weight.sum() > 0:
         return aperture.centre
     return np.asarray((weight @ point) / weight.sum())
-
-
-def _enough(edge: EdgePoints, what: str) -> None:
-    if len(edge) < SPOKES // 6:
-        raise ConvergenceError(
-            f"the {what} shows only {len(edge)} edge points on {SPOKES} spokes; is it in the picture and bright "
-            "enough? (camera.plateau_e, simulator.source_arcmin, trim.start_px)"
-        )
 
 
 def measure_offset(aperture: CircleFit, spot: CircleFit, pitch_mm: float) -> Offset:

@@ -36,7 +36,10 @@ SETTINGS = [
 
 RENDERED = [
     (["trim.stop_px=0.001", "trim.allowed=2"], "not concentric after trim.allowed = 2 settings"),
-    (["camera.plateau_e=30"], "the pictures locate the spot to .* px only|shows only .* edge points"),
+    (
+        ["camera.plateau_e=30"],
+        "the pictures locate the spot to .* px only|edge points of the .* show no circle .*camera.plateau_e",
+    ),
 ]
 
 

@@ -53,7 +53,7 @@ def test_a_planet_among_the_stars(engine):
     (row,) = np.flatnonzero(truth["star_id"] == PLANET_IDS["neptune"])
     assert truth["catalogue_row"][row] == -1
     assert abs(truth["magnitude"][row] - 7.8) < 0.1
-    middle = np.array([CAMERA.width_px - 1, CAMERA.height_px - 1]) / 2
+    middle = np.array([CAMERA["instrument"].width_px - 1, CAMERA["instrument"].height_px - 1]) / 2
     off = np.hypot(truth["photon_x_px"][row] - middle[0], truth["photon_y_px"][row] - middle[1])
     assert off < 20  # aberration, 20 arcsec, and light time, at 5.5 arcsec per pixel
     disk = made["jupiter"].frame.saturated

@@ -55,7 +55,8 @@ def summary(outcome):
 
 def test_all_criteria_hold(outcome, summary):
     assert [one["name"] for one in summary["criteria"] if not one["passed"]] == []
-    assert len(summary["criteria"]) == 14
+    lenses = [sum(one["name"].startswith(lens) for one in summary["criteria"]) for lens in ("206 mm", "25.6 mm")]
+    assert min(lenses) > 5  # each lens is judged
     assert outcome[0] == 0
 
 
