@@ -33,10 +33,15 @@ line_time_s : float, default 0
 first_row : int, default 0
     Row of the detector that is row 0 of the film, where the film is a window.
 
-Stars are traced forward by ``star_tracer``. Extended bodies are rendered by any stock integrator: `sample_ray` starts
+The film may be cropped (``crop_width`` ...): its pixels are those of the whole film.
+
+Stars are traced forward by ``star_tracer``. Extended bodies are rendered by stock integrators: `sample_ray` starts
 on the detector, aims at the exit pupil, and traces the lens backwards, so that a pixel's value is its mean irradiance:
 the integral of L cos(theta) over the exit pupil's solid angle (pi sin^2 for a uniform sky). Charge diffusion, quantum
-efficiency and the transmission of the lens are not in it.
+efficiency and the transmission of the lens are not in it. ``ptracer`` goes the other way and gives the same image:
+`sample_direction` aims from a point of the scene at the entrance pupil and traces the lens forwards; it needs a camera
+at rest. ``prb_projective`` and ``direct_projective`` move silhouettes by the projection of a pinhole: their derivatives
+are refused, ``prb`` has those of everything but silhouettes.
 """
 
 from __future__ import annotations
@@ -216,6 +221,32 @@ def exit_disk(camera: Camera) -> tuple[float, float, float, float]:
     return float(centre_x), float(centre_y), reach, radius_mm
 
 
+class _Forward(NamedTuple):
+    """The lens as light from a point of the scene goes through it; numbers are Dr.Jit arrays of size one.
+
+    Attributes
+    ----------
+    xp : DrJitArrays
+        Array functions.
+    program, theta
+        The compiled lens and its parameters.
+    disk_mm : 4 numbers
+        Centre and radius of `render.camera.launch_disk`.
+    film : 6 numbers
+        Column and row of the image plane's origin, counted from the outer corner of the film's crop; pixels per mm;
+        columns, rows and area [mm^2] of the crop.
+    rotation : 9 numbers
+        cam from world.
+    """
+
+    xp: DrJitArrays
+    program: LensProgram
+    theta: Any
+    disk_mm: Any
+    film: Any
+    rotation: Any
+
+
 class _Backward(NamedTuple):
     """The reversed lens as it is traced; numbers are Dr.Jit arrays of size one.
 
@@ -226,7 +257,7 @@ class _Backward(NamedTuple):
     program, theta
         The compiled lens and its parameters.
     film_mm : 4 numbers
-        Width, left edge, height and top edge of the film; rows run downwards.
+        Width, left edge, height and top edge of the film's crop; rows run downwards.
     turn, rotation : 9 numbers
         Reversed lens's frame from film; cam from world; row by row.
     exit_disk_mm : 4 numbers
@@ -263,16 +294,33 @@ def define(mi: Any) -> type:
             if self._motion is not None and not exposure_s > 0:
                 raise ConfigError("lens_camera: motion_rotation needs shutter_open and shutter_close")
             self._opened_s = float(props.get("shutter_open", 0.0))
+            self._crop: tuple[int, int, int, int] | None = None
             self._backward: _Backward | None = None
+            self._forward: _Forward | None = None
             self._turns: tuple[Any, ...] | None = None
+
+        def _window(self) -> tuple[int, int, int, int]:
+            """Crop of the film (first column, first row, columns, rows); what hangs on another one is forgotten."""
+            offset, size, whole = self.film().crop_offset(), self.film().crop_size(), self.film().size()
+            if (int(whole.x), int(whole.y)) != (self.camera.width_px, self.camera.height_px):
+                raise ConfigError(
+                    f"lens_camera: the film has become {int(whole.x)} x {int(whole.y)} px, the camera has "
+                    f"{self.camera.width_px} x {self.camera.height_px} px; load the camera again or crop the film"
+                )
+            crop = (int(offset.x), int(offset.y), int(size.x), int(size.y))
+            if crop != self._crop:
+                self._crop, self._backward, self._forward, self._turns = crop, None, None, None
+            return crop
 
         def _reversed(self) -> _Backward:
             """The reversed lens and what surrounds it; none of the numbers ends up in a kernel."""
+            first_column, first_row, columns, rows = self._window()
             if self._backward is None:
                 camera, xp = self.camera, DrJitArrays(mi.Float64)
                 program, theta = compile_lens(reverse(camera.focused_lens))
                 pitch, (cx, cy), turn = camera.pixel_pitch_mm, camera.centre_px, HALF_TURN @ camera.lens.image_rotation
-                film = [camera.width_px * pitch, -(0.5 + cx) * pitch, -camera.height_px * pitch, (0.5 + cy) * pitch]
+                left, top = (first_column - 0.5 - cx) * pitch, (0.5 + cy - first_row) * pitch
+                film = [columns * pitch, left, -rows * pitch, top]
                 groups = (theta, film, turn.ravel(), exit_disk(camera), camera.rotation_cam_from_world.ravel())
                 self._backward = _Backward(xp, program, *(xp.parameters(group) for group in groups))
             return self._backward
@@ -336,10 +384,11 @@ def define(mi: Any) -> type:
             if self._turns is None:
                 columns = tuple(F(np.ascontiguousarray(motion.quaternion[:, k])) for k in range(4))
                 last = len(motion.quaternion) - 1
-                values = (self._opened_s, last / motion.duration_s, motion.line_time_s, float(last), motion.first_row)
+                first_row = motion.first_row + self._window()[1]
+                values = (self._opened_s, last / motion.duration_s, motion.line_time_s, float(last), first_row)
                 self._turns = (columns, tuple(dr.opaque(F, value) for value in values))
             columns, (opened, steps_per_s, line_time, last, first_row) = self._turns
-            row = dr.floor(F(sample2.y) * self.camera.height_px) + first_row
+            row = dr.floor(F(sample2.y) * self._window()[3]) + first_row
             step = dr.clip((F(time) - opened + row * line_time) * steps_per_s, 0.0, last)
             low = dr.minimum(dr.floor(step), last - 1.0)
             index, part = mi.UInt32(low), step - low
@@ -363,17 +412,90 @@ def define(mi: Any) -> type:
             if not mi.is_spectral:
                 return mi.Color0f(), mi.Spectrum(1.0), dr.opaque(mi.Float64, self.wavelength_nm)
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), sample1, active)
-            low, high = self.camera.lens.wavelength_range_nm
-            hero = mi.Float64(dr.clip(wavelengths[0], low, high))
-            only_hero = dr.zeros(mi.Spectrum)
-            only_hero[0] = float(dr.size_v(mi.Spectrum))
+            only_hero, hero = self._hero(wavelengths)
             return wavelengths, weight * only_hero, hero
+
+        def _hero(self, wavelengths: Any) -> tuple[Any, Any]:
+            """Weight that leaves only the first of a ray's wavelengths, as a number where light is polarised; that."""
+            low, high = self.camera.lens.wavelength_range_nm
+            only_hero = dr.zeros(mi.UnpolarizedSpectrum)
+            only_hero[0] = float(dr.size_v(mi.UnpolarizedSpectrum))
+            return mi.Spectrum(only_hero), mi.Float64(dr.clip(wavelengths[0], low, high))
 
         def to_string(self) -> str:
             return f"LensCamera[lens={self.camera.lens.name}, {self.camera.width_px} x {self.camera.height_px} px]"
 
+        def _ahead(self) -> _Forward:
+            """The lens for light from the scene, and what surrounds it."""
+            first_column, first_row, columns, rows = self._window()
+            if self._forward is None:
+                camera, xp, disk = self.camera, DrJitArrays(mi.Float64), launch_disk(self.camera)
+                program, theta = compile_lens(camera.focused_lens)
+                pitch, (cx, cy) = camera.pixel_pitch_mm, camera.centre_px
+                at = [disk.x_mm, disk.y_mm, disk.z_mm, disk.radius_mm]
+                film = [cx + 0.5 - first_column, cy + 0.5 - first_row, 1.0 / pitch]
+                film += [columns, rows, columns * rows * pitch**2]
+                groups = (theta, at, film, camera.rotation_cam_from_world.ravel())
+                self._forward = _Forward(xp, program, *(xp.parameters(group) for group in groups))
+            return self._forward
+
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
-            return dr.zeros(mi.DirectionSample3f), mi.Spectrum(0)
+            """From a point of the scene through a point of the entrance pupil to the film; weight for ``ptracer``.
+
+            The weight times the radiant intensity of the point is power over the area of the film, so that sums over
+            a pixel are its irradiance.
+            """
+            if self._motion is not None:
+                raise ConfigError(
+                    "lens_camera: ptracer needs a camera at rest; take path, or leave motion_rotation out"
+                )
+            F, ahead, scale = mi.Float64, self._ahead(), self.scene_unit_mm
+            x, y, z, radius = ahead.disk_mm
+            turn, away = ahead.rotation, (mi.Vector3d(it.p) - mi.Vector3d(self._position)) * scale
+            cam = [turn[3 * k] * away.x + turn[3 * k + 1] * away.y + turn[3 * k + 2] * away.z for k in range(3)]
+            on_disk = mi.warp.square_to_uniform_disk_concentric(sample)
+            through = mi.Vector3d(x + F(on_disk.x) * radius, y + F(on_disk.y) * radius, z)
+            d = through - mi.Vector3d(-cam[0], cam[1], -cam[2])
+            distance2 = dr.squared_norm(d)
+            d = d / dr.sqrt(distance2)
+            spectrum, wavelength = mi.Spectrum(1.0), dr.opaque(F, self.wavelength_nm)
+            if mi.is_spectral:
+                spectrum, wavelength = self._hero(it.wavelengths)
+            zero = dr.zeros(mi.Int32, dr.width(d))
+            rays = Rays(
+                x=through.x, y=through.y, z=through.z, dx=d.x, dy=d.y, dz=d.z,
+                wavelength_nm=wavelength, opl_mm=F(0.0), status=zero, failed_at=zero - 1,
+            )  # fmt: skip
+            out = trace_program(ahead.program, ahead.theta, rays, ahead.xp)
+            across, down, per_mm, columns, rows, area_mm2 = ahead.film
+            column, row = across + out.x * per_mm, down - out.y * per_mm
+            ok = active & (out.status == OK) & (cam[2] > 0.0) & (d.z > 0.0)
+            ok &= (column >= 0.0) & (column < columns) & (row >= 0.0) & (row < rows)
+            enters = through - d * (z / d.z)
+            weight = dr.square(scale * radius) * math.pi * d.z / (distance2 * area_mm2)
+            ds = dr.zeros(mi.DirectionSample3f, dr.width(d))
+            ds.p = mi.Point3f(self._world(turn, -enters.x / scale, enters.y / scale, 0.0) + self._position)
+            ds.d = ds.p - it.p
+            ds.dist = dr.norm(ds.d)
+            ds.d = ds.d / ds.dist
+            ds.n = mi.Normal3f(self._world(turn, 0.0, 0.0, 1.0))
+            ds.uv = dr.select(ok, mi.Point2f(mi.Float(column), mi.Float(row)), 0.0)
+            ds.time = it.time
+            ds.pdf = dr.select(ok, mi.Float(1.0), 0.0)
+            return ds, (spectrum * mi.Float(weight)) & ok
+
+        def projection_transform(self) -> Any:
+            """Asked for by integrators that move silhouettes: a lens has none.
+
+            Raises
+            ------
+            ConfigError
+                Always.
+            """
+            raise ConfigError(
+                "lens_camera: prb_projective and direct_projective move silhouettes by the projection of a pinhole, "
+                "which a lens does not have; take prb, whose derivatives leave silhouettes out"
+            )
 
         def bbox(self) -> Any:
             return mi.ScalarBoundingBox3f()

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 
 from optics.errors import ConfigError
 from optics.frames import light_direction
@@ -165,6 +166,92 @@ def test_pixel_value_is_an_irradiance_whatever_the_pixel(mi):
         for pitch in (0.001, 0.02)
     ]
     assert images[0] == pytest.approx(images[1], rel=5e-3)
+
+
+CROP = {"crop_offset_x": 26, "crop_offset_y": 9, "crop_width": 14, "crop_height": 15}
+
+
+def wall(mi):
+    """A grey wall with edges in and out of the crop, and a lamp of unit intensity beside it, some metres away."""
+    at = mi.ScalarTransform4f().translate([-60.0, 80.0, 5000.0]).rotate([0, 1, 0], 180.0).scale([200.0, 120.0, 1.0])
+    return {
+        "wall": {"type": "rectangle", "to_world": at, "bsdf": {"type": "diffuse", "reflectance": 0.7}},
+        "lamp": {"type": "point", "position": [0.0, 150.0, 4800.0], "intensity": 1e4},
+    }
+
+
+def moments(image):
+    row, column = np.indices(image.shape)
+    return image.sum(), (image * column).sum() / image.sum(), (image * row).sum() / image.sum()
+
+
+@pytest.mark.parametrize("integrator", ["path", "ptracer"])
+def test_crop_is_a_part_of_the_film(mi, integrator):
+    """Pixels of the crop against those of the whole film; light traced forwards against light traced backwards."""
+    lens = load_lens("star_tracker_26mm")
+    camera = Camera(lens=lens, width_px=48, height_px=40, pixel_pitch_mm=0.05)
+    render = {"integrator": {"type": integrator, "max_depth": 2}, "spp": 4096}
+
+    def image(crop, **settings):
+        sensor = lens_camera_properties(camera)
+        sensor["film"] |= crop
+        scene = {"type": "scene", "sensor": sensor, **wall(mi)}
+        chosen = render | settings
+        integrator = mi.load_dict(chosen["integrator"])
+        return np.array(mi.render(mi.load_dict(scene), integrator=integrator, spp=chosen["spp"]), dtype=float)[..., 0]
+
+    cropped = image(CROP)
+    part = image({}, integrator={"type": "path", "max_depth": 2}, spp=512)[9:24, 26:40]
+    assert cropped.shape == part.shape
+    # 512 rays in each of 210 px backwards, some 3e5 photons in the crop forwards: 0.3 %, 0.01 px
+    (total, x, y), (whole_total, whole_x, whole_y) = moments(cropped), moments(part)
+    assert total == pytest.approx(whole_total, rel=0.015)
+    assert (x, y) == pytest.approx((whole_x, whole_y), abs=0.06)
+    assert 0.2 < part.min() / part.max() < 0.8 or part.min() == 0.0  # there is something to tell places by
+
+
+def test_rows_of_a_crop_start_when_those_of_the_film_do(mi):
+    """Rolling shutter: an edge leans as in the whole film, from the first row of the film."""
+    camera = Camera(lens=load_lens("star_tracker_26mm"), width_px=48, height_px=40, pixel_pitch_mm=0.05)
+    rate = 0.05 / 26.0  # a pixel per second
+    table = Rotation.from_rotvec(np.outer(np.linspace(0.0, 10.0, 33) * rate, [0.0, 1.0, 0.0])).as_matrix()
+    motion = {
+        "motion_rotation": mi.TensorXf64(table[None]),
+        "motion_duration_s": 10.0,
+        "line_time_s": 0.2,
+        "shutter_close": 1e-3,
+    }
+    side = mi.ScalarTransform4f().translate([500.0, 0.0, 5000.0]).rotate([0, 1, 0], 180.0).scale([500.0, 900.0, 1.0])
+    screen = {"screen": {"type": "rectangle", "to_world": side, "light": {"type": "area", "radiance": 1.0}}}
+
+    def edge(**crop):
+        sensor = lens_camera_properties(camera, **motion)
+        sensor["film"] |= crop
+        scene = mi.load_dict({"type": "scene", "sensor": sensor, **screen})
+        image = np.array(mi.render(scene, integrator=mi.load_dict({"type": "path"}), spp=256), dtype=float)[..., 0]
+        return image.sum(1) / image[:, -4:].mean()  # columns of light in each row, up to the right edge
+
+    whole, part = edge(), edge(crop_offset_x=4, crop_offset_y=18, crop_width=40, crop_height=20)
+    lean = np.polyfit(np.arange(20), part, 1)[0]
+    assert abs(lean) == pytest.approx(0.2, rel=0.1)
+    # 256 rays a pixel, two thirds of which get through: 0.1 px in a row
+    assert (whole[18:38] - part).mean() == pytest.approx(4.0, abs=0.1)
+
+
+@pytest.mark.slow
+def test_silhouettes_are_refused_by_name(mi):
+    import drjit as dr
+
+    camera = Camera(lens=load_lens("star_tracker_26mm"), width_px=8, height_px=8, pixel_pitch_mm=0.1)
+    cube = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 0, 900.0]).scale(5.0)}
+    contents = {"cube": cube, "sky": {"type": "constant"}, "sensor": lens_camera_properties(camera)}
+    scene = mi.load_dict({"type": "scene", **contents})
+    parameters = mi.traverse(scene)
+    dr.enable_grad(parameters["cube.vertex_positions"])
+    parameters.update()
+    image = mi.render(scene, parameters, integrator=mi.load_dict({"type": "prb_projective"}), spp=4)
+    with pytest.raises((ConfigError, RuntimeError), match="lens_camera: prb_projective and direct_projective"):
+        dr.backward(dr.sum(image.array))
 
 
 @pytest.mark.parametrize(
