@@ -39,7 +39,7 @@ from render.detector.spec import Detector, load_detector
 from render.engine import Engine
 from render.engine.random import Streams
 from render.forward import StarRenderer
-from render.plugins.lens_camera import lens_camera_properties
+from render.plugins.camera_properties import lens_camera_properties
 from render.records import ExpectedImage, StarField
 
 TARGET = Path(__file__).with_name("pictures") / "moon_through_the_lens.png"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from optics.errors import DomainError, StarbenchError
 from render.camera import Camera
 from render.engine import Engine
-from render.plugins.lens_camera import lens_camera_properties
+from render.plugins.camera_properties import lens_camera_properties
 from render.plugins.register import register_plugins
 from render.plugins.star_field import share_motion
 from render.records import ExpectedImage, StarField

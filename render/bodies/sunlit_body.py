@@ -37,7 +37,7 @@ from render.camera import Camera
 from render.detector.diffusion import diffuse
 from render.engine import Engine
 from render.motion.trajectory import Trajectory
-from render.plugins.lens_camera import lens_camera_properties
+from render.plugins.camera_properties import lens_camera_properties
 from render.plugins.lunar_surface import lommel_seeliger_phase
 from render.plugins.register import register_plugins
 from render.records import ExpectedImage

@@ -47,145 +47,28 @@ are refused, ``prb`` has those of everything but silhouettes.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from optics.errors import BackendError, ConfigError, ConvergenceError
 from optics.frames import light_direction
-from optics.lens.prescription import load_lens
 from optics.rays.paraxial import axial_paraxial
 from optics.rays.program import LensProgram, compile_lens
 from optics.rays.reverse import HALF_TURN, retraced, reverse
 from optics.rays.trace import OK, Rays, trace, trace_program
-from optics.units import UM_MM
 from render.camera import Camera, launch_disk
 from render.engine.arrays import DrJitArrays
 from render.engine.jit import dr
-from render.plugins.handles import Handles
+from render.plugins.camera_properties import camera_of, motion_of, moved
 from render.tracing.sampling import probe_fields
 
-__all__ = ["define", "exit_disk", "lens_camera_properties", "share_camera"]
+__all__ = ["define", "exit_disk"]
 
 EXIT_PUPIL_MARGIN = 1.03
 """The disk that backward rays aim at, in radii of what forward rays fill: room for what lies between those."""
 EXIT_PUPIL_RAYS = 400
-
-_MITSUBA_FROM_CAM = np.diag([-1.0, -1.0, 1.0])
-"""Mitsuba's local frame has +X to the left and +Y up in the image; cam has +X to the right and +Y down."""
-
-_cameras: Handles[Camera] = Handles("camera")
-
-
-def share_camera(camera: Camera) -> str:
-    """Handle by which ``load_dict`` takes a camera record, see `render.plugins.handles`."""
-    return _cameras.share(camera)
-
-
-def lens_camera_properties(camera: Camera, **others: Any) -> dict[str, Any]:
-    """Dictionary for ``load_dict``: a ``lens_camera`` made of a record, with a grey float32 film of its size.
-
-    Parameters
-    ----------
-    camera : Camera
-        The record.
-    **others
-        Further properties, e.g. ``shutter_close``.
-    """
-    film = {
-        "type": "hdrfilm",
-        "width": camera.width_px,
-        "height": camera.height_px,
-        "pixel_format": "luminance",
-        "component_format": "float32",
-        "rfilter": {"type": "box"},
-    }
-    return {"type": "lens_camera", "camera": share_camera(camera), "film": film, **others}
-
-
-def _rotation(props: Any) -> np.ndarray:
-    """cam from world, float64, from ``rotation`` or ``to_world``."""
-    if "rotation" in props:
-        return np.array(props["rotation"], dtype=float).reshape(3, 3)
-    if "to_world" in props:
-        matrix = np.array(props["to_world"].matrix, dtype=float)[:3, :3]
-        u, size, vt = np.linalg.svd(matrix)
-        if not np.allclose(size, 1.0, atol=1e-5):
-            raise ConfigError(f"lens_camera: to_world scales by {size.max():g}; give scene_unit_mm instead")
-        return _MITSUBA_FROM_CAM @ (u @ vt).T
-    return _MITSUBA_FROM_CAM
-
-
-def _shared_camera(props: Any, width: int, height: int) -> Camera:
-    """The camera of a handle."""
-    camera = _cameras.find(str(props["camera"]))
-    if (camera.width_px, camera.height_px) != (width, height):
-        raise ConfigError(
-            f"lens_camera: film of {width} x {height} px for a camera of {camera.width_px} x {camera.height_px} px"
-        )
-    if "rotation" in props or ("to_world" in props and not np.allclose(props["to_world"].matrix, _moved(props))):
-        raise ConfigError("lens_camera: a shared camera has an attitude of its own; to_world may only move it")
-    return camera
-
-
-@dataclass(frozen=True, slots=True)
-class _Motion:
-    """Attitudes at equal steps as quaternions (m, 4), neighbours on the same side; times in s."""
-
-    quaternion: np.ndarray
-    duration_s: float
-    line_time_s: float
-    first_row: int
-
-
-def _motion(props: Any) -> _Motion | None:
-    """The table of attitudes, if there is one."""
-    if "motion_rotation" not in props:
-        return None
-    table = np.array(props["motion_rotation"], dtype=float)
-    table = table[0] if table.ndim == 4 else table
-    duration_s, line_time_s = float(props.get("motion_duration_s", 0.0)), float(props.get("line_time_s", 0.0))
-    if table.ndim != 3 or table.shape[1:] != (3, 3) or len(table) < 2:
-        raise ConfigError(f"lens_camera: motion_rotation has shape {table.shape}; (m, 3, 3) with m >= 2 is needed")
-    if not duration_s > 0 or not 0 <= line_time_s < math.inf:
-        raise ConfigError(
-            f"lens_camera: motion_duration_s = {duration_s:g} s must be positive, line_time_s = {line_time_s:g} s not "
-            "negative"
-        )
-    quaternion = Rotation.from_matrix(table).as_quat()
-    side = np.cumprod(np.where(np.einsum("ij,ij->i", quaternion[1:], quaternion[:-1]) < 0, -1.0, 1.0))
-    quaternion[1:] *= side[:, None]
-    return _Motion(quaternion, duration_s, line_time_s, int(props.get("first_row", 0)))
-
-
-def _moved(props: Any) -> np.ndarray:
-    """The translation of ``to_world`` alone."""
-    matrix = np.eye(4)
-    if "to_world" in props:
-        matrix[:3, 3] = np.array(props["to_world"].matrix, dtype=float)[:3, 3]
-    return matrix
-
-
-def _camera(props: Any, width: int, height: int) -> Camera:
-    if "camera" in props:
-        return _shared_camera(props, width, height)
-    for name in ("lens", "pixel_pitch_um"):
-        if name not in props:
-            raise ConfigError(f"lens_camera: property {name!r} is missing")
-    pitch_um = float(props["pixel_pitch_um"])
-    if not pitch_um > 0:
-        raise ConfigError(f"lens_camera: pixel_pitch_um = {pitch_um:g} um; it must be positive")
-    return Camera(
-        lens=load_lens(str(props["lens"])),
-        width_px=width,
-        height_px=height,
-        pixel_pitch_mm=pitch_um * UM_MM,
-        defocus_mm=float(props.get("defocus_mm", 0.0)),
-        charge_diffusion_px=float(props.get("charge_diffusion_um", 0.0)) / pitch_um,
-        rotation_cam_from_world=_rotation(props),
-    )
 
 
 def exit_disk(camera: Camera) -> tuple[float, float, float, float]:
@@ -282,15 +165,15 @@ def define(mi: Any) -> type:
             if not dr.is_jit_v(mi.Float):
                 raise BackendError(f"lens_camera runs in llvm and cuda variants, not in {mi.variant()}")
             size = self.film().size()
-            self.camera = _camera(props, int(size.x), int(size.y))
+            self.camera = camera_of(props, int(size.x), int(size.y))
             self.m_needs_sample_3 = True
             self.scene_unit_mm = float(props.get("scene_unit_mm", 1.0))
             self.wavelength_nm = float(props.get("wavelength_nm", self.camera.lens.design_wavelength_nm))
             self.camera.lens.check_wavelength(self.wavelength_nm)
-            self._position = mi.ScalarVector3d(_moved(props)[:3, 3].tolist())
+            self._position = mi.ScalarVector3d(moved(props)[:3, 3].tolist())
             exposure_s = float(props.get("shutter_close", 0.0)) - float(props.get("shutter_open", 0.0))
             self.exposure_s = exposure_s or 1.0
-            self._motion = _motion(props)
+            self._motion = motion_of(props)
             if self._motion is not None and not exposure_s > 0:
                 raise ConfigError("lens_camera: motion_rotation needs shutter_open and shutter_close")
             self._opened_s = float(props.get("shutter_open", 0.0))

@@ -17,7 +17,8 @@ from optics.lens.prescription import load_lens
 from optics.rays.reverse import retraced
 from optics.rays.trace import Rays, trace
 from render.camera import Camera, launch_disk
-from render.plugins.lens_camera import exit_disk, lens_camera_properties
+from render.plugins.camera_properties import lens_camera_properties
+from render.plugins.lens_camera import exit_disk
 from render.tracing.tracer import Tracer
 
 LENSES = ("star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm")

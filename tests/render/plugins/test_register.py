@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from render.camera import Camera
 from render.forward import StarRenderer
 from render.motion.trajectory import ConstantRate
-from render.plugins.lens_camera import share_camera
+from render.plugins.camera_properties import share_camera
 from render.tracing.motion import exposure_motion
 
 ROOT = Path(__file__).parents[3]

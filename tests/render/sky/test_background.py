@@ -13,7 +13,7 @@ from optics.light.spectrum import Blackbody
 from optics.response import Response
 from render.camera import Camera
 from render.catalogue.motion import earth_observer
-from render.plugins.lens_camera import lens_camera_properties
+from render.plugins.camera_properties import lens_camera_properties
 from render.sky.background import UniformSky, background_map, sky_background
 from render.sky.zodiacal import ecliptic_from_icrs, zodiacal_radiance
 
