@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from optics.errors import DomainError, StarbenchError
+from optics.errors import StarbenchError
 from render.camera import Camera
 from render.engine import Engine
 from render.plugins.camera_properties import lens_camera_properties
 from render.plugins.register import register_plugins
 from render.plugins.star_field import share_motion
-from render.records import ExpectedImage, StarField
+from render.records import ExpectedImage, StarField, checked_exposure
 from render.tracing.motion import ExposureMotion
 from render.tracing.tracer import TracedStars
 
@@ -47,11 +46,10 @@ class StarRenderer:
     """
 
     def __init__(self, camera: Camera, *, exposure_s: float = 1.0, sobol_log2_rays: int = 16, seed: int = 0) -> None:
-        if not (exposure_s > 0 and math.isfinite(exposure_s)):
-            raise DomainError(f"exposure_s = {exposure_s} s; it must be positive and finite")
+        self.exposure_s = checked_exposure(exposure_s)
         register_plugins()
         self._mi = mi = Engine.active().mitsuba
-        self.camera, self.exposure_s, self.seed = camera, float(exposure_s), int(seed)
+        self.camera, self.seed = camera, int(seed)
         self.traced: TracedStars | None = None
         self._integrator = mi.load_dict({"type": "star_tracer", "sobol_log2_rays": sobol_log2_rays})
         self._sensor = mi.load_dict(lens_camera_properties(camera, shutter_close=self.exposure_s))

@@ -11,7 +11,34 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
-__all__ = ["EffectivePsf", "ExpectedImage", "Frame", "PixelMap", "StarField", "Truth", "WindowStack"]
+__all__ = [
+    "EffectivePsf",
+    "ExpectedImage",
+    "Frame",
+    "PixelMap",
+    "StarField",
+    "Truth",
+    "WindowStack",
+    "checked_exposure",
+]
+
+LONGEST_EXPOSURE_S = 1e7
+"""Four months; far beyond it, numbers of electrons leave what the arithmetic of a detector can hold."""
+
+
+def checked_exposure(exposure_s: float) -> float:
+    """An exposure time [s] that can be rendered and read out.
+
+    Raises
+    ------
+    DomainError
+        Not positive, or longer than 10^7 s.
+    """
+    if not 0.0 < exposure_s <= LONGEST_EXPOSURE_S:
+        raise DomainError(
+            f"exposure_s = {exposure_s:g} s; it must be positive and finite, at most {LONGEST_EXPOSURE_S:g} s"
+        )
+    return float(exposure_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,8 +165,7 @@ class ExpectedImage:
             raise DomainError(
                 f"ExpectedImage.electrons contains {electrons.min():.6g} e-; expectations are not negative"
             )
-        if not self.exposure_s > 0:
-            raise DomainError(f"ExpectedImage.exposure_s = {self.exposure_s} s; it must be positive")
+        checked_exposure(self.exposure_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -38,7 +38,7 @@ from render.detector.maps import full_maps, full_neighbours, neighbour_bits, win
 from render.detector.spec import Detector
 from render.engine import Engine
 from render.engine.random import Streams
-from render.records import ExpectedImage, Frame, WindowStack
+from render.records import ExpectedImage, Frame, WindowStack, checked_exposure
 
 __all__ = ["expose", "expose_windows"]
 
@@ -243,7 +243,7 @@ def _expectation(
     if not isinstance(expected, ExpectedImage):
         if exposure_s is None:
             raise ConfigError("exposure_s is missing; a bare array of electrons does not know its exposure time")
-        return _checked_electrons(expected, "expected", ndim=2), band or "", _positive_time(exposure_s), 1.0
+        return _checked_electrons(expected, "expected", ndim=2), band or "", checked_exposure(exposure_s), 1.0
     if band is None:
         if len(expected.band) != 1:
             raise ConfigError(f"band is missing; the image has {len(expected.band)}: {', '.join(expected.band)}")
@@ -253,14 +253,8 @@ def _expectation(
     electrons = np.ascontiguousarray(expected.electrons[:, :, expected.band.index(band)])
     if not expected.diffused and detector.diffusion_sigma_px > 0:
         electrons = diffuse(electrons, detector.diffusion_sigma_px)
-    exposure_s = expected.exposure_s if exposure_s is None else _positive_time(exposure_s)
+    exposure_s = expected.exposure_s if exposure_s is None else checked_exposure(exposure_s)
     return electrons, band, exposure_s, exposure_s / expected.exposure_s
-
-
-def _positive_time(exposure_s: float) -> float:
-    if not 0.0 < exposure_s < np.inf:
-        raise DomainError(f"exposure_s = {exposure_s:g} s; it must be positive and finite")
-    return float(exposure_s)
 
 
 def _checked_electrons(values: ArrayLike, name: str, *, ndim: int) -> NDArray[np.float32]:
@@ -317,7 +311,7 @@ def _exposure(
 ) -> Any:
     from render.detector.chain import Exposure
 
-    exposure_s = _positive_time(exposure_s)
+    exposure_s = checked_exposure(exposure_s)
     if not 0.0 <= background_e_per_s < np.inf:
         raise DomainError(f"background_e_per_s = {background_e_per_s:g} e-/s; it must be finite and not negative")
     temperature_c = detector.dark_reference_c if temperature_c is None else temperature_c

@@ -106,7 +106,7 @@ class Detector:
     gain_dn_per_e : float
         System gain K at small signals [DN/e-].
     nonlinearity : tuple of float
-        c_1, c_2 ... in DN = K x (1 + sum_i c_i (x / full_well)^i), x in electrons.
+        c_1, c_2 ... in DN = K x (1 + sum_i c_i (x / full_well)^i), x in electrons; DN must rise up to the full well.
     offset_dn : float
         Mean offset [DN].
     dsnu_e, column_pattern_e : float
@@ -124,7 +124,8 @@ class Detector:
     Raises
     ------
     DomainError
-        On a value outside its range, or a crosstalk that leaves a pixel less than half of its charge.
+        On a value outside its range, a crosstalk that leaves a pixel less than half of its charge, or a non-linearity
+        that folds back.
     """
 
     name: str
@@ -180,6 +181,13 @@ class Detector:
                 "at most 0.5 is allowed"
             )
 
+        folds = _fold(self.nonlinearity)
+        if folds is not None:
+            raise DomainError(
+                f"Detector.nonlinearity = {tuple(self.nonlinearity)}: numbers fall again from {folds:.3g} of the full "
+                f"well ({folds * self.full_well_e:.4g} e-) on; a converter's rise to its end"
+            )
+
     @property
     def width_px(self) -> int:
         """Columns of the whole detector, gaps included."""
@@ -224,6 +232,14 @@ class Detector:
         if not -200.0 <= temperature_c <= 150.0:
             raise DomainError(f"temperature_c = {temperature_c:g} C; it must be -200 to 150 C")
         return float(2.0 ** ((temperature_c - self.dark_reference_c) / self.dark_doubling_c))
+
+
+def _fold(nonlinearity: tuple[float, ...]) -> float | None:
+    """Share of the full well from which on u (1 + sum_i c_i u^i) falls; None if it rises up to 1."""
+    share = np.linspace(0.0, 1.0, 1001)
+    slope = np.polynomial.polynomial.polyval(share, [1.0, *((i + 2) * c for i, c in enumerate(nonlinearity))])
+    falling = share[slope < 0.0]
+    return float(falling[0]) if len(falling) else None
 
 
 def _in_range(key: str, text: str, **options: Any) -> Any:

@@ -55,8 +55,8 @@ class Streams:
 
     def sequence(self, name: str, frame: int = 0) -> np.random.SeedSequence:
         """Seed sequence of a stream in a frame."""
-        if isinstance(frame, bool) or not isinstance(frame, Integral) or not 0 <= frame < 2**32:
-            raise DomainError(f"frame = {frame!r}; an integer from 0 to 2^32 - 1 is needed")
+        if isinstance(frame, bool) or not isinstance(frame, Integral) or not 0 <= frame < 2**64:
+            raise DomainError(f"frame = {frame!r}; an integer from 0 to 2^64 - 1 is needed")
         # NUL joins: no two lists of names without it give the same text. 128 bits of digest: no accidental twins.
         digest = hashlib.blake2b("\0".join((*self.path, name)).encode(), digest_size=16).digest()
         words = np.frombuffer(digest, dtype="<u4").tolist()
@@ -70,7 +70,7 @@ class Streams:
         name : str
             Source of randomness, e.g. ``"photon"``.
         frame : int
-            Frame number, 0 to 2^32 - 1.
+            Frame number, 0 to 2^64 - 1.
 
         Returns
         -------

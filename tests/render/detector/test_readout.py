@@ -361,6 +361,7 @@ BANDS = ExpectedImage(electrons=np.ones((*SHAPE, 2)), band=("red", "blue"), expo
         (flat(1), {"exposure_s": None}, ConfigError, "exposure_s is missing"),
         (flat(1), {"exposure_s": 0.0}, DomainError, "exposure_s = 0 s"),
         (flat(1), {"exposure_s": np.nan}, DomainError, "exposure_s = nan s"),
+        (flat(1), {"exposure_s": 1e300}, DomainError, "exposure_s = 1e\\+300 s; it must be .* at most 1e\\+07 s"),
         (flat(1), {"background_e_per_s": -1.0}, DomainError, "background_e_per_s = -1"),
         (flat(1), {"temperature_c": np.nan}, DomainError, "temperature_c = nan"),
         (flat(1), {"frame": -1}, DomainError, "frame = -1"),

@@ -34,13 +34,19 @@ def test_generator_is_a_stream_too() -> None:
     assert not np.array_equal(first, Streams(3).generator("gyro", 5).normal(size=5))
 
 
+def test_any_number_of_frames() -> None:
+    """Numbers beyond 32 bits have streams of their own, and those below keep theirs."""
+    frames = [0, 1, 2**16, 2**32 - 1, 2**32, 2**32 + 1, 2**40]
+    assert len({Streams(1).key("photon", frame) for frame in frames}) == len(frames)
+
+
 @pytest.mark.parametrize("seed", [-1, 1.5, "7", None, True])
 def test_bad_seed(seed: Any) -> None:
     with pytest.raises(DomainError, match="seed = "):
         Streams(seed)
 
 
-@pytest.mark.parametrize("frame", [-1, 2**32, 0.5])
+@pytest.mark.parametrize("frame", [-1, 2**64, 0.5])
 def test_bad_frame(frame: Any) -> None:
     with pytest.raises(DomainError, match="frame = "):
         Streams(1).key("photon", frame)
