@@ -31,6 +31,18 @@ class ArrayNamespace(Protocol):
     def maximum(self, value: Any, other: Any) -> Any:
         """Elementwise maximum."""
 
+    def minimum(self, value: Any, other: Any) -> Any:
+        """Elementwise minimum."""
+
+    def whole(self, value: Any) -> Any:
+        """Elementwise floor, as integers."""
+
+    def table(self, values: FloatArray) -> Any:
+        """Flat copy of constants that `take` reads."""
+
+    def take(self, table: Any, index: Any) -> Any:
+        """Elements of a `table`."""
+
     def parameters(self, theta: Iterable[float]) -> Sequence[Any]:
         """Lens parameters in the form the arithmetic takes them."""
 
@@ -52,6 +64,26 @@ class NumpyArrays:
     def maximum(value: Any, other: Any) -> Any:
         """Elementwise maximum."""
         return np.maximum(value, other)
+
+    @staticmethod
+    def minimum(value: Any, other: Any) -> Any:
+        """Elementwise minimum."""
+        return np.minimum(value, other)
+
+    @staticmethod
+    def whole(value: Any) -> Any:
+        """Elementwise floor, as integers."""
+        return np.floor(value).astype(np.int64)
+
+    @staticmethod
+    def table(values: FloatArray) -> Any:
+        """The constants, flat."""
+        return values.ravel()
+
+    @staticmethod
+    def take(table: Any, index: Any) -> Any:
+        """Elements of the table."""
+        return table[index]
 
     @staticmethod
     def parameters(theta: Iterable[float]) -> Sequence[Any]:

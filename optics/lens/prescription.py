@@ -1,162 +1,161 @@
-"""Lens prescriptions as TOML: the file says what every number is and where it comes from."""
+"""Lens prescriptions as TOML: the file says what every number is and where it comes from.
+
+Signs are those of every design program: the z axis does not turn round at a mirror, so that behind an odd number of
+mirrors thicknesses are negative; a radius is positive when its centre lies towards +z. `optics.lens.system` holds the
+same lens with every surface in a frame whose +z light travels along.
+"""
 
 from __future__ import annotations
 
-from dataclasses import MISSING, fields
-from functools import reduce
+from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib import resources
-from operator import or_
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, FiniteFloat, Tag, create_model, model_validator
 from scipy.spatial.transform import Rotation
 
+from optics.arrays import FloatArray
 from optics.errors import ConfigError, StarbenchError, unknown_name
 from optics.glass.catalogue import Glass, get_glass, glass_from_table
 from optics.glass.media import CATALOGUE_AIR, Environment
-from optics.lens.shapes.base import Shape
+from optics.lens.sag_map import SagMap
 from optics.lens.shapes.plane import Plane
-from optics.lens.shapes.registry import SHAPES, UNNAMED
-from optics.lens.system import AMBIENT, LensSystem, Surface
-from optics.validate import parse_toml
+from optics.lens.system import AMBIENT, HALF_TURN, LensSystem, Surface
+from optics.lens.tables import MIRROR, BreakTable, ErrorTable, MovedTable, Prescription, SurfaceTable
+from optics.validate import parse_model, read_toml
 
-__all__ = ["LensFile", "list_lenses", "load_lens"]
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+__all__ = ["lens_from_table", "list_lenses", "load_lens"]
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+EDGE_ON = 1e-6
+"""Cosine of the axis with a surface's normal below which the surface is edge-on to the light."""
+UNIT_MM = {"nm": 1e-6, "um": 1e-3, "mm": 1.0}
 
 
-class StopTable(_Table):
-    """A stop that stands alone: a plane at ``z_mm`` in the lens frame."""
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """Origin [mm] and axes (columns) in the lens frame."""
 
-    z_mm: FiniteFloat
-    semi_diameter_mm: Positive
-    inner_semi_diameter_mm: NotNegative = 0.0
+    origin: FloatArray
+    axes: FloatArray
 
+    def moved(self, by: MovedTable) -> _Frame:
+        """The frame after a shift and a turn."""
+        shift = np.array([*by.decentre_mm, 0.0][:3])
+        angles = [*by.tilt_deg, 0.0][:3]
+        turn = np.eye(3)
+        if any(angles):
+            order = "xyz" if by.axes == "fixed" else "XYZ"
+            turn = Rotation.from_euler(order, angles, degrees=True).as_matrix()
+        axes = self.axes @ turn
+        return _Frame(self.origin + (self.axes if by.first == "decentre" else axes) @ shift, axes)
 
-class SurfaceTable(_Table):
-    """What every surface has, whatever its shape. Tilts are about x, then y, of the surface's own vertex."""
+    def bent(self, normal: FloatArray) -> _Frame:
+        """The frame behind a mirror: turned twice by the smallest turn that takes its z axis to the mirror's normal."""
+        z = self.axes[:, 2]
+        along = np.cross(z, normal)
+        sine = float(np.linalg.norm(along))
+        if sine == 0.0:
+            return self
+        twice = 2.0 * np.arctan2(sine, float(z @ normal))
+        return _Frame(self.origin, Rotation.from_rotvec(along / sine * twice).as_matrix() @ self.axes)
 
-    kind: str
-    thickness_mm: NotNegative
-    medium: str
-    semi_diameter_mm: Positive
-    inner_semi_diameter_mm: NotNegative = 0.0
-    element: str = ""
-    stop: bool = False
-    decentre_mm: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
-    tilt_deg: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
-
-    @model_validator(mode="after")
-    def _the_shape_exists(self) -> SurfaceTable:
-        self.shape()
-        return self
-
-    def shape(self) -> Shape:
-        """The shape that the table describes."""
-        shape = next(shape for shape in SHAPES if shape.kind == self.kind)
-        made = shape(**{field.name: getattr(self, field.name) for field in fields(shape)})
-        return made if "kind" in self.model_fields_set else made.simplest()
-
-
-def _table_of(shape: type[Shape]) -> type[SurfaceTable]:
-    """Surface table of one kind: its keys are the fields of the shape, their types the checks."""
-    hints = get_type_hints(shape, include_extras=True)
-    keys: dict[str, Any] = {"kind": (Literal[shape.kind], shape.kind)}
-    for field in fields(shape):
-        keys[field.name] = (hints[field.name], ... if field.default is MISSING else field.default)
-    return create_model(f"{shape.__name__}Table", __base__=SurfaceTable, **keys)
+    def after(self, thickness_mm: float) -> _Frame:
+        """The frame a thickness further along its z axis."""
+        return _Frame(self.origin + thickness_mm * self.axes[:, 2], self.axes)
 
 
-def _kind_of(table: Any) -> Any:
-    """Kind that a surface table names, or stands for if it names none."""
-    return table.get("kind", UNNAMED.kind) if isinstance(table, dict) else getattr(table, "kind", UNNAMED.kind)
+def _error_map(table: ErrorTable | None, folder: Path) -> SagMap | None:
+    """The measured deviation that a file holds."""
+    if table is None:
+        return None
+    path = folder / table.file
+    try:
+        values = np.load(path, allow_pickle=False) if path.suffix == ".npy" else np.loadtxt(path, ndmin=2)
+    except OSError as error:
+        raise ConfigError(f"{path}: surface map cannot be read ({error.strerror or 'not a file'})") from None
+    except ValueError as error:
+        raise ConfigError(f"{path}: not a table of numbers ({error})") from None
+    return SagMap(values_mm=np.asarray(values) * (table.scale * UNIT_MM[table.unit]), width_mm=table.width_mm)
 
 
-if TYPE_CHECKING:
-    AnySurface = SurfaceTable
-else:
-    AnySurface = Annotated[
-        reduce(or_, (Annotated[_table_of(shape), Tag(shape.kind)] for shape in SHAPES)), Discriminator(_kind_of)
-    ]
+def _surface(table: SurfaceTable, frame: _Frame, before: str, folder: Path) -> Surface:
+    """The surface that a table describes, in a frame where light travels towards +z."""
+    mirror = table.medium == MIRROR
+    return Surface(
+        shape=table.shape(),
+        position_mm=frame.origin,
+        rotation=frame.axes,
+        medium=before if mirror else table.medium,
+        mirror=mirror,
+        semi_diameter_mm=table.semi_diameter_mm,
+        inner_semi_diameter_mm=table.inner_semi_diameter_mm,
+        apertures=tuple(aperture.aperture() for aperture in table.aperture),
+        error=_error_map(table.error, folder),
+        element=table.element,
+        is_stop=table.stop,
+    )
 
 
-class GlassTable(_Table):
-    """A glass that the built-in catalogue does not hold; keys as in `optics.glass.catalogue.glass_from_table`."""
-
-    source: Annotated[str, Field(min_length=1)]
-    maker: str = "generic"
-    B: tuple[FiniteFloat, ...]
-    C: tuple[FiniteFloat, ...]
-    range_nm: tuple[Positive, Positive]
-    reference_temperature_c: FiniteFloat = 20.0
-    dndt: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None = None
-    dndt_range_c: tuple[FiniteFloat, FiniteFloat] | None = None
-    cte_per_k: FiniteFloat | None = None
-
-
-class LensFile(_Table):
-    """Whole prescription file."""
-
-    name: Annotated[str, Field(min_length=1)]
-    source: Annotated[str, Field(min_length=1)]
-    design_wavelength_nm: Positive
-    max_field_deg: Annotated[float, Field(gt=0, lt=90)]
-    stop: StopTable | None = None
-    surface: Annotated[tuple[AnySurface, ...], Field(min_length=1)]
-    glass: dict[str, GlassTable] = {}
-
-    @model_validator(mode="after")
-    def _one_stop(self) -> LensFile:
-        stops = sum(s.stop for s in self.surface) + (self.stop is not None)
-        if stops != 1:
-            raise ValueError(f"{stops} stops are given; exactly one is needed ([stop] or stop = true on one surface)")
-        return self
-
-
-def _surfaces(file: LensFile) -> tuple[list[Surface], float]:
-    """Surfaces at their vertices, and z of the image plane."""
-    z, surfaces = 0.0, []
-    for table in file.surface:
-        surfaces.append(
-            Surface(
-                shape=table.shape(),
-                position_mm=np.array([*table.decentre_mm, z]),
-                rotation=Rotation.from_euler("xy", table.tilt_deg, degrees=True).as_matrix()
-                if any(table.tilt_deg)
-                else np.eye(3),
-                medium=table.medium,
-                semi_diameter_mm=table.semi_diameter_mm,
-                inner_semi_diameter_mm=table.inner_semi_diameter_mm,
-                element=table.element,
-                is_stop=table.stop,
+def _placed(file: Prescription, folder: Path) -> tuple[list[Surface], _Frame]:
+    """Surfaces at their vertices, and the frame of the image plane."""
+    frame, light, medium = _Frame(np.zeros(3), np.eye(3)), np.array([0.0, 0.0, 1.0]), AMBIENT
+    surfaces: list[Surface] = []
+    for number, table in enumerate(file.surface):
+        if isinstance(table, BreakTable):
+            frame = frame.moved(table).after(table.thickness_mm)
+            continue
+        own = frame.moved(table)
+        if table.carry != "none":
+            frame = own if table.carry == "forward" else _Frame(own.origin, frame.axes).bent(own.axes[:, 2])
+        normal = own.axes[:, 2]
+        facing = float(light @ normal)
+        if abs(facing) < EDGE_ON:
+            raise ConfigError(f"surface {number} is edge-on to the light on the axis; check tilts and breaks before it")
+        try:
+            surface = _surface(table, own, medium, folder)
+        except StarbenchError as error:
+            raise type(error)(f"surface {number}: {error}") from None
+        surfaces.append(surface if facing > 0.0 else surface.from_behind())
+        if surface.mirror:
+            light = light - 2.0 * facing * normal
+        medium = surface.medium
+        along = table.thickness_mm * float(np.sign(light @ frame.axes[:, 2]))
+        if medium != AMBIENT and along < 0.0:
+            raise ConfigError(
+                f"surface {number}: thickness_mm = {table.thickness_mm:g} mm of {medium} lies against the light; "
+                "behind an odd number of mirrors thicknesses are negative, otherwise positive"
             )
-        )
-        z += table.thickness_mm
-    if file.stop is not None:
-        place = next((i for i, s in enumerate(surfaces) if s.position_mm[2] >= file.stop.z_mm), len(surfaces))
-        surfaces.insert(
-            place,
-            Surface(
-                shape=Plane(),
-                position_mm=np.array([0.0, 0.0, file.stop.z_mm]),
-                medium=surfaces[place - 1].medium if place else AMBIENT,
-                semi_diameter_mm=file.stop.semi_diameter_mm,
-                inner_semi_diameter_mm=file.stop.inner_semi_diameter_mm,
-                element="",
-                is_stop=True,
-            ),
-        )
-    return surfaces, z
+        frame = frame.after(table.thickness_mm)
+    frame = frame.moved(file.image)
+    return surfaces, frame if light @ frame.axes[:, 2] > 0.0 else _Frame(frame.origin, frame.axes @ HALF_TURN)
 
 
-def _glasses(file: LensFile, media: list[str], where: str) -> dict[str, Glass]:
+def _with_stop(file: Prescription, surfaces: list[Surface]) -> list[Surface]:
+    """The surfaces, and among them the stop that stands alone."""
+    if file.stop is None:
+        return surfaces
+    z = file.stop.z_mm
+    place = next((i for i, s in enumerate(surfaces) if s.position_mm[2] >= z), len(surfaces))
+    if place and any(s.mirror or not np.array_equal(s.rotation, np.eye(3)) for s in surfaces[:place]):
+        raise ConfigError(
+            f"stop.z_mm = {z:g} mm stands behind a tilted surface or a mirror; give the stop as a surface with "
+            "stop = true"
+        )
+    stop = Surface(
+        shape=Plane(),
+        position_mm=np.array([0.0, 0.0, z]),
+        medium=surfaces[place - 1].medium if place else AMBIENT,
+        semi_diameter_mm=file.stop.semi_diameter_mm,
+        inner_semi_diameter_mm=file.stop.inner_semi_diameter_mm,
+        is_stop=True,
+    )
+    return [*surfaces[:place], stop, *surfaces[place:]]
+
+
+def _glasses(file: Prescription, media: list[str], where: str) -> dict[str, Glass]:
     """Records of the glasses that the surfaces name; the file's own come before the catalogue's."""
     glasses = {}
     for name in dict.fromkeys(medium for medium in media if medium != AMBIENT):
@@ -170,9 +169,11 @@ def _glasses(file: LensFile, media: list[str], where: str) -> dict[str, Glass]:
     return glasses
 
 
-def _check_apertures(file: LensFile, where: str) -> None:
-    """Refuse a clear aperture that reaches beyond the rim where a sphere or conic ends."""
+def _check_apertures(file: Prescription, where: str) -> None:
+    """Refuse a clear aperture that reaches beyond the rim where a surface ends."""
     for number, table in enumerate(file.surface):
+        if isinstance(table, BreakTable) or np.isinf(table.semi_diameter_mm):
+            continue
         shape = table.shape()
         if table.semi_diameter_mm >= shape.rim_mm:
             raise ConfigError(
@@ -219,18 +220,47 @@ def load_lens(name_or_path: str | Path, *, environment: Environment = CATALOGUE_
         path = Path(name_or_path)
     else:
         raise unknown_name("lens", text, builtin)
-    file, shown = parse_toml(LensFile, path), str(name_or_path)
-    surfaces, image_z = _surfaces(file)
-    glasses = _glasses(file, [s.medium for s in surfaces], shown)
+    return lens_from_table(read_toml(path), where=str(name_or_path), folder=path.parent, environment=environment)
+
+
+def lens_from_table(
+    mapping: Mapping[str, Any], *, where: str, folder: str | Path = ".", environment: Environment = CATALOGUE_AIR
+) -> LensSystem:
+    """Make a lens from the tables of a prescription, whatever file they come from.
+
+    Parameters
+    ----------
+    mapping : mapping
+        What a lens file in TOML holds.
+    where : str
+        Where it came from, to open messages.
+    folder : path
+        Where the files that it names are.
+    environment : Environment
+        Temperature and pressure.
+
+    Raises
+    ------
+    ConfigError
+        Unknown key (with the nearest), unknown glass, a file that is missing, or a geometry that cannot be.
+    """
+    file = parse_model(Prescription, mapping, where)
+    try:
+        placed, image = _placed(file, Path(folder))
+        surfaces = _with_stop(file, placed)
+    except StarbenchError as error:
+        raise ConfigError(f"{where}: {error}") from None
+    glasses = _glasses(file, [s.medium for s in surfaces], where)
     if surfaces[-1].medium != AMBIENT:
-        raise ConfigError(f"{shown}: the last surface is followed by {surfaces[-1].medium!r}; it must be 'air'")
-    _check_apertures(file, shown)
+        raise ConfigError(f"{where}: the last surface is followed by {surfaces[-1].medium!r}; it must be 'air'")
+    _check_apertures(file, where)
     return LensSystem(
         name=file.name,
         source=file.source,
         surfaces=tuple(surfaces),
         glasses=glasses,
-        image_position_mm=np.array([0.0, 0.0, image_z]),
+        image_position_mm=image.origin,
+        image_rotation=image.axes,
         design_wavelength_nm=file.design_wavelength_nm,
         max_field_deg=file.max_field_deg,
         environment=environment,

@@ -1,4 +1,8 @@
-"""A lens as data: surfaces with their poses in the lens frame (light travels towards +z), media, stop, image plane."""
+"""A lens as data: surfaces with their poses in the lens frame, media, stop, image plane.
+
+Light enters towards +z of the lens frame, and meets every surface, and the image plane, towards +z of its own frame:
+behind an odd number of mirrors the frame of a surface is turned by half a turn.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +15,19 @@ from optics.arrays import NUMPY, FloatArray
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.glass.catalogue import Glass
 from optics.glass.media import CATALOGUE_AIR, Environment, IndexFormula, index_parameters
+from optics.lens.apertures import Aperture
+from optics.lens.sag_map import SagMap
 from optics.lens.shapes.base import Shape
 from optics.lens.shapes.plane import Plane
 from optics.records import freeze
 
-__all__ = ["AMBIENT", "LensSystem", "Surface"]
+__all__ = ["AMBIENT", "HALF_TURN", "LensSystem", "Surface"]
 
 
 AMBIENT = "air"
 """Name of the medium that fills the surroundings, whatever its pressure (vacuum included)."""
+HALF_TURN = np.diag([-1.0, 1.0, -1.0])
+"""Half a turn about y; its own inverse."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,11 +43,17 @@ class Surface:
     rotation : (3, 3)
         Columns are the surface's axes in the lens frame; identity for a centred surface.
     medium : str
-        What follows the surface: a glass name or ``"air"``.
+        What follows the surface: a glass name or ``"air"``; behind a mirror what lies in front of it.
+    mirror : bool
+        Whether it reflects.
     semi_diameter_mm : float
         Clear aperture measured in the vertex plane; infinite means unlimited.
     inner_semi_diameter_mm : float
         Radius of a central obscuration, 0 for none.
+    apertures : tuple of Aperture
+        Further outlines, all of which light has to pass.
+    error : SagMap or None
+        Measured deviation, added to the sag.
     element : str
         Name of the element (group) that moves as one.
     is_stop : bool
@@ -52,8 +66,11 @@ class Surface:
     position_mm: FloatArray
     rotation: FloatArray = field(default_factory=lambda: np.eye(3))
     medium: str = AMBIENT
+    mirror: bool = False
     semi_diameter_mm: float = math.inf
     inner_semi_diameter_mm: float = 0.0
+    apertures: tuple[Aperture, ...] = ()
+    error: SagMap | None = None
     element: str = ""
     is_stop: bool = False
     index_offset: float = 0.0
@@ -70,6 +87,24 @@ class Surface:
                 f"Surface.inner_semi_diameter_mm = {self.inner_semi_diameter_mm} mm; it must lie between 0 and the "
                 f"semi-diameter {self.semi_diameter_mm} mm"
             )
+
+    @property
+    def holed(self) -> bool:
+        """Whether it blocks light elsewhere than beyond a circle about its vertex."""
+        return self.inner_semi_diameter_mm > 0.0 or bool(self.apertures)
+
+    def from_behind(self) -> Surface:
+        """The same piece of matter in a frame turned by half a turn about y, for light that comes from its other side.
+
+        Position, medium and element stay what they are.
+        """
+        return replace(
+            self,
+            shape=self.shape.flipped(),
+            rotation=self.rotation @ HALF_TURN,
+            apertures=tuple(aperture.flipped() for aperture in self.apertures),
+            error=None if self.error is None else self.error.flipped(),
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -114,9 +149,14 @@ class LensSystem:
         stops = sum(surface.is_stop for surface in self.surfaces)
         if stops != 1:
             raise ConfigError(f"lens {self.name!r} has {stops} stops; exactly one is needed")
-        for surface in self.surfaces:
+        for number, (surface, before) in enumerate(zip(self.surfaces, self.media, strict=False)):
             if surface.medium != AMBIENT and surface.medium not in self.glasses:
                 raise unknown_name("glass", surface.medium, self.glasses)
+            if surface.mirror and (surface.medium, surface.index_offset) != before:
+                raise ConfigError(
+                    f"lens {self.name!r}: surface {number} is a mirror between {before[0]!r} and {surface.medium!r}; "
+                    "what follows a mirror is what lies in front of it"
+                )
         if not 0 < self.max_field_deg < 90:
             raise DomainError(f"lens {self.name!r}: max_field_deg = {self.max_field_deg} deg is outside 0 ... 90 deg")
 
@@ -145,15 +185,32 @@ class LensSystem:
     @property
     def stop_in_front(self) -> bool:
         """Whether nothing refracts before the stop, so that the stop itself is the entrance pupil."""
-        before = self.surfaces[: self.stop_index]
-        return all(isinstance(s.shape, Plane) and s.medium == AMBIENT for s in before) and (
-            self.surfaces[self.stop_index].medium == AMBIENT and isinstance(self.surfaces[self.stop_index].shape, Plane)
+        return all(
+            isinstance(s.shape, Plane) and s.medium == AMBIENT and not s.mirror and s.error is None
+            for s in self.surfaces[: self.stop_index + 1]
         )
 
     @property
     def poses(self) -> tuple[tuple[FloatArray, FloatArray], ...]:
         """(position [mm], rotation) of every surface and, last, of the image plane, in the lens frame."""
         return (*((s.position_mm, s.rotation) for s in self.surfaces), (self.image_position_mm, self.image_rotation))
+
+    @property
+    def axis(self) -> tuple[FloatArray, ...]:
+        """Unit vectors in the lens frame along which light travels before the first surface and after each one.
+
+        The axis is turned by mirrors only, about their vertex normals.
+        """
+        along = [np.array([0.0, 0.0, 1.0])]
+        for surface in self.surfaces:
+            normal = surface.rotation[:, 2]
+            along.append(along[-1] - 2.0 * (along[-1] @ normal) * normal if surface.mirror else along[-1])
+        return tuple(along)
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether light meets an odd number of mirrors, so that its image is seen in a mirror."""
+        return sum(surface.mirror for surface in self.surfaces) % 2 == 1
 
     @property
     def media(self) -> tuple[tuple[str, float], ...]:

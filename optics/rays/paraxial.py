@@ -6,6 +6,9 @@ distance t: :math:`y' = y + (t / n) \nu` (Kloos 2007, *Matrix Methods for Optica
 -n A/C, front focus n D/C.
 
 Indices are absolute, so a lens in air has the focal length it has in air, in vacuum the one in vacuum.
+
+Light travels towards +z of every surface's own frame, so distances are unfolded: they count along the axis as the
+mirrors turn it (`LensSystem.axis`), and a mirror of curvature c has the power -2 n c.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.lens.system import LensSystem
+from optics.lens.system import LensSystem, Surface
 from optics.units import DEG_RAD
 
 __all__ = [
@@ -70,9 +73,10 @@ class ParaxialLens:
 
 
 def _require_centred(lens: LensSystem) -> None:
+    axis = lens.axis
     for i, (position, rotation) in enumerate(lens.poses):
         what = f"surface {i}" if i < len(lens.surfaces) else "image plane"
-        if np.any(position[:2] != 0.0) or not np.array_equal(rotation[:, 2], [0.0, 0.0, 1.0]):
+        if np.any(position[:2] != 0.0) or not np.array_equal(rotation[:, 2], axis[i]) or np.any(axis[i][:2] != 0.0):
             raise DomainError(
                 f"lens {lens.name!r}: {what} is tilted or decentred; paraxial quantities exist for centred lenses only"
             )
@@ -84,26 +88,38 @@ def _require_centred(lens: LensSystem) -> None:
             )
 
 
+def _power(surface: Surface, before: float, after: float) -> float:
+    """Power of a surface [1/mm] between two indices."""
+    return surface.shape.power(before, -before if surface.mirror else after)
+
+
+def _distance(lens: LensSystem, i: int, at: FloatArray) -> float:
+    """Distance along the axis from a point on it to the vertex of surface i (or to the image plane)."""
+    return float((lens.poses[i][0] - at) @ lens.axis[i])
+
+
 def _transfer(distance: float, index: float) -> FloatArray:
     return np.array([[1.0, distance / index], [0.0, 1.0]])
 
 
-def _through(lens: LensSystem, n: FloatArray, start_z: float, first: int, last: int) -> tuple[FloatArray, float]:
-    """Matrix from the plane ``start_z`` through surfaces ``first`` ... ``last - 1``, and z of the last vertex."""
-    matrix, z = np.eye(2), start_z
+def _through(
+    lens: LensSystem, n: FloatArray, start: FloatArray, first: int, last: int
+) -> tuple[FloatArray, FloatArray]:
+    """Matrix from a point of the axis through surfaces ``first`` ... ``last - 1``, and the last vertex."""
+    matrix, at, axis = np.eye(2), start, lens.axis
     for i in range(first, last):
         surface = lens.surfaces[i]
-        vertex = float(surface.position_mm[2])
-        refraction = np.array([[1.0, 0.0], [-(n[i + 1] - n[i]) * surface.shape.curvature, 1.0]])
-        matrix, z = refraction @ _transfer(vertex - z, n[i]) @ matrix, vertex
-    return matrix, z
+        distance = float((surface.position_mm - at) @ axis[i])
+        refraction = np.array([[1.0, 0.0], [-_power(surface, n[i], n[i + 1]), 1.0]])
+        matrix, at = refraction @ _transfer(distance, n[i]) @ matrix, surface.position_mm
+    return matrix, at
 
 
 def _refracting(lens: LensSystem, n: FloatArray) -> tuple[int, int]:
-    """First and last surface that refract."""
-    found = [i for i in range(len(lens.surfaces)) if n[i] != n[i + 1]]
+    """First and last surface that refract or reflect."""
+    found = [i for i, s in enumerate(lens.surfaces) if n[i] != n[i + 1] or s.mirror or s.shape.redirects]
     if not found:
-        raise DomainError(f"lens {lens.name!r} has no refracting surface; it has no focal length")
+        raise DomainError(f"lens {lens.name!r} has no refracting or reflecting surface; it has no focal length")
     return found[0], found[-1]
 
 
@@ -111,20 +127,22 @@ def axial_paraxial(lens: LensSystem, wavelength_nm: float) -> ParaxialLens:
     """As `paraxial`, but tilts and decentres are ignored instead of refused (a starting point for real rays)."""
     n = lens.indices(float(wavelength_nm))
     first, last = _refracting(lens, n)
-    z_first, z_last = float(lens.surfaces[first].position_mm[2]), float(lens.surfaces[last].position_mm[2])
-    (a, _), (c, d) = _through(lens, n, z_first, first, last + 1)[0]
+    start = lens.surfaces[first].position_mm
+    (a, _), (c, d) = _through(lens, n, start, first, last + 1)[0]
     if c == 0.0:
         raise DomainError(f"lens {lens.name!r} is afocal at {wavelength_nm:g} nm; it has no focal length")
     n_in, n_out = float(n[0]), float(n[-1])
     efl, bfl, ffl = -n_out / c, -n_out * a / c, n_in * d / c
     stop = lens.surfaces[lens.stop_index]
-    z_stop = float(stop.position_mm[2])
-    before, z = _through(lens, n, z_first, 0, lens.stop_index)
-    before = _transfer(z_stop - z, float(n[lens.stop_index])) @ before
-    after, z_end = _through(lens, n, z_stop, lens.stop_index, len(lens.surfaces))
+    before, at = _through(lens, n, start, 0, lens.stop_index)
+    before = _transfer(_distance(lens, lens.stop_index, at), float(n[lens.stop_index])) @ before
+    after, end = _through(lens, n, stop.position_mm, lens.stop_index, len(lens.surfaces))
+    # z of points on the axis in front of the lens, and behind its last surfaces
+    z_first, z_last, z_end = (float(point[2]) for point in (start, lens.surfaces[last].position_mm, end))
+    along_in, along_out = float(lens.axis[0][2]), float(lens.axis[-1][2])
     with np.errstate(divide="ignore"):
-        entrance_z = z_first + n_in * np.divide(before[0, 1], before[0, 0])
-        exit_z = z_end - n_out * np.divide(after[0, 1], after[1, 1])
+        entrance_z = z_first + along_in * n_in * np.divide(before[0, 1], before[0, 0])
+        exit_z = z_end - along_out * n_out * np.divide(after[0, 1], after[1, 1])
         entrance_radius = np.abs(np.divide(stop.semi_diameter_mm, before[0, 0]))
         exit_radius = np.abs(np.divide(stop.semi_diameter_mm, after[1, 1]))
         f_number = np.divide(abs(efl), 2.0 * entrance_radius)
@@ -133,10 +151,10 @@ def axial_paraxial(lens: LensSystem, wavelength_nm: float) -> ParaxialLens:
         efl_mm=float(efl),
         bfl_mm=float(bfl),
         ffl_mm=float(ffl),
-        front_focus_z_mm=float(z_first + ffl),
-        rear_focus_z_mm=float(z_last + bfl),
-        front_principal_z_mm=float(z_first + ffl + efl * n_in / n_out),
-        rear_principal_z_mm=float(z_last + bfl - efl),
+        front_focus_z_mm=float(z_first + along_in * ffl),
+        rear_focus_z_mm=float(z_last + along_out * bfl),
+        front_principal_z_mm=float(z_first + along_in * (ffl + efl * n_in / n_out)),
+        rear_principal_z_mm=float(z_last + along_out * (bfl - efl)),
         entrance_pupil_z_mm=float(entrance_z),
         entrance_pupil_radius_mm=float(entrance_radius),
         exit_pupil_z_mm=float(exit_z),
@@ -177,7 +195,7 @@ def image_of(lens: LensSystem, object_z_mm: float, wavelength_nm: float | None =
     x = object_z_mm - p.front_focus_z_mm
     if x == 0.0:
         raise DomainError(f"object at z = {object_z_mm} mm stands in the front focal plane; its image is at infinity")
-    return p.rear_focus_z_mm - p.efl_mm**2 / x, p.efl_mm / x
+    return p.rear_focus_z_mm - float(lens.axis[-1][2]) * p.efl_mm**2 / x, p.efl_mm / x
 
 
 def chief_ray(lens: LensSystem, field_deg: float, wavelength_nm: float | None = None) -> tuple[FloatArray, FloatArray]:
@@ -202,17 +220,16 @@ def chief_ray(lens: LensSystem, field_deg: float, wavelength_nm: float | None = 
     p = paraxial(lens, wavelength_nm)
     n = lens.indices(p.wavelength_nm)
     slope = float(np.tan(field_deg * DEG_RAD))
-    z = float(lens.surfaces[0].position_mm[2])
-    ray = np.array([(z - p.entrance_pupil_z_mm) * slope, n[0] * slope])
+    at = lens.surfaces[0].position_mm
+    ray = np.array([(float(at[2]) - p.entrance_pupil_z_mm) * slope, n[0] * slope])
     heights, slopes = [], []
     for i, surface in enumerate(lens.surfaces):
-        vertex = float(surface.position_mm[2])
-        ray = _transfer(vertex - z, n[i]) @ ray
-        ray[1] -= (n[i + 1] - n[i]) * surface.shape.curvature * ray[0]
-        z = vertex
+        ray = _transfer(_distance(lens, i, at), n[i]) @ ray
+        ray[1] -= _power(surface, n[i], n[i + 1]) * ray[0]
+        at = surface.position_mm
         heights.append(ray[0])
         slopes.append(ray[1] / n[i + 1])
-    heights.append(heights[-1] + (float(lens.image_position_mm[2]) - z) * slopes[-1])
+    heights.append(heights[-1] + _distance(lens, len(lens.surfaces), at) * slopes[-1])
     return np.array(heights), np.array([*slopes, slopes[-1]])
 
 
@@ -234,8 +251,8 @@ def lateral_colour_mm(
 
 def refocused(lens: LensSystem, wavelength_nm: float | None = None) -> LensSystem:
     """The lens with its image plane moved to the paraxial focus."""
-    z = paraxial(lens, wavelength_nm).rear_focus_z_mm
-    return replace(lens, image_position_mm=np.array([0.0, 0.0, z]))
+    focus = np.array([0.0, 0.0, paraxial(lens, wavelength_nm).rear_focus_z_mm])
+    return replace(lens, image_position_mm=focus)
 
 
 def stopped_down(lens: LensSystem, f_number: float) -> LensSystem:

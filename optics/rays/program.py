@@ -14,6 +14,8 @@ import numpy as np
 
 from optics.arrays import FloatArray
 from optics.glass.media import IndexFormula, index_parameters
+from optics.lens.apertures import Aperture
+from optics.lens.sag_map import SagMap
 from optics.lens.shapes.base import Shape
 from optics.lens.shapes.plane import Plane
 from optics.lens.system import AMBIENT, LensSystem
@@ -44,6 +46,12 @@ class Step:
         Whether the inner radius counts.
     before, after : int
         Media; equal for a surface that does not refract.
+    mirror : bool
+        Whether it reflects.
+    outlines : tuple of (type, int, int, bool)
+        Class of every further aperture, its parameters (offset, number), and whether it obscures.
+    error : SagMap or None
+        Deviation that is added to the sag.
     """
 
     shape: type[Shape]
@@ -56,6 +64,9 @@ class Step:
     annular: bool
     before: int
     after: int
+    mirror: bool = False
+    outlines: tuple[tuple[type[Aperture], int, int, bool], ...] = ()
+    error: SagMap | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,6 +99,12 @@ def _media(lens: LensSystem, vector: _Vector) -> tuple[list[IndexFormula], list[
         numbers, terms, thermal = index_parameters(glass, lens.environment, offset)
         formulas.append(IndexFormula(at=vector.add(numbers), terms=terms, thermal=thermal))
     return formulas, [distinct.index(medium) for medium in lens.media]
+
+
+def _outline(aperture: Aperture, vector: _Vector) -> tuple[type[Aperture], int, int, bool]:
+    """An aperture as `Step.outlines` holds it."""
+    numbers = aperture.parameters()
+    return type(aperture), vector.add(numbers), len(numbers), aperture.obscures
 
 
 def compile_lens(lens: LensSystem, *, general: bool = False) -> tuple[LensProgram, FloatArray]:
@@ -132,6 +149,9 @@ def compile_lens(lens: LensSystem, *, general: bool = False) -> tuple[LensProgra
                 annular=surface is not None and surface.inner_semi_diameter_mm > 0,
                 before=medium_of[min(i, len(lens.surfaces))],
                 after=medium_of[min(i + 1, len(lens.surfaces))],
+                mirror=surface is not None and surface.mirror,
+                outlines=tuple(_outline(aperture, vector) for aperture in surface.apertures) if surface else (),
+                error=surface.error if surface else None,
             )
         )
         position, rotation = new_position, new_rotation

@@ -1,8 +1,9 @@
 """The same lens for light that goes the other way, from the image plane to the sky.
 
-The reversed lens has its own lens frame: its origin is the image plane's origin of the original lens, and the axes are
-turned half a turn about y, so that light travels towards +z again: (x, y, z) -> (-x, y, z_image - z). Its image plane
-is the plane z = 0 of the original lens.
+The reversed lens has its own lens frame: its origin is the image plane's origin of the original lens. Without mirrors
+its axes are those of the lens frame turned half a turn about y, so that light travels towards +z again: (x, y, z) ->
+(-x, y, z_image - z). With mirrors, behind which light may travel any way, they are those of the image plane, turned
+likewise. Its image plane is the plane z = 0 of the original lens.
 """
 
 from __future__ import annotations
@@ -11,13 +12,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.lens.system import LensSystem
+from optics.lens.system import HALF_TURN, LensSystem
 from optics.rays.trace import OK, Rays
 
 __all__ = ["retraced", "reverse"]
 
-HALF_TURN = np.diag([-1.0, 1.0, -1.0])
+
+def _turn(lens: LensSystem) -> FloatArray:
+    """Rotation from the lens frame to that of the reversed lens."""
+    mirrors = any(surface.mirror for surface in lens.surfaces)
+    return np.asarray(HALF_TURN @ lens.image_rotation.T if mirrors else HALF_TURN)
 
 
 def reverse(lens: LensSystem) -> LensSystem:
@@ -32,14 +38,14 @@ def reverse(lens: LensSystem) -> LensSystem:
     -------
     LensSystem
         Surfaces in reverse order; see the module for its frame. Reversing twice gives back a lens whose image plane is
-        untilted and which is otherwise the same.
+        untilted (without mirrors) and which is otherwise the same.
     """
+    turn = _turn(lens)
     surfaces = tuple(
         replace(
-            surface,
-            shape=surface.shape.flipped(),
-            position_mm=HALF_TURN @ (surface.position_mm - lens.image_position_mm),
-            rotation=HALF_TURN @ surface.rotation @ HALF_TURN,
+            surface if surface.mirror else surface.from_behind(),
+            position_mm=turn @ (surface.position_mm - lens.image_position_mm),
+            rotation=turn @ surface.rotation @ (np.eye(3) if surface.mirror else HALF_TURN),
             medium=medium,
             index_offset=offset,
         )
@@ -48,8 +54,8 @@ def reverse(lens: LensSystem) -> LensSystem:
     return replace(
         lens,
         surfaces=surfaces,
-        image_position_mm=-HALF_TURN @ lens.image_position_mm,
-        image_rotation=np.eye(3),
+        image_position_mm=-turn @ lens.image_position_mm,
+        image_rotation=turn @ HALF_TURN,
     )
 
 
@@ -72,7 +78,7 @@ def retraced(lens: LensSystem, arrived: Rays) -> Rays:
         raise DomainError(
             f"{int(np.sum(arrived.status != OK))} rays did not reach the image plane; retrace those that did"
         )
-    turn = HALF_TURN @ lens.image_rotation
+    turn = _turn(lens) @ lens.image_rotation
     point = turn @ np.stack([np.ravel(v) for v in (arrived.x, arrived.y, arrived.z)])
     direction = -turn @ np.stack([np.ravel(v) for v in (arrived.dx, arrived.dy, arrived.dz)])
     shape = np.shape(arrived.x)

@@ -1,7 +1,9 @@
 """Sequential ray trace, written once for NumPy and Dr.Jit arrays.
 
-Each surface: into its vertex frame, to the vertex plane, to the surface, aperture, Snell's law in vector form. Points
-are kept relative to the current vertex, which keeps rounding at 1e-14 mm however long the lens.
+Each surface: into its vertex frame, to the vertex plane, to the surface, apertures, Snell's law or the law of
+reflection in vector form. Points are kept relative to the current vertex, which keeps rounding at 1e-14 mm however long
+the lens. Light travels towards +z in every vertex frame (`optics.lens.system`), so that paths count positive on both
+sides of a mirror.
 Rays that fail are carried on with numbers that mean nothing; ``status`` and ``failed_at`` tell the first thing that
 happened to them: the intersection is checked first, then the clear aperture, then refraction.
 """
@@ -17,6 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from optics.arrays import NUMPY, ArrayNamespace
 from optics.errors import DomainError
+from optics.lens.sag_map import SagMap
+from optics.lens.shapes.base import Hit, Shape
 from optics.lens.system import LensSystem
 from optics.rays.program import LensProgram, Step, compile_lens
 
@@ -33,6 +37,8 @@ __all__ = [
 ]
 
 OK, MISSED, TOTAL_REFLECTION, VIGNETTED = 0, 1, 2, 3
+MEASURED_STEPS, MEASURED_RESIDUAL_MM = 5, 1e-10
+"""Steps towards a surface with a measured deviation, and the last change [mm] beyond which a ray counts as missed."""
 STATUS_NAMES = ("ok", "missed", "total reflection", "vignetted")
 
 
@@ -142,13 +148,50 @@ def _into_frame(step: Step, theta: Any, p: tuple[Any, Any, Any], d: tuple[Any, A
     return (x, y, z + theta[step.shift_at + 2]), (dx, dy, dz)
 
 
+def _on_measured(
+    shape: type[Shape],
+    error: SagMap,
+    numbers: Sequence[Any],
+    start: tuple[Any, Any],
+    d: tuple[Any, Any, Any],
+    xp: ArrayNamespace,
+) -> Hit:
+    """Intersection with a shape and its measured deviation; parameters as `Shape.intersect`.
+
+    A ray meets the sag z(x, y) + e(x, y) where the same ray, shifted by -e along z, meets z(x, y); e is that of the
+    last point. Every step leaves the slope of e times that of the ray, some 1e-4, of the change before it.
+    """
+    lift, change = 0.0 * start[0], 0.0 * start[0]
+    for _ in range(MEASURED_STEPS):
+        along = lift / d[2]
+        hit = shape.intersect(numbers, start[0] + along * d[0], start[1] + along * d[1], d, xp)
+        height, slope_x, slope_y, reached = error.at(hit.x, hit.y, xp)
+        change, lift = height - lift, height
+    nx, ny = hit.nx / hit.nz - slope_x, hit.ny / hit.nz - slope_y
+    scale = 1.0 / xp.sqrt(nx * nx + ny * ny + 1.0)
+    cos_i = (nx * d[0] + ny * d[1] + d[2]) * scale
+    valid = reached & (change * change < MEASURED_RESIDUAL_MM**2) & (cos_i > 0.0)
+    valid = valid if hit.valid is None else hit.valid & valid
+    return Hit(along + hit.path, hit.x, hit.y, hit.z + lift, nx * scale, ny * scale, scale, cos_i, valid)
+
+
+def _lost(outside: Any, number: int, status: Any, failed_at: Any, xp: ArrayNamespace) -> tuple[Any, Any]:
+    """Status and place of loss where rays meet something dark."""
+    lost = (status == OK) & outside
+    return xp.where(lost, VIGNETTED, status), xp.where(lost, number, failed_at)
+
+
 def _cross(number: int, step: Step, theta: Any, index: Sequence[Any], rays: Rays, xp: ArrayNamespace) -> Rays:
-    """Rays at the next surface, in its vertex frame, after refraction."""
+    """Rays at the next surface, in its vertex frame, after refraction or reflection."""
     (x, y, z), d = _into_frame(step, theta, (rays.x, rays.y, rays.z), (rays.dx, rays.dy, rays.dz))
     status, failed_at = rays.status, rays.failed_at
     to_plane = -z / d[2]
     x, y = x + to_plane * d[0], y + to_plane * d[1]
-    hit = step.shape.intersect(theta[step.shape_at : step.shape_at + step.shape_size], x, y, d, xp)
+    numbers = theta[step.shape_at : step.shape_at + step.shape_size]
+    if step.error is None:
+        hit = step.shape.intersect(numbers, x, y, d, xp)
+    else:
+        hit = _on_measured(step.shape, step.error, numbers, (x, y), d, xp)
     n1 = index[step.before]
     opl = rays.opl_mm + n1 * (to_plane + hit.path)
     valid = d[2] > 0.0 if hit.valid is None else hit.valid & (d[2] > 0.0)
@@ -160,10 +203,17 @@ def _cross(number: int, step: Step, theta: Any, index: Sequence[Any], rays: Rays
         outside = r2 > theta[step.aperture_at]
         if step.annular:
             outside = outside | (r2 < theta[step.aperture_at + 1])
-        lost = (status == OK) & outside
-        status = xp.where(lost, VIGNETTED, status)
-        failed_at = xp.where(lost, number, failed_at)
-    if step.before != step.after:
+        status, failed_at = _lost(outside, number, status, failed_at, xp)
+    for kind, at, size, obscures in step.outlines:
+        inside = kind.inside(theta[at : at + size], hit.x, hit.y, xp)
+        status, failed_at = _lost(inside if obscures else ~inside, number, status, failed_at, xp)
+    if step.mirror:
+        bend = -2.0 * hit.cos_i
+        d = (d[0] + bend * hit.nx, d[1] + bend * hit.ny, d[2] + bend * hit.nz)
+    elif step.shape.redirects:
+        d, path = step.shape.redirect(numbers, hit, d, (n1, index[step.after]), xp)
+        opl = opl + path
+    elif step.before != step.after:
         eta = n1 / index[step.after]
         k = 1.0 - eta * eta * (1.0 - hit.cos_i * hit.cos_i)
         reflected = (status == OK) & (k < 0.0)

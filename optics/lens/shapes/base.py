@@ -50,10 +50,13 @@ class Shape(ABC):
         Name of the kind in lens files and messages.
     rotational : bool
         Whether the surface is one of revolution about its z axis; only then it has paraxial quantities.
+    redirects : bool
+        Whether it turns light by a rule of its own, `redirect`, in place of Snell's law.
     """
 
     kind: ClassVar[str]
     rotational: ClassVar[bool] = True
+    redirects: ClassVar[bool] = False
 
     @property
     @abstractmethod
@@ -64,6 +67,17 @@ class Shape(ABC):
     def rim_mm(self) -> float:
         """Distance from the axis at which the surface ends, as a sphere does at its radius; infinite if it does not."""
         return math.inf
+
+    def power(self, before: float, after: float) -> float:
+        """Paraxial power [1/mm] between two refractive indices; behind a mirror the second one counts negative."""
+        return (after - before) * self.curvature
+
+    @staticmethod
+    def redirect(
+        p: Sequence[Any], hit: Hit, d: Sequence[Any], index: tuple[Any, Any], xp: ArrayNamespace
+    ) -> tuple[tuple[Any, Any, Any], Any]:
+        """Direction behind the surface and what is added to the optical path, of a kind that `redirects`."""
+        raise NotImplementedError
 
     @abstractmethod
     def parameters(self) -> tuple[float, ...]:

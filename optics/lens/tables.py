@@ -1,0 +1,205 @@
+"""The tables of a lens file: what may be written, checked key by key; no geometry."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import MISSING, fields
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_type_hints
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, FiniteFloat, Tag, create_model, model_validator
+
+from optics.errors import DomainError
+from optics.lens.apertures import APERTURES, Aperture
+from optics.lens.shapes.base import Shape
+from optics.lens.shapes.registry import SHAPES, UNNAMED
+
+__all__ = ["BREAK", "MIRROR", "BreakTable", "ErrorTable", "GlassTable", "ImageTable", "Prescription", "SurfaceTable"]
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Two = tuple[FiniteFloat, FiniteFloat]
+Three = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+
+MIRROR = "mirror"
+BREAK: Final = "coordinate_break"
+"""What stands for a medium behind a mirror; kind of a table that only moves the frame."""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class MovedTable(_Table):
+    """A shift and a turn of a frame.
+
+    ``tilt_deg`` are right-handed rotations about x, y (and z): with ``axes = "fixed"`` in this order about the axes of
+    the frame before, with ``"moving"`` about x, then the turned y, then the turned z. ``first = "decentre"`` shifts
+    along the axes before the turn, ``"tilt"`` along those after it.
+    """
+
+    decentre_mm: Two | Three = (0.0, 0.0)
+    tilt_deg: Two | Three = (0.0, 0.0)
+    axes: Literal["fixed", "moving"] = "fixed"
+    first: Literal["decentre", "tilt"] = "decentre"
+
+
+class BreakTable(MovedTable):
+    """A coordinate break: the frame of everything that follows."""
+
+    kind: Literal["coordinate_break"] = BREAK
+    thickness_mm: FiniteFloat = 0.0
+
+
+class ImageTable(MovedTable):
+    """The image plane against the frame in which the last thickness ends."""
+
+
+class StopTable(_Table):
+    """A stop that stands alone: a plane at ``z_mm`` in the lens frame."""
+
+    z_mm: FiniteFloat
+    semi_diameter_mm: Positive
+    inner_semi_diameter_mm: NotNegative = 0.0
+
+
+class ErrorTable(_Table):
+    """A measured deviation of a surface, in a file; see `optics.lens.sag_map.SagMap`."""
+
+    file: Annotated[str, Field(min_length=1)]
+    width_mm: tuple[Positive, Positive]
+    unit: Literal["nm", "um", "mm"]
+    scale: FiniteFloat = 1.0
+
+
+def _keys(record: Any) -> dict[str, Any]:
+    """Keys of a table that describes a record: its fields, their annotations the checks."""
+    hints = get_type_hints(record, include_extras=True)
+    keys: dict[str, Any] = {"kind": (Literal[record.kind], record.kind)}
+    for one in fields(record):
+        keys[one.name] = (hints[one.name], ... if one.default is MISSING else one.default)
+    return keys
+
+
+class ApertureTable(_Table):
+    """An outline; its keys are the fields of its kind."""
+
+    kind: str
+
+    @model_validator(mode="after")
+    def _it_exists(self) -> ApertureTable:
+        self.aperture()
+        return self
+
+    def aperture(self) -> Aperture:
+        """The outline that the table describes."""
+        made = next(kind for kind in APERTURES if kind.kind == self.kind)
+        try:
+            return made(**{one.name: getattr(self, one.name) for one in fields(made)})
+        except DomainError as error:
+            raise ValueError(str(error)) from None
+
+
+if TYPE_CHECKING:
+    AnyAperture = ApertureTable
+else:
+    AnyAperture = Annotated[
+        reduce(
+            or_,
+            (
+                Annotated[create_model(f"{kind.__name__}Table", __base__=ApertureTable, **_keys(kind)), Tag(kind.kind)]
+                for kind in APERTURES
+            ),
+        ),
+        Discriminator("kind"),
+    ]
+
+
+class SurfaceTable(MovedTable):
+    """What every surface has, whatever its shape.
+
+    Its shift and turn hold for this surface alone (``carry = "none"``), for all that follows too (``"forward"``), or
+    are those of a mirror behind which the frame follows the reflected axis (``"bend"``).
+    """
+
+    kind: str
+    thickness_mm: FiniteFloat
+    medium: str
+    semi_diameter_mm: Positive = math.inf
+    inner_semi_diameter_mm: NotNegative = 0.0
+    element: str = ""
+    stop: bool = False
+    carry: Literal["none", "forward", "bend"] = "none"
+    aperture: tuple[AnyAperture, ...] = ()
+    error: ErrorTable | None = None
+
+    @model_validator(mode="after")
+    def _it_is_a_surface(self) -> SurfaceTable:
+        self.shape()
+        if self.carry == "bend" and self.medium != MIRROR:
+            raise ValueError("carry = 'bend' goes with medium = 'mirror'; use 'forward' for a surface that refracts")
+        if self.stop and math.isinf(self.semi_diameter_mm):
+            raise ValueError("the stop needs semi_diameter_mm")
+        return self
+
+    def shape(self) -> Shape:
+        """The shape that the table describes."""
+        shape = next(shape for shape in SHAPES if shape.kind == self.kind)
+        made = shape(**{one.name: getattr(self, one.name) for one in fields(shape)})
+        return made if "kind" in self.model_fields_set else made.simplest()
+
+
+def _kind_of(table: Any) -> Any:
+    """Kind that a surface table names, or stands for if it names none."""
+    return table.get("kind", UNNAMED.kind) if isinstance(table, dict) else getattr(table, "kind", UNNAMED.kind)
+
+
+if TYPE_CHECKING:
+    AnySurface = SurfaceTable | BreakTable
+else:
+    AnySurface = Annotated[
+        reduce(
+            or_,
+            (
+                Annotated[create_model(f"{kind.__name__}Table", __base__=SurfaceTable, **_keys(kind)), Tag(kind.kind)]
+                for kind in SHAPES
+            ),
+        )
+        | Annotated[BreakTable, Tag(BREAK)],
+        Discriminator(_kind_of),
+    ]
+
+
+class GlassTable(_Table):
+    """A glass that the built-in catalogue does not hold; keys as in `optics.glass.catalogue.glass_from_table`."""
+
+    source: Annotated[str, Field(min_length=1)]
+    maker: str = "generic"
+    B: tuple[FiniteFloat, ...]
+    C: tuple[FiniteFloat, ...]
+    range_nm: tuple[Positive, Positive]
+    reference_temperature_c: FiniteFloat = 20.0
+    dndt: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    dndt_range_c: Two | None = None
+    cte_per_k: FiniteFloat | None = None
+
+
+class Prescription(_Table):
+    """Whole prescription file."""
+
+    name: Annotated[str, Field(min_length=1)]
+    source: Annotated[str, Field(min_length=1)]
+    design_wavelength_nm: Positive
+    max_field_deg: Annotated[float, Field(gt=0, lt=90)]
+    stop: StopTable | None = None
+    surface: Annotated[tuple[AnySurface, ...], Field(min_length=1)]
+    image: ImageTable = ImageTable()
+    glass: dict[str, GlassTable] = {}
+
+    @model_validator(mode="after")
+    def _one_stop(self) -> Prescription:
+        stops = sum(isinstance(s, SurfaceTable) and s.stop for s in self.surface) + (self.stop is not None)
+        if stops != 1:
+            raise ValueError(f"{stops} stops are given; exactly one is needed ([stop] or stop = true on one surface)")
+        return self

@@ -1,0 +1,187 @@
+"""Mirrors, coordinate breaks, tilted image planes: closed forms, and rotations written out by hand."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from optics.errors import ConfigError
+from optics.lens.prescription import lens_from_table
+from optics.rays.paraxial import paraxial, refocused
+from optics.rays.reverse import retraced, reverse
+from optics.rays.trace import Rays, trace
+
+HEAD = {"name": "test", "source": "closed form", "design_wavelength_nm": 600.0, "max_field_deg": 1.0}
+
+# Cassegrain: primary of focal length 1000, secondary 700 in front of it, images its focus 300 behind onto 1200
+# (1/1200 - 1/300 = 2/R2), eccentricity (1200 + 300)/(1200 - 300)
+CASSEGRAIN = {
+    **HEAD,
+    "surface": [
+        {"radius_mm": -2000.0, "conic": -1.0, "thickness_mm": -700.0, "medium": "mirror", "stop": True,
+         "semi_diameter_mm": 100.0, "inner_semi_diameter_mm": 30.0, "element": "M1"},
+        {"radius_mm": -800.0, "conic": -((1500 / 900) ** 2), "thickness_mm": 1200.0, "medium": "mirror",
+         "semi_diameter_mm": 40.0, "element": "M2"},
+    ],
+}  # fmt: skip
+
+
+def grid(half, count=21):
+    side = np.linspace(-half, half, count)
+    return (v.ravel() for v in np.meshgrid(side, side))
+
+
+def rays(half, direction=(0.0, 0.0, 1.0), z=-10.0):
+    x, y = grid(half)
+    return Rays.create(x_mm=x, y_mm=y, z_mm=z, direction=direction, wavelength_nm=600.0)
+
+
+def kept(bundle, keep):
+    return Rays(**{name: getattr(bundle, name)[keep] for name in Rays.__dataclass_fields__})
+
+
+def test_a_cassegrain_has_a_perfect_focus_and_equal_paths():
+    lens = lens_from_table(CASSEGRAIN, where="test")
+    out = trace(lens, rays(95.0, z=-1000.0))
+    assert 200 < out.ok.sum() < 441  # the hole and the corners are dark
+    assert np.hypot(out.x, out.y)[out.ok].max() < 1e-11
+    air = float(lens.indices(600.0)[0])
+    # the axial ray runs 1000 to M1, 700 back and 1200 to the focus
+    np.testing.assert_allclose(out.opl_mm[out.ok], air * (1000.0 + 700.0 + 1200.0), atol=1e-9)
+    first = paraxial(lens)
+    assert first.efl_mm == pytest.approx(1000.0 * 1200.0 / 300.0, rel=1e-12)
+    assert first.bfl_mm == pytest.approx(1200.0, rel=1e-12)
+    assert first.rear_focus_z_mm == pytest.approx(500.0, rel=1e-12)
+
+
+def test_a_parabola_alone_has_its_image_in_front_of_it_and_mirrored():
+    primary = {**CASSEGRAIN["surface"][0], "thickness_mm": -1000.0}
+    lens = lens_from_table({**HEAD, "surface": [primary]}, where="test")
+    assert lens.mirrored
+    slope = 0.002
+    out = trace(lens, rays(1e-3, (slope, slope, 1.0)))
+    # a ray near the axis lands at f tan(field); the image plane faces the light, its x axis runs against the lens's
+    assert out.y.mean() == pytest.approx(1000.0 * slope, rel=1e-6)
+    assert out.x.mean() == pytest.approx(-1000.0 * slope, rel=1e-6)
+    np.testing.assert_allclose(refocused(lens).image_position_mm, [0.0, 0.0, -1000.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("which", ["cassegrain", "folded"])
+def test_light_goes_back_through_mirrors_the_way_it_came(which):
+    table = CASSEGRAIN
+    if which == "folded":
+        flat = {"kind": "plane", "tilt_deg": [40.0, 20.0], "carry": "bend", "thickness_mm": -200.0, "medium": "mirror"}
+        m2 = {**CASSEGRAIN["surface"][1], "thickness_mm": 1000.0}
+        table = {**CASSEGRAIN, "surface": [CASSEGRAIN["surface"][0], m2, flat]}
+    lens = lens_from_table(table, where="test")
+    start = rays(95.0, (0.003, 0.001, 1.0))
+    out = trace(lens, start)
+    start, out = kept(start, out.ok), kept(out, out.ok)
+    back = trace(reverse(lens), retraced(lens, out))
+    assert back.ok.all()
+    np.testing.assert_allclose(-back.x, start.x + 10.0 * 0.003, atol=1e-11)
+    np.testing.assert_allclose(back.y, start.y + 10.0 * 0.001, atol=1e-11)
+    np.testing.assert_allclose(back.opl_mm, out.opl_mm - 10.0 * lens.indices(600.0)[0] / start.dz, atol=1e-10)
+    again = trace(reverse(reverse(lens)), start)
+    np.testing.assert_allclose([again.x, again.y], [out.x, out.y], atol=1e-11)
+
+
+def test_a_bent_axis_meets_the_middle_of_the_image():
+    """A flat mirror anywhere in a converging beam folds the focus and nothing else."""
+    m2 = {**CASSEGRAIN["surface"][1], "thickness_mm": 1000.0}
+    for tilt in ([45.0, 0.0], [0.0, -30.0], [20.0, 35.0]):
+        flat = {"kind": "plane", "tilt_deg": tilt, "carry": "bend", "thickness_mm": -200.0, "medium": "mirror"}
+        lens = lens_from_table({**CASSEGRAIN, "surface": [CASSEGRAIN["surface"][0], m2, flat]}, where="test")
+        out = trace(lens, rays(95.0))
+        assert np.hypot(out.x, out.y)[out.ok].max() < 1e-11
+        # the image plane stands square to the folded axis: its normal is the mirrored z axis
+        normal = lens.surfaces[2].rotation[:, 2]
+        np.testing.assert_allclose(lens.image_rotation[:, 2], [0, 0, 1] - 2 * normal[2] * normal, atol=1e-15)
+
+
+def turn(axis, degrees):
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    matrix = {
+        "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
+        "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]],
+        "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]],
+    }[axis]
+    return np.array(matrix)
+
+
+ALPHA, BETA, GAMMA = 3.0, 5.0, 10.0
+BREAK = {"kind": "coordinate_break", "decentre_mm": [0.5, -0.3], "tilt_deg": [ALPHA, BETA, GAMMA]}
+PLATE = {"kind": "plane", "thickness_mm": 7.0, "medium": "N-BK7"}
+STOP = {"kind": "plane", "thickness_mm": 20.0, "medium": "air", "stop": True, "semi_diameter_mm": 3.0}
+
+
+@pytest.mark.parametrize("axes", ["fixed", "moving"])
+@pytest.mark.parametrize("first", ["decentre", "tilt"])
+def test_a_coordinate_break_carries_forward(axes, first):
+    broken = {**BREAK, "axes": axes, "first": first, "thickness_mm": 2.0}
+    table = {**HEAD, "surface": [STOP, broken, PLATE, {**STOP, "stop": False, "thickness_mm": 30.0}]}
+    lens = lens_from_table(table, where="test")
+    x, y, z = turn("x", ALPHA), turn("y", BETA), turn("z", GAMMA)
+    rotation = z @ y @ x if axes == "fixed" else x @ y @ z
+    shift = np.array([0.5, -0.3, 0.0])
+    origin = np.array([0.0, 0.0, 20.0]) + (shift if first == "decentre" else rotation @ shift)
+    for number, along in ((1, 2.0), (2, 9.0)):
+        np.testing.assert_allclose(lens.surfaces[number].rotation, rotation, atol=1e-15)
+        np.testing.assert_allclose(lens.surfaces[number].position_mm, origin + along * rotation[:, 2], atol=1e-14)
+    np.testing.assert_allclose(lens.image_position_mm, origin + 39.0 * rotation[:, 2], atol=1e-13)
+    np.testing.assert_allclose(lens.image_rotation, rotation, atol=1e-15)
+
+
+def test_the_opposite_order_and_signs_undo_a_break():
+    there = {**BREAK, "axes": "moving", "first": "decentre"}
+    back = {**BREAK, "axes": "fixed", "first": "tilt", "decentre_mm": [-0.5, 0.3], "tilt_deg": [-ALPHA, -BETA, -GAMMA]}
+    lens = lens_from_table({**HEAD, "surface": [STOP, there, back, PLATE, {**STOP, "stop": False}]}, where="t")
+    np.testing.assert_allclose(lens.surfaces[1].rotation, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(lens.surfaces[1].position_mm, [0.0, 0.0, 20.0], atol=1e-14)
+
+
+def test_a_tilt_of_one_surface_does_not_carry_and_carry_forward_does():
+    tilted = {**PLATE, "tilt_deg": [ALPHA, BETA], "decentre_mm": [0.1, 0.2, 0.3]}
+    behind = {**STOP, "stop": False}
+    alone = lens_from_table({**HEAD, "surface": [STOP, tilted, behind]}, where="t")
+    np.testing.assert_array_equal(alone.surfaces[2].rotation, np.eye(3))
+    np.testing.assert_allclose(alone.surfaces[2].position_mm, [0.0, 0.0, 27.0])
+    carried = lens_from_table({**HEAD, "surface": [STOP, {**tilted, "carry": "forward"}, behind]}, where="t")
+    moved = {"kind": "coordinate_break", "tilt_deg": [ALPHA, BETA], "decentre_mm": [0.1, 0.2, 0.3]}
+    broken = lens_from_table({**HEAD, "surface": [STOP, moved, PLATE, behind]}, where="t")
+    for one, other in zip(carried.poses, broken.poses, strict=True):
+        np.testing.assert_array_equal(one[0], other[0])
+        np.testing.assert_array_equal(one[1], other[1])
+
+
+def test_the_image_plane_is_tilted_from_the_file():
+    table = {**CASSEGRAIN, "image": {"tilt_deg": [2.0, 0.0], "decentre_mm": [0.0, 1.0]}}
+    lens = lens_from_table(table, where="test")
+    np.testing.assert_allclose(lens.image_rotation, turn("x", 2.0), atol=1e-15)
+    out = trace(lens, rays(95.0))
+    # the focus lies 1 mm below the middle: rays of slope s cross the tilted plane tan(2 deg) mm beside it
+    assert np.abs(out.y[out.ok] + 1.0).max() < 0.02
+    assert np.ptp(out.y[out.ok]) > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("surfaces", "message"),
+    [
+        ([{**PLATE, "carry": "bend"}], "carry = 'bend' goes with medium = 'mirror'"),
+        ([{"kind": "coordinate_break", "tilt_deg": [90.0, 0.0]}, PLATE], "edge-on to the light"),
+        ([{**CASSEGRAIN["surface"][0], "stop": False}, PLATE], "lies against the light"),
+        ([{**BREAK, "medium": "air"}], "medium"),
+    ],
+)
+def test_impossible_frames_get_one_clear_line(surfaces, message):
+    with pytest.raises(ConfigError, match=message) as caught:
+        lens_from_table({**HEAD, "surface": [STOP, *surfaces, {**STOP, "stop": False}]}, where="my.toml")
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith("my.toml")
+
+
+def test_a_mirror_keeps_its_medium():
+    lens = lens_from_table(CASSEGRAIN, where="test")
+    with pytest.raises(ConfigError, match="what follows a mirror is what lies in front of it"):
+        replace(lens, surfaces=(replace(lens.surfaces[0], index_offset=0.1), lens.surfaces[1]))
