@@ -15,6 +15,7 @@ from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, P
 __all__ = [
     "BackgroundConfig",
     "BodyPointing",
+    "CardConfig",
     "ConePointing",
     "Config",
     "FilesConfig",
@@ -202,6 +203,15 @@ class FilesConfig(StrictModel):
     )
 
 
+class CardConfig(StrictModel):
+    """What the data card, COCO and Croissant say of the dataset; no frame depends on it."""
+
+    title: str = Field(default="Star frames with exact truth", description="name of the dataset")
+    version: str = Field(default="1.0.0", description="its version")
+    licence: str = Field(default="", description="SPDX identifier such as CC-BY-4.0; left out: the catalogue's")
+    citation: str = Field(default="", description="how to cite it; left out: starbench and the star catalogue")
+
+
 class VerifyConfig(StrictModel):
     """What is done with the frames afterwards: stars measured, attitudes solved blind, world coordinates tried."""
 
@@ -242,6 +252,7 @@ class Config(SensorExperimentConfig):
         default=(), description="copies for learning programs: coco, webdataset"
     )
     png_bits: Literal[8, 16] = Field(default=16, description="of coco; 16: raw numbers, 8: stretched for the eye")
+    card: CardConfig = CardConfig()
     verify: VerifyConfig = VerifyConfig()
     workers: int = Field(default=0, ge=0, le=4096, description="processes; 0: one per processor; 1: this one")
     scheduler: str = Field(default="", description="Dask scheduler such as tcp://host:8786; left out: this machine")

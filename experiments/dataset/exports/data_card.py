@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from experiments.dataset.exports.about import about
 from experiments.dataset.frames.plan import SPLITS
 from experiments.dataset.production.folder import IDENTITY
 from experiments.dataset.production.identity import identity
@@ -17,7 +20,7 @@ from experiments.harness.outputs import flat
 if TYPE_CHECKING:
     from experiments.dataset.result import Result
 
-__all__ = ["data_card"]
+__all__ = ["data_card", "plain_text"]
 
 
 def data_card(result: Result) -> str:
@@ -27,11 +30,12 @@ def data_card(result: Result) -> str:
     environment = Environment(
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
-    environment.filters["g"] = lambda value: f"{value:g}"
+    environment.filters |= {"g": lambda value: f"{value:g}", "plain": plain_text, "quoted": json.dumps}
     template = Path(__file__).with_suffix(".md").read_text(encoding="utf-8")
     scene = result.scene
     return environment.from_string(template).render(
         result=result,
+        about=about(result.config, scene.catalogue.catalog),
         config=result.config,
         records=result.records,
         scene=scene,
@@ -48,5 +52,12 @@ def data_card(result: Result) -> str:
         index_columns=INDEX_COLUMNS,
         flags=FLAGS,
         classes=CLASSES,
+        exported=list(result.exports),
         settings=flat(identity(result.config)),
     )
+
+
+def plain_text(value: object) -> str:
+    """Text of users and files for a Markdown table: on one line, nothing in it is markup."""
+    one_line = " ".join("".join(c if c.isprintable() else " " for c in str(value)).split())
+    return re.sub(r"([\\|`*\[\]<>&#])", lambda found: f"&#{ord(found[1])};", one_line)

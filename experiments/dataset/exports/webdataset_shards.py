@@ -1,12 +1,20 @@
-"""WebDataset export: tar files of samples (frame, truth, record), one series per split, for streaming."""
+"""WebDataset export: tar files of samples (image, truth, record, FITS), one series per split, for streaming.
+
+The image is a NumPy array, key ``npy``: webdataset, datasets and torch read it alike, 16 bits, first row first. By PIL
+they would turn FITS upside down and ignore BZERO, and make 8 bits of 16-bit PNG; so the FITS file has the key ``fts``,
+the standard's third suffix, which they hand on as bytes.
+"""
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from experiments.dataset.production.folder import storage_error
 from experiments.dataset.truth.frame_record import FrameRecord
@@ -38,7 +46,7 @@ def check_webdataset() -> Any:
 
 
 def export_shards(folder: Path, records: Sequence[FrameRecord], *, done: Callable[[], None]) -> str:
-    """Write ``webdataset/SPLIT-000000.tar``: per sample ``fits``, ``json`` (record) and the truth.
+    """Write ``webdataset/SPLIT-000000.tar``: per sample ``npy`` (uint16), ``json`` (record), the truth, and ``fts``.
 
     Parameters
     ----------
@@ -68,6 +76,8 @@ def export_shards(folder: Path, records: Sequence[FrameRecord], *, done: Callabl
         shards.setdefault(f"{one.split}-{one.frame // FRAMES_PER_SHARD:06d}.tar", []).append(one)
     try:
         root.mkdir(exist_ok=True)
+        for left in root.glob(".*.tar.*.partial"):  # by a run that was killed
+            left.unlink()
         for name, members in shards.items():
             _shard(webdataset, folder, root / name, members, done)
     except OSError as error:
@@ -83,9 +93,10 @@ def _shard(webdataset: Any, folder: Path, path: Path, members: Sequence[FrameRec
             for one in members:
                 sample = {
                     "__key__": f"frame_{one.frame:06d}",
-                    "fits": (folder / one.file).read_bytes(),
+                    "npy": _array(folder / one.file),
                     "json": one.to_text().encode(),
                     Path(one.truth).suffix[1:]: (folder / one.truth).read_bytes(),
+                    "fts": (folder / one.file).read_bytes(),
                 }
                 writer.write(sample)
                 done()
@@ -94,3 +105,11 @@ def _shard(webdataset: Any, folder: Path, path: Path, members: Sequence[FrameRec
     finally:
         with suppress(OSError):
             beside.unlink()
+
+
+def _array(path: Path) -> bytes:
+    from render.fits.files import read_frame
+
+    held = io.BytesIO()
+    np.save(held, read_frame(path).dn, allow_pickle=False)
+    return held.getvalue()

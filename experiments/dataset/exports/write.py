@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from experiments.dataset.frames.plan import SPLITS
 from experiments.dataset.truth.frame_record import FrameRecord
 from experiments.harness.progress import Progress
 
@@ -13,7 +14,10 @@ if TYPE_CHECKING:
     from experiments.dataset.frames.scene import Scene
     from experiments.dataset.result import Result
 
-__all__ = ["write_closing_files", "write_exports"]
+__all__ = ["EXPORTS", "write_closing_files", "write_exports"]
+
+EXPORTS = ("coco", "webdataset")
+"""Their names are those of their folders."""
 
 
 def write_exports(scene: Scene, folder: Path, records: Sequence[FrameRecord], progress: Progress) -> dict[str, str]:
@@ -26,6 +30,7 @@ def write_exports(scene: Scene, folder: Path, records: Sequence[FrameRecord], pr
     StorageError
         Something could not be written.
     """
+    from experiments.dataset.exports.about import about
     from experiments.dataset.exports.coco import export_coco
     from experiments.dataset.exports.webdataset_shards import export_shards
     from experiments.dataset.frames.maker import FrameMaker
@@ -33,7 +38,8 @@ def write_exports(scene: Scene, folder: Path, records: Sequence[FrameRecord], pr
 
     config = scene.config
     written: dict[str, str] = {}
-    for name in config.exports:
+    there = {name for name in EXPORTS if (folder / name).is_dir()}  # what was exported once is kept up to date
+    for name in sorted({*config.exports, *there}):
         with progress.stage(f"export {name}", total=len(records)) as stage:
             if name == "coco":
                 written[name] = export_coco(
@@ -42,6 +48,7 @@ def write_exports(scene: Scene, folder: Path, records: Sequence[FrameRecord], pr
                     diffusion_px=scene.instrument.detector.diffusion_sigma_px,
                     bits=config.png_bits,
                     labels=LabelMaker(scene, FrameMaker(scene).hits).labels,
+                    about=about(config, scene.catalogue.catalog),
                     done=stage.advance,
                 )
             else:
@@ -50,12 +57,19 @@ def write_exports(scene: Scene, folder: Path, records: Sequence[FrameRecord], pr
 
 
 def write_closing_files(result: Result, folder: Path) -> None:
-    """Index, data card and contact sheet into a folder."""
+    """Index, data card, Croissant and contact sheet into a folder."""
     from experiments.dataset.exports.contact_sheet import contact_sheet
+    from experiments.dataset.exports.croissant import croissant
     from experiments.dataset.exports.data_card import data_card
     from experiments.dataset.truth.files import index_bytes
 
-    form = result.config.files.truth
-    (folder / f"index.{form}").write_bytes(index_bytes(result.records, form))
+    if result.config.files.truth == "ecsv":
+        (folder / "index.ecsv").write_bytes(index_bytes(result.records, "ecsv"))
+    (folder / "index.parquet").write_bytes(index_bytes(result.records, "parquet"))
+    for split in SPLITS:
+        some = [one for one in result.records if one.split == split]
+        if some:
+            (folder / f"index_{split}.parquet").write_bytes(index_bytes(some, "parquet"))
+    (folder / "croissant.json").write_text(croissant(result, folder), encoding="utf-8")
     (folder / "README.md").write_text(data_card(result), encoding="utf-8")
     (folder / "contact_sheet.png").write_bytes(contact_sheet(result.folder, result.records))

@@ -10,7 +10,10 @@ from experiments.dataset.settings import Config
 
 __all__ = ["FILE_KEYS", "for_workers", "identity"]
 
-FREE = ("frames", "exports", "png_bits", "verify", "centroid", "window_px", "threshold_sigma", "workers", "scheduler")
+FREE = (
+    *("frames", "exports", "png_bits", "card", "verify"),
+    *("centroid", "window_px", "threshold_sigma", "workers", "scheduler"),
+)
 """Keys that change no frame."""
 FILE_KEYS = (
     ("instrument", "lens"),

@@ -5,11 +5,13 @@ All of it follows from the configuration and the frame number; nothing is found 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from experiments.dataset.frames.plan import plan_frame
@@ -19,7 +21,9 @@ from optics.units import ARCSEC_RAD
 from render.detector.cosmic_rays import CosmicRayHits
 from render.detector.maps import sensor_maps
 
-__all__ = ["CLASSES", "Label", "LabelMaker"]
+__all__ = ["CLASSES", "Label", "LabelMaker", "pixels_of_ellipse"]
+
+IntArray = NDArray[np.int64]
 
 Class = Literal["star", "planet", "moon", "hot_pixel", "cosmic_ray"]
 CLASSES: dict[str, str] = {
@@ -46,6 +50,8 @@ class Label:
         Its middle: column and row, the centre of the first pixel being 0.
     box_px : (4,)
         First column, first row, width and height that it covers, from the outer corner of the first pixel [px].
+    pixels : (2, n) int
+        Rows and columns of the pixels that it covers.
     electrons : float
         Charge of a hot pixel (dark charge, mean) or a track; NaN for a body.
     """
@@ -55,7 +61,27 @@ class Label:
     x_px: float
     y_px: float
     box_px: tuple[float, float, float, float]
+    pixels: IntArray
     electrons: float = float("nan")
+
+
+def pixels_of_ellipse(x: float, y: float, half_x: float, half_y: float, shape: tuple[int, int]) -> IntArray:
+    """Rows and columns (2, n) of the pixels of an image whose centres lie in an upright ellipse.
+
+    Parameters
+    ----------
+    x, y : float
+        Its middle: column and row [px].
+    half_x, half_y : float
+        Half axes along columns and rows [px].
+    shape : (2,)
+        Rows and columns of the image.
+    """
+    first_row, last_row = max(0, math.ceil(y - half_y)), min(shape[0] - 1, math.floor(y + half_y))
+    first, last = max(0, math.ceil(x - half_x)), min(shape[1] - 1, math.floor(x + half_x))
+    rows, columns = np.mgrid[first_row : last_row + 1, first : last + 1]
+    inside = ((columns - x) / half_x) ** 2 + ((rows - y) / half_y) ** 2 <= 1.0
+    return np.stack([rows[inside], columns[inside]])
 
 
 class LabelMaker:
@@ -93,7 +119,8 @@ class LabelMaker:
             if np.isfinite(x + y) and box is not None:
                 name = str(disks.name[body])
                 kind: Class = "moon" if name == "moon" else "planet"
-                found.append(Label(kind=kind, name=name, x_px=float(x), y_px=float(y), box_px=box))
+                pixels = pixels_of_ellipse(float(x), float(y), float(r), float(r), (camera.height_px, camera.width_px))
+                found.append(Label(kind=kind, name=name, x_px=float(x), y_px=float(y), box_px=box, pixels=pixels))
         return found
 
     def _hot_pixels(self) -> list[Label]:
@@ -104,8 +131,15 @@ class LabelMaker:
         noise_e = np.sqrt(instrument.pixel_noise(detector).temporal_e2(0.0))
         rows, columns = np.nonzero(maps.defect & (dark_e > HOT_SIGMA * noise_e))
         return [
-            Label(kind="hot_pixel", x_px=x, y_px=y, box_px=(x, y, 1.0, 1.0), electrons=e)
-            for x, y, e in np.column_stack([columns, rows, dark_e[rows, columns]]).astype(float).tolist()
+            Label(
+                kind="hot_pixel",
+                x_px=float(x),
+                y_px=float(y),
+                box_px=(float(x), float(y), 1.0, 1.0),
+                pixels=np.array([[y], [x]]),
+                electrons=float(dark_e[y, x]),
+            )
+            for x, y in zip(columns.tolist(), rows.tolist(), strict=True)
         ]
 
 
@@ -137,14 +171,17 @@ def _tracks(hits: CosmicRayHits) -> list[Label]:
     total = np.atleast_1d(ndimage.sum_labels(charge, group, numbers))
     middle = ndimage.center_of_mass(charge, group, numbers)
     found = []
-    for (rows, columns), (y, x), electrons in zip(ndimage.find_objects(group), middle, total, strict=True):
+    places = ndimage.find_objects(group)
+    for number, (rows, columns), (y, x), electrons in zip(numbers, places, middle, total, strict=True):
         box = (columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
+        inside = np.nonzero(group[rows, columns] == number)
         found.append(
             Label(
                 kind="cosmic_ray",
                 x_px=float(x),
                 y_px=float(y),
                 box_px=tuple(float(v) for v in box),  # type: ignore[arg-type]  # four of them
+                pixels=np.stack(inside) + np.array([[rows.start], [columns.start]]),
                 electrons=float(electrons),
             )
         )

@@ -23,6 +23,8 @@ from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
 from optics.errors import ConfigError
 from render.fits.files import read_frame
 
+ABOUT = {"title": "", "version": "", "licence": "", "licence_url": "", "citation": ""}
+
 
 @pytest.fixture(scope="module")
 def dataset(engine, tmp_path_factory):
@@ -44,7 +46,8 @@ def dataset(engine, tmp_path_factory):
 def test_coco(dataset):
     folder, records = dataset
     seen = []
-    said = export_coco(folder, records, diffusion_px=0.3, bits=16, labels=lambda _: [], done=lambda: seen.append(1))
+    options = {"diffusion_px": 0.3, "bits": 16, "about": ABOUT}
+    said = export_coco(folder, records, labels=lambda _: [], done=lambda: seen.append(1), **options)
     assert len(seen) == 2
     parts = {split: _coco(folder, split) for split in ("train", "validation", "test")}
     images = [image for part in parts.values() for image in part["images"]]
@@ -86,7 +89,7 @@ def test_shards(dataset):
         with tarfile.open(fileobj=io.BytesIO(content)) as tar:
             members.update({member.name: tar.extractfile(member).read() for member in tar})
     for one in records:
-        assert members[f"frame_{one.frame:06d}.fits"] == (folder / one.file).read_bytes()
+        assert members[f"frame_{one.frame:06d}.fts"] == (folder / one.file).read_bytes()
         assert members[f"frame_{one.frame:06d}.parquet"] == (folder / one.truth).read_bytes()
         assert json.loads(members[f"frame_{one.frame:06d}.json"])["quat_xyzw"] == list(one.quat_xyzw)
     export_shards(folder, records, done=lambda: None)
