@@ -12,7 +12,7 @@ from render.camera import Camera
 from render.engine import Engine
 from render.plugins.camera_properties import lens_camera_properties
 from render.plugins.register import register_plugins
-from render.plugins.star_field import share_motion
+from render.plugins.star_field import share_collimation, share_motion
 from render.records import ExpectedImage, StarField, checked_exposure
 from render.tracing.motion import ExposureMotion
 from render.tracing.tracer import TracedStars
@@ -81,6 +81,8 @@ class StarRenderer:
         """
         mi = self._mi
         attitude: dict[str, Any] = {} if motion is None else {"motion": share_motion(motion)}
+        if stars.collimation is not None:
+            attitude["collimation"] = share_collimation(stars.collimation)
         if rotation_cam_from_world is not None:
             attitude["rotation"] = mi.TensorXf64(np.ascontiguousarray(rotation_cam_from_world, float)[None])
         scene = mi.load_dict(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from optics.light.collimation import Collimation
 from optics.records import freeze
 
 __all__ = [
@@ -56,6 +57,8 @@ class StarField:
         times filter transmission times node weight.
     band : tuple of str
         Names of the b bands.
+    collimation : Collimation, optional
+        Of sources in a laboratory: error of the collimator that they stand behind, in cam.
 
     Raises
     ------
@@ -67,6 +70,7 @@ class StarField:
     wavelength_nm: FloatArray
     photon_rate: FloatArray
     band: tuple[str, ...]
+    collimation: Collimation | None = None
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {"b": len(self.band)}
@@ -87,6 +91,12 @@ class StarField:
             )
         if wavelength.size and wavelength.min() <= 0:
             raise DomainError(f"StarField.wavelength_nm contains {wavelength.min():.6g} nm; it must be positive")
+
+        if self.collimation is not None and len(self.collimation.wavelength_nm) != len(self.band):
+            raise DomainError(
+                f"StarField.collimation is of {len(self.collimation.wavelength_nm)} bands, the field of "
+                f"{len(self.band)}"
+            )
 
     def __len__(self) -> int:
         return len(self.direction)

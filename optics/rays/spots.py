@@ -16,6 +16,7 @@ from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.frames import field_direction, light_direction
 from optics.lens.system import LensSystem
+from optics.light.collimation import bent_light
 from optics.rays.beam import find_beams
 from optics.rays.chief import chief_ray_points
 from optics.rays.pupil import PupilSamples, entrance_pupil, gauss_disk, sobol_disk, star_rays, stop_in_front
@@ -100,6 +101,7 @@ def trace_spots(
     *,
     samples: PupilSamples | None = None,
     order: tuple[int, int] = QUADRATURE,
+    collimation: FloatArray | None = None,
 ) -> Spots:
     """Trace the ray bundles of stars.
 
@@ -117,6 +119,8 @@ def trace_spots(
         whose apertures have holes.
     order : (int, int)
         Rings and azimuths of the quadrature.
+    collimation : (w, 3), optional
+        Of sources behind a collimator, slopes and vergence at the wavelengths (`optics.light.collimation`).
 
     Raises
     ------
@@ -134,26 +138,39 @@ def trace_spots(
     holes = any(surface.inner_semi_diameter_mm > 0 for surface in lens.surfaces)
     spots = None
     if samples is not None or stop_in_front(lens):
-        spots = _of_disk(lens, stars, waves, samples or gauss_disk(*order))
+        spots = _of_disk(lens, stars, waves, samples or gauss_disk(*order), collimation)
     elif holes:
-        spots = _of_disk(lens, stars, waves, sobol_disk(SOBOL_POINTS, seed=SOBOL_SEED))
+        spots = _of_disk(lens, stars, waves, sobol_disk(SOBOL_POINTS, seed=SOBOL_SEED), collimation)
     if spots is None or (samples is None and not holes and not np.all(spots.rays.ok)):
-        spots = _of_beams(lens, stars, waves, order)
+        spots = _of_beams(lens, stars, waves, order, collimation)
     if not np.any(spots.rays.ok):
         raise ConvergenceError(f"lens {lens.name!r}: no ray of any field reaches the image plane")
     return spots
 
 
-def _of_disk(lens: LensSystem, stars: FloatArray, waves: FloatArray, samples: PupilSamples) -> Spots:
+def _of_disk(
+    lens: LensSystem, stars: FloatArray, waves: FloatArray, samples: PupilSamples, collimation: FloatArray | None
+) -> Spots:
     """Rays of a launch disk that covers these fields and wavelengths."""
     reach = max(float(np.arccos(stars[:, 2].min())) * RAD_DEG, 1e-3)
     pupil = entrance_pupil(lens, max_field_deg=reach, wavelength_nm=[waves.min(), waves.max()])
     grid = np.broadcast_to(waves, (len(stars), waves.size))
-    rays = trace(lens, star_rays(pupil, samples, stars[:, None, :], grid))
+    rays = trace(lens, _bent(star_rays(pupil, samples, stars[:, None, :], grid), collimation, pupil.x_mm, pupil.y_mm))
     return Spots(rays=rays, area_mm2=np.where(rays.ok, samples.weight * pupil.area_mm2, 0.0))
 
 
-def _of_beams(lens: LensSystem, stars: FloatArray, waves: FloatArray, order: tuple[int, int]) -> Spots:
+def _bent(rays: Rays, collimation: FloatArray | None, x_mm: float, y_mm: float) -> Rays:
+    """Rays (f, w, n) of the light of a collimator, about the centre of the launch disk."""
+    if collimation is None:
+        return rays
+    slopes = collimation[:, 0, None], collimation[:, 1, None], collimation[:, 2, None]
+    dx, dy, dz = bent_light((rays.dx, rays.dy, rays.dz), rays.x - x_mm, rays.y - y_mm, slopes, np.sqrt)
+    return replace(rays, dx=dx, dy=dy, dz=dz)
+
+
+def _of_beams(
+    lens: LensSystem, stars: FloatArray, waves: FloatArray, order: tuple[int, int], collimation: FloatArray | None
+) -> Spots:
     """Rays inside the beams."""
     beams = find_beams(lens, stars, waves, rings=order[0], arms=order[1])
     start = Rays.create(
@@ -164,7 +181,7 @@ def _of_beams(lens: LensSystem, stars: FloatArray, waves: FloatArray, order: tup
         wavelength_nm=waves[:, None],
     )
     start.opl_mm[...] = start.x * start.dx + start.y * start.dy + start.z * start.dz
-    rays = trace(lens, start)
+    rays = trace(lens, _bent(start, collimation, 0.0, 0.0))
     lit = rays.ok & (beams.area_mm2 > 0.0)
     return Spots(rays=replace(rays, status=np.where(lit, rays.status, VIGNETTED)), area_mm2=beams.area_mm2 * lit)
 
@@ -177,12 +194,15 @@ def spot_moments(
     *,
     samples: PupilSamples | None = None,
     order: tuple[int, int] = QUADRATURE,
+    collimation: FloatArray | None = None,
 ) -> SpotMoments:
     """Mean, covariance and transmitted area of the ray bundles of stars; parameters and errors as `trace_spots`.
 
     A field from which no ray arrives has NaN moments and transmits 0.
     """
-    spots = trace_spots(lens, field_x_deg, field_y_deg, wavelength_nm, samples=samples, order=order)
+    spots = trace_spots(
+        lens, field_x_deg, field_y_deg, wavelength_nm, samples=samples, order=order, collimation=collimation
+    )
     area = spots.area_mm2
     total = area.sum(axis=-1)
     weight = np.divide(area, total[..., None], out=np.full_like(area, np.nan), where=total[..., None] > 0)

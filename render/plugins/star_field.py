@@ -14,6 +14,8 @@ rotation : TensorXf64 (3, 3), optional
     ``v_cam = rotation @ v_world`` for the stars, in place of the attitude of the sensor they are seen by.
 motion : str, optional
     Handle of the camera's motion during the exposure (`share_motion`), in place of an attitude.
+collimation : str, optional
+    Handle of the error of a collimator (`share_collimation`).
 
 Each tensor may have a leading axis of size one: Mitsuba's property parser takes a tensor whose first axis has three
 entries for a colour, and nanobind says so on the error stream before it falls back to the tensor.
@@ -28,19 +30,26 @@ from typing import Any
 import numpy as np
 
 from optics.errors import ConfigError
+from optics.light.collimation import Collimation
 from render.engine.jit import dr
 from render.plugins.handles import Handles
 from render.records import StarField
 from render.tracing.motion import ExposureMotion
 
-__all__ = ["define", "share_motion"]
+__all__ = ["define", "share_collimation", "share_motion"]
 
 _motions: Handles[ExposureMotion] = Handles("motion")
+_collimations: Handles[Collimation] = Handles("collimation")
 
 
 def share_motion(motion: ExposureMotion) -> str:
     """Handle by which ``load_dict`` takes a motion, see `render.plugins.handles`."""
     return _motions.share(motion)
+
+
+def share_collimation(collimation: Collimation) -> str:
+    """Handle by which ``load_dict`` takes the error of a collimator."""
+    return _collimations.share(collimation)
 
 
 def define(mi: Any) -> type:
@@ -59,7 +68,9 @@ def define(mi: Any) -> type:
             names = (
                 str(props.get("band", "")).split(",") if props.get("band", "") else [f"band {i}" for i in range(bands)]
             )
-            self.stars = StarField(band=tuple(names), **arrays)
+            handle = str(props.get("collimation", ""))
+            collimation = _collimations.find(handle) if handle else None
+            self.stars = StarField(band=tuple(names), collimation=collimation, **arrays)
             self.rotation = np.array(props["rotation"], float).reshape(3, 3) if "rotation" in props else None
             self.motion = _motions.find(str(props["motion"])) if "motion" in props else None
             self.m_flags = mi.EmitterFlags.DeltaDirection | mi.EmitterFlags.Infinite

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
 from optics.frames import light_direction
+from optics.light.collimation import Collimation, bent_light
 from optics.rays.program import LensProgram
 from optics.rays.trace import OK, Rays, trace_program
 from render.engine import Engine
@@ -125,6 +126,8 @@ class StarKernel:
     shear : (n, t, 3), optional
         Rolling shutter: a row, and by how many columns and rows the image moves per line time; see
         `render.tracing.motion`.
+    collimation : Collimation, optional
+        Error of the light of a collimator, for rays that are landed or splatted.
 
     Nodes of a call are all wavelengths of the first time, then all of the second, ...
     """
@@ -136,6 +139,7 @@ class StarKernel:
         geometry: Geometry,
         direction: FloatArray,
         shear: FloatArray | None = None,
+        collimation: Collimation | None = None,
     ) -> None:
         engine = Engine.active()
         self.types = types = engine.types
@@ -147,16 +151,19 @@ class StarKernel:
         self.disk = self.xp.parameters([*geometry.pupil_mm, geometry.pupil_radius_mm])
         self.direction = direction[:, None] if direction.ndim == 2 else direction
         self.count, self.times = self.direction.shape[:2]
+        self.collimation = collimation
         light = light_direction(self.direction).reshape(-1, 3)
         self.light = [self.F(np.ascontiguousarray(light[:, i])) for i in range(3)]
         self.shear = None
         if shear is not None:
             self.shear = [self.F(np.ascontiguousarray(shear[..., i].ravel())) for i in range(3)]
 
-    def rays(self, star: Any, px: Any, py: Any, wavelength_nm: Any) -> Rays:
-        """Rays of stars through points of the launch disk."""
+    def rays(self, star: Any, px: Any, py: Any, wavelength_nm: Any, error: Any = None) -> Rays:
+        """Rays of stars through points of the launch disk; ``error`` as `optics.light.collimation.bent_light`."""
         x0, y0, z0, radius = self.disk
         dx, dy, dz = (dr.gather(self.F, component, star) for component in self.light)
+        if error is not None:
+            dx, dy, dz = bent_light((dx, dy, dz), px * radius, py * radius, error, dr.sqrt)
         zero = dr.zeros(self.I, 1)
         return Rays(
             x=x0 + px * radius,
@@ -171,10 +178,10 @@ class StarKernel:
             failed_at=zero - 1,
         )
 
-    def launch(self, star: Any, px: Any, py: Any, wavelength_nm: Any) -> tuple[Any, Any, Any]:
+    def launch(self, star: Any, px: Any, py: Any, wavelength_nm: Any, error: Any = None) -> tuple[Any, Any, Any]:
         """Column, row [px] and status of rays through points of the launch disk; ``star`` counts times too."""
         pitch, cx, cy = self.pixels
-        out = trace_program(self.program, self.theta, self.rays(star, px, py, wavelength_nm), self.xp)
+        out = trace_program(self.program, self.theta, self.rays(star, px, py, wavelength_nm, error), self.xp)
         x, y = cx + out.x / pitch, cy - out.y / pitch
         if self.shear is not None:
             row, along_x, along_y = (dr.gather(self.F, values, star) for values in self.shear)
@@ -219,7 +226,7 @@ class StarKernel:
         point, node, slot = self.numbered(math.prod(shape), nodes, pupil.count)
         star, wavelength = self.light_of(slot, node, wavelength_nm, stars)
         px, py, _ = pupil.sample(self.types, slot, node, point)
-        x, y, status = self.launch(star, px, py, wavelength)
+        x, y, status = self.launch(star, px, py, wavelength, self._error(slot, node, wavelength_nm))
         ok = status == OK
         dr.eval(x, y, ok)
         return x.numpy().reshape(shape), y.numpy().reshape(shape), ok.numpy().astype(bool).reshape(shape)
@@ -234,6 +241,15 @@ class StarKernel:
         colour = (slot - position * bands) * colours + (node - time * colours)
         star = position if stars is None else dr.gather(U, U(stars), position)
         return star * dr.opaque(U, self.times) + time, dr.gather(F, F(wavelength_nm.ravel()), colour)
+
+    def _error(self, slot: Any, node: Any, wavelength_nm: FloatArray) -> tuple[Any, ...] | None:
+        """Error of the collimation of a slot's node; None for the light of stars."""
+        if self.collimation is None:
+            return None
+        bands, colours = (dr.opaque(self.U, size) for size in wavelength_nm.shape)
+        colour = (slot % bands) * colours + node % colours
+        table = self.collimation.at(wavelength_nm).reshape(-1, 3)
+        return tuple(dr.gather(self.F, self.F(np.ascontiguousarray(table[:, i])), colour) for i in range(3))
 
     def _shares(self, position_px: Any, per_pixel: int, reach: float) -> tuple[Any, list[Any]]:
         """First cell and share of each along one axis, for ``per_pixel`` cells per pixel from the stamp's corner."""
@@ -313,7 +329,7 @@ class StarKernel:
         px, py, weight = pupil.sample(self.types, slot, node, point)
         weight = weight * dr.gather(F, F(node_share.ravel()), slot * dr.opaque(U, nodes) + node) * _SCALE
         star, wavelength = self.light_of(slot, node, wavelength_nm, stars)
-        x, y, status = self.launch(star, px, py, wavelength)
+        x, y, status = self.launch(star, px, py, wavelength, self._error(slot, node, wavelength_nm))
         x = x - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 0].ravel())), slot)
         y = y - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 1].ravel())), slot)
         strips = cells_per_px == 1 and self.times == 1 and not isinstance(pupil, OutlinePoints)

@@ -25,6 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from optics.light.collimation import Collimation
 from render.camera import Camera
 from render.tracing.ideal_lens import IdealLens
 from render.tracing.motion import ExposureMotion, gauss_times
@@ -54,6 +55,8 @@ class StarPaths:
         Rolling shutter: reference row [px], and the image's motion (columns, rows) per line time [px] there.
     shift_px : (n, 2, 2)
         Lowest and highest offset (column, row) of the image from where it is in the middle, nearly.
+    collimation : Collimation or None
+        Error of the light of a collimator; None for stars.
     """
 
     mid: FloatArray
@@ -61,6 +64,7 @@ class StarPaths:
     weight: FloatArray
     shear: FloatArray | None
     shift_px: FloatArray
+    collimation: Collimation | None = None
 
 
 def at_rest(direction: FloatArray) -> StarPaths:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from optics.arrays import FloatArray, IntArray
 from optics.lens.system import LensSystem
+from optics.light.collimation import Collimation
 from optics.rays.program import compile_lens
 from optics.rays.pupil import EntrancePupil
 from render.camera import Camera, launch_disk
@@ -110,7 +111,9 @@ class PupilPlanner:
             self._aim = aimed_lens(lens, (self.program, self.theta), general=general)
         self._plans: dict[Any, PupilPlan | None] = {}
 
-    def kernel(self, direction: FloatArray, shear: FloatArray | None = None) -> StarKernel:
+    def kernel(
+        self, direction: FloatArray, shear: FloatArray | None = None, collimation: Collimation | None = None
+    ) -> StarKernel:
         """Kernel of stars whose directions are given in cam."""
         pupil = self.pupil
         geometry = Geometry(
@@ -120,16 +123,16 @@ class PupilPlanner:
             pupil_radius_mm=pupil.radius_mm,
             diffusion_px=self.camera.charge_diffusion_px,
         )
-        return StarKernel(self.program, self.theta, geometry, direction, shear)
+        return StarKernel(self.program, self.theta, geometry, direction, shear, collimation)
 
     def seen(self, paths: StarPaths, wavelength_nm: FloatArray, length_px: float = 0.0) -> Seen:
         """What is needed of an exposure."""
-        mid = self.kernel(paths.mid)
+        mid = self.kernel(paths.mid, collimation=paths.collimation)
         if paths.nodes.shape[1] == 1 and paths.shear is None:
             return Seen(mid, mid, node_picks(mid, wavelength_nm), paths, 0.0)
         picked, times = pick_times(paths)
         picks = node_picks(self.kernel(picked), wavelength_nm, times)
-        return Seen(mid, self.kernel(paths.nodes, paths.shear), picks, paths, length_px)
+        return Seen(mid, self.kernel(paths.nodes, paths.shear, paths.collimation), picks, paths, length_px)
 
     def chiefs(self, kernel: StarKernel, wavelength_nm: FloatArray) -> Chiefs:
         """Chief rays, through the centre of the stop, at the mean of each band's nodes (b, k)."""

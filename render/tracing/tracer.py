@@ -264,7 +264,7 @@ class Tracer:
         self.camera.lens.check_wavelength(stars.wavelength_nm)
         turned = stars.direction @ (self.camera.rotation_cam_from_world if rotation is None else rotation).T
         _check_in_front(turned)
-        return at_rest(np.asarray(turned))
+        return replace(at_rest(np.asarray(turned)), collimation=stars.collimation)
 
     def _moving(self, stars: StarField, motion: ExposureMotion, exposure_s: float) -> StarPaths:
         """Directions in cam during an exposure, after a check that the lens can take the light."""
@@ -278,7 +278,7 @@ class Tracer:
                 row, scale = self._traced_paths(paths, stars.wavelength_nm)
                 paths = star_paths(motion, stars.direction, self.camera, row, scale)
         _check_in_front(paths.nodes.reshape(-1, 3), paths.nodes.shape[1])
-        return paths
+        return replace(paths, collimation=stars.collimation)
 
     def _traced_paths(self, paths: StarPaths, wavelength_nm: FloatArray) -> tuple[FloatArray, NDArray[np.complex128]]:
         """Rows of chief rays in the middle of an exposure; how paths are turned and scaled against an ideal lens."""

@@ -1,0 +1,79 @@
+"""Light of point sources behind a collimator: by how much it is not the plane wave that the sources' directions say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.records import freeze
+
+__all__ = ["Collimation", "bent_light"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Collimation:
+    """Error of collimated light against wavelength, the same for all points of a target; b bands, k wavelengths.
+
+    Attributes
+    ----------
+    wavelength_nm : (b, k)
+        Increasing in each band; linear in between, constant beyond.
+    slope_rad : (b, k, 2)
+        By how much the direction towards a source is turned, along X and Y of cam: a wedge, air, decollimation beside
+        the axis of the beam.
+    vergence_per_mm : (b, k)
+        Reciprocal distance from the launch disk of the camera to the source; positive where light diverges.
+
+    Raises
+    ------
+    DomainError
+        On wrong shapes, values that are not finite, wavelengths that do not increase.
+    """
+
+    wavelength_nm: FloatArray
+    slope_rad: FloatArray
+    vergence_per_mm: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        wavelength = freeze(self, "wavelength_nm", shape=("b", "k"), sizes=sizes)
+        freeze(self, "slope_rad", shape=("b", "k", 2), sizes=sizes)
+        freeze(self, "vergence_per_mm", shape=("b", "k"), sizes=sizes)
+        if np.any(np.diff(wavelength, axis=1) <= 0.0):
+            raise DomainError("Collimation.wavelength_nm: wavelengths that increase in each band are needed")
+
+    def at(self, wavelength_nm: FloatArray) -> FloatArray:
+        """Slopes along X and Y [rad] and vergence [1/mm] (b, m, 3) at other wavelengths (b, m) of the same bands."""
+        parts = np.concatenate([self.slope_rad, self.vergence_per_mm[..., None]], axis=2)
+        found = np.empty((*wavelength_nm.shape, 3))
+        for band, (known, values) in enumerate(zip(self.wavelength_nm, parts, strict=True)):
+            for part in range(3):
+                found[band, :, part] = np.interp(wavelength_nm[band], known, values[:, part])
+        return found
+
+
+def bent_light(light: tuple[Any, Any, Any], x_mm: Any, y_mm: Any, error: tuple[Any, Any, Any], sqrt: Any) -> Any:
+    """Unit vectors of rays through points of the launch disk, of light that is not quite collimated.
+
+    Exact for a point source at a finite distance; written once for NumPy and Dr.Jit.
+
+    Parameters
+    ----------
+    light : (dx, dy, dz)
+        Direction of travel of the plane wave in the lens frame (`optics.frames.light_direction`).
+    x_mm, y_mm
+        Points from the centre of the launch disk, lens frame [mm].
+    error : (slope along X_cam, slope along Y_cam, vergence)
+        As `Collimation.at` has them.
+    sqrt : callable
+        Of the array type.
+    """
+    slope_x, slope_y, vergence = error
+    dx = light[0] + slope_x + vergence * x_mm
+    dy = light[1] - slope_y + vergence * y_mm
+    length = sqrt(dx * dx + dy * dy + light[2] * light[2])
+    return dx / length, dy / length, light[2] / length
