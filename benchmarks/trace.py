@@ -96,7 +96,7 @@ def on_batoid(lens: LensSystem, rays: Rays, threads: int) -> Run | None:
         if name == AMBIENT:
             return batoid.ConstMedium(1.0)
         glass = lens.glasses[name]
-        return batoid.SellmeierMedium(*glass.B, *glass.C)
+        return batoid.SellmeierMedium(*glass.dispersion.numbers)
 
     names = [AMBIENT, *(s.medium for s in lens.surfaces)]
     steps = [

@@ -15,7 +15,7 @@ Against vacuum and at another temperature (SCHOTT TIE-19, *Temperature coefficie
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
@@ -27,93 +27,15 @@ from numpy.typing import ArrayLike
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.glass.air import STANDARD_PRESSURE_HPA, AirFormula, air_index
+from optics.glass.dispersion import Dispersion, ThermalDispersion
 from optics.response import Response, checked_wavelength
 
 __all__ = [
     "Glass",
-    "ThermalDispersion",
     "get_glass",
     "glass_from_table",
     "list_glasses",
-    "sellmeier",
-    "sellmeier_squared",
-    "thermal_change",
 ]
-
-
-def sellmeier_squared(wavelength_nm: Any, B: Sequence[Any], C: Sequence[Any]) -> Any:
-    """Squared index by Sellmeier's formula, on any array type with arithmetic.
-
-    Parameters
-    ----------
-    wavelength_nm : array
-        Wavelengths [nm].
-    B : sequence
-        Strengths, one per term.
-    C : sequence
-        Squared resonance wavelengths [um^2].
-
-    Returns
-    -------
-    array
-        Squared index, type and shape of ``wavelength_nm``.
-    """
-    l2 = (wavelength_nm * 1e-3) * (wavelength_nm * 1e-3)
-    n2: Any = 1.0
-    for strength, resonance in zip(B, C, strict=True):
-        n2 = n2 + strength * l2 / (l2 - resonance)
-    return n2
-
-
-def sellmeier(wavelength_nm: ArrayLike, B: Sequence[float], C: Sequence[float]) -> FloatArray:
-    """Index by Sellmeier's formula on NumPy arrays: the root of `sellmeier_squared`, same arguments."""
-    return np.asarray(np.sqrt(sellmeier_squared(np.asarray(wavelength_nm, dtype=np.float64), B, C)))
-
-
-def thermal_change(wavelength_nm: Any, index: Any, volume: Any, strength: Any, resonance: Any) -> Any:
-    """Change of the absolute index by SCHOTT's formula, on any array type; numbers from `ThermalDispersion.terms`."""
-    l2 = (wavelength_nm * 1e-3) * (wavelength_nm * 1e-3)
-    return (index * index - 1.0) / (2.0 * index) * (volume + strength / (l2 - resonance))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ThermalDispersion:
-    """Constants of SCHOTT's dn/dT formula.
-
-    Attributes
-    ----------
-    D0, D1, D2 : float
-        [1/K], [1/K^2], [1/K^3].
-    E0, E1 : float
-        [um^2/K], [um^2/K^2].
-    lambda_tk_um : float
-        Mean resonance wavelength [um].
-    range_c : (float, float)
-        Temperatures for which the maker states them [C].
-    """
-
-    D0: float
-    D1: float
-    D2: float
-    E0: float
-    E1: float
-    lambda_tk_um: float
-    range_c: tuple[float, float] = (-100.0, 140.0)
-
-    def __post_init__(self) -> None:
-        values = (self.D0, self.D1, self.D2, self.E0, self.E1, self.lambda_tk_um, *self.range_c)
-        if not np.isfinite(values).all():
-            raise DomainError(f"dn/dT constants {values} hold a value that is not finite")
-
-    def index_change(self, wavelength_nm: ArrayLike, index: ArrayLike, kelvin: float) -> FloatArray:
-        """Change of the absolute index when the glass warms by ``kelvin`` [K]; ``index`` is that at the reference."""
-        wavelength, n = np.asarray(wavelength_nm, dtype=np.float64), np.asarray(index, dtype=np.float64)
-        return np.asarray(thermal_change(wavelength, n, *self.terms(kelvin)))
-
-    def terms(self, kelvin: float) -> tuple[float, float, float]:
-        """The formula's numbers for one temperature step: volume, resonance strength [um^2], resonance [um^2]."""
-        volume = self.D0 * kelvin + self.D1 * kelvin**2 + self.D2 * kelvin**3
-        return volume, self.E0 * kelvin + self.E1 * kelvin**2, self.lambda_tk_um**2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,12 +46,12 @@ class Glass:
     ----------
     name, maker, source : str
         Name in the catalogue, who makes it, where the numbers come from.
-    B, C : tuple of float
-        Sellmeier strengths and squared resonance wavelengths [um^2], one per term.
+    dispersion : Dispersion
+        Formula of the index and its coefficients.
     range_nm : (float, float)
         Wavelengths for which the formula holds [nm].
-    reference_temperature_c : float
-        Temperature of the catalogue index [C].
+    reference_temperature_c, reference_pressure_hpa : float
+        Temperature [C] of the catalogue index, and pressure of the air to which it is relative [hPa]; 0 for vacuum.
     dndt : ThermalDispersion, optional
         How the absolute index changes with temperature.
     cte_per_k : float, optional
@@ -146,19 +68,18 @@ class Glass:
     Raises
     ------
     DomainError
-        B and C of unequal length, a value that is not finite, a resonance inside the range, n^2 below 1.
+        A value that is not finite, a resonance inside the range, an index below that of vacuum.
     ConfigError
         No source.
     """
 
     name: str
     source: str
-    B: tuple[float, ...]
-    C: tuple[float, ...]
+    dispersion: Dispersion
     range_nm: tuple[float, float]
     maker: str = "generic"
-    formula: Literal["sellmeier"] = "sellmeier"
     reference_temperature_c: float = 20.0
+    reference_pressure_hpa: float = STANDARD_PRESSURE_HPA
     dndt: ThermalDispersion | None = None
     cte_per_k: float | None = None
     density_g_cm3: float | None = None
@@ -168,29 +89,22 @@ class Glass:
     transmittance_mm: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("B", "C", "range_nm"):
-            object.__setattr__(self, name, _floats(getattr(self, name), f"glass {self.name}: {name}"))
+        object.__setattr__(self, "range_nm", _floats(self.range_nm, f"glass {self.name}: range_nm"))
         if not self.source:
             raise ConfigError(f"glass {self.name}: a source is missing; say where its coefficients come from")
-        if self.formula != "sellmeier":
-            raise ConfigError(f"glass {self.name}: unknown formula {self.formula!r}; only 'sellmeier' is known")
-        if not self.B or len(self.B) != len(self.C):
-            raise DomainError(f"glass {self.name}: {len(self.B)} B and {len(self.C)} C; both need one value per term")
         if len(self.range_nm) != 2 or not 0.0 < self.range_nm[0] < self.range_nm[1]:
             raise DomainError(f"glass {self.name}: range_nm {self.range_nm} is not a range of wavelengths [nm]")
         low, high = self.range_nm
-        for resonance in self.C:
+        for resonance in self.dispersion.resonances_um2:
             if resonance > 0.0 and low <= 1e3 * resonance**0.5 <= high:
                 raise DomainError(
                     f"glass {self.name}: C = {resonance:g} um^2 is a resonance at {1e3 * resonance**0.5:g} nm, inside "
                     f"its range {low:g} ... {high:g} nm"
                 )
-        l2 = (np.geomspace(low, high, 64) * 1e-3) ** 2
-        n2 = np.ones_like(l2)
-        for strength, resonance in zip(self.B, self.C, strict=True):
-            n2 += strength * l2 / (l2 - resonance)
-        if not (n2 >= 1.0).all():
-            raise DomainError(f"glass {self.name}: n^2 falls to {n2.min():g} inside {low:g} ... {high:g} nm")
+        total = self.dispersion.total(np.geomspace(low, high, 64))
+        if not (total >= _LEAST_INDEX).all():
+            what = "n^2" if self.dispersion.form.squared else "n"
+            raise DomainError(f"glass {self.name}: {what} falls to {total.min():g} inside {low:g} ... {high:g} nm")
         if (self.transmittance is None) != (self.transmittance_mm is None):
             raise ConfigError(f"glass {self.name}: transmittance and transmittance_mm belong together")
         if self.transmittance_mm is not None and not self.transmittance_mm > 0.0:
@@ -221,7 +135,7 @@ class Glass:
         DomainError
             Outside ``range_nm``, naming glass, value and range.
         """
-        return sellmeier(self._inside(wavelength_nm), self.B, self.C)
+        return self.dispersion.index(self._inside(wavelength_nm))
 
     def absolute_index(
         self,
@@ -253,7 +167,7 @@ class Glass:
         """
         relative = self.index(wavelength_nm)
         reference = self.reference_temperature_c
-        absolute = relative * air_index(wavelength_nm, reference, STANDARD_PRESSURE_HPA, formula=air_formula)
+        absolute = relative * air_index(wavelength_nm, reference, self.reference_pressure_hpa, formula=air_formula)
         if temperature_c is None or temperature_c == reference:
             return np.asarray(absolute)
         if self.dndt is None:
@@ -345,9 +259,14 @@ def _floats(values: Any, what: str) -> tuple[float, ...]:
     return numbers
 
 
+_LEAST_INDEX = 0.999
+"""Vacuum has 0.99973 against air; what is below is no glass."""
+
 _KEYS = (
     "B",
     "C",
+    "formula",
+    "coefficients",
     "range_nm",
     "nd",
     "vd",
@@ -356,6 +275,7 @@ _KEYS = (
     "cte_per_k",
     "density_g_cm3",
     "reference_temperature_c",
+    "reference_pressure_hpa",
     "maker",
     "source",
     "transmittance_mm",
@@ -372,9 +292,10 @@ def glass_from_table(name: str, table: Mapping[str, Any], *, source: str = "") -
     name : str
         Name of the glass.
     table : mapping
-        ``B``, ``C`` [um^2] and ``range_nm`` are needed; ``dndt`` (six numbers), ``dndt_range_c``, ``cte_per_k``,
-        ``density_g_cm3``, ``nd``, ``vd``, ``reference_temperature_c``, ``maker``, ``source`` and ``transmittance_mm`` /
-        ``_nm`` / ``transmittance`` may follow.
+        ``range_nm`` is needed, and ``B``, ``C`` [um^2] of Sellmeier's formula or ``formula`` and ``coefficients``
+        (`optics.glass.dispersion.FORMULAS`); ``dndt`` (six numbers), ``dndt_range_c``, ``cte_per_k``,
+        ``density_g_cm3``, ``nd``, ``vd``, ``reference_temperature_c``, ``reference_pressure_hpa``, ``maker``,
+        ``source`` and ``transmittance_mm`` / ``_nm`` / ``transmittance`` may follow.
     source : str
         Used when the table has none.
 
@@ -395,27 +316,46 @@ def glass_from_table(name: str, table: Mapping[str, Any], *, source: str = "") -
     for key in table:
         if key not in _KEYS:
             raise unknown_name(f"key of glass {name}:", key, _KEYS)
-    for key in ("B", "C", "range_nm"):
-        if key not in table:
-            raise ConfigError(
-                f"glass {name}: key {key!r} is missing; B, C [um^2] and range_nm make a Sellmeier formula"
-            )
     source = str(table.get("source", source))
-    b, c = (_floats(table[key], f"glass {name}: {key}") for key in ("B", "C"))
+    dispersion = _dispersion(name, table)
+    if "range_nm" not in table:
+        raise ConfigError(f"glass {name}: key 'range_nm' is missing; say for which wavelengths the formula holds")
     curve, thickness = _transmittance(name, table, source)
-    scalars = ("nd", "vd", "cte_per_k", "density_g_cm3", "reference_temperature_c")
+    scalars = ("nd", "vd", "cte_per_k", "density_g_cm3", "reference_temperature_c", "reference_pressure_hpa")
     return Glass(
         name=name,
         maker=str(table.get("maker", "generic")),
         source=source,
-        B=b,
-        C=c,
+        dispersion=dispersion,
         range_nm=table["range_nm"],  # its length is checked by the record
         dndt=_thermal(name, table),
         transmittance=curve,
         transmittance_mm=thickness,
-        **{key: _floats([table[key]], f"glass {name}: {key}")[0] for key in scalars if key in table},  # type: ignore[arg-type]
+        **{key: _floats([table[key]], f"glass {name}: {key}")[0] for key in scalars if key in table},
     )
+
+
+def _dispersion(name: str, table: Mapping[str, Any]) -> Dispersion:
+    if "formula" in table or "coefficients" in table:
+        wrong = [key for key in ("B", "C") if key in table]
+        missing = [key for key in ("formula", "coefficients") if key not in table]
+        if wrong or missing:
+            raise ConfigError(f"glass {name}: give either B and C, or formula and coefficients, not parts of both")
+        keys = ["coefficients"]
+    else:
+        keys = ["B", "C"]
+        missing = [key for key in keys if key not in table]
+    if missing:
+        raise ConfigError(
+            f"glass {name}: key {missing[0]!r} is missing; B, C [um^2] and range_nm make a Sellmeier formula"
+        )
+    numbers = [_floats(table[key], f"glass {name}: {key}") for key in keys]
+    try:
+        return Dispersion.sellmeier(*numbers) if len(keys) == 2 else Dispersion(str(table["formula"]), numbers[0])
+    except ConfigError as error:
+        raise ConfigError(f"glass {name}: {error}") from None
+    except DomainError as error:
+        raise DomainError(f"glass {name}: {error}") from None
 
 
 def _thermal(name: str, table: Mapping[str, Any]) -> ThermalDispersion | None:

@@ -18,7 +18,8 @@ from typing import Any
 from optics.arrays import ArrayNamespace
 from optics.errors import DomainError
 from optics.glass.air import STANDARD_PRESSURE_HPA, kohlrausch_density, kohlrausch_refractivity
-from optics.glass.catalogue import Glass, sellmeier_squared, thermal_change
+from optics.glass.catalogue import Glass
+from optics.glass.dispersion import Form, thermal_change
 
 __all__ = ["CATALOGUE_AIR", "VACUUM", "Environment", "IndexFormula", "index_parameters"]
 
@@ -63,24 +64,23 @@ VACUUM = Environment(pressure_hpa=0.0)
 class IndexFormula:
     """How one medium of a compiled lens gets its index from its slice of the parameter vector.
 
-    ``terms`` Sellmeier terms (0: the surroundings), ``thermal`` whether the temperature differs from the catalogue's.
-    Parameters: air density; then for glass: perturbation, B..., C..., and for ``thermal``: three SCHOTT numbers. The
-    air density is that of the surroundings, for glass that of the maker's measurement.
+    ``form`` is the dispersion formula (None: the surroundings), ``thermal`` whether the temperature differs from the
+    catalogue's. Parameters: air density; then for glass: perturbation, the formula's numbers, and for ``thermal`` three
+    SCHOTT numbers. The air density is that of the surroundings, for glass that of the maker's measurement.
     """
 
     at: int
-    terms: int
+    form: Form | None
     thermal: bool
 
     def index(self, theta: Sequence[Any], wavelength_nm: Any, xp: ArrayNamespace) -> Any:
         """Absolute refractive index at each wavelength."""
         air_density, rest = theta[self.at], self.at + 1
         air = 1.0 + air_density * kohlrausch_refractivity(wavelength_nm)
-        if self.terms == 0:
+        if self.form is None:
             return air
-        perturbation, b_at = theta[rest], rest + 1
-        c_at, thermal_at = b_at + self.terms, b_at + 2 * self.terms
-        relative = xp.sqrt(sellmeier_squared(wavelength_nm, theta[b_at:c_at], theta[c_at:thermal_at]))
+        perturbation, thermal_at = theta[rest], rest + 1 + self.form.size
+        relative = self.form.index(wavelength_nm, theta[rest + 1 : thermal_at], xp)
         absolute = relative * air + perturbation
         if self.thermal:
             absolute = absolute + thermal_change(wavelength_nm, relative, *theta[thermal_at : thermal_at + 3])
@@ -89,8 +89,8 @@ class IndexFormula:
 
 def index_parameters(
     glass: Glass | None, environment: Environment, perturbation: float
-) -> tuple[list[float], int, bool]:
-    """Parameter slice, number of Sellmeier terms and thermal switch of one medium; ``None`` is the surroundings.
+) -> tuple[list[float], Form | None, bool]:
+    """Parameter slice, dispersion formula and thermal switch of one medium; ``None`` is the surroundings.
 
     A glass without dn/dT data keeps its catalogue index within `UNKNOWN_DNDT_K` of the catalogue's temperature.
 
@@ -100,13 +100,14 @@ def index_parameters(
         If the glass has no dn/dT data and the temperature is further away, or if its data do not reach that far.
     """
     if glass is None:
-        return [environment.air_density], 0, False
+        return [environment.air_density], None, False
     reference = glass.reference_temperature_c
-    density = kohlrausch_density(reference, STANDARD_PRESSURE_HPA)
-    parameters = [density, perturbation, *glass.B, *glass.C]
+    density = kohlrausch_density(reference, glass.reference_pressure_hpa)
+    form = glass.dispersion.form
+    parameters = [density, perturbation, *glass.dispersion.numbers]
     kelvin = environment.temperature_c - reference
     if math.isclose(kelvin, 0.0, abs_tol=1e-12) or (glass.dndt is None and abs(kelvin) <= UNKNOWN_DNDT_K):
-        return parameters, len(glass.B), False
+        return parameters, form, False
     if glass.dndt is None:
         raise DomainError(
             f"glass {glass.name} has no dn/dT data; the lens cannot be used at {environment.temperature_c:g} C, "
@@ -118,4 +119,4 @@ def index_parameters(
             f"glass {glass.name}: temperature {environment.temperature_c:g} C is outside {low:g} ... {high:g} C "
             "of its dn/dT data"
         )
-    return [*parameters, *glass.dndt.terms(kelvin)], len(glass.B), True
+    return [*parameters, *glass.dndt.terms(kelvin)], form, True

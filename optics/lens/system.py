@@ -240,8 +240,8 @@ class LensSystem:
         known = {}
         for name, offset in dict.fromkeys(self.media):
             glass = None if name == AMBIENT else self.glasses[name]
-            numbers, terms, thermal = index_parameters(glass, self.environment, offset)
-            known[name, offset] = IndexFormula(at=0, terms=terms, thermal=thermal).index(numbers, wavelength, NUMPY)
+            numbers, form, thermal = index_parameters(glass, self.environment, offset)
+            known[name, offset] = IndexFormula(at=0, form=form, thermal=thermal).index(numbers, wavelength, NUMPY)
         return np.stack([known[medium] for medium in self.media])
 
     def check_wavelength(self, wavelength_nm: FloatArray | float) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_type_hints
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, FiniteFloat, Tag, create_model, model_validator
 
 from optics.errors import DomainError
+from optics.glass.air import STANDARD_PRESSURE_HPA
 from optics.lens.apertures import APERTURES, Aperture
 from optics.lens.shapes.base import Shape
 from optics.lens.shapes.registry import SHAPES, UNNAMED
@@ -176,13 +177,22 @@ class GlassTable(_Table):
 
     source: Annotated[str, Field(min_length=1)]
     maker: str = "generic"
-    B: tuple[FiniteFloat, ...]
-    C: tuple[FiniteFloat, ...]
+    B: tuple[FiniteFloat, ...] | None = None
+    C: tuple[FiniteFloat, ...] | None = None
+    formula: str | None = None
+    coefficients: tuple[FiniteFloat, ...] | None = None
     range_nm: tuple[Positive, Positive]
     reference_temperature_c: FiniteFloat = 20.0
+    reference_pressure_hpa: NotNegative = STANDARD_PRESSURE_HPA
     dndt: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     dndt_range_c: Two | None = None
     cte_per_k: FiniteFloat | None = None
+    density_g_cm3: Positive | None = None
+    nd: Positive | None = None
+    vd: Positive | None = None
+    transmittance_mm: Positive | None = None
+    transmittance_nm: tuple[Positive, ...] | None = None
+    transmittance: tuple[NotNegative, ...] | None = None
 
 
 class Prescription(_Table):

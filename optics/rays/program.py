@@ -96,8 +96,8 @@ def _media(lens: LensSystem, vector: _Vector) -> tuple[list[IndexFormula], list[
     formulas = []
     for name, offset in distinct:
         glass = None if name == AMBIENT else lens.glasses[name]
-        numbers, terms, thermal = index_parameters(glass, lens.environment, offset)
-        formulas.append(IndexFormula(at=vector.add(numbers), terms=terms, thermal=thermal))
+        numbers, form, thermal = index_parameters(glass, lens.environment, offset)
+        formulas.append(IndexFormula(at=vector.add(numbers), form=form, thermal=thermal))
     return formulas, [distinct.index(medium) for medium in lens.media]
 
 

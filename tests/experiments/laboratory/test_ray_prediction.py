@@ -11,12 +11,15 @@ from experiments.laboratory.chromatic_error import shifts
 from experiments.laboratory.ray_prediction import bundle_prediction, expected_spots, paraxial_prediction
 from experiments.laboratory.target import corner_directions
 from optics.glass.catalogue import Glass
+from optics.glass.dispersion import Dispersion
 from optics.lens.shapes.plane import Plane
 from optics.lens.shapes.sphere import Sphere
 from optics.lens.system import LensSystem, Surface
 from render.camera import Camera
 
-N_LAMBDA = Glass(name="flint", source="made up", B=(1.25,), C=(0.02,), range_nm=(300.0, 1100.0))
+N_LAMBDA = Glass(
+    name="flint", source="made up", dispersion=Dispersion.sellmeier((1.25,), (0.02,)), range_nm=(300.0, 1100.0)
+)
 RADIUS_MM, GAP_MM, IMAGE_MM = 60.0, 20.0, 112.0
 
 

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from optics.errors import ConfigError, DomainError
 from optics.frames import field_direction
 from optics.glass.catalogue import Glass
+from optics.glass.dispersion import Dispersion
 from optics.lens.perturb import (
     ALL_SURFACES,
     EVERYTHING,
@@ -132,7 +133,12 @@ def test_a_decentred_element_makes_even_lateral_colour():
 def uniform_lens() -> LensSystem:
     """Singlet of glass whose expansion equals the housing's and whose index does not change with temperature."""
     glass = Glass(
-        name="g", source="made up", B=(1.25,), C=(0.01,), range_nm=(400.0, 900.0), cte_per_k=1e-5, dndt=ZERO_DNDT
+        name="g",
+        source="made up",
+        dispersion=Dispersion.sellmeier((1.25,), (0.01,)),
+        range_nm=(400.0, 900.0),
+        cte_per_k=1e-5,
+        dndt=ZERO_DNDT,
     )
     return LensSystem(
         name="singlet",
@@ -150,7 +156,7 @@ def uniform_lens() -> LensSystem:
 
 
 def _zero_dndt():
-    from optics.glass.catalogue import ThermalDispersion
+    from optics.glass.dispersion import ThermalDispersion
 
     return ThermalDispersion(D0=0.0, D1=0.0, D2=0.0, E0=0.0, E1=0.0, lambda_tk_um=0.2)
 

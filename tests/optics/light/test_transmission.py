@@ -9,6 +9,7 @@ import pytest
 
 from optics.errors import ConfigError, DomainError
 from optics.glass.catalogue import Glass, get_glass
+from optics.glass.dispersion import Dispersion
 from optics.light.transmission import Layout, QuarterWave, TabulatedCoating, Uncoated, layout_of, lens_transmission
 from optics.response import Response
 
@@ -17,7 +18,12 @@ LINES = np.array([450.0, 550.0, 650.0])
 
 def constant(index: float) -> Glass:
     """A glass whose index does not depend on wavelength."""
-    return Glass(name=f"n{index}", source="test", B=(index**2 - 1.0,), C=(0.0,), range_nm=(300.0, 1200.0))
+    return Glass(
+        name=f"n{index}",
+        source="test",
+        dispersion=Dispersion.sellmeier((index**2 - 1.0,), (0.0,)),
+        range_nm=(300.0, 1200.0),
+    )
 
 
 def plate(glass: Glass, thickness_mm: float = 10.0) -> Layout:

@@ -7,6 +7,7 @@ import pytest
 
 from optics.errors import DomainError
 from optics.glass.catalogue import Glass
+from optics.glass.dispersion import Dispersion
 from optics.glass.media import VACUUM
 from optics.lens.perturb import decentre, tilt
 from optics.lens.prescription import list_lenses, load_lens
@@ -17,7 +18,12 @@ from optics.rays.chief import chief_ray_points, plate_scale_mm
 from optics.rays.paraxial import axial_colour_mm, chief_ray, image_of, lateral_colour_mm, paraxial, refocused
 from optics.rays.trace import Rays, trace
 
-N15 = Glass(name="n15", source="made up: n = 1.5 exactly", B=(1.25,), C=(0.0,), range_nm=(300.0, 1100.0))
+N15 = Glass(
+    name="n15",
+    source="made up: n = 1.5 exactly",
+    dispersion=Dispersion.sellmeier((1.25,), (0.0,)),
+    range_nm=(300.0, 1100.0),
+)
 
 
 def thick_lens(r1: float, r2: float, thickness: float, stop_z: float) -> LensSystem:

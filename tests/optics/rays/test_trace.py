@@ -9,6 +9,7 @@ from optics.arrays import NUMPY
 from optics.errors import DomainError
 from optics.frames import field_direction
 from optics.glass.catalogue import Glass
+from optics.glass.dispersion import Dispersion
 from optics.lens.perturb import change_conic, decentre, tilt, tilt_image
 from optics.lens.prescription import list_lenses, load_lens
 from optics.lens.shapes.base import Shape
@@ -22,7 +23,12 @@ from optics.rays.pupil import entrance_pupil, gauss_disk, sobol_disk, star_rays
 from optics.rays.reverse import retraced, reverse
 from optics.rays.trace import MISSED, OK, TOTAL_REFLECTION, VIGNETTED, Rays, trace, trace_path, trace_program
 
-N15 = Glass(name="n15", source="made up: n = 1.5 exactly", B=(1.25,), C=(0.0,), range_nm=(300.0, 1100.0))
+N15 = Glass(
+    name="n15",
+    source="made up: n = 1.5 exactly",
+    dispersion=Dispersion.sellmeier((1.25,), (0.0,)),
+    range_nm=(300.0, 1100.0),
+)
 
 
 def simple_lens(*parts: tuple[Shape, float, str], semi_mm=np.inf, inner_mm=0.0, stop=0) -> LensSystem:

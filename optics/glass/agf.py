@@ -1,0 +1,214 @@
+"""Glass catalogues in AGF format, as lens design programs keep them (Zemax OpticStudio Help, *format of AGF files*).
+
+One record per glass, a line per kind of datum: ``NM`` name, number of the dispersion formula, code, n_d, v_d; ``ED``
+expansion and density; ``CD`` coefficients; ``TD`` thermal constants and reference temperature; ``LD`` range; ``IT``
+internal transmittances. A glass whose data make no sense is refused when it is asked for, and only then.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from optics.errors import ConfigError, DomainError, StarbenchError, unknown_name
+from optics.glass.catalogue import Glass
+from optics.glass.dispersion import AGF_FORMULAS, Dispersion, ThermalDispersion
+from optics.response import Response
+from optics.textfile import read_text
+
+__all__ = ["AgfCatalogue", "read_agf"]
+
+_STATED_ND = 0.05
+"""How far the printed n_d may be from the formula's: further away the coefficients are no glass at all."""
+
+
+@dataclass(slots=True)
+class _Record:
+    """Lines of one glass, as words: by their two letters, with line numbers."""
+
+    line: int
+    name: list[str]
+    data: dict[str, list[str]] = field(default_factory=dict)
+    transmittance: list[list[str]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class AgfCatalogue:
+    """Glasses of one AGF file.
+
+    Attributes
+    ----------
+    name : str
+        Name of the catalogue: that of the file without its ending, in capitals.
+    path : pathlib.Path
+        Where it was read.
+    """
+
+    name: str
+    path: Path
+    _records: dict[str, _Record]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its glasses, in the order of the file."""
+        return tuple(record.name[0] for record in self._records.values())
+
+    def __contains__(self, name: str) -> bool:
+        return name.upper() in self._records
+
+    def codes(self) -> dict[str, str]:
+        """Six-digit code of n_d and v_d, as the file prints them -> name of the first glass that has it."""
+        found: dict[str, str] = {}
+        for record in self._records.values():
+            nd, vd = (_number(record.name, i, 0.0) for i in (3, 4))
+            if 1.0 < nd < 2.0 and vd > 0.0:
+                code = f"{round((nd - 1.0) * 1e3):03d}{round(vd * 10):03d}"
+                found.setdefault(code, record.name[0])
+        return found
+
+    def glass(self, name: str) -> Glass:
+        """One glass.
+
+        Raises
+        ------
+        ConfigError
+            No such glass, a formula that AGF files do not have, a line that is missing.
+        DomainError
+            Numbers that make no glass.
+        """
+        record = self._records.get(name.upper())
+        if record is None:
+            raise unknown_name(f"glass of catalogue {self.name}", name, self.names)
+        where = f"{self.path.name}: line {record.line}: glass {record.name[0]}"
+        try:
+            return _glass(record, self.name, self.path.name)
+        except DomainError as error:
+            raise DomainError(f"{where}: {error}") from None
+        except StarbenchError as error:
+            raise ConfigError(f"{where}: {error}") from None
+
+
+def read_agf(path: str | Path) -> AgfCatalogue:
+    """Read an AGF catalogue.
+
+    Raises
+    ------
+    ConfigError
+        What `optics.textfile.read_text` raises; a file without a glass.
+    """
+    records: dict[str, _Record] = {}
+    current: _Record | None = None
+    open_line: list[str] = []
+    for number, line in enumerate(read_text(path, "a glass catalogue (AGF)").lines, 1):
+        words = line.split()
+        if not words:
+            continue
+        kind = words[0].upper()
+        if kind == "NM":
+            current = _Record(number, words[1:])
+            if current.name:
+                records.setdefault(current.name[0].upper(), current)  # a second one of the same name never counts
+            words = []
+        elif current is not None and kind == "IT":
+            words = words[1:]
+            current.transmittance.append(words)
+        elif current is not None and kind in ("ED", "CD", "TD", "LD", "BD"):
+            words = current.data.setdefault(kind, words[1:])
+        elif kind[0] in "+-.0123456789":
+            open_line.extend(words)  # some files break long lines
+            continue
+        else:
+            words = []
+        open_line = words
+    if not records:
+        raise ConfigError(f"{path}: no glass (a line that begins with NM) is in the file")
+    return AgfCatalogue(Path(path).stem.upper(), Path(path), records)
+
+
+def _number(words: list[str], at: int, default: float) -> float:
+    """A number of a line; the default where the line ends before, or has a dash."""
+    try:
+        value = float(words[at].replace(",", "."))
+    except (IndexError, ValueError):
+        return default
+    return value if math.isfinite(value) else default
+
+
+def _glass(record: _Record, catalogue: str, file: str) -> Glass:
+    name = record.name[0]
+    number = int(_number(record.name, 1, 0.0))
+    if number not in AGF_FORMULAS:
+        raise ConfigError(f"dispersion formula {number} is none of the thirteen of AGF files")
+    formula, count = AGF_FORMULAS[number]
+    words = record.data.get("CD", [])[:count]
+    coefficients = [float("nan") if i >= len(words) else _number(words, i, math.nan) for i in range(count)]
+    given = [c for c in coefficients if not math.isnan(c)]
+    if len(given) < min(len(words), count) or not any(given):
+        raise ConfigError("its coefficients (line CD) are missing, not numbers, or all zero")
+    padded = [*given, *[0.0] * (count - len(given))]
+    if formula == "sellmeier":
+        pairs = [(b, c) for b, c in zip(padded[::2], padded[1::2], strict=True) if b or c]
+        padded = [x for pair in pairs for x in pair]
+    nd, vd = _number(record.name, 3, 0.0), _number(record.name, 4, 0.0)
+    temperature = _number(record.data.get("TD", []), 6, 20.0)
+    expansion, density = (_number(record.data.get("ED", []), i, 0.0) for i in (0, 2))
+    curve, thickness = _transmittance(record, name, file)
+    low, high = (1e3 * _number(record.data.get("LD", []), i, 0.0) for i in (0, 1))
+    if not 0.0 < low < high:
+        raise ConfigError("its range of wavelengths (line LD) is missing or makes no sense")
+    dispersion = Dispersion(formula, tuple(padded))
+    glass = Glass(
+        name=name,
+        maker=catalogue,
+        source=f"AGF catalogue {file}",
+        dispersion=dispersion,
+        range_nm=(low, high),
+        reference_temperature_c=temperature,
+        dndt=_thermal(record.data.get("TD", [])),
+        cte_per_k=1e-6 * expansion if expansion > 0.0 else None,
+        density_g_cm3=density if density > 0.0 else None,
+        nd=nd if nd > 1.0 else None,
+        vd=vd if vd > 0.0 else None,
+        transmittance=curve,
+        transmittance_mm=thickness,
+    )
+    if nd > 1.0 and low <= 587.5618 <= high:
+        real = float(dispersion.index(587.5618))
+        if abs(real - nd) > _STATED_ND:
+            raise DomainError(f"its coefficients give n_d = {real:.5f}, the catalogue states {nd:.5f}")
+    return glass
+
+
+def _thermal(words: list[str]) -> ThermalDispersion | None:
+    """The dn/dT constants; none where all are zero or missing: AGF files write zeros for what is not known."""
+    values = [_number(words, i, 0.0) for i in range(6)]
+    if not any(values[:5]):
+        return None
+    return ThermalDispersion(
+        D0=values[0], D1=values[1], D2=values[2], E0=values[3], E1=values[4], lambda_tk_um=values[5]
+    )
+
+
+def _transmittance(record: _Record, name: str, file: str) -> tuple[Response | None, float | None]:
+    """Internal transmittances, brought to the thickness of the first entry (Beer-Lambert)."""
+    points: dict[float, float] = {}
+    thickness = None
+    for words in record.transmittance:
+        wave, value, plate = (_number(words, i, math.nan) for i in range(3))
+        if not (wave > 0.0 and 0.0 <= value <= 1.0 and plate > 0.0):
+            continue
+        thickness = plate if thickness is None else thickness
+        points.setdefault(1e3 * wave, value if plate == thickness else value ** (thickness / plate))
+    if thickness is None or len(points) < 2:
+        return None, None
+    waves = sorted(points)
+    curve = Response(
+        name=f"internal transmittance of {name}",
+        source=f"AGF catalogue {file}",
+        wavelength_nm=np.array(waves),
+        value=np.array([points[w] for w in waves]),
+    )
+    return curve, thickness

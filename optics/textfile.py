@@ -1,0 +1,89 @@
+"""Text of files that other programs wrote: whatever encoding they use, and one clear line where it is no text."""
+
+from __future__ import annotations
+
+import codecs
+from dataclasses import dataclass
+from pathlib import Path
+
+from optics.errors import ConfigError
+
+__all__ = ["LARGEST_BYTES", "TextFile", "read_text"]
+
+LARGEST_BYTES = 32 * 2**20
+"""Lens files have kilobytes, the largest glass catalogues some megabytes."""
+
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TextFile:
+    """Lines of a text file, without their ends, and the encoding they were read with."""
+
+    lines: tuple[str, ...]
+    encoding: str
+
+
+def read_text(path: str | Path, what: str) -> TextFile:
+    """Read a text file in UTF-8, UTF-16, UTF-32 (with or without a byte order mark) or ISO-8859-1.
+
+    Parameters
+    ----------
+    path : path
+        File to read.
+    what : str
+        What it should be, for messages.
+
+    Raises
+    ------
+    ConfigError
+        No such file, not a regular file, too large, unreadable, or not text.
+    """
+    if "\0" in str(path):
+        raise ConfigError(f"{str(path)!r}: a file name cannot hold a NUL character")
+    place = Path(path)
+    try:
+        if not place.exists():
+            raise ConfigError(f"{path}: no such file")
+        if not place.is_file():
+            raise ConfigError(f"{path}: not a regular file; {what} is needed")
+        size = place.stat().st_size
+        if size > LARGEST_BYTES:
+            raise ConfigError(
+                f"{path}: {size / 2**20:.0f} MiB are too many for {what}; at most {LARGEST_BYTES // 2**20} MiB are read"
+            )
+        data = place.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from None
+    if not data.strip():
+        raise ConfigError(f"{path}: the file is empty")
+    encoding = _encoding(data)
+    text = data.decode(encoding, errors="replace")
+    strange = sum(text.count(c) for c in ("\0", "\ufffd"))
+    if strange > 0.01 * len(text):
+        raise ConfigError(f"{path}: not a text file ({strange} of {len(text)} characters make no sense as {encoding})")
+    text = text.replace("\0", " ").replace("\r\n", "\n").replace("\r", "\n")
+    return TextFile(lines=tuple(text.split("\n")), encoding=encoding)
+
+
+def _encoding(data: bytes) -> str:
+    for mark, name in _MARKS:
+        if data.startswith(mark):
+            return name
+    head = data[:4096]
+    even, odd = head[0::2].count(0), head[1::2].count(0)
+    if odd > 0.4 * len(head) / 2 > even:
+        return "utf-16-le"
+    if even > 0.4 * len(head) / 2 > odd:
+        return "utf-16-be"
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        return "iso-8859-1"
+    return "utf-8"
