@@ -1,4 +1,4 @@
-"""The lens and light: prescriptions, perturbations, glass, rays, paraxial optics, spectra, bands, drawings.
+"""The lens and light: prescriptions, perturbations, glass, rays, waves, paraxial optics, spectra, bands, drawings.
 
 A lens is data: `load_lens` reads it, `tilt` and its like return changed copies. Rays are data: `star_rays` launches
 them, `trace` carries them to the image plane. What they mean is computed by plain functions. One source of the trace
@@ -33,6 +33,8 @@ optics.light.band           `TopHat`, `TabulatedBand`, `band_nodes`
 optics.light.photometry     `photon_rate`, `synthetic_magnitude`
 optics.light.transmission   `lens_transmission`, `QuarterWave`, `TabulatedCoating`
 optics.response             `Response`
+optics.waves                `trace_pupil`, `wavefront`, `zernikes`, `zernike_map`, `strehl`, `strehl_through_focus`,
+                            `encircled_energy`, `transfer_function`
 optics.figures              `draw_lens`, `draw_spots`, `draw_distortion`
 optics.frames               `field_direction`
 optics.attitude             `attitude_from_angles`, `angles_from_attitude`, `attitude_error_arcsec`

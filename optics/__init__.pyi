@@ -65,3 +65,11 @@ from .rays.trace import Rays as Rays
 from .rays.trace import trace as trace
 from .rays.trace import trace_program as trace_program
 from .response import Response as Response
+from .waves.image_quality import encircled_energy as encircled_energy
+from .waves.image_quality import strehl as strehl
+from .waves.image_quality import strehl_through_focus as strehl_through_focus
+from .waves.image_quality import transfer_function as transfer_function
+from .waves.pupil_field import trace_pupil as trace_pupil
+from .waves.wavefront import wavefront as wavefront
+from .waves.wavefront import zernike_map as zernike_map
+from .waves.zernike import zernikes as zernikes

@@ -1,0 +1,1 @@
+"""Diffraction from traced rays: pupil fields, images by a sum of plane waves, wavefront errors, Zernike polynomials."""

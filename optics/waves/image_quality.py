@@ -1,0 +1,173 @@
+"""What a diffraction image is judged by: Strehl ratio, encircled energy, MTF, all of them through focus too."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import RegularGridInterpolator
+from scipy.optimize import minimize
+
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.waves.pupil_field import ComplexArray, PupilField
+from optics.waves.zernike import fit_zernikes, zernikes
+
+__all__ = ["encircled_energy", "peak", "strehl", "strehl_through_focus", "transfer_function"]
+
+
+POLYNOMIALS = 91
+"""Zernike polynomials up to the twelfth degree."""
+
+
+def _rays(field: PupilField, at: tuple[int, int]) -> tuple[FloatArray, ...]:
+    """Amplitude, direction cosines times index over wavelength [1/mm] and phase [turns] about the mean point."""
+    lit = field.area_mm2[at] > 0.0
+    if not lit.any():
+        raise DomainError(f"field {at[0]}, wavelength {at[1]}: no light reaches the image plane")
+    wave_mm = float(field.wavelength_nm[at[1]]) * 1e-6
+    scale = float(field.index[at[1]]) / wave_mm
+    mean = [float(v[at]) for v in field.mean_mm]
+    l, m, x, y, path = (v[at][lit] for v in (field.l, field.m, field.x_mm, field.y_mm, field.path_mm))  # noqa: E741
+    amplitude = field.area_mm2[at][lit] * np.sqrt(field.jacobian[at][lit])
+    phase = path / wave_mm + scale * (l * (mean[0] - x) + m * (mean[1] - y))
+    return amplitude, l * scale, m * scale, phase - phase.mean()
+
+
+def peak(field: PupilField, *, at: tuple[int, int] = (0, 0)) -> tuple[float, float, float]:
+    """Brightest point of the image: x, y [mm] and intensity [share of the light per mm^2].
+
+    Found by a simplex from the best point of a grid of half the Airy radius about the mean landing point.
+    """
+    step_mm = 0.25 * float(field.wavelength_nm[at[1]]) * 1e-6 / max(float(np.hypot(field.l, field.m)[at].max()), 1e-6)
+    mean_x, mean_y = (float(v[at]) for v in field.mean_mm)
+    grid = step_mm * np.arange(-20.0, 21.0)
+    image = field.intensity(mean_x + grid, mean_y + grid, at=at)
+    row, column = np.unravel_index(int(image.argmax()), image.shape)
+
+    def darkness(p: FloatArray) -> float:
+        return -float(field.intensity(p[:1], p[1:], at=at)[0, 0]) / float(image.max())
+
+    start = np.array([mean_x + grid[column], mean_y + grid[row]])
+    simplex = start + step_mm * np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
+    found = minimize(
+        darkness,
+        start,
+        method="Nelder-Mead",
+        options={"initial_simplex": simplex, "xatol": 1e-4 * step_mm, "fatol": 1e-11},
+    )
+    return float(found.x[0]), float(found.x[1]), -float(found.fun) * float(image.max())
+
+
+def strehl(field: PupilField, *, at: tuple[int, int] = (0, 0)) -> float:
+    """Strehl ratio: brightest point of the image over that of the same pupil, amplitudes and all, without phase."""
+    amplitude = _rays(field, at)[0]
+    ideal = (float(field.index[at[1]]) / (float(field.wavelength_nm[at[1]]) * 1e-6)) ** 2
+    ideal *= float(amplitude.sum()) ** 2 / float(field.area_mm2[at].sum())
+    return peak(field, at=at)[2] / ideal
+
+
+def strehl_through_focus(field: PupilField, focus_mm: ArrayLike, *, at: tuple[int, int] = (0, 0)) -> FloatArray:
+    """Strehl ratios at shifts of the image plane along the light."""
+    return np.array([strehl(field.shifted(float(z)), at=at) for z in np.atleast_1d(np.asarray(focus_mm, float))])
+
+
+def transfer_function(
+    field: PupilField, frequency: ArrayLike, *, at: tuple[int, int] = (0, 0), size: int = 256
+) -> ComplexArray:
+    """Optical transfer function (f,), whose modulus is the MTF, at frequencies (f, 2) [cycles/mm] in the image plane.
+
+    The autocorrelation of the pupil in direction cosines, with phase and amplitude there as polynomials of the twelfth
+    degree fitted to the rays, on a grid whose cells at the rim count in part: right to some 1 / ``size``.
+
+    Parameters
+    ----------
+    field, at
+        As `peak`.
+    frequency : (f, 2)
+        Frequencies; 0 beyond the cutoff.
+    size : int
+        Cells across the pupil.
+    """
+    _, fx, fy, phase = _rays(field, at)
+    lit = field.area_mm2[at] > 0.0
+    area, jacobian = field.area_mm2[at][lit], field.jacobian[at][lit]
+    rim_x, rim_y = _rim(field, at)
+    centre = np.array([0.5 * (v.min() + v.max()) for v in (rim_x, rim_y)])
+    rim = np.stack([rim_x, rim_y], axis=-1) - centre
+    reach = float(np.hypot(*rim.T).max()) * (1.0 + 2.0 / size)
+    u, v = (fx - centre[0]) / reach, (fy - centre[1]) / reach
+    weight = area * jacobian
+    side = (2.0 * np.arange(size) + 1.0) / size - 1.0
+    x, y = np.meshgrid(side, side)
+    terms = zernikes(x, y, POLYNOMIALS)
+    turns, amplitude = (
+        np.tensordot(fit_zernikes(u, v, values, weight, POLYNOMIALS), terms, 1)
+        for values in (phase, 1.0 / np.sqrt(jacobian))
+    )
+    angle = np.arctan2(rim[:, 1], rim[:, 0])
+    order = np.argsort(angle)
+    edge = np.interp(np.arctan2(y, x), angle[order], np.hypot(*rim.T)[order] / reach, period=2.0 * np.pi)
+    inside = np.clip((edge - np.hypot(x, y)) * (0.5 * size) + 0.5, 0.0, 1.0)
+    pupil = np.zeros((2 * size, 2 * size), complex)
+    pupil[:size, :size] = inside * amplitude * np.exp(2j * np.pi * turns)
+    overlap = np.fft.fftshift(np.fft.ifft2(np.abs(np.fft.fft2(pupil)) ** 2)) / float((np.abs(pupil) ** 2).sum())
+    shifts = (np.arange(2 * size) - size) * (2.0 * reach / size)
+    at_points = np.atleast_2d(np.asarray(frequency, float))[:, ::-1]
+    values = RegularGridInterpolator((shifts, shifts), overlap, bounds_error=False, fill_value=0.0)(at_points)
+    return np.asarray(values)
+
+
+def _rim(field: PupilField, at: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+    """Direction cosines (arms,) times index over wavelength [1/mm] at the rim, beyond the outermost ring."""
+    scale = float(field.index[at[1]]) / (float(field.wavelength_nm[at[1]]) * 1e-6)
+    out = (1.0 - field.ring[-1]) / (field.ring[-1] - field.ring[-2])
+    l, m = (scale * (v[at][-1] + out * (v[at][-1] - v[at][-2])) for v in (field.l, field.m))  # noqa: E741
+    return l, m
+
+
+def encircled_energy(
+    field: PupilField,
+    radius_mm: ArrayLike,
+    *,
+    at: tuple[int, int] = (0, 0),
+    centre_mm: Sequence[float] | None = None,
+) -> FloatArray:
+    """Share of all the light within circles, (r,).
+
+    Integrates the image over the rings between the circles, by Gauss points along the radius and evenly in azimuth, as
+    many as a band-limited image asks for.
+
+    Parameters
+    ----------
+    field : PupilField
+        Pupils, sampled for windows as large as the largest circle.
+    radius_mm : (r,)
+        Radii.
+    at : (int, int)
+        Field and wavelength.
+    centre_mm : (float, float), optional
+        Centre; the centroid of all light if left out.
+    """
+    amplitude, fx, fy, phase = _rays(field, at)
+    mean_x, mean_y = (float(v[at]) for v in field.mean_mm)
+    dx, dy = (0.0, 0.0) if centre_mm is None else (centre_mm[0] - mean_x, centre_mm[1] - mean_y)
+    highest = float(np.hypot(fx, fy).max())
+    coefficient = amplitude * np.exp(2j * np.pi * (phase + fx * dx + fy * dy))
+    radii = np.atleast_1d(np.asarray(radius_mm, float))
+    edges, back = np.unique(radii, return_inverse=True)
+    within, inner, light = [], 0.0, 0.0
+    for outer in edges:
+        node, weight = np.polynomial.legendre.leggauss(8 + math.ceil(4.0 * highest * (outer - inner)))
+        ring = inner + 0.5 * (outer - inner) * (1.0 + node)
+        count = 16 + 4 * math.ceil(np.pi * highest * outer)
+        angle = 2.0 * np.pi * np.arange(count) / count
+        for r, share in zip(ring, 0.5 * (outer - inner) * weight * 2.0 * np.pi * ring, strict=True):
+            wave = np.exp(2j * np.pi * (np.outer(r * np.cos(angle), fx) + np.outer(r * np.sin(angle), fy)))
+            light += float(share) * float((np.abs(wave @ coefficient) ** 2).mean())
+        within.append(light)
+        inner = outer
+    scale = (float(field.index[at[1]]) / (float(field.wavelength_nm[at[1]]) * 1e-6)) ** 2
+    return np.array(within)[back] * scale / float(field.area_mm2[at].sum())

@@ -1,0 +1,101 @@
+"""Zernike polynomials in the three orders that optics people use, and their fit to a wavefront.
+
+``noll``: "standard" (Noll 1976, J. Opt. Soc. Am. 66, 207), index from 1, each of RMS 1 over the unit disk; the Zernike
+Standard Coefficients of ray-tracing programs. ``ansi``: ISO 24157 / OSA, index from 0, RMS 1. ``fringe``: University of
+Arizona, index from 1, 37 terms, amplitude 1 at the rim (ISO 14999-2 lists them). Sine terms belong to the azimuth
+counted from +x towards +y.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from scipy.special import eval_jacobi
+
+from optics.arrays import FloatArray
+from optics.errors import DomainError, unknown_name
+
+__all__ = ["ZernikeOrder", "fit_zernikes", "zernike_numbers", "zernikes"]
+
+ZernikeOrder = Literal["noll", "ansi", "fringe"]
+
+FRINGE_TERMS = 37
+
+
+def _noll(j: int) -> tuple[int, int]:
+    n = int((np.sqrt(8 * j - 7) - 1) // 2)
+    left = j - n * (n + 1) // 2 - 1
+    m = 2 * ((left + 1) // 2) if n % 2 == 0 else 2 * (left // 2) + 1
+    return n, m if j % 2 == 0 else -m
+
+
+def _ansi(j: int) -> tuple[int, int]:
+    n = int((np.sqrt(8 * j + 1) - 1) // 2)
+    return n, 2 * j - n * (n + 2)
+
+
+def _fringe(j: int) -> tuple[int, int]:
+    if j == FRINGE_TERMS:
+        return 12, 0
+    half = int(np.ceil(np.sqrt(j))) - 1  # terms half^2 + 1 ... (half + 1)^2 have n + |m| = 2 half
+    left = j - half * half - 1
+    m = half - left // 2
+    return 2 * half - m, m if left % 2 == 0 else -m
+
+
+_ORDERS: dict[str, tuple[int, Callable[[int], tuple[int, int]]]] = {
+    "noll": (1, _noll),
+    "ansi": (0, _ansi),
+    "fringe": (1, _fringe),
+}
+
+
+def zernike_numbers(count: int, order: ZernikeOrder = "noll") -> tuple[tuple[int, int], ...]:
+    """Radial degree n and azimuthal frequency m of the first terms; m < 0 marks sines.
+
+    Parameters
+    ----------
+    count : int
+        Number of terms.
+    order : {"noll", "ansi", "fringe"}
+        Order.
+
+    Raises
+    ------
+    ConfigError
+        Unknown order.
+    DomainError
+        No term, or more than 37 fringe terms.
+    """
+    if order not in _ORDERS:
+        raise unknown_name("order of Zernike polynomials", order, _ORDERS)
+    if count < 1 or (order == "fringe" and count > FRINGE_TERMS):
+        raise DomainError(f"{count} Zernike terms ({order}); at least 1, and of the fringe set at most {FRINGE_TERMS}")
+    first, numbers = _ORDERS[order]
+    return tuple(numbers(j) for j in range(first, first + count))
+
+
+def zernikes(x: FloatArray, y: FloatArray, count: int, order: ZernikeOrder = "noll") -> FloatArray:
+    """The first terms (count, ...) at points of the unit disk; parameters and errors as `zernike_numbers`."""
+    r, angle = np.hypot(x, y), np.arctan2(y, x)
+    terms = []
+    for n, m in zernike_numbers(count, order):
+        k = abs(m)
+        radial = r**k * eval_jacobi((n - k) // 2, 0, k, 2.0 * r * r - 1.0)
+        size = 1.0 if order == "fringe" else np.sqrt((n + 1) * (1.0 if m == 0 else 2.0))
+        terms.append(size * radial * (np.sin(k * angle) if m < 0 else np.cos(k * angle)))
+    return np.stack(terms)
+
+
+def fit_zernikes(
+    x: FloatArray, y: FloatArray, value: FloatArray, weight: FloatArray, count: int, order: ZernikeOrder = "noll"
+) -> FloatArray:
+    """Coefficients (count,) of the weighted least-squares fit to values at points of the unit disk.
+
+    Over a full disk they are the projections; over an annulus or a vignetted pupil they depend on ``count``.
+    """
+    root = np.sqrt(weight)
+    terms = zernikes(x, y, count, order)
+    return np.asarray(np.linalg.lstsq((terms * root).T, value * root, rcond=None)[0])
