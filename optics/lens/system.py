@@ -152,6 +152,8 @@ class LensSystem:
         for number, (surface, before) in enumerate(zip(self.surfaces, self.media, strict=False)):
             if surface.medium != AMBIENT and surface.medium not in self.glasses:
                 raise unknown_name("glass", surface.medium, self.glasses)
+            if surface.mirror and surface.shape.redirects:
+                raise ConfigError(f"lens {self.name!r}: surface {number} ({surface.shape.kind}) cannot be a mirror")
             if surface.mirror and (surface.medium, surface.index_offset) != before:
                 raise ConfigError(
                     f"lens {self.name!r}: surface {number} is a mirror between {before[0]!r} and {surface.medium!r}; "

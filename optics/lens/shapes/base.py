@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Self
 from optics.arrays import ArrayNamespace, FloatArray
 from optics.errors import DomainError
 
-__all__ = ["Hit", "Shape", "require_finite"]
+__all__ = ["Hit", "Shape", "require_finite", "require_positive"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,3 +135,10 @@ def require_finite(shape: Shape, **values: float) -> None:
     for name, value in values.items():
         if not math.isfinite(value):
             raise DomainError(f"{type(shape).__name__}.{name} = {value}; a finite number is needed")
+
+
+def require_positive(shape: Shape, **values: float) -> None:
+    """Raise DomainError unless every value is a positive finite number."""
+    for name, value in values.items():
+        if not 0.0 < value < math.inf:
+            raise DomainError(f"{type(shape).__name__}.{name} = {value}; a positive number is needed")

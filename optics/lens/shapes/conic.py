@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -11,9 +10,9 @@ from pydantic import FiniteFloat
 
 from optics.arrays import NUMPY, ArrayNamespace, FloatArray
 from optics.lens.shapes.base import Hit, require_finite
-from optics.lens.shapes.revolution import Curved, conic_profile, profile_sag
+from optics.lens.shapes.revolution import Curved, conic_profile, conic_rim_mm, profile_sag
 
-__all__ = ["Conic", "conic_rim_mm"]
+__all__ = ["Conic"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,8 +54,3 @@ class Conic(Curved):
     def sag(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         """Sag [mm]; NaN beyond the rim."""
         return profile_sag(lambda r2: conic_profile(self.curvature, self.conic, r2, NUMPY), x_mm, y_mm)
-
-
-def conic_rim_mm(radius_mm: float, conic: float) -> float:
-    """Distance from the axis at which a conicoid ends [mm]."""
-    return abs(radius_mm) / math.sqrt(1.0 + conic) if conic > -1.0 else math.inf

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from optics.lens.shapes.base import Shape
+from optics.lens.shapes.biconic import Biconic
 from optics.lens.shapes.conic import Conic
+from optics.lens.shapes.cylinder import Cylinder
 from optics.lens.shapes.even_asphere import EvenAsphere
+from optics.lens.shapes.odd_asphere import OddAsphere
+from optics.lens.shapes.paraxial_lens import ParaxialLens
 from optics.lens.shapes.plane import Plane
+from optics.lens.shapes.polynomial import Polynomial
+from optics.lens.shapes.qbfs import Qbfs
+from optics.lens.shapes.qcon import Qcon
 from optics.lens.shapes.sphere import Sphere
+from optics.lens.shapes.toroid import Toroid
+from optics.lens.shapes.zernike import Zernike
 
 __all__ = ["SHAPES", "UNNAMED"]
 
-SHAPES: tuple[type[Shape], ...] = (Plane, Sphere, Conic, EvenAsphere)
+ROTATIONAL: tuple[type[Shape], ...] = (Plane, Sphere, Conic, EvenAsphere, OddAsphere, Qbfs, Qcon, ParaxialLens)
+SHAPES: tuple[type[Shape], ...] = (*ROTATIONAL, Cylinder, Toroid, Biconic, Zernike, Polynomial)
 
 UNNAMED: type[Shape] = EvenAsphere
 """What a surface without ``kind`` is read as; the simplest of plane, sphere, conic and even asphere comes out."""

@@ -13,17 +13,28 @@ through the plane. Newton steps add what p brings.
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
+from pydantic import FiniteFloat
 
-from optics.arrays import ArrayNamespace, FloatArray
+from optics.arrays import NUMPY, ArrayNamespace, FloatArray
 from optics.errors import DomainError
-from optics.lens.shapes.base import Hit, Shape
+from optics.lens.shapes.base import Hit, Shape, require_finite
 
-__all__ = ["Curved", "Profile", "conic_profile", "newton_hit", "profile_sag"]
+__all__ = [
+    "Asphere",
+    "Curved",
+    "Profile",
+    "conic_path",
+    "conic_profile",
+    "conic_rim_mm",
+    "newton_hit",
+    "profile_sag",
+]
 
 NEWTON_STEPS = 6
 NEWTON_RESIDUAL_MM = 1e-10
@@ -68,6 +79,19 @@ class Curved(Shape):
         return Shape.changed(self, name, by)
 
 
+def conic_rim_mm(radius_mm: float, conic: float) -> float:
+    """Distance from the axis at which a conicoid ends [mm]."""
+    return abs(radius_mm) / math.sqrt(1.0 + conic) if conic > -1.0 else math.inf
+
+
+def conic_path(c: Any, k: Any, x: Any, y: Any, d: Sequence[Any], xp: ArrayNamespace) -> Any:
+    """Path from the vertex plane to a conic [mm], a start for what lies near it; any number where it is missed."""
+    f = c * (x * x + y * y)
+    g = d[2] - c * (x * d[0] + y * d[1])
+    disc = g * g - c * (1.0 + k * d[2] * d[2]) * f
+    return f / (g + xp.sqrt(xp.maximum(disc, 0.0)))
+
+
 def conic_profile(c: Any, k: Any, r2: Any, xp: ArrayNamespace) -> tuple[Any, Any, Any]:
     """Conic of curvature c and conic constant k: sag, its derivative with respect to r^2, whether it reaches so far."""
     w2 = 1.0 - (1.0 + k) * c * c * r2
@@ -108,3 +132,38 @@ def newton_hit(profile: Profile, start: Any, x: Any, y: Any, d: Sequence[Any], x
     error = sag - pz
     valid = inside & (error * error < NEWTON_RESIDUAL_MM**2) & (cos_i > 0.0)
     return Hit(s, px, py, pz, nx * scale, ny * scale, scale, cos_i, valid)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Asphere(Curved):
+    """A conic and a departure from it, both of revolution; ``radius_mm`` may be infinite.
+
+    A kind says what its `profile` is; its `parameters` begin with curvature and conic constant.
+    """
+
+    radius_mm: float = math.inf
+    conic: FiniteFloat = 0.0
+
+    def __post_init__(self) -> None:
+        require_finite(self, conic=self.conic)
+        Curved.__post_init__(self)
+
+    @property
+    def rim_mm(self) -> float:
+        """Where the conic ends [mm]."""
+        return conic_rim_mm(self.radius_mm, self.conic)
+
+    @classmethod
+    @abstractmethod
+    def profile(cls, p: Sequence[Any], r2: Any, xp: ArrayNamespace) -> tuple[Any, Any, Any]:
+        """Sag, its derivative with respect to r^2, whether the conic reaches so far; p are the `parameters`."""
+
+    @classmethod
+    def intersect(cls, p: Sequence[Any], x: Any, y: Any, d: Sequence[Any], xp: ArrayNamespace) -> Hit:
+        """Intersect rays that stand on the vertex plane."""
+        start = conic_path(p[0], p[1], x, y, d, xp)
+        return newton_hit(lambda r2: cls.profile(p, r2, xp), start, x, y, d, xp)
+
+    def sag(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        """Sag [mm]; NaN beyond the rim."""
+        return profile_sag(lambda r2: self.profile(self.parameters(), r2, NUMPY), x_mm, y_mm)

@@ -1,0 +1,91 @@
+r"""Ideal thin lens.
+
+It is a plane that turns light as paraxial optics says at any height and angle: with slopes t = (dx/dz, dy/dz), heights
+h, indices n and n' in front and behind and the power :math:`\phi = 1/f`,
+
+.. math:: n' t' = n t - \phi h.
+
+Parallel light of any direction meets in one point of the plane n' f behind it; no real lens does that. The optical path
+is such that all rays of a parallel bundle are equally long to that point (``collimated = "before"``), or, for a lens
+met from its focus, all rays of a point of the plane n f in front to a plane wave (``"after"``). For objects between,
+paths are not those of any lens.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
+
+from optics.arrays import ArrayNamespace, FloatArray
+from optics.errors import DomainError
+from optics.lens.shapes.base import Hit, Shape
+
+__all__ = ["ParaxialLens"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParaxialLens(Shape):
+    """Ideal thin lens of ``focal_length_mm``; see the module for its optical path."""
+
+    focal_length_mm: float
+    collimated: Literal["before", "after"] = "before"
+    kind: ClassVar[str] = "paraxial"
+    redirects: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        if self.focal_length_mm == 0.0 or math.isnan(self.focal_length_mm) or math.isinf(self.focal_length_mm):
+            raise DomainError(f"ParaxialLens.focal_length_mm = {self.focal_length_mm}; a number other than 0 is needed")
+        if self.collimated not in ("before", "after"):
+            raise DomainError(f"ParaxialLens.collimated = {self.collimated!r}; 'before' or 'after' is needed")
+
+    @property
+    def curvature(self) -> float:
+        """That of the plane, 0."""
+        return 0.0
+
+    def power(self, before: float, after: float) -> float:
+        """Power [1/mm]."""
+        return 1.0 / self.focal_length_mm
+
+    def parameters(self) -> tuple[float, ...]:
+        """Focal length [mm], and 1 for parallel light before the lens or 0 for after it."""
+        return (self.focal_length_mm, float(self.collimated == "before"))
+
+    @staticmethod
+    def intersect(p: Sequence[Any], x: Any, y: Any, d: Sequence[Any], xp: ArrayNamespace) -> Hit:
+        """Intersect rays that stand on the vertex plane."""
+        return Hit(0.0, x, y, 0.0, 0.0, 0.0, 1.0, d[2], None)
+
+    @staticmethod
+    def redirect(
+        p: Sequence[Any], hit: Hit, d: Sequence[Any], index: tuple[Any, Any], xp: ArrayNamespace
+    ) -> tuple[tuple[Any, Any, Any], Any]:
+        """Direction behind the lens, and what it adds to the optical path [mm]."""
+        focal, before = p
+        n, m = index
+        tx, ty = d[0] / d[2], d[1] / d[2]
+        ux, uy = (n * tx - hit.x / focal) / m, (n * ty - hit.y / focal) / m
+        long_in, long_out = xp.sqrt(1.0 + tx * tx + ty * ty), xp.sqrt(1.0 + ux * ux + uy * uy)
+        a, b = n / m, m / n
+        # path of the ray through the middle of the lens, less that of this one outside the lens
+        focus = m * m * focal * (xp.sqrt(1.0 + a * a * (tx * tx + ty * ty)) - long_out)
+        source = n * n * focal * (xp.sqrt(1.0 + b * b * (ux * ux + uy * uy)) - long_in)
+        from_wave = focus - n * (hit.x * tx + hit.y * ty) / long_in
+        to_wave = source + m * (hit.x * ux + hit.y * uy) / long_out
+        return (ux / long_out, uy / long_out, 1.0 / long_out), before * from_wave + (1.0 - before) * to_wave
+
+    def sag(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        """Sag [mm]: zero."""
+        return np.zeros(np.broadcast_shapes(np.shape(x_mm), np.shape(y_mm)))
+
+    def flipped(self) -> Self:
+        """The lens for light that goes the other way."""
+        return replace(self, collimated="after" if self.collimated == "before" else "before")
+
+    def scaled(self, factor: float) -> Self:
+        """The lens expanded uniformly."""
+        return replace(self, focal_length_mm=self.focal_length_mm * factor)

@@ -1,0 +1,66 @@
+"""Conic plus a polynomial in x and y."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Self
+
+import numpy as np
+from pydantic import Field, FiniteFloat
+
+from optics.arrays import FloatArray
+from optics.lens.shapes.base import require_finite, require_positive
+from optics.lens.shapes.freeform import PolynomialFreeform
+
+__all__ = ["Polynomial"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Polynomial(PolynomialFreeform):
+    """Conic plus ``coefficients_mm`` of x, y, x^2, x y, y^2, x^3, x^2 y, ..., x and y over ``norm_radius_mm``."""
+
+    norm_radius_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
+    coefficients_mm: tuple[FiniteFloat, ...] = ()
+    kind: ClassVar[str] = "polynomial"
+
+    def __post_init__(self) -> None:
+        require_finite(self, **{f"coefficients_mm[{i}]": a for i, a in enumerate(self.coefficients_mm)})
+        require_positive(self, norm_radius_mm=self.norm_radius_mm)
+        PolynomialFreeform.__post_init__(self)
+
+    @property
+    def norm_mm(self) -> float:
+        """Normalisation radius [mm]."""
+        return self.norm_radius_mm
+
+    def _powers(self) -> list[tuple[int, int]]:
+        """Powers of x and y of every coefficient."""
+        powers: list[tuple[int, int]] = []
+        degree = 0
+        while len(powers) < len(self.coefficients_mm):
+            degree += 1
+            powers += [(degree - j, j) for j in range(degree + 1)]
+        return powers[: len(self.coefficients_mm)]
+
+    def monomials_mm(self) -> FloatArray:
+        """Coefficients of x^i y^j [mm]."""
+        powers = self._powers()
+        size = max((i + j for i, j in powers), default=0) + 1
+        found = np.zeros((size, size))
+        for (i, j), a in zip(powers, self.coefficients_mm, strict=True):
+            found[i, j] = a
+        return found
+
+    def flipped(self) -> Self:
+        """The surface seen from behind."""
+        kept = tuple(a if i % 2 else -a for (i, _), a in zip(self._powers(), self.coefficients_mm, strict=True))
+        return replace(self, radius_mm=-self.radius_mm, coefficients_mm=kept)
+
+    def scaled(self, factor: float) -> Self:
+        """The surface expanded uniformly."""
+        return replace(
+            self,
+            radius_mm=self.radius_mm * factor,
+            norm_radius_mm=self.norm_radius_mm * factor,
+            coefficients_mm=tuple(a * factor for a in self.coefficients_mm),
+        )
