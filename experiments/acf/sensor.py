@@ -44,7 +44,7 @@ def camera_settings(config: InstrumentConfig) -> dict[str, Any]:
     place = geometry.grid_px(POINTS)
     direction = camera.nominal_direction(place[:, 0], place[:, 1], instrument.focal_length_mm)
     lens = camera.focused_lens
-    x_mm, y_mm = chief_ray_points(lens, *field_angles_deg(direction))
+    x_mm, y_mm = chief_ray_points(lens, *field_angles_deg(direction), blocked="follow")
     pixel = camera.centre_px + np.column_stack([x_mm, -y_mm]) / camera.pixel_pitch_mm
     start = BrownConrady.create(geometry, focal_length_mm=instrument.focal_length_mm)
     free = ("focal_length_mm", "q1_per_mm2", "q2_per_mm4", "q3_per_mm6")

@@ -10,7 +10,6 @@ another aperture takes over, costs its change of slope times the square of the s
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,17 +19,14 @@ from optics.arrays import NUMPY, BoolArray, FloatArray, IntArray
 from optics.errors import ConvergenceError
 from optics.frames import light_direction
 from optics.lens.system import LensSystem
-from optics.rays.paraxial import axial_paraxial
+from optics.rays.aim import aim_at_stop, aim_frame
 from optics.rays.program import compile_lens
 from optics.rays.trace import OK, VIGNETTED, Rays, trace_program
 from optics.records import freeze
 
-__all__ = ["Beams", "find_beams"]
+__all__ = ["BeamOutlines", "Beams", "beam_outlines", "find_beams"]
 
 
-AIM_STEPS, AIM_TOLERANCE, AIM_DIFFERENCE = 12, 1e-7, 1e-4
-"""Newton steps towards the stop's centre; residual and difference of the slopes in radii of the stop. The centre only
-has to lie inside."""
 RIM_STEPS, RIM_TOLERANCE = 60, 1e-8
 """Steps of false position; residual in radii of the aperture."""
 WIDEST = 64.0
@@ -70,31 +66,59 @@ class Beams:
             freeze(self, name, shape=("f", "w", "n"), sizes=sizes)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BeamOutlines:
+    """Outlines of the beams of f stars at p wavelengths in the plane of launch.
+
+    Attributes
+    ----------
+    z_mm : float
+        The plane, in the lens frame.
+    centre_mm : (f, p, 2)
+        A point inside each.
+    radius_mm : (f, p, m)
+        Distance of the outline from it at m equidistant azimuths (`_azimuth`).
+    rim : (f, p, m)
+        Number of the surface whose aperture ends it there.
+    lit : (f, p)
+        Whether any light gets through.
+    """
+
+    z_mm: float
+    centre_mm: FloatArray
+    radius_mm: FloatArray
+    rim: IntArray
+    lit: BoolArray
+
+    @property
+    def x_mm(self) -> FloatArray:
+        """Columns (f, p, m) of the outlines."""
+        return np.asarray(self.centre_mm[..., :1] + self.radius_mm * np.cos(_azimuth(self.radius_mm.shape[-1])))
+
+    @property
+    def y_mm(self) -> FloatArray:
+        """Rows (f, p, m) of the outlines."""
+        return np.asarray(self.centre_mm[..., 1:] + self.radius_mm * np.sin(_azimuth(self.radius_mm.shape[-1])))
+
+
 class _Apertures:
     """How near rays come to the rims of a lens."""
 
     def __init__(self, lens: LensSystem) -> None:
+        self.lens = lens
         self.program, theta = compile_lens(lens)
         self.theta = NUMPY.parameters(theta)
-        self.stop = lens.stop_index
         self.radius = {i: s.semi_diameter_mm for i, s in enumerate(lens.surfaces) if np.isfinite(s.semi_diameter_mm)}
-        first = axial_paraxial(lens, lens.design_wavelength_nm)
-        near = np.isfinite(first.entrance_pupil_z_mm) and np.isfinite(first.entrance_pupil_radius_mm)
-        self.z_mm = float(first.entrance_pupil_z_mm if near else lens.surfaces[0].position_mm[2])
-        self.scale_mm = float(first.entrance_pupil_radius_mm if near else max(self.radius.values(), default=math.inf))
-        if not (near or self.radius):
-            raise ConvergenceError(f"lens {lens.name!r} has no aperture that limits a beam")
-        self.unit_mm = self.radius.get(self.stop, self.scale_mm)
+        self.frame = aim_frame(lens)
+        self.z_mm, self.scale_mm = self.frame.z_mm, self.frame.scale_mm
 
     def trace(
         self, x: FloatArray, y: FloatArray, direction: FloatArray, wave: FloatArray
-    ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
-        """Largest height (...) of rays on any aperture in radii of it, infinite where they miss; on which; the stop."""
-        highest, which, stop = np.zeros(x.shape), np.full(x.shape, -1), np.zeros((2, *x.shape))
+    ) -> tuple[FloatArray, IntArray]:
+        """Largest height (...) of rays on any aperture in radii of it, infinite where they miss, and on which."""
+        highest, which = np.zeros(x.shape), np.full(x.shape, -1)
 
         def visit(number: int, rays: Rays) -> None:
-            if number == self.stop:
-                stop[:] = rays.x, rays.y
             if number in self.radius:
                 height = np.hypot(rays.x, rays.y) / self.radius[number]
                 which[height > highest] = number
@@ -104,7 +128,7 @@ class _Apertures:
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             status = trace_program(self.program, self.theta, rays, NUMPY, visit).status
         through = np.isfinite(highest) & ((status == OK) | (status == VIGNETTED))
-        return np.where(through, highest, np.inf), which, stop[0] / self.unit_mm, stop[1] / self.unit_mm
+        return np.where(through, highest, np.inf), which
 
 
 def find_beams(lens: LensSystem, v_cam: FloatArray, wavelength_nm: ArrayLike, *, rings: int, arms: int) -> Beams:
@@ -129,21 +153,15 @@ def find_beams(lens: LensSystem, v_cam: FloatArray, wavelength_nm: ArrayLike, *,
         If nothing limits a beam.
     """
     wavelength_nm = np.asarray(wavelength_nm, float)
-    lens.check_wavelength(wavelength_nm)
-    apertures = _Apertures(lens)
     picks, factors = _picks(wavelength_nm)
-    direction = np.repeat(light_direction(v_cam)[:, None], len(picks), axis=1)
-    wave = np.broadcast_to(picks, direction.shape[:2])
-    centre, lit = _centres(apertures, direction, wave)
     count = max(arms, LEAST_ARMS)
-    radius, rim = _outline(apertures, centre, lit, direction, wave, count)
-    harmonic = np.abs(np.fft.rfft(radius, axis=-1))[..., -2:].max(-1) * 2.0 / count
-    if (harmonic > SMOOTH * np.maximum(radius.mean(-1), 1e-300)).any():
+    found = beam_outlines(lens, v_cam, picks, arms=count)
+    harmonic = np.abs(np.fft.rfft(found.radius_mm, axis=-1))[..., -2:].max(-1) * 2.0 / count
+    if (harmonic > SMOOTH * np.maximum(found.radius_mm.mean(-1), 1e-300)).any():
         count *= FINER
-        radius, rim = _outline(apertures, centre, lit, direction, wave, count)
-    share = _shares(radius, rim)
-    radius = np.where(lit[..., None], radius, 0.0)
-    radius, share, centre = (np.einsum("wp,fpm->fwm", factors, v) for v in (radius, share, centre))
+        found = beam_outlines(lens, v_cam, picks, arms=count)
+    parts = found.radius_mm, _shares(found.radius_mm, found.rim), found.centre_mm
+    radius, share, centre = (np.einsum("wp,fpm->fwm", factors, v) for v in parts)
     node, weight = np.polynomial.legendre.leggauss(rings)
     part = np.sqrt(0.5 * (1.0 + node))[:, None]
     azimuth = _azimuth(count)
@@ -151,7 +169,20 @@ def find_beams(lens: LensSystem, v_cam: FloatArray, wavelength_nm: ArrayLike, *,
     x, y = (centre[..., axis, None, None] + reach * v for axis, v in enumerate((np.cos(azimuth), np.sin(azimuth))))
     area = (radius**2 * share)[..., None, :] * (0.5 * weight[:, None] * np.pi / count)
     shape = (*radius.shape[:2], rings * count)
-    return Beams(z_mm=apertures.z_mm, x_mm=x.reshape(shape), y_mm=y.reshape(shape), area_mm2=area.reshape(shape))
+    return Beams(z_mm=found.z_mm, x_mm=x.reshape(shape), y_mm=y.reshape(shape), area_mm2=area.reshape(shape))
+
+
+def beam_outlines(lens: LensSystem, v_cam: FloatArray, wavelength_nm: FloatArray, *, arms: int) -> BeamOutlines:
+    """Outlines of beams at so many azimuths; parameters and errors as `find_beams`."""
+    lens.check_wavelength(wavelength_nm)
+    apertures = _Apertures(lens)
+    direction = np.repeat(light_direction(v_cam)[:, None], len(wavelength_nm), axis=1)
+    wave = np.broadcast_to(wavelength_nm, direction.shape[:2])
+    centre, lit = _centres(apertures, direction, wave)
+    radius, rim = _outline(apertures, centre, lit, direction, wave, arms)
+    return BeamOutlines(
+        z_mm=apertures.z_mm, centre_mm=centre, radius_mm=np.where(lit[..., None], radius, 0.0), rim=rim, lit=lit
+    )
 
 
 def _azimuth(count: int) -> FloatArray:
@@ -198,35 +229,23 @@ def _picks(wavelength_nm: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _centres(apertures: _Apertures, direction: FloatArray, wave: FloatArray) -> tuple[FloatArray, BoolArray]:
     """A point (f, p, 2) inside each beam, and whether there is one (f, p)."""
-    x, y = np.zeros(wave.shape), np.zeros(wave.shape)
-    h = AIM_DIFFERENCE * apertures.scale_mm
-    highest, _, u, v = apertures.trace(x, y, direction, wave)
-    for _ in range(AIM_STEPS):
-        if not (np.hypot(u, v) > AIM_TOLERANCE).any():
-            break
-        _, _, ux, vx = apertures.trace(x + h, y, direction, wave)
-        _, _, uy, vy = apertures.trace(x, y + h, direction, wave)
-        a, b, c, d = (ux - u) / h, (uy - u) / h, (vx - v) / h, (vy - v) / h
-        with np.errstate(invalid="ignore", divide="ignore"):
-            dx, dy = -(d * u - b * v) / (a * d - b * c), -(a * v - c * u) / (a * d - b * c)
-        going = np.isfinite(dx + dy) & (np.hypot(x + dx, y + dy) < WIDEST * apertures.scale_mm)
-        x, y = np.where(going, x + dx, x), np.where(going, y + dy, y)
-        highest, _, u, v = apertures.trace(x, y, direction, wave)
-    lit = np.asarray(highest < 1.0)
+    aimed = aim_at_stop(apertures.lens, direction, wave)
+    x, y = aimed.x_mm.copy(), aimed.y_mm.copy()
+    lit = np.asarray(aimed.found & (apertures.trace(x, y, direction, wave)[0] < 1.0))
     if not lit.all():
         where = np.nonzero(~lit)
-        x[where], y[where], lit[where] = _scanned(apertures, direction[where], wave[where])
+        x[where], y[where], lit[where] = _scanned(apertures, direction[where], wave[where], (x[where], y[where]))
     return np.stack([x, y], axis=-1), lit
 
 
 def _scanned(
-    apertures: _Apertures, direction: FloatArray, wave: FloatArray
+    apertures: _Apertures, direction: FloatArray, wave: FloatArray, about: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Mean launch point (n,) of those rays of a grid that get through, and whether any does."""
+    """Mean launch point (n,) of those rays of a grid about a point that get through, and whether any does."""
     reach = 1.5 * apertures.scale_mm
     for _ in range(4):
         side = reach * np.linspace(-1.0, 1.0, SCAN)
-        x, y = (np.broadcast_to(v.ravel(), (len(wave), SCAN * SCAN)) for v in np.meshgrid(side, side))
+        x, y = (centre[:, None] + v.ravel() for centre, v in zip(about, np.meshgrid(side, side), strict=True))
         through = apertures.trace(x, y, direction[:, None], wave[:, None])[0] < 1.0
         count = through.sum(1)
         if (count > 0).all():

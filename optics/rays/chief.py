@@ -6,26 +6,23 @@ Fields are angles of the star in cam (`optics.frames.field_direction`), position
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optics.arrays import FloatArray
+from optics.arrays import NUMPY, BoolArray, FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.frames import field_direction, light_direction
 from optics.lens.system import LensSystem
-from optics.rays.paraxial import axial_paraxial
-from optics.rays.trace import OK, VIGNETTED, Rays, trace
+from optics.rays.aim import aim_at_stop, without_apertures, without_holes
+from optics.rays.program import compile_lens
+from optics.rays.trace import OK, Rays, trace_program
 from optics.records import freeze
 from optics.units import DEG_RAD
 
 __all__ = ["DistortionMap", "chief_ray_points", "distortion_map", "plate_scale_mm"]
-
-
-AIM_STEPS = 12
-AIM_TOLERANCE_MM = 1e-10
-AIM_DIFFERENCE_MM = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,20 +63,13 @@ class DistortionMap:
         return np.divide(along, r2, out=np.zeros_like(r2), where=r2 > 0)
 
 
-def _to_stop(lens: LensSystem) -> LensSystem:
-    """The front part of the lens, with its image plane in the vertex plane of the stop."""
-    at = lens.stop_index
-    stop = lens.surfaces[at]
-    return replace(
-        lens,
-        surfaces=lens.surfaces[: at + 1],
-        image_position_mm=stop.position_mm,
-        image_rotation=stop.rotation,
-    )
-
-
 def chief_ray_points(
-    lens: LensSystem, field_x_deg: ArrayLike, field_y_deg: ArrayLike, wavelength_nm: ArrayLike | None = None
+    lens: LensSystem,
+    field_x_deg: ArrayLike,
+    field_y_deg: ArrayLike,
+    wavelength_nm: ArrayLike | None = None,
+    *,
+    blocked: Literal["refuse", "follow"] = "refuse",
 ) -> tuple[FloatArray, FloatArray]:
     """Where the chief rays (through the centre of the stop) meet the image plane.
 
@@ -89,6 +79,9 @@ def chief_ray_points(
         The lens.
     field_x_deg, field_y_deg, wavelength_nm : array
         Broadcastable field angles [deg] and wavelengths [nm] (design wavelength if left out).
+    blocked : {"refuse", "follow"}
+        What to do with a ray that the rim of an aperture stops: refuse it, or follow it as if there were none, for a
+        map that reaches beyond the field. A hole in the middle of an aperture never counts.
 
     Returns
     -------
@@ -98,40 +91,33 @@ def chief_ray_points(
     Raises
     ------
     ConvergenceError
-        If the rays cannot be aimed at the stop's centre, or do not reach the image plane.
+        If no ray passes the centre of the stop, or it misses a surface, is totally reflected or, where that counts,
+        stopped by a rim.
     """
     wave = lens.design_wavelength_nm if wavelength_nm is None else wavelength_nm
     fx, fy, wave = np.broadcast_arrays(*(np.asarray(v, float) for v in (field_x_deg, field_y_deg, wave)))
+    lens.check_wavelength(wave)
     direction = light_direction(field_direction(fx, fy))
-    front, z = _to_stop(lens), _aim_plane_mm(lens)
+    aimed = aim_at_stop(lens, direction, wave)
 
-    def through(target: LensSystem, x: FloatArray, y: FloatArray) -> Rays:
-        rays = trace(target, Rays.create(x_mm=x, y_mm=y, z_mm=z, direction=direction, wavelength_nm=wave))
-        if not np.all((rays.status == OK) | (rays.status == VIGNETTED)):
-            raise ConvergenceError(f"lens {lens.name!r}: a chief ray misses a surface or is totally reflected")
-        return rays
+    def complain(bad: BoolArray, what: str) -> None:
+        if bad.any():
+            at = np.unravel_index(int(np.argmax(bad)), bad.shape)
+            raise ConvergenceError(
+                f"lens {lens.name!r}: the chief ray of field ({fx[at]:.6g}, {fy[at]:.6g}) deg at {wave[at]:g} nm {what}"
+            )
 
-    x, y = np.zeros(fx.shape), np.zeros(fx.shape)
-    h = AIM_DIFFERENCE_MM
-    for _ in range(AIM_STEPS):
-        at, right, up = through(front, x, y), through(front, x + h, y), through(front, x, y + h)
-        if np.hypot(at.x, at.y).max() < AIM_TOLERANCE_MM:
-            arrived = through(lens, x, y)
-            return arrived.x, arrived.y
-        a, b, c, d = (right.x - at.x) / h, (up.x - at.x) / h, (right.y - at.y) / h, (up.y - at.y) / h
-        determinant = a * d - b * c
-        x = x - (d * at.x - b * at.y) / determinant
-        y = y - (a * at.y - c * at.x) / determinant
-    raise ConvergenceError(
-        f"lens {lens.name!r}: chief rays come within {np.hypot(at.x, at.y).max():.1e} mm of the stop's centre, not "
-        f"{AIM_TOLERANCE_MM:.0e} mm, after {AIM_STEPS} steps"
-    )
-
-
-def _aim_plane_mm(lens: LensSystem) -> float:
-    """z of the plane in which chief rays are aimed: the paraxial entrance pupil, or the first vertex if that is far."""
-    pupil_z = axial_paraxial(lens, lens.design_wavelength_nm).entrance_pupil_z_mm
-    return pupil_z if np.isfinite(pupil_z) else float(lens.surfaces[0].position_mm[2])
+    complain(~aimed.found, "does not reach the centre of the stop")
+    program, theta = compile_lens(lens)
+    start = Rays.create(x_mm=aimed.x_mm, y_mm=aimed.y_mm, z_mm=aimed.z_mm, direction=direction, wavelength_nm=wave)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        out = trace_program(without_apertures(program), NUMPY.parameters(theta), start, NUMPY)
+        complain(out.status != OK, "misses a surface or is totally reflected behind the stop")
+        if blocked == "refuse":
+            stopped = trace_program(without_holes(program), NUMPY.parameters(theta), start, NUMPY)
+            first = int(stopped.failed_at[stopped.status != OK].min(initial=len(lens.surfaces)))
+            complain(stopped.status != OK, f"is stopped by the rim of surface {first}")
+    return out.x, out.y
 
 
 def plate_scale_mm(lens: LensSystem, wavelength_nm: float | None = None) -> float:

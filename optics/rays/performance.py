@@ -183,7 +183,7 @@ def lens_performance(
     light = light / light.sum()
     traced = trace_spots(lens, field, np.zeros_like(field), wave) if spots is None else spots
     first = axial_paraxial(lens, lens.design_wavelength_nm)
-    chief, _ = chief_ray_points(lens, field, np.zeros_like(field))
+    chief, _ = chief_ray_points(lens, field, np.zeros_like(field), blocked="follow")
     mean_x, _, single = _focus(traced, traced.area_mm2, (-1,))
     return LensPerformance(
         field_deg=field,

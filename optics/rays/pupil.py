@@ -13,26 +13,31 @@ from scipy.stats import qmc
 
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
-from optics.frames import field_direction, light_direction
+from optics.frames import light_direction
 from optics.lens.system import LensSystem
-from optics.rays.paraxial import axial_paraxial
+from optics.rays.beam import beam_outlines
 from optics.rays.program import compile_lens
-from optics.rays.trace import Rays, trace
+from optics.rays.trace import Rays
 from optics.records import freeze
 
 __all__ = [
     "EntrancePupil",
+    "LaunchDisks",
     "PupilSamples",
     "disk_from_square",
     "entrance_pupil",
     "gauss_disk",
+    "launch_disks",
     "sobol_disk",
     "star_rays",
     "stop_in_front",
 ]
 
 
-SEARCH_RINGS, SEARCH_ARMS, SEARCH_DOUBLINGS = 32, 48, 5
+ARMS = 24
+"""Azimuths at which the outlines of beams are looked at."""
+MARGIN = 1.01 / math.cos(math.pi / ARMS)
+"""Room of a disk: for the arc between two of those points, and 1 %."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,6 +87,34 @@ class EntrancePupil:
     def area_mm2(self) -> float:
         """Area of the disk; times cos(field) it is the cross-section of the launched beam [mm^2]."""
         return math.pi * self.radius_mm**2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaunchDisks:
+    """Disks in a plane z = const of object space, one for each of f stars; each holds the star's beam and little more.
+
+    Attributes
+    ----------
+    z_mm : float
+        The plane, in the lens frame.
+    x_mm, y_mm, radius_mm : (f, 1, 1)
+        Centres and radii.
+    """
+
+    z_mm: float
+    x_mm: FloatArray
+    y_mm: FloatArray
+    radius_mm: FloatArray
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        for name in ("x_mm", "y_mm", "radius_mm"):
+            freeze(self, name, shape=("f", 1, 1), sizes=sizes)
+
+    @property
+    def area_mm2(self) -> FloatArray:
+        """Areas (f, 1, 1) of the disks [mm^2]."""
+        return np.pi * self.radius_mm**2
 
 
 def gauss_disk(rings: int, arms: int) -> PupilSamples:
@@ -142,7 +175,7 @@ def sobol_disk(count: int, *, seed: int) -> PupilSamples:
 
 
 def star_rays(
-    pupil: EntrancePupil,
+    pupil: EntrancePupil | LaunchDisks,
     samples: PupilSamples,
     v_cam: ArrayLike,
     wavelength_nm: ArrayLike,
@@ -153,8 +186,8 @@ def star_rays(
 
     Parameters
     ----------
-    pupil : EntrancePupil
-        Launch disk.
+    pupil : EntrancePupil or LaunchDisks
+        One launch disk for all, or one for each of f stars, (f, 1, 3), at w wavelengths.
     samples : PupilSamples
         Points of the unit disk, n of them.
     v_cam : (..., 3)
@@ -185,9 +218,10 @@ def entrance_pupil(
 ) -> EntrancePupil:
     """Launch disk of a lens.
 
-    If a clear, untilted stop stands in front of all glass it is that stop, exactly. Otherwise it is the paraxial
-    entrance pupil, resized by real rays: the smallest disk around it that holds every ray that reaches the image plane
-    from anywhere in the field, plus twice the step of the search (less than 1 % of its radius in all).
+    If a clear, untilted stop stands in front of all glass it is that stop, exactly. Otherwise it is a disk about the
+    paraxial entrance pupil's centre that holds the beams from the whole field as real rays find them
+    (`optics.rays.beam`), with 2 % of room. For a wide lens, whose pupil wanders with the field, it is much wider than
+    any beam: `launch_disks` gives every star its own.
 
     Parameters
     ----------
@@ -202,7 +236,7 @@ def entrance_pupil(
     Raises
     ------
     ConvergenceError
-        If no ray at all reaches the image plane.
+        If no ray at all reaches the image plane, or nothing limits the beam.
     """
     if stop_in_front(lens):
         stop = lens.surfaces[lens.stop_index]
@@ -210,8 +244,49 @@ def entrance_pupil(
         return EntrancePupil(x_mm=x, y_mm=y, z_mm=z, radius_mm=float(stop.semi_diameter_mm), exact=True)
     field = lens.max_field_deg if max_field_deg is None else float(max_field_deg)
     spread = np.clip(lens.design_wavelength_nm * np.array([0.75, 1.0, 1.4]), *lens.wavelength_range_nm)
-    waves = spread if wavelength_nm is None else np.array(wavelength_nm, float)
+    waves = np.unique(spread if wavelength_nm is None else np.asarray(wavelength_nm, float))
     return _searched(_State(lens), field, tuple(waves.tolist()))
+
+
+def launch_disks(lens: LensSystem, v_cam: FloatArray, wavelength_nm: ArrayLike) -> LaunchDisks:
+    """A launch disk for every star.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens; may be perturbed.
+    v_cam : (f, 3)
+        Unit vectors towards the stars in cam.
+    wavelength_nm : (w,)
+        Wavelengths that have to be covered.
+
+    Raises
+    ------
+    DomainError
+        If a wavelength is outside the range of one of the glasses.
+    ConvergenceError
+        If nothing limits a beam.
+    """
+    waves = np.asarray(wavelength_nm, float)
+    ends = np.unique([waves.min(), np.median(waves), waves.max()])
+    found = beam_outlines(lens, v_cam, ends, arms=ARMS)
+    lit = found.lit[..., None]
+    low, high = (
+        np.stack([f(np.where(lit, v, end), axis=(1, 2)) for v in (found.x_mm, found.y_mm)])
+        for f, end in ((np.min, np.inf), (np.max, -np.inf))
+    )
+    centre = np.where(np.isfinite(low), 0.5 * (low + high), 0.0)[..., None, None]
+    radius = _bound(np.where(lit, np.hypot(found.x_mm - centre[0], found.y_mm - centre[1]), 0.0))
+    return LaunchDisks(z_mm=found.z_mm, x_mm=centre[0], y_mm=centre[1], radius_mm=radius.max((1, 2), keepdims=True))
+
+
+def _bound(distance_mm: FloatArray) -> FloatArray:
+    """No point of an outline is farther from a centre than these, from distances (..., m) of its points at `ARMS`.
+
+    Where two apertures meet, between two of the points, a corner sticks out, at most as far as the tangents lead.
+    """
+    rise = np.abs(np.roll(distance_mm, 1, axis=-1) - distance_mm)
+    return np.asarray(MARGIN * (distance_mm + np.maximum(rise, np.roll(rise, -1, axis=-1))))
 
 
 def stop_in_front(lens: LensSystem) -> bool:
@@ -238,44 +313,12 @@ class _State:
 @lru_cache(maxsize=64)
 def _searched(state: _State, field: float, wavelength_nm: tuple[float, ...]) -> EntrancePupil:
     """The disk that holds every ray; see `entrance_pupil`."""
-    lens, wavelengths = state.lens, np.array(wavelength_nm)
-    guess = axial_paraxial(lens, lens.design_wavelength_nm)
-    if not (math.isfinite(guess.entrance_pupil_z_mm) and math.isfinite(guess.entrance_pupil_radius_mm)):
-        raise DomainError(f"lens {lens.name!r}: the entrance pupil is at infinity; rays cannot be launched from it")
-    z, outer = guess.entrance_pupil_z_mm, 1.5 * guess.entrance_pupil_radius_mm
-    needed = 0.0
-    for _ in range(SEARCH_DOUBLINGS):
-        needed, step = _reach(lens, z, (0.0, outer), field, wavelengths), outer / SEARCH_RINGS
-        if 0.0 < needed < outer - 1.5 * step:
-            band = (max(needed - step, 0.0), needed + 2.0 * step)  # once more, where it ends
-            needed = max(needed, _reach(lens, z, band, field, wavelengths))
-            between_arms = needed * (1.0 / math.cos(math.pi / SEARCH_ARMS) - 1.0)
-            margin = 2.0 * (band[1] - band[0]) / SEARCH_RINGS + between_arms
-            return EntrancePupil(z_mm=z, radius_mm=needed + margin, exact=False)
-        outer *= 2.0
-    if needed == 0.0:
-        raise ConvergenceError(f"lens {lens.name!r}: no ray of any field reaches the image plane")
-    raise ConvergenceError(
-        f"lens {lens.name!r}: rays pass even {needed:.1f} mm from the axis; neither stop nor apertures limit the beam"
-    )
-
-
-def _reach(
-    lens: LensSystem, z_mm: float, band_mm: tuple[float, float], field_deg: float, wavelength_nm: FloatArray
-) -> float:
-    """Largest radius within the band at which a ray of any field still reaches the image plane [mm], 0 for none."""
-    inner, outer = band_mm
-    r = inner + (outer - inner) * (np.arange(SEARCH_RINGS) + 1.0) / SEARCH_RINGS
-    phi = 2.0 * np.pi * np.arange(SEARCH_ARMS) / SEARCH_ARMS
-    x, y = np.outer(r, np.cos(phi)).ravel(), np.outer(r, np.sin(phi)).ravel()
-    turn = 2.0 * np.pi * np.arange(8) / 8
-    part = np.array([0.0, *np.repeat([0.5, 0.8, 1.0], 8)]) * field_deg
+    lens, turn = state.lens, 2.0 * np.pi * np.arange(8) / 8
+    angle = np.radians(np.array([0.0, *np.repeat([0.5, 0.8, 1.0], 8)]) * field)
     azimuth = np.array([0.0, *np.tile(turn, 3)])
-    direction = light_direction(field_direction(part * np.cos(azimuth), part * np.sin(azimuth)))
-    largest = 0.0
-    for wavelength in wavelength_nm:
-        rays = Rays.create(x_mm=x, y_mm=y, z_mm=z_mm, direction=direction[:, None, :], wavelength_nm=wavelength)
-        arrived = trace(lens, rays).ok.any(axis=0).reshape(SEARCH_RINGS, SEARCH_ARMS).any(axis=1)
-        if arrived.any():
-            largest = max(largest, float(r[arrived].max()))
-    return largest
+    stars = np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=-1)
+    found = beam_outlines(lens, stars, np.array(wavelength_nm), arms=ARMS)
+    if not found.lit.any():
+        raise ConvergenceError(f"lens {lens.name!r}: no ray of any field reaches the image plane")
+    reach = _bound(np.hypot(found.x_mm, found.y_mm))[found.lit].max()
+    return EntrancePupil(z_mm=found.z_mm, radius_mm=float(reach), exact=False)

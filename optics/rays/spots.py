@@ -19,10 +19,17 @@ from optics.lens.system import LensSystem
 from optics.light.collimation import bent_light
 from optics.rays.beam import find_beams
 from optics.rays.chief import chief_ray_points
-from optics.rays.pupil import PupilSamples, entrance_pupil, gauss_disk, sobol_disk, star_rays, stop_in_front
+from optics.rays.pupil import (
+    PupilSamples,
+    entrance_pupil,
+    gauss_disk,
+    launch_disks,
+    sobol_disk,
+    star_rays,
+    stop_in_front,
+)
 from optics.rays.trace import VIGNETTED, Rays, trace
 from optics.records import freeze
-from optics.units import RAD_DEG
 
 __all__ = [
     "SpotMoments",
@@ -114,7 +121,7 @@ def trace_spots(
     wavelength_nm : (w,)
         Wavelengths [nm].
     samples : PupilSamples, optional
-        Points of the launch disk (`optics.rays.pupil.entrance_pupil`). If left out: quadrature inside the beam, whose
+        Points of the launch disk (`optics.rays.pupil.launch_disks`). If left out: quadrature inside the beam, whose
         outline is known (a clear stop in front) or found (`optics.rays.beam`); 4096 scrambled Sobol points for a lens
         whose apertures have holes.
     order : (int, int)
@@ -151,16 +158,17 @@ def trace_spots(
 def _of_disk(
     lens: LensSystem, stars: FloatArray, waves: FloatArray, samples: PupilSamples, collimation: FloatArray | None
 ) -> Spots:
-    """Rays of a launch disk that covers these fields and wavelengths."""
-    reach = max(float(np.arccos(stars[:, 2].min())) * RAD_DEG, 1e-3)
-    pupil = entrance_pupil(lens, max_field_deg=reach, wavelength_nm=[waves.min(), waves.max()])
+    """Rays of launch disks that cover these fields and wavelengths."""
+    exact = entrance_pupil(lens) if stop_in_front(lens) else None
+    pupil = launch_disks(lens, stars, waves) if exact is None else exact
+    centre = (0.0, 0.0) if exact is None else (exact.x_mm, exact.y_mm)
     grid = np.broadcast_to(waves, (len(stars), waves.size))
-    rays = trace(lens, _bent(star_rays(pupil, samples, stars[:, None, :], grid), collimation, pupil.x_mm, pupil.y_mm))
+    rays = trace(lens, _bent(star_rays(pupil, samples, stars[:, None, :], grid), collimation, *centre))
     return Spots(rays=rays, area_mm2=np.where(rays.ok, samples.weight * pupil.area_mm2, 0.0))
 
 
 def _bent(rays: Rays, collimation: FloatArray | None, x_mm: float, y_mm: float) -> Rays:
-    """Rays (f, w, n) of the light of a collimator, about the centre of the launch disk."""
+    """Rays (f, w, n) of the light of a collimator, about the centre of the pupil."""
     if collimation is None:
         return rays
     slopes = collimation[:, 0, None], collimation[:, 1, None], collimation[:, 2, None]

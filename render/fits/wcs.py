@@ -222,7 +222,9 @@ def _rays_at(camera: Camera, nodes: FloatArray, wavelength_nm: float) -> tuple[F
 def _chief_px(camera: Camera, plane: FloatArray, wavelength_nm: float) -> FloatArray:
     """Pixels (n, 2) of chief rays at (X/Z, Y/Z) = plane (n, 2)."""
     fx, fy = field_angles_deg(np.concatenate([plane, np.ones((len(plane), 1))], axis=1))
-    return np.stack(camera.to_pixel(*chief_ray_points(camera.focused_lens, fx, fy, wavelength_nm)), axis=-1)
+    return np.stack(
+        camera.to_pixel(*chief_ray_points(camera.focused_lens, fx, fy, wavelength_nm, blocked="follow")), axis=-1
+    )
 
 
 def _raised(

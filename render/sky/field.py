@@ -197,7 +197,7 @@ def _grid_px(camera: Camera, half: FloatArray, nodes: FloatArray) -> FloatArray:
 def _chief_px(camera: Camera, x: FloatArray, y: FloatArray) -> FloatArray:
     """Pixels (n, 2) of chief rays at X/Z = x, Y/Z = y."""
     fx, fy = field_angles_deg(np.stack([x, y, np.ones_like(x)], axis=-1))
-    return np.stack(camera.to_pixel(*chief_ray_points(camera.focused_lens, fx, fy)), axis=-1)
+    return np.stack(camera.to_pixel(*chief_ray_points(camera.focused_lens, fx, fy, blocked="follow")), axis=-1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -286,7 +286,8 @@ def test_perturbed_lenses_share_one_structure():
     rays = star_rays(entrance_pupil(lens), sobol_disk(128, seed=4), field_direction(3.0, 2.0), 550.0)
     plain = trace(moved, rays)
     general = trace_program(other, NUMPY.parameters(changed), rays, NUMPY)
-    assert field_by_field(plain, general, plain.ok) < 1e-13
+    roundings = 0.5 * np.spacing(plain.opl_mm[plain.ok].max()) * 2 * len(program.steps)  # of either, one per surface
+    assert field_by_field(plain, general, plain.ok) < max(1e-13, float(roundings))
     assert compile_lens(change_conic(lens, 0, 0.1))[0] != compile_lens(lens)[0]
 
 
