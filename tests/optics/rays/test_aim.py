@@ -36,7 +36,7 @@ FISHEYE = [  # radius, thickness, index behind, semi-diameter: two menisci of st
 
 def fisheye():
     """The lens of `FISHEYE`."""
-    names = dict(source="one index", B=(CROWN**2 - 1.0, 0.0, 0.0), C=(0.0, 0.0, 0.0), range_nm=(300.0, 1000.0))
+    names = {"source": "one index", "B": (CROWN**2 - 1, 0, 0), "C": (0, 0, 0), "range_nm": (300.0, 1000.0)}
     surfaces, z = [], 0.0
     for number, (radius, thickness, index, semi) in enumerate(FISHEYE):
         shape = Sphere(radius_mm=radius) if math.isfinite(radius) else Plane()
@@ -158,7 +158,13 @@ def test_chief_rays_pass_the_vertex_of_a_curved_stop_and_the_centre_of_a_moved_o
     curved = lens.with_surfaces({at: replace(lens.surfaces[at], shape=Sphere(radius_mm=-30.0))})
     np.testing.assert_allclose(chief_ray_points(curved, 8.0, 5.0), chief_ray_points(lens, 8.0, 5.0), atol=1e-10)
     moved = lens.with_surfaces(
-        {at: replace(lens.surfaces[at], position_mm=lens.surfaces[at].position_mm + [3.0, -2.0, 0.0], element="stop")}
+        {
+            at: replace(
+                lens.surfaces[at],
+                position_mm=lens.surfaces[at].position_mm + np.array([3.0, -2.0, 0.0]),
+                element="stop",
+            )
+        }
     )
     direction = light_direction(field_direction(8.0, 5.0))
     aimed = aim_at_stop(moved, direction, 600.0)
