@@ -17,7 +17,7 @@ from optics.frames import light_direction
 from optics.lens.system import LensSystem
 from optics.rays.beam import beam_outlines
 from optics.rays.program import compile_lens
-from optics.rays.trace import Rays
+from optics.rays.trace import Rays, trace
 from optics.records import freeze
 
 __all__ = [
@@ -38,6 +38,8 @@ ARMS = 24
 """Azimuths at which the outlines of beams are looked at."""
 MARGIN = 1.01 / math.cos(math.pi / ARMS)
 """Room of a disk: for the arc between two of those points, and 1 %."""
+INSIDE = 1e-7
+"""How far inside an outline a ray is launched that has to get through the lens."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -281,12 +283,13 @@ def launch_disks(lens: LensSystem, v_cam: FloatArray, wavelength_nm: ArrayLike) 
 
 
 def _bound(distance_mm: FloatArray) -> FloatArray:
-    """No point of an outline is farther from a centre than these, from distances (..., m) of its points at `ARMS`.
+    """The farthest an outline gets from a centre from each of `ARMS` to the next, from its distances (..., m) there.
 
-    Where two apertures meet, between two of the points, a corner sticks out, at most as far as the tangents lead.
+    Where two apertures meet, a corner sticks out, at most as far as both tangents lead.
     """
-    rise = np.abs(np.roll(distance_mm, 1, axis=-1) - distance_mm)
-    return np.asarray(MARGIN * (distance_mm + np.maximum(rise, np.roll(rise, -1, axis=-1))))
+    before, here, ahead, beyond = (np.roll(distance_mm, -k, axis=-1) for k in (-1, 0, 1, 2))
+    corner = np.minimum(here + np.maximum(here - before, 0.0), ahead + np.maximum(ahead - beyond, 0.0))
+    return np.asarray(MARGIN * np.maximum(np.maximum(here, ahead), corner))
 
 
 def stop_in_front(lens: LensSystem) -> bool:
@@ -318,7 +321,13 @@ def _searched(state: _State, field: float, wavelength_nm: tuple[float, ...]) -> 
     azimuth = np.array([0.0, *np.tile(turn, 3)])
     stars = np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=-1)
     found = beam_outlines(lens, stars, np.array(wavelength_nm), arms=ARMS)
-    if not found.lit.any():
+    x, y = (
+        centre + (1.0 - INSIDE) * (v - centre)
+        for v, centre in ((found.x_mm, found.centre_mm[..., :1]), (found.y_mm, found.centre_mm[..., 1:]))
+    )
+    waves, light = np.array(wavelength_nm)[:, None], light_direction(stars)[:, None, None]
+    rim = Rays.create(x_mm=x, y_mm=y, z_mm=found.z_mm, direction=light, wavelength_nm=waves)
+    if not (trace(lens, rim).ok & found.lit[..., None]).any():  # holes are no part of an outline
         raise ConvergenceError(f"lens {lens.name!r}: no ray of any field reaches the image plane")
     reach = _bound(np.hypot(found.x_mm, found.y_mm))[found.lit].max()
     return EntrancePupil(z_mm=found.z_mm, radius_mm=float(reach), exact=False)
