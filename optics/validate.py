@@ -101,8 +101,8 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: no such file") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not valid TOML ({error})") from None
+    except (ValueError, RecursionError) as error:  # no UTF-8, a number of thousands of digits, a thousand brackets
+        raise ConfigError(f"{path}: not valid TOML ({' '.join(str(error).split())[:200]})") from None
 
 
 def _follows(fault: dict[str, Any], faults: list[dict[str, Any]]) -> bool:

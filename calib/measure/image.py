@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from astropy.io import fits
-from astropy.utils.exceptions import AstropyWarning
 from numpy.typing import ArrayLike, NDArray
 
 from calib.measure.background import estimate_background
 from calib.records import NoiseModel, SensorImage
 from optics.errors import ConfigError, DomainError
+from optics.fits import open_fits
 from render.records import Frame
 
 __all__ = ["as_image", "image_from_frame", "read_image", "sensor_image", "subtract_dark"]
@@ -244,27 +243,15 @@ def read_image(
 
 def _load(path: Path, hdu: int | str | None) -> tuple[NDArray[Any], Any]:
     """Data and header of an image extension; every failure is one ConfigError line."""
-    if not path.is_file():
-        raise ConfigError(f"{path}: no such FITS file")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", AstropyWarning)  # odd headers are not this reader's business
-            warnings.simplefilter("ignore", UserWarning)
-            with fits.open(path, memmap=False) as file:
-                if hdu is not None:
-                    chosen = file[hdu]
-                else:
-                    images = [item for item in file if item.is_image and item.header.get("NAXIS", 0) >= 2]
-                    if not images:
-                        raise ConfigError(f"{path}: holds no image; {len(file)} extension(s) without image data")
-                    chosen = images[0]
-                data = chosen.data
-                header = chosen.header.copy()
-    except ConfigError:
-        raise
-    except Exception as error:  # astropy raises a dozen kinds for broken files
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise ConfigError(f"{path}: not a readable FITS image ({reason[:160]})") from None
+    with open_fits(path) as file:
+        if hdu is None:
+            images = [item for item in file if item.is_image and item.header.get("NAXIS", 0) >= 2]
+            if not images:
+                raise ConfigError(f"{path}: holds no image; {len(file)} extension(s) without image data")
+        chosen = images[0] if hdu is None else file[hdu]
+        data = chosen.data
+        header = chosen.header.copy()
+        dict(header)  # every value is looked at while what is wrong with it can be told
     if data is None or not isinstance(data, np.ndarray) or data.dtype.kind not in "iuf":
         raise ConfigError(f"{path}: extension {hdu if hdu is not None else 0} holds no image")
     return data, header

@@ -73,10 +73,10 @@ def _error_map(table: ErrorTable | None, folder: Path) -> SagMap | None:
         return None
     path = folder / table.file
     try:
-        values = np.load(path, allow_pickle=False) if path.suffix == ".npy" else np.loadtxt(path, ndmin=2)
+        values = np.load(path, mmap_mode="r") if path.suffix == ".npy" else np.loadtxt(path, ndmin=2)
     except OSError as error:
         raise ConfigError(f"{path}: surface map cannot be read ({error.strerror or 'not a file'})") from None
-    except ValueError as error:
+    except Exception as error:  # a damaged header of NumPy's raises many kinds
         raise ConfigError(f"{path}: not a table of numbers ({error})") from None
     return SagMap(values_mm=np.asarray(values) * (table.scale * UNIT_MM[table.unit]), width_mm=table.width_mm)
 

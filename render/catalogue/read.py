@@ -6,18 +6,21 @@ another unit are refused.
 
 from __future__ import annotations
 
+import io
 import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
+from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError, StarbenchError
+from optics.fits import open_fits, unpacked
 from optics.units import DEG_RAD
 from render.catalogue.presets import MEANINGS, ColumnPreset, get_preset
 from render.catalogue.record import StarCatalog, direction_from_angles
@@ -114,10 +117,40 @@ def _read_table(path: Path, preset: ColumnPreset, form: str | None, readme: str 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # astropy warns of what is checked below: units, missing values
-            return Table.read(str(path), **arguments)
+            if arguments["format"] == "fits":
+                with open_fits(path) as content:
+                    return Table.read(content, **arguments)
+            packed = unpacked(path)
+            if arguments["format"] == "votable":
+                check_votable(path.read_bytes() if packed is None else packed, path)
+            return Table.read(str(path) if packed is None else io.BytesIO(packed), **arguments)
+    except StarbenchError:
+        raise
     except Exception as error:  # astropy raises what its readers happen to raise
         told = " ".join(str(error).split())[:200] or type(error).__name__
         raise ConfigError(f"{path} cannot be read as {arguments['format']}: {told}") from None
+
+
+def check_votable(content: bytes, path: Path) -> None:
+    """Refuse a VOTable whose data lie elsewhere, and entities, which may unfold to any size.
+
+    Raises
+    ------
+    ConfigError
+        A ``STREAM`` with ``href`` (VOTable 1.5, sec. 5.4), or a declared entity.
+    """
+    parser = expat.ParserCreate(namespace_separator=" ")
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        if name.rpartition(" ")[2].upper() == "STREAM" and any(one.lower() == "href" for one in attributes):
+            where = next(value for one, value in attributes.items() if one.lower() == "href")
+            raise ConfigError(f"{path}: its data are elsewhere ({where[:80]!r}); fetch a file that holds them")
+
+    def entity(*_: Any) -> None:
+        raise ConfigError(f"{path}: declares XML entities, which a table has no need of; take them out")
+
+    parser.StartElementHandler, parser.EntityDeclHandler = start, entity
+    parser.Parse(content, True)
 
 
 def catalog_from_table(
@@ -153,7 +186,6 @@ def catalog_from_table(
     given = reader.values("effective_temperature")
     by_colour = effective_temperature(kept["bp_rp_mag"], kept["b_v_mag"])
     kept["effective_temperature_k"] = by_colour if given is None else np.where(np.isnan(given), by_colour, given)
-    _check_magnitudes(kept["magnitude"], name)
     identifier, notes = reader.identifiers()
     if not placed.all():
         notes += (f"{int((~placed).sum())} rows without a position left out",)
@@ -172,13 +204,6 @@ def catalog_from_table(
         **{target: np.where(np.isinf(value), np.nan, value) for target, value in kept.items()},
     )
     return catalog if placed.all() else replace(catalog.select(placed), notes=notes)
-
-
-def _check_magnitudes(magnitude: FloatArray, name: str) -> None:
-    bad = (magnitude < -30.0) | (magnitude > 40.0)
-    if bad.any():
-        at = int(np.argmax(bad))
-        raise DomainError(f"{name}: magnitude of row {at} is {magnitude[at]:g}, outside -30 ... 40; a code for none?")
 
 
 class _Columns:

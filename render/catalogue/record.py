@@ -29,6 +29,15 @@ _COLUMNS = (
 # Beyond these no star is known; a value beyond them is in another unit. Barnard's star 10.4"/year, Proxima 0.77".
 _FASTEST_RAD_PER_YEAR = 30.0 * ARCSEC_RAD
 _NEAREST_RAD = 2.0 * ARCSEC_RAD
+# What stars, and the planets beside them, can have. The Sun has V = -26.7; the stars about the centre of the Galaxy
+# reach 24 000 km/s (Peissker et al., ApJ 899, 50 (2020)); reddened carbon stars B-V = 6, young white dwarfs 2e5 K.
+_POSSIBLE = {
+    "magnitude": (-28.0, 40.0, "mag"),
+    "bp_rp_mag": (-3.0, 15.0, "mag"),
+    "b_v_mag": (-3.0, 12.0, "mag"),
+    "radial_velocity_km_per_s": (-3e4, 3e4, "km/s"),
+    "effective_temperature_k": (300.0, 1e6, "K"),
+}
 
 
 def direction_from_angles(ra_rad: ArrayLike, dec_rad: ArrayLike) -> FloatArray:
@@ -149,6 +158,16 @@ class StarCatalog:
                 raise DomainError(
                     f"StarCatalog.{name} of star {worst} (id {self.id[worst]}) is {values[worst].max() * RAD_ARCSEC:g} "
                     f"{unit}, more than the {limit * RAD_ARCSEC:g} any star has; check its unit"
+                )
+
+        for name, (low, high, unit) in _POSSIBLE.items():
+            values = getattr(self, name)
+            beyond = (values < low) | (values > high)
+            if beyond.any():
+                at = int(np.argmax(beyond))
+                raise DomainError(
+                    f"{self.name}: {name} of star {at} (id {self.id[at]}) is {values[at]:g} {unit}, outside "
+                    f"{low:g} ... {high:g}; a code for a missing value?"
                 )
 
     def __len__(self) -> int:

@@ -7,7 +7,6 @@ Data files are TOML, lengths in um; the record is in mm.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.response import Response
 from optics.units import UM_MM
-from optics.validate import parse_model
+from optics.validate import parse_model, read_toml
 
 __all__ = ["Detector", "DetectorFile", "list_detectors", "load_detector"]
 
@@ -352,14 +351,9 @@ def _read(path: Path, above: tuple[Path, ...]) -> Mapping[str, Any]:
     """Mapping of the file with those of its bases underneath."""
     if path.resolve() in above:
         raise ConfigError(f"{path.name}: base = {above[0].name!r} leads back to itself")
-    try:
-        mapping = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file; known detectors: {', '.join(list_detectors())}") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not valid TOML ({error})") from None
+    if not path.exists():
+        raise ConfigError(f"{path}: no such file; known detectors: {', '.join(list_detectors())}")
+    mapping = read_toml(path)
     base = mapping.get("base")
     if base is None:
         return mapping

@@ -17,7 +17,6 @@ from __future__ import annotations
 import io
 import os
 import tempfile
-import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -26,10 +25,10 @@ from typing import Any, BinaryIO, Literal
 
 import numpy as np
 from astropy.io import fits
-from astropy.utils.exceptions import AstropyUserWarning
 from numpy.typing import NDArray
 
 from optics.errors import ConfigError, DomainError, unknown_name
+from optics.fits import open_fits
 from render.fits.headers import BLOCK, Card, block, checked_cards
 from render.records import ExpectedImage, Frame
 
@@ -44,6 +43,13 @@ _MASK_CARDS: tuple[Card, ...] = (
     ("SATURATE", _SATURATED, "bit of saturated pixels"),
     ("DEFECT", _DEFECT, "bit of defective pixels"),
 )
+_RANGES = {
+    "GAIN": (1e-9, 1e9, "e-/DN"),
+    "OFFSET": (0.0, 65535.0, "DN"),
+    "RDNOISE": (0.0, 1e9, "e-"),
+    "EXPTIME": (0.0, 1e9, "s"),
+}
+"""What the numbers of a raw frame of up to 16 bits can be."""
 _MASKS = ("always", "saturated", "never")
 _CODECS = {"rice": "RICE_1", "gzip": "GZIP_2"}
 _TILE_ROWS = 32  # 1 row, the default of astropy, takes three times as long; more rows gain nothing
@@ -284,14 +290,15 @@ def _frame(
         value = given if given is not None else header.get(card)
         if not _is_number(value):
             raise ConfigError(f"{path}: card {card} is missing or no number ({value!r}); give {argument}")
-        return float(value)
+        value = float(value)
+        low, high, unit = _RANGES[card]
+        if not low <= value <= high and not (card == "EXPTIME" and given is not None and np.isnan(value)):
+            raise ConfigError(f"{path}: {card} = {value:g} {unit}; {low:g} to {high:g} is possible, or give {argument}")
+        return value
 
     gain, offset_dn, read_noise_e, exposure_s = numbers
     if gain is None:
-        electrons_per_dn = number("GAIN", None, "gain_dn_per_e")
-        if not electrons_per_dn > 0:
-            raise ConfigError(f"{path}: GAIN = {electrons_per_dn:g} e-/DN; it must be positive, or give gain_dn_per_e")
-        gain = 1.0 / electrons_per_dn
+        gain = 1.0 / number("GAIN", None, "gain_dn_per_e")
     index = header.get("FRAMENUM", 0)
     return Frame(
         dn=image.astype(np.uint16),
@@ -378,28 +385,22 @@ def _umask() -> int:
 
 def _images(path: Path) -> Iterator[tuple[fits.Header, NDArray[Any], fits.ImageHDU | None]]:
     """Header, data of two or three axes, and MASK or None of every frame or cube in a file."""
-    if not path.is_file():
-        raise ConfigError(f"{path}: no such file")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", fits.verify.VerifyWarning)  # cards of others may be untidy
-            warnings.filterwarnings("error", category=AstropyUserWarning, message=".*truncated.*")
-            with path.open("rb") as stream, fits.open(stream, memmap=False) as content:
-                pictures = [hdu for hdu in content if hdu.is_image and hdu.header.get("NAXIS", 0)]
-                masks = {hdu.ver: hdu for hdu in pictures if hdu.name == "MASK"}
-                found = [
-                    (
-                        hdu.header.copy(),
-                        np.array(hdu.data),
-                        masks.get(hdu.ver if len(masks) > 1 else min(masks, default=1)),
-                    )
-                    for hdu in pictures
-                    if hdu.name not in _BESIDE
-                ]
-                for mask in masks.values():
-                    mask.data  # noqa: B018  # read while the file is open
-    except (OSError, ValueError, TypeError, AstropyUserWarning) as error:
-        raise ConfigError(f"{path}: not a readable FITS file ({str(error).splitlines()[0]})") from None
+    with open_fits(path) as content:
+        pictures = [hdu for hdu in content if hdu.is_image and hdu.header.get("NAXIS", 0)]
+        masks = {hdu.ver: hdu for hdu in pictures if hdu.name == "MASK"}
+        found = [
+            (
+                hdu.header.copy(),
+                np.array(hdu.data),
+                masks.get(hdu.ver if len(masks) > 1 else min(masks, default=1)),
+            )
+            for hdu in pictures
+            if hdu.name not in _BESIDE
+        ]
+        for hdu in pictures:
+            dict(hdu.header)  # every value is looked at, and the data, while what is wrong can be told
+        for mask in masks.values():
+            mask.data  # noqa: B018
     if not found:
         raise ConfigError(f"{path}: holds no image")
     for header, image, beside in found:

@@ -101,6 +101,12 @@ def _attitudes(table: Any, name: str) -> Rotation:
     beyond = np.flatnonzero(np.abs(dec) > 90.0)
     if len(beyond):
         raise DomainError(f"{name}: declination of row {beyond[0]} is {dec[beyond[0]]:g} deg; -90 to 90 deg is allowed")
+    for label, angle in (("right ascension", ra), ("roll", roll)):
+        beyond = np.flatnonzero(np.abs(angle) > 360.0)
+        if len(beyond):
+            raise DomainError(
+                f"{name}: {label} of row {beyond[0]} is {angle[beyond[0]]:g} deg; -360 to 360 deg is allowed"
+            )
     return attitude_from_angles(ra, dec, roll)
 
 

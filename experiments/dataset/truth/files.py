@@ -11,6 +11,7 @@ import numpy as np
 
 from experiments.dataset.truth.frame_record import FrameRecord, record_from_text
 from experiments.dataset.truth.star_truth import COLUMNS, FLAGS, Column
+from optics.errors import ConfigError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -77,36 +78,48 @@ def read_record(path: Path) -> FrameRecord:
 
     Raises
     ------
-    Exception
-        Whatever pyarrow or astropy raise on a file that is damaged; ValueError where the rows are not as many as stars.
+    ConfigError
+        Missing, damaged, or no truth.
     """
-    if path.suffix == ".parquet":
-        import pyarrow.parquet as pq
-
-        table = pq.read_table(path, page_checksum_verification=True)
-        if table.column_names != [column.name for column in COLUMNS]:
-            raise ValueError("other columns")
-        return record_from_text(table.schema.metadata[RECORD.encode()].decode())
-    from astropy.table import Table
-
-    text = path.read_text(encoding="utf-8")
-    table = Table.read(text, format="ascii.ecsv")
-    if table.colnames != [column.name for column in COLUMNS] or len(table) != int(table.meta["rows"]):
-        raise ValueError("other columns or rows")
-    return record_from_text(table.meta[RECORD])
+    table, metadata = _read(path)
+    try:
+        names, rows = [column.name for column in COLUMNS], int(metadata.get("rows", len(table)))
+        if table.colnames != names or len(table) != rows:
+            raise ConfigError(f"{path}: its columns or rows are not those of a truth")
+        return record_from_text(str(metadata[RECORD]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: its record of the frame is damaged ({error!r})") from None
 
 
 def read_table(path: Path) -> Any:
-    """Truth or index of a file as an ``astropy.table.Table`` without units."""
+    """Truth or index of a file as an ``astropy.table.Table`` without units.
+
+    Raises
+    ------
+    ConfigError
+        Missing or damaged.
+    """
+    return _read(path)[0]
+
+
+def _read(path: Path) -> tuple[Any, Mapping[str, Any]]:
+    """Columns and metadata."""
     from astropy.table import Table
 
-    if path.suffix == ".parquet":
-        import pyarrow.parquet as pq
+    try:
+        content = path.read_bytes()
+        if path.suffix == ".parquet":
+            import pyarrow as pa
+            import pyarrow.parquet as pq
 
-        table = pq.read_table(path)
-        return Table({name: table.column(name).to_numpy() for name in table.column_names})
-    read = Table.read(path, format="ascii.ecsv")
-    return Table({name: np.asarray(read[name]) for name in read.colnames})
+            table = pq.read_table(pa.BufferReader(content), page_checksum_verification=True)
+            columns = {name: table.column(name).to_numpy() for name in table.column_names}
+            metadata = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
+            return Table(columns), metadata
+        read = Table.read(content.decode(), format="ascii.ecsv")
+        return Table({name: np.asarray(read[name]) for name in read.colnames}), read.meta
+    except Exception as error:  # pyarrow and astropy raise what their readers happen to raise
+        raise ConfigError(f"{path}: cannot be read ({' '.join(str(error).split())[:160]})") from None
 
 
 @cache

@@ -266,7 +266,9 @@ def test_ids_that_are_no_numbers():
 @pytest.mark.parametrize(
     ("table", "arguments", "told"),
     [
-        (plain(magnitude=np.full(30, 99.0)), {}, "outside -30"),
+        (plain(magnitude=np.full(30, 99.0)), {}, "outside -28"),
+        (plain(radial_velocity=np.full(30, 3.1e5) * u.km / u.s), {}, "outside -30000"),
+        (plain(b_v=np.full(30, 40.0)), {}, "outside -3"),
         (plain(dec=np.full(30, 120.0)), {}, "dec up to 120 deg"),
         (plain(ra=np.full(30, 500.0)), {}, "ra up to 500 deg"),
         (plain(ra=np.linspace(0, 6.28, 30), dec=np.linspace(-1.5, 1.5, 30)), {}, "looks like radians"),
@@ -317,7 +319,7 @@ def test_files_refused(tmp_path):
     with pytest.raises(ConfigError, match="no such file"):
         read_catalog(tmp_path / "none.fits", "hipparcos")
     (tmp_path / "a.fits").write_text("this is no FITS")
-    with pytest.raises(ConfigError, match="cannot be read as fits") as error:
+    with pytest.raises(ConfigError, match="not a readable FITS file") as error:
         read_catalog(tmp_path / "a.fits", "hipparcos")
     assert "\n" not in str(error.value)
     (tmp_path / "a.vot").write_text("<xml")

@@ -1,0 +1,208 @@
+"""FITS files opened with care: what the headers claim is held against the file before anything is allocated.
+
+A header of a few bytes can ask for any amount of memory or time: 2^31 axes or columns, an image of petabytes, a gzip
+stream that unpacks to a thousand times its size. Here the headers are walked through first (FITS standard 4.0,
+sec. 4.4), and whatever astropy raises on damage becomes one line.
+"""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import io
+import lzma
+import warnings
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from astropy.io import fits
+from astropy.utils.exceptions import AstropyUserWarning, AstropyWarning
+
+from optics.errors import ConfigError, StarbenchError
+
+__all__ = ["open_fits", "unpacked"]
+
+_BLOCK, _CARD = 2880, 80
+_PACKED: dict[bytes, Callable[..., Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ": lzma.open}
+_UNREADABLE = {b"PK\x03\x04": "zip", b"\x1f\x9d": "compress"}
+MOST_UNPACKED_BYTES = 1 << 28
+"""A packed file may become this large; unpacked by its owner it may be of any size."""
+MOST_RATIO = 2000
+"""Of a tile-compressed image to what is stored: an image of one value alone is packed so well."""
+_SURELY_BYTES = 1 << 26
+_MOST_EXTENSIONS = 4096
+_MOST_HEADER_BLOCKS = 1000
+_DEEPEST_BITS = (8, 16, 32, 64, -32, -64)
+
+
+@contextmanager
+def open_fits(path: str | Path, **options: Any) -> Iterator[fits.HDUList]:
+    """A FITS file, plain or packed by gzip, bzip2 or xz.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        The file.
+    **options
+        For `astropy.io.fits.open`.
+
+    Yields
+    ------
+    astropy.io.fits.HDUList
+        Not mapped into memory. Errors inside the ``with`` block, where astropy first looks at data, are told in one
+        line too; warnings of untidy headers are silenced, those of a file that is cut off are errors.
+
+    Raises
+    ------
+    ConfigError
+        Missing, no FITS file, cut off, damaged, or of claims that its size does not bear out.
+    """
+    path = Path(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AstropyWarning)
+            warnings.filterwarnings("ignore", category=RuntimeWarning)
+            warnings.filterwarnings("error", category=AstropyUserWarning, message=".*truncated.*")
+            with _stream(path) as stream:
+                _walk(stream)
+                stream.seek(0)
+                with fits.open(stream, memmap=False, **options) as content:
+                    yield content
+    except StarbenchError as error:
+        if str(path) in str(error):
+            raise
+        raise ConfigError(f"{path}: not a readable FITS file ({error})") from None
+    except Exception as error:  # astropy raises a dozen kinds on damaged files
+        raise ConfigError(f"{path}: not a readable FITS file ({_said(error)})") from None
+
+
+def unpacked(path: Path) -> bytes | None:
+    """Content of a file that is packed by gzip, bzip2 or xz; None of one that is not.
+
+    Raises
+    ------
+    ConfigError
+        It unpacks to more than may be, is damaged, or packed by something else.
+    """
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(6)
+        for magic, name in _UNREADABLE.items():
+            if start.startswith(magic):
+                raise ConfigError(f"{path}: is packed by {name}; unpack it first")
+        opener = next((opener for magic, opener in _PACKED.items() if start.startswith(magic)), None)
+        if opener is None:
+            return None
+        held = bytearray()
+        with opener(path, "rb") as packed:
+            while part := packed.read(1 << 22):
+                held += part
+                if len(held) > MOST_UNPACKED_BYTES:
+                    raise ConfigError(
+                        f"{path}: unpacks to more than {MOST_UNPACKED_BYTES / 1e6:.0f} MB; unpack it first if that is "
+                        "meant"
+                    )
+        return bytes(held)
+    except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
+        raise ConfigError(f"{path}: cannot be read ({_said(error)})") from None
+
+
+@contextmanager
+def _stream(path: Path) -> Iterator[BinaryIO]:
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such file")
+    content = unpacked(path)
+    with path.open("rb") if content is None else io.BytesIO(content) as stream:
+        yield stream
+
+
+def _walk(stream: BinaryIO) -> None:
+    """Hold every header against the length of the file."""
+    length, start = stream.seek(0, io.SEEK_END), 0
+    if not length:
+        raise ConfigError("file is empty")
+    for number in range(_MOST_EXTENSIONS):
+        stream.seek(start)
+        header = _header(stream, number)
+        if header is None:
+            return
+        start = stream.tell()
+        size = _data_bytes(header, number)
+        if start + size > length:
+            raise ConfigError(
+                f"header {number} announces {size} bytes of data, {length - start} follow: it is cut off or damaged"
+            )
+        if header.get("ZIMAGE") == "T":
+            _check_tiles(header, number, size)
+        start += -(-size // _BLOCK) * _BLOCK
+        if start >= length:
+            return
+    raise ConfigError(f"more than {_MOST_EXTENSIONS} extensions")
+
+
+def _header(stream: BinaryIO, number: int) -> dict[str, str] | None:
+    """Keyword -> text of its value; None where something follows that is no extension, which FITS allows."""
+    cards: dict[str, str] = {}
+    for _ in range(_MOST_HEADER_BLOCKS):
+        block = stream.read(_BLOCK)
+        if not cards and not block.startswith((b"SIMPLE", b"XTENSION")[min(number, 1)]):
+            if number:
+                return None
+            raise ConfigError("it does not begin as a FITS file does")
+        for at in range(0, len(block), _CARD):
+            card = block[at : at + _CARD].decode("ascii", "replace")
+            keyword = card[:8].rstrip()
+            if keyword == "END":
+                return cards
+            if card[8:10] == "= ":
+                cards.setdefault(keyword, card[10:].partition("/")[0].strip())
+        if len(block) < _BLOCK:
+            raise ConfigError(f"header {number} does not end")
+    raise ConfigError(f"header {number} is longer than {_MOST_HEADER_BLOCKS} blocks")
+
+
+def _integer(
+    header: dict[str, str], keyword: str, number: int, low: int, high: int = 1 << 62, default: str = ""
+) -> int:
+    text = header.get(keyword, default)
+    try:
+        value = int(text) if len(text) < 20 else high + 1
+    except ValueError:
+        raise ConfigError(f"header {number}: {keyword} = {text!r}; a whole number is needed") from None
+    if not low <= value <= high:
+        raise ConfigError(f"header {number}: {keyword} = {text[:40]}; {low} to {high} is allowed")
+    return value
+
+
+def _data_bytes(header: dict[str, str], number: int) -> int:
+    """Bytes of the data of a header: FITS standard 4.0, eq. 1 and 2."""
+    bits = _integer(header, "BITPIX", number, -64, 64)
+    if bits not in _DEEPEST_BITS:
+        raise ConfigError(f"header {number}: BITPIX = {bits}; one of {', '.join(map(str, _DEEPEST_BITS))} is needed")
+    axes = [_integer(header, f"NAXIS{k + 1}", number, 0) for k in range(_integer(header, "NAXIS", number, 0, 999))]
+    if "TFIELDS" in header:
+        _integer(header, "TFIELDS", number, 0, 999)
+    if header.get("GROUPS") == "T":
+        raise ConfigError(f"header {number}: GROUPS = T; random groups are not read")
+    elements = 1 if axes else 0
+    for axis in axes:
+        elements *= axis
+    groups = _integer(header, "GCOUNT", number, 0, default="1")
+    return abs(bits) // 8 * groups * (_integer(header, "PCOUNT", number, 0, default="0") + elements)
+
+
+def _check_tiles(header: dict[str, str], number: int, stored: int) -> None:
+    """Refuse a compressed image, or tiles of it, far larger than what is stored."""
+    for name in ("ZNAXIS", "ZTILE"):
+        size = 8
+        for axis in range(_integer(header, "ZNAXIS", number, 1, 99)):
+            size *= _integer(header, f"{name}{axis + 1}", number, 1, default="1")
+        if size > max(_SURELY_BYTES, MOST_RATIO * stored):
+            raise ConfigError(f"header {number} announces {name} of {size} bytes from {stored} that are stored")
+
+
+def _said(error: BaseException) -> str:
+    return " ".join(str(error).split())[:160] or type(error).__name__

@@ -1,0 +1,360 @@
+"""Damaged and hostile files: whatever is done to one, its reader returns what can be, or says in a line what is wrong.
+
+Files that every reader takes are mutated by seeded random numbers: bits, bytes, numbers replaced by nasty ones, parts
+cut out, doubled or put in, the end cut off. Allowed is a value that is physical, or a `StarbenchError` of one line; not
+a traceback, not a second, not a gigabyte.
+"""
+
+from __future__ import annotations
+
+import gzip
+import re
+import resource
+import shutil
+import signal
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy import units as u
+from astropy.io import fits
+from astropy.table import Table
+
+from calib.measure.image import read_image
+from experiments.dataset.frames.attitude_files import read_attitudes, read_motion
+from experiments.dataset.settings import Config
+from experiments.dataset.truth.files import index_bytes, read_record, read_table, truth_bytes
+from experiments.dataset.truth.frame_record import FrameRecord
+from experiments.dataset.truth.star_truth import COLUMNS
+from experiments.harness.config import load_config
+from experiments.laboratory.own_frames import settings as own_frames
+from optics.errors import StarbenchError
+from optics.lens.prescription import load_lens
+from optics.light.band_file import load_band
+from render.catalogue.read import read_catalog
+from render.detector.spec import load_detector
+from render.fits.files import read_expected, read_frame, read_frames, write_expected, write_frame
+from render.records import ExpectedImage, Frame
+
+ROOT = Path(__file__).parents[2]
+INPUTS = 2000
+LONGEST_S = 1.0
+MOST_BYTES = 600e6
+NASTY = b"-1 0 1 -0.0 1e309 nan inf 2147483648 9223372036854775808 -32768 99999 1e-300 '' T F [] {} ../../x".split()
+
+
+def frame(side=9):
+    rng = np.random.default_rng(1)
+    dn = rng.integers(0, 4096, (side, side + 2))
+    flags = rng.random(dn.shape) < 0.2
+    given = {"gain_dn_per_e": 0.3, "offset_dn": 40.0, "read_noise_e": 13.0, "exposure_s": 0.1, "band": "b", "index": 3}
+    return Frame(dn=dn, saturated=flags, defect=~flags, **given)
+
+
+def stars():
+    rng = np.random.default_rng(2)
+    count = 30
+    return Table(
+        {
+            "id": np.arange(count),
+            "ra": rng.uniform(0, 360, count) * u.deg,
+            "dec": rng.uniform(-80, 80, count) * u.deg,
+            "magnitude": rng.uniform(1, 6, count) * u.mag,
+            "radial_velocity": rng.normal(0, 20, count) * u.km / u.s,
+            "b_v": rng.uniform(0, 1, count) * u.mag,
+            "pm_ra": rng.normal(0, 5, count) * u.mas / u.yr,
+            "pm_dec": rng.normal(0, 5, count) * u.mas / u.yr,
+        }
+    )
+
+
+def attitudes():
+    rng = np.random.default_rng(3)
+    turn = rng.standard_normal((12, 4))
+    turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+    return Table({"time_s": np.arange(12.0), **{f"quat_{axis}": turn[:, k] for k, axis in enumerate("xyzw")}})
+
+
+def truth(form):
+    rng = np.random.default_rng(4)
+    numbers = {"frame": 0, "stars": 8, "saturated": 0, "saturated_px": 0, "frame_bytes": 2880, "epoch_year": 2016.0}
+    numbers |= {"ra_deg": 1.0, "dec_deg": 2.0, "roll_deg": 3.0, "exposure_s": 0.1, "background_e": 0.1}
+    text = {"split": "train", "file": "frames/frame_000000.fits", "truth": f"truth/frame_000000.{form}"}
+    turn = {"quat_xyzw": (0.0, 0.0, 0.0, 1.0), "rate_deg_per_s": (0.0, 0.0, 0.0)}
+    record = FrameRecord(**numbers, **text, **turn, sha256="ab" * 32)
+    kinds = {"float64": lambda: rng.random(8), "str": lambda: "band"}
+    rows = {c.name: kinds.get(c.type, lambda: rng.integers(0, 9, 8))() for c in COLUMNS}
+    return truth_bytes(rows, record, form), index_bytes([record], form)
+
+
+def seeds(folder):
+    """Name of a file -> its readers; every reader takes its file as it is."""
+    made = {}
+
+    def add(name, *readers):
+        made[folder / name] = readers
+
+    one = frame()
+    for name, options in {
+        "a.fits": {},
+        "rice.fits": {"compression": "rice"},
+        "gz.fits": {"compression": "gzip"},
+    }.items():
+        write_frame(one, folder / name, **options)
+        add(name, frame_of, image_of, frames_of)
+    (folder / "packed.fits.gz").write_bytes(gzip.compress((folder / "a.fits").read_bytes(), mtime=0))
+    add("packed.fits.gz", frame_of, image_of)
+    cube = ExpectedImage(electrons=np.ones((5, 6, 2), np.float32), band=("a", "b"), exposure_s=0.1, diffused=True)
+    write_expected(cube, folder / "cube.fits")
+    add("cube.fits", read_expected)
+    for name, form in {"s.fits": "fits", "s.vot": "votable", "s.ecsv": "ascii.ecsv", "s.csv": "ascii.csv"}.items():
+        stars().write(folder / name, format=form)
+        add(name, catalogue_of)
+    for name, form in {"q.ecsv": "ascii.ecsv", "q.csv": "ascii.csv"}.items():
+        attitudes().write(folder / name, format=form)
+        add(name, attitudes_of, motion_of, own_frames.read_table)
+    for form in ("parquet", "ecsv"):
+        for name, content in zip(("truth", "index"), truth(form), strict=True):
+            (folder / f"{name}.{form}").write_bytes(content)
+            add(f"{name}.{form}", *((read_record, read_table) if name == "truth" else (read_table,)))
+    shutil.copy(ROOT / "optics/data/lenses/star_tracker_26mm.toml", folder / "lens.toml")
+    add("lens.toml", load_lens)
+    shutil.copy(ROOT / "render/data/detectors/cmv4000.toml", folder / "detector.toml")
+    add("detector.toml", load_detector)
+    (folder / "run.toml").write_text(
+        'frames = 3\n[instrument]\nexposure_s = 0.2\n[pointing]\nkind = "cone"\nra_deg = 3.0\n'
+    )
+    add("run.toml", settings_of)
+    (folder / "band.csv").write_text(
+        "wavelength_nm,transmission\n" + "".join(f"{w},0.{w % 9}\n" for w in range(400, 460))
+    )
+    add("band.csv", load_band)
+    return made
+
+
+def frame_of(path):
+    check_frame(read_frame(path))
+
+
+def frames_of(path):
+    for one in read_frames(path, gain_dn_per_e=0.3, offset_dn=40.0, read_noise_e=13.0):
+        check_frame(one)
+
+
+def check_frame(one):
+    assert one.dn.size
+    assert 0.0 < one.gain_dn_per_e < np.inf
+    assert 0.0 <= one.offset_dn <= 65535.0
+    assert 0.0 <= one.read_noise_e < np.inf
+    assert not one.exposure_s < 0.0
+
+
+def image_of(path):
+    image = read_image(path)
+    assert 0.0 < image.noise.gain_dn_per_e < np.inf
+    assert 0.0 <= image.noise.read_noise_e < np.inf
+
+
+def catalogue_of(path):
+    held = read_catalog(path, "plain", epoch_year=2016.0, magnitude_system="V")
+    assert not (np.abs(held.radial_velocity_km_per_s) > 299_792.458).any()  # NaN is none
+    assert not (np.abs(held.b_v_mag) > 15.0).any()
+    assert not (np.abs(held.magnitude + 0.0) > 40.0).any()
+    assert not (held.magnitude < -28.0).any()
+    np.testing.assert_allclose(np.linalg.norm(held.direction, axis=1), 1.0, atol=1e-9)
+
+
+def attitudes_of(path):
+    assert np.isfinite(read_attitudes(str(path), "pointing.file").as_quat()).all()
+
+
+def motion_of(path):
+    times, turns = read_motion(str(path), "pointing.file")
+    assert (np.diff(times) > 0).all()
+    assert len(turns) == len(times)
+
+
+def settings_of(path):
+    held = load_config(Config, file=path)
+    assert held.frames >= 1
+    assert held.instrument.exposure_s > 0
+
+
+def mutated(content, rng):
+    """The content with one to four faults."""
+    held = bytearray(content)
+    for _ in range(rng.integers(1, 5)):
+        at = int(rng.integers(0, max(len(held), 1)))
+        if rng.random() < 0.5:
+            at = min(at, int(rng.integers(0, 3000)))  # headers are where it hurts
+        length = int(2 ** rng.uniform(0, 12))
+        kind = rng.integers(0, 8)
+        if not held:
+            return b""
+        if kind == 0:
+            held[at % len(held)] ^= 1 << int(rng.integers(0, 8))
+        elif kind == 1:
+            held[at % len(held)] = int(rng.integers(0, 256))
+        elif kind == 2:
+            del held[at:]
+        elif kind == 3:
+            del held[at : at + length]
+        elif kind == 4:
+            held[at:at] = held[at : at + length]
+        elif kind == 5:
+            held[at:at] = rng.bytes(length)
+        else:
+            numbers = list(re.finditer(rb"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?", bytes(held[: 1 << 15])))
+            if numbers:
+                start, end = numbers[int(rng.integers(0, len(numbers)))].span()
+                nasty = NASTY[int(rng.integers(0, len(NASTY)))]
+                pad = b" " * max(0, end - start - len(nasty))
+                taken = (
+                    end if kind == 6 else min(len(held), start + len(nasty) + len(pad))
+                )  # or over what follows: FITS
+                held[start:taken] = pad + nasty
+    return bytes(held)
+
+
+def outcome(reader, path):
+    """What a reader makes of a file: "", what it says, or why that is not allowed."""
+    begun = time.process_time()
+    try:
+        reader(path)
+    except StarbenchError as error:
+        if "\n" in str(error).strip() and "toml" not in path.name:  # settings: a line for every key
+            return f"more than a line: {error}"
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
+    took = time.process_time() - begun
+    return f"took {took:.1f} s" if took > LONGEST_S else ""
+
+
+@pytest.fixture
+def bounded():
+    """No test of this file hangs for ever."""
+
+    def stop(number, where):
+        raise TimeoutError("more than 5 s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    yield lambda: signal.alarm(5)
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.slow
+def test_damaged_files(tmp_path, bounded):
+    rng = np.random.default_rng(20)
+    made = seeds(tmp_path)
+    for path, readers in made.items():
+        for reader in readers:
+            reader(path)  # as it is
+    content = {path: path.read_bytes() for path in made}
+    bad, names = [], list(made)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for k in range(INPUTS):
+        source = names[k % len(names)]
+        damaged = source.with_name("damaged" + "".join(source.suffixes))
+        damaged.write_bytes(mutated(content[source], rng))
+        reader = made[source][k // len(names) % len(made[source])]
+        bounded()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # nor may a warning come out
+            said = outcome(reader, damaged)
+        if said:
+            bad.append(f"{k} {source.name} {reader.__name__}: {said[:300]}")
+    assert not bad, f"{len(bad)} of {INPUTS}:\n" + "\n".join(bad[:40])
+    assert 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory) < MOST_BYTES
+
+
+HOSTILE = {
+    "NAXIS": 2147483648,
+    "NAXIS1": 0,
+    "NAXIS2": 99999999999,
+    "BITPIX": 7,
+    "GCOUNT": -1,
+    "PCOUNT": 1 << 40,
+    "TFIELDS": 2147483648,
+}
+
+
+@pytest.mark.parametrize("card", HOSTILE)
+def test_headers_that_ask_for_too_much(tmp_path, bounded, card):
+    """What took a minute or gigabytes: within a second, before anything is allocated."""
+    path = tmp_path / "a.fits"
+    if card == "TFIELDS":
+        stars().write(path, format="fits")
+    else:
+        write_frame(frame(), path)
+    content = path.read_bytes()
+    text = f"{card:8}= {HOSTILE[card]:>20}".ljust(80).encode()
+    at = next((at for at in range(0, len(content), 80) if content[at : at + 8] == text[:8]), None)
+    at = content.index(b"BZERO") if at is None else at
+    path.write_bytes(content[:at] + text + content[at + 80 :])
+    bounded()
+    for reader in (catalogue_of,) if card == "TFIELDS" else (frame_of, image_of):
+        begun = time.process_time()
+        with pytest.raises(StarbenchError) as error:
+            reader(path)
+        assert "\n" not in str(error.value)
+        assert str(path) in str(error.value)
+        assert time.process_time() - begun < LONGEST_S
+
+
+@pytest.mark.slow
+def test_bombs(tmp_path, bounded):
+    """Gzip that unpacks to gigabytes, an image of terabytes from nothing, brackets without end."""
+    size = 1 << 30
+    bomb = tmp_path / "bomb.fits.gz"
+    header = fits.Header([("SIMPLE", True), ("BITPIX", 8), ("NAXIS", 2), ("NAXIS1", 1 << 15), ("NAXIS2", size >> 15)])
+    start = header.tostring().encode()
+    with bomb.open("wb") as stream:
+        stream.write(gzip.compress(start, mtime=0))
+        part = gzip.compress(bytes(1 << 24), mtime=0)  # members of a gzip file follow each other
+        for _ in range(size >> 24):
+            stream.write(part)
+    tiles = tmp_path / "tiles.fits"
+    write_frame(frame(), tiles, compression="rice")
+    content = tiles.read_bytes()
+    at = content.index(b"ZNAXIS2 ")
+    tiles.write_bytes(content[:at] + f"ZNAXIS2 = {10**12:>20}".ljust(80).encode() + content[at + 80 :])
+    deep = tmp_path / "deep.toml"
+    deep.write_text("a = " + "[" * 100_000)
+    bounded()
+    for reader, path in ((frame_of, bomb), (image_of, tiles), (load_lens, deep), (load_detector, deep)):
+        before, begun = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
+        with pytest.raises(StarbenchError) as error:
+            reader(path)
+        assert "\n" not in str(error.value)
+        assert time.process_time() - begun < LONGEST_S
+        assert 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) < 1.2 * 2**30
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ('<STREAM href="http://example.org/stars" encoding="base64"/>', "data are elsewhere"),
+        ('<STREAM href="file:///etc/passwd"/>', "data are elsewhere"),
+    ],
+)
+def test_a_votable_whose_data_are_elsewhere(tmp_path, more, said):
+    path = tmp_path / "remote.vot"
+    stars().write(path, format="votable")
+    text = path.read_text()
+    path.write_text(re.sub(r"<TABLEDATA>.*</TABLEDATA>", f"<BINARY>{more}</BINARY>", text, flags=re.S))
+    with pytest.raises(StarbenchError, match=said):
+        catalogue_of(path)
+    path.write_text(text.replace("<VOTABLE", '<!DOCTYPE a [<!ENTITY b "c">]>\n<VOTABLE', 1))
+    with pytest.raises(StarbenchError, match="entities"):
+        catalogue_of(path)
+
+
+@pytest.mark.parametrize(("card", "value"), [("RDNOISE", -3.0), ("OFFSET", -40.0), ("EXPTIME", -1.0), ("GAIN", -2.0)])
+def test_numbers_that_cannot_be(tmp_path, card, value):
+    path = write_frame(frame(), tmp_path / "a.fits")
+    fits.setval(path, card, value=value)
+    with pytest.raises(StarbenchError, match=f"{card} = {value:g}"):
+        read_frame(path)
