@@ -89,6 +89,14 @@ def _draw_glass(axes: Axes, lens: LensSystem, reach: Sequence[float]) -> None:
         axes.fill([], [], facecolor=tints[glass], edgecolor=GLASS_EDGE, linewidth=0.9, label=glass)
 
 
+def _draw_mirrors(axes: Axes, lens: LensSystem, reach: Sequence[float]) -> None:
+    for index, surface in enumerate(lens.surfaces):
+        if surface.mirror:
+            face = _profile(lens, index, reach[index])
+            face[np.abs(np.linspace(-1.0, 1.0, len(face))) * reach[index] < surface.inner_semi_diameter_mm] = np.nan
+            axes.plot(face[:, 0], face[:, 1], color=GLASS_EDGE, linewidth=2.0, zorder=4)
+
+
 def _draw_stop(axes: Axes, lens: LensSystem, height: float) -> None:
     stop = lens.surfaces[lens.stop_index]
     for sign in (1.0, -1.0):
@@ -139,8 +147,9 @@ def draw_lens(
     """
     wave = lens.design_wavelength_nm if wavelength_nm is None else wavelength_nm
     fields = [0.0, 0.7 * lens.max_field_deg, lens.max_field_deg] if fields_deg is None else list(fields_deg)
-    first, image_z = float(lens.surfaces[0].position_mm[2]), float(lens.image_position_mm[2])
-    length = image_z - first
+    along_z = [float(position[2]) for position, _ in lens.poses]
+    first, last = min(along_z), max(along_z)
+    length = last - first
     fans = [_fan(lens, field, rays, wave, 0.12 * length - first) for field in fields]
     reach = _reaches(lens, fans)
     top = 1.12 * max(reach)
@@ -155,6 +164,7 @@ def draw_lens(
         axes.add_collection(LineCollection(lines, colors=colour, linewidths=0.7, zorder=3))
         axes.plot([], [], color=colour, linewidth=1.2, label=f"{field:.3g}°")
     _draw_glass(axes, lens, reach)
+    _draw_mirrors(axes, lens, reach)
     _draw_stop(axes, lens, top)
     image = max([float(np.nanmax(np.abs(fan[-1, :, 1]), initial=0.0)) for fan in fans]) * 1.15
     ends = np.array([[0.0, -image, 0.0], [0.0, image, 0.0]]) @ lens.image_rotation.T + lens.image_position_mm
@@ -164,7 +174,7 @@ def draw_lens(
         axes.annotate(name, (middle, -top), ha="center", va="top", fontsize=9, color="0.25")
     axes.set(xlabel="z [mm]", ylabel="y [mm]", title=f"{lens.name}, {wave:g} nm")
     axes.set_aspect("equal")
-    axes.set_xlim(first - 0.12 * length, image_z + 0.04 * length)
+    axes.set_xlim(first - 0.12 * length, last + 0.04 * length)
     axes.set_ylim(-1.25 * top, 1.12 * top)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=9)

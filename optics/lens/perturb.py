@@ -3,7 +3,8 @@
 What moves is named by ``what``: an element's name, the index of a surface, a sequence of indices, `ALL_SURFACES` (the
 lens against its detector) or `EVERYTHING` (surfaces and image plane). What is not named stays where it is, except where
 a function says so. Rotations are rotation vectors in the lens frame [deg], so that opposite ones cancel exactly; poses
-add up in the lens frame, in the order of the calls.
+add up in the lens frame, in the order of the calls. The numbers of a shape are those of the surface as light meets it:
+behind an odd number of mirrors radii have the opposite sign of those in the lens file.
 """
 
 from __future__ import annotations
@@ -215,6 +216,9 @@ def change_index(lens: LensSystem, what: What, by: float) -> LensSystem:
         for i in _selected(lens, what)[0]
         if lens.surfaces[i].medium != AMBIENT
     }
+    for i, surface in enumerate(lens.surfaces):  # light goes back into the glass in front of a mirror
+        if surface.mirror and i - 1 in changed and surface.medium != AMBIENT:
+            changed[i] = replace(surface, index_offset=changed[i - 1].index_offset)
     if not changed:
         raise DomainError(f"lens {lens.name!r}: no glass follows {what!r}; name the surface in front of the glass")
     return lens.with_surfaces(changed)
@@ -242,20 +246,23 @@ def _expansion(lens: LensSystem, medium: str) -> float:
     return cte
 
 
-def _warmed_surface(lens: LensSystem, index: int, z_mm: float, kelvin: float, housing: float) -> Surface:
-    """Surface at its new vertex distance, its shape expanded with the glass it belongs to."""
+def _warmed_surface(lens: LensSystem, index: int, vertex: FloatArray, kelvin: float, housing: float) -> Surface:
+    """Surface at its new vertex, its shape expanded with the glass or the mirror it belongs to."""
     surface = lens.surfaces[index]
     before = lens.surfaces[index - 1].medium if index else AMBIENT
     ctes = [_expansion(lens, m) for m in (before, surface.medium) if m != AMBIENT]
+    if surface.cte_per_k is not None:
+        ctes = [surface.cte_per_k]
     shape_cte = sum(ctes) / len(ctes) if ctes else housing
-    x, y = surface.position_mm[:2] * math.exp(housing * kelvin)
     growth = math.exp(shape_cte * kelvin)
     return replace(
         surface,
         shape=surface.shape.scaled(growth),
-        position_mm=np.array([x, y, z_mm]),
+        position_mm=vertex,
         semi_diameter_mm=surface.semi_diameter_mm * growth,
         inner_semi_diameter_mm=surface.inner_semi_diameter_mm * growth,
+        apertures=tuple(aperture.scaled(growth) for aperture in surface.apertures),
+        error=None if surface.error is None else surface.error.scaled(growth),
     )
 
 
@@ -265,9 +272,10 @@ def change_temperature(
     """Bring the whole lens to another uniform temperature; its dimensions are taken to hold at its present one.
 
     Glass: index by the maker's dn/dT, radii and centre thicknesses by its expansion (a cemented surface takes the mean
-    of the two glasses). Air gaps, stop and the distance to the image plane follow the housing, along the axis: that
-    spacers touch the lenses at the rim, at another z than the vertex, is left out. A length L becomes L exp(cte dT), so
-    going back cancels exactly.
+    of the two glasses). A mirror takes the expansion of its substrate (``Surface.cte_per_k``), or that of the housing.
+    Air gaps, stop and the distance to the image plane follow the housing, along the axis: that spacers touch the lenses
+    at the rim, at another z than the vertex, is left out. Shifts across the axis follow the housing. A length L becomes
+    L exp(cte dT), so going back cancels exactly.
 
     Parameters
     ----------
@@ -291,13 +299,13 @@ def change_temperature(
         pressure_hpa=lens.environment.pressure_hpa if pressure_hpa is None else pressure_hpa,
     )
     kelvin = temperature_c - lens.environment.temperature_c
-    old = [float(s.position_mm[2]) for s in lens.surfaces] + [float(lens.image_position_mm[2])]
-    z = [old[0] * math.exp(housing_cte_per_k * kelvin)]
-    for surface, start, end in zip(lens.surfaces, old[:-1], old[1:], strict=True):
+    old, growth = [position for position, _ in lens.poses], math.exp(housing_cte_per_k * kelvin)
+    new = [old[0] * growth]
+    for surface, start, end, axis in zip(lens.surfaces, old[:-1], old[1:], lens.axis[1:], strict=True):
         cte = housing_cte_per_k if surface.medium == AMBIENT else _expansion(lens, surface.medium)
-        z.append(z[-1] + (end - start) * math.exp(cte * kelvin))
-    surfaces = tuple(_warmed_surface(lens, i, z[i], kelvin, housing_cte_per_k) for i in range(len(lens.surfaces)))
-    x, y = lens.image_position_mm[:2] * math.exp(housing_cte_per_k * kelvin)
-    warmed = replace(lens, surfaces=surfaces, image_position_mm=np.array([x, y, z[-1]]), environment=environment)
+        along = ((end - start) @ axis) * axis
+        new.append(new[-1] + along * math.exp(cte * kelvin) + (end - start - along) * growth)
+    surfaces = tuple(_warmed_surface(lens, i, new[i], kelvin, housing_cte_per_k) for i in range(len(lens.surfaces)))
+    warmed = replace(lens, surfaces=surfaces, image_position_mm=new[-1], environment=environment)
     warmed.indices(lens.design_wavelength_nm)  # refuses glasses without dn/dT now, not at the first trace
     return warmed

@@ -22,7 +22,7 @@ from optics.glass.catalogue import Glass, get_glass, glass_from_table
 from optics.glass.media import CATALOGUE_AIR, Environment
 from optics.lens.sag_map import SagMap
 from optics.lens.shapes.plane import Plane
-from optics.lens.system import AMBIENT, HALF_TURN, LensSystem, Surface
+from optics.lens.system import AMBIENT, LensSystem, Surface
 from optics.lens.tables import MIRROR, BreakTable, ErrorTable, MovedTable, Prescription, SurfaceTable
 from optics.validate import parse_model, read_toml
 
@@ -94,6 +94,7 @@ def _surface(table: SurfaceTable, frame: _Frame, before: str, folder: Path) -> S
         inner_semi_diameter_mm=table.inner_semi_diameter_mm,
         apertures=tuple(aperture.aperture() for aperture in table.aperture),
         error=_error_map(table.error, folder),
+        cte_per_k=table.cte_per_k,
         element=table.element,
         is_stop=table.stop,
     )
@@ -130,7 +131,10 @@ def _placed(file: Prescription, folder: Path) -> tuple[list[Surface], _Frame]:
             )
         frame = frame.after(table.thickness_mm)
     frame = frame.moved(file.image)
-    return surfaces, frame if light @ frame.axes[:, 2] > 0.0 else _Frame(frame.origin, frame.axes @ HALF_TURN)
+    facing = float(light @ frame.axes[:, 2])
+    if abs(facing) < EDGE_ON:
+        raise ConfigError("the image plane is edge-on to the light on the axis; check tilts and breaks")
+    return surfaces, frame if facing > 0.0 else _Frame(frame.origin, frame.axes @ np.diag([1.0, 1.0, -1.0]))
 
 
 def _with_stop(file: Prescription, surfaces: list[Surface]) -> list[Surface]:

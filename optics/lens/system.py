@@ -1,7 +1,8 @@
 """A lens as data: surfaces with their poses in the lens frame, media, stop, image plane.
 
 Light enters towards +z of the lens frame, and meets every surface, and the image plane, towards +z of its own frame:
-behind an odd number of mirrors the frame of a surface is turned by half a turn.
+behind an odd number of mirrors the frame of a surface is turned by half a turn. The image plane keeps its x and y
+there: columns are counted so that the picture is not mirrored, and its axes are left-handed.
 """
 
 from __future__ import annotations
@@ -54,6 +55,8 @@ class Surface:
         Further outlines, all of which light has to pass.
     error : SagMap or None
         Measured deviation, added to the sag.
+    cte_per_k : float or None
+        Linear expansion of a mirror's substrate [1/K]; that of the housing if not given.
     element : str
         Name of the element (group) that moves as one.
     is_stop : bool
@@ -71,6 +74,7 @@ class Surface:
     inner_semi_diameter_mm: float = 0.0
     apertures: tuple[Aperture, ...] = ()
     error: SagMap | None = None
+    cte_per_k: float | None = None
     element: str = ""
     is_stop: bool = False
     index_offset: float = 0.0
@@ -122,7 +126,7 @@ class LensSystem:
     image_position_mm : (3,)
         Origin of the image plane in the lens frame.
     image_rotation : (3, 3)
-        Axes of the image plane.
+        Axes of the image plane, columns; left-handed behind an odd number of mirrors.
     design_wavelength_nm : float
         Reference wavelength for chief rays and paraxial quantities.
     max_field_deg : float
@@ -208,11 +212,6 @@ class LensSystem:
             normal = surface.rotation[:, 2]
             along.append(along[-1] - 2.0 * (along[-1] @ normal) * normal if surface.mirror else along[-1])
         return tuple(along)
-
-    @property
-    def mirrored(self) -> bool:
-        """Whether light meets an odd number of mirrors, so that its image is seen in a mirror."""
-        return sum(surface.mirror for surface in self.surfaces) % 2 == 1
 
     @property
     def media(self) -> tuple[tuple[str, float], ...]:

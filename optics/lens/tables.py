@@ -121,7 +121,8 @@ class SurfaceTable(MovedTable):
     """What every surface has, whatever its shape.
 
     Its shift and turn hold for this surface alone (``carry = "none"``), for all that follows too (``"forward"``), or
-    are those of a mirror behind which the frame follows the reflected axis (``"bend"``).
+    are those of a mirror behind which the frame follows the reflected axis (``"bend"``). ``cte_per_k`` is the expansion
+    of a mirror's substrate.
     """
 
     kind: str
@@ -134,12 +135,15 @@ class SurfaceTable(MovedTable):
     carry: Literal["none", "forward", "bend"] = "none"
     aperture: tuple[AnyAperture, ...] = ()
     error: ErrorTable | None = None
+    cte_per_k: FiniteFloat | None = None
 
     @model_validator(mode="after")
     def _it_is_a_surface(self) -> SurfaceTable:
         self.shape()
         if self.carry == "bend" and self.medium != MIRROR:
             raise ValueError("carry = 'bend' goes with medium = 'mirror'; use 'forward' for a surface that refracts")
+        if self.cte_per_k is not None and self.medium != MIRROR:
+            raise ValueError("cte_per_k goes with medium = 'mirror'; a lens expands as its glass does")
         if self.stop and math.isinf(self.semi_diameter_mm):
             raise ValueError("the stop needs semi_diameter_mm")
         return self

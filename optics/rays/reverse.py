@@ -3,7 +3,7 @@
 The reversed lens has its own lens frame: its origin is the image plane's origin of the original lens. Without mirrors
 its axes are those of the lens frame turned half a turn about y, so that light travels towards +z again: (x, y, z) ->
 (-x, y, z_image - z). With mirrors, behind which light may travel any way, they are those of the image plane, turned
-likewise. Its image plane is the plane z = 0 of the original lens.
+likewise (right-handed). Its image plane is the plane z = 0 of the original lens.
 """
 
 from __future__ import annotations
@@ -17,13 +17,16 @@ from optics.errors import DomainError
 from optics.lens.system import HALF_TURN, LensSystem
 from optics.rays.trace import OK, Rays
 
-__all__ = ["retraced", "reverse"]
+__all__ = ["retraced", "reverse", "reversed_turn"]
 
 
-def _turn(lens: LensSystem) -> FloatArray:
-    """Rotation from the lens frame to that of the reversed lens."""
-    mirrors = any(surface.mirror for surface in lens.surfaces)
-    return np.asarray(HALF_TURN @ lens.image_rotation.T if mirrors else HALF_TURN)
+def reversed_turn(lens: LensSystem) -> FloatArray:
+    """Rotation (3, 3) from the lens frame to that of the reversed lens."""
+    if not any(surface.mirror for surface in lens.surfaces):
+        return HALF_TURN
+    axes = lens.image_rotation
+    right_handed = axes * [np.sign(np.linalg.det(axes)), 1.0, 1.0]
+    return np.asarray(HALF_TURN @ right_handed.T)
 
 
 def reverse(lens: LensSystem) -> LensSystem:
@@ -38,9 +41,9 @@ def reverse(lens: LensSystem) -> LensSystem:
     -------
     LensSystem
         Surfaces in reverse order; see the module for its frame. Reversing twice gives back a lens whose image plane is
-        untilted (without mirrors) and which is otherwise the same.
+        untilted (without mirrors) and right-handed, and which is otherwise the same.
     """
-    turn = _turn(lens)
+    turn = reversed_turn(lens)
     surfaces = tuple(
         replace(
             surface if surface.mirror else surface.from_behind(),
@@ -78,7 +81,7 @@ def retraced(lens: LensSystem, arrived: Rays) -> Rays:
         raise DomainError(
             f"{int(np.sum(arrived.status != OK))} rays did not reach the image plane; retrace those that did"
         )
-    turn = _turn(lens) @ lens.image_rotation
+    turn = reversed_turn(lens) @ lens.image_rotation
     point = turn @ np.stack([np.ravel(v) for v in (arrived.x, arrived.y, arrived.z)])
     direction = -turn @ np.stack([np.ravel(v) for v in (arrived.dx, arrived.dy, arrived.dz)])
     shape = np.shape(arrived.x)

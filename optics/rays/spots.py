@@ -142,7 +142,7 @@ def trace_spots(
         raise DomainError(
             f"fields of shape {stars.shape[:-1]}, wavelengths {waves.shape}; one-dimensional lists are needed"
         )
-    holes = any(surface.inner_semi_diameter_mm > 0 for surface in lens.surfaces)
+    holes = any(surface.holed for surface in lens.surfaces)
     spots = None
     if samples is not None or stop_in_front(lens):
         spots = _of_disk(lens, stars, waves, samples or gauss_disk(*order), collimation)

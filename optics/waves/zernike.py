@@ -16,19 +16,11 @@ from scipy.special import eval_jacobi
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
+from optics.lens.shapes.zernike import MOST_TERMS, fringe_index, noll_index
 
 __all__ = ["ZernikeOrder", "fit_zernikes", "zernike_numbers", "zernikes"]
 
 ZernikeOrder = Literal["noll", "ansi", "fringe"]
-
-FRINGE_TERMS = 37
-
-
-def _noll(j: int) -> tuple[int, int]:
-    n = int((np.sqrt(8 * j - 7) - 1) // 2)
-    left = j - n * (n + 1) // 2 - 1
-    m = 2 * ((left + 1) // 2) if n % 2 == 0 else 2 * (left // 2) + 1
-    return n, m if j % 2 == 0 else -m
 
 
 def _ansi(j: int) -> tuple[int, int]:
@@ -36,19 +28,10 @@ def _ansi(j: int) -> tuple[int, int]:
     return n, 2 * j - n * (n + 2)
 
 
-def _fringe(j: int) -> tuple[int, int]:
-    if j == FRINGE_TERMS:
-        return 12, 0
-    half = int(np.ceil(np.sqrt(j))) - 1  # terms half^2 + 1 ... (half + 1)^2 have n + |m| = 2 half
-    left = j - half * half - 1
-    m = half - left // 2
-    return 2 * half - m, m if left % 2 == 0 else -m
-
-
 _ORDERS: dict[str, tuple[int, Callable[[int], tuple[int, int]]]] = {
-    "noll": (1, _noll),
+    "noll": (1, noll_index),
     "ansi": (0, _ansi),
-    "fringe": (1, _fringe),
+    "fringe": (1, fringe_index),
 }
 
 
@@ -71,8 +54,10 @@ def zernike_numbers(count: int, order: ZernikeOrder = "noll") -> tuple[tuple[int
     """
     if order not in _ORDERS:
         raise unknown_name("order of Zernike polynomials", order, _ORDERS)
-    if count < 1 or (order == "fringe" and count > FRINGE_TERMS):
-        raise DomainError(f"{count} Zernike terms ({order}); at least 1, and of the fringe set at most {FRINGE_TERMS}")
+    if count < 1 or (order == "fringe" and count > MOST_TERMS["fringe"]):
+        raise DomainError(
+            f"{count} Zernike terms ({order}); at least 1, and of the fringe set at most {MOST_TERMS['fringe']}"
+        )
     first, numbers = _ORDERS[order]
     return tuple(numbers(j) for j in range(first, first + count))
 

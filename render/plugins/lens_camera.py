@@ -56,7 +56,7 @@ from optics.errors import BackendError, ConfigError, ConvergenceError
 from optics.frames import light_direction
 from optics.rays.paraxial import axial_paraxial
 from optics.rays.program import LensProgram, compile_lens
-from optics.rays.reverse import HALF_TURN, retraced, reverse
+from optics.rays.reverse import retraced, reverse, reversed_turn
 from optics.rays.trace import OK, Rays, trace, trace_program
 from render.camera import Camera, launch_disk
 from render.engine.arrays import DrJitArrays
@@ -79,8 +79,11 @@ def exit_disk(camera: Camera) -> tuple[float, float, float, float]:
     rays from the whole field.
     """
     lens, pupil = camera.focused_lens, launch_disk(camera)
-    last = float(lens.image_position_mm[2] - lens.surfaces[-1].position_mm[2])
-    reach = float(lens.image_position_mm[2]) - axial_paraxial(lens, lens.design_wavelength_nm).exit_pupil_z_mm
+    along = lens.axis[-1]
+    last = float((lens.image_position_mm - lens.surfaces[-1].position_mm) @ along)
+    reach = float(along[2]) * (
+        float(lens.image_position_mm[2]) - axial_paraxial(lens, lens.design_wavelength_nm).exit_pupil_z_mm
+    )
     if not 0.2 * last < reach < 1e4 * last:
         reach = last
     i = np.arange(EXIT_PUPIL_RAYS)
@@ -201,7 +204,8 @@ def define(mi: Any) -> type:
             if self._backward is None:
                 camera, xp = self.camera, DrJitArrays(mi.Float64)
                 program, theta = compile_lens(reverse(camera.focused_lens))
-                pitch, (cx, cy), turn = camera.pixel_pitch_mm, camera.centre_px, HALF_TURN @ camera.lens.image_rotation
+                pitch, (cx, cy) = camera.pixel_pitch_mm, camera.centre_px
+                turn = reversed_turn(camera.lens) @ camera.lens.image_rotation
                 left, top = (first_column - 0.5 - cx) * pitch, (0.5 + cy - first_row) * pitch
                 film = [columns * pitch, left, -rows * pitch, top]
                 groups = (theta, film, turn.ravel(), exit_disk(camera), camera.rotation_cam_from_world.ravel())

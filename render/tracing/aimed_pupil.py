@@ -116,6 +116,8 @@ def aimed_lens(lens: LensSystem, kernel_lens: tuple[LensProgram, FloatArray], *,
     front, front_theta = compile_lens(to_stop, general=general)
     full, theta = kernel_lens
     limits = [(i, float(s.semi_diameter_mm)) for i, s in enumerate(lens.surfaces) if np.isfinite(s.semi_diameter_mm)]
+    if any(surface.holed for surface in lens.surfaces):
+        limits = []
     xp = Engine.active().arrays
     return AimedLens(front, xp.parameters(front_theta.tolist()), full, xp.parameters(theta.tolist()), at, tuple(limits))
 

@@ -165,7 +165,8 @@ class PupilPlanner:
         groups, left = [], everyone
         if self.pupil.exact:
             find_bounds(seen.mid, bounds, everyone, ends)
-            plan = self.plan("quadrature", wavelength_nm, seen, bounds.clear)
+            holed = any(surface.holed for surface in self.camera.lens.surfaces)
+            plan = None if holed else self.plan("quadrature", wavelength_nm, seen, bounds.clear)
             if plan is not None:
                 groups.append(_fixed_group(plan, everyone[bounds.clear]))
         elif self.camera.charge_diffusion_px > 0.0:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import count
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -19,8 +18,8 @@ from optics.lens.shapes.freeform import PolynomialFreeform
 
 __all__ = ["Zernike", "fringe_index", "noll_index", "zernike_monomials"]
 
-MOST_TERMS = {"noll": 231, "fringe": 121}
-"""Degree 20; beyond it sums of powers lose digits."""
+MOST_TERMS = {"noll": 231, "fringe": 37}
+"""Noll up to degree 20, beyond which sums of powers lose digits; fringe as many as there are."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,7 +96,9 @@ def noll_index(j: int) -> tuple[int, int]:
 @lru_cache
 def fringe_index(j: int) -> tuple[int, int]:
     """Radial degree n and azimuthal order m (negative: sine) of fringe polynomial j = 1, 2, ..."""
-    group = next(g for g in count() if j <= (g + 1) ** 2)  # (n + m) / 2
+    if j == MOST_TERMS["fringe"]:
+        return 12, 0
+    group = math.isqrt(j - 1)  # (n + m) / 2
     place = j - group**2 - 1  # orders fall from group to 0, cosine before sine
     m = group - place // 2
     return 2 * group - m, -m if place % 2 else m
