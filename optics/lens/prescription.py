@@ -174,10 +174,15 @@ def _glasses(file: Prescription, media: list[str], where: str) -> dict[str, Glas
 
 
 def _check_apertures(file: Prescription, where: str) -> None:
-    """Refuse a clear aperture that reaches beyond the rim where a surface ends."""
+    """Refuse a clear aperture that reaches beyond the rim where a surface ends, or beyond its measured part."""
     for number, table in enumerate(file.surface):
         if isinstance(table, BreakTable) or np.isinf(table.semi_diameter_mm):
             continue
+        if table.error is not None and 2.0 * table.semi_diameter_mm > min(table.error.width_mm):
+            raise ConfigError(
+                f"{where}: surface {number}: semi_diameter_mm = {table.semi_diameter_mm:g} mm reaches beyond its "
+                f"measured error, {min(table.error.width_mm):g} mm wide"
+            )
         shape = table.shape()
         if table.semi_diameter_mm >= shape.rim_mm:
             raise ConfigError(
