@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -20,7 +21,7 @@ from optics.rays.spots import Spots, trace_spots
 from optics.units import ARCSEC_RAD
 from render.records import EffectivePsf
 from render.sky.star_light import StarLight, star_light
-from render.tracing.ray_psf import ray_epsf
+from render.tracing.ray_psf import ray_epsf, trailed
 
 __all__ = ["NODES", "OpticalState", "optical_state"]
 
@@ -65,6 +66,8 @@ class OpticalState:
         The same of stars of 3500 and 10 000 K.
     fwhm_px : float
         Width of the mean spot on the pixels, and so of the detection filter.
+    trail_px : (2,)
+        From the first to the last place of a star in an exposure, in which PSFs are drawn out; columns and rows.
     colour_px : (c, f)
         Mean of the light of stars of `temperatures_k` on the detector, radial, from that of the quoted star.
     temperatures_k : (c,)
@@ -82,8 +85,14 @@ class OpticalState:
     cold_psfs: tuple[EffectivePsf, ...]
     hot_psfs: tuple[EffectivePsf, ...]
     fwhm_px: float
+    trail_px: FloatArray
     colour_px: FloatArray
     temperatures_k: FloatArray
+
+    @property
+    def trail_length_px(self) -> float:
+        """Length of `trail_px`."""
+        return float(np.hypot(*self.trail_px))
 
     @property
     def pixel_arcsec(self) -> float:
@@ -121,7 +130,16 @@ def optical_state(config: Config) -> OpticalState:
         }
     )
     chip = DetectorConfig(diffusion_sigma_um=config.detector.diffusion_sigma_um)
-    return _state(geometry, chip, config.passband, magnitude_system(config.catalogue), config.star.temperature_k)
+    turn = math.radians(config.slew.rate_deg_per_s * config.instrument.exposure_s)
+    return _state(
+        geometry,
+        chip,
+        config.passband,
+        magnitude_system(config.catalogue),
+        config.star.temperature_k,
+        (turn, math.radians(config.slew.direction_deg)) if turn else (0.0, 0.0),
+        config.window_px,
+    )
 
 
 def magnitude_system(config: CatalogueConfig) -> str:
@@ -133,7 +151,13 @@ def magnitude_system(config: CatalogueConfig) -> str:
 
 @lru_cache(maxsize=_LAYERS)
 def _state(
-    config: InstrumentConfig, chip: DetectorConfig, passband: PassbandConfig, system: str, temperature_k: float
+    config: InstrumentConfig,
+    chip: DetectorConfig,
+    passband: PassbandConfig,
+    system: str,
+    temperature_k: float,
+    turn_rad: tuple[float, float],
+    window_px: int,
 ) -> OpticalState:
     instrument = build_instrument(config, detector=overridden(configured_detector(config), chip))
     try:
@@ -153,10 +177,12 @@ def _state(
     performance = lens_performance(lens, field_deg, wave, share, spots=spots)
     pitch, diffusion_px = camera.pixel_pitch_mm, camera.charge_diffusion_px
     rms_px = white_focus(spots, share).rms_mm() / pitch
-    half = int(np.clip(np.ceil(4.0 * np.nanmax(rms_px)) + 4, 8, 40))
-    camera_px = _Bundles(spots, pitch, diffusion_px, half)
+    trail_px = performance.plate_scale_mm / pitch * turn_rad[0] * np.array([np.cos(turn_rad[1]), np.sin(turn_rad[1])])
+    _check_trail(float(np.hypot(*trail_px)), float(np.nanmax(rms_px)), window_px)
+    half = int(np.clip(np.ceil(4.0 * np.nanmax(rms_px) + 0.5 * np.abs(trail_px).max()) + 4, 8, 40))
+    camera_px = _Bundles(spots, pitch, diffusion_px, trail_px, half)
     psfs = camera_px.psfs(share, AZIMUTH_DEG)
-    sigma2 = float(np.nanmean(rms_px**2)) / 2.0 + diffusion_px**2 + 1.0 / 12.0
+    sigma2 = float(np.nanmean(rms_px**2)) / 2.0 + diffusion_px**2 + 1.0 / 12.0 + float(trail_px @ trail_px) / 24.0
     kelvin = np.exp(light.log_temperature[4:-4:4])
     shares = np.stack([_share(light, response, float(t)) for t in kelvin])
     area = np.nan_to_num(performance.area_mm2)
@@ -173,9 +199,19 @@ def _state(
         cold_psfs=camera_px.psfs(_share(light, response, COLD_K), AZIMUTH_DEG),
         hot_psfs=camera_px.psfs(_share(light, response, HOT_K), AZIMUTH_DEG),
         fwhm_px=float(np.clip(2.3548 * np.sqrt(sigma2), 0.8, 20.0)),
+        trail_px=trail_px,
         colour_px=(means - performance.white_mm) / pitch,
         temperatures_k=kelvin,
     )
+
+
+def _check_trail(trail_px: float, rms_px: float, window_px: int) -> None:
+    needed = int(np.ceil(trail_px + 4.0 * rms_px)) // 2 * 2 + 1
+    if trail_px and needed > window_px:
+        raise DomainError(
+            f"slew.rate_deg_per_s, instrument.exposure_s: stars trail over {trail_px:.3g} px, for which window_px = "
+            f"{window_px} is too small (at least {needed}); lower rate or exposure, or raise window_px"
+        )
 
 
 def _share(light: StarLight, response: FloatArray, temperature_k: float) -> FloatArray:
@@ -186,14 +222,17 @@ def _share(light: StarLight, response: FloatArray, temperature_k: float) -> Floa
 class _Bundles:
     """Rays of all fields and wavelengths on the pixels, to be weighed by spectra."""
 
-    def __init__(self, spots: Spots, pitch_mm: float, diffusion_px: float, half_size_px: int) -> None:
+    def __init__(
+        self, spots: Spots, pitch_mm: float, diffusion_px: float, trail_px: FloatArray, half_size_px: int
+    ) -> None:
         self.x, self.y = spots.rays.x / pitch_mm, -spots.rays.y / pitch_mm
         self.area, self.diffusion_px, self.half_size_px = spots.area_mm2, diffusion_px, half_size_px
+        self.trail_px = trail_px
 
     def psfs(self, share: FloatArray, azimuth_deg: float) -> tuple[EffectivePsf, ...]:
         """PSFs of all fields for light of which each wavelength has a share; the fields lie in a direction."""
         cos, sin = np.cos(np.radians(azimuth_deg)), np.sin(np.radians(azimuth_deg))
-        return tuple(
+        at_rest = (
             ray_epsf(
                 (cos * x - sin * y).ravel(),
                 (sin * x + cos * y).ravel(),
@@ -204,3 +243,4 @@ class _Bundles:
             )
             for x, y, area in zip(self.x, self.y, self.area, strict=True)
         )
+        return tuple(trailed(psf, self.trail_px) if self.trail_px.any() else psf for psf in at_rest)

@@ -1,7 +1,8 @@
 """What a star sensor will do, by prediction alone: lens, light, detection, centroids, attitude over the sky.
 
-Everything is for stars at rest, alone in their window, and a camera whose geometry was calibrated without error: what a
-laboratory adds (marking error of a target, its survey) belongs to the budget of the laboratory (experiment ``budget``).
+Everything is for stars at rest or trailing evenly (`slew`), alone in their window, and a camera whose geometry was
+calibrated without error: what a laboratory adds (marking error of a target, its survey) belongs to the budget of the
+laboratory (experiment ``budget``).
 """
 
 from __future__ import annotations

@@ -7,8 +7,9 @@ calibrated without error (a model fitted to its traced map), the attitude roughl
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from calib.attitude.star_attitude import identify_stars, solve_attitude
 from calib.cameras.base import CameraModel
 from calib.cameras.fit import fit_camera
 from experiments.camera.records import CameraPrediction, exposed_s
+from experiments.camera.settings import Config
 from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.detector_changes import overridden
 from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector
@@ -28,9 +30,12 @@ from experiments.laboratory.readout.psf_grid import render_psf_grid
 from experiments.laboratory.readout.reduction import MeasuredFrame, Reduction, measure_frame
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
+from render.camera import Camera
 from render.detector.readout import expose
 from render.engine.random import Streams
+from render.motion.trajectory import ConstantRate
 from render.records import Frame, StarField
+from render.tracing.motion import ExposureMotion, exposure_motion
 from render.tracing.tracer import Tracer
 
 __all__ = ["ChartFrames", "Rendered", "SkyFrames", "render_frames"]
@@ -134,11 +139,17 @@ class _Bench:
         self.instrument: Instrument = build_instrument(setting, detector=detector)
         self.streams = Streams(config.seed).child("camera")
         self.tracer = Tracer(self.instrument.camera, tolerance=1e-4)
+        self.motion = _slew(config, self.instrument.camera)
         light, kelvin = prediction.state.light, config.star.temperature_k
         psfs = None
         if needs_epsf(config.centroid):
             psfs = render_psf_grid(
-                self.instrument, light, temperature_k=kelvin, window_px=config.window_px, long_side=LONG_SIDE
+                self.instrument,
+                light,
+                temperature_k=kelvin,
+                window_px=config.window_px,
+                trail_px=prediction.state.trail_px,
+                long_side=LONG_SIDE,
             )
         processing = prediction.processing
         self.reduction = Reduction(
@@ -157,7 +168,12 @@ class _Bench:
 
     def expected(self, stars: StarField) -> tuple[NDArray[np.float32], FloatArray, FloatArray]:
         """Noiseless image, and place (n, 2) and electrons (n,) of the light of the stars on it."""
-        traced = self.tracer.render(stars, exposure_s=exposed_s(self.prediction.config))
+        exposed = exposed_s(self.prediction.config)
+        if self.motion is not None:  # lasts for the exposure; light that is lost on the way is left out of the stars
+            lost = self.prediction.config.throughput_fraction
+            stars = replace(stars, photon_rate=stars.photon_rate * lost)
+            exposed = self.motion.exposure_s
+        traced = self.tracer.render(stars, exposure_s=exposed, motion=self.motion)
         truth = traced.truth
         place = np.column_stack([truth.photon_x_px[:, 0], truth.photon_y_px[:, 0]])
         return traced.electrons[:, :, 0], place, truth.electrons_image[:, 0]
@@ -174,6 +190,17 @@ class _Bench:
             background_e_per_s=config.background_e_per_s,
             band=label,
         )
+
+
+def _slew(config: Config, camera: Camera) -> ExposureMotion | None:
+    """Turn during an exposure; the attitude asked for is that of its middle."""
+    rate, towards = math.radians(config.slew.rate_deg_per_s), math.radians(config.slew.direction_deg)
+    if not rate:
+        return None
+    exposure = config.instrument.exposure_s
+    turn = rate * np.array([math.sin(towards), -math.cos(towards), 0.0])
+    path = ConstantRate(initial=Rotation.from_rotvec(0.5 * exposure * turn), rate_rad_per_s=turn, end_s=exposure)
+    return exposure_motion(path, start_s=0.0, exposure_s=exposure, camera=camera)
 
 
 def render_frames(prediction: CameraPrediction, *, advance: Callable[[], None] = lambda: None) -> Rendered:

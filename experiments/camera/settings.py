@@ -13,7 +13,16 @@ from experiments.harness.range import SweepRange, check_range, leaf_keys, parse_
 from experiments.laboratory.detector_changes import DetectorConfig
 from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig
 
-__all__ = ["Config", "FramesConfig", "Parameter", "SkyConfig", "StarConfig", "ThermalConfig", "TornadoConfig"]
+__all__ = [
+    "Config",
+    "FramesConfig",
+    "Parameter",
+    "SkyConfig",
+    "SlewConfig",
+    "StarConfig",
+    "ThermalConfig",
+    "TornadoConfig",
+]
 
 
 MOST_POINTS = 400
@@ -43,6 +52,15 @@ class SkyConfig(StrictModel):
     """Attitudes, uniform over all rotations, for which the sky is looked up."""
 
     attitudes: int = Field(default=600, ge=10, le=100_000, description="how many")
+
+
+class SlewConfig(StrictModel):
+    """How the sensor turns, evenly and across its line of sight, during every exposure; its processing knows."""
+
+    rate_deg_per_s: float = Field(default=0.0, ge=0, le=100, description="how fast")
+    direction_deg: float = Field(
+        default=0.0, ge=-360, le=360, description="where stars trail to on the detector, from columns towards rows"
+    )
 
 
 class ThermalConfig(StrictModel):
@@ -104,6 +122,7 @@ class Config(SensorExperimentConfig, SensorConfig):
         default=20, ge=1, le=1000, description="frames without light in the mean that is subtracted"
     )
     star: StarConfig = StarConfig()
+    slew: SlewConfig = SlewConfig()
     sky: SkyConfig = SkyConfig()
     thermal: ThermalConfig = ThermalConfig()
     frames: FramesConfig = FramesConfig()
@@ -113,6 +132,16 @@ class Config(SensorExperimentConfig, SensorConfig):
         default=(), max_length=2, description="KEY=LOW:HIGH:POINTS of a key of the sensor; two of them: a map"
     )
     sweep_measured: bool = Field(default=False, description="render frames at every point of a sweep too")
+
+    @model_validator(mode="after")
+    def _shutter(self) -> Config:
+        rate, line = self.slew.rate_deg_per_s, self.instrument.line_time_us
+        if rate and line:
+            raise ValueError(
+                f"slew.rate_deg_per_s = {rate:g} with instrument.line_time_us = {line:g}: trailing stars are predicted "
+                "for a global shutter; set one of them to 0 (the dataset renders both)"
+            )
+        return self
 
     @model_validator(mode="after")
     def _sweeps(self) -> Config:

@@ -9,7 +9,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.records import EffectivePsf
 
-__all__ = ["pixel_shares", "ray_epsf"]
+__all__ = ["pixel_shares", "ray_epsf", "trailed"]
 
 
 def pixel_shares(cells: FloatArray, cells_per_px: int) -> FloatArray:
@@ -72,3 +72,23 @@ def ray_epsf(
     if diffusion_px > 0.0:
         cells = gaussian_filter(cells, diffusion_px * oversampling, mode="constant", truncate=5.0)
     return EffectivePsf(values=pixel_shares(cells, oversampling), oversampling=oversampling)
+
+
+def trailed(psf: EffectivePsf, trail_px: FloatArray) -> EffectivePsf:
+    """Effective PSF of a star that moves evenly during the exposure, centred on the middle of its trail.
+
+    The transform of a straight trail is a sinc; the grid has to hold the light of the whole trail.
+
+    Parameters
+    ----------
+    psf : EffectivePsf
+        At rest.
+    trail_px : (2,)
+        From the first to the last place, columns and rows.
+    """
+    size = len(psf.values)
+    padded = 2 * size
+    frequency = np.fft.fftfreq(padded, 1.0 / psf.oversampling)  # cycles per pixel
+    along = frequency[None, : size + 1] * trail_px[0] + frequency[:, None] * trail_px[1]
+    values = np.fft.irfft2(np.fft.rfft2(psf.values, (padded, padded)) * np.sinc(along), (padded, padded))
+    return EffectivePsf(values=values[:size, :size], oversampling=psf.oversampling)

@@ -12,6 +12,7 @@ from optics.arrays import FloatArray
 from render.records import EffectivePsf
 from render.sky.star_light import StarLight
 from render.tracing.psf import epsf_tracer, render_epsf
+from render.tracing.ray_psf import trailed
 
 __all__ = ["PsfGrid", "render_psf_grid"]
 
@@ -45,7 +46,13 @@ class PsfGrid:
 
 
 def render_psf_grid(
-    instrument: Instrument, light: StarLight, *, temperature_k: float, window_px: int, long_side: int = LONG_SIDE
+    instrument: Instrument,
+    light: StarLight,
+    *,
+    temperature_k: float,
+    window_px: int,
+    trail_px: FloatArray | None = None,
+    long_side: int = LONG_SIDE,
 ) -> PsfGrid:
     """Render the PSFs of a camera.
 
@@ -59,6 +66,8 @@ def render_psf_grid(
         Colour of the star.
     window_px : int
         Window that they have to cover, at any sub-pixel phase.
+    trail_px : (2,), optional
+        Columns and rows over which stars move, evenly, during an exposure.
     long_side : int
         PSFs along the longer side.
 
@@ -75,4 +84,7 @@ def render_psf_grid(
     direction = camera.nominal_direction(place[:, 0], place[:, 1], instrument.focal_length_mm)
     stars = light.stars(direction, 5.0, temperature_k)
     rendered = render_epsf(epsf_tracer(camera), stars, oversampling=OVERSAMPLING, half_size_px=window_px // 2 + 2)
-    return PsfGrid(psfs=tuple(row[0] for row in rendered), place_px=place)
+    psfs = tuple(row[0] for row in rendered)
+    if trail_px is not None and trail_px.any():
+        psfs = tuple(trailed(psf, trail_px) for psf in psfs)
+    return PsfGrid(psfs=psfs, place_px=place)

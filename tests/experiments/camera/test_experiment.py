@@ -64,6 +64,16 @@ def test_frames_confirm_the_prediction(sensor, tmp_path, engine):
 
 
 @pytest.mark.slow
+def test_frames_of_a_sensor_that_turns(sensor, tmp_path, engine):
+    """Stars that trail over 6 px: noise, detection and attitudes are still what is predicted."""
+    slew = ("--set", "slew.rate_deg_per_s=0.25", "--set", "slew.direction_deg=30", "--set", "window_px=13")
+    status, summary, page = run(sensor, tmp_path, *slew, "--set", "tornado.parameters=[]")
+    assert status == 0
+    assert len(summary["criteria"]) == 8
+    assert "trail" in page
+
+
+@pytest.mark.slow
 def test_criteria_fail_on_a_wrong_prediction(sensor, tmp_path, engine, monkeypatch):
     """Read noise half of what the frames have: noise, false alarms and attitudes are noticed."""
     from dataclasses import replace

@@ -91,9 +91,22 @@ def test_two_keys_make_a_map():
     assert found.points[4].at == (0.2, 6.0)
 
 
+def test_stars_that_trail():
+    """NEA in white noise rises with the root of the lit area; a trail beyond the window is refused at its point."""
+    quiet = {"detector": STILL | {"read_noise_e": 40.0}, "star": {"magnitude_mag": 6.0}, "centroid": "epsf"}
+    found = study("slew.rate_deg_per_s=0:1.2:4", window_px=19, **quiet)
+    nea, electrons = (found.grid(name).ravel() for name in ("nea_arcsec", "electrons_e"))
+    assert electrons[2] == pytest.approx(electrons[0], rel=1e-12)
+    trail_px = 0.4 * 0.2 * 3600.0 / found.points[0].scalars["pixel_arcsec"].value
+    assert 3.0 < trail_px < 15.0
+    assert 1.5 < nea[1] / nea[0] < nea[2] / nea[0]
+    assert "window_px = 19 is too small" in found.points[3].refusal
+
+
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
+        ({"slew": {"rate_deg_per_s": 1.0}, "instrument": {"line_time_us": 5.0}}, "global shutter"),
         ({"sweep": ["exposre_s=0.1:0.2:3"]}, "did you mean exposure_s"),
         ({"sweep": ["frames.readouts=3:9:3"]}, "unknown parameter"),
         ({"sweep": ["exposure_s=-1:0.2:3"]}, "above 0"),

@@ -7,10 +7,10 @@ from scipy.special import ndtr
 from optics.errors import DomainError
 from optics.frames import field_angles_deg
 from optics.rays.spots import trace_spots
-from render.records import StarField
+from render.records import EffectivePsf, StarField
 from render.sensor import load_star_sensor
 from render.tracing.psf import epsf_tracer, render_epsf
-from render.tracing.ray_psf import ray_epsf
+from render.tracing.ray_psf import ray_epsf, trailed
 
 
 def test_one_ray_is_the_diffusion_kernel_on_pixels():
@@ -37,6 +37,22 @@ def test_the_renderer_makes_the_same(engine):
     at = camera.to_pixel(spots.rays.x[0], spots.rays.y[0])
     psf = ray_epsf(at[0].ravel(), at[1].ravel(), weight.ravel(), diffusion_px=camera.charge_diffusion_px)
     np.testing.assert_allclose(psf.values, rendered.values, atol=2.5e-3)  # of a peak of 0.6
+
+
+def test_a_trail_across_the_columns_is_an_integral_of_the_star():
+    """Integral of the error function, to what samples 1/8 px apart hold."""
+    sigma, length = 0.6, 3.5
+    offset = (np.arange(121) - 60) / 8.0
+
+    def within(x):  # of the light of a pixel that begins at x, up to a constant; its derivative is ndtr(x / sigma)
+        u = x / sigma
+        return sigma * (u * ndtr(u) + np.exp(-0.5 * u**2) / np.sqrt(2.0 * np.pi))
+
+    still = ndtr((offset + 0.5) / sigma) - ndtr((offset - 0.5) / sigma)
+    ends = [offset + side + 0.5 * turn * length for side in (0.5, -0.5) for turn in (1, -1)]
+    moved = (within(ends[0]) - within(ends[1]) - within(ends[2]) + within(ends[3])) / length
+    psf = trailed(EffectivePsf(values=np.outer(still, still), oversampling=8), np.array([length, 0.0]))
+    np.testing.assert_allclose(psf.values, np.outer(still, moved), atol=1e-9)
 
 
 def test_refused():
