@@ -132,6 +132,10 @@ WORDS: dict[str, tuple[str, str]] = {
         "yes: stars, motion, and the derivatives of the linear model (which also bounds each run)",
         "derivatives against differences, bound against calib.calibration, scatter against both",
     ),
+    "experiments/camera": (
+        "no: the sky that both look at, and a star's light per square millimetre, which has tests of its own",
+        "catalogue against astropy; electrons by hand; pupil area against the renderer's own quadrature",
+    ),
     "experiments/cube": (
         "yes: geometry of faces and readings, and the reduction of perfect positions",
         "R_sp written out from the document's equations; light really reflected; differences",
@@ -184,9 +188,15 @@ COMPARISONS = (
     Comparison(
         experiment="budget",
         what="all terms",
-        predicted=("experiments.budget.terms:predict_terms", f"{LABORATORY}.ray_prediction:bundle_prediction"),
-        measured=("experiments.budget.terms:measure_terms",),
+        predicted=("experiments.budget.predict:predict_terms", f"{LABORATORY}.ray_prediction:bundle_prediction"),
+        measured=("experiments.budget.measure:measure_terms",),
         both=PSFS,
+    ),
+    Comparison(
+        experiment="camera",
+        what="noise, detection, attitude",
+        predicted=("experiments.camera.prediction:predict_camera",),
+        measured=("experiments.camera.rendered:render_frames",),
     ),
     Comparison(
         experiment="acf",

@@ -8,7 +8,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from calib.measure.centroid import get_centroider
 from experiments.camera.settings import Config
+from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.detector_changes import DetectorConfig, overridden
 from experiments.laboratory.filter_wheel import open_band
 from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector
@@ -138,7 +140,7 @@ def optical_state(config: Config) -> OpticalState:
         magnitude_system(config.catalogue),
         config.star.temperature_k,
         (turn, math.radians(config.slew.direction_deg)) if turn else (0.0, 0.0),
-        config.window_px,
+        _window(config) if turn else None,
     )
 
 
@@ -157,7 +159,7 @@ def _state(
     system: str,
     temperature_k: float,
     turn_rad: tuple[float, float],
-    window_px: int,
+    window: tuple[str, int] | None,
 ) -> OpticalState:
     instrument = build_instrument(config, detector=overridden(configured_detector(config), chip))
     try:
@@ -178,7 +180,8 @@ def _state(
     pitch, diffusion_px = camera.pixel_pitch_mm, camera.charge_diffusion_px
     rms_px = white_focus(spots, share).rms_mm() / pitch
     trail_px = performance.plate_scale_mm / pitch * turn_rad[0] * np.array([np.cos(turn_rad[1]), np.sin(turn_rad[1])])
-    _check_trail(float(np.hypot(*trail_px)), float(np.nanmax(rms_px)), window_px)
+    if window is not None:
+        _check_trail(float(np.hypot(*trail_px)), float(np.nanmax(rms_px)), *window)
     half = int(np.clip(np.ceil(4.0 * np.nanmax(rms_px) + 0.5 * np.abs(trail_px).max()) + 4, 8, 40))
     camera_px = _Bundles(spots, pitch, diffusion_px, trail_px, half)
     psfs = camera_px.psfs(share, AZIMUTH_DEG)
@@ -205,12 +208,20 @@ def _state(
     )
 
 
-def _check_trail(trail_px: float, rms_px: float, window_px: int) -> None:
+def _window(config: Config) -> tuple[str, int]:
+    """Pixels that the centroider looks at, and the setting that says so."""
+    half = None if needs_epsf(config.centroid) else getattr(get_centroider(config.centroid), "half_width_px", None)
+    if half is not None and 2 * half + 1 < config.window_px:
+        return f"centroid = {config.centroid}, which looks at", 2 * half + 1
+    return "window_px =", config.window_px
+
+
+def _check_trail(trail_px: float, rms_px: float, setting: str, window_px: int) -> None:
     needed = int(np.ceil(trail_px + 4.0 * rms_px)) // 2 * 2 + 1
-    if trail_px and needed > window_px:
+    if needed > window_px:
         raise DomainError(
-            f"slew.rate_deg_per_s, instrument.exposure_s: stars trail over {trail_px:.3g} px, for which window_px = "
-            f"{window_px} is too small (at least {needed}); lower rate or exposure, or raise window_px"
+            f"slew.rate_deg_per_s, instrument.exposure_s: stars trail over {trail_px:.3g} px, which is too much for "
+            f"{setting} {window_px} px (at least {needed}); lower rate or exposure, or choose another one"
         )
 
 

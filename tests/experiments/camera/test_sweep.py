@@ -100,7 +100,9 @@ def test_stars_that_trail():
     trail_px = 0.4 * 0.2 * 3600.0 / found.points[0].scalars["pixel_arcsec"].value
     assert 3.0 < trail_px < 15.0
     assert 1.5 < nea[1] / nea[0] < nea[2] / nea[0]
-    assert "window_px = 19 is too small" in found.points[3].refusal
+    assert "too much for window_px = 19 px" in found.points[3].refusal
+    with pytest.raises(DomainError, match="centroid = cog, which looks at 7 px"):
+        study("slew.rate_deg_per_s=0.4:1.2:2", window_px=19, **quiet | {"centroid": "cog"})
 
 
 @pytest.mark.parametrize(
