@@ -1,27 +1,81 @@
-"""Star field + camera -> noiseless image, through ``mi.load_dict`` and ``mi.render``."""
+"""Star field + camera -> noiseless image, through ``mi.load_dict``, ``mi.traverse`` and ``mi.render``."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from optics.errors import StarbenchError
+from optics.errors import ConfigError, StarbenchError
 from render.camera import Camera
 from render.engine import Engine
-from render.plugins.camera_properties import lens_camera_properties
+from render.plugins.camera_properties import lens_camera_properties, share_motion
 from render.plugins.register import register_plugins
-from render.plugins.star_field import share_collimation, share_motion
+from render.plugins.scene_files import save_scene
+from render.plugins.star_field import share_collimation
 from render.records import ExpectedImage, StarField, checked_exposure
+from render.tracing.convergence import TOLERANCE
 from render.tracing.motion import ExposureMotion
 from render.tracing.tracer import TracedStars
 
-__all__ = ["StarRenderer", "render_stars"]
+__all__ = ["StarRenderer", "render_stars", "star_scene"]
+
+STARS = ("direction", "wavelength_nm", "photon_rate")
+
+
+def star_scene(
+    camera: Camera,
+    stars: StarField,
+    *,
+    exposure_s: float = 1.0,
+    motion: ExposureMotion | None = None,
+    sobol_log2_rays: int = 16,
+    tolerance: float = TOLERANCE,
+    contents: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Scene for ``mi.load_dict``: integrator, camera, stars, and whatever else it shall hold.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera with its attitude.
+    stars : StarField
+        Stars in the camera's world frame.
+    exposure_s : float
+        Exposure time.
+    motion : ExposureMotion, optional
+        Attitudes during the exposure, in place of one.
+    sobol_log2_rays, tolerance
+        Of ``star_tracer``.
+    contents : mapping, optional
+        Further entries of the scene, e.g. shapes that hide stars, in the camera's world frame and mm.
+    """
+    mi = Engine.active().mitsuba
+    moving = {} if motion is None else {"exposure_motion": share_motion(motion)}
+    bent = {} if stars.collimation is None else {"collimation": share_collimation(stars.collimation)}
+    tensors = {name: mi.TensorXf64(np.ascontiguousarray(getattr(stars, name))[None]) for name in STARS}
+    return {
+        "type": "scene",
+        "integrator": {"type": "star_tracer", "sobol_log2_rays": sobol_log2_rays, "tolerance": tolerance},
+        "camera": lens_camera_properties(camera, shutter_close=exposure_s, **moving),
+        "stars": {
+            "type": "star_field",
+            **tensors,
+            "band": ",".join(name.replace(",", ";") for name in stars.band),
+            **bent,
+        },
+        **(contents or {}),
+    }
 
 
 class StarRenderer:
-    """Renders star fields through one camera; loaded once, so that the lens is compiled and its pupil planned once.
+    """Renders star fields through one camera, in one scene: the lens is compiled and its pupil planned once.
+
+    Stars and attitude are parameters of the scene (`mi.traverse`); nothing is loaded again from frame to frame.
 
     Parameters
     ----------
@@ -33,6 +87,10 @@ class StarRenderer:
         Logarithm of the rays per star and band where the pupil is not round and clear.
     seed : int
         Scrambles the Sobol points; without effect on clear pupils.
+    tolerance : float
+        Of the quadrature of the pupil.
+    contents : mapping, optional
+        Further entries of the scene (`star_scene`): bodies that hide stars.
 
     Raises
     ------
@@ -45,14 +103,31 @@ class StarRenderer:
         What the last image was made of, including how the pupil was sampled.
     """
 
-    def __init__(self, camera: Camera, *, exposure_s: float = 1.0, sobol_log2_rays: int = 16, seed: int = 0) -> None:
+    def __init__(
+        self,
+        camera: Camera,
+        *,
+        exposure_s: float = 1.0,
+        sobol_log2_rays: int = 16,
+        seed: int = 0,
+        tolerance: float = TOLERANCE,
+        contents: Mapping[str, Any] | None = None,
+    ) -> None:
         self.exposure_s = checked_exposure(exposure_s)
         register_plugins()
-        self._mi = mi = Engine.active().mitsuba
+        self._mi = Engine.active().mitsuba
         self.camera, self.seed = camera, int(seed)
         self.traced: TracedStars | None = None
-        self._integrator = mi.load_dict({"type": "star_tracer", "sobol_log2_rays": sobol_log2_rays})
-        self._sensor = mi.load_dict(lens_camera_properties(camera, shutter_close=self.exposure_s))
+        self._settings: dict[str, Any] = {
+            "exposure_s": self.exposure_s,
+            "sobol_log2_rays": sobol_log2_rays,
+            "tolerance": tolerance,
+            "contents": contents,
+        }
+        self._scene: Any = None
+        self._params: Any = None
+        self._field: Any = None
+        self._last: tuple[Camera, StarField, ExposureMotion | None] | None = None
 
     def render(
         self,
@@ -61,7 +136,24 @@ class StarRenderer:
         rotation_cam_from_world: NDArray[np.float64] | None = None,
         motion: ExposureMotion | None = None,
     ) -> ExpectedImage:
-        """Noiseless image with truth.
+        """Noiseless image with truth; parameters and errors as `trace`."""
+        traced = self.trace(stars, rotation_cam_from_world=rotation_cam_from_world, motion=motion)
+        return ExpectedImage(
+            electrons=traced.electrons,
+            band=stars.band,
+            exposure_s=self.exposure_s,
+            diffused=True,
+            truth=traced.truth,
+        )
+
+    def trace(
+        self,
+        stars: StarField,
+        *,
+        rotation_cam_from_world: NDArray[np.float64] | None = None,
+        motion: ExposureMotion | None = None,
+    ) -> TracedStars:
+        """The same as it comes from ``mi.render``, not copied and not checked again.
 
         Parameters
         ----------
@@ -79,41 +171,49 @@ class StarRenderer:
         ConfigError
             Both an attitude and a motion.
         """
-        mi = self._mi
-        attitude: dict[str, Any] = {} if motion is None else {"motion": share_motion(motion)}
-        if stars.collimation is not None:
-            attitude["collimation"] = share_collimation(stars.collimation)
+        if rotation_cam_from_world is not None and motion is not None:
+            raise ConfigError("an attitude and a motion are given; leave one of them out")
+        camera = self.camera
         if rotation_cam_from_world is not None:
-            attitude["rotation"] = mi.TensorXf64(np.ascontiguousarray(rotation_cam_from_world, float)[None])
-        scene = mi.load_dict(
-            {
-                "type": "scene",
-                "camera": self._sensor,
-                "stars": {
-                    "type": "star_field",
-                    "direction": mi.TensorXf64(stars.direction[None]),
-                    "wavelength_nm": mi.TensorXf64(stars.wavelength_nm[None]),
-                    "photon_rate": mi.TensorXf64(stars.photon_rate[None]),
-                    "band": ",".join(name.replace(",", ";") for name in stars.band),
-                    **attitude,
-                },
-            }
-        )
+            camera = replace(camera, rotation_cam_from_world=rotation_cam_from_world)
         try:
-            mi.render(scene, sensor=self._sensor, integrator=self._integrator, seed=self.seed)
+            self._update(camera, stars, motion)
+            image = self._mi.render(self._scene, seed=self.seed)
         except RuntimeError as error:  # Mitsuba wraps what a plugin raises, Ctrl-C too
             if isinstance(error.__cause__, (StarbenchError, KeyboardInterrupt)):
                 raise error.__cause__ from None
             raise
-        traced: TracedStars = self._integrator.traced
-        self.traced = traced
-        return ExpectedImage(
-            electrons=traced.electrons,  # what mi.render returned, before it became a tensor
-            band=stars.band,
-            exposure_s=self.exposure_s,
-            diffused=True,
-            truth=traced.truth,
-        )
+        self._last = (camera, stars, motion)
+        self.traced = replace(self._scene.integrator().traced, electrons=image.numpy())
+        return self.traced
+
+    def save(self, path: str | Path) -> list[Path]:
+        """Write the scene of the last image (`render.plugins.scene_files.save_scene`), for ``mi.load_file``.
+
+        Raises
+        ------
+        ConfigError
+            Before the first image.
+        """
+        if self._last is None:
+            raise ConfigError("nothing was rendered yet; the scene of an image is saved after it")
+        camera, stars, motion = self._last
+        return save_scene(path, star_scene(camera, stars, motion=motion, **self._settings))
+
+    def _update(self, camera: Camera, stars: StarField, motion: ExposureMotion | None) -> None:
+        """Load the scene, or bring it up to date."""
+        mi = self._mi
+        if self._scene is None:
+            self._scene = mi.load_dict(star_scene(self.camera, stars, **self._settings))
+            self._field = next(one for one in self._scene.emitters() if hasattr(one, "photon_rate"))
+            self._params = mi.traverse(self._scene)
+            self._params.keep(["camera.rotation", *(f"stars.{name}" for name in STARS)])
+        self._scene.sensors()[0].exposure_motion = motion
+        self._field.collimation = stars.collimation
+        for name in STARS:
+            self._params[f"stars.{name}"] = mi.TensorXf64(np.ascontiguousarray(getattr(stars, name)))
+        self._params["camera.rotation"] = mi.TensorXf64(np.ascontiguousarray(camera.rotation_cam_from_world))
+        self._params.update()
 
 
 def render_stars(camera: Camera, stars: StarField, *, exposure_s: float = 1.0) -> ExpectedImage:

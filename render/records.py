@@ -118,8 +118,9 @@ class Truth:
         pixel grid (up to some 1e-2 px for sharp spots), which is a property of an estimator and not of the light.
     electrons_in : (n, b)
         Electrons that would be collected if every photon through the entrance aperture reached the detector.
-    electrons_image, electrons_vignetted, electrons_off_edge : (n, b)
-        Where they went; their sum is ``electrons_in``.
+    electrons_image, electrons_vignetted, electrons_off_edge, electrons_hidden : (n, b)
+        Where they went; their sum is ``electrons_in``. Hidden is what would have reached the image plane if nothing
+        stood between the sky and the lens.
     variance_x_px2, variance_y_px2 : (n, b)
         Second central moments of the ray bundle (no diffusion, no pixel).
     """
@@ -134,6 +135,7 @@ class Truth:
     electrons_image: FloatArray
     electrons_vignetted: FloatArray
     electrons_off_edge: FloatArray
+    electrons_hidden: FloatArray
     variance_x_px2: FloatArray
     variance_y_px2: FloatArray
 

@@ -13,19 +13,48 @@ from optics.errors import ConfigError
 from optics.lens.prescription import load_lens
 from optics.units import UM_MM
 from render.camera import Camera
-from render.plugins.handles import Handles
+from render.engine import Engine
+from render.plugins.handles import Handles, rotation_of
+from render.tracing.motion import ExposureMotion
 
-__all__ = ["CameraMotion", "camera_of", "lens_camera_properties", "motion_of", "moved", "share_camera"]
+__all__ = [
+    "CameraMotion",
+    "camera_of",
+    "exposure_motion_of",
+    "find_camera",
+    "find_motion",
+    "lens_camera_properties",
+    "motion_of",
+    "moved",
+    "share_camera",
+    "share_motion",
+]
 
 _MITSUBA_FROM_CAM = np.diag([-1.0, -1.0, 1.0])
 """Mitsuba's local frame has +X to the left and +Y up in the image; cam has +X to the right and +Y down."""
 
-_cameras: Handles[Camera] = Handles("camera")
+_cameras: Handles[Camera] = Handles(Camera, "camera")
+_motions: Handles[ExposureMotion] = Handles(ExposureMotion, "motion")
 
 
 def share_camera(camera: Camera) -> str:
     """Handle by which ``load_dict`` takes a camera record, see `render.plugins.handles`."""
     return _cameras.share(camera)
+
+
+def share_motion(motion: ExposureMotion) -> str:
+    """Handle by which ``load_dict`` takes a motion, see `render.plugins.handles`."""
+    return _motions.share(motion)
+
+
+def find_camera(name: str) -> Camera:
+    """Camera of a handle or a file."""
+    return _cameras.named(Engine.active().mitsuba, name)
+
+
+def find_motion(name: str) -> ExposureMotion:
+    """Motion of a handle or a file."""
+    return _motions.named(Engine.active().mitsuba, name)
 
 
 def lens_camera_properties(camera: Camera, **others: Any) -> dict[str, Any]:
@@ -51,8 +80,9 @@ def lens_camera_properties(camera: Camera, **others: Any) -> dict[str, Any]:
 
 def _rotation(props: Any) -> np.ndarray:
     """cam from world, float64, from ``rotation`` or ``to_world``."""
-    if "rotation" in props:
-        return np.array(props["rotation"], dtype=float).reshape(3, 3)
+    turn = rotation_of(props, "lens_camera")
+    if turn is not None:
+        return turn
     if "to_world" in props:
         matrix = np.array(props["to_world"].matrix, dtype=float)[:3, :3]
         u, size, vt = np.linalg.svd(matrix)
@@ -63,8 +93,8 @@ def _rotation(props: Any) -> np.ndarray:
 
 
 def _shared_camera(props: Any, width: int, height: int) -> Camera:
-    """The camera of a handle."""
-    camera = _cameras.find(str(props["camera"]))
+    """The camera of a handle or a file."""
+    camera = find_camera(str(props["camera"]))
     if (camera.width_px, camera.height_px) != (width, height):
         raise ConfigError(
             f"lens_camera: film of {width} x {height} px for a camera of {camera.width_px} x {camera.height_px} px"
@@ -128,8 +158,26 @@ def moved(props: Any) -> np.ndarray:
     return matrix
 
 
+def exposure_motion_of(props: Any, exposure_s: float) -> ExposureMotion | None:
+    """The motion under which stars are seen, of a handle or a file, if there is one.
+
+    Raises
+    ------
+    ConfigError
+        No such motion, or one for another exposure.
+    """
+    if "exposure_motion" not in props:
+        return None
+    motion = find_motion(str(props["exposure_motion"]))
+    if not math.isclose(motion.exposure_s, exposure_s, rel_tol=1e-9):
+        raise ConfigError(
+            f"lens_camera: the shutter is open for {exposure_s:g} s, exposure_motion lasts {motion.exposure_s:g} s"
+        )
+    return motion
+
+
 def camera_of(props: Any, width: int, height: int) -> Camera:
-    """The camera of a handle, or the one that the properties describe, for a film of so many pixels.
+    """The camera of a handle or a file, or the one that the properties describe, for a film of so many pixels.
 
     Raises
     ------

@@ -1,12 +1,16 @@
-"""Records in Mitsuba's scene dictionaries: properties hold no Python objects, so a handle stands for the record."""
+"""Records in Mitsuba's scene dictionaries: properties hold no Python objects, so a handle or a file stands for them."""
 
 from __future__ import annotations
 
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
-from optics.errors import unknown_name
+import numpy as np
 
-__all__ = ["Handles"]
+from optics.arrays import FloatArray
+from optics.errors import ConfigError, unknown_name
+from optics.record_files import read_record
+
+__all__ = ["Handles", "resolved", "rotation_of"]
 
 _Record = TypeVar("_Record")
 KEPT = 64
@@ -18,17 +22,19 @@ class Handles(Generic[_Record]):
 
     Parameters
     ----------
-    kind : str
-        What the records are, for messages.
+    kind : type
+        Of the records.
+    name : str
+        What they are called in messages.
     """
 
-    def __init__(self, kind: str) -> None:
-        self.kind = kind
+    def __init__(self, kind: type[_Record], name: str) -> None:
+        self.kind, self.name = kind, name
         self._records: dict[str, _Record] = {}
 
     def share(self, record: _Record) -> str:
         """Handle of a record, which is kept alive until `KEPT` others have been shared."""
-        handle = f"{self.kind}-{id(record):x}"
+        handle = f"{self.name}-{id(record):x}"
         self._records.pop(handle, None)
         self._records[handle] = record
         while len(self._records) > KEPT:
@@ -44,5 +50,38 @@ class Handles(Generic[_Record]):
             If there is none.
         """
         if handle not in self._records:
-            raise unknown_name(f"{self.kind} handle", handle, self._records)
+            raise unknown_name(f"{self.name} handle", handle, self._records)
         return self._records[handle]
+
+    def named(self, mi: Any, name: str) -> _Record:
+        """Record of a handle or of a file (.json) that `optics.record_files.write_record` wrote.
+
+        Raises
+        ------
+        ConfigError
+            If there is none, or it is another kind of record.
+        """
+        return read_record(resolved(mi, name), self.kind) if name.endswith(".json") else self.find(name)
+
+
+def resolved(mi: Any, name: str) -> str:
+    """Path of a file that a scene names: beside the scene file that is being read, or in the working directory."""
+    return str(mi.file_resolver().resolve(name))
+
+
+def rotation_of(props: Any, plugin: str) -> FloatArray | None:
+    """Property ``rotation``: nine numbers, row by row, as a tensor or written out; None without.
+
+    Raises
+    ------
+    ConfigError
+        Other than nine numbers.
+    """
+    if "rotation" not in props:
+        return None
+    value = props["rotation"]
+    try:
+        numbers = [float(v) for v in value.replace(",", " ").split()] if isinstance(value, str) else value
+        return np.array(numbers, dtype=float).reshape(3, 3)
+    except ValueError:
+        raise ConfigError(f"{plugin}: rotation needs nine numbers, row by row") from None

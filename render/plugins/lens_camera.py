@@ -5,8 +5,8 @@ Properties
 lens : str
     Built-in name or path of a prescription; or
 camera : str
-    Handle of a `render.camera.Camera` (`share_camera`), which then sets lens, pixels, focus and attitude; ``to_world``
-    may only move it.
+    Handle of a `render.camera.Camera` (`share_camera`) or a file of one (`optics.record_files`), which then sets lens,
+    pixels, focus and attitude; ``to_world`` may only move it.
 pixel_pitch_um : float
     Pixel pitch; the film gives the number of pixels.
 defocus_mm, charge_diffusion_um : float, default 0
@@ -14,7 +14,7 @@ defocus_mm, charge_diffusion_um : float, default 0
 to_world : Transform4f
     As for Mitsuba's ``perspective``: the camera looks along its local +Z, its local +Y is up in the image. Single
     precision (0.02"); for star fields rather give
-rotation : TensorXf64 (3, 3)
+rotation : TensorXf64 (3, 3) or str of nine numbers
     ``v_cam = rotation @ v_world`` in float64.
 scene_unit_mm : float, default 1
     Length of a scene unit; where rays leave the first lens is placed accordingly.
@@ -33,6 +33,10 @@ line_time_s : float, default 0
 first_row : int, default 0
     Row of the detector that is row 0 of the film, where the film is a window.
 
+exposure_motion : str
+    Handle (`share_motion`) or file of a `render.tracing.motion.ExposureMotion`: the attitudes under which
+    ``star_tracer`` sees the stars, in place of ``rotation``.
+
 The film may be cropped (``crop_width`` ...): its pixels are those of the whole film.
 
 Stars are traced forward by ``star_tracer``. Extended bodies are rendered by stock integrators: `sample_ray` starts
@@ -47,7 +51,7 @@ are refused, ``prb`` has those of everything but silhouettes.
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,7 +65,7 @@ from optics.rays.trace import OK, Rays, trace, trace_program
 from render.camera import Camera, launch_disk
 from render.engine.arrays import DrJitArrays
 from render.engine.jit import dr
-from render.plugins.camera_properties import camera_of, motion_of, moved
+from render.plugins.camera_properties import camera_of, exposure_motion_of, motion_of, moved
 from render.tracing.sampling import probe_fields
 
 __all__ = ["define", "exit_disk"]
@@ -168,14 +172,18 @@ def define(mi: Any) -> type:
             if not dr.is_jit_v(mi.Float):
                 raise BackendError(f"lens_camera runs in llvm and cuda variants, not in {mi.variant()}")
             size = self.film().size()
-            self.camera = camera_of(props, int(size.x), int(size.y))
+            self.optics = camera_of(props, int(size.x), int(size.y))
+            self.rotation = mi.TensorXf64(self.optics.rotation_cam_from_world)
+            self.camera = self.optics
             self.m_needs_sample_3 = True
             self.scene_unit_mm = float(props.get("scene_unit_mm", 1.0))
             self.wavelength_nm = float(props.get("wavelength_nm", self.camera.lens.design_wavelength_nm))
             self.camera.lens.check_wavelength(self.wavelength_nm)
-            self._position = mi.ScalarVector3d(moved(props)[:3, 3].tolist())
+            self.position = tuple(moved(props)[:3, 3].tolist())
+            self._position = mi.ScalarVector3d(self.position)
             exposure_s = float(props.get("shutter_close", 0.0)) - float(props.get("shutter_open", 0.0))
             self.exposure_s = exposure_s or 1.0
+            self.exposure_motion = exposure_motion_of(props, self.exposure_s)
             self._motion = motion_of(props)
             if self._motion is not None and not exposure_s > 0:
                 raise ConfigError("lens_camera: motion_rotation needs shutter_open and shutter_close")
@@ -184,6 +192,16 @@ def define(mi: Any) -> type:
             self._backward: _Backward | None = None
             self._forward: _Forward | None = None
             self._turns: tuple[Any, ...] | None = None
+
+        def traverse(self, callback: Any) -> None:
+            callback.put("rotation", self.rotation, mi.ParamFlags.Differentiable)
+
+        def parameters_changed(self, keys: list[str]) -> None:
+            """Take over an attitude; ``optics``, the camera but for its attitude, stays the same record."""
+            turn = np.array(self.rotation.numpy(), float).reshape(3, 3)
+            if not np.array_equal(turn, self.camera.rotation_cam_from_world):
+                self.camera = replace(self.optics, rotation_cam_from_world=turn)
+                self._backward = self._forward = None
 
         def _window(self) -> tuple[int, int, int, int]:
             """Crop of the film (first column, first row, columns, rows); what hangs on another one is forgotten."""

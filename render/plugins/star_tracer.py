@@ -4,24 +4,84 @@ Properties
 ----------
 sobol_log2_rays : int, default 16
     Logarithm of the rays per star and band where the pupil is not round and clear.
+tolerance : float, default 3e-5
+    Of the quadrature of the pupil (`render.tracing.sampling`).
+bodies : integrator, optional
+    What renders everything else in the scene, e.g. ``path``: its image through the same lens is added to the stars'.
 
-``mi.render`` returns an image (h, w, bands) of expected photo-electrons in the exposure (the camera's ``shutter_open``
-to ``shutter_close``); its ``seed`` scrambles the Sobol points. The truth of the last image is in ``integrator.traced``.
+``mi.render`` returns expected photo-electrons in the exposure (the camera's ``shutter_open`` to ``shutter_close``), the
+bands of the ``star_field`` as channels, of the pixels of the film's crop; the same stands on the film: the sum of the
+bands as its luminance, and where there are several, each as a channel of its name. What else is known is in
+``integrator.traced`` for the last image and in ``integrator.traced_by(sensor)`` for the last one of a sensor; its pixels
+count on the whole film. ``seed`` scrambles the Sobol points and is the seed of ``bodies``.
+
+Shapes that stand between the sky and the lens hide stars, ray by ray (`render.plugins.occlusion`).
+
+With ``bodies``, radiances in the scene count photons per s, mm^2 and sr in each band; a band's light is shared out
+evenly over its wavelength nodes, each of which is traced backwards by an equal part of the samples. Charge diffusion
+and the camera's response are applied as to the stars.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from optics.errors import ConfigError
+from optics.arrays import FloatArray
+from optics.errors import BackendError, ConfigError
+from render.detector.diffusion import diffuse
+from render.engine.jit import dr
+from render.plugins.occlusion import SceneShade
+from render.records import StarField
+from render.tracing.convergence import TOLERANCE
 from render.tracing.tracer import TracedStars, Tracer
 
 __all__ = ["define"]
 
 KEPT = 8
 """Cameras (with a seed each) whose compiled lens is kept for the next image."""
+
+
+def put_on_film(mi: Any, film: Any, image: Any, bands: tuple[str, ...]) -> None:
+    """Put an image (h, w, b) on a film: luminance, weight, and bands as channels; evaluated when the film is read.
+
+    Raises
+    ------
+    ConfigError
+        A film or a reconstruction filter that cannot hold what the pixels of a detector collect.
+    """
+    if "HDRFilm" not in type(film).__name__ + str(film.class_name()):
+        raise ConfigError(f"star_tracer: a film of kind {film.class_name()}; an hdrfilm is needed")
+    if not film.rfilter().is_box_filter():
+        raise ConfigError(
+            "star_tracer: the film's reconstruction filter would blur what the pixels of a detector collect; give it "
+            "'rfilter': {'type': 'box'}"
+        )
+    names = list(bands) if len(bands) > 1 else []
+    channels = film.prepare(names)
+    height, width, count = image.shape
+    at = dr.arange(mi.UInt32, height * width * channels)
+    pixel, channel = at // channels, at % channels
+    total = dr.zeros(mi.Float, 1)
+    for band in range(count):
+        total = total + dr.gather(mi.Float, image.array, pixel * count + band)
+    first = channels - len(names)
+    value = dr.select(channel == first - 1, 1.0, total)
+    if names:
+        value = dr.select(
+            channel < first, value, dr.gather(mi.Float, image.array, pixel * count + (channel - first), channel >= first)
+        )
+    block = mi.ImageBlock(mi.TensorXf(value, (height, width, channels)), film.crop_offset())
+    film.put_block(block)
+
+
+def _turned(stars: StarField, rotation: FloatArray) -> StarField:
+    """Stars with their directions turned."""
+    direction = stars.direction @ rotation.T
+    return replace(stars, direction=direction / np.linalg.norm(direction, axis=1, keepdims=True))
 
 
 def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
@@ -33,8 +93,18 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
             self.sobol_log2_rays = int(props.get("sobol_log2_rays", 16))
             if not 6 <= self.sobol_log2_rays <= 26:
                 raise ConfigError(f"star_tracer: sobol_log2_rays = {self.sobol_log2_rays} is outside 6 ... 26")
+            self.tolerance = float(props.get("tolerance", TOLERANCE))
+            if not self.tolerance > 0.0:
+                raise ConfigError(f"star_tracer: tolerance = {self.tolerance:g}; it must be positive")
+            self.bodies = props.get("bodies")
+            if self.bodies is not None and (mi.is_spectral or mi.is_rgb):
+                raise BackendError(
+                    f"star_tracer: bodies in the variant {mi.variant()}; bands are rendered one by one in llvm_ad_mono "
+                    "or cuda_ad_mono"
+                )
             self.traced: TracedStars | None = None
-            self._tracers: dict[tuple[int, int], tuple[Any, Tracer]] = {}
+            self._traced_by: dict[int, tuple[Any, TracedStars]] = {}
+            self._tracers: dict[tuple[int, int], Tracer] = {}
 
         def render(
             self,
@@ -45,6 +115,25 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
             develop: bool = True,
             evaluate: bool = True,
         ) -> Any:
+            camera, field = self._seen(scene, sensor)
+            number = int(np.asarray(seed).item())  # a number, or a Dr.Jit array of one
+            self.traced = self._trace(scene, camera, field, number)
+            self._traced_by[id(camera)] = (camera, self.traced)
+            film = camera.film()
+            (left, top), (width, height) = film.crop_offset(), film.crop_size()
+            electrons = self.traced.electrons[top : top + height, left : left + width]
+            if self.bodies is not None:
+                electrons = electrons + self._bodies(scene, camera, field.stars.wavelength_nm, number, spp)
+            image = mi.TensorXf(np.ascontiguousarray(electrons))
+            put_on_film(mi, film, image, field.stars.band)
+            return image
+
+        def traced_by(self, sensor: Any) -> TracedStars:
+            """What the last image of a sensor was made of."""
+            return self._traced_by[id(sensor)][1]
+
+        def _seen(self, scene: Any, sensor: Any) -> tuple[Any, Any]:
+            """Camera and star field of a scene."""
             camera = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             if not isinstance(camera, camera_class):
                 raise ConfigError(f"star_tracer: the sensor is a {type(camera).__name__}; a lens_camera is needed")
@@ -53,20 +142,61 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
                 raise ConfigError(
                     f"star_tracer: the scene holds {len(fields)} star_field emitters; exactly one is needed"
                 )
-            number = int(np.asarray(seed).item())  # a number, or a Dr.Jit array of one
-            key = (id(camera), number)
-            if key not in self._tracers:  # the sensor is kept too, so that its id stays taken
+            return camera, fields[0]
+
+        def tracer(self, camera: Any, number: int) -> Tracer:
+            """Compiled lens and plans of a camera; another attitude needs no other."""
+            key = (id(camera.optics), number)
+            kept = self._tracers.get(key)
+            if kept is None or kept.camera is not camera.optics:
                 while len(self._tracers) >= KEPT:
                     self._tracers.pop(next(iter(self._tracers)))
-                tracer = Tracer(camera.camera, sobol_log2_rays=self.sobol_log2_rays, sobol_seed=number)
-                self._tracers[key] = (camera, tracer)
-            self.traced = self._tracers[key][1].render(
-                fields[0].stars,
+                kept = self._tracers[key] = Tracer(
+                    camera.optics,
+                    sobol_log2_rays=self.sobol_log2_rays,
+                    sobol_seed=number,
+                    tolerance=self.tolerance,
+                )
+            return kept
+
+        def _trace(self, scene: Any, camera: Any, field: Any, number: int) -> TracedStars:
+            """Stars through the lens, less what bodies hide."""
+            stars, turn, motion = field.stars, field.world_from_stars, camera.exposure_motion
+            attitude = camera.camera.rotation_cam_from_world
+            if turn is not None:
+                stars = _turned(stars, turn)
+            shade = None
+            if scene.shapes():
+                middle = attitude if motion is None else motion.rotation_mid
+                shade = SceneShade(scene, stars.direction, middle, camera.position, camera.scene_unit_mm)
+            return self.tracer(camera, number).render(
+                stars,
                 exposure_s=camera.exposure_s,
-                rotation_cam_from_world=fields[0].rotation,
-                motion=fields[0].motion,
+                rotation_cam_from_world=attitude if motion is None else None,
+                motion=motion,
+                shade=shade,
             )
-            return mi.TensorXf(self.traced.electrons)
+
+        def _bodies(
+            self, scene: Any, camera: Any, wavelength_nm: FloatArray, number: int, spp: int
+        ) -> NDArray[np.float32]:
+            """Electrons (h, w, b) of everything but the stars, on the film's crop."""
+            optics, before = camera.optics, camera.wavelength_nm
+            bands, nodes = wavelength_nm.shape
+            samples = -(-(spp or camera.sampler().sample_count()) // nodes)
+            light = optics.response_at(wavelength_nm) * (optics.pixel_pitch_mm**2 * camera.exposure_s / nodes)
+            layers = []
+            try:
+                for band, node in np.ndindex(bands, nodes):
+                    camera.wavelength_nm = float(wavelength_nm[band, node])
+                    seed = (number * bands * nodes + band * nodes + node) % 2**32
+                    taken = self.bodies.render(scene, sensor=camera, seed=seed, spp=samples)
+                    layers.append(np.array(taken, dtype=np.float64)[..., 0] * light[band, node])
+            finally:
+                camera.wavelength_nm = before
+            image = np.stack(layers, axis=-1).reshape(*layers[0].shape, bands, nodes).sum(-1)
+            whole = [diffuse(image[..., band], optics.charge_diffusion_px) for band in range(bands)]
+            return np.stack(whole, axis=-1).astype(np.float32)
 
         def sample(self, scene: Any, sensor: Any, sampler: Any, block: Any, sample_scale: Any) -> None:
             raise NotImplementedError("star_tracer renders whole images; call mi.render")

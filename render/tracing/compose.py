@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
 from render.records import Truth
-from render.tracing.kernel import ARRIVED, FIRST, LOST, OUTSIDE, SECOND, STRIPS, StampSums
+from render.tracing.kernel import ARRIVED, FIRST, HIDDEN, LOST, OUTSIDE, SECOND, STRIPS, StampSums
 
 __all__ = ["TruthSums", "add_stamps"]
 
@@ -70,6 +70,7 @@ class TruthSums:
     image: FloatArray
     vignetted: FloatArray
     off_edge: FloatArray
+    hidden: FloatArray
     variance_x: FloatArray
     variance_y: FloatArray
 
@@ -117,6 +118,7 @@ class TruthSums:
         self.image[stars] = on_image * electrons_in
         self.vignetted[stars] = moments[..., LOST] * electrons_in
         self.off_edge[stars] = (landed - on_image + moments[..., OUTSIDE]) * electrons_in
+        self.hidden[stars] = moments[..., HIDDEN] * electrons_in
 
     def truth(self, electrons_in: FloatArray) -> Truth:
         """The finished record."""
@@ -131,6 +133,7 @@ class TruthSums:
             electrons_image=self.image,
             electrons_vignetted=self.vignetted,
             electrons_off_edge=self.off_edge,
+            electrons_hidden=self.hidden,
             variance_x_px2=self.variance_x,
             variance_y_px2=self.variance_y,
         )

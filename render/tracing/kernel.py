@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +24,13 @@ from optics.arrays import FloatArray
 from optics.frames import light_direction
 from optics.light.collimation import Collimation, bent_light
 from optics.rays.program import LensProgram
+from optics.rays.pupil import EntrancePupil
 from optics.rays.trace import OK, Rays, trace_program
 from render.engine import Engine
 from render.engine.jit import dr
 from render.tracing.pupil_points import OutlinePoints, PupilPoints
 
-__all__ = ["Geometry", "StampSums", "StarKernel", "reach_px", "strips_per_pixel"]
+__all__ = ["Geometry", "Shade", "StampSums", "StarKernel", "reach_px", "strips_per_pixel"]
 
 
 PIXEL_REACH, STRIP_REACH = 5.0, 4.0
@@ -41,9 +42,10 @@ MOST_STRIPS = 1024
 
 ARRIVED, LOST, OUTSIDE = 0, 1, 2
 FIRST, SECOND, STRIPS = slice(3, 5), slice(5, 7), slice(7, 9)
+HIDDEN = 9
 """Where the moments of `StampSums` stand: shares of light, then (x, y) of the landing points, of their squares, and of
-the strips."""
-_MOMENTS = STRIPS.stop
+the strips; last the share that would have arrived if nothing stood between the sky and the lens."""
+_MOMENTS = HIDDEN + 1
 
 _SCALE = 2.0**50
 # Between 2^52 and 2^53 a float64 counts in ones: added to this number, a value below 2^51 is rounded to a whole number
@@ -97,11 +99,11 @@ class StampSums:
     ----------
     pixels : (s, b, m, m)
         Light per pixel of the stamp.
-    moments : (s, b, 9)
+    moments : (s, b, 10)
         Light on the stamp (`ARRIVED`), lost in the lens (`LOST`), beside the stamp (`OUTSIDE`); `FIRST` and `SECOND`
         moments of the landing points on the stamp, and first moments of the light over `STRIPS` of columns and of rows,
-        from the stamp's corner in units of its size. Where cells were asked for in place of pixels the strips are left
-        out.
+        from the stamp's corner in units of its size; light that does not get to the lens (`HIDDEN`). Where cells were
+        asked for in place of pixels the strips are left out.
     """
 
     pixels: FloatArray
@@ -110,6 +112,24 @@ class StampSums:
     def take(self, keep: NDArray[np.bool_]) -> StampSums:
         """Some of the stars."""
         return StampSums(self.pixels[keep], self.moments[keep])
+
+
+class Shade(Protocol):
+    """What stands between the sky and the lens of a star field's stars."""
+
+    def near(self, pupil: EntrancePupil) -> NDArray[np.bool_]:
+        """Stars (n,) in whose beam, as wide as a launch disk, something may stand; false where nothing can."""
+
+    def hides(self, rays: Rays, star: Any) -> Any:
+        """Whether rays in the lens frame do not get from their stars to the lens.
+
+        Parameters
+        ----------
+        rays : Rays
+            As `StarKernel.rays` makes them.
+        star : UInt32
+            Whose.
+        """
 
 
 class StarKernel:
@@ -231,6 +251,26 @@ class StarKernel:
         dr.eval(x, y, ok)
         return x.numpy().reshape(shape), y.numpy().reshape(shape), ok.numpy().astype(bool).reshape(shape)
 
+    def hidden_share(self, shade: Shade, pupil: PupilPoints, stars: NDArray[np.uint32]) -> FloatArray:
+        """Share (s,) of the launch disk from which some stars are not seen, by equal weights of its points.
+
+        Parameters
+        ----------
+        shade : Shade
+            What stands in the way.
+        pupil : PupilPoints
+            Points of the launch disk.
+        stars : (s,)
+            Which of the kernel's stars, in the middle of the exposure.
+        """
+        point, position = self.numbered(len(stars) * pupil.count, pupil.count)
+        px, py, _ = pupil.sample(self.types, position, dr.zeros(self.U, 1), point)
+        star = dr.gather(self.U, self.U(stars), position)
+        counts = dr.zeros(self.U, len(stars))
+        hidden = shade.hides(self.rays(star, px, py, self.F(0.0)), star)
+        dr.scatter_add(counts, self.U(1), position, hidden)
+        return np.asarray(counts.numpy() / pupil.count)
+
     def light_of(
         self, slot: Any, node: Any, wavelength_nm: FloatArray, stars: NDArray[np.uint32] | None
     ) -> tuple[Any, Any]:
@@ -303,6 +343,7 @@ class StarKernel:
         corner_px: FloatArray,
         stamp_px: int,
         cells_per_px: int = 1,
+        shade: Shade | None = None,
     ) -> StampSums:
         """Stamps and moments of some of the stars.
 
@@ -322,6 +363,8 @@ class StarKernel:
             Stamp size [px].
         cells_per_px : int
             With more than 1 the stamp's pixels are cells of that fraction of a pixel, and strips are left out.
+        shade : Shade, optional
+            What stands between the sky and the lens.
         """
         F, U = self.F, self.U
         bands, nodes = len(wavelength_nm), wavelength_nm.shape[1] * self.times
@@ -329,18 +372,23 @@ class StarKernel:
         px, py, weight = pupil.sample(self.types, slot, node, point)
         weight = weight * dr.gather(F, F(node_share.ravel()), slot * dr.opaque(U, nodes) + node) * _SCALE
         star, wavelength = self.light_of(slot, node, wavelength_nm, stars)
-        x, y, status = self.launch(star, px, py, wavelength, self._error(slot, node, wavelength_nm))
+        error = self._error(slot, node, wavelength_nm)
+        x, y, status = self.launch(star, px, py, wavelength, error)
+        ok, hidden = status == OK, None
+        if shade is not None:
+            hidden = ok & shade.hides(self.rays(star, px, py, wavelength, error), star // self.times)
         x = x - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 0].ravel())), slot)
         y = y - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 1].ravel())), slot)
         strips = cells_per_px == 1 and self.times == 1 and not isinstance(pupil, OutlinePoints)
         shape = (len(stars), bands)
-        return self._collect(x, y, status == OK, weight, slot, shape, stamp_px, cells_per_px, strips)
+        return self._collect(x, y, ok, hidden, weight, slot, shape, stamp_px, cells_per_px, strips)
 
     def _collect(
         self,
         x: Any,
         y: Any,
         ok: Any,
+        hidden: Any,
         weight: Any,
         slot: Any,
         shape: tuple[int, int],
@@ -350,6 +398,7 @@ class StarKernel:
     ) -> StampSums:
         """Add the light of every ray to its star's pixels (or cells) and moments."""
         F, U, slots = self.F, self.U, math.prod(shape)
+        ok = ok if hidden is None else ok & ~hidden
         size, strips = stamp_px * cells_per_px, stamp_px * self.geometry.strips
         cells = [self._shares(v, cells_per_px, PIXEL_REACH) for v in (x, y)]
         marginals = [self._shares(v, self.geometry.strips, STRIP_REACH) for v in (x, y)] if by_strips else []
@@ -360,6 +409,8 @@ class StarKernel:
         moments = dr.zeros(self.U64, slots * _MOMENTS)
         base = slot * _MOMENTS
         kind = dr.select(inside, U(ARRIVED), dr.select(ok, U(OUTSIDE), U(LOST)))
+        if hidden is not None:
+            kind = dr.select(hidden, U(HIDDEN), kind)
         self._add(moments, weight, base + kind, dr.mask_t(F)(True), together=True)
         u, v = x / dr.opaque(F, stamp_px), y / dr.opaque(F, stamp_px)
         centres = []

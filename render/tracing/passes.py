@@ -12,7 +12,7 @@ from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from render.camera import Camera
 from render.tracing.compose import TruthSums, add_stamps
-from render.tracing.kernel import LOST, OUTSIDE, StampSums, StarKernel, reach_px, strips_per_pixel
+from render.tracing.kernel import LOST, OUTSIDE, Shade, StampSums, StarKernel, reach_px, strips_per_pixel
 from render.tracing.pupil_points import OutlinePoints, PupilPoints, TablePoints
 from render.tracing.sampling import PupilPlan, bounding_points
 
@@ -133,6 +133,8 @@ class Passes:
         What light is added to.
     sums : TruthSums
         Where the truth is kept.
+    shade : Shade or None
+        What stands between the sky and the lens; asked for every ray of stars that Sobol points sample.
     """
 
     camera: Camera
@@ -141,6 +143,7 @@ class Passes:
     bounds: Bounds
     image: NDArray[np.float32]
     sums: TruthSums
+    shade: Shade | None = None
 
     def trace(self, group: Group) -> IntArray:
         """Trace stars in passes, and again those whose stamp was too small.
@@ -157,7 +160,8 @@ class Passes:
             for part, stamp_px in self._passes(high - low, group.plan):
                 stars, corner = members[todo[part]], np.floor(low[part]) - 0.5
                 pupil = group.points(stars)
-                collected = self.splat(pupil, stars, corner, stamp_px)
+                shade = self.shade if group.plan.mode == "sobol" else None
+                collected = self.splat(pupil, stars, corner, stamp_px, shade=shade)
                 outside = np.asarray((collected.moments[..., OUTSIDE] > LIGHT).any(1))
                 if stamp_px == STAMP_LIMIT_PX and outside.any():
                     self._check_size(stars[outside], low[part][outside], high[part][outside])
@@ -182,7 +186,13 @@ class Passes:
         return 1.0 - (self.light.share[stars] * pupil.inside).sum(2) if isinstance(pupil, OutlinePoints) else 0.0
 
     def splat(
-        self, pupil: PupilPoints, stars: IntArray, corner_px: FloatArray, stamp_px: int, cells_per_px: int = 1
+        self,
+        pupil: PupilPoints,
+        stars: IntArray,
+        corner_px: FloatArray,
+        stamp_px: int,
+        cells_per_px: int = 1,
+        shade: Shade | None = None,
     ) -> StampSums:
         """Stamps of some stars."""
         return self.kernel.splat(
@@ -193,6 +203,7 @@ class Passes:
             corner_px=corner_px,
             stamp_px=stamp_px,
             cells_per_px=cells_per_px,
+            shade=shade,
         )
 
     def _passes(self, extent_px: FloatArray, plan: PupilPlan) -> list[tuple[IntArray, int]]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optics.arrays import FloatArray, IntArray
+from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.lens.system import LensSystem
 from optics.light.collimation import Collimation
 from optics.rays.program import compile_lens
@@ -157,20 +157,27 @@ class PupilPlanner:
                 shapes.append(("arcs", arcs.stars, arcs))
         return shapes
 
-    def groups(self, seen: Seen, wavelength_nm: FloatArray, chiefs: Chiefs) -> tuple[list[Group], Bounds]:
-        """Groups of stars that are sampled alike, the last of them able to take any star, and bounds of all stars."""
+    def groups(
+        self, seen: Seen, wavelength_nm: FloatArray, chiefs: Chiefs, shaded: BoolArray | None = None
+    ) -> tuple[list[Group], Bounds]:
+        """Groups of stars that are sampled alike, the last of them able to take any star, and bounds of all stars.
+
+        Stars (n,) that are ``shaded``, whose beams something may cut that the lens knows nothing of, go to the last.
+        """
         everyone = np.arange(seen.mid.count)
         bounds = Bounds.empty(seen.mid.count, len(wavelength_nm))
         ends = np.stack([wavelength_nm.min(1), np.median(wavelength_nm, 1), wavelength_nm.max(1)], axis=1)
         groups, left = [], everyone
         if self.pupil.exact:
             find_bounds(seen.mid, bounds, everyone, ends)
+            clear = bounds.clear if shaded is None else bounds.clear & ~shaded
             holed = any(surface.holed for surface in self.camera.lens.surfaces)
-            plan = None if holed else self.plan("quadrature", wavelength_nm, seen, bounds.clear)
+            plan = None if holed else self.plan("quadrature", wavelength_nm, seen, clear)
             if plan is not None:
-                groups.append(_fixed_group(plan, everyone[bounds.clear]))
+                groups.append(_fixed_group(plan, everyone[clear]))
         elif self.camera.charge_diffusion_px > 0.0:
-            for mode, members, shapes in self.shapes(seen, chiefs):
+            for mode, every, shapes in self.shapes(seen, chiefs):
+                members = every if shaded is None else every[~shaded[every]]
                 plan = self.plan(mode, wavelength_nm, seen, members)
                 if plan is not None:
                     find_bounds(seen.mid, bounds, members, seen.picks.ends()[1], shapes.bounding)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from optics.arrays import FloatArray, IntArray
+from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.errors import ConfigError, ConvergenceError, DomainError
 from optics.frames import field_angles_deg
 from optics.rays.pupil import EntrancePupil, gauss_disk
@@ -18,17 +18,19 @@ from render.records import StarField, Truth
 from render.tracing.compose import TruthSums
 from render.tracing.convergence import TOLERANCE
 from render.tracing.ideal_lens import IdealLens
-from render.tracing.kernel import LOST, StarKernel
+from render.tracing.kernel import LOST, Shade, StarKernel
 from render.tracing.motion import ExposureMotion
-from render.tracing.passes import PASS_BYTES, Light, Passes
+from render.tracing.passes import PASS_BYTES, PASS_RAYS, Light, Passes
 from render.tracing.paths import StarPaths, at_rest, pick_times, star_paths
 from render.tracing.planning import PupilPlanner
 from render.tracing.pupil_arcs import ARC_LADDER
-from render.tracing.pupil_points import PupilPoints, TablePoints
+from render.tracing.pupil_points import PupilPoints, SobolPoints, TablePoints
 
 __all__ = ["TracedStars", "Tracer"]
 
 
+SHADE_LOG2_RAYS = 14
+"""Rays by which it is found out whether something stands in a beam: what hides 3e-4 of it is hardly missed."""
 SHORTEST_PX = 1e-3
 """Path along which the lens's scale is not measured."""
 
@@ -103,6 +105,7 @@ class Tracer:
         exposure_s: float,
         rotation_cam_from_world: FloatArray | None = None,
         motion: ExposureMotion | None = None,
+        shade: Shade | None = None,
     ) -> TracedStars:
         """Trace all stars in all bands.
 
@@ -117,6 +120,9 @@ class Tracer:
         motion : ExposureMotion, optional
             Attitudes during the exposure, in place of one. Truth then holds the chief ray in the middle of the exposure
             (with a rolling shutter: of the star's row) and means over the exposure of everything else.
+        shade : Shade, optional
+            What stands between the sky and the lens (`render.plugins.occlusion`). Stars whose beam it meets are sampled
+            by Sobol points, as its edges are anywhere in the beam.
 
         Raises
         ------
@@ -136,11 +142,16 @@ class Tracer:
             paths, length_px = self._moving(stars, motion, exposure_s), motion.length_px
         light = self._light(stars, paths, exposure_s)
         image = np.zeros((self.camera.height_px, self.camera.width_px, len(stars.band)), np.float32)
-        sums, sampling = self._trace(light, paths, image, length_px)
+        sums, sampling = self._trace(light, paths, image, length_px, shade)
         return TracedStars(image, sums.truth(light.electrons), sampling)
 
     def _trace(
-        self, light: Light, paths: StarPaths, image: NDArray[np.float32], length_px: float = 0.0
+        self,
+        light: Light,
+        paths: StarPaths,
+        image: NDArray[np.float32],
+        length_px: float = 0.0,
+        shade: Shade | None = None,
     ) -> tuple[TruthSums, dict[str, tuple[int, int]]]:
         """Add all stars to the image; what is known of them afterwards, and how they were sampled."""
         sums = TruthSums.empty(*light.electrons.shape)
@@ -150,8 +161,9 @@ class Tracer:
         seen = self.planner.seen(paths, light.wavelength_nm, length_px)
         chiefs = self.planner.chiefs(seen.mid, light.wavelength_nm)
         sums.chief_x[...], sums.chief_y[...] = chiefs.x_px, chiefs.y_px
-        groups, bounds = self.planner.groups(seen, light.wavelength_nm, chiefs)
-        passes = Passes(self.camera, seen.nodes, light, bounds, image, sums)
+        shaded = None if shade is None else self._shaded(seen.mid, shade)
+        groups, bounds = self.planner.groups(seen, light.wavelength_nm, chiefs, shaded)
+        passes = Passes(self.camera, seen.nodes, light, bounds, image, sums, shade)
         left = np.empty(0, np.int64)
         for group in groups:
             plan, members = group.plan, np.sort(np.concatenate([group.members, left]))
@@ -159,6 +171,15 @@ class Tracer:
             if len(members) > len(left):
                 sampling[plan.mode] = (len(members) - len(left), plan.rays_per_node * light.share.shape[2])
         return sums, sampling
+
+    def _shaded(self, kernel: StarKernel, shade: Shade) -> BoolArray:
+        """Stars (n,) whose beam, or the launch disk beside it, something stands in."""
+        shaded = np.zeros(kernel.count, np.bool_)
+        near = np.flatnonzero(shade.near(self.pupil))
+        pupil, step = SobolPoints(SHADE_LOG2_RAYS, self.planner.sobol_seed), PASS_RAYS >> SHADE_LOG2_RAYS
+        for part in (near[i : i + step] for i in range(0, len(near), step)):
+            shaded[part] = kernel.hidden_share(shade, pupil, part.astype(np.uint32)) > 0.0
+        return shaded
 
     def bundle_means(self, stars: StarField, *, rings: int = 6, arms: int = 14) -> FloatArray:
         """Mean landing point (n, b, 2) [px] of every star and band, without an image; NaN where no ray arrives.

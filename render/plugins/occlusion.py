@@ -1,0 +1,97 @@
+"""What stands between the sky and a lens: bodies of a Mitsuba scene, asked ray by ray (`render.tracing.kernel.Shade`).
+
+A star's ray leaves the plane of the first vertex for its star; whatever `Scene.ray_test` meets on the way hides it, as
+it hides lights from ``path``: transparent bodies too. Mitsuba's rays are float32, so an edge at the distance L stands
+right to some 1e-7 L. The limb of a sphere would not: its equation is solved from where the ray starts, and at 200 radii
+its roots are off by 3e-3 of the radius. A ray is therefore tested in parts, each of which starts close to a far body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from optics.arrays import BoolArray, FloatArray
+from optics.rays.pupil import EntrancePupil
+from optics.rays.trace import Rays
+from render.engine import Engine
+from render.engine.jit import dr
+
+__all__ = ["SceneShade"]
+
+
+MOST = 3e38
+CLOSE = 20.0
+"""Bodies farther away than so many times their size have a part of the ray to themselves."""
+
+
+class SceneShade:
+    """The bodies of a scene, seen from a camera.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        The scene.
+    direction : (n, 3)
+        Unit vectors towards the stars in the scene's world.
+    rotation : (3, 3)
+        Cam from world; under motion that of the middle of the exposure.
+    position : (3,)
+        Origin of the camera, where the axis meets the plane of its first vertex.
+    scene_unit_mm : float
+        Length of a scene unit.
+    """
+
+    def __init__(
+        self, scene: Any, direction: FloatArray, rotation: FloatArray, position: Sequence[float], scene_unit_mm: float
+    ) -> None:
+        self.scene, self.direction, self.scene_unit_mm = scene, direction, scene_unit_mm
+        self.position = np.array(position, float)
+        F, xp = Engine.active().types.Float64, Engine.active().arrays
+        self._toward = [F(np.ascontiguousarray(direction[:, axis])) for axis in range(3)]
+        self._turn = xp.parameters(rotation.ravel() / scene_unit_mm)
+        self._from = xp.parameters(self.position)
+        self._bodies = [self._bounds(shape) for shape in scene.shapes()]
+        self._starts = sorted({0.0, *(float(far - 3.0 * size) for far, size in self._far() if far > CLOSE * size)})
+
+    def _bounds(self, shape: Any) -> tuple[FloatArray, float]:
+        """Centre of a body from the camera and radius of a sphere around it, infinite where it has no bounds."""
+        box = shape.bbox()
+        low, high = np.array(box.min, float), np.array(box.max, float)
+        if not np.isfinite([low, high]).all():
+            return np.zeros(3), np.inf
+        return 0.5 * (low + high) - self.position, 0.5 * float(np.linalg.norm(high - low))
+
+    def _far(self) -> list[tuple[float, float]]:
+        """Distances and sizes of bodies."""
+        return [(float(np.linalg.norm(centre)), size) for centre, size in self._bodies]
+
+    def near(self, pupil: EntrancePupil) -> BoolArray:
+        """Stars (n,) of which a body's bounding sphere may meet the beam."""
+        found = np.zeros(len(self.direction), np.bool_)
+        beam = (np.hypot(pupil.x_mm, pupil.y_mm) + 3.0 * abs(pupil.z_mm) + pupil.radius_mm) / self.scene_unit_mm
+        for centre, size in self._bodies:
+            along, reach = self.direction @ centre, size + beam
+            across = np.linalg.norm(centre - along[:, None] * self.direction, axis=1)
+            found |= (along > -reach) & (across < reach)
+        return found
+
+    def hides(self, rays: Rays, star: Any) -> Any:
+        """Whether something stands between rays in the lens frame and their stars."""
+        mi, types = Engine.active().mitsuba, Engine.active().types
+        back, turn = -rays.z / rays.dz, self._turn
+        x, y = -(rays.x + back * rays.dx), rays.y + back * rays.dy  # in cam; z is 0 there
+        origin = [self._from[k] + turn[k] * x + turn[3 + k] * y for k in range(3)]
+        toward = [dr.gather(types.Float64, component, star) for component in self._toward]
+        direction = dr.normalize(mi.Vector3f(*(mi.Float(mi.Float64(v)) for v in toward)))
+        hidden = types.Bool(False)
+        for start, end in pairwise([*self._starts, np.inf]):
+            begin = dr.opaque(types.Float64, start)
+            point = mi.Point3f(*(mi.Float(mi.Float64(o + begin * d)) for o, d in zip(origin, toward, strict=True)))
+            ray = mi.Ray3f(point, direction)
+            ray.maxt = dr.opaque(mi.Float, min(end - start, MOST))
+            hidden |= types.Bool(dr.detach(self.scene.ray_test(ray)))
+        return hidden
