@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import json
 import math
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -55,52 +56,68 @@ def read_record(path: str | Path, kind: type[Record]) -> Record:
 
 def _plain(value: Any) -> Any:
     """What JSON can hold."""
-    if value is None or isinstance(value, bool | int | str):
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return {"number": str(value)}
+    if value is None or isinstance(value, bool | int | float | str):
         return value
-    if isinstance(value, float):
-        return value if math.isfinite(value) else {"number": str(value)}
+    return _compound(value)
+
+
+def _compound(value: Any) -> dict[str, Any]:
+    """An object for what JSON has no word for."""
     if isinstance(value, np.ndarray):
         entries = value.tolist() if np.isfinite(value).all() else [_plain(v) for v in value.ravel().tolist()]
-        return {"array": entries, "type": value.dtype.name, "shape": list(value.shape)}
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, tuple | list):
-        return {"tuple": [_plain(v) for v in value]}
-    if isinstance(value, dict):
-        return {"dict": [[_plain(k), _plain(v)] for k, v in value.items()]}
-    if isinstance(value, CubicSpline):
-        return {"spline": _plain(value.x), "coefficients": _plain(value.c)}
-    if is_dataclass(value) and not isinstance(value, type):
+        written = {"array": entries, "type": value.dtype.name, "shape": list(value.shape)}
+    elif isinstance(value, tuple | list):
+        written = {"tuple": [_plain(v) for v in value]}
+    elif isinstance(value, dict):
+        written = {"dict": [[_plain(k), _plain(v)] for k, v in value.items()]}
+    elif isinstance(value, CubicSpline):
+        written = {"spline": _plain(value.x), "coefficients": _plain(value.c)}
+    elif is_dataclass(value) and not isinstance(value, type):
         kind = type(value)
         named = {one.name: _plain(getattr(value, one.name)) for one in fields(value) if one.init}
-        return {"record": f"{kind.__module__}.{kind.__qualname__}", "fields": named}
-    raise ConfigError(f"a {type(value).__name__} cannot be written into a file of records")
+        written = {"record": f"{kind.__module__}.{kind.__qualname__}", "fields": named}
+    else:
+        raise ConfigError(f"a {type(value).__name__} cannot be written into a file of records")
+    return written
 
 
 def _record(value: Any) -> Any:
     """What was written."""
     if not isinstance(value, dict):
         return value
-    if "number" in value:
-        return ODD[value["number"]]
-    if "array" in value:
-        flat = [_record(v) for v in value["array"]] if _odd(value["array"]) else value["array"]
-        return np.array(flat, dtype=value["type"]).reshape(value["shape"])
-    if "tuple" in value:
-        return tuple(_record(v) for v in value["tuple"])
-    if "dict" in value:
-        return {_record(k): _record(v) for k, v in value["dict"]}
-    if "spline" in value:
-        return CubicSpline.construct_fast(_record(value["coefficients"]), _record(value["spline"]), axis=0)
+    (kind,) = KINDS.keys() & value.keys()
+    return KINDS[kind](value)
+
+
+def _array(value: dict[str, Any]) -> Any:
+    odd = any(isinstance(entry, dict) for entry in value["array"])
+    flat = [_record(v) for v in value["array"]] if odd else value["array"]
+    return np.array(flat, dtype=value["type"]).reshape(value["shape"])
+
+
+def _spline(value: dict[str, Any]) -> CubicSpline:
+    return CubicSpline.construct_fast(_record(value["coefficients"]), _record(value["spline"]), axis=0)
+
+
+def _dataclass(value: dict[str, Any]) -> Any:
     module, _, name = value["record"].rpartition(".")
-    if not module.startswith(PACKAGES):
+    kind: Any = getattr(importlib.import_module(module), name) if module.startswith(PACKAGES) else None
+    if not (isinstance(kind, type) and is_dataclass(kind)):
         raise ValueError(f"{value['record']} is no record of this project")
-    kind = getattr(importlib.import_module(module), name)
-    if not is_dataclass(kind):
-        raise ValueError(f"{value['record']} is no record")
-    return kind(**{key: _record(entry) for key, entry in value["fields"].items()})
+    made: Any = kind(**{key: _record(entry) for key, entry in value["fields"].items()})
+    return made
 
 
-def _odd(entries: Any) -> bool:
-    """Whether a flat list holds numbers that JSON has no word for."""
-    return isinstance(entries, list) and any(isinstance(entry, dict) for entry in entries)
+KINDS: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "number": lambda value: ODD[value["number"]],
+    "array": _array,
+    "tuple": lambda value: tuple(_record(v) for v in value["tuple"]),
+    "dict": lambda value: {_record(k): _record(v) for k, v in value["dict"]},
+    "spline": _spline,
+    "record": _dataclass,
+}
+"""What a key of an object in a file stands for."""

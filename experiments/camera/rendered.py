@@ -33,10 +33,10 @@ from optics.attitude import attitude_error_arcsec
 from render.camera import Camera
 from render.detector.readout import expose
 from render.engine.random import Streams
+from render.forward import StarRenderer
 from render.motion.trajectory import ConstantRate
 from render.records import Frame, StarField
 from render.tracing.motion import ExposureMotion, exposure_motion
-from render.tracing.tracer import Tracer
 
 __all__ = ["ChartFrames", "Rendered", "SkyFrames", "render_frames"]
 
@@ -138,8 +138,9 @@ class _Bench:
         detector = overridden(configured_detector(setting), config.detector)
         self.instrument: Instrument = build_instrument(setting, detector=detector)
         self.streams = Streams(config.seed).child("camera")
-        self.tracer = Tracer(self.instrument.camera, tolerance=1e-4)
         self.motion = _slew(config, self.instrument.camera)
+        exposed = exposed_s(config) if self.motion is None else self.motion.exposure_s
+        self.renderer = StarRenderer(self.instrument.camera, exposure_s=exposed, tolerance=1e-4)
         light, kelvin = prediction.state.light, config.star.temperature_k
         psfs = None
         if needs_epsf(config.centroid):
@@ -168,12 +169,10 @@ class _Bench:
 
     def expected(self, stars: StarField) -> tuple[NDArray[np.float32], FloatArray, FloatArray]:
         """Noiseless image, and place (n, 2) and electrons (n,) of the light of the stars on it."""
-        exposed = exposed_s(self.prediction.config)
         if self.motion is not None:  # lasts for the exposure; light that is lost on the way is left out of the stars
             lost = self.prediction.config.throughput_fraction
             stars = replace(stars, photon_rate=stars.photon_rate * lost)
-            exposed = self.motion.exposure_s
-        traced = self.tracer.render(stars, exposure_s=exposed, motion=self.motion)
+        traced = self.renderer.trace(stars, motion=self.motion)
         truth = traced.truth
         place = np.column_stack([truth.photon_x_px[:, 0], truth.photon_y_px[:, 0]])
         return traced.electrons[:, :, 0], place, truth.electrons_image[:, 0]

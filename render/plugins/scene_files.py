@@ -1,4 +1,4 @@
-"""Scenes as files: what a dictionary for ``mi.load_dict`` says, as XML for ``mi.load_file``, with our records beside it.
+"""Scenes as files: what a dictionary for ``mi.load_dict`` says, as XML for ``mi.load_file``, our records beside it.
 
 Tensors of star fields and records that handles stand for go into files of their own, named after the scene file and
 their place in the scene. Numbers are written with as many digits as bring them back, so that a scene that was written

@@ -24,12 +24,13 @@ scene_centre, scene_radius : point, float
     Sphere that holds the scene, where ``ptracer`` starts its rays.
 
 Each tensor may have a leading axis of size one: Mitsuba's property parser takes a tensor whose first axis has three
-entries for a colour, and nanobind says so on the error stream before it falls back to the tensor.
+entries for a colour, and nanobind says so on the error stream before it falls back to the tensor. Directions,
+wavelengths, rates and ``rotation`` are parameters of the scene (``mi.traverse``), without that axis.
 
-``star_tracer`` images the stars themselves. To stock integrators (``path``, ``volpath``, ``prb``, ``ptracer``) the field
-is a light from discrete directions: it lights bodies, and is not seen itself, as no ray meets it by chance. In variants
-without spectra its light is grey, all photons of all bands (and an albedo what it sends back of these); in spectral ones
-the light of a node is spread evenly over its part of the band, per nm.
+``star_tracer`` images the stars themselves. To stock integrators (``path``, ``volpath``, ``prb``, ``ptracer``) the
+field is a light from discrete directions: it lights bodies, and is not seen itself, as no ray meets it by chance. In
+variants without spectra its light is grey, all photons of all bands (and an albedo what it sends back of these); in
+spectral ones the light of a node is spread evenly over its part of the band, per nm.
 """
 
 from __future__ import annotations

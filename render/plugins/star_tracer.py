@@ -12,8 +12,8 @@ bodies : integrator, optional
 ``mi.render`` returns expected photo-electrons in the exposure (the camera's ``shutter_open`` to ``shutter_close``), the
 bands of the ``star_field`` as channels, of the pixels of the film's crop; the same stands on the film: the sum of the
 bands as its luminance, and where there are several, each as a channel of its name. What else is known is in
-``integrator.traced`` for the last image and in ``integrator.traced_by(sensor)`` for the last one of a sensor; its pixels
-count on the whole film. ``seed`` scrambles the Sobol points and is the seed of ``bodies``.
+``integrator.traced`` for the last image and in ``integrator.traced_by(sensor)`` for the last one of a sensor, where
+pixels count on the whole film. ``seed`` scrambles the Sobol points and is the seed of ``bodies``.
 
 Shapes that stand between the sky and the lens hide stars, ray by ray (`render.plugins.occlusion`).
 
@@ -72,7 +72,9 @@ def put_on_film(mi: Any, film: Any, image: Any, bands: tuple[str, ...]) -> None:
     value = dr.select(channel == first - 1, 1.0, total)
     if names:
         value = dr.select(
-            channel < first, value, dr.gather(mi.Float, image.array, pixel * count + (channel - first), channel >= first)
+            channel < first,
+            value,
+            dr.gather(mi.Float, image.array, pixel * count + (channel - first), channel >= first),
         )
     block = mi.ImageBlock(mi.TensorXf(value, (height, width, channels)), film.crop_offset())
     film.put_block(block)

@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 from experiments.dataset.frames.plan import FramePlan, plan_frame
 from experiments.dataset.frames.point_sources import PointSources, point_sources, smear_px
 from experiments.dataset.frames.scene import Scene
-from experiments.dataset.frames.sky_light import diffuse_light, resolved_light
+from experiments.dataset.frames.sky_light import diffuse_light, hiding_bodies, resolved_light
 from experiments.dataset.truth.star_truth import FLAGS, StarLightOnChip, pixel_flags, star_rows
 from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
 from render.detector.cosmic_rays import CosmicRayHits, cosmic_ray_hits
 from render.detector.readout import expose
 from render.engine.random import Streams
+from render.forward import StarRenderer
 from render.records import Frame
-from render.tracing.tracer import TracedStars, Tracer
+from render.tracing.tracer import TracedStars
 
 __all__ = ["FrameMaker", "MadeFrame"]
 
@@ -69,7 +70,12 @@ class FrameMaker:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self._tracer = Tracer(scene.instrument.camera, tolerance=scene.config.pupil_tolerance)
+        self._renderer = StarRenderer(
+            scene.instrument.camera,
+            exposure_s=scene.config.instrument.exposure_s,
+            tolerance=scene.config.pupil_tolerance,
+            contents=hiding_bodies(scene.sky_light),
+        )
         self._streams: Streams = scene.plan.streams.child("detector")
         self._axis_share = self._share_on_axis()
 
@@ -79,7 +85,7 @@ class FrameMaker:
         plan = plan_frame(scene.plan, frame)
         seen = point_sources(scene, plan)
         traced = self._traced(seen, plan)
-        electrons = traced.electrons[:, :, 0]
+        electrons = traced.electrons[:, :, 0].copy()
         sky_e = self._add_sky(electrons, plan)
         hits = self.hits(frame)
         band = scene.light.band[0]
@@ -118,14 +124,17 @@ class FrameMaker:
     def _share_on_axis(self) -> float:
         """Part of the light of a star on the axis that the lens lets through."""
         star = self.scene.light.stars(np.array([[0.0, 0.0, 1.0]]), 0.0, TYPICAL_TEMPERATURE_K)
-        truth = self._tracer.render(star, exposure_s=1.0, rotation_cam_from_world=np.eye(3)).truth
+        truth = (
+            StarRenderer(self.scene.instrument.camera, exposure_s=1.0, tolerance=self.scene.config.pupil_tolerance)
+            .trace(star, rotation_cam_from_world=np.eye(3))
+            .truth
+        )
         return float(1.0 - truth.electrons_vignetted[0, 0] / truth.electrons_in[0, 0])
 
     def _traced(self, seen: PointSources, plan: FramePlan) -> TracedStars:
         camera = self.scene.config.instrument
         if plan.trajectory is None:
-            attitude = plan.attitude.as_matrix()
-            return self._tracer.render(seen.light, exposure_s=camera.exposure_s, rotation_cam_from_world=attitude)
+            return self._renderer.trace(seen.light, rotation_cam_from_world=plan.attitude.as_matrix())
         from render.tracing.motion import exposure_motion
 
         motion = exposure_motion(
@@ -136,7 +145,7 @@ class FrameMaker:
             line_time_s=camera.line_time_us * 1e-6,
             tolerance=self.scene.config.pupil_tolerance,
         )
-        return self._tracer.render(seen.light, exposure_s=camera.exposure_s, motion=motion)
+        return self._renderer.trace(seen.light, motion=motion)
 
     def _add_sky(self, electrons: NDArray[np.float32], plan: FramePlan) -> float:
         """Add the light of the sky to the stars', except what is the same everywhere; mean of all sky light [e-]."""

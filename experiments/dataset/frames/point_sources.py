@@ -56,18 +56,12 @@ class PointSources:
 def point_sources(scene: Scene, plan: FramePlan) -> PointSources:
     """Point sources of a frame, stars in the order of the catalogue, planets behind them."""
     field = seen_at(scene, plan.attitude)
-    shown = np.ones(len(field), bool)
-    disks = scene.sky_light.disks
-    if disks is not None:  # what stands behind the Moon is not seen
-        for direction, diameter in zip(disks.direction, disks.angular_diameter_rad, strict=True):
-            shown &= field.direction @ direction <= np.cos(0.5 * diameter)
-    row, kelvin = field.row[shown], scene.temperature_k[field.row[shown]]
-    magnitude = field.stars.magnitude[shown]
+    kelvin = scene.temperature_k[field.row]
     stars = PointSources(
-        light=scene.light.stars(field.direction[shown], magnitude, kelvin),
-        star_id=field.stars.id[shown],
-        catalogue_row=scene.row[row],
-        magnitude=magnitude,
+        light=scene.light.stars(field.direction, field.stars.magnitude, kelvin),
+        star_id=field.stars.id,
+        catalogue_row=scene.row[field.row],
+        magnitude=field.stars.magnitude,
         temperature_k=kelvin,
     )
     planets = _planets(scene, plan)

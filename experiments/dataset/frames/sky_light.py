@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import constants
 from scipy.spatial.transform import Rotation
 
 from experiments.dataset.frames.plan import FramePlan, Plan, plan_frame
@@ -21,7 +23,7 @@ from render.sky.background import BackgroundMap, UniformSky, background_map, sky
 from render.sky.field import FieldOfView
 from render.sky.zodiacal import CLOSEST_DEG
 
-__all__ = ["PLANET_IDS", "SkyLight", "build_sky_light", "check_sun", "diffuse_light", "resolved_light"]
+__all__ = ["PLANET_IDS", "SkyLight", "build_sky_light", "check_sun", "diffuse_light", "hiding_bodies", "resolved_light"]
 
 
 PLANET_IDS = {
@@ -129,6 +131,19 @@ def diffuse_light(sky: SkyLight, attitude: Rotation, config: Config) -> NDArray[
         zodiacal=sky.config.zodiacal,
         uniform=None if magnitude is None else UniformSky(magnitude_per_arcsec2=magnitude),
     )[:, :, 0]
+
+
+def hiding_bodies(sky: SkyLight) -> dict[str, Any]:
+    """Spheres, for the scene of the stars (mm, icrs, the camera at the origin), that hide what stands behind them."""
+    if sky.disks is None:
+        return {}
+    distance_mm = sky.disks.distance_au * constants.au * 1e3
+    return {
+        str(name): {"type": "sphere", "center": (way * far).tolist(), "radius": float(far * np.sin(0.5 * diameter))}
+        for name, way, far, diameter in zip(
+            sky.disks.name, sky.disks.direction, distance_mm, sky.disks.angular_diameter_rad, strict=True
+        )
+    }
 
 
 def resolved_light(

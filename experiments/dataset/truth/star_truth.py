@@ -56,6 +56,7 @@ COLUMNS = (
         "those of the disk that do not pass the lens",
     ),
     Column("electrons_off_edge", "float64", "electron", "expected electrons beside the detector or between chips"),
+    Column("electrons_hidden", "float64", "electron", "those that a body in front of the star takes away"),
     Column("variance_x_px2", "float64", "pix2", "second central moment of the ray bundle along the columns"),
     Column("variance_y_px2", "float64", "pix2", "along the rows"),
     Column("snr", "float64", "", "signal-to-noise ratio of the flux by optimal weights, a Gaussian spot"),
@@ -72,6 +73,7 @@ FLAGS = {
     "cosmic_ray": (16, "a cosmic ray left charge in its footprint"),
     "vignetted": (32, "the lens lets at least 1 % less of its light through than on the axis"),
     "no_light": (64, "none of its light reaches the detector"),
+    "hidden": (128, "a body stands in front of it, or of a part of the aperture"),
 }
 """Name -> (bit, meaning). The footprint of a star reaches 3 standard deviations of its spot and half a pixel from its
 photon centroid; the variance of the spot is that of the rays, of the charge diffusion and of a pixel (1/12)."""
@@ -223,6 +225,7 @@ def _flags(values: dict[str, FloatArray], half: FloatArray, on_chip: StarLightOn
     flags[values["electrons_off_edge"] > SHARE_LOST * lost] |= FLAGS["off_edge"][0]
     through = sent - values["electrons_vignetted"]
     flags[through < (1.0 - VIGNETTED_SHARE) * on_chip.axis_share * sent] |= FLAGS["vignetted"][0]
+    flags[values["electrons_hidden"] > SHARE_LOST * sent] |= FLAGS["hidden"][0]
     dark = ~(arrived > DARK_SHARE * sent)
     flags[dark] |= FLAGS["no_light"][0]
     centre = np.stack([values["photon_x_px"], values["photon_y_px"]])

@@ -82,7 +82,10 @@ def test_saved_scene_renders_to_the_same_bytes(mi, bench, camera, tmp_path):
     motion = exposure_motion(path, start_s=0.0, exposure_s=0.3, camera=camera, line_time_s=1e-5)
     frames = (
         (bench.stars_at(camera, [31.2, 47.9, 45.0], [40.1, 44.3, 30.0]), {}),
-        (bench.stars_at(camera, [52.0], [40.1]), {"rotation_cam_from_world": Rotation.from_rotvec([1e-4, 0, 0.1]).as_matrix()}),
+        (
+            bench.stars_at(camera, [52.0], [40.1]),
+            {"rotation_cam_from_world": Rotation.from_rotvec([1e-4, 0, 0.1]).as_matrix()},
+        ),
         (bench.stars_at(camera, [38.0], [40.1], bands=((500.0, 50.0), (800.0, 50.0))), {"motion": motion}),
     )
     for number, (stars, attitude) in enumerate(frames):
@@ -121,7 +124,8 @@ def vane(edge_mm, distance_mm=300.0):
     """A plate in front of the lens that covers x < edge in cam."""
     return {
         "type": "cube",
-        "to_world": __import__("mitsuba").ScalarTransform4f()
+        "to_world": __import__("mitsuba")
+        .ScalarTransform4f()
         .translate([edge_mm - 500.0, 0.0, distance_mm])
         .scale([500.0, 500.0, 1.0]),
     }
@@ -201,8 +205,8 @@ def test_spacecraft_turns_under_the_sky_with_its_boom(mi, bench, camera):
 def test_bodies_and_stars_in_one_call(mi, bench, camera):
     """A glowing ball in front of a star, by `path`, and a star beside it: electrons of both on one film.
 
-    The ball's light is that of a uniform source: radiance times the pupil's solid angle over F number and magnification,
-    i.e. L A_pupil Omega_ball t, whatever the lens does with it, as long as it all lands on the film.
+    The ball's light is radiance times the stop's area times its solid angle times the exposure, whatever the lens does
+    with it, as long as it all lands on the film.
     """
     radius, far, radiance = 3e-4, 1e6, 7.0
     ball = {
