@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import click
+
 from experiments.dataset.production.folder import DatasetFolder
-from experiments.dataset.production.identity import for_workers, identity
+from experiments.dataset.production.identity import for_workers, identity, software
 from experiments.dataset.settings import Config
 from experiments.harness.cli import command
 from experiments.harness.experiment import Experiment
-from experiments.harness.progress import Progress
+from experiments.harness.interrupts import EXIT_FAILED, EXIT_GOOD, Interrupts, guarded
+from experiments.harness.progress import Progress, terminal_progress
 from optics.errors import ConfigError
 from render.engine import Engine
 
@@ -44,7 +49,6 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
     from experiments.dataset.frames.scene import build_scene
     from experiments.dataset.production.complete import complete
     from experiments.dataset.production.job import Job
-    from experiments.dataset.production.schedule import software
     from experiments.dataset.result import Result
 
     with progress.stage("prepare"):
@@ -65,6 +69,7 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
             scene=scene,
             records=there.records,
             made=there.made,
+            damaged=there.damaged,
             frames_per_s=there.frames_per_s,
             workers=there.workers,
             exports=exports,
@@ -126,6 +131,7 @@ experiment = Experiment(
     examples={
         "--frames 1000 --out sky": "the real sky, 1024 x 1024 px, random attitudes; the same command goes on",
         "--frames 5000 --workers 8 --out sky": "let it grow, sooner",
+        "check sky": "read every file, say what is damaged and what a run would make again",
         "--sensor my.toml --set 'exports=[\"coco\"]'": "another sensor, copies for learning programs",
     },
     extra="quantities:extra",
@@ -138,4 +144,36 @@ experiment = Experiment(
     },
     quick={"frames": 6, "instrument.width_px": 512, "instrument.height_px": 512},
 )
-main = command(experiment)
+
+
+_run = command(experiment)
+
+
+def main(argv: Sequence[str] | None = None, *, own_process: bool | None = None) -> int:
+    """The command ``dataset``, and ``dataset check DIR``."""
+    words = sys.argv[1:] if argv is None else list(argv)
+    if words[:1] == ["check"]:
+        return check_command(words[1:])
+    return _run(argv, own_process=own_process)
+
+
+def check_command(words: Sequence[str]) -> int:
+    """Check a dataset: 0 if every file is as it was written, 1 if not, 2 if there is no dataset, 130 if interrupted."""
+    status: list[int] = []
+
+    @click.command(help="Read every file of a dataset and say what is damaged, and what a run would make again.")
+    @click.argument("folder", type=click.Path(path_type=Path))
+    def parse(folder: Path) -> None:
+        from experiments.dataset.production.check import check
+
+        found = check(folder, terminal_progress())
+        click.echo("\n".join(found.lines()))
+        status.append(EXIT_FAILED if found.damaged or found.missing else EXIT_GOOD)
+
+    interrupts = Interrupts(said=lambda: "interrupted; nothing was changed")
+
+    def work() -> None:
+        with interrupts.caught():
+            parse.main(list(words), prog_name="starbench dataset check", standalone_mode=False)
+
+    return guarded(work, interrupts) or (status[0] if status else EXIT_GOOD)

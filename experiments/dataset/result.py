@@ -34,6 +34,8 @@ class Result:
         One per frame, in their order.
     made : int
         Frames made by this run; the others were there.
+    damaged : tuple of int
+        Frames that were there and damaged; they were made again.
     frames_per_s : float
         Frames per second from the first finished one to the last, all workers together; NaN for fewer than two.
     workers : int
@@ -51,6 +53,7 @@ class Result:
     scene: Scene
     records: tuple[FrameRecord, ...]
     made: int
+    damaged: tuple[int, ...]
     frames_per_s: float
     workers: int
     exports: Mapping[str, str] = field(default_factory=dict)

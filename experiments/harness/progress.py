@@ -65,6 +65,11 @@ class Progress:
         finally:
             self.times_s[label] = self.times_s.get(label, 0.0) + time.perf_counter() - start
 
+    def note(self, words: str) -> None:
+        """Say something that the user has to know, on a line of its own on the standard error stream."""
+        if sys.stderr is not None:
+            print(words, file=sys.stderr, flush=True)
+
     def track(self, items: Iterable[Item], label: str, total: int | None = None) -> Iterator[Item]:
         """Iterate over ``items`` as a stage of one step per item."""
         if total is None and isinstance(items, Sized):
@@ -106,6 +111,10 @@ class _RichProgress(Progress):
             transient=True,
         )
         self._depth = 0
+
+    def note(self, words: str) -> None:
+        """Above the bars."""
+        self._bars.console.print(words, highlight=False, markup=False, soft_wrap=True)
 
     @contextmanager
     def _display(self, label: str, total: int | None) -> Iterator[Stage]:

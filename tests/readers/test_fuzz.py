@@ -86,7 +86,7 @@ def truth(form):
     record = FrameRecord(**numbers, **text, **turn, sha256="ab" * 32)
     kinds = {"float64": lambda: rng.random(8), "str": lambda: "band"}
     rows = {c.name: kinds.get(c.type, lambda: rng.integers(0, 9, 8))() for c in COLUMNS}
-    return truth_bytes(rows, record, form), index_bytes([record], form)
+    return truth_bytes(rows, record, form, "{}"), index_bytes([record], form, {text["truth"]: "cd" * 32})
 
 
 def seeds(folder):

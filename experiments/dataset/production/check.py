@@ -1,0 +1,145 @@
+"""``dataset check``: whether every file of a dataset is as it was written, and what a run would make again."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from experiments.dataset.production.complete import in_words
+from experiments.dataset.production.folder import (
+    IDENTITY,
+    OWN_FOLDERS,
+    SUMS,
+    checked_frame,
+    file_digest,
+    frame_files,
+    held_identity,
+    numbers,
+)
+from experiments.dataset.production.schedule import processors
+from experiments.harness.progress import Progress
+from optics.errors import ConfigError
+
+__all__ = ["Checked", "check"]
+
+_LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")
+_FRAME = re.compile(r"(?:frames|truth)/frame_(\d{6,10})\.\w+")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Checked:
+    """What was found.
+
+    Attributes
+    ----------
+    files : int
+        Files that are as they were written.
+    damaged, missing : tuple of str
+        Names of those that are not, and of those that are gone.
+    unlisted : tuple of str
+        Frames that no list covers, as after an interrupted run; they vouch for themselves.
+    foreign : tuple of str
+        Files that no run wrote.
+    frames : tuple of int
+        Frames that a run would make again.
+    """
+
+    files: int
+    damaged: tuple[str, ...]
+    missing: tuple[str, ...]
+    unlisted: tuple[str, ...]
+    foreign: tuple[str, ...]
+    frames: tuple[int, ...]
+
+    def lines(self) -> list[str]:
+        """In words."""
+        said = [f"damaged: {name}" for name in self.damaged] + [f"missing: {name}" for name in self.missing]
+        if self.unlisted:
+            said.append(f"{len(self.unlisted)} files of frames are whole and in no list yet: the run was interrupted")
+        said += [f"not of the dataset: {name}" for name in self.foreign[:20]]
+        others = [name for name in (*self.damaged, *self.missing) if not _FRAME.fullmatch(name)]
+        again = [f"frames {in_words(self.frames)}"] if self.frames else []
+        again += ["what is written at the end of a run, exports included"] if others else []
+        if again:
+            said.append(f"the same command makes again: {'; '.join(again)}")
+        return [*said, f"{self.files} files are whole"]
+
+
+def check(folder: Path, progress: Progress) -> Checked:
+    """Read every file of a dataset.
+
+    Raises
+    ------
+    ConfigError
+        No folder, or no dataset.
+    """
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder")
+    origin, listed = held_identity(folder), _listed(folder)
+    if origin is None and not listed:
+        raise ConfigError(f"{folder}: is no dataset: neither {IDENTITY} nor {SUMS} nor a truth file tells of one")
+    truth = _truth_format(folder)
+    there = {
+        file.relative_to(folder).as_posix()
+        for part in (folder, *(folder / name for name in OWN_FOLDERS))
+        for file in (part.rglob("*") if part != folder else part.iterdir())
+        if file.is_file() and not file.name.startswith(".")
+    }
+    frames = numbers(folder)
+    with ThreadPoolExecutor(processors()) as pool:
+        records = pool.map(lambda frame: checked_frame(folder, frame, truth), frames)
+        records = progress.track(records, "frames", total=len(frames))
+        whole = {one.frame for one in records if one is not None}
+        names = sorted(there & set(listed))
+        digests = progress.track(pool.map(lambda name: file_digest(folder / name), names), "files", total=len(names))
+        bad = {name for name, digest in zip(names, digests, strict=True) if digest != listed[name]}
+    sound = {name for frame in whole for name in frame_files(frame, truth)}
+    for frame in set(frames) - whole:
+        pair = set(frame_files(frame, truth))
+        bad |= (pair - there) or (set() if bad & pair else {frame_files(frame, truth)[1]})
+    if bad & sound:  # the files vouch for themselves, so it is the list that is wrong
+        bad = (bad - sound) | {SUMS}
+    if IDENTITY in there and not _agrees(folder, origin):
+        bad.add(IDENTITY)
+    missing = {name for name in listed if name not in there} | (bad - there)
+    if SUMS in there and not _all_lines(folder):
+        bad.add(SUMS)
+    again = {int(found[1]) for found in map(_FRAME.fullmatch, bad | missing) if found}
+    return Checked(
+        files=len(there - bad),
+        damaged=tuple(sorted(bad - missing)),
+        missing=tuple(sorted(missing)),
+        unlisted=tuple(sorted(sound - set(listed))),
+        foreign=tuple(sorted(there - set(listed) - sound - bad - {SUMS, IDENTITY})) if listed else (),
+        frames=tuple(sorted(again)),
+    )
+
+
+def _listed(folder: Path) -> dict[str, str]:
+    """Digests by name of ``SHA256SUMS``, without lines that are none."""
+    try:
+        text = (folder / SUMS).read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return {}
+    found = map(_LINE.fullmatch, text.splitlines())
+    return {one[2]: one[1] for one in found if one and not one[2].startswith("/") and ".." not in one[2].split("/")}
+
+
+def _all_lines(folder: Path) -> bool:
+    lines = (folder / SUMS).read_text(encoding="utf-8", errors="replace").splitlines()
+    return bool(lines) and all(map(_LINE.fullmatch, lines))
+
+
+def _truth_format(folder: Path) -> str:
+    return "ecsv" if any((folder / "truth").glob("*.ecsv")) else "parquet"
+
+
+def _agrees(folder: Path, origin: Mapping[str, object] | None) -> bool:
+    try:
+        return bool(json.loads((folder / IDENTITY).read_text(encoding="utf-8")) == origin)
+    except (OSError, ValueError, RecursionError):
+        return False
