@@ -388,13 +388,13 @@ def _transmittance(name: str, table: Mapping[str, Any], source: str) -> tuple[Re
 
 
 @cache
-def _catalogue() -> dict[str, Any]:
-    return tomllib.loads(files("optics").joinpath("data", "glasses.toml").read_text(encoding="utf-8"))
+def _catalogue(file: str = "glasses.toml") -> dict[str, Any]:
+    return tomllib.loads(files("optics").joinpath("data", file).read_text(encoding="utf-8"))
 
 
-def list_glasses(maker: str | None = None) -> tuple[str, ...]:
-    """Names in the catalogue, sorted; of one maker if given (SCHOTT, OHARA, CDGM, generic)."""
-    catalogue = _catalogue()
+def list_glasses(maker: str | None = None, *, obsolete: bool = False) -> tuple[str, ...]:
+    """Names in the catalogue, sorted; of one maker if given (SCHOTT, OHARA, CDGM, generic), or the obsolete ones."""
+    catalogue = _catalogue(_OBSOLETE) if obsolete else _catalogue()
     makers = {source["maker"] for source in catalogue["source"].values()}
     if maker is not None and maker not in makers:
         raise unknown_name("glass maker", maker, makers)
@@ -402,9 +402,12 @@ def list_glasses(maker: str | None = None) -> tuple[str, ...]:
     return tuple(sorted(found))
 
 
+_OBSOLETE = "glasses_obsolete.toml"
+
+
 @cache
 def get_glass(name: str) -> Glass:
-    """Glass from the catalogue (``optics/data/glasses.toml``).
+    """Glass from the catalogue (``optics/data/glasses.toml``, then the obsolete ones).
 
     Parameters
     ----------
@@ -423,7 +426,10 @@ def get_glass(name: str) -> Glass:
     """
     catalogue = _catalogue()
     if name not in catalogue["glass"]:
-        raise unknown_name("glass", name, catalogue["glass"])
+        names = list(catalogue["glass"])
+        catalogue = _catalogue(_OBSOLETE)
+        if name not in catalogue["glass"]:
+            raise unknown_name("glass", name, [*names, *catalogue["glass"]])
     entry = dict(catalogue["glass"][name])
     origin = catalogue["source"][entry.pop("source")]
     entry["maker"] = origin["maker"]

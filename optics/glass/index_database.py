@@ -25,7 +25,7 @@ from optics.glass.model import model_glass
 from optics.response import Response
 from optics.textfile import read_text
 
-__all__ = ["read_material"]
+__all__ = ["fitted_index", "read_material"]
 
 PLATE_MM = 10.0
 LARGEST_RESIDUAL = 2e-4
@@ -122,7 +122,7 @@ def _table(text: Any) -> FloatArray:
 
 def _tabulated(table: FloatArray, properties: Mapping[str, Any]) -> tuple[Dispersion, str]:
     """Smooth curve through a table; through n_d and v_d where the table is rough and the file states them."""
-    dispersion, residual = _fitted(table[:, 0], table[:, 1])
+    dispersion, residual = fitted_index(table[:, 0], table[:, 1])
     if residual <= LARGEST_RESIDUAL:
         return dispersion, f"; polynomial through {len(table)} values, residuals up to {residual:.1e}"
     nd, vd = (float(properties.get(key) or 0.0) for key in ("nd", "Vd"))
@@ -131,8 +131,21 @@ def _tabulated(table: FloatArray, properties: Mapping[str, Any]) -> tuple[Disper
     return model_glass("", nd, vd).dispersion, "; index from its n_d and v_d, as its table is too rough"
 
 
-def _fitted(wave_um: FloatArray, index: FloatArray) -> tuple[Dispersion, float]:
-    """n^2 as a polynomial in l^2 and 1 / l^2, with as many terms as the points bear."""
+def fitted_index(wave_um: FloatArray, index: FloatArray) -> tuple[Dispersion, float]:
+    """Smooth curve through measured indices.
+
+    Parameters
+    ----------
+    wave_um, index : (n,)
+        Increasing wavelengths [um], two or more, and the index at each.
+
+    Returns
+    -------
+    Dispersion
+        n^2 as a polynomial in l^2 and 1 / l^2, with as many terms as the points bear.
+    float
+        The largest residual of the index.
+    """
     exponents = (0, 2, -2, -4, -6, -8)[: max(2, min(6, len(wave_um) // 2))]
     columns = np.stack([wave_um**p for p in exponents], axis=1)
     factors = np.linalg.lstsq(columns / abs(columns).max(0), index**2, rcond=None)[0] / abs(columns).max(0)

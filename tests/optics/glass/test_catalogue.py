@@ -60,6 +60,17 @@ def test_printed_index_and_abbe_number(name: str) -> None:
         assert abs((nd - 1.0) / (nf - nc) - glass.vd) < slack
 
 
+def test_obsolete_glasses_give_their_printed_index_and_abbe_number() -> None:
+    names = list_glasses(obsolete=True)
+    assert len(names) > 150
+    assert not set(names) & set(list_glasses())
+    for name in names:
+        glass = get_glass(name)
+        nd, nf, nc = (float(glass.dispersion.index(line)) for line in (D, F, C))
+        assert nd == pytest.approx(glass.nd, abs=6e-6), name
+        assert glass.vd is None or abs((nd - 1.0) / (nf - nc) - glass.vd) < 0.01, name
+
+
 @pytest.mark.parametrize("name", SCHOTT_INDEX)
 def test_printed_indices_from_blue_to_infrared(name: str) -> None:
     assert get_glass(name).index(LINES_NM) == pytest.approx(SCHOTT_INDEX[name], abs=1.0e-5)

@@ -1,0 +1,397 @@
+"""From what a lens file says to our own prescription: glasses, stop, field, and the report on all of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from optics.arrays import FloatArray
+from optics.errors import ConfigError
+from optics.files.draft import Draft, Row
+from optics.files.first_order import FirstOrder, first_order
+from optics.files.glasses import Found, GlassFinder
+from optics.files.report import Comparison, ImportReport
+from optics.glass.catalogue import Glass, get_glass, list_glasses
+from optics.glass.media import CATALOGUE_AIR, Environment
+from optics.records import locked
+
+__all__ = ["FileDefaults", "Imported", "assemble"]
+
+WIDEST_DEG = 89.0
+AXIS_ONLY_DEG = 0.1
+"""Half field of a file that knows the axis only: something has to stand there, and the report says so."""
+MIRROR = "mirror"
+AIR = "air"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FileDefaults:
+    """What a lens file says beside the lens; defaults of whoever uses it.
+
+    Attributes
+    ----------
+    wavelength_nm, wavelength_weight : (w,)
+        Design wavelengths [nm] and weights.
+    field_kind : str
+        How the file states fields: ``angle`` [deg], ``object``, ``paraxial_image`` or ``real_image`` [mm].
+    field_stated, field_deg : (f, 2)
+        Fields as stated, and as angles along x and y [deg].
+    field_weight : (f,)
+        Weights.
+    vignetting : (f, 5)
+        Decentre x, y, compression x, y and angle of the pupil for every field.
+    aperture : str
+        How the file states the aperture, in words.
+    entrance_pupil_mm : float
+        Diameter of the paraxial entrance pupil [mm].
+    object_mm : float
+        Distance of the object; infinite for stars.
+    environment : Environment
+        Temperature and pressure of the file.
+    configuration, configurations : int
+        Which configuration was read, and how many there are.
+    """
+
+    wavelength_nm: FloatArray
+    wavelength_weight: FloatArray
+    field_kind: str
+    field_stated: FloatArray
+    field_deg: FloatArray
+    field_weight: FloatArray
+    vignetting: FloatArray
+    aperture: str
+    entrance_pupil_mm: float
+    object_mm: float
+    environment: Environment
+    configuration: int
+    configurations: int
+
+
+@dataclass(frozen=True, slots=True)
+class Imported:
+    """A lens file as tables of a prescription (`optics.lens.tables`), with its report and defaults."""
+
+    tables: dict[str, Any]
+    report: ImportReport
+    defaults: FileDefaults
+
+
+def assemble(draft: Draft, *, catalogues: Sequence[Path] = (), glasses: Mapping[str, str] | None = None) -> Imported:
+    """Settle what a file leaves to its program.
+
+    Parameters
+    ----------
+    draft : Draft
+        What was read.
+    catalogues : sequence of path
+        AGF files; those beside the lens file are used too.
+    glasses : mapping, optional
+        Name in the file -> name of the glass to take instead.
+
+    Raises
+    ------
+    ConfigError
+        A glass that is not known, an aperture or wavelengths that are missing, numbers that make no lens.
+    """
+    _checked_rows(draft)
+    _checked_wavelengths(draft)
+    finder = GlassFinder(draft, [Path(p) for p in catalogues], glasses or {})
+    found = {id(row): finder.find(row.glass) for row in draft.rows if row.glass is not None}
+    after = [found[id(row)].glass if id(row) in found else None for row in draft.rows]
+    media = _through_mirrors(draft.rows, after)
+    wave = draft.wavelengths[draft.primary][0]
+    data = first_order(draft.rows, media, wave)
+    choices = [_told(draft, row, found[id(row)], media, data, wave) for row in draft.rows if id(row) in found]
+    pupil_mm = _stop(draft, data)
+    angles = _field_angles(draft, data, pupil_mm)
+    comparisons = _comparisons(draft, data, pupil_mm)
+    tables = _tables(draft, found, angles)
+    _remarks(draft)
+    unique = {(c.asked, c.taken, c.where): c for c in choices}
+    return Imported(
+        tables=tables,
+        report=draft.report.finished(list(unique.values()), comparisons),
+        defaults=_defaults(draft, angles, pupil_mm),
+    )
+
+
+def _checked_rows(draft: Draft) -> None:
+    if not draft.rows:
+        raise ConfigError(f"{draft.report.file}: no surface between object and image")
+    for row in draft.rows:
+        if math.isinf(row.thickness_mm):
+            raise draft.fail(row.line, f"surface {row.number}: its thickness is infinite")
+    stops = [row for row in draft.rows if row.stop]
+    if len(stops) > 1:
+        raise draft.fail(stops[1].line, f"surfaces {stops[0].number} and {stops[1].number} are both the stop")
+    if stops and stops[0].is_break:
+        raise draft.fail(stops[0].line, "a coordinate break cannot be the stop")
+    if not stops:
+        first = next((row for row in draft.rows if not row.is_break), None)
+        if first is None:
+            raise ConfigError(f"{draft.report.file}: nothing but coordinate breaks")
+        first.stop = True
+        draft.report.assumed("STOP", f"the file names no stop; surface {first.number} is taken, as programs do")
+
+
+def _checked_wavelengths(draft: Draft) -> None:
+    if not draft.wavelengths:
+        raise ConfigError(f"{draft.report.file}: no wavelength is stated")
+    for wave, weight in draft.wavelengths:
+        if not 100.0 < wave < 30000.0 or not weight >= 0.0:
+            raise ConfigError(f"{draft.report.file}: wavelength {wave:g} nm of weight {weight:g} makes no sense")
+    if not 0 <= draft.primary < len(draft.wavelengths):
+        draft.report.assumed(
+            "primary wavelength", f"number {draft.primary + 1} of {len(draft.wavelengths)} does not exist: 1 is taken"
+        )
+        draft.primary = 0
+
+
+def _through_mirrors(rows: Sequence[Row], after: list[Glass | None]) -> list[Glass | None]:
+    """What light runs through behind every row: behind mirrors and breaks what was before."""
+    media: list[Glass | None] = []
+    current: Glass | None = None
+    for row, glass in zip(rows, after, strict=True):
+        current = current if row.mirror or row.is_break else glass
+        media.append(current)
+    return media
+
+
+def _told(draft: Draft, row: Row, found: Found, media: list[Glass | None], data: FirstOrder, wave: float) -> Any:
+    """The choice of a glass with the change of focal length it makes, and its line of the report."""
+    choice, asked = found.choice, row.glass
+    assert asked is not None
+    if found.meant is not None:
+        meant = [found.meant if glass is found.glass else glass for glass in media]
+        other = first_order(draft.rows, meant, wave)
+        choice = replace(choice, efl_mm=data.efl_mm - other.efl_mm, bfl_mm=data.bfl_mm - other.bfl_mm)
+    if choice.status == "taken":
+        draft.report.taken(asked.line, asked.command, f"{choice.taken}: {choice.where}", row.number)
+    else:
+        text = f"{choice.asked} -> {choice.taken}: {choice.where}; {choice.change_text}"
+        draft.report.approximated(asked.line, asked.command, text, row.number)
+    return choice
+
+
+def _stop(draft: Draft, data: FirstOrder) -> float:
+    """Give the stop its semi-diameter [mm] from the aperture that the file states; the entrance pupil's diameter."""
+    row = next(row for row in draft.rows if row.stop)
+    aperture, share = draft.aperture, abs(data.stop_share)
+    own = row.clear_mm or row.drawn_mm
+    if aperture is None or aperture.kind == "STOP":
+        if not own:
+            what = "no aperture is stated" if aperture is None else "the aperture floats by the stop"
+            raise draft.fail(row.line, f"{what}, and the stop (surface {row.number}) has no semi-diameter")
+        if aperture is None:
+            draft.report.assumed("aperture", f"none is stated; the stop's own semi-diameter {own:g} mm is taken")
+        row.clear_mm = own
+        return 2.0 * own / share if share else math.inf
+    where = f"line {aperture.line}: the aperture"
+    if aperture.kind in ("FNO", "NA"):
+        half_cone = (
+            2.0 * aperture.value if aperture.kind == "FNO" else 1.0 / math.tan(math.asin(min(aperture.value, 1)))
+        )
+        pupil = abs(data.efl_mm) / (aperture.value if aperture.kind == "FNO" else half_cone / 2.0)
+    elif aperture.kind == "NAO":
+        if math.isinf(draft.object_mm) or not 0.0 < aperture.value < 1.0:
+            raise draft.fail(
+                aperture.line, f"object-side NA {aperture.value:g} with the object at {draft.object_mm:g} mm"
+            )
+        pupil = 2.0 * math.tan(math.asin(aperture.value)) * abs(draft.object_mm + data.pupil_mm)
+    else:
+        pupil = aperture.value
+    semi = 0.5 * pupil * share
+    if not 0.0 < semi < 1e7:
+        raise ConfigError(f"{draft.report.file}: {where} gives the stop a semi-diameter of {semi:g} mm")
+    if row.clear_mm is not None and row.clear_mm < semi * (1.0 - 1e-6):
+        draft.report.approximated(
+            aperture.line,
+            "aperture",
+            f"the stop is {semi:.6g} mm wide for it, but has a clear aperture of {row.clear_mm:.6g} mm: that one counts",
+            row.number,
+        )
+        semi = row.clear_mm
+        pupil = 2.0 * semi / share
+    row.clear_mm = semi
+    return pupil
+
+
+def _field_angles(draft: Draft, data: FirstOrder, pupil_mm: float) -> list[tuple[float, float]]:
+    """Fields as angles along x and y [deg]."""
+    angles = []
+    for point in draft.fields:
+        if not (math.isfinite(point.x) and math.isfinite(point.y)):
+            raise draft.fail(draft.fields_line, "a field is not finite")
+        if draft.field_kind == "angle":
+            if max(abs(point.x), abs(point.y)) >= 90.0:
+                raise draft.fail(draft.fields_line, f"a field of {max(abs(point.x), abs(point.y)):g} deg")
+            angles.append((point.x, point.y))
+            continue
+        base = data.efl_mm if draft.field_kind != "object" else draft.object_mm + data.pupil_mm
+        if not math.isfinite(base) or base == 0.0:
+            raise draft.fail(draft.fields_line, "field heights, but object or focus is infinitely far")
+        angles.append((math.degrees(math.atan(point.x / base)), math.degrees(math.atan(point.y / base))))
+    return angles
+
+
+def _half_field(draft: Draft, angles: list[tuple[float, float]]) -> float:
+    tangents = [math.hypot(*(math.tan(math.radians(a)) for a in angle)) for angle in angles]
+    half = math.degrees(math.atan(max(tangents, default=0.0)))
+    if half < 1e-6:
+        draft.report.assumed("field", f"the file knows the axis only; the half field is taken as {AXIS_ONLY_DEG:g} deg")
+        return AXIS_ONLY_DEG
+    return min(half, WIDEST_DEG)
+
+
+def _comparisons(draft: Draft, data: FirstOrder, pupil_mm: float) -> list[Comparison]:
+    stated = {name: value for name, (value, _) in draft.stated.items()}
+    source = {name: where for name, (_, where) in draft.stated.items()}
+    finite = math.isfinite(data.efl_mm) and abs(data.efl_mm) < 1e9
+    f_number = abs(data.efl_mm) / pupil_mm if finite and pupil_mm else None
+    return [
+        Comparison("EFL", data.efl_mm if finite else None, stated.get("EFL"), "mm", source.get("EFL", "")),
+        Comparison(
+            "BFL", data.bfl_mm if finite else None, data.image_mm, "mm", "distance of the image plane in the file"
+        ),
+        Comparison("F-number", f_number, stated.get("F-number"), "", source.get("F-number", "")),
+        Comparison("entrance pupil", pupil_mm, None, "mm"),
+    ]
+
+
+def _tables(draft: Draft, found: dict[int, Found], angles: list[tuple[float, float]]) -> dict[str, Any]:
+    """The prescription."""
+    built_in = {*list_glasses(), *list_glasses(obsolete=True)}
+    own: dict[str, Any] = {}
+    names: dict[tuple[str, str], str] = {}
+    surfaces = []
+    medium = AIR
+    for row in draft.rows:
+        if row.is_break:
+            surfaces.append({**row.shape, "thickness_mm": row.thickness_mm})
+            continue
+        if not row.mirror:
+            medium = AIR
+            if id(row) in found:
+                glass = found[id(row)].glass
+                medium = names.setdefault((glass.name, glass.maker), _free_name(glass, built_in, own))
+                if medium not in built_in:
+                    own[medium] = glass_table(glass)
+        surfaces.append(_surface_table(row, MIRROR if row.mirror else medium))
+    tables: dict[str, Any] = {
+        "name": draft.name or draft.path.stem or "lens",
+        "source": _source(draft),
+        "design_wavelength_nm": draft.wavelengths[draft.primary][0],
+        "max_field_deg": _half_field(draft, angles),
+        "surface": surfaces,
+    }
+    image = draft.image
+    if image is not None and image.moved:
+        tables["image"] = {k: v for k, v in image.moved.items() if k != "carry"}
+    if own:
+        tables["glass"] = own
+    return tables
+
+
+def _free_name(glass: Glass, built_in: set[str], own: Mapping[str, Any]) -> str:
+    """Its own name if that stands for the same glass in the built-in catalogue or for none."""
+    if glass.name in built_in and get_glass(glass.name) is glass:
+        return glass.name
+    name = glass.name if glass.name not in built_in and glass.name != AIR else f"{glass.name}_{glass.maker}"
+    while name in own:
+        name += "'"
+    return name
+
+
+def glass_table(glass: Glass) -> dict[str, Any]:
+    """A glass as the table ``[glass.NAME]`` of a lens file."""
+    table: dict[str, Any] = {
+        "source": glass.source,
+        "maker": glass.maker,
+        "formula": glass.dispersion.formula,
+        "coefficients": list(glass.dispersion.coefficients),
+        "range_nm": list(glass.range_nm),
+        "reference_temperature_c": glass.reference_temperature_c,
+        "reference_pressure_hpa": glass.reference_pressure_hpa,
+    }
+    if glass.dndt is not None:
+        d = glass.dndt
+        table["dndt"] = [d.D0, d.D1, d.D2, d.E0, d.E1, d.lambda_tk_um]
+        table["dndt_range_c"] = list(d.range_c)
+    for key in ("cte_per_k", "density_g_cm3", "nd", "vd"):
+        if getattr(glass, key) is not None:
+            table[key] = getattr(glass, key)
+    if glass.transmittance is not None:
+        table["transmittance_mm"] = glass.transmittance_mm
+        table["transmittance_nm"] = [float(w) for w in glass.transmittance.wavelength_nm]
+        table["transmittance"] = [float(t) for t in glass.transmittance.value]
+    return table
+
+
+def _surface_table(row: Row, medium: str) -> dict[str, Any]:
+    table: dict[str, Any] = {**row.shape, "thickness_mm": row.thickness_mm, "medium": medium}
+    if row.clear_mm is not None:
+        table["semi_diameter_mm"] = row.clear_mm
+    if row.inner_mm:
+        table["inner_semi_diameter_mm"] = row.inner_mm
+    if row.stop:
+        table["stop"] = True
+    if row.apertures:
+        table["aperture"] = row.apertures
+    return {**table, **row.moved}
+
+
+def _source(draft: Draft) -> str:
+    text = f"read from {draft.report.file}"
+    notes = " ".join(draft.notes[:4])
+    return f"{text}: {notes}"[:300] if notes else text
+
+
+def _remarks(draft: Draft) -> None:
+    """What a detector in the image plane of a star sensor cannot be."""
+    report = draft.report
+    if math.isfinite(draft.object_mm):
+        report.assumed(
+            "object",
+            f"it stands at {draft.object_mm:g} mm in the file; stars are infinitely far, the lens is kept as it is",
+        )
+    if draft.image is not None and draft.image.shape.get("kind") not in ("plane", "sphere", "coordinate_break"):
+        report.assumed("image", "the image surface is not plane in the file; a plane detector stands at its vertex")
+    elif draft.image is not None and math.isfinite(draft.image.shape.get("radius_mm", math.inf)):
+        radius = draft.image.shape["radius_mm"]
+        report.assumed(
+            "image", f"the image surface has a radius of {radius:g} mm; a plane detector stands at its vertex"
+        )
+
+
+def _defaults(draft: Draft, angles: list[tuple[float, float]], pupil_mm: float) -> FileDefaults:
+    aperture = draft.aperture
+    words = "semi-diameter of the stop" if aperture is None or aperture.kind == "STOP" else ""
+    environment = CATALOGUE_AIR
+    if draft.adjusted:
+        environment = Environment(temperature_c=draft.temperature_c, pressure_hpa=draft.pressure_hpa)
+    elif (draft.temperature_c, draft.pressure_hpa) != (20.0, 1013.25):
+        draft.report.assumed(
+            "environment",
+            f"the file states {draft.temperature_c:g} C, {draft.pressure_hpa:g} hPa; indices stay those of 20 C in air",
+            exact=True,
+        )
+    return FileDefaults(
+        wavelength_nm=locked([wave for wave, _ in draft.wavelengths]),
+        wavelength_weight=locked([weight for _, weight in draft.wavelengths]),
+        field_kind=draft.field_kind,
+        field_stated=locked(np.array([(p.x, p.y) for p in draft.fields]).reshape(-1, 2)),
+        field_deg=locked(np.array(angles).reshape(-1, 2)),
+        field_weight=locked([p.weight for p in draft.fields]),
+        vignetting=locked(np.array([p.vignetting for p in draft.fields]).reshape(-1, 5)),
+        aperture=words or f"{aperture.kind} {aperture.value:g}" if aperture is not None else words,
+        entrance_pupil_mm=pupil_mm,
+        object_mm=draft.object_mm,
+        environment=environment,
+        configuration=draft.configuration,
+        configurations=draft.configurations,
+    )

@@ -1,0 +1,84 @@
+r"""Paraxial rays through the rows of a lens file, to settle its stop and its fields and to compare with what it states.
+
+Heights and :math:`\nu = n u` as in `optics.rays.paraxial`, which starts from the finished lens; indices here are those
+of the catalogues, relative to air, and mirrors turn the sign of the index. Coordinate breaks are passed over.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from optics.arrays import FloatArray
+from optics.files.draft import Row
+from optics.glass.catalogue import Glass
+
+__all__ = ["FirstOrder", "first_order"]
+
+
+@dataclass(frozen=True, slots=True)
+class FirstOrder:
+    """Focal length, back focus (from the last surface along the light), and how the stop is seen.
+
+    ``stop_share`` is the height in the stop of a parallel ray of height 1; ``pupil_mm`` the distance of the entrance
+    pupil from the first surface; ``image_mm`` the distance of the image plane from the last surface along the light.
+    """
+
+    efl_mm: float
+    bfl_mm: float
+    stop_share: float
+    pupil_mm: float
+    image_mm: float
+
+
+def _power(row: Row, before: float, after: float) -> float:
+    shape = row.shape
+    if shape["kind"] == "paraxial":
+        return before / float(shape["focal_length_mm"])
+    radius = float(shape.get("radius_mm", shape.get("radius_y_mm", math.inf)))
+    curvature = 1.0 / radius
+    if shape["kind"] == "odd_asphere" and len(shape["terms"]) > 1:
+        curvature += 2.0 * shape["terms"][1]
+    elif shape["kind"] == "toroid" and shape["terms"]:
+        curvature += 2.0 * shape["terms"][0]
+    return (after - before) * curvature
+
+
+def first_order(rows: Sequence[Row], glasses: Sequence[Glass | None], wavelength_nm: float) -> FirstOrder:
+    """First-order data of the rows of a file.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        Surfaces, the last thickness is that to the image.
+    glasses : sequence of Glass or None
+        What follows each of them; None for air.
+    wavelength_nm : float
+        Design wavelength.
+    """
+    matrix: FloatArray = np.eye(2)
+    n, side, stop_at = 1.0, 1.0, np.eye(2)
+    distance = 0.0
+    for row, glass in zip(rows, glasses, strict=True):
+        if not row.is_break:
+            index = side * (1.0 if glass is None else float(glass.dispersion.index(wavelength_nm)))
+            if row.mirror:
+                side, index = -side, -n
+            refraction = np.array([[1.0, 0.0], [-_power(row, n, index), 1.0]])
+            if row.stop:
+                stop_at = matrix
+            matrix, n = refraction @ matrix, index
+            distance = 0.0
+        # towards the last surface only: the gap to the image comes after the focus is known
+        transfer = np.array([[1.0, row.thickness_mm / n], [0.0, 1.0]])
+        distance += row.thickness_mm
+        matrix = transfer @ matrix
+    last = np.array([[1.0, -distance / n], [0.0, 1.0]]) @ matrix
+    (a, _), (c, _) = last
+    with np.errstate(divide="ignore", invalid="ignore"):
+        efl, bfl = (float(np.divide(x, c)) for x in (-1.0, -a))
+        pupil = float(np.divide(stop_at[0, 1], stop_at[0, 0]))
+    return FirstOrder(efl, bfl * abs(n), float(stop_at[0, 0]), pupil, distance * side)

@@ -1,0 +1,307 @@
+"""Which glass a lens file means: by its catalogues in their order, and never another one in silence."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from optics.errors import ConfigError, StarbenchError
+from optics.files.draft import Draft, GlassName
+from optics.files.report import GlassChoice, Status
+from optics.glass.agf import AgfCatalogue, read_agf
+from optics.glass.catalogue import Glass, get_glass, list_glasses
+from optics.glass.model import D_NM, MODEL_ERROR, model_glass, six_digits
+
+__all__ = ["Found", "GlassFinder"]
+
+BUILT_IN = {
+    "SCHOTT": ("SCHOTT",),
+    "OHARA": ("OHARA",),
+    "CDGM": ("CDGM",),
+    "MISC": ("generic",),
+    "INFRARED": ("generic",),
+}
+"""Catalogues of design programs that the built-in one stands for, by their first word, and its makers."""
+SYNONYMS = {
+    "SILICA": "fused-silica", "F_SILICA": "fused-silica", "FUSEDSILICA": "fused-silica", "FSILICA": "fused-silica",
+    "QUARTZGLASS": "fused-silica", "CAF2": "CaF2", "BAF2": "BaF2", "MGF2": "MgF2", "ZNSE": "ZnSe", "ZNS": "ZnS",
+    "PMMA": "PMMA", "ACRYLIC": "PMMA", "POLYCARB": "polycarbonate", "POLYSTYR": "polystyrene", "SAPPHIRE": "sapphire",
+    "E48R": "Zeonex-E48R", "C7980": "fused-silica", "CAF2DAIMON20": "CaF2-Daimon",
+}  # fmt: skip
+"""Names of common materials in design programs; their formulas need not be the same."""
+STATED_ND = 2e-4
+"""An index that a file states beside a catalogue name may differ so much by rounding and melt."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A glass for a name: the record, the choice for the report, and the glass that was meant where it is known."""
+
+    glass: Glass
+    choice: GlassChoice
+    meant: Glass | None
+    message: str
+
+
+def _bare(name: str) -> str:
+    """Name without hyphens and the like, as CODE V writes it."""
+    return re.sub(r"[^A-Z0-9]", "", name.upper())
+
+
+@dataclass
+class GlassFinder:
+    """Finds the glasses of one file.
+
+    Attributes
+    ----------
+    draft : Draft
+        The file.
+    files : sequence of path
+        AGF catalogues of the user; those beside the lens file are added.
+    replace : mapping
+        Name in the file -> name of the glass to take in its place, by the user's order.
+    """
+
+    draft: Draft
+    files: Sequence[Path] = ()
+    replace: Mapping[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def own(self) -> dict[str, AgfCatalogue]:
+        """The user's catalogues by name; a broken one among those that merely stand there is left out."""
+        beside = sorted(p for p in self.draft.path.parent.glob("*") if p.suffix.lower() == ".agf")[:40]
+        found: dict[str, AgfCatalogue] = {}
+        for path in dict.fromkeys([*self.files, *beside]):
+            try:
+                catalogue = read_agf(path)
+            except StarbenchError:
+                if path in self.files:
+                    raise
+                continue
+            found.setdefault(catalogue.name, catalogue)
+        return found
+
+    @property
+    def _listed(self) -> list[str]:
+        return self.draft.catalogues
+
+    def find(self, asked: GlassName) -> Found:
+        """The glass that a file means.
+
+        Raises
+        ------
+        ConfigError
+            None is known by that name; the message says what to do.
+        """
+        name = asked.name.strip("'\"")
+        wanted = {_bare(key): value for key, value in self.replace.items()}.get(_bare(name))
+        meant = self._meant(asked, name)
+        if wanted is not None:
+            glass, where = self._by_name(GlassName(name=wanted, line=asked.line, command=""), wanted) or (None, "")
+            if glass is None:
+                raise self.draft.fail(asked.line, f"the glass {wanted!r} that was to replace {name!r} is not known")
+            return self._found(name, glass, f"{where}, in place of {name} by your order", meant, exact=False)
+        if asked.nd and (asked.model or not _bare(name).replace("BLANK", "")):
+            return self._model(asked, name, asked.nd, asked.vd or 0.0)
+        exact = self._by_name(asked, name)
+        if exact is not None:
+            return self._checked(asked, name, *exact, meant)
+        code = _code(name)
+        if code is not None:
+            return self._model(asked, name, *code)
+        return self._another(asked, name, meant)
+
+    # --- where a name is looked for -----------------------------------------------------------------------------------
+
+    def _by_name(self, asked: GlassName, name: str) -> tuple[Glass, str] | None:
+        """The glass of that name, in the listed catalogues first."""
+        name, _, catalogue = name.partition("_") if not self._anywhere(name) else (name, "", "")
+        order = [catalogue.upper(), *self._listed] if catalogue else self._listed
+        private = self.draft.private.get(name.upper())
+        if private is not None:
+            return private, "the file's own glass"
+        for listed in order:
+            if listed in self.own and (own := self._in(self.own[listed], name)):
+                return own, f"catalogue {listed}"
+            makers = BUILT_IN.get(re.split(r"[^A-Z]", listed)[0], ())
+            for candidate in self._built_in(name):
+                if candidate.maker in makers:
+                    return candidate, f"built-in, {candidate.maker}"
+        for title, own_catalogue in self.own.items():
+            if title not in order and (own := self._in(own_catalogue, name)):
+                return own, f"catalogue {title}, which the file does not list"
+        found = self._built_in(name)
+        if found:
+            outside = bool(order) and "" not in order
+            note = ", which is none of the catalogues that the file lists" if outside else ""
+            return found[0], f"built-in, {found[0].maker}{note}"
+        return None
+
+    def _anywhere(self, name: str) -> bool:
+        return bool(self._built_in(name)) or any(self._in(c, name) for c in self.own.values())
+
+    @staticmethod
+    def _in(catalogue: AgfCatalogue, name: str) -> Glass | None:
+        """Exact name, or without hyphens as CODE V writes it."""
+        if name not in catalogue:
+            near = [n for n in catalogue.names if _bare(n) == _bare(name)]
+            if not near:
+                return None
+            name = near[0]
+        return catalogue.glass(name)
+
+    @staticmethod
+    def _built_in(name: str) -> list[Glass]:
+        bare = _bare(name)
+        found = [get_glass(n) for n in _names_by_bare().get(bare, ())]
+        synonym = SYNONYMS.get(name.upper()) or SYNONYMS.get(bare)
+        if synonym and all(glass.name != synonym for glass in found):
+            found.append(get_glass(synonym))
+        return found
+
+    # --- what is made of it -------------------------------------------------------------------------------------------
+
+    def _checked(self, asked: GlassName, name: str, glass: Glass, where: str, meant: Glass | None) -> Found:
+        """A glass found by name, held against what the file states beside it."""
+        exact = "which" not in where and not any(asked.offset)
+        synonym = _bare(glass.name) != _bare(name.partition("_")[0]) and _bare(glass.name) != _bare(name)
+        if synonym:
+            where += f", as {glass.name}"
+        elif any(asked.offset):
+            where += f", without the melt offset of n_d {asked.offset[0]:+g}, v_d {asked.offset[1]:+g}"
+            base = glass.nd or float(glass.dispersion.index(D_NM))
+            vd = glass.vd or 0.0
+            meant = model_glass(name, base + asked.offset[0], vd + asked.offset[1]) if vd else None
+        if exact and not synonym:
+            other = self._elsewhere(glass, name)
+            stated = self._stated(asked, glass)
+            return self._found(name, glass, where + other + stated, glass if not stated else meant, exact=not stated)
+        return self._found(name, glass, where, meant or (None if synonym else glass), exact=False)
+
+    def _stated(self, asked: GlassName, glass: Glass) -> str:
+        """A remark where the coefficients do not give the index that catalogue or file states."""
+        low, high = glass.range_nm
+        if not low <= D_NM <= high:
+            return ""
+        real = float(glass.index(D_NM))
+        for what, value in (("its catalogue", glass.nd), ("the file", asked.nd)):
+            if value and abs(real - value) > STATED_ND:
+                return f"; its coefficients give n_d = {real:.5f}, {what} states {value:.5f}"
+        return ""
+
+    def _elsewhere(self, glass: Glass, name: str) -> str:
+        """A remark where another catalogue has the same name with another index."""
+        others = [c.glass(name) for c in self.own.values() if name in c and c.name != glass.maker]
+        others += [g for g in self._built_in(name) if g.maker != glass.maker and _bare(g.name) == _bare(name)]
+        for other in others:
+            wave = np.linspace(max(glass.range_nm[0], 450.0), min(glass.range_nm[1], 900.0), 5)
+            if not (other.range_nm[0] <= wave[0] < wave[-1] <= other.range_nm[1]):
+                continue
+            change = float(np.abs(other.index(wave) - glass.index(wave)).max())
+            if change > 1e-7:
+                return f"; {other.maker} has a glass of this name too, its index differs by up to {change:.1e}"
+        return ""
+
+    def _meant(self, asked: GlassName, name: str) -> Glass | None:
+        """What the file means, where numbers say so."""
+        if asked.nd and asked.nd > 1.0:
+            try:
+                return model_glass(name, asked.nd, asked.vd or 0.0, partial=asked.partial)
+            except StarbenchError:
+                return None
+        code = _code(name)
+        return model_glass(name, *code) if code else None
+
+    def _model(self, asked: GlassName, name: str, nd: float, vd: float) -> Found:
+        """A glass from n_d and v_d; beside a name that is known, the remark how far that one is."""
+        shown = name if _bare(name).replace("BLANK", "") else f"model-{nd:.6g}-{vd:.5g}"
+        try:
+            glass = model_glass(f"{shown}", nd, vd, partial=asked.partial)
+        except StarbenchError as error:
+            raise self.draft.fail(asked.line, str(error)) from None
+        known = self._by_name(asked, name) if name and not _code(name) else None
+        remark = ""
+        if known is not None:
+            change = float(glass.index(D_NM)) - float(known[0].dispersion.index(D_NM))
+            remark = f"; the catalogue glass of this name has n_d {change:+.1e} from it"
+        if vd == 0.0:
+            return self._found(name, glass, "constant index, as the file states it" + remark, glass, exact=True)
+        where = f"n_d, v_d and the normal dispersion (half of all glasses lie within {MODEL_ERROR:.1e} of it)"
+        return self._found(name, glass, where + remark, None, exact=False)
+
+    def _another(self, asked: GlassName, name: str, meant: Glass | None) -> Found:
+        """An obsolete SCHOTT glass is taken as its successor N-; anything else is refused."""
+        base = name.partition("_")[0]
+        successor = self._built_in(f"N{_bare(base)}")
+        if successor and _bare(base) and not base.upper().startswith("N-"):
+            glass = successor[0]
+            where = f"{glass.name}, its successor without lead and arsenic, in its place"
+            return self._found(name, glass, where, meant, exact=False)
+        known = {n.upper(): n for n in (*list_glasses(), *list_glasses(obsolete=True))}
+        for catalogue in self.own.values():
+            known.update({n.upper(): n for n in catalogue.names})
+        near = [known[n] for n in difflib.get_close_matches(base.upper(), known, n=3, cutoff=0.6)]
+        listed = ", ".join(self._listed) or "none"
+        hint = f" (nearest names: {', '.join(near)})" if near else ""
+        raise self.draft.fail(
+            asked.line,
+            f"glass {name!r} is in no catalogue at hand{hint}; the file lists {listed}: put the AGF file beside the "
+            f"lens file, or name a glass to take in its place",
+        )
+
+    def _found(self, name: str, glass: Glass, where: str, meant: Glass | None, *, exact: bool) -> Found:
+        waves = [wave for wave, _ in self.draft.wavelengths]
+        for wave in waves:
+            low, high = glass.range_nm
+            if not low <= wave <= high:
+                raise ConfigError(
+                    f"{self.draft.report.file}: wavelength {wave:g} nm is outside {low:g} ... {high:g} nm, the range "
+                    f"of glass {glass.name} ({where})"
+                )
+        index = tuple(float(glass.index(wave)) for wave in waves)
+        change = None
+        if not exact and meant is not None and meant is not glass:
+            change = tuple(n - float(meant.dispersion.index(w)) for w, n in zip(waves, index, strict=True))
+        elif exact:
+            change = (0.0,) * len(waves)
+        choice = GlassChoice(
+            asked=name,
+            taken=glass.name,
+            where=where,
+            status=Status.TAKEN if exact else Status.APPROXIMATED,
+            wavelength_nm=tuple(waves),
+            index=index,
+            change=change,
+        )
+        return Found(glass=glass, choice=choice, meant=None if exact else meant, message=where)
+
+
+def _code(name: str) -> tuple[float, float] | None:
+    """n_d and v_d of ``517642``, ``517.642``, ``620410.603236``, ``1.5168:64.17``."""
+    head, colon, tail = name.partition(":")
+    if colon:
+        try:
+            nd, vd = float(head), float(tail)
+        except ValueError:
+            return None
+        return (nd, vd) if 1.0 < nd < 4.5 and 9.0 <= vd <= 120.0 else None
+    head, dot, tail = name.partition(".")
+    if dot and 3 <= len(head) <= 6 and 3 <= len(tail) <= 6 and (head + tail).isdigit():
+        return 1.0 + int(head) / 10 ** len(head), int(tail) / 10 ** (len(tail) - 2)
+    return six_digits(name)
+
+
+_BARE: dict[str, list[str]] = {}
+
+
+def _names_by_bare() -> dict[str, list[str]]:
+    if not _BARE:
+        for name in (*list_glasses(), *list_glasses(obsolete=True)):
+            _BARE.setdefault(_bare(name), []).append(name)
+    return _BARE

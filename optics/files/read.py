@@ -1,0 +1,86 @@
+"""Lens files by what they are: Zemax or CODE V, told by content rather than by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from optics.errors import ConfigError, StarbenchError
+from optics.files.assemble import Imported, assemble
+from optics.files.draft import Draft
+from optics.files.seq import read_seq
+from optics.files.zmx import read_zmx
+from optics.textfile import TextFile, read_text
+
+__all__ = ["SUFFIXES", "import_lens", "split_configuration"]
+
+SUFFIXES = (".zmx", ".seq")
+"""Endings of the lens files of other programs that are read."""
+_CLOSED = {
+    ".zmf": "an encrypted or binary stock-lens catalogue", ".zbb": "an encrypted black box", ".zar": "an archive",
+    ".len": "a binary lens file of CODE V; save it as .seq", ".zos": "a binary file; save it as .zmx",
+    ".otx": "a lens file of another program", ".osl": "a lens file of another program",
+}  # fmt: skip
+
+
+def split_configuration(name: str) -> tuple[str, int | None]:
+    """Path and configuration of ``zoom.zmx#2``."""
+    head, mark, tail = name.rpartition("#")
+    if mark and tail.isascii() and tail.isdigit() and head.lower().endswith(SUFFIXES):
+        return head, int(tail)
+    return name, None
+
+
+def import_lens(
+    path: str | Path,
+    *,
+    configuration: int | None = None,
+    catalogues: Sequence[str | Path] = (),
+    glasses: Mapping[str, str] | None = None,
+    strict: bool = False,
+) -> Imported:
+    """Read a Zemax or CODE V file as a prescription of our own.
+
+    Parameters
+    ----------
+    path : path
+        A .zmx or .seq file.
+    configuration : int, optional
+        Which configuration (zoom position), from 1; the active one if left out.
+    catalogues : sequence of path
+        Glass catalogues (AGF) to look in; those beside the lens file are used too.
+    glasses : mapping, optional
+        Name in the file -> glass to take in its place.
+    strict : bool
+        Refuse whatever is not the same as in the file.
+
+    Raises
+    ------
+    ConfigError
+        No such file, not a lens file, something in it that is not read, or ``strict`` and an approximation.
+    """
+    place = Path(path)
+    if place.suffix.lower() in _CLOSED:
+        raise ConfigError(f"{path}: {_CLOSED[place.suffix.lower()]}; .zmx, .seq and .toml are read")
+    text = read_text(path, "a lens file")
+    try:
+        imported = assemble(
+            _draft(place, text, configuration), catalogues=[Path(c) for c in catalogues], glasses=glasses
+        )
+    except StarbenchError as error:
+        folder = f"{place.parent}/" if str(place.parent) != "." else ""
+        raise type(error)("\n".join(folder + line for line in str(error).split("\n"))) from None
+    if strict:
+        imported.report.require_exact()
+    return imported
+
+
+def _draft(path: Path, text: TextFile, configuration: int | None) -> Draft:
+    firsts = [line.split()[0].upper() for line in text.lines if line.strip()]
+    zemax, codev = (sum(word in words for word in firsts) for words in (("SURF", "CURV", "DISZ"), ("S", "SO", "SI")))
+    suffix = path.suffix.lower()
+    if zemax > codev or (zemax == codev and suffix == ".zmx"):
+        return read_zmx(path, text, configuration)
+    if codev or suffix == ".seq":
+        return read_seq(path, text, configuration)
+    raise ConfigError(f"{path.name}: neither a Zemax (.zmx) nor a CODE V (.seq) lens")
