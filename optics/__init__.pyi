@@ -13,6 +13,8 @@ from .glass.catalogue import list_glasses as list_glasses
 from .glass.media import CATALOGUE_AIR as CATALOGUE_AIR
 from .glass.media import VACUUM as VACUUM
 from .glass.media import Environment as Environment
+from .lens.lens_file import LensFile as LensFile
+from .lens.lens_file import read_lens_file as read_lens_file
 from .lens.perturb import ALL_SURFACES as ALL_SURFACES
 from .lens.perturb import EVERYTHING as EVERYTHING
 from .lens.perturb import change_conic as change_conic

@@ -13,6 +13,7 @@ __all__ = ["LARGEST_BYTES", "TextFile", "read_text"]
 LARGEST_BYTES = 32 * 2**20
 """Lens files have kilobytes, the largest glass catalogues some megabytes."""
 
+_STRANGE = ("\ufffd", *(chr(c) for c in range(32) if chr(c) not in "\t\n\r\f\x1a"))
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
     (codecs.BOM_UTF32_LE, "utf-32"),
@@ -65,7 +66,7 @@ def read_text(path: str | Path, what: str) -> TextFile:
         raise ConfigError(f"{path}: the file is empty")
     encoding = _encoding(data)
     text = data.decode(encoding, errors="replace")
-    strange = sum(text.count(c) for c in ("\0", "\ufffd"))
+    strange = sum(text.count(c) for c in _STRANGE)
     if strange > 0.01 * len(text):
         raise ConfigError(f"{path}: not a text file ({strange} of {len(text)} characters make no sense as {encoding})")
     text = text.replace("\0", " ").replace("\r\n", "\n").replace("\r", "\n")

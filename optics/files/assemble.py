@@ -212,7 +212,7 @@ def _stop(draft: Draft, data: FirstOrder) -> float:
         draft.report.approximated(
             aperture.line,
             "aperture",
-            f"the stop is {semi:.6g} mm wide for it, but has a clear aperture of {row.clear_mm:.6g} mm: that one counts",
+            f"it makes the stop {semi:.6g} mm, which has a clear aperture of {row.clear_mm:.6g} mm: that one counts",
             row.number,
         )
         semi = row.clear_mm

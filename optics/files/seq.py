@@ -21,13 +21,14 @@ from optics.files.report import ReportBuilder
 from optics.files.seq_surfaces import SurfaceData
 from optics.glass.catalogue import Glass
 from optics.glass.dispersion import Dispersion
-from optics.glass.index_database import fitted_index
+from optics.glass.index_database import LARGEST_RESIDUAL, fitted_index
 from optics.textfile import TextFile
 
 __all__ = ["read_seq"]
 
 UNITS_MM = {"M": 1.0, "MM": 1.0, "C": 10.0, "CM": 10.0, "I": 25.4, "IN": 25.4}
 MOST_SURFACES = 1000
+EXACT_RESIDUAL = 1e-6
 _WORD = re.compile(r"'[^']*'|\"[^\"]*\"|[^\s'\"]+")
 _SURFACE = re.compile(r"S(\d+|O|I|A)$", re.IGNORECASE)
 
@@ -156,7 +157,7 @@ class _Reader:
         return self.draft
 
     def _radii_or_curvatures(self) -> None:
-        """Without RDM the numbers may be radii or curvatures: what no surface can be is ruled out, or nothing is read."""
+        """Without RDM the numbers may be radii or curvatures: what no surface can be is ruled out."""
         bases = [abs(number(c.words, 1, 0.0)) for c in self.commands if c.key == "S" and len(c.words) > 1]
         bent = [b for b in bases if b > 0.0 and math.isfinite(b)]
         pupils = [number(c.words, 1) for c in self.commands if c.key == "EPD" and len(c.words) > 1]
@@ -266,7 +267,7 @@ class _Reader:
                 self.report.taken(command.line, command.text[:80], f"glass {name} by Laurent's formula")
                 return
             indices = [number(words, i) for i in range(1, len(words))]
-            self.draft.private[name] = self._measured(name, indices)
+            self.draft.private[name] = self._measured(command.line, name, indices)
             self.report.taken(command.line, command.text[:80], f"glass {name} by its indices")
 
     def _laurent(self, name: str, coefficients: list[float]) -> Glass:
@@ -282,7 +283,7 @@ class _Reader:
             maker="private",
         )
 
-    def _measured(self, name: str, indices: list[float]) -> Glass:
+    def _measured(self, line: int, name: str, indices: list[float]) -> Glass:
         waves = self.private_waves
         if len(waves) != len(indices) or len(waves) < 2 or len(set(waves)) < len(waves) or not np.isfinite(waves).all():
             raise ValueError(f"{len(indices)} indices at {len(waves)} wavelengths make no glass")
@@ -291,6 +292,10 @@ class _Reader:
         if not (wave[0] > 100.0 and (index >= 1.0).all() and (index < 5.0).all()):
             raise ValueError("wavelengths or indices that no glass has")
         dispersion, residual = fitted_index(1e-3 * wave, index)
+        if residual > LARGEST_RESIDUAL:
+            raise ValueError(f"no smooth curve follows the indices of glass {name}: residuals of {residual:.1e}")
+        if residual > EXACT_RESIDUAL:
+            self.report.approximated(line, f"'{name}'", f"indices by a smooth curve, residuals up to {residual:.1e}")
         source = (
             f"{self.report.file}, line by line: polynomial through {len(wave)} indices, residuals to {residual:.1e}"
         )

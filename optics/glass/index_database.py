@@ -146,7 +146,7 @@ def fitted_index(wave_um: FloatArray, index: FloatArray) -> tuple[Dispersion, fl
     float
         The largest residual of the index.
     """
-    exponents = (0, 2, -2, -4, -6, -8)[: max(2, min(6, len(wave_um) // 2))]
+    exponents = (0, 2, -2, -4, -6, -8)[: max(2, min(6, (len(wave_um) + 1) // 2 + (len(wave_um) > 3)))]
     columns = np.stack([wave_um**p for p in exponents], axis=1)
     factors = np.linalg.lstsq(columns / abs(columns).max(0), index**2, rcond=None)[0] / abs(columns).max(0)
     residual = float(np.abs(np.sqrt(np.maximum(columns @ factors, 0.0)) - index).max())

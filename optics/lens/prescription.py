@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, StarbenchError, unknown_name
+from optics.files.read import SUFFIXES, import_lens, split_configuration
 from optics.glass.catalogue import Glass, get_glass, glass_from_table
 from optics.glass.media import CATALOGUE_AIR, Environment
 from optics.lens.sag_map import SagMap
@@ -26,7 +27,7 @@ from optics.lens.system import AMBIENT, LensSystem, Surface
 from optics.lens.tables import MIRROR, BreakTable, ErrorTable, MovedTable, Prescription, SurfaceTable
 from optics.validate import parse_model, read_toml
 
-__all__ = ["lens_from_table", "list_lenses", "load_lens"]
+__all__ = ["lens_from_table", "lens_path", "list_lenses", "load_lens"]
 
 
 EDGE_ON = 1e-6
@@ -201,15 +202,34 @@ def list_lenses() -> tuple[str, ...]:
     return tuple(_builtin())
 
 
-def load_lens(name_or_path: str | Path, *, environment: Environment = CATALOGUE_AIR) -> LensSystem:
+def lens_path(name_or_path: str | Path) -> Path:
+    """File of a lens: a built-in name, or a path.
+
+    Raises
+    ------
+    ConfigError
+        A name that is neither, with the nearest built-in one.
+    """
+    builtin, text = _builtin(), str(name_or_path)
+    if text in builtin:
+        return builtin[text]
+    if "/" in text or text.lower().endswith((".toml", *SUFFIXES)):
+        return Path(text)
+    raise unknown_name("lens", text, builtin)
+
+
+def load_lens(name_or_path: str | Path, *, environment: Environment | None = None) -> LensSystem:
     """Read a prescription.
 
     Parameters
     ----------
     name_or_path : str or path
-        A built-in name (`list_lenses`) or a TOML file.
-    environment : Environment
-        Temperature and pressure; `optics.glass.media.VACUUM` for space.
+        A built-in name (`list_lenses`), a TOML file, or a lens file of Zemax (.zmx) or CODE V (.seq), of which
+        ``zoom.zmx#2`` is the second configuration. `optics.lens.lens_file.read_lens_file` tells what became of every
+        line of such a file.
+    environment : Environment, optional
+        Temperature and pressure; `optics.glass.media.VACUUM` for space. Left out: that of the file, or
+        `optics.glass.media.CATALOGUE_AIR`.
 
     Returns
     -------
@@ -221,15 +241,15 @@ def load_lens(name_or_path: str | Path, *, environment: Environment = CATALOGUE_
     ConfigError
         Unknown name (with the nearest), missing or broken file, unknown key (with the nearest), unknown glass.
     """
-    builtin = _builtin()
-    text = str(name_or_path)
-    if text in builtin:
-        path = builtin[text]
-    elif text.endswith(".toml") or "/" in text:
-        path = Path(name_or_path)
+    name, configuration = split_configuration(str(name_or_path))
+    path = lens_path(name)
+    where, surroundings = str(name_or_path), CATALOGUE_AIR
+    if path.suffix.lower() in SUFFIXES:
+        imported = import_lens(path, configuration=configuration)
+        tables, surroundings = imported.tables, imported.defaults.environment
     else:
-        raise unknown_name("lens", text, builtin)
-    return lens_from_table(read_toml(path), where=str(name_or_path), folder=path.parent, environment=environment)
+        tables = read_toml(path)
+    return lens_from_table(tables, where=where, folder=path.parent, environment=environment or surroundings)
 
 
 def lens_from_table(
