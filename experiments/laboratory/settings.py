@@ -30,7 +30,9 @@ class InstrumentConfig(StrictModel):
 
     dimensionless: ClassVar[frozenset[str]] = frozenset({"f_number", "housing"})
 
-    lens: FileName = Field(default="star_camera_206mm", description="built-in lens, or a file: TOML, Zemax .zmx, CODE V .seq")
+    lens: FileName = Field(
+        default="star_camera_206mm", description="built-in lens, or a file: TOML, Zemax .zmx, CODE V .seq"
+    )
     detector: FileName = Field(default="acc18_mosaic", description="built-in detector or TOML file")
     width_px: int = Field(
         default=0, ge=0, le=32768, description="columns read out in the middle of the detector; 0: all"
