@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from experiments.harness.plotting import INK, MARKERS, PALETTE, band_colours, log_ticks, new_figure
+from experiments.harness.plotting import INK, MARKERS, PALETTE, band_colours, log_ticks, new_figure, scale_bar
 from experiments.harness.quantities import Outcome
 from experiments.laboratory import sketches
 from optics.arrays import FloatArray
@@ -58,6 +58,7 @@ def spot_gallery(outcome: Outcome, lens: str) -> Figure:
             axis.plot(*measured.photon_px[0, 0, band], "+", color="white", markersize=7, markeredgewidth=0.9)
             axis.grid(visible=False)
             axis.set(xticks=[], yticks=[])
+        scale_bar(axes[2, band])
         axes[0, band].set_title(f"{centre:g} nm", color=colour)
     for axis, label in zip(axes[:, 0], ("noiseless", "one frame", f"mean of {len(stack.dn)}"), strict=True):
         axis.set_ylabel(label)

@@ -13,7 +13,7 @@ from experiments.fisher.bench import Case
 from experiments.fisher.coverage import DISTRIBUTIONS, LEVELS
 from experiments.fisher.field_of_view import closed_form, pixel_noise_form
 from experiments.fisher.reduce import CONFIDENCE
-from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure
+from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure, scale_bar
 from experiments.harness.quantities import Outcome
 from experiments.laboratory.point_figures import detector_outline
 from experiments.laboratory.single_star import sketch
@@ -174,6 +174,7 @@ def _window(axis: Any, case: Case, at: int) -> None:
     axis.plot(*case.acquisition.bundle_px[near], "+", color="white", markersize=7, markeredgewidth=0.9)
     axis.plot(*case.acquisition.position_px[near], "x", color=PALETTE[1], markersize=4, markeredgewidth=0.9)
     axis.set(xticks=[], yticks=[], xlim=extent[:2], ylim=extent[2:])
+    scale_bar(axis)
     axis.grid(visible=False)
     axis.set_title(f"{centre[0]:.0f}, {centre[1]:.0f}", fontsize=7, pad=3)
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from matplotlib.figure import Figure as Drawing
 
-from experiments.harness.plotting import WIDTH_IN, equation_svg, figure_png, figure_svg, house_style
+from experiments.harness.plotting import WIDTH_IN, equation_svg, figure_png, figure_svg, house_style, side_by_side
 from experiments.harness.summary import Measured
 from experiments.harness.tables import Table
 from optics.errors import DomainError
@@ -114,7 +115,9 @@ class Artist:
         drawing = figure.drawing
         if isinstance(drawing, Drawing) and not figure.raster:
             with house_style():
-                drawing = figure_svg(drawing, prefix=f"fig{number}")
+                text = figure_svg(drawing, prefix=f"fig{number}")
+                halves = side_by_side(drawing)
+            drawing = text + _stacked(text, halves) if halves else text
         if isinstance(drawing, str):
             if not drawing.lstrip().startswith("<svg"):
                 raise DomainError(f"figure {number}: text that is not an <svg> element")
@@ -140,3 +143,18 @@ class Artist:
         """Whether a figure was made for half the width of the text."""
         drawing = figure.drawing
         return isinstance(drawing, Drawing) and drawing.get_figwidth() <= 1.1 * WIDTH_IN["half"]
+
+
+def _stacked(svg: str, halves: Sequence[tuple[float, float]]) -> str:
+    """The halves of a figure one above the other, for narrow screens: the same drawing through two windows."""
+    box = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg)
+    drawn = re.search(r'<g id="([^"]+)"', svg)
+    if box is None or drawn is None:
+        return ""
+    width, height = float(box[1]), float(box[2])
+    windows = (
+        f'<svg class="half" viewBox="{left * width:.1f} 0 {(right - left) * width:.1f} {height:g}" aria-hidden="true">'
+        f'<use href="#{drawn[1]}"/></svg>'
+        for left, right in halves
+    )
+    return "".join(windows)

@@ -12,7 +12,7 @@ Besides ``config``, ``result``, ``data`` and ``outcome`` it knows
 ``row(a, b)``              figures or tables side by side
 ``equation(r"...", note)`` a displayed equation, in matplotlib's subset of LaTeX
 ``numbers(number(...))``   the figures shown large: ``number(label, value, unit, format, note)``
-``criteria()``             the table of criteria; it stands after the numbers if the template does not place it
+``criteria()``             the table of criteria; it stands after the first section with a figure if not placed
 ``x | cell(".3f")``        a number as tables set it; ``x | g`` as %g
 ``x | digits(2)``          a number with so many significant digits
 ``x | md``                 text that is Markdown itself; any other text is taken letter by letter
@@ -211,7 +211,10 @@ def render_document(
     context = _Context(outcome, {name: one for name, one in tables.items() if isinstance(one, Table)}, draw)
     text = _typeset(context, path)
     markdown = MarkdownIt("commonmark", {"html": False}).enable("table")
-    page = _split(markdown, text, context.blocks, path.name)
+    page, sections = _split(markdown, text, context.blocks, path.name)
+    if criteria and not any(isinstance(block, _Criteria) for block in context.blocks):
+        sections.insert(_after_first_figure(sections, context.blocks), context.criteria())
+    page["sections"] = "\n".join(sections)
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).with_name("templates")),
         autoescape=True,
@@ -234,18 +237,16 @@ def render_document(
     }
     glossary = Glossary()
     filled = {name: html if name == "title" else glossary.mark(str(html)) for name, html in filled.items()}
-    placed = any(isinstance(block, _Criteria) for block in context.blocks)
     return environment.get_template("report.html").render(
         **filled,
         passed=all(criterion.passed for criterion in criteria),
         verdict_line=verdict_line(criteria, judged),
-        criteria_table=None if placed or not criteria else show(_Criteria()),
         glossary=glossary,
     )
 
 
-def _split(markdown: Any, text: str, blocks: Sequence[Any], name: str) -> dict[str, str]:
-    """HTML of title, lead, verdict, numbers and sections."""
+def _split(markdown: Any, text: str, blocks: Sequence[Any], name: str) -> tuple[dict[str, str], list[str]]:
+    """HTML of title, lead, verdict and numbers, and of the sections."""
     tokens = markdown.parse(text)
     starts = [n for n, token in enumerate(tokens) if token.type == "heading_open" and token.tag == "h2"]
     first = starts[0] if starts else len(tokens)
@@ -268,8 +269,17 @@ def _split(markdown: Any, text: str, blocks: Sequence[Any], name: str) -> dict[s
         raise ConfigError(f"report template {name}: a first line '# Title' is needed")
     ends = [*starts[1:], len(tokens)][: len(starts)]
     parts = (html(tokens[start:end]) for start, end in zip(starts, ends, strict=True))
-    page["sections"] = "\n".join(f"<section>\n{part}</section>" for part in parts)
-    return page
+    return page, [f"<section>\n{part}</section>" for part in parts]
+
+
+def _after_first_figure(sections: Sequence[str], blocks: Sequence[Any]) -> int:
+    """Where the criteria stand if the template does not say so."""
+    for number, html in enumerate(sections):
+        inside = [blocks[int(mark)] for mark in _MARK.findall(html)]
+        inside += [inner for block in inside if isinstance(block, Row) for inner in block.blocks]
+        if any(isinstance(block, Figure) for block in inside):
+            return number + 1
+    return len(sections)
 
 
 def _top_level(tokens: Sequence[Any]) -> list[list[Any]]:

@@ -23,6 +23,7 @@ from matplotlib import rc_context  # noqa: E402
 from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.backends.backend_svg import FigureCanvasSVG  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
+from matplotlib.font_manager import FontProperties  # noqa: E402
 
 from optics.errors import DomainError  # noqa: E402
 
@@ -38,6 +39,8 @@ __all__ = [
     "house_style",
     "log_ticks",
     "new_figure",
+    "scale_bar",
+    "side_by_side",
     "wavelength_colour",
 ]
 
@@ -189,6 +192,42 @@ def figure_svg(figure: Figure, *, prefix: str = "f") -> str:
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r'\bid="', f'id="{prefix}-', text)
     return re.sub(r"(href=\"|url\()#", rf"\g<1>#{prefix}-", text)
+
+
+def scale_bar(axes: Any, *, size_px: int = 5) -> None:
+    """A bar of so many pixels in the lower right corner of an image whose coordinates are pixels."""
+    from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
+
+    bar = AnchoredSizeBar(
+        axes.transData, size_px, f"{size_px} px", "lower right", color="white", frameon=False, pad=0.2, sep=2,
+        fontproperties=FontProperties(size=6.5),
+    )  # fmt: skip
+    axes.add_artist(bar)
+
+
+def side_by_side(figure: Figure) -> list[tuple[float, float]]:
+    """Left and right ends (parts of the width) of the two halves of a figure that may stand one above the other.
+
+    Empty where there are not two, or where the right one takes its scale from the left one.
+    """
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    to_figure = figure.transFigure.inverted()
+    parts: list[list[Any]] = []  # left end, right end, axes
+    for axis in sorted(figure.axes, key=lambda one: one.get_position().x0):
+        box = axis.get_tightbbox(renderer)
+        if box is None:
+            continue
+        left, right = box.transformed(to_figure).intervalx
+        if parts and (left < parts[-1][1] or axis.get_label() == "<colorbar>"):
+            parts[-1] = [parts[-1][0], max(right, parts[-1][1]), [*parts[-1][2], axis]]
+        else:
+            parts.append([left, right, [axis]])
+    if len(parts) != 2 or figure.legends or figure.texts:
+        return []
+    scaled = [axis for axis in parts[1][2] if axis.axison and len(axis.get_yticks())]
+    if any(not axis.yaxis.get_tick_params().get("labelleft", True) for axis in scaled):
+        return []
+    return [(max(left - 0.005, 0.0), min(right + 0.005, 1.0)) for left, right, _ in parts]
 
 
 def figure_png(figure: Figure, *, dpi: float = 200.0) -> bytes:

@@ -69,8 +69,8 @@ class Criterion:
     def demand(self) -> str:
         """What is demanded of the value, e.g. "≤ 3" or "1 ± 0.24"."""
         if self.about is not None:
-            return f"{self.about:.6g} ± {self.limit:.6g}"
-        return f"{_SIGNS[self.relation]} {self.limit:.6g}"
+            return f"{self.about:.6g} ± {self.limit:.4g}"
+        return f"{_SIGNS[self.relation]} {self.limit:.4g}"
 
 
 def farthest_from_one(ratios: Any) -> float:

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from calib.flags import StarFlag, has_flag
-from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure
+from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure, scale_bar
 from experiments.harness.quantities import Outcome
 from experiments.harness.tables import significant
 from experiments.laboratory.direction_maps import VectorPanel, pixel_axes, vector_maps
@@ -115,6 +115,7 @@ def close_ups(outcome: Outcome, name: str, half: bool = False) -> Figure:
         axis.plot(*matched.photon_px[row], "+", color="white", markersize=8, markeredgewidth=1.0)
         axis.grid(visible=False)
         axis.set(xticks=[], yticks=[])
+        scale_bar(axis)
         axis.set_title(f"G {sky.magnitude[star]:.1f}, {sky.temperature_k[star] / 1000:.1f} kK", fontsize=6.5, pad=3)
     return figure
 

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure
+from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure, scale_bar
 from experiments.harness.quantities import Outcome
 from experiments.laboratory import sketches
 from experiments.laboratory.point_figures import centroid_cloud
@@ -107,6 +107,7 @@ def target_frame(outcome: Outcome) -> Figure:
     figure, axis = new_figure(width="half", aspect_ratio=1.0)
     axis.imshow(np.arcsinh(image / 60.0), vmin=-1.0, interpolation="nearest")
     axis.set(xticks=[], yticks=[])
+    scale_bar(axis)
     axis.grid(visible=False)
     for side in axis.spines.values():
         side.set_visible(False)

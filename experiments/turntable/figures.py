@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure
+from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure, scale_bar
 from experiments.harness.quantities import Outcome
 from experiments.laboratory.single_star.sketch import bench_sketch
 from experiments.turntable.quantities import UNKNOWNS
@@ -103,6 +103,7 @@ def star_windows(outcome: Outcome) -> Figure:
         axis.imshow(np.where(stack.defect[at], np.nan, electrons), extent=extent, vmin=-40)
         axis.plot(*place[at], "+", color="white", markersize=7, markeredgewidth=0.9)
         axis.set(xticks=[], yticks=[])
+        scale_bar(axis)
         axis.grid(visible=False)
         axis.set_title(f"{place[at, 0]:.0f}, {place[at, 1]:.0f}", fontsize=7, pad=3)
     return figure

@@ -125,8 +125,9 @@ def test_key_numbers_take_unit_and_format_from_the_quantity(page):
 
 def test_criteria_stand_where_the_template_says(page):
     both = [criterion(True), criterion(False)]
-    first, placed = page("Words.", criteria=both), page("Words.\n\n{{ criteria() }}", criteria=both)
-    assert first.index("<h2>Criteria</h2>") < first.index("Words.")
+    sections = "Words.\n\n## One\n\n{{ figure('plot') }}\n\n## Two\n\nMore."
+    first, placed = page(sections, criteria=both), page("Words.\n\n{{ criteria() }}", criteria=both)
+    assert first.index("</figure>") < first.index("<h2>Criteria</h2>") < first.index("<h2>Two</h2>")
     assert placed.index("<h2>Criteria</h2>") > placed.index("Words.")
     for html in (first, placed):
         assert html.count("✓ yes") == html.count("✗ no") == html.count("<h2>Criteria</h2>") == 1

@@ -16,6 +16,7 @@ from experiments.harness.plotting import (
     house_style,
     log_ticks,
     new_figure,
+    side_by_side,
     wavelength_colour,
 )
 from optics.errors import DomainError
@@ -106,3 +107,22 @@ def test_bands_are_told_apart_without_colour_and_keep_their_order():
 def test_no_colour_for_no_wavelength(wavelength):
     with pytest.raises(DomainError, match="must be positive"):
         wavelength_colour(wavelength)
+
+
+@pytest.mark.parametrize(
+    ("columns", "options", "halves"),
+    [(1, {}, 0), (2, {}, 2), (2, {"sharey": True}, 0), (3, {}, 0)],
+    ids=["one", "two", "one scale", "three"],
+)
+def test_two_panels_may_stand_one_above_the_other(columns, options, halves):
+    with house_style():
+        figure, axes = new_figure(1, columns, squeeze=False, **options)
+        for axis in axes.ravel():
+            shown = axis.imshow(np.eye(3))
+        figure.colorbar(shown, ax=axes[0, -1])  # belongs to its panel
+        figure_svg(figure)
+        found = side_by_side(figure)
+    assert len(found) == halves
+    if found:
+        (left, middle), (after, right) = found
+        assert 0 <= left < 0.3 < middle < after + 0.02 < 0.7 < right <= 1
