@@ -224,7 +224,8 @@ def side_by_side(figure: Figure) -> list[tuple[float, float]]:
             parts.append([left, right, [axis]])
     if len(parts) != 2 or figure.legends or figure.texts:
         return []
-    scaled = [axis for axis in parts[1][2] if axis.axison and len(axis.get_yticks())]
+    panels = [axis for axis in parts[1][2] if axis.get_label() != "<colorbar>"]
+    scaled = [axis for axis in panels if axis.axison and len(axis.get_yticks())]
     if any(not axis.yaxis.get_tick_params().get("labelleft", True) for axis in scaled):
         return []
     return [(max(left - 0.005, 0.0), min(right + 0.005, 1.0)) for left, right, _ in parts]
