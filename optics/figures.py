@@ -7,6 +7,7 @@ touched and nothing leaks.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,6 +18,7 @@ from scipy.ndimage import grey_dilation
 
 from optics.arrays import FloatArray
 from optics.frames import field_direction, light_direction
+from optics.lens.apertures import Spider
 from optics.lens.system import AMBIENT, LensSystem
 from optics.rays.chief import distortion_map
 from optics.rays.pupil import PupilSamples, entrance_pupil, gauss_disk
@@ -89,6 +91,12 @@ def _draw_glass(axes: Axes, lens: LensSystem, reach: Sequence[float]) -> None:
         axes.fill([], [], facecolor=tints[glass], edgecolor=GLASS_EDGE, linewidth=0.9, label=glass)
 
 
+def _without_vanes(lens: LensSystem) -> LensSystem:
+    """The lens without vanes, on which the section itself often lies."""
+    kept = [tuple(one for one in s.apertures if not isinstance(one, Spider)) for s in lens.surfaces]
+    return lens.with_surfaces({i: replace(s, apertures=kept[i]) for i, s in enumerate(lens.surfaces)})
+
+
 def _draw_mirrors(axes: Axes, lens: LensSystem, reach: Sequence[float]) -> None:
     for index, surface in enumerate(lens.surfaces):
         if surface.mirror:
@@ -149,6 +157,7 @@ def draw_lens(
     fields = [0.0, 0.7 * lens.max_field_deg, lens.max_field_deg] if fields_deg is None else list(fields_deg)
     along_z = [float(position[2]) for position, _ in lens.poses]
     first, last = min(along_z), max(along_z)
+    lens = _without_vanes(lens)
     length = last - first
     fans = [_fan(lens, field, rays, wave, 0.12 * length - first) for field in fields]
     reach = _reaches(lens, fans)

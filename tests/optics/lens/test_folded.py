@@ -1,17 +1,27 @@
 """Mirrors, coordinate breaks, tilted image planes: closed forms, and rotations written out by hand."""
 
 import math
+import re
+import tomllib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
 
 from optics.errors import ConfigError
-from optics.lens.prescription import lens_from_table
+from optics.figures import draw_lens
+from optics.glass.catalogue import get_glass
+from optics.lens.prescription import lens_from_table, load_lens
+from optics.lens.shapes.conic import Conic
+from optics.rays.chief import chief_ray_points
 from optics.rays.paraxial import paraxial, refocused
 from optics.rays.reverse import retraced, reverse
+from optics.rays.spots import spot_moments
 from optics.rays.trace import Rays, trace
 
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "lens_file.md"
 HEAD = {"name": "test", "source": "closed form", "design_wavelength_nm": 600.0, "max_field_deg": 1.0}
 
 # Cassegrain: primary of focal length 1000, secondary 700 in front of it, images its focus 300 behind onto 1200
@@ -98,6 +108,76 @@ def test_a_bent_axis_meets_the_middle_of_the_image():
         # the image plane stands square to the folded axis: its normal is the mirrored z axis
         normal = lens.surfaces[2].rotation[:, 2]
         np.testing.assert_allclose(lens.image_rotation[:, 2], [0, 0, 1] - 2 * normal[2] * normal, atol=1e-15)
+
+
+def blocks_of_the_page():
+    return re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
+
+
+def test_the_ritchey_chretien_of_the_page_has_no_coma(tmp_path):
+    (tmp_path / "lens.toml").write_text(blocks_of_the_page()[0])
+    lens = load_lens(tmp_path / "lens.toml")
+    assert paraxial(lens).efl_mm == pytest.approx(400.0, rel=1e-12)
+    assert paraxial(lens).rear_focus_z_mm == pytest.approx(lens.image_position_mm[2], rel=1e-12)
+
+    def coma(table):
+        """Mean of the light, from the chief ray on."""
+        chief = chief_ray_points(table, 0.2, 0.0, 600.0)[0]
+        return float(spot_moments(table, [0.2], [0.0], 600.0).x_mm[0, 0] - chief)
+
+    # a classical Cassegrain has the coma of a parabola of its focal ratio: sagittal coma f tan(field) / (16 N^2); the
+    # mean over an annulus of obscuration e moves by (1 + e^2) of it (Wilson, sec. 3.2; Welford 1986, sec. 6.4)
+    expected = 400.0 * math.tan(math.radians(0.2)) / (16.0 * 8.0**2) * (1.0 + 0.4**2)
+    m1, m2 = lens.surfaces[1:]
+    classical = -(((400 / 120 + 1) / (400 / 120 - 1)) ** 2)
+    parabola = lens.with_surfaces(
+        {
+            1: replace(m1, shape=Conic(radius_mm=m1.shape.radius_mm, conic=-1.0)),
+            2: replace(m2, shape=Conic(radius_mm=m2.shape.radius_mm, conic=classical)),
+        }
+    )
+    assert abs(coma(parabola)) == pytest.approx(expected, rel=0.02)
+    assert abs(coma(lens)) < 0.01 * expected
+    assert draw_lens(lens).axes[0].lines
+
+
+def test_the_tables_of_the_page_are_valid(tmp_path):
+    breaking, error = (tomllib.loads(text) for text in blocks_of_the_page()[1:])
+    np.save(tmp_path / error["surface"]["error"]["file"], np.zeros((7, 7)))
+    surface = {**CASSEGRAIN["surface"][0], "semi_diameter_mm": 29.0, "inner_semi_diameter_mm": 1.0}
+    table = {**HEAD, "surface": [*breaking["surface"], {**surface, "error": error["surface"]["error"]}]}
+    lens = lens_from_table(table, where="page", folder=tmp_path)
+    np.testing.assert_allclose(lens.surfaces[0].rotation, turn("x", 45.0), atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["gradient_index", "grating", "binary", "hologram"])
+def test_what_is_not_traced_is_refused_by_name(name):
+    with pytest.raises(ConfigError, match=f"unknown surface.0.kind '{name}'") as caught:
+        lens_from_table({**HEAD, "surface": [{**STOP, "kind": name}]}, where="my.toml")
+    assert "\n" not in str(caught.value)
+
+
+def test_the_spherical_mirror_with_a_schmidt_plate_has_no_spherical_aberration():
+    """Plate at the centre of curvature, ground to (r^4 - 1.5 a^2 r^2) / (4 (n - 1) R^3) (Born & Wolf, sec. 6.4)."""
+    radius, half = 400.0, 40.0
+    plain = {"kind": "plane", "thickness_mm": 6.0, "medium": "N-BK7", "stop": True, "semi_diameter_mm": half}
+    n = float(get_glass("N-BK7").index(600.0))
+    depth = 1.0 / (4.0 * (n - 1.0) * radius**3)
+    # the depth that light gains in the glass: sag of the far side of the plate, whose middle is thickest
+    ground = {"kind": "odd_asphere", "terms": [0.0, -1.5 * half**2 * depth, 0.0, depth], "medium": "air"}
+    mirror = {"kind": "sphere", "radius_mm": -radius, "medium": "mirror"}
+
+    def blur(back, focus):
+        surfaces = [plain, {**back, "thickness_mm": radius}, {**mirror, "thickness_mm": -focus}]
+        out = trace(lens_from_table({**HEAD, "surface": surfaces}, where="test"), rays(0.7 * half, z=-20.0))
+        return float(np.sqrt(np.mean(out.x**2 + out.y**2)))
+
+    def sharpest(back):
+        return minimize_scalar(lambda focus: blur(back, focus), bounds=(190.0, 204.0), method="bounded").fun
+
+    without = sharpest({"kind": "plane", "medium": "air"})
+    assert without > 0.02
+    assert sharpest(ground) < without / 50
 
 
 def turn(axis, degrees):
