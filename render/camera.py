@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
-from optics.errors import DomainError
+from optics.errors import DomainError, unknown_name
 from optics.lens.system import LensSystem
 from optics.light.transmission import Coating, lens_transmission
 from optics.rays.paraxial import axial_paraxial
@@ -18,10 +19,13 @@ from optics.records import freeze
 from optics.response import Response
 from render.detector.spec import Detector
 
-__all__ = ["Camera", "build_camera", "launch_disk"]
+__all__ = ["Camera", "Diffraction", "build_camera", "launch_disk"]
 
 
 RESPONSE_STEP_NM = 5.0
+
+Diffraction = Literal["rays", "waves"]
+"""How the images of stars are made."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,6 +53,8 @@ class Camera:
     blind_columns_px : tuple of (int, int)
         First and last columns of strips that take no light, such as the gaps between chips; stars lose it there as over
         the edge.
+    diffraction : {"rays", "waves"}
+        How stars are rendered: as the rays land, or as diffraction images of the traced wavefront.
     """
 
     lens: LensSystem
@@ -61,8 +67,11 @@ class Camera:
     rotation_cam_from_world: FloatArray = field(default_factory=lambda: np.eye(3))
     response: Response | None = None
     blind_columns_px: tuple[tuple[int, int], ...] = ()
+    diffraction: Diffraction = "rays"
 
     def __post_init__(self) -> None:
+        if self.diffraction not in get_args(Diffraction):
+            raise unknown_name("diffraction", self.diffraction, get_args(Diffraction))
         for name in ("width_px", "height_px"):
             if getattr(self, name) < 1:
                 raise DomainError(f"Camera.{name} = {getattr(self, name)} px; it must be at least 1")
@@ -150,6 +159,7 @@ def build_camera(
     coating: Coating | None = None,
     absorption: bool = True,
     rotation_cam_from_world: FloatArray | None = None,
+    diffraction: Diffraction = "rays",
 ) -> Camera:
     """Camera of a lens and a detector: geometry, diffusion and response taken from both.
 
@@ -165,6 +175,8 @@ def build_camera(
         Whether to count absorption in the glass; needs the internal transmittance of every glass.
     rotation_cam_from_world : (3, 3), optional
         Attitude; identity if left out.
+    diffraction : {"rays", "waves"}
+        How stars are rendered.
 
     Raises
     ------
@@ -198,4 +210,5 @@ def build_camera(
         rotation_cam_from_world=np.eye(3) if rotation_cam_from_world is None else rotation_cam_from_world,
         response=response,
         blind_columns_px=detector.gap_columns_px,
+        diffraction=diffraction,
     )

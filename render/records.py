@@ -123,6 +123,12 @@ class Truth:
         stood between the sky and the lens.
     variance_x_px2, variance_y_px2 : (n, b)
         Second central moments of the ray bundle (no diffusion, no pixel).
+    electrons_beyond : (n, b), optional
+        Light of diffraction images beyond their stamps: it lands somewhere, is not rendered, and belongs to the sum
+        that ``electrons_in`` is. 0 for rays, and if left out.
+
+    With diffraction ``photon_*_px`` is the centroid over an infinite window, which the light beyond the stamp belongs
+    to: by Parseval's theorem the mean of the rays, whatever the wavelength. A window of a few pixels sees another one.
     """
 
     chief_x_px: FloatArray
@@ -138,9 +144,12 @@ class Truth:
     electrons_hidden: FloatArray
     variance_x_px2: FloatArray
     variance_y_px2: FloatArray
+    electrons_beyond: FloatArray | None = None
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
+        if self.electrons_beyond is None:
+            object.__setattr__(self, "electrons_beyond", np.zeros(np.shape(self.electrons_in)))
         for name in self.__dataclass_fields__:  # NaN marks a star of which no ray arrives
             freeze(self, name, shape=("n", "b"), sizes=sizes, finite=name.startswith("electrons"))
 

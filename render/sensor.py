@@ -18,7 +18,7 @@ from optics.light.spectrum import Blackbody
 from optics.light.transmission import QuarterWave
 from optics.rays.paraxial import axial_paraxial
 from optics.rays.spots import spot_moments
-from render.camera import Camera, build_camera
+from render.camera import Camera, Diffraction, build_camera
 from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
 from render.detector.spec import Detector, load_detector
 from render.records import PixelMap
@@ -238,6 +238,7 @@ def load_star_sensor(
     defocus_mm: float = 0.0,
     coating_nm: float = 550.0,
     absorption: bool = True,
+    diffraction: Diffraction = "rays",
 ) -> StarSensor:
     """Star sensor of a lens and a detector.
 
@@ -255,6 +256,8 @@ def load_star_sensor(
         Design wavelength of the MgF2 quarter-wave coatings on all surfaces; 0: bare glass.
     absorption : bool
         Whether to count absorption in the glass; needs the internal transmittance of every glass.
+    diffraction : {"rays", "waves"}
+        How stars are rendered: as the rays land, or as diffraction images.
 
     Raises
     ------
@@ -275,6 +278,7 @@ def load_star_sensor(
         defocus_mm=defocus_mm,
         coating=QuarterWave(design_wavelength_nm=coating_nm) if coating_nm > 0 else None,
         absorption=absorption,
+        diffraction=diffraction,
     )
     focal_length = float(axial_paraxial(chosen, chosen.design_wavelength_nm).efl_mm)
     sensor = StarSensor(camera=camera, detector=chip, focal_length_mm=focal_length)

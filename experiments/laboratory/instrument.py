@@ -102,6 +102,7 @@ def build_instrument(
         defocus_mm=config.defocus_mm,
         coating_nm=config.coating_nm,
         absorption=config.absorption,
+        diffraction=config.diffraction,
     )
     chip = sensor.detector
     try:

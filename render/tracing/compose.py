@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from optics.arrays import FloatArray
 from render.records import Truth
 from render.tracing.kernel import ARRIVED, FIRST, HIDDEN, LOST, OUTSIDE, SECOND, STRIPS, StampSums
+from render.tracing.wave_images import WaveStamps
 
 __all__ = ["TruthSums", "add_stamps"]
 
@@ -73,11 +74,14 @@ class TruthSums:
     hidden: FloatArray
     variance_x: FloatArray
     variance_y: FloatArray
+    beyond: FloatArray
 
     @classmethod
     def empty(cls, stars: int, bands: int) -> TruthSums:
-        """Nothing known yet."""
-        return cls(*(np.full((stars, bands), np.nan) for _ in cls.__dataclass_fields__))
+        """Nothing known yet, and nothing beyond stamps."""
+        sums = cls(*(np.full((stars, bands), np.nan) for _ in cls.__dataclass_fields__))
+        sums.beyond[...] = 0.0
+        return sums
 
     def store(
         self,
@@ -120,6 +124,16 @@ class TruthSums:
         self.off_edge[stars] = (landed - on_image + moments[..., OUTSIDE]) * electrons_in
         self.hidden[stars] = moments[..., HIDDEN] * electrons_in
 
+    def store_waves(self, stamps: WaveStamps, electrons_in: FloatArray, on_image: FloatArray) -> None:
+        """What diffraction makes of stars whose rays are stored; parameters as `store`."""
+        stars, landed = stamps.stars, stamps.pixels.sum((2, 3))
+        self.photon_x[stars], self.photon_y[stars] = stamps.mean_px[..., 0], stamps.mean_px[..., 1]
+        self.image[stars] = on_image * electrons_in
+        self.off_edge[stars] = (landed - on_image) * electrons_in
+        self.beyond[stars] = (stamps.light - landed) * electrons_in
+        hidden = np.nan_to_num(self.hidden[stars])
+        self.vignetted[stars] = (1.0 - stamps.light) * electrons_in - hidden
+
     def truth(self, electrons_in: FloatArray) -> Truth:
         """The finished record."""
         return Truth(
@@ -136,4 +150,5 @@ class TruthSums:
             electrons_hidden=self.hidden,
             variance_x_px2=self.variance_x,
             variance_y_px2=self.variance_y,
+            electrons_beyond=self.beyond,
         )

@@ -246,7 +246,7 @@ class StarKernel:
         point, node, slot = self.numbered(math.prod(shape), nodes, pupil.count)
         star, wavelength = self.light_of(slot, node, wavelength_nm, stars)
         px, py, _ = pupil.sample(self.types, slot, node, point)
-        x, y, status = self.launch(star, px, py, wavelength, self._error(slot, node, wavelength_nm))
+        x, y, status = self.launch(star, px, py, wavelength, self.error_of(slot, node, wavelength_nm))
         ok = status == OK
         dr.eval(x, y, ok)
         return x.numpy().reshape(shape), y.numpy().reshape(shape), ok.numpy().astype(bool).reshape(shape)
@@ -282,7 +282,7 @@ class StarKernel:
         star = position if stars is None else dr.gather(U, U(stars), position)
         return star * dr.opaque(U, self.times) + time, dr.gather(F, F(wavelength_nm.ravel()), colour)
 
-    def _error(self, slot: Any, node: Any, wavelength_nm: FloatArray) -> tuple[Any, ...] | None:
+    def error_of(self, slot: Any, node: Any, wavelength_nm: FloatArray) -> tuple[Any, ...] | None:
         """Error of the collimation of a slot's node; None for the light of stars."""
         if self.collimation is None:
             return None
@@ -372,7 +372,7 @@ class StarKernel:
         px, py, weight = pupil.sample(self.types, slot, node, point)
         weight = weight * dr.gather(F, F(node_share.ravel()), slot * dr.opaque(U, nodes) + node) * _SCALE
         star, wavelength = self.light_of(slot, node, wavelength_nm, stars)
-        error = self._error(slot, node, wavelength_nm)
+        error = self.error_of(slot, node, wavelength_nm)
         x, y, status = self.launch(star, px, py, wavelength, error)
         ok, hidden = status == OK, None
         if shade is not None:

@@ -38,6 +38,7 @@ from render.tracing.sampling import (
     sobol_plan,
     staggered,
 )
+from render.tracing.wave_images import WaveGroup
 
 __all__ = ["PupilPlanner", "Seen"]
 
@@ -190,6 +191,33 @@ class PupilPlanner:
         if seen.nodes is not seen.mid:
             bounds = bounds.moved(seen.paths.shift_px)
         return [*groups, _fixed_group(sobol, left)], bounds
+
+    def wave_groups(
+        self,
+        seen: Seen,
+        wavelength_nm: FloatArray,
+        chiefs: Chiefs,
+        stars: IntArray,
+        shaded: BoolArray | None = None,
+    ) -> list[WaveGroup]:
+        """Groups of some stars at rest whose pupils are sampled alike for sums of plane waves; shaded ones by cells."""
+        groups: list[WaveGroup] = []
+        dark = np.empty(0, np.int64) if shaded is None else stars[shaded[stars]]
+        everyone, stars = stars, np.setdiff1d(stars, dark)
+        nodes = wavelength_nm.shape[1]
+        if self.pupil.exact:
+            bounds = Bounds.empty(seen.mid.count, len(wavelength_nm))
+            ends = np.stack([wavelength_nm.min(1), np.median(wavelength_nm, 1), wavelength_nm.max(1)], axis=1)
+            find_bounds(seen.mid, bounds, stars, ends)
+            clear = stars[bounds.clear[stars]]
+            groups.append(WaveGroup("quadrature", clear, lambda order, _: staggered(order, nodes)))
+        else:
+            for mode, members, shapes in self.shapes(seen, chiefs):
+                groups.append(WaveGroup(mode, np.intersect1d(members, stars), shapes.points))
+        left = everyone
+        for group in groups:
+            left = np.setdiff1d(left, group.members)
+        return [group for group in (*groups, WaveGroup("cells", left, None)) if len(group.members)]
 
     def plan(self, mode: str, wavelength_nm: FloatArray, seen: Seen, members: NDArray[Any]) -> PupilPlan | None:
         """Quadrature for some of the stars, which have to be clear; None if none is fit.

@@ -15,22 +15,27 @@ from optics.rays.pupil import EntrancePupil, gauss_disk
 from optics.rays.spots import spot_moments
 from render.camera import Camera
 from render.records import StarField, Truth
-from render.tracing.compose import TruthSums
+from render.tracing.aimed_pupil import Chiefs
+from render.tracing.compose import TruthSums, add_stamps
 from render.tracing.convergence import TOLERANCE
 from render.tracing.ideal_lens import IdealLens
 from render.tracing.kernel import LOST, Shade, StarKernel
 from render.tracing.motion import ExposureMotion
-from render.tracing.passes import PASS_BYTES, PASS_RAYS, Light, Passes
+from render.tracing.passes import PASS_BYTES, PASS_RAYS, Bounds, Light, Passes
 from render.tracing.paths import StarPaths, at_rest, pick_times, star_paths
-from render.tracing.planning import PupilPlanner
+from render.tracing.planning import PupilPlanner, Seen
 from render.tracing.pupil_arcs import ARC_LADDER
-from render.tracing.pupil_points import PupilPoints, SobolPoints, TablePoints
+from render.tracing.pupil_points import OutlinePoints, PupilPoints, SobolPoints, TablePoints
+from render.tracing.wave_images import Trail, WaveImages
 
 __all__ = ["TracedStars", "Tracer"]
 
 
 SHADE_LOG2_RAYS = 14
 """Rays by which it is found out whether something stands in a beam: what hides 3e-4 of it is hardly missed."""
+
+WING_PX = 30.0
+"""How far beside the detector a star's rays may land for its diffraction image to be rendered."""
 SHORTEST_PX = 1e-3
 """Path along which the lens's scale is not measured."""
 
@@ -163,13 +168,17 @@ class Tracer:
         sums.chief_x[...], sums.chief_y[...] = chiefs.x_px, chiefs.y_px
         shaded = None if shade is None else self._shaded(seen.mid, shade)
         groups, bounds = self.planner.groups(seen, light.wavelength_nm, chiefs, shaded)
-        passes = Passes(self.camera, seen.nodes, light, bounds, image, sums, shade)
+        by_waves = self.camera.diffraction == "waves" and image.size > 0
+        rays_to = np.zeros((0, 0, image.shape[2]), np.float32) if by_waves else image
+        passes = Passes(self.camera, seen.nodes, light, bounds, rays_to, sums, shade)
         left = np.empty(0, np.int64)
         for group in groups:
             plan, members = group.plan, np.sort(np.concatenate([group.members, left]))
             left = passes.trace(replace(group, members=members)) if len(members) else members
             if len(members) > len(left):
                 sampling[plan.mode] = (len(members) - len(left), plan.rays_per_node * light.share.shape[2])
+        if by_waves:
+            sampling = self._add_waves(light, seen, chiefs, bounds, image, sums, (shade, shaded))
         return sums, sampling
 
     def _shaded(self, kernel: StarKernel, shade: Shade) -> BoolArray:
@@ -180,6 +189,56 @@ class Tracer:
         for part in (near[i : i + step] for i in range(0, len(near), step)):
             shaded[part] = kernel.hidden_share(shade, pupil, part.astype(np.uint32)) > 0.0
         return shaded
+
+    def _add_waves(
+        self,
+        light: Light,
+        seen: Seen,
+        chiefs: Chiefs,
+        bounds: Bounds,
+        image: NDArray[np.float32],
+        sums: TruthSums,
+        shades: tuple[Shade | None, BoolArray | None],
+    ) -> dict[str, tuple[int, int]]:
+        """Add diffraction images of all stars whose light may meet the detector; how their pupils were sampled."""
+        camera, sampling = self.camera, dict[str, tuple[int, int]]()
+        still = seen if seen.nodes is seen.mid else self.planner.seen(at_rest(seen.paths.mid), light.wavelength_nm)
+        images = self._wave_images(light, still, seen, chiefs, shades[0])
+        edge = np.array([camera.width_px, camera.height_px]) - 0.5 + WING_PX
+        inside = np.all((bounds.high > -0.5 - WING_PX) & (bounds.low < edge), axis=2)
+        near = np.flatnonzero(np.any(inside, axis=1))
+        for group in self.planner.wave_groups(still, light.wavelength_nm, chiefs, near, shades[1]):
+            for stamps in images.stamps(group):
+                electrons = light.electrons[stamps.stars]
+                on_image = add_stamps(image, stamps.pixels, stamps.corner_px, electrons, camera.sensitive_columns)
+                sums.store_waves(stamps, electrons, on_image)
+                before = sampling.get(stamps.mode, (0, 0))
+                rays = max(before[1], stamps.rays * light.wavelength_nm.shape[1])
+                sampling[stamps.mode] = (before[0] + len(stamps.stars), rays)
+        return sampling
+
+    def _wave_images(
+        self, light: Light, still: Seen, seen: Seen, chiefs: Chiefs, shade: Shade | None = None
+    ) -> WaveImages:
+        """Images of stars as they are in the middle of an exposure, and how they move during it."""
+        bands, colours = light.wavelength_nm.shape
+        share = light.share.reshape(*light.share.shape[:2], -1, colours)
+        trail = None
+        if seen.nodes is not seen.mid:
+            times, points = seen.nodes.times, np.nan_to_num(chiefs.points)
+            ray = OutlinePoints(
+                centre=points,
+                azimuth=np.zeros((times, 1)),
+                radius=np.zeros((len(points), bands, times, 1)),
+                share=np.ones((len(points), bands, times, 1)),
+                arm=np.zeros(1, np.uint32),
+                ring=np.zeros(1),
+                ring_weight=np.ones(1),
+            )
+            x, y, _ = seen.nodes.land(ray, light.wavelength_nm.mean(1, keepdims=True))
+            offset = np.stack([x[..., 0] - chiefs.x_px[..., None], y[..., 0] - chiefs.y_px[..., None]], axis=-1)
+            trail = Trail(np.nan_to_num(offset), share.sum(3))
+        return WaveImages(self.camera, still.mid, light.wavelength_nm, share.sum(2), trail, shade)
 
     def bundle_means(self, stars: StarField, *, rings: int = 6, arms: int = 14) -> FloatArray:
         """Mean landing point (n, b, 2) [px] of every star and band, without an image; NaN where no ray arrives.
@@ -267,6 +326,8 @@ class Tracer:
             raise DomainError(f"star {np.argwhere(np.isnan(corner))[0][0]}: none of its light reaches the detector")
         seen = self.planner.seen(paths, light.wavelength_nm)
         chiefs = self.planner.chiefs(seen.mid, light.wavelength_nm)
+        if self.camera.diffraction == "waves":
+            return self._wave_cells(light, seen, chiefs, half_size_px, cells_per_px)
         groups, bounds = self.planner.groups(seen, light.wavelength_nm, chiefs)
         passes = Passes(self.camera, seen.nodes, light, bounds, nothing, sums)
         side = stamp_px * cells_per_px
@@ -278,6 +339,16 @@ class Tracer:
                 collected = passes.splat(pupil, part, corner[part], stamp_px, cells_per_px)
                 light_in = 1.0 - collected.moments[..., LOST] - passes.beside(pupil, part)
                 result[part] = collected.pixels / light_in[..., None, None]
+        return result
+
+    def _wave_cells(self, light: Light, seen: Seen, chiefs: Chiefs, half_size_px: int, cells_per_px: int) -> FloatArray:
+        """The same by waves."""
+        images = self._wave_images(light, seen, seen, chiefs)
+        side = (2 * half_size_px + 1) * cells_per_px
+        result = np.empty((*light.electrons.shape, side, side))
+        for group in self.planner.wave_groups(seen, light.wavelength_nm, chiefs, np.arange(len(result))):
+            for stars, cells, _ in images.cells(group, half_size_px, cells_per_px):
+                result[stars] = cells
         return result
 
     def _in_cam(self, stars: StarField, rotation: FloatArray | None) -> StarPaths:
