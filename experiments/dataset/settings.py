@@ -254,6 +254,9 @@ class Config(SensorExperimentConfig):
     png_bits: Literal[8, 16] = Field(default=16, description="of coco; 16: raw numbers, 8: stretched for the eye")
     card: CardConfig = CardConfig()
     verify: VerifyConfig = VerifyConfig()
+    calibration_frames: int = Field(
+        default=20, ge=0, le=1000, description="frames in each of bias, dark and flat of the folder; 0 or 1: none"
+    )
     workers: int = Field(default=0, ge=0, le=4096, description="processes; 0: one per processor; 1: this one")
     scheduler: str = Field(default="", description="Dask scheduler such as tcp://host:8786; left out: this machine")
 

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.fits import open_fits
-from render.fits.headers import BLOCK, Card, block, checked_cards
+from render.fits.headers import BLOCK, SUMS, Card, block, checked_cards, summed
 from render.records import ExpectedImage, Frame
 
 __all__ = ["read_expected", "read_frame", "read_frames", "write_expected", "write_frame"]
@@ -135,16 +135,17 @@ def _plain_frame(
         ]
 
     image = [*size(("SIMPLE", True, "conforms to the FITS standard"), 16), ("EXTEND", True, "")]
-    image += [("BZERO", 32768, "unsigned"), ("BSCALE", 1, ""), *cards]
-    behind = [*size(("XTENSION", "IMAGE", ""), 8), ("PCOUNT", 0, ""), ("GCOUNT", 1, ""), *_MASK_CARDS]
+    image += [("BZERO", 32768, "unsigned"), ("BSCALE", 1, ""), *cards, *SUMS]
+    behind = [*size(("XTENSION", "IMAGE", ""), 8), ("PCOUNT", 0, ""), ("GCOUNT", 1, ""), *_MASK_CARDS, *SUMS]
     parts = [(block(image), np.bitwise_xor(dn, np.uint16(0x8000)).astype(">u2"))]
     if flags is not None:
         parts.append((block(behind), flags))
 
     def write(stream: BinaryIO) -> None:
         for header, data in parts:
-            stream.write(header)
-            stream.write(data.data.cast("B") if data.size else b"")
+            held = data.data.cast("B") if data.size else b""
+            stream.write(summed(header, held))
+            stream.write(held)
             stream.write(bytes(-data.nbytes % BLOCK))
 
     return write
@@ -176,9 +177,10 @@ def _tiles(data: NDArray[Any], cards: Iterable[Card], codec: str, *, primary: bo
     content = held.getvalue()
     end = next(at for at in range(BLOCK, len(content), 80) if content[at : at + 8] == b"END     ")
     structure = [content[at : at + 80] for at in range(BLOCK, end, 80)]
-    header = b"".join(card for card in structure if not card.startswith(b"EXTNAME ")) + block(cards).rstrip()
+    header = b"".join(card for card in structure if not card.startswith(b"EXTNAME ")) + block([*cards, *SUMS]).rstrip()
     header = header.ljust(-(-len(header) // BLOCK) * BLOCK)
-    return (content[:BLOCK] if primary else b"") + header + content[end + BLOCK - end % BLOCK :]
+    stored = content[end + BLOCK - end % BLOCK :]
+    return (content[:BLOCK] if primary else b"") + summed(header, stored) + stored
 
 
 def read_frame(

@@ -6,6 +6,7 @@ card is formatted by astropy once and remembered: from one frame to the next mos
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Iterable
 from functools import lru_cache
@@ -16,7 +17,7 @@ from astropy.io import fits
 
 from optics.errors import ConfigError
 
-__all__ = ["Card", "block", "checked_cards"]
+__all__ = ["BLOCK", "SUMS", "Card", "block", "checked_cards", "summed"]
 
 Card = tuple[str, Any, str]
 """Keyword, value, comment."""
@@ -91,6 +92,62 @@ def block(cards: Iterable[Card]) -> bytes:
     """
     text = "".join(_image(*_plain(card)) for card in cards) + "END".ljust(80)
     return text.ljust(-(-len(text) // BLOCK) * BLOCK).encode("ascii")
+
+
+def summed(header: bytes, data: Any) -> bytes:
+    """A header with its ``CHECKSUM`` and ``DATASUM`` (FITS standard 4.0, sec. 4.4.2.7 and appendix J).
+
+    Parameters
+    ----------
+    header : bytes
+        Whole blocks, with these two cards as `SUMS` writes them.
+    data : bytes or array
+        The data that follow, without the zeros that fill the last block.
+    """
+    of_data = _ones_complement(data)
+    written = header.replace(_DATASUM, str(of_data).ljust(_SUM_WIDTH).encode(), 1)
+    total = _ones_complement(written, of_data)
+    return written.replace(_CHECKSUM, _encoded(0xFFFFFFFF - total), 1)
+
+
+_SUM_WIDTH = 16
+_DATASUM, _CHECKSUM = b"D" * _SUM_WIDTH, b"0" * _SUM_WIDTH
+SUMS: tuple[Card, ...] = (
+    ("CHECKSUM", _CHECKSUM.decode(), "of header and data"),
+    ("DATASUM", _DATASUM.decode(), "of the data"),
+)
+"""What `summed` fills in."""
+
+
+def _ones_complement(content: Any, start: int = 0) -> int:
+    """Sum of 32-bit words, most significant byte first, carries added at the low end; zeros follow the last byte."""
+    view = memoryview(content).cast("B")
+    whole = len(view) // 4 * 4
+    words = np.frombuffer(view[:whole], np.uint32)
+    if sys.byteorder == "little":
+        words = words.byteswap()  # and sum what the machine counts in: a third of the time
+    total = start + int(words.sum(dtype=np.uint64)) + int.from_bytes(bytes(view[whole:]).ljust(4, b"\0"), "big")
+    while total >> 32:
+        total = (total & 0xFFFFFFFF) + (total >> 32)
+    return total
+
+
+def _encoded(value: int) -> bytes:
+    """Sixteen letters and digits that add up to a sum: every byte of it in four, none of them punctuation."""
+    columns = []
+    for byte in value.to_bytes(4, "big"):
+        quarters = [byte // 4 + byte % 4 + ord("0"), *[byte // 4 + ord("0")] * 3]
+        while not _PUNCTUATION.isdisjoint(quarters):
+            for at in (0, 2):
+                if not _PUNCTUATION.isdisjoint(quarters[at : at + 2]):
+                    quarters[at] += 1
+                    quarters[at + 1] -= 1
+        columns.append(quarters)
+    letters = bytes(column[row] for row in range(4) for column in columns)
+    return letters[-1:] + letters[:-1]  # the value stands in columns 12 to 27 of its card
+
+
+_PUNCTUATION = frozenset(b":;<=>?@[\\]^_`")
 
 
 def _plain(card: Card) -> Card:

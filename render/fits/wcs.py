@@ -133,6 +133,7 @@ class LensWcs:
             along_x, along_y = _dot(x, axis) * RAD_DEG, _dot(y, axis) * RAD_DEG
             cd += [along_x * l11 + along_y * l21, along_x * l12 + along_y * l22]
         return [
+            ("WCSAXES", 2, "right ascension and declination"),  # before all others (FITS standard 4.0, sec. 8.2)
             ("CRVAL1", right_ascension * RAD_DEG % 360.0, "[deg] right ascension of the boresight"),
             ("CRVAL2", declination * RAD_DEG, "[deg] declination of the boresight"),
             ("CD1_1", cd[0], "[deg/px] eastwards along columns"),
@@ -276,7 +277,6 @@ def _solved(matrix: FloatArray, values: FloatArray) -> FloatArray:
 def _constant_cards(wcs: LensWcs) -> list[Card]:
     reference = [float(v) for v in pixel_to_fits(*wcs.boresight_px)]
     cards: list[Card] = [
-        ("WCSAXES", 2, "right ascension and declination"),
         ("CTYPE1", "RA---TAN-SIP", "gnomonic with SIP distortion"),
         ("CTYPE2", "DEC--TAN-SIP", "gnomonic with SIP distortion"),
         ("CUNIT1", "deg", ""),

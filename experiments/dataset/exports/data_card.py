@@ -35,6 +35,7 @@ def data_card(result: Result) -> str:
     scene = result.scene
     return environment.from_string(template).render(
         result=result,
+        baseline=_baseline(result),
         about=about(result.config, scene.catalogue.catalog),
         config=result.config,
         records=result.records,
@@ -55,6 +56,30 @@ def data_card(result: Result) -> str:
         exported=list(result.exports),
         settings=flat(identity(result.config)),
     )
+
+
+def _baseline(result: Result) -> dict[str, str]:
+    """What simple methods find in the frames: for whoever wants to do better."""
+    from experiments.dataset.quantities import describe
+
+    if result.evaluation is None or not len(result.evaluation.stars.magnitude):
+        return {}
+    found = describe(result).dataset
+    looked = f"first {int(found['frames_looked_at'])} frames"
+    said = {
+        f"detection at {result.config.threshold_sigma:g} sigma, {looked}": (
+            f"{100 * float(found['bright_undisturbed']):.2f} % of undisturbed stars of SNR 10 and more, half of those "
+            f"of {float(found['bright_magnitude_of_half']):.2f} mag; {float(found['false_not_flagged']):.2f} false "
+            "ones a frame"
+        ),
+        f"centroid ({result.config.centroid})": (f"error {float(found['bound_ratio']):.2f} times the Cramer-Rao bound"),
+    }
+    if "solved" in found:
+        said["attitude (tetra3rs, lost in space)"] = (
+            f"{int(found['solved'])} of {int(found['attempted'])} frames solved, boresight error "
+            f"{float(found['median_arcsec']):.2f} arcsec in the median, {float(found['p95_arcsec']):.2f} for 95 %"
+        )
+    return said
 
 
 def plain_text(value: object) -> str:

@@ -31,6 +31,7 @@ def write_exports(scene: Scene, folder: Path, records: Sequence[FrameRecord], pr
         Something could not be written.
     """
     from experiments.dataset.exports.about import about
+    from experiments.dataset.exports.calibration import write_calibration
     from experiments.dataset.exports.coco import export_coco
     from experiments.dataset.exports.webdataset_shards import export_shards
     from experiments.dataset.frames.maker import FrameMaker
@@ -53,6 +54,9 @@ def write_exports(scene: Scene, folder: Path, records: Sequence[FrameRecord], pr
                 )
             else:
                 written[name] = export_shards(folder, records, done=stage.advance)
+    if config.calibration_frames > 1:
+        with progress.stage("calibration", total=3) as stage:
+            written["calibration"] = write_calibration(scene, folder, config.calibration_frames, stage.advance)
     return written
 
 

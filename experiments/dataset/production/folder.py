@@ -49,7 +49,7 @@ __all__ = [
 ]
 
 IDENTITY, FRAMES, TRUTH, SUMS = "dataset.json", "frames", "truth", "SHA256SUMS"
-OWN_FOLDERS = (FRAMES, TRUTH, "coco", "webdataset")
+OWN_FOLDERS = (FRAMES, TRUTH, "calibration", "coco", "webdataset")
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _NUMBERED = re.compile(r"frame_(\d{6,10})\.(?:parquet|ecsv)")
 _FRAME = re.compile(r"frame_(\d{6,10})\.fits")

