@@ -121,7 +121,7 @@ class GlassFinder:
 
     def _by_name(self, asked: GlassName, name: str) -> tuple[Glass, str] | None:
         """The glass of that name, in the listed catalogues first."""
-        name, _, catalogue = name.partition("_") if not self._anywhere(name) else (name, "", "")
+        name, catalogue = self._split(name)
         order = [catalogue.upper(), *self._listed] if catalogue else self._listed
         private = self.draft.private.get(name.upper())
         if private is not None:
@@ -142,6 +142,15 @@ class GlassFinder:
             note = ", which is none of the catalogues that the file lists" if outside else ""
             return found[0], f"built-in, {found[0].maker}{note}"
         return None
+
+    def _split(self, name: str) -> tuple[str, str]:
+        """Glass and catalogue of a name such as ``NBK7_SCHOTT``; both parts may have such marks of their own."""
+        if self._anywhere(name) or "_" not in name:
+            return name, ""
+        marks = [at for at, letter in enumerate(name) if letter == "_"]
+        pairs = [(name[:at], name[at + 1 :]) for at in reversed(marks)]
+        known = [pair for pair in pairs if pair[1].upper() in (*self.own, *BUILT_IN) and pair[0]]
+        return known[-1] if known else pairs[0]
 
     def _anywhere(self, name: str) -> bool:
         return bool(self._built_in(name)) or any(self._in(c, name) for c in self.own.values())
@@ -170,7 +179,7 @@ class GlassFinder:
     def _checked(self, asked: GlassName, name: str, glass: Glass, where: str, meant: Glass | None) -> Found:
         """A glass found by name, held against what the file states beside it."""
         exact = "which" not in where and not any(asked.offset)
-        synonym = _bare(glass.name) != _bare(name.partition("_")[0]) and _bare(glass.name) != _bare(name)
+        synonym = _bare(glass.name) != _bare(self._split(name)[0]) and _bare(glass.name) != _bare(name)
         if synonym:
             where += f", as {glass.name}"
         elif any(asked.offset):
@@ -237,7 +246,7 @@ class GlassFinder:
 
     def _another(self, asked: GlassName, name: str, meant: Glass | None) -> Found:
         """An obsolete SCHOTT glass is taken as its successor N-; anything else is refused."""
-        base = name.partition("_")[0]
+        base = self._split(name)[0]
         successor = self._built_in(f"N{_bare(base)}")
         if successor and _bare(base) and not base.upper().startswith("N-"):
             glass = successor[0]

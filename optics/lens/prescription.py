@@ -27,7 +27,7 @@ from optics.lens.system import AMBIENT, LensSystem, Surface
 from optics.lens.tables import MIRROR, BreakTable, ErrorTable, MovedTable, Prescription, SurfaceTable
 from optics.validate import parse_model, read_toml
 
-__all__ = ["lens_from_table", "lens_path", "list_lenses", "load_lens"]
+__all__ = ["glasses_of", "lens_from_table", "lens_path", "list_lenses", "load_lens"]
 
 
 EDGE_ON = 1e-6
@@ -172,6 +172,12 @@ def _glasses(file: Prescription, media: list[str], where: str) -> dict[str, Glas
         except StarbenchError as error:
             raise ConfigError(f"{where}: {error}") from None
     return glasses
+
+
+def glasses_of(file: Prescription) -> dict[str, Glass]:
+    """Glasses that the surfaces of a prescription name; ConfigError for one that is not known."""
+    media = [table.medium for table in file.surface if isinstance(table, SurfaceTable) and table.medium != MIRROR]
+    return _glasses(file, media, file.name)
 
 
 def _check_apertures(file: Prescription, where: str) -> None:

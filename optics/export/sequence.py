@@ -1,0 +1,215 @@
+"""A prescription as design programs write it: surfaces and coordinate breaks in turn, glasses by catalogue."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from optics.arrays import FloatArray
+from optics.errors import ConfigError, DomainError
+from optics.glass.catalogue import Glass, get_glass
+from optics.glass.dispersion import AGF_FORMULAS, Dispersion
+from optics.lens.lens_file import LensFile
+from optics.lens.prescription import glasses_of
+from optics.lens.tables import MIRROR, BreakTable, MovedTable, Prescription, SurfaceTable
+
+__all__ = ["Break", "Element", "Sequence", "agf_text", "safe_name", "sequence"]
+
+MAKERS = ("SCHOTT", "OHARA", "CDGM")
+"""Glasses of these are in the catalogues of every design program under the same name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Break:
+    """A coordinate break: shift along the old axes [mm], then turns about x, the turned y, the turned z [deg].
+
+    ``inverse`` undoes exactly that. It is followed by a thickness along the new z axis [mm].
+    """
+
+    shift_mm: tuple[float, float, float]
+    turn_deg: tuple[float, float, float]
+    thickness_mm: float
+    inverse: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """A surface, with the thickness behind it in the frame that it stands in [mm]."""
+
+    table: SurfaceTable
+    thickness_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sequence:
+    """Surfaces and breaks in the order of the light, and the glasses that no maker's catalogue has."""
+
+    items: tuple[Break | Element, ...]
+    own: dict[str, Glass]
+    catalogues: tuple[str, ...]
+
+
+def safe_name(name: str) -> str:
+    """Name of a glass in formats that end words at blanks and quotes."""
+    return "_".join(name.replace("'", "").replace('"', "").replace(";", "").replace("!", "").split()) or "GLASS"
+
+
+def _pose(moved: MovedTable) -> tuple[FloatArray, FloatArray]:
+    """Shift along the old axes, and turn, of a table that moves a frame."""
+    shift = np.array([*moved.decentre_mm, 0.0][:3])
+    angles = [*moved.tilt_deg, 0.0][:3]
+    turn = Rotation.from_euler("xyz" if moved.axes == "fixed" else "XYZ", angles, degrees=True).as_matrix()
+    return (shift if moved.first == "decentre" else turn @ shift), turn
+
+
+def _break(moved: MovedTable, thickness_mm: float) -> Break | None:
+    """The break that a table stands for; None if it does nothing."""
+    a, b, c = [*moved.tilt_deg, 0.0][:3]
+    x, y, z = (float(s) for s in [*moved.decentre_mm, 0.0][:3])
+    if not any((a, b, c, x, y, z, thickness_mm)):
+        return None
+    if moved.axes == "moving" and moved.first == "decentre":
+        return Break((x, y, z), (a, b, c), thickness_mm)
+    if moved.axes == "fixed" and moved.first == "tilt":
+        return Break((-x, -y, -z), (-a, -b, -c), thickness_mm, inverse=True)
+    vector, turn = _pose(moved)
+    x, y, z = (float(v) for v in vector)
+    a, b, c = (float(v) for v in Rotation.from_matrix(turn).as_euler("XYZ", degrees=True))
+    return Break((x, y, z), (a, b, c), thickness_mm)
+
+
+def _bent(turn: FloatArray) -> tuple[float, float, float]:
+    """Turn from a mirror's own frame to the one in which the axis is reflected: the mirror's turn once more."""
+    z, normal = np.array([0.0, 0.0, 1.0]), turn[:, 2]
+    along = np.cross(z, normal)
+    sine = float(np.linalg.norm(along))
+    if sine == 0.0:
+        behind = turn.T
+    else:
+        twice = 2.0 * np.arctan2(sine, float(z @ normal))
+        behind = turn.T @ Rotation.from_rotvec(along / sine * twice).as_matrix()
+    a, b, c = (float(v) for v in Rotation.from_matrix(behind).as_euler("XYZ", degrees=True))
+    return a, b, c
+
+
+def _items(file: Prescription) -> list[Break | Element]:
+    items: list[Break | Element] = []
+    for table in file.surface:
+        if isinstance(table, BreakTable):
+            made = _break(table, table.thickness_mm)
+            items.extend([made] if made else [])
+            continue
+        before = _break(table, 0.0)
+        if before is None:
+            items.append(Element(table, table.thickness_mm))
+            continue
+        items.append(before)
+        if table.carry == "forward":
+            items.append(Element(table, table.thickness_mm))
+        elif table.carry == "bend":
+            items.append(Element(table, 0.0))
+            items.append(Break((0.0, 0.0, 0.0), _bent(_pose(table)[1]), table.thickness_mm))
+        else:
+            items.append(Element(table, 0.0))
+            items.append(Break(before.shift_mm, before.turn_deg, table.thickness_mm, inverse=not before.inverse))
+    image = _break(file.image, 0.0)
+    return [*items, *([image] if image else [])]
+
+
+def _with_stop(file: Prescription, items: list[Break | Element]) -> list[Break | Element]:
+    """The stop that stands alone, put between the surfaces."""
+    if file.stop is None:
+        return items
+    stop = {"kind": "plane", "thickness_mm": 0.0, "medium": "air", "stop": True}
+    for key in ("semi_diameter_mm", "inner_semi_diameter_mm"):
+        stop[key] = getattr(file.stop, key)
+    plane = Prescription.model_validate({**file.model_dump(), "stop": None, "surface": [stop]}).surface[0]
+    assert isinstance(plane, SurfaceTable)
+    z, medium, before, at = 0.0, "air", -file.stop.z_mm, 0
+    while at < len(items) and z < file.stop.z_mm:
+        item = items[at]
+        if isinstance(item, Break) or item.table.medium == MIRROR:
+            raise ConfigError("a stop that stands alone behind a mirror or a break cannot be written; use stop = true")
+        medium, before = item.table.medium, file.stop.z_mm - z
+        z, at = z + item.thickness_mm, at + 1
+    alone = Element(plane.model_copy(update={"medium": medium}), z - file.stop.z_mm)
+    if not at:
+        return [alone, *items]
+    last = items[at - 1]
+    assert isinstance(last, Element)
+    return [*items[: at - 1], Element(last.table, before), alone, *items[at:]]
+
+
+def sequence(file: LensFile) -> Sequence:
+    """The surfaces of a lens in the order of the light.
+
+    Raises
+    ------
+    ConfigError
+        What design programs cannot hold: measured surface errors.
+    """
+    prescription = Prescription.model_validate(file.tables)
+    items = _with_stop(prescription, _items(prescription))
+    for item in items:
+        if isinstance(item, Element) and item.table.error is not None:
+            raise ConfigError("a measured surface error cannot be written into this format")
+    glasses = glasses_of(prescription)
+    own = {name: glass for name, glass in glasses.items() if not _everywhere(name, glass)}
+    makers = {glass.maker for name, glass in glasses.items() if name not in own}
+    return Sequence(tuple(items), own, tuple(m for m in MAKERS if m in makers))
+
+
+def _everywhere(name: str, glass: Glass) -> bool:
+    try:
+        return glass.maker in MAKERS and get_glass(name) is glass
+    except ConfigError:
+        return False
+
+
+def _agf_dispersion(dispersion: Dispersion) -> tuple[int, list[float]] | None:
+    """Number and coefficients of the same formula in AGF files; None if they have none."""
+    formula, c = dispersion.formula, list(dispersion.coefficients)
+    if formula == "shifted_sellmeier" and c[0] == 0.0:
+        formula, c = "sellmeier", c[1:]
+    if formula == "polynomial" and len(c) <= 2 and not any(c[1:]):
+        formula, c = "conrady", [c[0], 0.0, 0.0]
+    if formula == "square_polynomial":
+        powers = dict(zip((0.0, *c[2::2]), (c[0], *c[1::2]), strict=True))
+        order = (0, 2, 4, -2, -4, -6, -8, -10, -12)
+        if not set(powers) - set(order):
+            formula, c = "extended3", [powers.get(p, 0.0) for p in order]
+    for number, (name, count) in AGF_FORMULAS.items():
+        if name == formula and len(c) <= count:
+            return number, [*c, *[0.0] * (count - len(c))]
+    return None
+
+
+def agf_text(glasses: Mapping[str, Glass], title: str) -> str:
+    """Glasses as an AGF catalogue.
+
+    Raises
+    ------
+    DomainError
+        A formula that AGF files do not have.
+    """
+    lines = [f"CC {title}"]
+    for name, glass in glasses.items():
+        found = _agf_dispersion(glass.dispersion)
+        if found is None:
+            raise DomainError(f"glass {name}: its formula {glass.dispersion.formula!r} is none of those of AGF files")
+        number, coefficients = found
+        nd, vd = glass.nd or 0.0, glass.vd or 0.0
+        lines.append(f"NM {safe_name(name)} {number} 0 {nd!r} {vd!r} 0 0")
+        lines.append(f"ED {1e6 * (glass.cte_per_k or 0.0):.10g} 0 {glass.density_g_cm3 or 0.0:.10g} 0 0")
+        lines.append("CD " + " ".join(map(repr, coefficients)))
+        d = glass.dndt
+        thermal = [0.0] * 6 if d is None else [d.D0, d.D1, d.D2, d.E0, d.E1, d.lambda_tk_um]
+        lines.append("TD " + " ".join(map(repr, [*thermal, glass.reference_temperature_c])))
+        lines.append(f"LD {1e-3 * glass.range_nm[0]!r} {1e-3 * glass.range_nm[1]!r}")
+        if glass.transmittance is not None:
+            pairs = zip(glass.transmittance.wavelength_nm, glass.transmittance.value, strict=True)
+            lines.extend(f"IT {1e-3 * w:.10g} {t:.10g} {glass.transmittance_mm:g}" for w, t in pairs)
+    return "\n".join(lines) + "\n"

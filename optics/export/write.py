@@ -1,0 +1,124 @@
+"""Write a lens as TOML, .zmx or .seq, by the ending of the file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from optics.errors import ConfigError
+from optics.export.seq import seq_text
+from optics.export.sequence import agf_text, sequence
+from optics.export.zmx import zmx_text
+from optics.lens.lens_file import LensFile
+from optics.rays.paraxial import axial_paraxial
+
+__all__ = ["toml_lens", "write_lens"]
+
+
+def write_lens(file: LensFile, path: str | Path) -> tuple[Path, ...]:
+    """Write a lens file; read again it gives the same rays.
+
+    Parameters
+    ----------
+    file : LensFile
+        The lens (`optics.lens.lens_file.read_lens_file`).
+    path : path
+        A name that ends in .toml, .zmx or .seq. Glasses that are in no maker's catalogue go into an AGF file of the
+        same name beside a .zmx or .seq.
+
+    Returns
+    -------
+    tuple of pathlib.Path
+        The files that were written.
+
+    Raises
+    ------
+    ConfigError
+        Another ending, what the format cannot hold, or a file that cannot be written.
+    """
+    place = Path(path)
+    suffix = place.suffix.lower()
+    texts: dict[Path, str] = {}
+    if suffix == ".toml":
+        texts[place] = toml_lens(file.tables)
+    elif suffix in (".zmx", ".seq"):
+        made = sequence(file)
+        catalogue = "".join(c if c.isalnum() else "_" for c in place.stem).upper()
+        if made.own:
+            texts[place.with_name(f"{catalogue}.AGF")] = agf_text(made.own, f"glasses of {place.name}")
+        if suffix == ".zmx":
+            texts[place] = zmx_text(file, made, (*([catalogue] if made.own else []), *made.catalogues))
+        else:
+            texts[place] = seq_text(file, made, catalogue, _entrance_pupil(file))
+    else:
+        raise ConfigError(f"{path}: lenses are written as .toml, .zmx or .seq")
+    for target, text in texts.items():
+        try:
+            target.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(f"{target}: cannot be written ({error.strerror or error})") from None
+    return tuple(texts)
+
+
+def _entrance_pupil(file: LensFile) -> float:
+    """Diameter of the paraxial entrance pupil [mm]."""
+    if file.defaults is not None and math.isfinite(file.defaults.entrance_pupil_mm):
+        return file.defaults.entrance_pupil_mm
+    radius = axial_paraxial(file.lens, file.lens.design_wavelength_nm).entrance_pupil_radius_mm
+    if not math.isfinite(radius):
+        raise ConfigError(f"lens {file.lens.name!r} is telecentric on the object side; .seq needs an entrance pupil")
+    return 2.0 * radius
+
+
+def toml_lens(tables: Mapping[str, Any]) -> str:
+    """A prescription as TOML text."""
+    plain = {k: v for k, v in tables.items() if not _is_tables(v)}
+    lines = [f"{_key(key)} = {_value(value)}" for key, value in plain.items()]
+    for key, value in tables.items():
+        if isinstance(value, Mapping):
+            inner = {k: v for k, v in value.items() if isinstance(v, Mapping)}
+            if inner and len(inner) == len(value):
+                for name, table in inner.items():
+                    lines += ["", f"[{_key(key)}.{_key(name)}]", *_lines(table)]
+            else:
+                lines += ["", f"[{_key(key)}]", *_lines(value)]
+        elif _is_tables(value):
+            for table in value:
+                lines += ["", f"[[{_key(key)}]]", *_lines(table)]
+    return "\n".join(lines) + "\n"
+
+
+def _is_tables(value: Any) -> bool:
+    return isinstance(value, Mapping) or (
+        isinstance(value, list | tuple) and bool(value) and all(isinstance(v, Mapping) for v in value)
+    )
+
+
+def _lines(table: Mapping[str, Any]) -> list[str]:
+    return [f"{_key(key)} = {_value(value)}" for key, value in table.items() if value is not None]
+
+
+def _key(key: str) -> str:
+    return key if key and all(c.isascii() and (c.isalnum() or c in "_-") for c in key) else _text(key)
+
+
+def _text(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in escaped) + '"'
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    if isinstance(value, str):
+        return _text(value)
+    if isinstance(value, int):
+        return str(value)
+    number = float(value)
+    return repr(number) if math.isfinite(number) else ("nan" if math.isnan(number) else f"{'-' * (number < 0)}inf")

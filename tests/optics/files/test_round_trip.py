@@ -1,0 +1,95 @@
+"""Read, write, read: the same rays, whatever the format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from optics import list_lenses, read_lens_file
+from optics.errors import ConfigError
+from optics.export.write import write_lens
+from optics.lens.lens_file import LensFile
+from optics.lens.prescription import lens_from_table
+from optics.lens.system import LensSystem
+from optics.rays.trace import Rays, trace
+
+MIRRORS = [
+    {"kind": "plane", "thickness_mm": 5.0, "medium": "air", "stop": True, "semi_diameter_mm": 20.0,
+     "inner_semi_diameter_mm": 2.0, "decentre_mm": [0.5, -0.3], "tilt_deg": [3.0, 5.0], "axes": "fixed"},
+    {"kind": "coordinate_break", "decentre_mm": [1.0, 2.0, 3.0], "tilt_deg": [4.0, -6.0, 20.0], "axes": "moving"},
+    {"kind": "odd_asphere", "radius_mm": 300.0, "conic": -0.5, "terms": [0.0, 1e-5, 2e-7], "thickness_mm": 4.0,
+     "medium": "own glass"},
+    {"kind": "coordinate_break", "tilt_deg": [4.0, 7.0, 0.0], "axes": "fixed", "first": "tilt", "thickness_mm": 1.0},
+    {"kind": "conic", "radius_mm": -250.0, "conic": 0.3, "thickness_mm": 40.0, "medium": "air",
+     "tilt_deg": [1.0, 2.0], "carry": "forward"},
+    {"kind": "sphere", "radius_mm": -700.0, "thickness_mm": -60.0, "medium": "mirror", "tilt_deg": [12.0, 3.0, 0.0],
+     "decentre_mm": [0.0, 1.0], "carry": "bend"},
+    {"kind": "even_asphere", "radius_mm": -900.0, "conic": 1.0, "asphere": [1e-9, 0.0, 3e-16], "thickness_mm": 50.0,
+     "medium": "mirror", "semi_diameter_mm": 40.0},
+]  # fmt: skip
+FOLDED = {
+    "name": "folded",
+    "source": "made up",
+    "design_wavelength_nm": 600.0,
+    "max_field_deg": 2.0,
+    "surface": MIRRORS,
+    "image": {"tilt_deg": [2.0, 1.0], "decentre_mm": [0.1, 0.2]},
+    "glass": {
+        "own glass": {
+            "source": "made up",
+            "formula": "shifted_sellmeier",
+            "coefficients": [0.0, 1.25, 0.012],
+            "range_nm": [400.0, 900.0],
+        }
+    },
+}
+
+
+def bundle(lens: LensSystem) -> Rays:
+    radius = lens.surfaces[lens.stop_index].semi_diameter_mm
+    x, y = map(np.ravel, np.meshgrid(*(np.linspace(-1.0, 1.0, 9) * radius,) * 2))
+    slope = np.radians(0.3 * min(lens.max_field_deg, 20.0))
+    direction = [0.3 * np.sin(slope), np.sin(slope), np.cos(slope)]
+    return Rays.create(x_mm=x, y_mm=y, z_mm=-10.0, direction=direction, wavelength_nm=lens.design_wavelength_nm)
+
+
+def largest_difference(lens: LensSystem, again: LensSystem) -> float:
+    first, second = trace(lens, bundle(lens)), trace(again, bundle(lens))
+    assert np.array_equal(first.status, second.status)
+    assert np.count_nonzero(first.ok) > 8
+    values = [np.where(first.ok, getattr(first, k) - getattr(second, k), 0.0) for k in ("x", "y", "dx", "dy", "opl_mm")]
+    return float(np.abs(values).max())
+
+
+@pytest.mark.parametrize("suffix", ["toml", "zmx", "seq"])
+def test_built_in_lenses_come_back(suffix: str, tmp_path: Path) -> None:
+    for name in list_lenses():
+        file = read_lens_file(name)
+        write_lens(file, tmp_path / f"{name}.{suffix}")
+        assert largest_difference(file.lens, read_lens_file(tmp_path / f"{name}.{suffix}").lens) < 1e-12, name
+
+
+@pytest.mark.parametrize("suffix", ["toml", "zmx", "seq"])
+def test_tilts_mirrors_and_own_glass_come_back(suffix: str, tmp_path: Path) -> None:
+    file = LensFile(lens=lens_from_table(FOLDED, where="test"), tables=FOLDED)
+    written = write_lens(file, tmp_path / f"folded.{suffix}")
+    assert len(written) == (1 if suffix == "toml" else 2)
+    assert largest_difference(file.lens, read_lens_file(written[-1]).lens) < 1e-12
+
+
+def test_what_a_format_cannot_hold_is_refused(tmp_path: Path) -> None:
+    file = read_lens_file(list_lenses()[0])
+    with pytest.raises(ConfigError, match=r"\.toml"):
+        write_lens(file, tmp_path / "lens.len")
+    with pytest.raises(ConfigError, match="cannot be written"):
+        write_lens(file, tmp_path / "nowhere" / "lens.zmx")
+    surfaces = [*MIRRORS[:-1], {**MIRRORS[-1], "kind": "qbfs", "norm_radius_mm": 50.0, "q_mm": [1e-3]}]
+    surfaces[-1].pop("asphere")
+    surfaces[-1].pop("conic")
+    tables = {**FOLDED, "surface": surfaces}
+    file = LensFile(lens=lens_from_table(tables, where="test"), tables=tables)
+    for suffix in ("zmx", "seq"):
+        with pytest.raises(ConfigError, match="qbfs"):
+            write_lens(file, tmp_path / f"lens.{suffix}")
