@@ -14,6 +14,7 @@ from experiments.budget.laboratory import Laboratory
 from experiments.laboratory.bench import point_field
 from experiments.laboratory.centroid_methods import has_own_epsf
 from experiments.laboratory.chromatic_error import measure_chromatic, rms, shifts, table1, uncertainties
+from experiments.laboratory.epsf_session import variance_of_another
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_noise import ExpectedWindows, drawn_positions, expected_windows
 from experiments.laboratory.ray_prediction import bundle_prediction
@@ -144,7 +145,7 @@ def predicted_terms(
             sigma[name] = np.sqrt(square) / (2.0 * traced.place_px.shape[0] * traced.place_px.shape[1])
             if method in built:  # one PSF for all filters and corners: its noise is in every shift
                 each = np.array([table1(shifts(one, [(name, high, low)])[name]) for one in built[method]])
-                sigma[name] = np.sqrt(sigma[name] ** 2 + each.var(0, ddof=1) * (1.0 + 1.0 / len(each)))
+                sigma[name] = np.sqrt(sigma[name] ** 2 + variance_of_another(each))
         found[method] = ChromaticTerm(
             table1_px={name: table1(v) for name, v in shift.items()},
             sigma_px=sigma,

@@ -23,7 +23,7 @@ from experiments.budget.terms import (
 )
 from experiments.laboratory.centroid_methods import needs_measured_epsf
 from experiments.laboratory.distortion_model import marking_errors, predict_distortion, predicted_numbers
-from experiments.laboratory.epsf_session import predicted_epsfs
+from experiments.laboratory.epsf_session import predicted_epsfs, variance_of_another
 from experiments.laboratory.high_frequency_model import MethodPrediction, predict_high_frequency
 from experiments.laboratory.targets import grid_directions
 from experiments.laboratory.temporal_error import predict_temporal, small_sample_factor, target_place
@@ -141,11 +141,11 @@ def _over_places(lab: Laboratory, found: list[MethodPrediction]) -> tuple[Value,
     """RMS over places; the uncertainty is the scatter of the measured number: other chips, other noise, other paths."""
     scale, parts = 3.0 * lab.instrument.pixel_arcsec, _parts(found)
     mean = {label: np.sqrt(np.mean(np.square(values), axis=0)) for label, values in parts.items()}
-    whole, count = mean["document"], len(found[0].session_px2)
+    whole = mean["document"]
     variance = np.mean([(2.0 * one.document_px * one.scatter_px) ** 2 for one in found], axis=0)  # of the square
-    if count:  # one session serves all places: what it does is no less over many of them
+    if len(found[0].session_px2):  # one session serves all places: what it does is no less over many of them
         alone = np.mean([one.session_px2.var(0, ddof=1) for one in found], axis=0)
-        common = np.mean([one.session_px2 for one in found], axis=0).var(0, ddof=1) * (1.0 + 1.0 / count)
+        common = variance_of_another(np.mean([one.session_px2 for one in found], axis=0))
     else:
         alone = common = np.zeros(2)
     variance = np.maximum(variance - alone, 0.0) / lab.config.steps.places + common

@@ -27,7 +27,7 @@ from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import EffectivePsf
 
-__all__ = ["epsf_session", "measured_epsf", "predicted_epsfs"]
+__all__ = ["epsf_session", "measured_epsf", "predicted_epsfs", "variance_of_another"]
 
 POSITIONS, STAMPS = 5, 20
 """Steps of a fifth of a pixel cover it along both axes; a PSF of four samples per pixel needs 16 stars at least."""
@@ -113,6 +113,17 @@ def predicted_epsfs(
         added = frames * (light + spread * rng.standard_normal(light.shape))
         found.append(_built(added, windows.valid, windows.corner_px, bench, instrument))
     return tuple(found)
+
+
+def variance_of_another(drawn: FloatArray) -> FloatArray:
+    """Squared deviation that one more of k draws (k, ...) has from their mean, by what these k tell.
+
+    The mean has an error of its own, 1 / k, and a variance known from a few is Student's with k - 1 degrees of freedom,
+    (k - 1) / (k - 3) (JCGM 101:2008, 6.4.9.4); up to three say too little for that.
+    """
+    k = len(drawn)
+    student = (k - 1.0) / (k - 3.0) if k > 3 else 1.0
+    return np.asarray(student * drawn.var(0, ddof=1) * (1.0 + 1.0 / k))
 
 
 def _pixels(windows: ExpectedWindows, positions: int, rng: np.random.Generator) -> FloatArray:
