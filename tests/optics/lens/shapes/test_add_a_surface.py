@@ -75,6 +75,7 @@ def test_the_new_kind_keeps_what_every_kind_promises(program):
     assert "skipped" not in said or find_spec("drjit") is None
 
 
+@pytest.mark.slow
 def test_the_script_of_the_page_runs_and_draws(program):
     radii_um = [float(number) for number in re.findall(r"\d+\.\d*", run(program, "script.py"))]
     assert len(radii_um) == 2
