@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optics.arrays import NUMPY, BoolArray, FloatArray, IntArray
-from optics.errors import ConvergenceError
+from optics.errors import ConvergenceError, DomainError
 from optics.lens.system import LensSystem
 from optics.rays.paraxial import axial_paraxial
 from optics.rays.program import LensProgram, compile_lens
@@ -80,15 +80,19 @@ def aim_frame(lens: LensSystem) -> AimFrame:
     ConvergenceError
         If neither the stop nor any aperture limits the beam.
     """
-    first = axial_paraxial(lens, lens.design_wavelength_nm)
-    near = np.isfinite(first.entrance_pupil_z_mm) and np.isfinite(first.entrance_pupil_radius_mm)
+    try:
+        first = axial_paraxial(lens, lens.design_wavelength_nm)
+        pupil = np.array([first.entrance_pupil_z_mm, first.entrance_pupil_radius_mm])
+    except DomainError:  # no power
+        pupil = np.array([np.nan, np.nan])
     rims = [s.semi_diameter_mm for s in lens.surfaces if np.isfinite(s.semi_diameter_mm)]
+    near = bool(np.isfinite(pupil).all())
     if not (near or rims):
         raise ConvergenceError(f"lens {lens.name!r} has no aperture that limits a beam")
-    scale = float(first.entrance_pupil_radius_mm) if near else float(max(rims))
+    z, scale = (float(v) for v in (pupil if near else (lens.surfaces[0].position_mm[2], max(rims))))
     stop = lens.surfaces[lens.stop_index].semi_diameter_mm
     return AimFrame(
-        z_mm=float(first.entrance_pupil_z_mm if near else lens.surfaces[0].position_mm[2]),
+        z_mm=z,
         scale_mm=scale,
         stop_mm=float(stop) if np.isfinite(stop) else scale,
     )

@@ -24,7 +24,7 @@ from optics.rays.program import compile_lens
 from optics.rays.trace import OK, VIGNETTED, Rays, trace_program
 from optics.records import freeze
 
-__all__ = ["BeamOutlines", "Beams", "beam_outlines", "find_beams"]
+__all__ = ["BeamOutlines", "Beams", "beam_outlines", "find_beams", "inner_points"]
 
 
 RIM_STEPS, RIM_TOLERANCE = 60, 1e-8
@@ -183,6 +183,15 @@ def beam_outlines(lens: LensSystem, v_cam: FloatArray, wavelength_nm: FloatArray
     return BeamOutlines(
         z_mm=apertures.z_mm, centre_mm=centre, radius_mm=np.where(lit[..., None], radius, 0.0), rim=rim, lit=lit
     )
+
+
+def inner_points(lens: LensSystem, v_cam: FloatArray, wavelength_nm: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """A point (f, p, 2) of the plane of launch [mm] inside every beam, and whether there is one (f, p).
+
+    It is the chief ray's, or where that is blocked the mean of rays that get through. Parameters as `find_beams`.
+    """
+    direction = np.repeat(light_direction(v_cam)[:, None], len(wavelength_nm), axis=1)
+    return _centres(_Apertures(lens), direction, np.broadcast_to(wavelength_nm, direction.shape[:2]))
 
 
 def _azimuth(count: int) -> FloatArray:

@@ -277,7 +277,8 @@ def launch_disks(lens: LensSystem, v_cam: FloatArray, wavelength_nm: ArrayLike) 
         np.stack([f(np.where(lit, v, end), axis=(1, 2)) for v in (found.x_mm, found.y_mm)])
         for f, end in ((np.min, np.inf), (np.max, -np.inf))
     )
-    centre = np.where(np.isfinite(low), 0.5 * (low + high), 0.0)[..., None, None]
+    some = found.lit.any(1)
+    centre = np.where(some, 0.5 * (np.where(some, low, 0.0) + np.where(some, high, 0.0)), 0.0)[..., None, None]
     radius = _bound(np.where(lit, np.hypot(found.x_mm - centre[0], found.y_mm - centre[1]), 0.0))
     return LaunchDisks(z_mm=found.z_mm, x_mm=centre[0], y_mm=centre[1], radius_mm=radius.max((1, 2), keepdims=True))
 

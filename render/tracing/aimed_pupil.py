@@ -9,14 +9,16 @@ taken, ends at rounding after a few steps. Points of launch are in units of the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from optics.arrays import BoolArray, FloatArray, IntArray
+from optics.frames import light_direction
 from optics.lens.system import LensSystem
-from optics.rays.program import LensProgram, compile_lens
+from optics.rays.aim import aim_at_stop, front_of, without_apertures, without_holes
+from optics.rays.program import LensProgram
 from optics.rays.trace import OK, VIGNETTED, Rays, trace_program
 from render.engine import Engine
 from render.engine.jit import dr
@@ -25,13 +27,16 @@ from render.tracing.kernel import StarKernel
 __all__ = ["AimedLens", "Chiefs", "Rims", "aimed_lens", "find_chiefs", "find_rims", "find_stop_rims"]
 
 
-AIM_STEPS, AIM_TOLERANCE, AIM_DIFFERENCE = 12, 1e-11, 1e-5
+AIM_STEPS, AIM_TOLERANCE, AIM_DIFFERENCE = 6, 1e-11, 1e-5
 """Newton steps, residual and difference of the slopes, both in radii of the launch disk."""
+WIDE_RAD = np.radians(15.0)
+"""Field angle beyond which chief rays are aimed on NumPy, from the axis outwards (`optics.rays.aim`)."""
 RIM_STEPS, RIM_TOLERANCE = 14, 1e-12
 """Secant steps and residual in units of the aperture's radius."""
 INSIDE = 1e-7
 """How far inside its outline a ray is launched that has to get through the lens."""
-FIRST_RADIUS = 0.8
+FIRST_RADIUS, WIDEST = 0.8, 64.0
+"""In radii of the launch disk: where the search begins; an outline wider than this is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,21 +45,20 @@ class AimedLens:
 
     Attributes
     ----------
-    front, front_theta
-        The lens up to the stop, whose vertex plane is its image plane.
-    full, full_theta
+    system : LensSystem
         The lens.
+    front, full, theta
+        The lens up to its stop, without apertures, and the whole; parameters of both.
     stop : int
         Number of the stop.
     limits : tuple of (int, float)
-        Number and radius [mm] of every clear aperture, the stop's among them; empty where outlines cannot be found
-        because an aperture has a hole or the stop no edge.
+        Number and radius [mm] of every clear aperture, the stop's among them.
     """
 
+    system: LensSystem
     front: LensProgram
-    front_theta: Any
     full: LensProgram
-    full_theta: Any
+    theta: Any
     stop: int
     limits: tuple[tuple[int, float], ...]
 
@@ -68,12 +72,15 @@ class Chiefs:
     points : (n, b, 2)
         Where they are launched, in radii of the launch disk; NaN where the aim fails.
     x_px, y_px : (n, b)
-        Where they land; NaN where they do not.
+        Where they land, rims of apertures or no; NaN where they do not.
+    blocked : (n, b)
+        Whether the rim of an aperture stops them.
     """
 
     points: FloatArray
     x_px: FloatArray
     y_px: FloatArray
+    blocked: BoolArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,10 +90,10 @@ class Rims:
     Attributes
     ----------
     radius : (n, b, k, m)
-        Of the outline, in radii of the launch disk.
+        Of the outline, in radii of the launch disk; NaN where none was found.
     height : (a, n, b, k, m)
-        Heights of the ray that touches the outline, in units of the aperture's radius: on every aperture, the last one
-        being the launch disk itself; for an outline by the stop alone (a = 1) the largest on the others.
+        Heights of the ray that touches the outline on every aperture, in units of its radius; for an outline by the
+        stop alone (a = 1) the largest on the others.
     good : (n, b, k, m)
         Whether the iteration ended on an aperture and the ray gets through when it is moved in by `INSIDE`.
     """
@@ -96,34 +103,22 @@ class Rims:
     good: BoolArray
 
 
-def aimed_lens(lens: LensSystem, kernel_lens: tuple[LensProgram, FloatArray], *, general: bool = False) -> AimedLens:
-    """Compile a lens for aiming.
-
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens.
-    kernel_lens : (LensProgram, (size,))
-        The same lens as it is traced.
-    general : bool
-        Whether it is traced with general poses.
-    """
-    at = lens.stop_index
-    stop = lens.surfaces[at]
-    to_stop = replace(
-        lens, surfaces=lens.surfaces[: at + 1], image_position_mm=stop.position_mm, image_rotation=stop.rotation
-    )
-    front, front_theta = compile_lens(to_stop, general=general)
-    full, theta = kernel_lens
+def aimed_lens(lens: LensSystem, program: LensProgram, theta: FloatArray) -> AimedLens:
+    """A lens, compiled as it is traced, ready for aiming."""
     limits = [(i, float(s.semi_diameter_mm)) for i, s in enumerate(lens.surfaces) if np.isfinite(s.semi_diameter_mm)]
     if any(surface.holed for surface in lens.surfaces):
         limits = []
-    xp = Engine.active().arrays
-    return AimedLens(front, xp.parameters(front_theta.tolist()), full, xp.parameters(theta.tolist()), at, tuple(limits))
+    front = front_of(without_apertures(program), lens.stop_index)
+    numbers = Engine.active().arrays.parameters(theta.tolist())
+    return AimedLens(lens, front, program, numbers, lens.stop_index, tuple(limits))
 
 
-def find_chiefs(lens: AimedLens, kernel: StarKernel, wavelength_nm: FloatArray) -> Chiefs:
+def find_chiefs(
+    lens: AimedLens, kernel: StarKernel, wavelength_nm: FloatArray, points: FloatArray | None = None
+) -> Chiefs:
     """Aim at the stop's centre: Newton's method in two unknowns with slopes from differences.
+
+    Rays far from the axis, and those for which that does not end soon, are aimed by `optics.rays.aim.aim_at_stop`.
 
     Parameters
     ----------
@@ -133,18 +128,42 @@ def find_chiefs(lens: AimedLens, kernel: StarKernel, wavelength_nm: FloatArray) 
         Holds the stars.
     wavelength_nm : (b,)
         One wavelength per band.
+    points : (n, b, 2), optional
+        Where they are launched, where that is known.
     """
-    F = kernel.F
-    bands = len(wavelength_nm)
-    shape = (kernel.count, bands)
-    band, star = kernel.numbered(kernel.count * bands, bands)
+    F, shape = kernel.F, (kernel.count, len(wavelength_nm))
+    band, star = kernel.numbered(kernel.count * shape[1], shape[1])
+    wavelength = dr.gather(F, F(wavelength_nm), band)
+    error = kernel.error_of(dr.arange(kernel.U, len(star)), dr.opaque(kernel.U, 0), wavelength_nm[:, None])
+    if points is None:
+        points = _aimed(lens, kernel, wavelength_nm)
+    px, py = (F(np.ascontiguousarray(points[..., axis].ravel())) for axis in (0, 1))
+    x, y, free = kernel.launch(star, px, py, wavelength, error, without_apertures(lens.full))
+    status = kernel.launch(star, px, py, wavelength, error, without_holes(lens.full))[2]
+    dr.eval(x, y, free, status)
+    arrived, stopped = (v.numpy().reshape(shape) for v in (free, status))
+    through = np.isfinite(points).all(-1) & (arrived == OK)
+    column, row = (np.where(through, v.numpy().reshape(shape), np.nan) for v in (x, y))
+    return Chiefs(points, column, row, blocked=through & (stopped == VIGNETTED))
+
+
+def _aimed(lens: AimedLens, kernel: StarKernel, wavelength_nm: FloatArray) -> FloatArray:
+    """Launch points (n, b, 2) of chief rays, NaN where there is none."""
+    F, shape = kernel.F, (kernel.count, len(wavelength_nm))
+    band, star = kernel.numbered(kernel.count * shape[1], shape[1])
     wavelength = dr.gather(F, F(wavelength_nm), band)
     h = dr.opaque(F, AIM_DIFFERENCE)
     unit = dr.opaque(F, 1.0 / kernel.geometry.pupil_radius_mm)
 
     def at_stop(px: Any, py: Any) -> tuple[Any, Any]:
-        rays = trace_program(lens.front, lens.front_theta, kernel.rays(star, px, py, wavelength), kernel.xp)
-        return rays.x * unit, rays.y * unit
+        found: list[Any] = []
+
+        def visit(number: int, rays: Rays) -> None:
+            if number == lens.stop:
+                found.extend((rays.x * unit, rays.y * unit))
+
+        trace_program(lens.front, lens.theta, kernel.rays(star, px, py, wavelength), kernel.xp, visit)
+        return found[0], found[1]
 
     def step(px: Any, py: Any, error: Any, left: Any) -> tuple[Any, Any, Any, Any]:
         (u, v), right, up = at_stop(px, py), at_stop(px + h, py), at_stop(px, py + h)
@@ -159,14 +178,24 @@ def find_chiefs(lens: AimedLens, kernel: StarKernel, wavelength_nm: FloatArray) 
         step,
         mode="symbolic",
     )
-    x, y, status = kernel.launch(star, px, py, wavelength)
-    aimed = (error <= AIM_TOLERANCE**2) & (px * px + py * py < 1.0)
-    arrived = (status == OK) | (status == VIGNETTED)
-    dr.eval(px, py, x, y, arrived, aimed)
-    good, through = (m.numpy().astype(bool).reshape(shape) for m in (aimed, aimed & arrived))
-    points = np.stack([p.numpy().reshape(shape) for p in (px, py)], axis=-1)
-    points[~good] = np.nan
-    return Chiefs(points, *(np.where(through, v.numpy().reshape(shape), np.nan) for v in (x, y)))
+    dr.eval(px, py, error)
+    points = np.stack([v.numpy().reshape(shape) for v in (px, py)], axis=-1)
+    near = kernel.direction[:, 0, 2] >= np.cos(WIDE_RAD)
+    aimed = (error.numpy().reshape(shape) <= AIM_TOLERANCE**2) & near[:, None]
+    points[~aimed] = _aimed_outwards(lens, kernel, wavelength_nm, *np.nonzero(~aimed))
+    return points
+
+
+def _aimed_outwards(
+    lens: AimedLens, kernel: StarKernel, wavelength_nm: FloatArray, stars: IntArray, bands: IntArray
+) -> FloatArray:
+    """Launch points (m, 2) of the chief rays of some pairs of stars and bands; NaN where there is none."""
+    if not len(stars):
+        return np.zeros((0, 2))
+    x0, y0, _ = kernel.geometry.pupil_mm
+    rays = aim_at_stop(lens.system, light_direction(kernel.direction[stars, 0]), wavelength_nm[bands])
+    points = np.stack([rays.x_mm - x0, rays.y_mm - y0], axis=-1) / kernel.geometry.pupil_radius_mm
+    return np.where(rays.found[:, None], points, np.nan)
 
 
 class _Beams:
@@ -192,10 +221,8 @@ class _Beams:
         at = dr.arange(U, len(arm)) if azimuth.ndim == 4 else node * dr.opaque(U, arms) + arm
         self.sine, self.cosine = dr.sincos(dr.gather(F, F(np.ascontiguousarray(azimuth.ravel())), at))
 
-    def heights(
-        self, radius: Any, program: LensProgram, theta: Any, numbers: tuple[int, ...]
-    ) -> tuple[Rays, list[Any]]:
-        """Rays at a radius, and their heights on surfaces and in the launch disk, in units of the apertures."""
+    def heights(self, radius: Any, program: LensProgram, numbers: tuple[int, ...]) -> tuple[Rays, list[Any]]:
+        """Rays at a radius, and their heights on surfaces in units of the apertures."""
         px, py = self.cx + radius * self.cosine, self.cy + radius * self.sine
         limit, found = dict(self.lens.limits), {}
 
@@ -204,21 +231,20 @@ class _Beams:
                 unit = dr.opaque(self.kernel.F, 1.0 / limit[number])
                 found[number] = dr.sqrt(rays.x * rays.x + rays.y * rays.y) * unit
 
-        rays = trace_program(
-            program, theta, self.kernel.rays(self.star, px, py, self.wavelength), self.kernel.xp, visit
-        )
-        return rays, [*(found[number] for number in numbers), dr.sqrt(px * px + py * py)]
+        rays = self.kernel.rays(self.star, px, py, self.wavelength)
+        rays = trace_program(program, self.lens.theta, rays, self.kernel.xp, visit)
+        return rays, [found[number] for number in numbers]
 
-    def solve(self, program: LensProgram, theta: Any, numbers: tuple[int, ...]) -> tuple[Any, Any]:
-        """First radius at which one of the surfaces (or the launch disk) is touched, and whether it was found."""
+    def solve(self, program: LensProgram, numbers: tuple[int, ...]) -> tuple[Any, Any]:
+        """First radius at which one of the surfaces is touched, and whether it was found."""
         F, count = self.kernel.F, int(np.prod(self.shape))
 
         def heights(radius: Any) -> list[Any]:
-            return self.heights(radius, program, theta, numbers)[1]
+            return self.heights(radius, program, numbers)[1]
 
         def step(radius: Any, before: Any, left: Any, at: list[Any], was: list[Any]) -> tuple[Any, ...]:
             run = radius - before
-            following = dr.full(F, 2.0, 1)
+            following = 2.0 * dr.abs(radius) + FIRST_RADIUS  # where no height rises
             for now, then in zip(at, was, strict=True):
                 rise = now - then
                 reach = radius + (1.0 - now) * run / rise
@@ -226,7 +252,7 @@ class _Beams:
             return following, radius, left - 1, heights(following), at
 
         def open_(radius: Any, before: Any, left: Any, at: list[Any], was: list[Any]) -> Any:
-            return (left > 0) & (dr.abs(_largest(at) - 1.0) > RIM_TOLERANCE) & (radius != before)
+            return (left > 0) & (dr.abs(_largest(at) - 1.0) > RIM_TOLERANCE) & (radius != before) & (radius < WIDEST)
 
         start, first = dr.zeros(F, count), dr.full(F, FIRST_RADIUS, count)
         centre = heights(start)
@@ -237,17 +263,18 @@ class _Beams:
     def rims(self, radius: Any, found: Any, numbers: tuple[int, ...], largest: bool = False) -> Rims:
         """What becomes of rays at these radii in the whole lens; heights on some surfaces, or the largest of them."""
         lens = self.lens
-        rays, heights = self.heights(radius * (1.0 - INSIDE), lens.full, lens.full_theta, numbers)
+        rays, heights = self.heights(radius * (1.0 - INSIDE), lens.full, numbers)
         heights = [_largest(heights)] if largest else heights
         good = found & (rays.status == OK)
-        dr.eval(radius, good, *heights)
-        height = np.stack([h.numpy().reshape(self.shape) for h in heights])
-        return Rims(radius.numpy().reshape(self.shape), height, good.numpy().astype(bool).reshape(self.shape))
+        dr.eval(radius, found, good, *heights)
+        height = np.stack([h.numpy().reshape(self.shape) for h in heights]) if heights else np.zeros((1, *self.shape))
+        radius = np.where(found.numpy().astype(bool), radius.numpy(), np.nan)
+        return Rims(radius.reshape(self.shape), height, good.numpy().astype(bool).reshape(self.shape))
 
 
 def _largest(values: list[Any]) -> Any:
-    """Elementwise maximum of a list."""
-    result = values[0]
+    """Elementwise maximum of a list of what is not negative; 0 of none."""
+    result = values[0] if values else 0.0
     for value in values[1:]:
         result = dr.maximum(result, value)
     return result
@@ -280,7 +307,7 @@ def find_stop_rims(
     """
     beams = _Beams(lens, kernel, chief, wavelength_nm, azimuth, stars)
     others = tuple(number for number, _ in lens.limits if number != lens.stop)
-    return beams.rims(*beams.solve(lens.front, lens.front_theta, (lens.stop,)), others, largest=True)
+    return beams.rims(*beams.solve(lens.front, (lens.stop,)), others, largest=True)
 
 
 def find_rims(
@@ -294,4 +321,4 @@ def find_rims(
     """Outlines as all apertures make them; parameters as `find_stop_rims`."""
     beams = _Beams(lens, kernel, chief, wavelength_nm, azimuth, stars)
     numbers = tuple(number for number, _ in lens.limits)
-    return beams.rims(*beams.solve(lens.full, lens.full_theta, numbers), numbers)
+    return beams.rims(*beams.solve(lens.full, numbers), numbers)

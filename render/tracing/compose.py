@@ -75,6 +75,7 @@ class TruthSums:
     variance_x: FloatArray
     variance_y: FloatArray
     beyond: FloatArray
+    entrance: FloatArray
 
     @classmethod
     def empty(cls, stars: int, bands: int) -> TruthSums:
@@ -90,6 +91,7 @@ class TruthSums:
         corner_px: FloatArray,
         electrons_in: FloatArray,
         on_image: FloatArray,
+        entrance: FloatArray,
     ) -> None:
         """Moments and balance of one pass.
 
@@ -102,9 +104,11 @@ class TruthSums:
         corner_px : (s, b, 2)
             Outer corner of their stamps.
         electrons_in : (s, b)
-            Light sent into the pupil [e-].
+            Light of the launch disk [e-].
         on_image : (s, b)
             Share of it that reached pixels of the image.
+        entrance : (s, b)
+            Share of it that enters by the stop.
         """
         size, moments = sums.pixels.shape[-1], sums.moments
         landed = sums.pixels.sum((2, 3))
@@ -119,6 +123,7 @@ class TruthSums:
         self.variance_y[stars] = variance[..., 1] * size**2
         self.photon_x[stars] = corner_px[..., 0] + photon[..., 0] * size
         self.photon_y[stars] = corner_px[..., 1] + photon[..., 1] * size
+        self.entrance[stars] = entrance
         self.image[stars] = on_image * electrons_in
         self.vignetted[stars] = moments[..., LOST] * electrons_in
         self.off_edge[stars] = (landed - on_image + moments[..., OUTSIDE]) * electrons_in
@@ -132,10 +137,11 @@ class TruthSums:
         self.off_edge[stars] = (landed - on_image) * electrons_in
         self.beyond[stars] = (stamps.light - landed) * electrons_in
         hidden = np.nan_to_num(self.hidden[stars])
-        self.vignetted[stars] = (1.0 - stamps.light) * electrons_in - hidden
+        self.entrance[stars] = np.maximum(self.entrance[stars], stamps.light + hidden / electrons_in)
+        self.vignetted[stars] = (self.entrance[stars] - stamps.light) * electrons_in - hidden
 
-    def truth(self, electrons_in: FloatArray) -> Truth:
-        """The finished record."""
+    def truth(self, electrons: FloatArray) -> Truth:
+        """The finished record, from the light of the launch disk (n, b)."""
         return Truth(
             chief_x_px=self.chief_x,
             chief_y_px=self.chief_y,
@@ -143,7 +149,7 @@ class TruthSums:
             bundle_y_px=self.bundle_y,
             photon_x_px=self.photon_x,
             photon_y_px=self.photon_y,
-            electrons_in=electrons_in,
+            electrons_in=electrons * self.entrance,
             electrons_image=self.image,
             electrons_vignetted=self.vignetted,
             electrons_off_edge=self.off_edge,

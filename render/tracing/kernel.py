@@ -198,10 +198,18 @@ class StarKernel:
             failed_at=zero - 1,
         )
 
-    def launch(self, star: Any, px: Any, py: Any, wavelength_nm: Any, error: Any = None) -> tuple[Any, Any, Any]:
+    def launch(
+        self,
+        star: Any,
+        px: Any,
+        py: Any,
+        wavelength_nm: Any,
+        error: Any = None,
+        program: LensProgram | None = None,
+    ) -> tuple[Any, Any, Any]:
         """Column, row [px] and status of rays through points of the launch disk; ``star`` counts times too."""
         pitch, cx, cy = self.pixels
-        out = trace_program(self.program, self.theta, self.rays(star, px, py, wavelength_nm, error), self.xp)
+        out = trace_program(program or self.program, self.theta, self.rays(star, px, py, wavelength_nm, error), self.xp)
         x, y = cx + out.x / pitch, cy - out.y / pitch
         if self.shear is not None:
             row, along_x, along_y = (dr.gather(self.F, values, star) for values in self.shear)

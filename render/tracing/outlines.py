@@ -20,7 +20,7 @@ from render.tracing.aimed_pupil import AimedLens, Chiefs, Rims, find_stop_rims
 from render.tracing.kernel import StarKernel
 from render.tracing.pupil_points import OutlinePoints, bounding_outline
 
-__all__ = ["GOLDEN", "NodePicks", "Outlines", "find_outlines", "node_picks", "node_turns", "rings"]
+__all__ = ["GOLDEN", "NodePicks", "Outlines", "every_node", "find_outlines", "node_picks", "node_turns", "rings"]
 
 
 GOLDEN = 0.6180339887498949
@@ -121,6 +121,12 @@ def node_picks(kernel: StarKernel, wavelength_nm: FloatArray, times: FloatArray 
     return NodePicks(kernel, np.ascontiguousarray(wavelength_nm[:, picks]), factors, one, every)
 
 
+def every_node(kernel: StarKernel, wavelength_nm: FloatArray) -> NodePicks:
+    """All wavelengths (b, k) of a camera at rest."""
+    one = np.ones((kernel.count, 1, 1))
+    return NodePicks(kernel, wavelength_nm, np.ones((*wavelength_nm.shape, 1)), one, every=True)
+
+
 def node_turns(colours: int, times: int = 1) -> FloatArray:
     """By which part of their spacing azimuths are turned at every node (times x colours,).
 
@@ -153,7 +159,7 @@ class Outlines:
     chief : (n, b, 2)
         Centres of the azimuths.
     radius : (n, b, picked nodes, m)
-        As the stop alone makes them, at m equidistant azimuths.
+        As the stop alone makes them, at m equidistant azimuths; NaN where no ray touches its rim.
     clear, cut : (n,)
         Stars limited by the stop alone; stars for which other apertures count too. Others have no outline.
     """
@@ -182,6 +188,11 @@ class Outlines:
             ring=np.repeat(ring, arms),
             ring_weight=np.repeat(weight, arms),
         )
+
+    def entrance(self) -> FloatArray:
+        """Light (n, b, k) that the stop alone would let through, in that of the launch disk; NaN where unknown."""
+        area = (self.radius**2).mean(3, keepdims=True)
+        return self.picks.spread(area, np.arange(len(area)))[..., 0]
 
     def bounding(self, stars: IntArray) -> OutlinePoints:
         """Points that bound the landing points at the wavelengths of `NodePicks.ends`: the rim, and fewer inside."""

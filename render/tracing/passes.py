@@ -12,9 +12,19 @@ from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from render.camera import Camera
 from render.tracing.compose import TruthSums, add_stamps
-from render.tracing.kernel import LOST, OUTSIDE, Shade, StampSums, StarKernel, reach_px, strips_per_pixel
-from render.tracing.pupil_points import OutlinePoints, PupilPoints, TablePoints
-from render.tracing.sampling import PupilPlan, bounding_points
+from render.tracing.kernel import (
+    ARRIVED,
+    HIDDEN,
+    LOST,
+    OUTSIDE,
+    Shade,
+    StampSums,
+    StarKernel,
+    reach_px,
+    strips_per_pixel,
+)
+from render.tracing.pupil_points import PupilPoints, TablePoints
+from render.tracing.sampling import PupilPlan, bounding_disk
 
 __all__ = [
     "MARGIN_PX",
@@ -91,9 +101,7 @@ class Group:
     points: Points
 
 
-def find_bounds(
-    kernel: StarKernel, bounds: Bounds, stars: IntArray, wavelength_nm: FloatArray, points: Points | None = None
-) -> None:
+def find_bounds(kernel: StarKernel, bounds: Bounds, stars: IntArray, wavelength_nm: FloatArray, points: Points) -> None:
     """Extent of the bundles of some stars [px] and whether they are clear, at the given wavelengths (b, 3).
 
     Parameters
@@ -106,14 +114,12 @@ def find_bounds(
         Which stars.
     wavelength_nm : (b, 3)
         Wavelengths.
-    points : callable, optional
-        Bounding points of stars; those of the whole launch disk if left out.
+    points : callable
+        Bounding points of stars.
     """
-    disk = bounding_points()
-    rim = TablePoints(np.broadcast_to(disk, (3, *disk.shape)), np.full(len(disk), 1.0 / len(disk)))
-    step = max(1, BOUND_RAYS // (len(wavelength_nm) * 3 * len(disk)))
+    step = max(1, BOUND_RAYS // (len(wavelength_nm) * 3 * bounding_disk().count))
     for part in (stars[i : i + step] for i in range(0, len(stars), step)):
-        landed = kernel.land(rim if points is None else points(part), wavelength_nm, part.astype(np.uint32))
+        landed = kernel.land(points(part), wavelength_nm, part.astype(np.uint32))
         x, y, ok = (v.reshape(*v.shape[:2], -1) for v in landed)
         bounds.clear[part] = ok.all((1, 2))
         for axis, value in enumerate((x, y)):
@@ -133,6 +139,8 @@ class Passes:
         What light is added to.
     sums : TruthSums
         Where the truth is kept.
+    entrance : (n, b)
+        Light that the stop alone would let through in that of the launch disk; NaN where unknown.
     shade : Shade or None
         What stands between the sky and the lens; asked for every ray of stars that Sobol points sample.
     """
@@ -143,6 +151,7 @@ class Passes:
     bounds: Bounds
     image: NDArray[np.float32]
     sums: TruthSums
+    entrance: FloatArray
     shade: Shade | None = None
 
     def trace(self, group: Group) -> IntArray:
@@ -169,21 +178,27 @@ class Passes:
                 lost = np.asarray((collected.moments[..., LOST] > LIGHT).any(1) & (group.plan.mode != "sobol"))
                 cut.append(stars[lost])
                 redo.append(todo[part[outside & ~lost]])
-                collected.moments[..., LOST] += self.beside(pupil, stars)
+                entrance = self._balanced(collected, pupil, stars)
                 keep = ~(outside | lost)
                 if not keep.all():
-                    stars, corner, collected = stars[keep], corner[keep], collected.take(keep)
+                    stars, corner, collected, entrance = stars[keep], corner[keep], collected.take(keep), entrance[keep]
                 on_image = add_stamps(
                     self.image, collected.pixels, corner, light.electrons[stars], self.camera.sensitive_columns
                 )
-                self.sums.store(stars, collected, corner, light.electrons[stars], on_image)
+                self.sums.store(stars, collected, corner, light.electrons[stars], on_image, entrance)
             todo = np.concatenate(redo)
             margin[todo] = 2 * margin[todo] + 2.0
         return np.concatenate(cut)
 
-    def beside(self, pupil: PupilPoints, stars: IntArray) -> FloatArray | float:
-        """Share of the light (s, b) that meets the launch disk beside the outlines."""
-        return 1.0 - (self.light.share[stars] * pupil.inside).sum(2) if isinstance(pupil, OutlinePoints) else 0.0
+    def _balanced(self, collected: StampSums, pupil: PupilPoints, stars: IntArray) -> FloatArray:
+        """Light (s, b) that enters by the stop alone; what of it does not arrive becomes what is lost in the lens."""
+        moments, entrance = collected.moments, self.entrance[stars]
+        if isinstance(pupil, TablePoints):
+            return entrance
+        arrived = moments[..., ARRIVED] + moments[..., OUTSIDE] + moments[..., HIDDEN]
+        entrance = np.fmax(np.where(np.isnan(entrance), 1.0, entrance), arrived)
+        moments[..., LOST] = entrance - arrived
+        return entrance
 
     def splat(
         self,

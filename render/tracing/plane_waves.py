@@ -26,7 +26,7 @@ from optics.arrays import BoolArray, FloatArray
 from optics.rays.trace import OK, VIGNETTED, trace_program
 from render.engine.jit import dr
 from render.tracing.kernel import Shade, StarKernel
-from render.tracing.pupil_points import PupilPoints, TablePoints
+from render.tracing.pupil_points import PupilPoints
 
 __all__ = [
     "BandLimited",
@@ -198,7 +198,7 @@ def _launch_path(kernel: StarKernel, star: Any, px: Any, py: Any, error: Any) ->
     return (2.0 * (a * x + b * y) + vergence * (x * x + y * y)) / (near + here)
 
 
-def hidden_points(kernel: StarKernel, shade: Shade, pupil: TablePoints, stars: NDArray[np.uint32]) -> BoolArray:
+def hidden_points(kernel: StarKernel, shade: Shade, pupil: PupilPoints, stars: NDArray[np.uint32]) -> BoolArray:
     """Which points (s, p) of the launch disk do not see some of a kernel's stars; the same for every node."""
     point, position = kernel.numbered(len(stars) * pupil.count, pupil.count)
     px, py, _ = pupil.sample(kernel.types, position, dr.zeros(kernel.U, 1), point)

@@ -14,23 +14,26 @@ from numpy.typing import NDArray
 from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.lens.system import LensSystem
 from optics.light.collimation import Collimation
+from optics.rays.aim import aim_frame
+from optics.rays.beam import inner_points
 from optics.rays.program import compile_lens
-from optics.rays.pupil import EntrancePupil
+from optics.rays.pupil import EntrancePupil, entrance_pupil, launch_disks, stop_in_front
 from render.camera import Camera, launch_disk
-from render.tracing.aimed_pupil import AimedLens, Chiefs, aimed_lens, find_chiefs
+from render.tracing.aimed_pupil import Chiefs, aimed_lens, find_chiefs
 from render.tracing.convergence import MOTION_TOLERANCE, TOLERANCE
 from render.tracing.ideal_lens import IdealLens
 from render.tracing.kernel import Geometry, StarKernel
-from render.tracing.outlines import NodePicks, Outlines, find_outlines, node_picks
+from render.tracing.outlines import NodePicks, Outlines, every_node, find_outlines, node_picks
 from render.tracing.passes import Bounds, Group, find_bounds
 from render.tracing.paths import StarPaths, pick_times, uniform_paths
 from render.tracing.pupil_arcs import ARC_LADDER, Arcs, find_arcs
-from render.tracing.pupil_points import PupilPoints, TablePoints
+from render.tracing.pupil_points import DiskPoints, PupilPoints
 from render.tracing.sampling import (
     LADDER,
     OUTLINE_LADDER,
     Landed,
     PupilPlan,
+    bounding_disk,
     converged_order,
     lowest_order,
     probe_fields,
@@ -40,7 +43,7 @@ from render.tracing.sampling import (
 )
 from render.tracing.wave_images import WaveGroup
 
-__all__ = ["PupilPlanner", "Seen"]
+__all__ = ["PupilPlanner", "Seen", "Shapes"]
 
 Ladder = tuple[tuple[int, int], ...]
 
@@ -67,6 +70,8 @@ class Seen:
         Directions.
     length_px : float
         Length of the paths.
+    wavelength_nm : (b, k)
+        All wavelengths.
     """
 
     mid: StarKernel
@@ -74,6 +79,39 @@ class Seen:
     picks: NodePicks
     paths: StarPaths
     length_px: float
+    wavelength_nm: FloatArray
+
+
+Shape = tuple[str, IntArray, Outlines | Arcs]
+"""A mode, its stars, and their outlines."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shapes:
+    """Outlines of the beams of stars, in parts of one mode each.
+
+    Attributes
+    ----------
+    parts : list of Shape
+        No star is in two of them.
+    outlines : Outlines or None
+        Those by the stop alone; None where the launch disk is the stop.
+    """
+
+    parts: list[Shape]
+    outlines: Outlines | None
+
+    def entrance(self, nodes: tuple[int, int, int]) -> FloatArray:
+        """Light (n, b, k) that the stop alone would let through in that of the launch disk; NaN where unknown."""
+        return np.ones(nodes) if self.outlines is None else self.outlines.entrance()
+
+
+def unit_disk(lens: LensSystem) -> EntrancePupil:
+    """Disk that light and launch points are counted in: the stop if it stands in front, or the paraxial pupil."""
+    if stop_in_front(lens):
+        return entrance_pupil(lens)
+    frame = aim_frame(lens)
+    return EntrancePupil(z_mm=frame.z_mm, radius_mm=frame.scale_mm, exact=False)
 
 
 def _open_stop(lens: LensSystem) -> LensSystem:
@@ -105,11 +143,11 @@ class PupilPlanner:
         self.camera, self.tolerance = camera, tolerance
         self.sobol_log2_rays, self.sobol_seed = sobol_log2_rays, sobol_seed
         lens = camera.focused_lens
-        self.pupil: EntrancePupil = launch_disk(camera)
-        self.program, self.theta = compile_lens(_open_stop(lens) if self.pupil.exact else lens, general=general)
-        self._aim: AimedLens | None = None
+        self.pupil = unit_disk(lens)
         if not self.pupil.exact:
-            self._aim = aimed_lens(lens, (self.program, self.theta), general=general)
+            launch_disk(camera)  # refuses a lens that lets no light through
+        self.program, self.theta = compile_lens(_open_stop(lens) if self.pupil.exact else lens, general=general)
+        self._aim = aimed_lens(lens, self.program, self.theta)
         self._plans: dict[Any, PupilPlan | None] = {}
 
     def kernel(
@@ -130,67 +168,143 @@ class PupilPlanner:
         """What is needed of an exposure."""
         mid = self.kernel(paths.mid, collimation=paths.collimation)
         if paths.nodes.shape[1] == 1 and paths.shear is None:
-            return Seen(mid, mid, node_picks(mid, wavelength_nm), paths, 0.0)
+            return Seen(mid, mid, node_picks(mid, wavelength_nm), paths, 0.0, wavelength_nm)
         picked, times = pick_times(paths)
         picks = node_picks(self.kernel(picked), wavelength_nm, times)
-        return Seen(mid, self.kernel(paths.nodes, paths.shear, paths.collimation), picks, paths, length_px)
+        return Seen(
+            mid, self.kernel(paths.nodes, paths.shear, paths.collimation), picks, paths, length_px, wavelength_nm
+        )
 
     def chiefs(self, kernel: StarKernel, wavelength_nm: FloatArray) -> Chiefs:
         """Chief rays, through the centre of the stop, at the mean of each band's nodes (b, k)."""
         mean = wavelength_nm.mean(1)
-        if self._aim is not None:
-            return find_chiefs(self._aim, kernel, mean)
-        x, y, ok = kernel.land(TablePoints(np.zeros((1, 1, 2)), np.ones(1)), mean[:, None])
-        points = np.zeros((kernel.count, len(mean), 2))
-        return Chiefs(points, *(np.where(ok, v, np.nan)[..., 0, 0] for v in (x, y)))
+        centre = np.zeros((kernel.count, len(mean), 2)) if self.pupil.exact else None
+        return find_chiefs(self._aim, kernel, mean, centre)
 
-    def shapes(self, seen: Seen, chiefs: Chiefs) -> list[tuple[str, IntArray, Outlines | Arcs]]:
-        """Modes, their stars, and the outlines of these; none for a lens whose apertures have holes or no edge."""
-        shapes: list[tuple[str, IntArray, Outlines | Arcs]] = []
-        if self._aim is None or not self._aim.limits or not seen.mid.count:
-            return shapes
-        outlines = find_outlines(self._aim, seen.picks, chiefs)
-        if outlines.clear.any():
-            shapes.append(("quadrature", np.flatnonzero(outlines.clear), outlines))
-        if outlines.cut.any():
-            arcs = find_arcs(self._aim, seen.picks, outlines.chief, np.flatnonzero(outlines.cut))
-            if len(arcs.stars):
-                shapes.append(("arcs", arcs.stars, arcs))
-        return shapes
+    def shapes(self, seen: Seen, chiefs: Chiefs, cut: IntArray | None = None) -> Shapes:
+        """Outlines of the beams of stars.
+
+        Parameters
+        ----------
+        seen : Seen
+            The stars.
+        chiefs : Chiefs
+            Their chief rays.
+        cut : (c,), optional
+            Where the launch disk is the stop itself: which stars other apertures cut; the disk is the outline of the
+            others.
+        """
+        if not seen.mid.count or self._aim.stop not in dict(self._aim.limits):
+            return Shapes([], None)
+        parts: list[Shape] = []
+        if self.pupil.exact:
+            outlines, centre = None, chiefs.points
+            left = np.arange(seen.mid.count) if cut is None else cut
+        else:
+            outlines = find_outlines(self._aim, seen.picks, chiefs)
+            centre, left = outlines.chief, np.flatnonzero(~outlines.clear)
+            if outlines.clear.any():
+                parts.append(("quadrature", np.flatnonzero(outlines.clear), outlines))
+        picks = seen.picks
+        for again in (False, True):
+            if again:  # about a point inside the beam where that is not the chief ray's, and at every wavelength
+                if not len(left) or seen.nodes is not seen.mid:
+                    break
+                centre, lit = self._inside(seen, left)
+                picks, left = every_node(seen.mid, seen.wavelength_nm), left[lit]
+            if len(left):
+                arcs = find_arcs(self._aim, picks, centre, left)
+                if len(arcs.stars):
+                    parts.append(("arcs", arcs.stars, arcs))
+                left = np.setdiff1d(left, arcs.stars)
+        return Shapes(parts, outlines)
+
+    def _inside(self, seen: Seen, stars: IntArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """A point (n, b, 2) inside the beam of some of the stars, 0 for others, and for which there is one."""
+        middle = np.median(seen.wavelength_nm, 1)
+        found, lit = inner_points(self.camera.focused_lens, seen.paths.mid[stars], middle)
+        centre = np.zeros((seen.mid.count, len(middle), 2))
+        centre[stars] = (found - [self.pupil.x_mm, self.pupil.y_mm]) / self.pupil.radius_mm
+        return centre, np.asarray(lit.all(1))
+
+    def disks(self, seen: Seen, wavelength_nm: FloatArray, stars: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Disks that hold the beams of some stars: centres (s, b, 2) and radii (s, b), in radii of the launch disk."""
+        shape = (len(stars), len(wavelength_nm))
+        if self.pupil.exact or not len(stars):
+            return np.zeros((*shape, 2)), np.ones(shape)
+        times = seen.paths.nodes.shape[1]
+        ends = seen.paths.nodes[stars][:, sorted({0, times // 2, times - 1})]
+        disks = launch_disks(self.camera.focused_lens, ends.reshape(-1, 3), wavelength_nm.ravel())
+        x, y, radius = (v.reshape(ends.shape[:2]) for v in (disks.x_mm, disks.y_mm, disks.radius_mm))
+        middle = x.mean(1), y.mean(1)
+        reach = (radius + np.hypot(x - middle[0][:, None], y - middle[1][:, None])).max(1)
+        centre = np.stack([middle[0] - self.pupil.x_mm, middle[1] - self.pupil.y_mm], axis=-1)[:, None, :]
+        unit = self.pupil.radius_mm
+        return np.broadcast_to(centre / unit, (*shape, 2)), np.broadcast_to(reach[:, None] / unit, shape)
 
     def groups(
         self, seen: Seen, wavelength_nm: FloatArray, chiefs: Chiefs, shaded: BoolArray | None = None
-    ) -> tuple[list[Group], Bounds]:
-        """Groups of stars that are sampled alike, the last of them able to take any star, and bounds of all stars.
+    ) -> tuple[list[Group], Bounds, FloatArray]:
+        """How stars are sampled.
 
-        Stars (n,) that are ``shaded``, whose beams something may cut that the lens knows nothing of, go to the last.
+        Parameters
+        ----------
+        seen, wavelength_nm, chiefs
+            The stars.
+        shaded : (n,), optional
+            Stars whose beams something may cut that the lens knows nothing of; they go to the last group.
+
+        Returns
+        -------
+        groups : list of Group
+            Stars that are sampled alike, the last of them able to take any star.
+        bounds : Bounds
+            Of all stars.
+        entrance : (n, b, k)
+            Light that the stop alone would let through in that of the launch disk, at every node; NaN where unknown.
         """
-        everyone = np.arange(seen.mid.count)
-        bounds = Bounds.empty(seen.mid.count, len(wavelength_nm))
+        count = seen.mid.count
+        everyone = np.arange(count)
+        bounds = Bounds.empty(count, len(wavelength_nm))
         ends = np.stack([wavelength_nm.min(1), np.median(wavelength_nm, 1), wavelength_nm.max(1)], axis=1)
-        groups, left = [], everyone
+        nodes = (count, len(wavelength_nm), wavelength_nm.shape[1] * seen.nodes.times)
+        groups, left, entrance = [], everyone, np.ones(nodes)
+        open_ = np.ones(count, np.bool_) if shaded is None else ~shaded
+        holed = any(surface.holed for surface in self.camera.lens.surfaces)
+
+        def disks(stars: IntArray) -> DiskPoints:
+            return DiskPoints(bounding_disk(), *self.disks(seen, wavelength_nm, stars))
+
+        cut = None
         if self.pupil.exact:
-            find_bounds(seen.mid, bounds, everyone, ends)
-            clear = bounds.clear if shaded is None else bounds.clear & ~shaded
-            holed = any(surface.holed for surface in self.camera.lens.surfaces)
+            find_bounds(seen.mid, bounds, everyone, ends, disks)
+            clear = bounds.clear & open_
             plan = None if holed else self.plan("quadrature", wavelength_nm, seen, clear)
             if plan is not None:
                 groups.append(_fixed_group(plan, everyone[clear]))
-        elif self.camera.charge_diffusion_px > 0.0:
-            for mode, every, shapes in self.shapes(seen, chiefs):
-                members = every if shaded is None else every[~shaded[every]]
+            cut = everyone[~bounds.clear]
+        if self.camera.charge_diffusion_px > 0.0 and (cut is None or len(cut)):
+            shapes = self.shapes(seen, chiefs, cut)
+            entrance = shapes.entrance(nodes)
+            for mode, every, outlines in shapes.parts:
+                members = every[open_[every]]
                 plan = self.plan(mode, wavelength_nm, seen, members)
                 if plan is not None:
-                    find_bounds(seen.mid, bounds, members, seen.picks.ends()[1], shapes.bounding)
-                    groups.append(Group(plan, members, partial(shapes.points, plan.order)))
+                    find_bounds(seen.mid, bounds, members, seen.picks.ends()[1], outlines.bounding)
+                    groups.append(Group(plan, members, partial(outlines.points, plan.order)))
         for group in groups:
             left = np.setdiff1d(left, group.members)
         if not self.pupil.exact:
-            find_bounds(seen.mid, bounds, left, ends)
+            find_bounds(seen.mid, bounds, left, ends, disks)
         sobol = sobol_plan(wavelength_nm.shape[1] * seen.nodes.times, self.sobol_seed, self.sobol_log2_rays)
         if seen.nodes is not seen.mid:
             bounds = bounds.moved(seen.paths.shift_px)
-        return [*groups, _fixed_group(sobol, left)], bounds
+
+        def moved(stars: IntArray) -> DiskPoints:
+            assert sobol.pupil is not None
+            return DiskPoints(sobol.pupil, *self.disks(seen, wavelength_nm, stars))
+
+        return [*groups, Group(sobol, left, moved)], bounds, entrance
 
     def wave_groups(
         self,
@@ -205,19 +319,19 @@ class PupilPlanner:
         dark = np.empty(0, np.int64) if shaded is None else stars[shaded[stars]]
         everyone, stars = stars, np.setdiff1d(stars, dark)
         nodes = wavelength_nm.shape[1]
+        disks, cut = partial(self.disks, seen, wavelength_nm), None
         if self.pupil.exact:
             bounds = Bounds.empty(seen.mid.count, len(wavelength_nm))
             ends = np.stack([wavelength_nm.min(1), np.median(wavelength_nm, 1), wavelength_nm.max(1)], axis=1)
-            find_bounds(seen.mid, bounds, stars, ends)
-            clear = stars[bounds.clear[stars]]
-            groups.append(WaveGroup("quadrature", clear, lambda order, _: staggered(order, nodes)))
-        else:
-            for mode, members, shapes in self.shapes(seen, chiefs):
-                groups.append(WaveGroup(mode, np.intersect1d(members, stars), shapes.points))
+            find_bounds(seen.mid, bounds, stars, ends, lambda part: DiskPoints(bounding_disk(), *disks(part)))
+            clear, cut = stars[bounds.clear[stars]], stars[~bounds.clear[stars]]
+            groups.append(WaveGroup("quadrature", clear, lambda order, _: staggered(order, nodes), disks))
+        for mode, members, shapes in self.shapes(seen, chiefs, cut).parts if cut is None or len(cut) else ():
+            groups.append(WaveGroup(mode, np.intersect1d(members, stars), shapes.points, disks))
         left = everyone
         for group in groups:
             left = np.setdiff1d(left, group.members)
-        return [group for group in (*groups, WaveGroup("cells", left, None)) if len(group.members)]
+        return [group for group in (*groups, WaveGroup("cells", left, None, disks)) if len(group.members)]
 
     def plan(self, mode: str, wavelength_nm: FloatArray, seen: Seen, members: NDArray[Any]) -> PupilPlan | None:
         """Quadrature for some of the stars, which have to be clear; None if none is fit.
@@ -265,8 +379,8 @@ class PupilPlanner:
         probes = np.arange(len(paths.mid))
         ladder: Ladder = LADDER
         points: Callable[[tuple[int, int]], PupilPoints] = partial(staggered, nodes=few.shape[1], times=tried)
-        if not self.pupil.exact:
-            shapes = [s for s in self.shapes(seen, self.chiefs(seen.mid, few)) if s[0] == mode]
+        if mode == "arcs" or not self.pupil.exact:
+            shapes = [s for s in self.shapes(seen, self.chiefs(seen.mid, few)).parts if s[0] == mode]
             if not shapes:
                 return still
             probes, points = shapes[0][1], partial(shapes[0][2].points, stars=shapes[0][1])
@@ -287,5 +401,6 @@ class PupilPlanner:
         if found is None:
             return None
         order, error = found
-        pupil = staggered(order, wavelength_nm.shape[1], times) if self.pupil.exact else None
+        fixed = self.pupil.exact and mode == "quadrature"
+        pupil = staggered(order, wavelength_nm.shape[1], times) if fixed else None
         return PupilPlan(mode, order[0] * order[1], error, pupil, order)

@@ -29,7 +29,20 @@ MOST_ARCS = 10
 LEAST_IN_ARC = 2
 NARROWINGS = 1
 """Steps of false position after the first."""
-ARC_LADDER = ((6, 22), (7, 26), (8, 31), (9, 36), (10, 42), (11, 48), (13, 58), (16, 72), (20, 90), (25, 112))
+ARC_LADDER = (
+    (6, 22),
+    (7, 26),
+    (8, 31),
+    (9, 36),
+    (10, 42),
+    (11, 48),
+    (13, 58),
+    (16, 72),
+    (20, 90),
+    (25, 112),
+    (32, 144),
+    (41, 184),
+)
 """Rings and azimuths that are tried, in this order; the fewest azimuths are `LEAST_IN_ARC` times `MOST_ARCS`."""
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from optics.arrays import FloatArray, IntArray
 from render.engine.jit import dr
 
-__all__ = ["OutlinePoints", "PupilPoints", "SobolPoints", "TablePoints", "bounding_outline"]
+__all__ = ["DiskPoints", "OutlinePoints", "PupilPoints", "SobolPoints", "TablePoints", "bounding_outline"]
 
 
 BOUNDING_RINGS = (1.0 - 1e-6, 0.8, 0.5, 0.2)
@@ -191,6 +191,45 @@ class SobolPoints:
         u, v = self.square(types, (node << dr.opaque(U, self.log2_count)) + point)
         radius, (sine, cosine) = dr.sqrt(u), dr.sincos(2.0 * np.pi * v)
         return radius * cosine, radius * sine, dr.opaque(types.Float64, 1.0 / self.count)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiskPoints:
+    """Points of the unit disk, moved to a disk of its own for each of s stars in b bands.
+
+    Attributes
+    ----------
+    points : PupilPoints
+        Of the unit disk.
+    centre : (s, b, 2)
+        Centres, in radii of the launch disk.
+    radius : (s, b)
+        Radii.
+    """
+
+    points: PupilPoints
+    centre: FloatArray
+    radius: FloatArray
+
+    @property
+    def count(self) -> int:
+        """Points per node."""
+        return self.points.count
+
+    @property
+    def weight(self) -> FloatArray:
+        """Weights (s, b, 1, count)."""
+        return np.asarray(self.radius[:, :, None, None] ** 2 * self.points.weight)
+
+    def sample(self, types: Any, slot: Any, node: Any, point: Any) -> tuple[Any, Any, Any]:
+        """Compute the point."""
+        F = types.Float64
+        x, y, weight = self.points.sample(types, slot, node, point)
+        radius, cx, cy = (
+            dr.gather(F, F(np.ascontiguousarray(v.ravel())), slot)
+            for v in (self.radius, self.centre[..., 0], self.centre[..., 1])
+        )
+        return cx + radius * x, cy + radius * y, weight * radius * radius
 
 
 def _nested(U: Any, x: Any, seed: Any) -> Any:

@@ -31,7 +31,7 @@ __all__ = [
     "TOLERANCE",
     "Landed",
     "PupilPlan",
-    "bounding_points",
+    "bounding_disk",
     "converged_order",
     "lowest_order",
     "probe_fields",
@@ -70,6 +70,8 @@ OUTLINE_LADDER = (
     (25, 37),
     (31, 47),
     (39, 60),
+    (49, 77),
+    (62, 98),
 )
 """The same for outlines, where the rings' azimuths are staggered."""
 
@@ -125,15 +127,16 @@ class Landed:
     node_weight: FloatArray | None = None
 
 
-def bounding_points() -> FloatArray:
-    """Unit-disk points (m, 2) whose landing points bound a bundle: a dense rim, where vignetting shows, and zones."""
+def bounding_disk() -> TablePoints:
+    """Unit-disk points whose landing points bound a bundle: a dense rim, where vignetting shows, and zones."""
     rings = [(1.0, 48), (0.93, 8), (0.85, 12), (0.7, 8), (0.5, 8), (0.25, 6)]
     points = [
         radius * np.column_stack([np.cos(a), np.sin(a)])
         for radius, arms in rings
         for a in (2 * np.pi * np.arange(arms) / arms,)
     ]
-    return np.concatenate([*points, np.zeros((1, 2))])
+    every = np.concatenate([*points, np.zeros((1, 2))])
+    return TablePoints(np.broadcast_to(every, (3, *every.shape)), np.full(len(every), 1.0 / len(every)))
 
 
 def probe_fields(reach_rad: float) -> FloatArray:

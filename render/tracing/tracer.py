@@ -13,19 +13,19 @@ from optics.errors import ConfigError, ConvergenceError, DomainError
 from optics.frames import field_angles_deg
 from optics.rays.pupil import EntrancePupil, gauss_disk
 from optics.rays.spots import spot_moments
-from render.camera import Camera
+from render.camera import Camera, launch_disk
 from render.records import StarField, Truth
 from render.tracing.aimed_pupil import Chiefs
 from render.tracing.compose import TruthSums, add_stamps
 from render.tracing.convergence import TOLERANCE
 from render.tracing.ideal_lens import IdealLens
-from render.tracing.kernel import LOST, Shade, StarKernel
+from render.tracing.kernel import ARRIVED, OUTSIDE, Shade, StarKernel
 from render.tracing.motion import ExposureMotion
 from render.tracing.passes import PASS_BYTES, PASS_RAYS, Bounds, Light, Passes
 from render.tracing.paths import StarPaths, at_rest, pick_times, star_paths
 from render.tracing.planning import PupilPlanner, Seen
 from render.tracing.pupil_arcs import ARC_LADDER
-from render.tracing.pupil_points import OutlinePoints, PupilPoints, SobolPoints, TablePoints
+from render.tracing.pupil_points import DiskPoints, OutlinePoints, PupilPoints, SobolPoints, TablePoints
 from render.tracing.wave_images import Trail, WaveImages
 
 __all__ = ["TracedStars", "Tracer"]
@@ -77,7 +77,7 @@ class Tracer:
     Raises
     ------
     ConvergenceError
-        If no ray of any field gets through the lens.
+        If no ray of any field gets through the lens, or nothing limits a beam.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Tracer:
 
     @property
     def pupil(self) -> EntrancePupil:
-        """Disk from which rays are launched."""
+        """Disk that light is counted in: the stop in front of the lens, or else its paraxial entrance pupil."""
         return self.planner.pupil
 
     def render(
@@ -165,12 +165,13 @@ class Tracer:
             return sums, sampling
         seen = self.planner.seen(paths, light.wavelength_nm, length_px)
         chiefs = self.planner.chiefs(seen.mid, light.wavelength_nm)
-        sums.chief_x[...], sums.chief_y[...] = chiefs.x_px, chiefs.y_px
-        shaded = None if shade is None else self._shaded(seen.mid, shade)
-        groups, bounds = self.planner.groups(seen, light.wavelength_nm, chiefs, shaded)
+        sums.chief_x[...], sums.chief_y[...] = (np.where(chiefs.blocked, np.nan, v) for v in (chiefs.x_px, chiefs.y_px))
+        shaded = None if shade is None else self._shaded(seen, light.wavelength_nm, shade)
+        groups, bounds, entrance = self.planner.groups(seen, light.wavelength_nm, chiefs, shaded)
         by_waves = self.camera.diffraction == "waves" and image.size > 0
         rays_to = np.zeros((0, 0, image.shape[2]), np.float32) if by_waves else image
-        passes = Passes(self.camera, seen.nodes, light, bounds, rays_to, sums, shade)
+        entering = (light.share * entrance).sum(2)
+        passes = Passes(self.camera, seen.nodes, light, bounds, rays_to, sums, entering, shade)
         left = np.empty(0, np.int64)
         for group in groups:
             plan, members = group.plan, np.sort(np.concatenate([group.members, left]))
@@ -181,13 +182,15 @@ class Tracer:
             sampling = self._add_waves(light, seen, chiefs, bounds, image, sums, (shade, shaded))
         return sums, sampling
 
-    def _shaded(self, kernel: StarKernel, shade: Shade) -> BoolArray:
-        """Stars (n,) whose beam, or the launch disk beside it, something stands in."""
+    def _shaded(self, seen: Seen, wavelength_nm: FloatArray, shade: Shade) -> BoolArray:
+        """Stars (n,) whose beam, or the disk beside it, something stands in."""
+        kernel = seen.mid
         shaded = np.zeros(kernel.count, np.bool_)
-        near = np.flatnonzero(shade.near(self.pupil))
+        near = np.flatnonzero(shade.near(launch_disk(self.camera)))
         pupil, step = SobolPoints(SHADE_LOG2_RAYS, self.planner.sobol_seed), PASS_RAYS >> SHADE_LOG2_RAYS
         for part in (near[i : i + step] for i in range(0, len(near), step)):
-            shaded[part] = kernel.hidden_share(shade, pupil, part.astype(np.uint32)) > 0.0
+            disks = DiskPoints(pupil, *self.planner.disks(seen, wavelength_nm[:1], part))
+            shaded[part] = kernel.hidden_share(shade, disks, part.astype(np.uint32)) > 0.0
         return shaded
 
     def _add_waves(
@@ -260,7 +263,8 @@ class Tracer:
             left = every[~clear]
         else:
             left = np.arange(len(means))
-            for mode, members, shapes in self.planner.shapes(seen, self.planner.chiefs(seen.mid, light.wavelength_nm)):
+            chiefs = self.planner.chiefs(seen.mid, light.wavelength_nm)
+            for mode, members, shapes in self.planner.shapes(seen, chiefs).parts:
                 order = (rings, arms) if mode == "quadrature" else (rings, max(arms, ARC_LADDER[0][1]))
                 means[members], _ = self._means(seen.mid, light, members, shapes.points(order, members))
                 left = np.setdiff1d(left, members)
@@ -328,8 +332,8 @@ class Tracer:
         chiefs = self.planner.chiefs(seen.mid, light.wavelength_nm)
         if self.camera.diffraction == "waves":
             return self._wave_cells(light, seen, chiefs, half_size_px, cells_per_px)
-        groups, bounds = self.planner.groups(seen, light.wavelength_nm, chiefs)
-        passes = Passes(self.camera, seen.nodes, light, bounds, nothing, sums)
+        groups, bounds, _ = self.planner.groups(seen, light.wavelength_nm, chiefs)
+        passes = Passes(self.camera, seen.nodes, light, bounds, nothing, sums, sums.entrance)
         side = stamp_px * cells_per_px
         result = np.empty((*corner.shape[:2], side, side))
         step = max(1, PASS_BYTES // (corner.shape[1] * side**2 * 16))
@@ -337,7 +341,7 @@ class Tracer:
             for part in (group.members[i : i + step] for i in range(0, len(group.members), step)):
                 pupil = group.points(part)
                 collected = passes.splat(pupil, part, corner[part], stamp_px, cells_per_px)
-                light_in = 1.0 - collected.moments[..., LOST] - passes.beside(pupil, part)
+                light_in = collected.moments[..., [ARRIVED, OUTSIDE]].sum(-1)
                 result[part] = collected.pixels / light_in[..., None, None]
         return result
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from render.tracing.plane_waves import (
     window_light,
     window_samples,
 )
-from render.tracing.pupil_points import PupilPoints, TablePoints
+from render.tracing.pupil_points import DiskPoints, PupilPoints, TablePoints
 
 __all__ = ["WING", "Trail", "WaveGroup", "WaveImages", "WaveStamps", "covered_points"]
 
@@ -53,11 +53,15 @@ Points = Callable[[tuple[int, int], IntArray], PupilPoints]
 
 @dataclass(frozen=True, slots=True)
 class WaveGroup:
-    """Stars whose pupils are sampled alike: quadrature points of an order, or None where cells are covered in part."""
+    """Stars whose pupils are sampled alike: quadrature points of an order, or None where cells are covered in part.
+
+    Those cells divide the disks that hold the beams of stars (`render.tracing.planning.PupilPlanner.disks`).
+    """
 
     mode: str
     members: IntArray
     points: Points | None
+    disks: Callable[[IntArray], tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,8 +191,8 @@ class WaveImages:
         if group.points is None:
             return group, None
         lost = self._traced(group, PROBE_ORDER, group.members).lost.max((1, 2)) > LIGHT
-        clear = WaveGroup(group.mode, group.members[~lost], group.points)
-        return clear, WaveGroup("cells", group.members[lost], None) if lost.any() else None
+        clear = replace(group, members=group.members[~lost])
+        return clear, WaveGroup("cells", group.members[lost], None, group.disks) if lost.any() else None
 
     def _needs(self, group: WaveGroup, radius_px: float | None = None) -> tuple[FloatArray, FloatArray, IntArray]:
         """Radius of the stamp [px], highest frequency [cycles/px] and order of the quadrature of every star."""
@@ -217,11 +221,12 @@ class WaveImages:
         which = stars.astype(np.uint32)
         if group.points is not None:
             return trace_waves(self.kernel, group.points(order, stars), self.wavelength_nm, self.index, which)
-        cells = covered_points(order, self.wavelength_nm.shape[1], 1)
-        fine = covered_points(order, self.wavelength_nm.shape[1], SUBDIVISION)
+        nodes, disks = self.wavelength_nm.shape[1], group.disks(stars)
+        cells, fine = (DiskPoints(covered_points(order, nodes, parts), *disks) for parts in (1, SUBDIVISION))
         arrived = self.kernel.land(fine, self.wavelength_nm, which)[2]
         if self.shade is not None:
-            arrived = arrived & ~hidden_points(self.kernel, self.shade, fine, which)[:, None, None]
+            seen = DiskPoints(fine.points, disks[0][:, :1], disks[1][:, :1])  # the same disk in all bands
+            arrived = arrived & ~hidden_points(self.kernel, self.shade, seen, which)[:, None, None]
         coverage = arrived.reshape(*arrived.shape[:3], cells.count, -1).mean(-1)
         return trace_waves(self.kernel, cells, self.wavelength_nm, self.index, which, coverage)
 

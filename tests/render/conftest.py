@@ -95,6 +95,13 @@ def bundle(camera, stars, star, band, *, rings=150, arms=240, stagger=False):
     return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
 
 
+def launched(camera, stars):
+    """Light (n, b) of the launch disk that `bundle` counts in, in electrons of one second."""
+    rate = (stars.photon_rate * camera.response_at(stars.wavelength_nm)).sum(2)
+    towards = stars.direction @ camera.rotation_cam_from_world.T
+    return rate * launch_disk(camera).area_mm2 * towards[:, 2:]
+
+
 def pixel_integrals(x, y, weight, diffusion_px, first_column, first_row, size):
     """Light of Gaussians around the points, integrated over ``size`` x ``size`` pixels."""
 
@@ -119,6 +126,7 @@ def bench():
         camera_of=camera_of,
         focal_length_mm=focal_length_mm,
         geometry=GEOMETRY,
+        launched=launched,
         mean_of=mean_of,
         pixel_integrals=pixel_integrals,
         stars_at=stars_at,

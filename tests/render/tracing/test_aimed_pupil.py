@@ -68,9 +68,7 @@ def test_rays_inside_the_outline_pass_and_those_outside_do_not(engine, bench, na
             for factor, passes in ((1 - 1e-8, True), (1 + 1e-8, False)):
                 points = chiefs.points[star, 0] + factor * radius * along[node]
                 out = trace(camera.lens, launched(planner, seen.mid, star, points, wavelength))
-                inside = np.hypot(*points.T) < 1.0  # of the launch disk, which is a limit too
-                assert inside.mean() > 0.9
-                assert (out.status[inside] == (OK if passes else VIGNETTED)).all()
+                assert (out.status == (OK if passes else VIGNETTED)).all()
         if not cut[star]:
             assert np.abs(alone.radius[star] - rims.radius[star]).max() < 1e-12
             assert np.abs(outlines._at(azimuth, np.array([star]))[0] - rims.radius[star]).max() < 1e-6
@@ -93,7 +91,7 @@ def two_apertures(distance_mm, tangent):
     geometry = Geometry(0.01, np.zeros(2), (0.0, 0.0, 0.0), 1.5, 0.3)
     program, theta = compile_lens(lens)
     kernel = StarKernel(program, theta, geometry, direction[None] / np.linalg.norm(direction))
-    return aimed_lens(lens, (program, theta)), kernel
+    return aimed_lens(lens, program, theta), kernel
 
 
 @pytest.mark.parametrize("tangent", [0.02, 0.06, 0.2, 0.4])

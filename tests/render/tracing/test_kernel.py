@@ -30,7 +30,7 @@ def worst_pixel(bench, camera, stars, traced, rays=None, **dense):
             half = int(np.ceil(max(np.ptp(x), np.ptp(y)) / 2)) + 3
             got, column, row = stamp(traced.electrons[..., band].astype(float), bench.mean_of(x, y, weight), half)
             expected = bench.pixel_integrals(x, y, weight, camera.charge_diffusion_px, column, row, 2 * half + 1)
-            worst = max(worst, np.abs(got / traced.truth.electrons_in[star, band] - expected).max())
+            worst = max(worst, np.abs(got / bench.launched(camera, stars)[star, band] - expected).max())
     return worst
 
 
