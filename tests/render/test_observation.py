@@ -8,7 +8,7 @@ from optics.attitude import attitude_from_angles
 from optics.errors import ConfigError, DomainError
 from optics.light.photometry import photon_rate
 from optics.light.spectrum import Blackbody
-from render.camera import launch_disk
+from optics.rays.spots import collecting_area_mm2
 from render.catalogue.motion import earth_observer
 from render.observation import SkySimulator, observe
 from render.sensor import load_star_sensor
@@ -64,7 +64,7 @@ def test_light_is_the_integral_over_the_pass_band(observation, sensor):
     """Electrons of every star against a sum over 1 nm steps; the rendering has 6 wavelengths."""
     table, wavelength = observation.to_table(), np.arange(400.5, 1000.0)
     through = sensor.passband().transmission(wavelength) * sensor.camera.response_at(wavelength)
-    area_mm2 = launch_disk(sensor.camera).area_mm2
+    area_mm2 = collecting_area_mm2(sensor.camera.focused_lens)
     cosine = observation.field.direction @ observation.attitude.as_matrix()[2]
     for star in range(len(table)):
         sed = Blackbody(temperature_k=float(table["temperature"][star]))
