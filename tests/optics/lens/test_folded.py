@@ -13,6 +13,7 @@ from scipy.optimize import minimize_scalar
 from optics.errors import ConfigError
 from optics.figures import draw_lens
 from optics.glass.catalogue import get_glass
+from optics.lens.perturb import EVERYTHING, change_temperature, decentre, despace, tilt
 from optics.lens.prescription import lens_from_table, load_lens
 from optics.lens.shapes.conic import Conic
 from optics.rays.chief import chief_ray_points
@@ -100,8 +101,8 @@ def test_light_goes_back_through_mirrors_the_way_it_came(which):
 def test_a_bent_axis_meets_the_middle_of_the_image():
     """A flat mirror anywhere in a converging beam folds the focus and nothing else."""
     m2 = {**CASSEGRAIN["surface"][1], "thickness_mm": 1000.0}
-    for tilt in ([45.0, 0.0], [0.0, -30.0], [20.0, 35.0]):
-        flat = {"kind": "plane", "tilt_deg": tilt, "carry": "bend", "thickness_mm": -200.0, "medium": "mirror"}
+    for angles in ([45.0, 0.0], [0.0, -30.0], [20.0, 35.0]):
+        flat = {"kind": "plane", "tilt_deg": angles, "carry": "bend", "thickness_mm": -200.0, "medium": "mirror"}
         lens = lens_from_table({**CASSEGRAIN, "surface": [CASSEGRAIN["surface"][0], m2, flat]}, where="test")
         out = trace(lens, rays(95.0))
         assert np.hypot(out.x, out.y)[out.ok].max() < 1e-11
@@ -178,6 +179,54 @@ def test_the_spherical_mirror_with_a_schmidt_plate_has_no_spherical_aberration()
     without = sharpest({"kind": "plane", "medium": "air"})
     assert without > 0.02
     assert sharpest(ground) < without / 50
+
+
+def image_of_the_axis(lens):
+    spot = spot_moments(lens, [0.0], [0.0], 600.0)
+    return np.array([float(spot.x_mm[0, 0]), float(spot.y_mm[0, 0])])
+
+
+def test_mirrors_that_move_move_the_image_as_the_mirror_equation_says():
+    lens = lens_from_table(CASSEGRAIN, where="test")
+    at, small = image_of_the_axis(lens), 1e-3
+    # the secondary magnifies fourfold: the prime focus, beside its axis by -s, is imaged to s - 4 s; to half a percent,
+    # because the mean of the light has the coma of a decentred secondary
+    moved = image_of_the_axis(decentre(lens, "M2", small, 2 * small)) - at
+    np.testing.assert_allclose(moved, [-3.0 * small, -6.0 * small], rtol=5e-3)
+    # further from the primary it stands nearer to the prime focus, whose image it carries along: 1 + 4^2 times as far
+    near = refocused(despace(lens, "M2", -small)).image_position_mm[2] - refocused(lens).image_position_mm[2]
+    assert near == pytest.approx(-17.0 * small, rel=1e-3)
+    # a flat mirror 200 mm in front of the image turns the beam by twice its tilt
+    flat = {"kind": "plane", "tilt_deg": [45.0, 0.0], "carry": "bend", "thickness_mm": -200.0, "medium": "mirror"}
+    m2 = {**CASSEGRAIN["surface"][1], "thickness_mm": 1000.0}
+    folded = lens_from_table({**CASSEGRAIN, "surface": [CASSEGRAIN["surface"][0], m2, flat]}, where="test")
+    tilted = image_of_the_axis(tilt(folded, 2, x_deg=math.degrees(1e-5))) - image_of_the_axis(folded)
+    np.testing.assert_allclose(np.abs(tilted), [0.0, 2e-5 * 200.0], rtol=1e-4, atol=1e-9)
+    # all of it together moves nothing
+    whole = decentre(folded, EVERYTHING, 0.3, -0.2)
+    np.testing.assert_allclose(image_of_the_axis(whole), image_of_the_axis(folded), atol=1e-9)
+
+
+def test_a_telescope_of_one_material_stays_in_focus_and_one_with_glass_mirrors_does_not():
+    lens = lens_from_table(CASSEGRAIN, where="test")
+    cte, kelvin = 23.6e-6, 20.0
+    warm = change_temperature(lens, lens.environment.temperature_c + kelvin, housing_cte_per_k=cte)
+    growth = math.exp(cte * kelvin)
+    assert paraxial(warm).efl_mm == pytest.approx(4000.0 * growth, rel=1e-12)
+    assert paraxial(warm).rear_focus_z_mm == pytest.approx(warm.image_position_mm[2], abs=1e-9)
+    mirrors = [{**surface, "cte_per_k": 0.0} for surface in CASSEGRAIN["surface"]]
+    glass = lens_from_table({**CASSEGRAIN, "surface": mirrors}, where="test")
+    warm = change_temperature(glass, glass.environment.temperature_c + kelvin, housing_cte_per_k=cte)
+    # mirrors keep their powers; the secondary is carried from 300 to 300 - 700 (growth - 1) before the prime focus
+    before = 300.0 - 700.0 * (growth - 1.0)
+    focus = 1.0 / (1.0 / before - 1.0 / 400.0)
+    assert paraxial(warm).bfl_mm == pytest.approx(focus, rel=1e-9)
+    flat = {"kind": "plane", "tilt_deg": [45.0, 0.0], "carry": "bend", "thickness_mm": -200.0, "medium": "mirror"}
+    m2 = {**CASSEGRAIN["surface"][1], "thickness_mm": 1000.0}
+    folded = lens_from_table({**CASSEGRAIN, "surface": [CASSEGRAIN["surface"][0], m2, flat]}, where="test")
+    warm = change_temperature(folded, folded.environment.temperature_c + kelvin, housing_cte_per_k=cte)
+    for cold, hot in zip(folded.poses, warm.poses, strict=True):
+        np.testing.assert_allclose(hot[0], growth * cold[0], atol=1e-9)
 
 
 def turn(axis, degrees):
