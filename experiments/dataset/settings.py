@@ -156,9 +156,6 @@ class BackgroundConfig(StrictModel):
     moon_planets: bool = Field(
         default=False, description="Moon and planets where they stand; needs catalogue.observer = earth"
     )
-    moon_samples: int = Field(
-        default=64, ge=1, le=65536, description="rays per pixel and wavelength of resolved bodies"
-    )
 
 
 class RadiationConfig(StrictModel):

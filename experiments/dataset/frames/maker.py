@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from experiments.dataset.frames.plan import FramePlan, plan_frame
 from experiments.dataset.frames.point_sources import PointSources, point_sources, smear_px
 from experiments.dataset.frames.scene import Scene
-from experiments.dataset.frames.sky_light import diffuse_light, hiding_bodies, resolved_light
+from experiments.dataset.frames.sky_light import Disk, diffuse_light, hiding_bodies, resolved_light
 from experiments.dataset.truth.star_truth import FLAGS, StarLightOnChip, pixel_flags, star_rows
 from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
 from render.detector.cosmic_rays import CosmicRayHits, cosmic_ray_hits
@@ -76,17 +76,23 @@ class FrameMaker:
             tolerance=scene.config.pupil_tolerance,
             contents=hiding_bodies(scene.sky_light),
         )
+        self._bodies = None
+        if scene.sky_light.disks is not None:
+            from render.bodies.body_image import BodyRenderer
+
+            self._bodies = BodyRenderer(scene.instrument.camera, scene.sky_light.bands, view=scene.view)
         self._streams: Streams = scene.plan.streams.child("detector")
         self._axis_share = self._share_on_axis()
 
     def make(self, frame: int) -> MadeFrame:
-        """Frame number ``frame``, 0 to 2^32 - 1."""
+        """Frame number ``frame``, up to 2^40 and more."""
         scene, config = self.scene, self.scene.config
         plan = plan_frame(scene.plan, frame)
         seen = point_sources(scene, plan)
         traced = self._traced(seen, plan)
         electrons = traced.electrons[:, :, 0].copy()
         sky_e = self._add_sky(electrons, plan)
+        disks = self._add_disks(electrons, plan)
         hits = self.hits(frame)
         band = scene.light.band[0]
         read = expose(
@@ -157,17 +163,24 @@ class FrameMaker:
             diffuse *= np.float32(exposure_s)
             electrons += diffuse
             mean += float(diffuse.mean())
+        return mean
+
+    def _add_disks(self, electrons: NDArray[np.float32], plan: FramePlan) -> list[Disk]:
+        """Add the light of the Moon and planets that are larger than a pixel; what is true of them."""
+        scene = self.scene
+        if self._bodies is None:
+            return []
         disks = resolved_light(
             scene.sky_light,
-            scene.instrument.camera,
-            scene.view,
+            self._bodies,
             plan,
-            config,
+            scene.config,
             duration_s=scene.plan.duration_s,
+            full_well_e=scene.instrument.detector.full_well_e,
         )
-        if disks is not None:
-            electrons += disks
-        return mean
+        for disk in disks:
+            electrons += disk.image.image.electrons[:, :, 0]
+        return disks
 
     def hits(self, frame: int) -> CosmicRayHits | None:
         """What cosmic rays leave in a frame; None without them."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,19 @@ from render.sky.background import BackgroundMap, UniformSky, background_map, sky
 from render.sky.field import FieldOfView
 from render.sky.zodiacal import CLOSEST_DEG
 
-__all__ = ["PLANET_IDS", "SkyLight", "build_sky_light", "check_sun", "diffuse_light", "hiding_bodies", "resolved_light"]
+if TYPE_CHECKING:
+    from render.bodies.body_image import BodyImage, BodyRenderer
+
+__all__ = [
+    "PLANET_IDS",
+    "Disk",
+    "SkyLight",
+    "build_sky_light",
+    "check_sun",
+    "diffuse_light",
+    "hiding_bodies",
+    "resolved_light",
+]
 
 
 PLANET_IDS = {
@@ -41,6 +53,25 @@ LAST_PLANET_ID = max(PLANET_IDS.values())
 RESOLVED_PX = 1.0
 """A body of a larger diameter is rendered as a disk, a smaller one is a point of light among the stars."""
 SUN_MARGIN_DEG = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Disk:
+    """A body that a frame shows as a disk.
+
+    Attributes
+    ----------
+    name : str
+        Which.
+    row : int
+        Its place in `SkyLight.disks`.
+    image : BodyImage
+        Its light in the frame.
+    """
+
+    name: str
+    row: int
+    image: BodyImage
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -147,30 +178,30 @@ def hiding_bodies(sky: SkyLight) -> dict[str, Any]:
 
 
 def resolved_light(
-    sky: SkyLight, camera: Camera, view: FieldOfView, plan: FramePlan, config: Config, *, duration_s: float
-) -> NDArray[np.float32] | None:
-    """Expected electrons (h, w) of the disks that a frame sees; None where it sees none."""
+    sky: SkyLight, renderer: BodyRenderer, plan: FramePlan, config: Config, *, duration_s: float, full_well_e: float
+) -> list[Disk]:
+    """The disks that a frame sees, the nearest first; nearer ones hide what is behind them."""
     if sky.disks is None:
-        return None
-    from render.bodies.sunlit_body import planet_body, render_body
+        return []
+    from render.bodies.sunlit_body import planet_body
 
     matrix = plan.attitude.as_matrix()
-    image: NDArray[np.float32] | None = None
     turn = float(np.linalg.norm(plan.rate_rad_per_s)) * duration_s
-    reach = view.radius_rad + 0.5 * sky.disks.angular_diameter_rad + turn
-    seen = sky.disks.direction @ matrix[2] > np.cos(np.minimum(reach, np.pi))
-    for name in np.array(sky.disks.name)[seen]:
-        body = render_body(
-            replace(camera, rotation_cam_from_world=matrix),
-            planet_body(sky.disks, str(name)),
-            sky.bands,
+    reach = renderer.view.radius_rad + 0.5 * sky.disks.angular_diameter_rad + turn
+    seen = np.flatnonzero(sky.disks.direction @ matrix[2] > np.cos(np.minimum(reach, np.pi)))
+    order = seen[np.argsort(sky.disks.distance_au[seen])]
+    bodies = [planet_body(sky.disks, sky.disks.name[i]) for i in order]
+    images = [
+        renderer.render(
+            body,
             exposure_s=config.instrument.exposure_s,
-            samples=sky.config.moon_samples,
-            seed=plan.frame,
+            rotation_cam_from_icrs=matrix,
             trajectory=plan.trajectory,
             start_s=plan.start_s,
             line_time_s=config.instrument.line_time_us * 1e-6,
-            view=view,
-        ).electrons[:, :, 0]
-        image = body if image is None else image + body
-    return image
+            in_front=bodies[:k],
+            ceiling_e=full_well_e,
+        )
+        for k, body in enumerate(bodies)
+    ]
+    return [Disk(name=body.name, row=int(i), image=image) for body, i, image in zip(bodies, order, images, strict=True)]

@@ -42,7 +42,7 @@ def direction_of(body):
 def test_a_planet_among_the_stars(engine):
     """Neptune (2.2 arcsec) is a point in the truth; Jupiter (34 arcsec) a disk that saturates."""
     sky = CatalogueConfig(faintest_mag=10.0, epoch_year=EPOCH, observer="earth")
-    background = BackgroundConfig(moon_planets=True, moon_samples=4)
+    background = BackgroundConfig(moon_planets=True)
     made = {}
     for planet in ("neptune", "jupiter"):
         place = direction_of(planet)

@@ -6,7 +6,6 @@ import pytest
 from experiments.dataset.frames.maker import FrameMaker
 from experiments.dataset.frames.scene import build_scene
 from experiments.dataset.settings import (
-    BackgroundConfig,
     BodyPointing,
     ConePointing,
     Config,
@@ -79,7 +78,6 @@ def test_a_field_with_the_moon_has_its_disk_where_the_label_says():
         instrument=SMALL.model_copy(update={"exposure_s": 1e-4, "width_px": 1024, "height_px": 1024}),
         nodes=3,
         pointing=BodyPointing(body="moon", offset_deg=3.0),
-        background=BackgroundConfig(moon_samples=4),
         verify=VerifyConfig(frames=0),
     )
     assert config.catalogue.observer == "earth"

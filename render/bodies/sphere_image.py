@@ -1,0 +1,479 @@
+r"""Image of a sphere in the light of the Sun, by quadrature: no photon of it is drawn, no number is random.
+
+A pixel collects, of every ray n of the beams at every wavelength (`render.bodies.pixel_maps`),
+
+.. math:: N = \sum_n \int L(v_n(x, y))\, E_n(x, y)\, dx\, dy\, dt
+
+over its area and its exposure. The direction v either meets the sphere, where its law of scattering gives the radiance
+in closed form, or does not. The pixel is divided into cells; of a cell that the limb cuts, the part inside a straight
+limb counts (its area and its mean depth are closed forms), with the mean radiance of such a strip. Pixels at which the sum changes too much when cells are halved get finer ones. Rays of a beam take turns along
+the path of a moving camera, so that a trail is sampled as finely as rays and times together.
+
+Charge diffusion acts on pixels afterwards (`render.detector.diffusion.diffuse`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
+
+from optics.arrays import FloatArray
+from render.bodies.pixel_maps import PixelMaps, TileMap, powers
+from render.engine import Engine
+from render.engine.jit import dr
+
+__all__ = ["Cover", "Exposed", "Halo", "Light", "Sphere", "sphere_image"]
+
+CELLS = (1, 2, 4, 8, 16, 32, 64)
+"""Cells along each side of a pixel; the next number for the pixels that need it."""
+CRESCENT = 3.0
+"""Cells across the crescent's widest place to begin with."""
+TURN_PX = 6.0
+"""Path of a star during the exposure for which every ray has one time of its own."""
+GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """Light that falls on a sphere: unit vector to its source, irradiance over that of the Sun."""
+
+    towards: FloatArray
+    irradiance: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Cover:
+    """A sphere in front: unit vector to its centre, sine of its angular radius."""
+
+    direction: FloatArray
+    sine: float
+
+
+@dataclass(frozen=True, slots=True)
+class Halo:
+    """Lit air around a sphere: radiance at the limb over that of a white Lambertian surface lit square on.
+
+    Above it the radiance falls by e with every ``height`` of tangent height, in radii; along the limb it goes with the
+    sine of the Sun's elevation.
+    """
+
+    radiance: float
+    height: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sphere:
+    """What a direction meets; vectors along icrs.
+
+    Attributes
+    ----------
+    direction : (3,)
+        Unit vector to the centre.
+    sine : float
+        Of the angular radius.
+    law : str
+        ``lambert`` or ``lunar``.
+    lights : tuple of Light
+        What shines on it.
+    albedo_map : (rows, columns) or None
+        Factor on the albedo: latitudes from south to north, longitudes from -180 deg on, centres of cells.
+    rotation_icrs_from_body : (3, 3)
+        Attitude of the map.
+    covers : tuple of Cover
+        What hides it.
+    halo : Halo or None
+        Its air.
+    """
+
+    direction: FloatArray
+    sine: float
+    law: str
+    lights: tuple[Light, ...]
+    albedo_map: NDArray[np.float32] | None
+    rotation_icrs_from_body: FloatArray
+    covers: tuple[Cover, ...] = ()
+    halo: Halo | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Exposed:
+    """When a camera looks where.
+
+    Attributes
+    ----------
+    attitudes : (m, 4)
+        Quaternions cam from icrs at equal steps, neighbours on the same side; one for a camera at rest.
+    exposure_s, duration_s, line_time_s : float
+        Of a row; of the table; how much later a row starts than the one before.
+    path_px : float
+        How far the body moves over the detector during a row's exposure.
+    """
+
+    attitudes: FloatArray
+    exposure_s: float
+    duration_s: float
+    line_time_s: float
+    path_px: float
+
+
+def sphere_image(
+    maps: PixelMaps,
+    sphere: Sphere,
+    exposed: Exposed,
+    light_e: FloatArray,
+    window: tuple[slice, slice],
+    *,
+    noise_share: float,
+    ceiling_e: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Expected electrons of a window, before charge diffusion.
+
+    Parameters
+    ----------
+    maps : PixelMaps
+        Of the camera, at the wavelengths of all bands one after the other.
+    sphere, exposed
+        What is seen, and when.
+    light_e : (b, k)
+        Electrons s^-1 mm^-2 that sunlight gives with the albedo, per wavelength node.
+    window : (slice, slice)
+        Columns and rows.
+    noise_share : float
+        Square of the error over the variance of the photons that is asked for in every pixel.
+    ceiling_e : float
+        Electrons beyond which a pixel is saturated: its photon noise counts as that of so many.
+
+    Returns
+    -------
+    electrons, error_e : (h, w, b)
+        The image, and what halving its cells has changed; some three times its error.
+    """
+    columns, rows = window
+    shape = (rows.stop - rows.start, columns.stop - columns.start, len(light_e))
+    image, error = np.zeros(shape), np.zeros(shape)
+    for tile_map in maps.tiles(columns, rows):
+        tile = tile_map.tile
+        part = (
+            slice(max(tile.first_row, rows.start) - rows.start, min(tile.end_row, rows.stop) - rows.start),
+            slice(
+                max(tile.first_column, columns.start) - columns.start,
+                min(tile.end_column, columns.stop) - columns.start,
+            ),
+        )
+        row, column = np.mgrid[part]
+        place = column + columns.start, row + rows.start
+        for band, light in enumerate(light_e):
+            nodes = slice(band * len(light), (band + 1) * len(light))
+            rays = _Rays(tile_map, nodes, light * exposed.exposure_s)
+            if rays.count:
+                kernel = _Kernel(rays, sphere, exposed)
+                start = _first(sphere, kernel)
+                image[(*part, band)], error[(*part, band)] = _converged(kernel, place, noise_share, ceiling_e, start)
+    return image, error
+
+
+def _first(sphere: Sphere, kernel: _Kernel) -> int:
+    """Number in `CELLS` at which the crescent is seen."""
+    radius_px = sphere.sine / kernel.pixel_rad
+    width_px = radius_px * (1.0 - float(sphere.lights[0].towards @ sphere.direction))
+    needed = CRESCENT / max(width_px, 1e-6)
+    return int(np.clip(np.searchsorted(CELLS, min(needed, 2.0 * radius_px * CELLS[-1])), 0, len(CELLS) - 2))
+
+
+class _Rays:
+    """Polynomials of the rays of one band in one tile that carry light, with the light in the third."""
+
+    def __init__(self, tile_map: TileMap, nodes: slice, light: FloatArray) -> None:
+        coefficient = tile_map.coefficient[nodes].copy()
+        coefficient[:, :, 2] *= light[:, None, None]
+        flat = coefficient.reshape(-1, *coefficient.shape[2:])
+        self.coefficient = np.ascontiguousarray(flat[np.abs(flat[:, 2]).max(1) > 0.0])
+        self.count = len(self.coefficient)
+        self.centre_px, self.half_px = tile_map.tile.centre_px, tile_map.tile.half_px
+
+
+def _converged(
+    kernel: _Kernel,
+    place: tuple[NDArray[np.int64], NDArray[np.int64]],
+    noise_share: float,
+    ceiling_e: float,
+    start: int,
+) -> tuple[FloatArray, FloatArray]:
+    """Image of pixels (h, w) and its error, with finer cells where they are needed."""
+    wanted = kernel(place[0].ravel(), place[1].ravel(), 1, flat=True).reshape(place[0].shape) > 0.0
+    image, error = np.zeros(wanted.shape), np.zeros(wanted.shape)
+    if wanted.any():
+        image[wanted] = kernel(place[0][wanted], place[1][wanted], CELLS[start])
+    for cells in CELLS[start + 1 :]:
+        if not wanted.any():
+            break
+        finer = kernel(place[0][wanted], place[1][wanted], cells)
+        error[wanted] = finer - image[wanted]
+        image[wanted] = finer
+        photons = np.clip(image, 1e-12, ceiling_e)
+        worst = maximum_filter(error**2 / photons, 3)  # where one pixel changed little by chance, its neighbours tell
+        wanted &= (worst > noise_share) & (image < 2.0 * ceiling_e)
+    return image, error
+
+
+class _Kernel:
+    """The sum over rays, times and cells, pixels side by side; numbers are read, not compiled in."""
+
+    def __init__(self, rays: _Rays, sphere: Sphere, exposed: Exposed) -> None:
+        types = Engine.active().types
+        self.F, self.U = types.Float64, types.UInt32
+        self.rays, self.sphere, self.exposed = rays, sphere, exposed
+        self.coefficient = self.F(rays.coefficient.ravel())
+        self.albedo = None if sphere.albedo_map is None else self.F(sphere.albedo_map.astype(float).ravel())
+        self.attitude = [self.F(np.ascontiguousarray(v)) for v in exposed.attitudes.T]
+        steps = rays.coefficient[:, :2, 1:3].mean(0) / rays.half_px[::-1]
+        self.pixel_rad = float(np.sqrt(abs(np.linalg.det(steps))))
+        self.times = 1 if len(exposed.attitudes) == 1 else max(1, math.ceil(exposed.path_px / TURN_PX))
+
+    def number(self, value: float) -> Any:
+        """One value as an array."""
+        return dr.opaque(self.F, float(value))
+
+    def vector(self, values: FloatArray) -> list[Any]:
+        """Several."""
+        return [self.number(v) for v in np.ravel(values)]
+
+    def __call__(
+        self, column: NDArray[np.int64], row: NDArray[np.int64], cells: int, *, flat: bool = False
+    ) -> FloatArray:
+        """Electrons of pixels (p,); ``flat``: of a disk that is lit evenly."""
+        F, U = self.F, self.U
+        rows, half = F(row.astype(float)), self.vector(self.rays.half_px)
+        centre = self.vector(self.rays.centre_px)
+        x, y = (F(column.astype(float)) - centre[0]) / half[0], (rows - centre[1]) / half[1]
+        look, cell, times = self._look(), self._cell(flat), self.number(self.times)
+        side, sides = self.number(1.0 / cells), dr.opaque(U, cells)
+        count, every = dr.opaque(U, self.rays.count), dr.opaque(U, self.rays.count * self.times)
+
+        def step(i: Any, total: Any) -> tuple[Any, Any]:
+            turn = i // count
+            ray = i - turn * count
+            shift = F(ray) * GOLDEN
+            time = (F(turn) + shift - dr.floor(shift)) / times
+            tx, ty, light, *slope = self._polynomials(ray, x, y)
+            slope = [v / half[k % 2] for k, v in enumerate(slope)]
+            axes = look(time, rows)
+
+            def one(k: Any, part: Any) -> tuple[Any, Any]:
+                down = k // sides
+                dx, dy = (F(k - down * sides) + 0.5) * side - 0.5, (F(down) + 0.5) * side - 0.5
+                at = tx + slope[0] * dx + slope[1] * dy, ty + slope[2] * dx + slope[3] * dy
+                return k + 1, part + cell(axes, *at, slope, side)
+
+            inner = dr.while_loop((U(0), dr.zeros(F, dr.width(x))), lambda k, part: k < sides * sides, one)[1]
+            return i + 1, total + dr.maximum(light, 0.0) * inner * side * side
+
+        start = (U(0), dr.zeros(F, dr.width(x)))
+        total = dr.while_loop(start, lambda i, total: i < every, step, label="sphere_image")[1]
+        return np.array(total) / self.times
+
+    def _polynomials(self, ray: Any, x: Any, y: Any) -> list[Any]:
+        """X/Z, Y/Z, light per pixel; slopes of the first by x and y, then of the second."""
+        exponents = powers()
+        of_x, of_y = [self.F(1.0)], [self.F(1.0)]
+        for _ in range(max(i for i, _ in exponents)):
+            of_x.append(of_x[-1] * x)
+            of_y.append(of_y[-1] * y)
+        first = ray * (3 * len(exponents))
+        values = [self.F(0.0) for _ in range(7)]
+        for k, (i, j) in enumerate(exponents):
+            monomial = of_x[i] * of_y[j]
+            by_x = None if i == 0 else of_x[i - 1] * of_y[j] * float(i)
+            by_y = None if j == 0 else of_x[i] * of_y[j - 1] * float(j)
+            for axis in range(3):
+                c = dr.gather(self.F, self.coefficient, first + (axis * len(exponents) + k))
+                values[axis] = dr.fma(c, monomial, values[axis])
+                for slot, slope in ((3 + 2 * axis, by_x), (4 + 2 * axis, by_y)):
+                    if axis < 2 and slope is not None:
+                        values[slot] = dr.fma(c, slope, values[slot])
+        return values
+
+    def _look(self) -> Any:
+        """From time and row to nine numbers of icrs from cam."""
+        F, last = self.F, len(self.exposed.attitudes) - 1
+        if last == 0:
+            still = _transposed(*(dr.gather(F, component, self.U(0)) for component in self.attitude))
+            return lambda time, row: still
+        exposed = self.exposed
+        per_s = self.number(last / exposed.duration_s)
+        exposure, line = self.number(exposed.exposure_s), self.number(exposed.line_time_s)
+        end = self.number(last)
+
+        def look(time: Any, row: Any) -> list[Any]:
+            at = dr.clip((time * exposure + row * line) * per_s, 0.0, end)
+            low = dr.minimum(dr.floor(at), end - 1.0)
+            index, part = self.U(low), at - low
+            return _transposed(
+                *(dr.lerp(dr.gather(F, c, index), dr.gather(F, c, index + 1), part) for c in self.attitude)
+            )
+
+        return look
+
+    def _cell(self, flat: bool) -> Any:
+        """Light of a cell: radiance over that of a white surface lit square on, over pi, times the part that is lit."""
+        sphere = self.sphere
+        c, sine = self.vector(sphere.direction), self.number(sphere.sine)
+        covers = [(self.vector(cover.direction), self.number(cover.sine)) for cover in sphere.covers]
+        surface, air = self._surface(c, sine), self._air(c, sine)
+
+        def cell(axes: list[Any], tx: Any, ty: Any, slope: list[Any], side: Any) -> Any:
+            inverse = dr.rsqrt(1.0 + tx * tx + ty * ty)
+            cam = (tx * inverse, ty * inverse, inverse)
+            v = _turned(axes, *cam)
+            # how v moves from one side of the cell to the other
+            moves = []
+            for a, b in ((slope[0], slope[2]), (slope[1], slope[3])):
+                along = (cam[0] * a + cam[1] * b) * inverse
+                steps = (a * inverse - along * cam[0], b * inverse - along * cam[1], -along * cam[2])
+                moves.append(_turned(axes, *(m * side for m in steps)))
+            inside, near, far = _part(c, sine, v, moves)
+            value = inside if flat else inside * self._strip(surface, c, sine, v, near, far)
+            if air is not None:
+                value += (1.0 - inside) * air(v)
+            for direction, size in covers:
+                value *= 1.0 - _part(direction, size, v, moves)[0]
+            return value / math.pi
+
+        return cell
+
+    def _strip(self, surface: Any, c: list[Any], sine: Any, v: list[Any], near: Any, far: Any) -> Any:
+        """Mean light of the disk between two depths below its edge, by Gauss in the cosine of emission.
+
+        The light of a limb changes as the square root of the depth, so that it is smooth in the cosine; equal areas of
+        the disk have equal parts of its square.
+        """
+        ends = [dr.safe_sqrt(1.0 - dr.square(1.0 - depth / sine)) for depth in (near, far)]
+        middle, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
+        outwards, off = _outwards(c, v)
+        value, weight = self.F(0.0), self.F(0.0)
+        for node in (-math.sqrt(1.0 / 3.0), math.sqrt(1.0 / 3.0)):
+            mu = dr.fma(half, node, middle)
+            shift = sine * dr.safe_sqrt(1.0 - mu * mu) - off
+            shift = dr.select(far > near, shift, 0.0)
+            value += mu * surface([dr.fma(shift, m, a) for a, m in zip(v, outwards, strict=True)])
+            weight += mu
+        return value / dr.maximum(weight, 1e-300)
+
+    def _surface(self, c: list[Any], sine: Any) -> Any:
+        """Light of the surface in a direction that meets it."""
+        sphere, turn = self.sphere, self.vector(self.sphere.rotation_icrs_from_body)
+        lights = [(self.vector(light.towards), self.number(light.irradiance)) for light in sphere.lights]
+        lunar = sphere.law == "lunar"
+
+        def surface(v: list[Any]) -> Any:
+            along, off2 = _apart(c, v)
+            reach = along - dr.safe_sqrt(dr.square(sine) - off2)
+            n = [reach * a - m for a, m in zip(v, c, strict=True)]
+            scale = dr.rsqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+            n = [a * scale for a in n]
+            mu = dr.maximum(-(n[0] * v[0] + n[1] * v[1] + n[2] * v[2]), 0.0)
+            light = self.F(0.0)
+            for towards, irradiance in lights:
+                mu0 = n[0] * towards[0] + n[1] * towards[1] + n[2] * towards[2]
+                law = 2.0 * mu0 / (mu0 + mu) if lunar else mu0
+                light += dr.select(mu0 > 0.0, law * irradiance, 0.0)
+            if self.albedo is not None:
+                light *= self._factor([sum(turn[3 * k + j] * n[k] for k in range(3)) for j in range(3)])
+            return light
+
+        return surface
+
+    def _air(self, c: list[Any], sine: Any) -> Any:
+        """Light of the air at the tangent point of a direction that passes the sphere; None without air."""
+        if self.sphere.halo is None:
+            return None
+        radiance, scale = self.number(self.sphere.halo.radiance), self.number(self.sphere.halo.height)
+        lights = [(self.vector(light.towards), self.number(light.irradiance)) for light in self.sphere.lights]
+
+        def air(v: list[Any]) -> Any:
+            along, off2 = _apart(c, v)
+            off = dr.sqrt(off2)
+            value = self.F(0.0)
+            for towards, irradiance in lights:
+                mu0 = sum((along * a - m) * t for a, m, t in zip(v, c, towards, strict=True)) / off
+                value += dr.maximum(mu0, 0.0) * irradiance
+            height = dr.maximum(off / sine - 1.0, 0.0)
+            return dr.select(along > 0.0, value * radiance * dr.exp(-height / scale), 0.0)
+
+        return air
+
+    def _factor(self, n: list[Any]) -> Any:
+        """The map at a point of the sphere, linear between the centres of its cells."""
+        assert self.sphere.albedo_map is not None
+        albedo = self.albedo
+        rows, columns = self.sphere.albedo_map.shape
+        u = (dr.atan2(n[1], n[0]) / (2.0 * math.pi) + 0.5) * columns - 0.5
+        v = dr.clip((dr.safe_asin(n[2]) / math.pi + 0.5) * rows - 0.5, 0.0, rows - 1.0)
+        left, low = dr.floor(u), dr.minimum(dr.floor(v), rows - 2.0)
+        x0 = self.U(dr.select(left < 0.0, left + columns, left))
+        x1 = dr.select(x0 + 1 >= columns, self.U(0), x0 + 1)
+        first = self.U(low) * columns
+        below, above = (
+            dr.lerp(dr.gather(self.F, albedo, start + x0), dr.gather(self.F, albedo, start + x1), u - left)
+            for start in (first, first + columns)
+        )
+        return dr.lerp(below, above, v - low)
+
+
+def _outwards(c: list[Any], v: list[Any]) -> tuple[list[Any], Any]:
+    """Unit vector at v away from c, and the sine of the angle between them."""
+    along, off2 = _apart(c, v)
+    scale = dr.rsqrt(dr.maximum(off2, 1e-300))
+    return [(a - along * m) * scale for a, m in zip(v, c, strict=True)], dr.sqrt(off2)
+
+
+def _part(c: list[Any], sine: Any, v: list[Any], moves: list[list[Any]]) -> tuple[Any, Any, Any]:
+    """Part of a cell around v that lies in the disk around c, its edge taken as straight, and between which depths.
+
+    Where the edge passes at distance d inside the middle of a unit square, its normal (a, b), the moments of the depth
+    are differences of powers of d + (a + b) / 2, d + (a - b) / 2 ... : the projected square is a sum of two uniform
+    variates. The strip between the depths has the part's mean depth.
+    """
+    along, off2 = _apart(c, v)
+    off = dr.sqrt(off2)
+    # d(off)/d(cell): off^2 = 1 - along^2
+    change = [-(along / dr.maximum(off, 1e-300)) * sum(m * k for m, k in zip(move, c, strict=True)) for move in moves]
+    size = dr.maximum(dr.sqrt(change[0] * change[0] + change[1] * change[1]), 1e-300)
+    d = (sine - off) / size
+    a, b = (dr.maximum(dr.abs(change[k]) / size, 1e-3) for k in (0, 1))  # a line along the pixels is tilted a little
+    reach, flat = 0.5 * (a + b), 0.5 * (a - b)
+    depth = [dr.maximum(d + sign, 0.0) for sign in (reach, flat, -flat, -reach)]
+    area, moment = (
+        (depth[0] ** k - depth[1] ** k - depth[2] ** k + depth[3] ** k) / (math.factorial(k) * a * b) for k in (2, 3)
+    )
+    cut = dr.abs(d) < reach
+    inside = dr.select(cut, dr.clip(area, 0.0, 1.0), dr.select(d > 0.0, 1.0, 0.0))
+    far = dr.select(cut, 2.0 * moment / dr.maximum(area, 1e-12), d + 0.5)
+    near = dr.select(cut, 0.0, dr.maximum(d - 0.5, 0.0))
+    return dr.select(along > 0.0, inside, 0.0), near * size, dr.minimum(far * size, sine)
+
+
+def _apart(c: list[Any], v: list[Any]) -> tuple[Any, Any]:
+    """Cosine of the angle between unit vectors, and the square of its sine without loss of digits."""
+    cross = (c[1] * v[2] - c[2] * v[1], c[2] * v[0] - c[0] * v[2], c[0] * v[1] - c[1] * v[0])
+    cosine = c[0] * v[0] + c[1] * v[1] + c[2] * v[2]
+    return cosine, cross[0] * cross[0] + cross[1] * cross[1] + cross[2] * cross[2]
+
+
+def _transposed(x: Any, y: Any, z: Any, w: Any) -> list[Any]:
+    """Nine numbers of the inverse of a rotation given as a quaternion of any length."""
+    s = 2.0 / (x * x + y * y + z * z + w * w)
+    return [
+        1.0 - s * (y * y + z * z), s * (x * y + z * w), s * (x * z - y * w),
+        s * (x * y - z * w), 1.0 - s * (x * x + z * z), s * (y * z + x * w),
+        s * (x * z + y * w), s * (y * z - x * w), 1.0 - s * (x * x + y * y),
+    ]  # fmt: skip
+
+
+def _turned(matrix: list[Any], x: Any, y: Any, z: Any) -> list[Any]:
+    return [matrix[3 * k] * x + matrix[3 * k + 1] * y + matrix[3 * k + 2] * z for k in range(3)]
