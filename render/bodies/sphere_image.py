@@ -6,8 +6,9 @@ A pixel collects, of every ray n of the beams at every wavelength (`render.bodie
 
 over its area and its exposure. The direction v either meets the sphere, where its law of scattering gives the radiance
 in closed form, or does not. The pixel is divided into cells; of a cell that the limb cuts, the part inside a straight
-limb counts (its area and its mean depth are closed forms), with the mean radiance of such a strip. Pixels at which the sum changes too much when cells are halved get finer ones. Rays of a beam take turns along
-the path of a moving camera, so that a trail is sampled as finely as rays and times together.
+limb counts (its area and its mean depth are closed forms), with the mean radiance of such a strip. Pixels at which the
+sum changes too much when cells are halved get finer ones. Rays of a beam take turns along the path of a moving
+camera, so that a trail is sampled as finely as rays and times together.
 
 Charge diffusion acts on pixels afterwards (`render.detector.diffusion.diffuse`).
 """

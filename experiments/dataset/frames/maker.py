@@ -92,7 +92,7 @@ class FrameMaker:
         traced = self._traced(seen, plan)
         electrons = traced.electrons[:, :, 0].copy()
         sky_e = self._add_sky(electrons, plan)
-        disks = self._add_disks(electrons, plan)
+        self._add_disks(electrons, plan)
         hits = self.hits(frame)
         band = scene.light.band[0]
         read = expose(

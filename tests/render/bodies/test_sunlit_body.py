@@ -51,7 +51,14 @@ def moments(body_image):
     return total, x, y, (light * (columns - x) ** 2).sum() / total, (light * (rows - y) ** 2).sum() / total
 
 
-@pytest.mark.parametrize(("law", "phase_deg"), [("lunar", 60.0), ("lambert", 0.0), ("lambert", 100.0)])
+@pytest.mark.parametrize(
+    ("law", "phase_deg"),
+    [
+        ("lunar", 60.0),
+        pytest.param("lambert", 0.0, marks=pytest.mark.slow),
+        pytest.param("lambert", 100.0, marks=pytest.mark.slow),
+    ],
+)
 def test_total_against_the_closed_form(engine, law, phase_deg):
     """Light of the whole sphere by the phase function, integrated here over wavelength by trapezoids."""
     body = ball(10.0, phase_deg, law=law, sun_distance_au=1.5)
@@ -62,7 +69,7 @@ def test_total_against_the_closed_form(engine, law, phase_deg):
     assert render_body(camera_of(), body, BAND, exposure_s=2e-3).electrons[0] == pytest.approx(expected, rel=1e-3)
 
 
-@pytest.mark.parametrize(("law", "phase_deg"), [("lunar", 40.0), ("lambert", 80.0)])
+@pytest.mark.parametrize(("law", "phase_deg"), [("lunar", 40.0), pytest.param("lambert", 80.0, marks=pytest.mark.slow)])
 def test_pixel_by_pixel_against_mitsubas_own_walk(mi, law, phase_deg):
     """A sphere of Mitsuba under a directional light, by its path integrator backwards through `lens_camera`."""
     camera = replace(camera_of(36, 36), charge_diffusion_px=0.0)
@@ -93,6 +100,7 @@ def test_pixel_by_pixel_against_mitsubas_own_walk(mi, law, phase_deg):
     assert np.abs(pull).max() < 6.0
 
 
+@pytest.mark.slow
 def test_error_of_the_image_is_below_photon_noise(engine):
     """(13.6 times the photon noise with 64 rays a pixel.) The same from any start; what is left is stated."""
     camera, body = camera_of(48, 48), ball(10.0, 70.0, law="lunar")
@@ -109,6 +117,7 @@ def test_error_of_the_image_is_below_photon_noise(engine):
     assert coarse.photon_px[0] - first.photon_px[0] == pytest.approx([0.37, -0.21], abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_body_in_front(engine):
     """A nearer ball hides half of a full disk; a farther one in its list would hide it as well: the caller knows."""
     camera, far = camera_of(), ball(12.0, 0.0)
@@ -126,6 +135,7 @@ def test_a_body_in_front(engine):
     assert hidden.photon_px[0, 0] < whole.photon_px[0, 0] - 3.0
 
 
+@pytest.mark.slow
 def test_planet_is_as_bright_as_its_star(engine):
     """Venus, 45 arcsec across, as a disk and as a point: the two paths share the magnitude only."""
     camera = camera_of(64, 64)
@@ -149,6 +159,7 @@ def test_planet_is_as_bright_as_its_star(engine):
     assert covers(body, np.stack([system.direction[0], np.roll(system.direction[0], 1)])).tolist() == [True, False]
 
 
+@pytest.mark.slow
 def test_smear_and_rolling_shutter(engine):
     """A ball under a camera that turns 60 px a second about +Y: spread of a uniform path, slope of late rows."""
     camera, body = camera_of(160, 64), ball(6.0, 0.0)
