@@ -278,6 +278,7 @@ def test_workers_change_no_number():
 
 
 @pytest.mark.slow
+@pytest.mark.alone
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc to see when the program is up")
 def test_interruption_leaves_nothing_behind(tmp_path):
     """While the workers calibrate; the interrupt goes to all processes, as from a terminal."""

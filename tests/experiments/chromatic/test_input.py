@@ -209,6 +209,7 @@ def catches_sigterm(process):
 
 
 @pytest.mark.slow
+@pytest.mark.alone
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc to see when the program is up")
 @pytest.mark.parametrize("after_s", [0.0, 0.5, 3.0, 6.0])
 def test_interruption_leaves_nothing_behind(tmp_path, after_s):
