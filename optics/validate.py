@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 
 from optics.errors import ConfigError, unknown_name
 
-__all__ = ["allowed_range", "parse_model", "parse_toml", "read_toml"]
+__all__ = ["allowed_range", "parse_model", "parse_toml", "read_toml", "refuse_lax"]
 
 Model = TypeVar("Model", bound=BaseModel)
 Location = tuple[int | str, ...]
@@ -95,14 +95,48 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     ConfigError
         Missing, unreadable, or not TOML (with line and column).
     """
+    if "\0" in str(path):
+        raise ConfigError(f"{str(path)!r}: a path cannot hold a null character")
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        odd = Path(path).exists() and not (Path(path).is_file() or Path(path).is_dir())
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
+    if odd:
+        raise ConfigError(f"{path}: a pipe or a device; a file is needed")
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError) as error:  # no UTF-8, a number of thousands of digits, a thousand brackets
         raise ConfigError(f"{path}: not valid TOML ({' '.join(str(error).split())[:200]})") from None
+
+
+def refuse_lax(key: str, value: Any, annotation: Any) -> None:
+    """Refuse true for a number, "1.5" for a number and "yes" for true, which pydantic takes; also inside lists.
+
+    Raises
+    ------
+    ValueError
+        With key, value and what is needed.
+    """
+    leaves = _leaves(annotation)
+    for item in value if isinstance(value, list) else [value]:
+        if isinstance(item, list):
+            refuse_lax(key, item, annotation)
+        elif isinstance(item, bool | str) and {float, int} & leaves and type(item) not in leaves:
+            raise ValueError(f"{key} = {_shown(value)}: a number is needed, without quotation marks")
+        elif isinstance(item, str | int | float) and leaves == {bool} and not isinstance(item, bool):
+            raise ValueError(f"{key} = {_shown(value)}: true or false is needed, without quotation marks")
+
+
+def _leaves(annotation: Any) -> set[Any]:
+    """Plain types that an annotation is made of; str for a literal one."""
+    if typing.get_origin(annotation) is typing.Literal:
+        return {type(value) for value in typing.get_args(annotation)}
+    inner = typing.get_args(annotation)
+    return set().union(*(_leaves(one) for one in inner)) if inner else {annotation}
 
 
 def _follows(fault: dict[str, Any], faults: list[dict[str, Any]]) -> bool:

@@ -109,7 +109,8 @@ class Truth:
     Attributes
     ----------
     chief_x_px, chief_y_px : (n, b)
-        Ray through the centre of the aperture stop, at the mean of the band's wavelength nodes.
+        Ray through the centre of the aperture stop, at the mean of the band's wavelength nodes; NaN where the rim of an
+        aperture stops it or no ray passes there. `missing` tells why a position is NaN.
     bundle_x_px, bundle_y_px : (n, b)
         Photon-weighted mean of all traced rays that reach the image plane.
     photon_x_px, photon_y_px : (n, b)
@@ -117,7 +118,7 @@ class Truth:
         a pixel, before the edge of the detector cuts it. A moment over whole pixels carries the sampling bias of its
         pixel grid (up to some 1e-2 px for sharp spots), which is a property of an estimator and not of the light.
     electrons_in : (n, b)
-        Electrons that would be collected if every photon through the entrance aperture reached the detector.
+        Electrons that would be collected if all light that the stop alone lets in reached the detector.
     electrons_image, electrons_vignetted, electrons_off_edge, electrons_hidden : (n, b)
         Where they went; their sum is ``electrons_in``. Hidden is what would have reached the image plane if nothing
         stood between the sky and the lens.
@@ -150,8 +151,19 @@ class Truth:
         sizes: dict[str, int] = {}
         if self.electrons_beyond is None:
             object.__setattr__(self, "electrons_beyond", np.zeros(np.shape(self.electrons_in)))
-        for name in self.__dataclass_fields__:  # NaN marks a star of which no ray arrives
+        for name in self.__dataclass_fields__:  # NaN is told by `missing`
             freeze(self, name, shape=("n", "b"), sizes=sizes, finite=name.startswith("electrons"))
+
+    @property
+    def missing(self) -> NDArray[np.str_]:
+        """Why positions are NaN, (n, b); empty where none is."""
+        dark = np.where(
+            self.electrons_hidden > self.electrons_vignetted,
+            "what stands in front hides the star",
+            "apertures of the lens stop all light of the star",
+        )
+        chief = np.where(np.isnan(self.chief_x_px), "the chief ray is stopped by a rim or misses the stop's centre", "")
+        return np.where(np.isnan(self.bundle_x_px), dark, chief)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,8 +19,9 @@ from scipy.spatial.transform import Rotation
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, StarbenchError, unknown_name
 from optics.files.read import SUFFIXES, import_lens, split_configuration
-from optics.glass.catalogue import Glass, get_glass, glass_from_table
+from optics.glass.catalogue import Glass, get_glass, glass_from_table, list_glasses
 from optics.glass.media import CATALOGUE_AIR, Environment
+from optics.lens.geometry import geometry_faults
 from optics.lens.sag_map import SagMap
 from optics.lens.shapes.plane import Plane
 from optics.lens.system import AMBIENT, LensSystem, Surface
@@ -245,7 +246,8 @@ def load_lens(name_or_path: str | Path, *, environment: Environment | None = Non
     Raises
     ------
     ConfigError
-        Unknown name (with the nearest), missing or broken file, unknown key (with the nearest), unknown glass.
+        Unknown name (with the nearest), missing or broken file, unknown key (with the nearest), unknown glass; in TOML
+        also a glass that is not used, and a geometry that cannot be (`optics.lens.geometry`).
     """
     name, configuration = split_configuration(str(name_or_path))
     path = lens_path(name)
@@ -255,7 +257,28 @@ def load_lens(name_or_path: str | Path, *, environment: Environment | None = Non
         tables, surroundings = imported.tables, imported.defaults.environment
     else:
         tables = read_toml(path)
-    return lens_from_table(tables, where=where, folder=path.parent, environment=environment or surroundings)
+        _check_glasses(tables, where)
+    lens = lens_from_table(tables, where=where, folder=path.parent, environment=environment or surroundings)
+    faults = () if path.suffix.lower() in SUFFIXES else geometry_faults(lens)
+    if faults:
+        raise ConfigError("\n".join(f"{where}: {fault}" for fault in faults))
+    return lens
+
+
+def _check_glasses(tables: Mapping[str, Any], where: str) -> None:
+    """Refuse tables of glasses that no surface names, and such that hide a glass of the catalogue."""
+    own, surfaces = tables.get("glass", {}), tables.get("surface", [])
+    if not (isinstance(own, Mapping) and isinstance(surfaces, list)):
+        return  # said elsewhere
+    named = {s.get("medium") for s in surfaces if isinstance(s, Mapping)}
+    for name in own:
+        if name not in named:
+            raise ConfigError(f"{where}: no surface is of glass.{name}; leave the table out or name it as a medium")
+        if name in list_glasses():
+            raise ConfigError(
+                f"{where}: glass.{name} would hide the {name} of the catalogue; call it by another name, such as "
+                f"'{name}-melt'"
+            )
 
 
 def lens_from_table(

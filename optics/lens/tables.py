@@ -8,18 +8,29 @@ from functools import reduce
 from operator import or_
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, FiniteFloat, Tag, create_model, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    FiniteFloat,
+    Tag,
+    create_model,
+    model_validator,
+)
 
 from optics.errors import DomainError
 from optics.glass.air import STANDARD_PRESSURE_HPA
 from optics.lens.apertures import APERTURES, Aperture
 from optics.lens.shapes.base import Shape
 from optics.lens.shapes.registry import SHAPES, UNNAMED
+from optics.validate import refuse_lax
 
 __all__ = ["BREAK", "MIRROR", "BreakTable", "ErrorTable", "GlassTable", "ImageTable", "Prescription", "SurfaceTable"]
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Expansion = Annotated[float, Field(ge=-1e-3, le=1e-3)]
 Two = tuple[FiniteFloat, FiniteFloat]
 Three = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
@@ -30,6 +41,14 @@ BREAK: Final = "coordinate_break"
 
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_their_types(cls, table: Any) -> Any:
+        for key, value in table.items() if isinstance(table, dict) else ():
+            if key in cls.model_fields:
+                refuse_lax(key, value, cls.model_fields[key].annotation)
+        return table
 
 
 class MovedTable(_Table):
@@ -135,7 +154,7 @@ class SurfaceTable(MovedTable):
     carry: Literal["none", "forward", "bend"] = "none"
     aperture: tuple[AnyAperture, ...] = ()
     error: ErrorTable | None = None
-    cte_per_k: FiniteFloat | None = None
+    cte_per_k: Expansion | None = None
 
     @model_validator(mode="after")
     def _it_is_a_surface(self) -> SurfaceTable:
@@ -190,7 +209,7 @@ class GlassTable(_Table):
     reference_pressure_hpa: NotNegative = STANDARD_PRESSURE_HPA
     dndt: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     dndt_range_c: Two | None = None
-    cte_per_k: FiniteFloat | None = None
+    cte_per_k: Expansion | None = None
     density_g_cm3: Positive | None = None
     nd: Positive | None = None
     vd: Positive | None = None

@@ -15,6 +15,7 @@ from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.lens.system import LensSystem
 from optics.light.collimation import Collimation
 from optics.rays.aim import aim_frame
+from optics.rays.axial_beam import check_axial_beam
 from optics.rays.beam import inner_points
 from optics.rays.program import compile_lens
 from optics.rays.pupil import EntrancePupil, entrance_pupil, launch_disks, stop_in_front
@@ -143,6 +144,7 @@ class PupilPlanner:
         self.camera, self.tolerance = camera, tolerance
         self.sobol_log2_rays, self.sobol_seed = sobol_log2_rays, sobol_seed
         lens = camera.focused_lens
+        check_axial_beam(lens)
         self.pupil = unit_disk(lens)
         if not self.pupil.exact:
             launch_disk(camera)  # refuses a lens that lets no light through

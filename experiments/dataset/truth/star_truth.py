@@ -45,9 +45,7 @@ COLUMNS = (
     Column("bundle_y_px", "float64", "pix", "its row"),
     Column("photon_x_px", "float64", "pix", "column of the centroid of the noiseless light, after charge diffusion"),
     Column("photon_y_px", "float64", "pix", "its row"),
-    Column(
-        "electrons_in", "float64", "electron", "electrons of a disk that encloses the entrance pupil, if all arrived"
-    ),
+    Column("electrons_in", "float64", "electron", "electrons that the stop of the lens alone would let in"),
     Column("electrons", "float64", "electron", "expected electrons on the detector"),
     Column(
         "electrons_vignetted",

@@ -309,6 +309,7 @@ def test_star_whose_rays_all_fail_is_flagged_in_its_truth(engine, bench):
         assert np.isnan(getattr(truth, name)[1, 0])
         assert np.isfinite(getattr(truth, name)[0, 0])
     assert truth.electrons_vignetted[1, 0] == pytest.approx(truth.electrons_in[1, 0], rel=1e-12)
+    assert truth.missing.tolist() == [[""], ["apertures of the lens stop all light of the star"]]
     assert traced.electrons.astype(float).sum() == pytest.approx(truth.electrons_image[0, 0], rel=1e-6)
 
 

@@ -1,0 +1,122 @@
+"""Lenses that cannot be, files that are none: one line that names the thing, its value and its range."""
+
+import os
+
+import pytest
+
+from optics.errors import ConfigError, DomainError
+from optics.lens.prescription import load_lens
+from optics.rays.axial_beam import check_axial_beam
+
+STOP = """[[surface]]
+stop = true
+thickness_mm = 4.6
+medium = "air"
+semi_diameter_mm = 3.9
+"""
+TRIPLET = f"""name = "triplet"
+source = "a Cooke triplet"
+design_wavelength_nm = 587.6
+max_field_deg = 20.0
+
+[[surface]]
+radius_mm = 22.0
+thickness_mm = 3.26
+medium = "N-SK16"
+semi_diameter_mm = 9.5
+
+[[surface]]
+radius_mm = -435.8
+thickness_mm = 6.0
+medium = "air"
+semi_diameter_mm = 9.5
+
+[[surface]]
+radius_mm = -22.2
+thickness_mm = 1.0
+medium = "N-F2"
+semi_diameter_mm = 5.0
+
+[[surface]]
+radius_mm = 20.3
+thickness_mm = 0.2
+medium = "air"
+semi_diameter_mm = 5.0
+
+{STOP}
+[[surface]]
+radius_mm = 79.7
+thickness_mm = 2.95
+medium = "N-SK16"
+semi_diameter_mm = 7.5
+
+[[surface]]
+radius_mm = -18.4
+thickness_mm = 42.2
+medium = "air"
+semi_diameter_mm = 7.5
+"""
+ALONE = "\n[stop]\nz_mm = 750.0\nsemi_diameter_mm = 3.9\n"
+GLASS = """
+[glass.NAME]
+source = "none"
+B = [1.0, 0.0, 0.0]
+C = [0.0, 0.0, 0.0]
+range_nm = [300.0, 1000.0]
+"""
+
+
+def loaded(tmp_path, text):
+    path = tmp_path / "lens.toml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return load_lens(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (STOP, ALONE, r"image plane lies 694\.39 mm in front of the stop; .* check stop\.z_mm"),
+        ("= 42.2", "= -1.5", r"image plane lies 1\.5 mm in front of surface 6, the last"),
+        ("= 3.26", "= -22.0", r"surface 0: thickness_mm = -22 mm of N-SK16"),
+        ("= 6.0", "= -3.0", r"surfaces 1 and 2 cross: at 5 mm from the axis they would overlap by 3\.5"),
+        ("= 3.26", "= 0.5", r"surfaces 0 and 1 cross: at 9\.5 mm .* N-SK16 between them would be -1\.7"),
+        ("= 7.5", "= 15.0", r"surfaces 5 and 6 cross: at 15 mm .* N-SK16 between them would be -6\.2"),
+        ("= 3.9", "= 100.0", r"surface 4, has semi_diameter_mm = 100 mm, .* surface 2 leaves only 4\.9"),
+        ("= 22.0", "= 22.0\nasphere = [1.0]", r"surfaces 0 and 1 cross"),
+        ("= 3.26", "= true", r"surface\.0: thickness_mm = True: a number is needed"),
+        ("= 22.0", "= '22.0'", r"surface\.0: radius_mm = '22\.0': a number is needed"),
+        ("stop = true", "stop = 'yes'", r"surface\.4: stop = 'yes': true or false is needed"),
+        ("= 22.0", "= 22.0\ntilt_deg = [true, 0.0]", r"tilt_deg = \[True, 0\.0\]: a number is needed"),
+        (STOP, STOP + GLASS, r"no surface is of glass\.NAME"),
+        (STOP, STOP + GLASS.replace("NAME", "N-F2"), r"glass\.N-F2 would hide the N-F2 of the catalogue"),
+    ],
+)
+def test_what_cannot_be_is_refused(tmp_path, old, new, said):
+    assert old in TRIPLET
+    assert loaded(tmp_path, TRIPLET).name == "triplet"
+    with pytest.raises(ConfigError, match=said):
+        loaded(tmp_path, TRIPLET.replace(old, new))
+
+
+def test_an_expansion_that_no_glass_has_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"glass\.NAME\.cte_per_k = 1e\+300"):
+        loaded(tmp_path, TRIPLET.replace('"N-F2"', '"NAME"') + GLASS + "cte_per_k = 1e300\n")
+
+
+def test_an_asphere_beyond_its_range_is_refused_where_light_is_traced(tmp_path):
+    shape = 'kind = "even_asphere"\nradius_mm = -18.4\nconic = 0.0\nasphere = [0.0, 0.0, 3e-5]'
+    lens = loaded(tmp_path, TRIPLET.replace("radius_mm = -18.4", shape))
+    with pytest.raises(DomainError, match=r"rays on the axis from .* mm on are lost at surface 6 \(missed|total"):
+        check_axial_beam(lens)
+    check_axial_beam(loaded(tmp_path, TRIPLET))
+
+
+def test_files_that_are_none(tmp_path):
+    os.mkfifo(tmp_path / "pipe.toml")
+    with pytest.raises(ConfigError, match="a pipe or a device"):
+        load_lens(tmp_path / "pipe.toml")
+    with pytest.raises(ConfigError, match="null character"):
+        load_lens(f"{tmp_path}/a\0b.toml")
+    with pytest.raises(ConfigError, match="not valid TOML"):
+        loaded(tmp_path, "a = " + "[" * 5000 + "]" * 5000)
+    assert loaded(tmp_path, b"\xef\xbb\xbf" + TRIPLET.encode()).name == "triplet"
