@@ -174,7 +174,16 @@ class RadiationConfig(StrictModel):
 
 
 class SplitsConfig(StrictModel):
-    """Shares of the frames; they are drawn in blocks of 100, so that more frames never change those there are."""
+    """Shares of the frames, and what keeps them apart; more frames never change those there are."""
+
+    by: Literal["auto", "sky", "arc", "frame"] = Field(
+        default="auto",
+        description="sky: regions of the sky with gaps between them; arc: parts of the circle of a scan; frame: at "
+        "random, whatever they show; auto: sky for attitudes over all the sky, arc for scans, otherwise frame",
+    )
+    gap_deg: float | None = Field(
+        default=None, ge=0, le=180, description="least angle between boresights of two splits; left out: the diagonal"
+    )
 
     train_fraction: float = Field(default=0.8, ge=0, le=1, description="for training")
     validation_fraction: float = Field(default=0.1, ge=0, le=1, description="for validation")

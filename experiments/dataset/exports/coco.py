@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.dataset.exports.contact_sheet import stretched
-from experiments.dataset.frames.plan import SPLITS
 from experiments.dataset.frames.sky_light import LAST_PLANET_ID
+from experiments.dataset.frames.splits import GAP, SPLITS
 from experiments.dataset.production.folder import storage_error, write_whole
 from experiments.dataset.truth.files import read_table
 from experiments.dataset.truth.frame_record import FrameRecord
@@ -91,7 +91,7 @@ def export_coco(
             (root / part).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise storage_error(root, error) from None
-    content: dict[str, dict[str, list[Any]]] = {split: {"images": [], "annotations": []} for split in SPLITS}
+    content: dict[str, dict[str, list[Any]]] = {split: {"images": [], "annotations": []} for split in (*SPLITS, GAP)}
     count, found = 0, Counter[int]()
     for one in records:
         held = content[one.split]
@@ -104,6 +104,8 @@ def export_coco(
         count += len(stars) + len(others)
         done()
     for split, held in content.items():
+        if split == GAP and not held["images"]:
+            continue
         info = {
             "description": f"{about['title']}, {split}",
             "version": about["version"],

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from experiments.dataset.exports.about import about
-from experiments.dataset.frames.plan import SPLITS
+from experiments.dataset.frames.splits import GAP, SPLITS, Leak, leakage
 from experiments.dataset.production.folder import IDENTITY
 from experiments.dataset.production.identity import identity
 from experiments.dataset.truth.files import INDEX_COLUMNS
@@ -48,6 +48,8 @@ def data_card(result: Result) -> str:
         stars=sum(one.stars for one in result.records),
         fastest_deg_per_s=max(math.hypot(*one.rate_deg_per_s) for one in result.records),
         splits=SPLITS,
+        gaps=sum(one.split == GAP for one in result.records),
+        leaks=_leaks(result),
         identity_file=IDENTITY,
         truth_columns=COLUMNS,
         index_columns=INDEX_COLUMNS,
@@ -56,6 +58,14 @@ def data_card(result: Result) -> str:
         exported=list(result.exports),
         settings=flat(identity(result.config)),
     )
+
+
+def _leaks(result: Result) -> dict[str, Leak]:
+    """What validation and test share with training."""
+    places: dict[str, list[tuple[float, float]]] = {}
+    for one in result.records:
+        places.setdefault(one.split, []).append((one.ra_deg, one.dec_deg))
+    return leakage(places, result.scene.diagonal_deg)
 
 
 def _baseline(result: Result) -> dict[str, str]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from experiments.dataset.frames.plan import SPLITS
+from experiments.dataset.frames.splits import SPLITS
 from experiments.dataset.truth.frame_record import FrameRecord
 from experiments.harness.progress import Progress
 

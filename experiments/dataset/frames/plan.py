@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.dataset.frames.attitude_files import read_attitudes, read_motion
+from experiments.dataset.frames.splits import Splits, build_splits
 from experiments.dataset.settings import (
     BodyPointing,
     ConePointing,
@@ -20,7 +19,6 @@ from experiments.dataset.settings import (
     RandomRate,
     ScanPointing,
     SkyPointing,
-    SplitsConfig,
 )
 from optics.arrays import FloatArray
 from optics.attitude import attitude_from_angles
@@ -32,19 +30,15 @@ from render.motion.jitter import JitterSpectrum, jittered
 from render.motion.trajectory import ConstantRate, SampledAttitude, Trajectory
 
 __all__ = [
-    "SPLITS",
     "FramePlan",
     "Plan",
     "build_plan",
     "fastest_rad_per_s",
     "plan_frame",
-    "split_of",
     "sun_direction",
 ]
 
 
-SPLITS = ("train", "validation", "test")
-SPLIT_BLOCK = 100
 RATE_SAMPLES = 1000
 
 
@@ -70,6 +64,8 @@ class Plan:
         Towards the Sun along icrs, where attitudes have to keep away from it.
     jitter : JitterSpectrum or None
         Random motion on top; the path of a scan has it already.
+    splits : Splits
+        How the frames are shared out.
     """
 
     config: Config
@@ -80,6 +76,7 @@ class Plan:
     path: Trajectory | None
     to_sun: FloatArray | None
     jitter: JitterSpectrum | None
+    splits: Splits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +88,7 @@ class FramePlan:
     frame : int
         Its number.
     split : str
-        One of `SPLITS`.
+        train, validation, test, or gap (`experiments.dataset.frames.splits`).
     attitude : Rotation
         cam from icrs in the middle of the exposure.
     rate_rad_per_s : (3,)
@@ -110,7 +107,7 @@ class FramePlan:
     trajectory: Trajectory | None
 
 
-def build_plan(config: Config, height_px: int | None = None) -> Plan:
+def build_plan(config: Config, height_px: int | None = None, diagonal_deg: float = 0.0) -> Plan:
     """Read what has to be read, and refuse what cannot be.
 
     Parameters
@@ -119,6 +116,8 @@ def build_plan(config: Config, height_px: int | None = None) -> Plan:
         The configuration.
     height_px : int, optional
         Rows of the detector; those of the configuration if left out.
+    diagonal_deg : float
+        Diagonal of the field, by which splits are kept apart.
 
     Raises
     ------
@@ -165,6 +164,7 @@ def build_plan(config: Config, height_px: int | None = None) -> Plan:
         path=path,
         to_sun=to_sun,
         jitter=jitter,
+        splits=build_splits(config, streams, diagonal_deg),
     )
 
 
@@ -239,15 +239,15 @@ def _scan(pointing: ScanPointing, config: Config, duration_s: float) -> Trajecto
 def plan_frame(plan: Plan, frame: int) -> FramePlan:
     """What frame number ``frame`` is."""
     config, half_s = plan.config, plan.duration_s / 2.0
-    split = split_of(config.splits, plan.streams, frame)
     if plan.path is not None:
         assert isinstance(config.pointing, ScanPointing)
         start = plan.path.start_s + frame / config.pointing.frame_rate_hz
         at_rest = isinstance(plan.path, ConstantRate) and not plan.path.rate_rad_per_s.any()
+        attitude = plan.path.attitude(start + half_s)
         return FramePlan(
             frame=frame,
-            split=split,
-            attitude=plan.path.attitude(start + half_s),
+            split=_split(plan, frame, attitude),
+            attitude=attitude,
             rate_rad_per_s=plan.path.rate(start + half_s),
             start_s=start,
             trajectory=None if at_rest else plan.path,
@@ -260,7 +260,12 @@ def plan_frame(plan: Plan, frame: int) -> FramePlan:
     if path is not None and plan.jitter is not None:
         path = jittered(path, plan.jitter, streams=plan.streams, frame=frame)
         attitude, rate = path.attitude(half_s), path.rate(half_s)
+    split = _split(plan, frame, attitude)
     return FramePlan(frame=frame, split=split, attitude=attitude, rate_rad_per_s=rate, start_s=0.0, trajectory=path)
+
+
+def _split(plan: Plan, frame: int, attitude: Rotation) -> str:
+    return plan.splits.of(frame, attitude.as_matrix()[2])
 
 
 def _attitude(plan: Plan, frame: int) -> Rotation:
@@ -314,17 +319,3 @@ def fastest_rad_per_s(plan: Plan) -> tuple[float, float]:
         return config.rate.highest_deg_per_s * DEG_RAD, config.rate.highest_deg_per_s * DEG_RAD
     x, y, z = config.rate.rate_deg_per_s
     return float(np.hypot(x, y)) * DEG_RAD, abs(z) * DEG_RAD
-
-
-def split_of(splits: SplitsConfig, streams: Streams, frame: int) -> str:
-    """Which split a frame belongs to; every block of 100 frames is shared out as exactly as whole frames allow."""
-    block, place = divmod(frame, SPLIT_BLOCK)
-    position = (_order(streams, block)[place] + 0.5) / SPLIT_BLOCK
-    if position < splits.train_fraction:
-        return SPLITS[0]
-    return SPLITS[1] if position < splits.train_fraction + splits.validation_fraction else SPLITS[2]
-
-
-@lru_cache(maxsize=64)
-def _order(streams: Streams, block: int) -> Any:
-    return streams.generator("split", block).permutation(SPLIT_BLOCK)

@@ -85,6 +85,11 @@ class Scene:
         return min(self.config.catalogue.faintest_mag, faintest)
 
     @property
+    def diagonal_deg(self) -> float:
+        """Diagonal of the field of view."""
+        return _diagonal_deg(self.instrument)
+
+    @property
     def field_deg(self) -> tuple[float, float]:
         """Field of view along columns and rows, at the scale of the boresight."""
         scale, camera = np.sqrt(abs(np.linalg.det(self.wcs.linear))), self.instrument.camera
@@ -109,7 +114,7 @@ def build_scene(config: Config) -> Scene:
         raise DomainError(f"instrument.width_px, instrument.height_px: {error}") from None
     instrument = _aged(instrument, config)
     band = open_band(config.passband, instrument)
-    plan = build_plan(config, instrument.detector.height_px)
+    plan = build_plan(config, instrument.detector.height_px, _diagonal_deg(instrument))
     whole = load_catalogue(config.catalogue)
     bright = np.flatnonzero(whole.magnitude <= config.catalogue.faintest_mag)
     if not len(bright):
@@ -168,6 +173,12 @@ def seen_at(scene: Scene, attitude: Rotation) -> SkyField:
         epoch_year=scene.config.catalogue.epoch_year,
         observer=scene.observer,
     )
+
+
+def _diagonal_deg(instrument: Instrument) -> float:
+    camera = instrument.camera
+    half_mm = 0.5 * camera.pixel_pitch_mm * np.hypot(camera.width_px, camera.height_px)
+    return float(np.degrees(2.0 * np.arctan(half_mm / instrument.focal_length_mm)))
 
 
 def _no_star(catalogue: StarCatalog, config: CatalogueConfig) -> str:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments.dataset.frames.attitude_files import read_attitudes
 from experiments.dataset.frames.plan import build_plan, plan_frame
+from experiments.dataset.frames.splits import leakage
 from experiments.dataset.settings import (
     ConePointing,
     Config,
@@ -85,12 +86,77 @@ def test_jitter():
 
 
 def test_splits_are_shared_out_in_blocks():
-    splits = SplitsConfig(train_fraction=0.7, validation_fraction=0.2, test_fraction=0.1)
+    splits = SplitsConfig(by="frame", train_fraction=0.7, validation_fraction=0.2, test_fraction=0.1)
     names = [one.split for one in frames_of(splits=splits)]
     for block in range(0, N, 100):
         part = names[block : block + 100]
         assert [part.count(name) for name in ("train", "validation", "test")] == [70, 20, 10]
     assert names[:100] != names[100:200]
+
+
+def nearest_deg(frames, one, other):
+    """Smallest angle between boresights of two splits."""
+    first, second = (np.array([f.attitude.as_matrix()[2] for f in frames if f.split == name]) for name in (one, other))
+    assert len(first)
+    assert len(second)
+    return np.degrees(np.arccos((first @ second.T).max()))
+
+
+def planned(count, diagonal_deg, **settings):
+    plan = build_plan(Config(frames=count, **settings), diagonal_deg=diagonal_deg)
+    return [plan_frame(plan, frame) for frame in range(count)]
+
+
+@pytest.mark.parametrize("diagonal", [2.0, 17.7, 40.0])
+def test_no_sky_is_in_two_splits(diagonal):
+    frames = planned(N, diagonal)
+    names = [one.split for one in frames]
+    for one, other in (("train", "test"), ("train", "validation"), ("validation", "test")):
+        assert nearest_deg(frames, one, other) >= diagonal
+    count = N - names.count("gap")
+    for name, share in (("train", 0.8), ("validation", 0.1), ("test", 0.1)):
+        assert names.count(name) / count == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) / count))
+    assert names.count("gap") < {2.0: 0.06, 17.7: 0.3, 40.0: 0.6}[diagonal] * N
+    assert names[:50] == [one.split for one in planned(50, diagonal)]  # more frames change nothing
+
+
+@pytest.mark.parametrize("rate", [(0.0, 0.5, 0.0), (0.3, 3.1, 1.7)])
+def test_arcs_of_a_scan_do_not_meet(rate):
+    """The second goes round many times; by frames in a row, the same stars would come back for the test."""
+    scan = ScanPointing(rate_deg_per_s=rate, frame_rate_hz=1.0)
+    frames = planned(N, 5.0, pointing=scan)
+    for one, other in (("train", "test"), ("train", "validation"), ("validation", "test")):
+        assert nearest_deg(frames, one, other) >= 5.0 - 1e-9
+    names = [one.split for one in frames]
+    assert names.count("gap") < 0.55 * N
+    assert 5 < names.count("train") / names.count("test") < 11
+
+
+def test_splits_that_cannot_be():
+    with pytest.raises(DomainError, match="no room"):
+        planned(1, 60.0, pointing=ScanPointing(rate_deg_per_s=(0.0, 0.1, 0.5)), splits=SplitsConfig(by="arc"))
+    with pytest.raises(DomainError, match="constant rate"):
+        planned(1, 5.0, splits=SplitsConfig(by="arc"))
+    with pytest.raises(DomainError, match="less than 90 deg"):
+        planned(1, 5.0, splits=SplitsConfig(by="sky", gap_deg=100.0))
+    assert {one.split for one in planned(100, 120.0)} == {"train", "validation", "test"}  # so wide a field: by frame
+
+
+def test_leakage_is_counted():
+    """A thousand random fields shared out at random: nearly every one has a neighbour that was taught."""
+    frames = planned(1000, 17.7, splits=SplitsConfig(by="frame"))
+    places = {}
+    for one in frames:
+        x, y, z = one.attitude.as_matrix()[2]
+        places.setdefault(one.split, []).append((np.degrees(np.arctan2(y, x)), np.degrees(np.arcsin(z))))
+    found = leakage(places, 17.7)["test"]
+    taught, mine = (
+        np.array([o.attitude.as_matrix()[2] for o in frames if o.split == name]) for name in ("train", "test")
+    )
+    angle = np.degrees(np.arccos(np.clip(mine @ taught.T, -1, 1))).min(axis=1)
+    assert (found.frames, found.near, found.shared) == (len(mine), (angle < 8.85).sum(), (angle < 17.7).sum())
+    assert found.near > 0.9 * found.frames
+    assert found.nearest_deg == pytest.approx(angle.min(), abs=1e-6)
 
 
 def test_attitudes_from_files(tmp_path):
