@@ -17,7 +17,7 @@ def main(argv: list[str], *, own_process: bool = False) -> int:
     ----------
     argv : list of str
         ``NAME [options]`` runs an experiment; ``--all`` runs all; ``--names`` prints bare names, one per line;
-        ``--version`` the version; nothing or ``--help`` what there is.
+        ``lens`` shows and converts lens files; ``--version`` the version; nothing or ``--help`` what there is.
     own_process : bool
         Whether the process is ours to end, as on a command line.
 
@@ -41,18 +41,26 @@ def main(argv: list[str], *, own_process: bool = False) -> int:
         return 0
     if argv and argv[0] not in ("-h", "--help"):
         try:
-            command = load(argv[0])
+            command = _lens if argv[0] == "lens" else load(argv[0])
         except ConfigError as error:
             print(f"error: {error}", file=sys.stderr)
             return 2
         return command(argv[1:], own_process=own_process)
     print("Run one with:  python -m experiments.NAME [--quick] [--out DIR]   (--help tells the rest)")
     print("          or:  starbench NAME [--quick] [--out DIR]")
-    print("or all with:   python -m experiments --all [--quick] [--out DIR]\n")
+    print("or all with:   python -m experiments --all [--quick] [--out DIR]")
+    print("Lens files:    starbench lens show FILE, starbench lens convert FILE NEW   (.toml, .zmx, .seq)\n")
     width = max(map(len, experiments), default=0)
     for name, line in experiments.items():
         print(f"  {name:<{width}}  {line}")
     return 0
+
+
+def _lens(argv: list[str], *, own_process: bool = False) -> int:
+    """Lens files: no experiment, but a command of its own."""
+    from experiments.lens.command import main as lens
+
+    return lens(argv)
 
 
 def console() -> int:

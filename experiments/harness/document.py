@@ -189,7 +189,7 @@ def render_document(
     draw : callable
         ``draw(name, *arguments)`` makes a figure.
     criteria : sequence of Criterion
-        Shown with the verdict.
+        Shown with the verdict; without any there is none.
     provenance : mapping
         As of `experiments.harness.provenance.collect`.
     judged : str
@@ -240,7 +240,7 @@ def render_document(
     return environment.get_template("report.html").render(
         **filled,
         passed=all(criterion.passed for criterion in criteria),
-        verdict_line=verdict_line(criteria, judged),
+        verdict_line=verdict_line(criteria, judged) if criteria else "",
         glossary=glossary,
     )
 

@@ -1,0 +1,1 @@
+"""What a lens file holds, as one page, and lens files turned into one another: ``starbench lens``."""

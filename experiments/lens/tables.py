@@ -1,0 +1,145 @@
+"""Tables of the page of a lens."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from experiments.harness.tables import Column, Table
+from experiments.lens.study import Study, white_rms_mm
+
+__all__ = ["tables"]
+
+_SHOWN_KEYS = {
+    "kind", "radius_mm", "thickness_mm", "medium", "semi_diameter_mm", "conic", "inner_semi_diameter_mm", "stop",
+}  # fmt: skip
+
+
+def _finite(value: Any) -> Any:
+    return value if value is None or math.isfinite(value) else "∞"
+
+
+def _prescription(made: Study) -> Table:
+    rows = []
+    for number, table in enumerate(made.file.tables["surface"]):
+        rest = ", ".join(f"{k} {_words(v)}" for k, v in table.items() if k not in _SHOWN_KEYS)
+        radius = table.get("radius_mm")
+        rows.append(
+            (
+                f"{number}{' stop' if table.get('stop') else ''}",
+                table.get("kind", ""),
+                "" if radius is None else f"{radius:.8g}" if math.isfinite(radius) else "∞",
+                f"{table.get('thickness_mm', 0.0):.8g}",
+                table.get("medium", ""),
+                f"{table['semi_diameter_mm']:.6g}" if math.isfinite(table.get("semi_diameter_mm", math.inf)) else "",
+                f"{table['conic']:.8g}" if table.get("conic") else "",
+                rest,
+            )
+        )
+    heads = ("surface", "kind", "radius [mm]", "thickness [mm]", "medium", "semi-diameter [mm]", "conic", "further")
+    return Table(columns=heads, rows=rows, caption="Prescription, in the order of the light.")
+
+
+def _words(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_words(v) for v in value) + "]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{k} {_words(v)}" for k, v in value.items()) + "}"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _first_order(made: Study) -> Table:
+    first = made.first_order
+    assert first is not None
+    rows = [
+        ("focal length (EFL)", first.efl_mm, "mm"),
+        ("back focus (BFL)", first.bfl_mm, "mm"),
+        ("F-number", first.f_number, ""),
+        ("entrance pupil, diameter", 2.0 * first.entrance_pupil_radius_mm, "mm"),
+        ("entrance pupil, z", first.entrance_pupil_z_mm, "mm"),
+        ("exit pupil, diameter", 2.0 * first.exit_pupil_radius_mm, "mm"),
+        ("half field", made.file.lens.max_field_deg, "°"),
+    ]
+    caption = f"First-order data at {first.wavelength_nm:g} nm; tilts and decentres do not count."
+    return Table(
+        columns=("quantity", "value", "unit"),
+        rows=[(name, f"{value:.6g}" if math.isfinite(value) else "∞", unit) for name, value, unit in rows],
+        caption=caption,
+    )
+
+
+def _fields(made: Study) -> Table:
+    rms = white_rms_mm(made)
+    performance = made.performance
+    rows: list[Any] = []
+    for at, field in enumerate(made.field_deg):
+        light = None
+        if made.spots is not None:
+            area = made.spots.area_mm2.sum(axis=(1, 2))
+            light = float(100.0 * area[at] / area[0]) if area[0] > 0.0 else None
+        rows.append(
+            (
+                float(field),
+                None if rms is None or not np.isfinite(rms[at]) else float(1e3 * rms[at]),
+                None if made.focus is None else _finite(float(1e3 * made.focus[at, 0])),
+                None if made.focus is None else _finite(float(1e3 * made.focus[at, 1])),
+                None if performance is None else float(100.0 * performance.distortion[at]),
+                light,
+            )
+        )
+    columns = (
+        Column(name="field", unit="°"),
+        Column(name="RMS spot", unit="µm", format=".2f"),
+        Column(name="focus along", unit="µm", format=".1f"),
+        Column(name="focus across", unit="µm", format=".1f"),
+        Column(name="distortion", unit="%", format=".4f"),
+        Column(name="beam area", unit="%", format=".1f"),
+    )
+    return Table(
+        columns=columns, rows=rows, caption="Over the field: all wavelengths, weighted; beam against the axis."
+    )
+
+
+def _report(made: Study) -> dict[str, Table]:
+    report = made.file.report
+    assert report is not None
+    heads = ("line", "surface", "command", "became", "meaning")
+    lines = [
+        (
+            str(e.line) if e.line else "–",
+            "" if e.surface is None else str(e.surface),
+            e.command,
+            str(e.status),
+            e.message,
+        )
+        for e in report.lines
+    ]
+    inexact = [row for row, entry in zip(lines, report.lines, strict=True) if not entry.exact]
+    compared = []
+    for one in report.comparisons:
+        known = [v is not None and math.isfinite(v) for v in (one.computed, one.stated)]
+        shown = [f"{v:.8g}" if k else "" for k, v in zip(known, (one.computed, one.stated), strict=True)]
+        compared.append((one.name, one.unit, *shown, one.source))
+    glasses = [(g.asked, g.taken, g.where, str(g.status), g.change_text) for g in report.glasses]
+    return {
+        "import": Table(columns=heads, rows=lines, caption="Every command of the file."),
+        "inexact": Table(columns=heads, rows=inexact, caption="What makes the lens differ from the file, or may."),
+        "compared": Table(
+            columns=("quantity", "unit", "computed", "stated", "where"), rows=compared, caption="Computed and stated."
+        ),
+        "glasses": Table(
+            columns=("in the file", "taken", "from", "became", "change"),
+            rows=glasses,
+            caption="Glasses; the change of index is that of the glass taken against the one meant.",
+        ),
+    }
+
+
+def tables(made: Study) -> dict[str, Table]:
+    """Every table by name."""
+    found = {"prescription": _prescription(made), "fields": _fields(made)}
+    if made.first_order is not None:
+        found["first_order"] = _first_order(made)
+    return found | (_report(made) if made.file.report is not None else {})

@@ -1,0 +1,89 @@
+"""``starbench lens``: the page of a file, conversion, and one line for whatever is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from experiments.__main__ import main
+from optics import load_lens
+
+ZMX = """MODE SEQ
+NAME doublet <b>
+UNIT MM X W X CM MR CPMM
+FNUM 5 0
+GCAT SCHOTT
+FTYP 0 0 2 2 0 0 0
+YFLN 0 2
+WAVM 1 0.55 1
+WAVM 2 0.65 1
+PWAV 1
+SURF 0
+  DISZ INFINITY
+SURF 1
+  STOP
+  CURV 0.016
+  DISZ 6
+  GLAS N-BK7
+SURF 2
+  CURV -0.02
+  DISZ 3
+  GLAS SSK5 0 0 1.65844 50.88
+SURF 3
+  CURV -0.004
+  DISZ 100
+SURF 4
+"""
+
+
+@pytest.fixture
+def lens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "my lens.zmx"
+    path.write_text(ZMX, encoding="utf-16")
+    return path
+
+
+def test_convert_there_and_back(lens: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["lens", "convert", lens.name, "lens.toml"]) == 0
+    out = capsys.readouterr().out
+    assert "SSK5 -> N-SSK5" in out
+    assert "EFL" in out
+    assert main(["lens", "convert", "lens.toml", "again.seq"]) == 0
+    assert load_lens(lens.parent / "again.seq").surfaces[2].shape.curvature == pytest.approx(-0.004, rel=1e-15)
+    assert main(["lens", "convert", lens.name, "lens.toml"]) == 2
+    assert "--force" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("argv", "part"),
+    [
+        (["show", "none.zmx"], "no such file"),
+        (["show", "my lens.zmx", "--strict"], "strict"),
+        (["show", "my lens.zmx", "--glass", "SSK5"], "OLD=NEW"),
+        (["show", "my lens.zmx", "--glass", "SSK5=N-BK77"], "'N-BK77'"),
+        (["show", "my lens.zmx", "--out", "no/page.html"], "no"),
+        (["convert", "my lens.zmx", "lens.xyz"], ".toml, .zmx or .seq"),
+        (["explode"], "explode"),
+        (["show"], "FILE"),
+    ],
+)
+def test_bad_input_is_told_without_a_traceback(
+    lens: Path, argv: list[str], part: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["lens", *argv]) == 2
+    error = capsys.readouterr().err
+    assert part in error
+    assert all(line.startswith("error: ") for line in error.splitlines())
+
+
+@pytest.mark.slow
+def test_the_page_holds_prescription_figures_and_every_line(lens: Path) -> None:
+    assert main(["lens", "show", lens.name]) == 0
+    page = (lens.parent / "my lens.html").read_text(encoding="utf-8")
+    assert page.count("<figure") >= 6
+    for text in ("doublet &lt;b&gt;", "N-SSK5", "GLAS SSK5 0 0 1.65844 50.88", "line by line", "EFL"):
+        assert text in page, text
+    assert "http://" not in page.replace("http://www.w3.org", "").replace("http://purl.org", "")
+    assert "<b>" not in page.split("<h1>")[1].split("</h1>")[0]
