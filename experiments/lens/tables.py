@@ -122,7 +122,10 @@ def _report(made: Study) -> dict[str, Table]:
         known = [v is not None and math.isfinite(v) for v in (one.computed, one.stated)]
         shown = [f"{v:.8g}" if k else "" for k, v in zip(known, (one.computed, one.stated), strict=True)]
         compared.append((one.name, one.unit, *shown, one.source))
-    glasses = [(g.asked, g.taken, g.where, str(g.status), g.change_text) for g in report.glasses]
+    glasses = [
+        (g.asked, g.taken, g.where, str(g.status), g.change_text if any(g.change or (1.0,)) else "none")
+        for g in report.glasses
+    ]
     return {
         "import": Table(columns=heads, rows=lines, caption="Every command of the file."),
         "inexact": Table(columns=heads, rows=inexact, caption="What makes the lens differ from the file, or may."),
