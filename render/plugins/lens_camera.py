@@ -37,6 +37,13 @@ exposure_motion : str
     Handle (`share_motion`) or file of a `render.tracing.motion.ExposureMotion`: the attitudes under which
     ``star_tracer`` sees the stars, in place of ``rotation``.
 
+housing_cte_per_k : float, default 23.6e-6
+    Expansion of the housing, for ``temperature_c`` as a parameter.
+
+Parameters of the scene (``mi.traverse``) are ``rotation``, ``attitude_rad`` (a rotation vector in cam on top of it),
+``defocus_mm`` and the numbers of the lens, `optics.lens.parameters.LENS_PARAMETERS`; ``star_tracer`` differentiates
+with respect to all of them.
+
 The film may be cropped (``crop_width`` ...): its pixels are those of the whole film.
 
 Stars are traced forward by ``star_tracer``. Extended bodies are rendered by stock integrators: `sample_ray` starts
@@ -65,6 +72,7 @@ from optics.rays.trace import OK, Rays, trace, trace_program
 from render.camera import Camera, launch_disk
 from render.engine.arrays import DrJitArrays
 from render.engine.jit import dr
+from render.plugins.camera_numbers import ALUMINIUM_PER_K, CameraNumbers
 from render.plugins.camera_properties import camera_of, exposure_motion_of, motion_of, moved
 from render.tracing.sampling import probe_fields
 
@@ -173,8 +181,8 @@ def define(mi: Any) -> type:
                 raise BackendError(f"lens_camera runs in llvm and cuda variants, not in {mi.variant()}")
             size = self.film().size()
             self.optics = camera_of(props, int(size.x), int(size.y))
-            self.rotation = mi.TensorXf64(self.optics.rotation_cam_from_world)
             self.camera = self.optics
+            self.numbers = CameraNumbers(mi, self.optics, float(props.get("housing_cte_per_k", ALUMINIUM_PER_K)))
             self.m_needs_sample_3 = True
             self.scene_unit_mm = float(props.get("scene_unit_mm", 1.0))
             self.wavelength_nm = float(props.get("wavelength_nm", self.camera.lens.design_wavelength_nm))
@@ -194,13 +202,14 @@ def define(mi: Any) -> type:
             self._turns: tuple[Any, ...] | None = None
 
         def traverse(self, callback: Any) -> None:
-            callback.put("rotation", self.rotation, mi.ParamFlags.Differentiable)
+            for name, tensor in self.numbers.tensors.items():
+                callback.put(name, tensor, mi.ParamFlags.Differentiable)
 
         def parameters_changed(self, keys: list[str]) -> None:
-            """Take over an attitude; ``optics``, the camera but for its attitude, stays the same record."""
-            turn = np.array(self.rotation.numpy(), float).reshape(3, 3)
-            if not np.array_equal(turn, self.camera.rotation_cam_from_world):
-                self.camera = replace(self.optics, rotation_cam_from_world=turn)
+            """Take over numbers; ``optics`` stays the same record as long as only the attitude changes."""
+            optics, turn = self.numbers.optics(), self.numbers.rotation()
+            if optics is not self.optics or not np.array_equal(turn, self.camera.rotation_cam_from_world):
+                self.optics, self.camera = optics, replace(optics, rotation_cam_from_world=turn)
                 self._backward = self._forward = None
 
         def _window(self) -> tuple[int, int, int, int]:

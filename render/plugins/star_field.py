@@ -175,7 +175,7 @@ def define(mi: Any) -> type:
         def stars(self) -> StarField:
             """The stars as they are now, in their own frame."""
             if self._stars is None:
-                arrays = {name: getattr(self, name).numpy() for name, _ in TENSORS}
+                arrays = {name: dr.detach(getattr(self, name)).numpy() for name, _ in TENSORS}
                 bands = arrays["wavelength_nm"].shape[0]
                 names = self._names or tuple(f"band {i}" for i in range(bands))
                 self._stars = StarField(band=names, collimation=self.collimation, **arrays)
@@ -184,7 +184,7 @@ def define(mi: Any) -> type:
         @property
         def world_from_stars(self) -> FloatArray | None:
             """``rotation`` (3, 3); None where there is none."""
-            return np.array(self.rotation.numpy(), float).reshape(3, 3) if self.turned else None
+            return np.array(dr.detach(self.rotation).numpy(), float).reshape(3, 3) if self.turned else None
 
         def traverse(self, callback: Any) -> None:
             for name in ("direction", "wavelength_nm", "photon_rate", "rotation"):

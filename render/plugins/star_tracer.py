@@ -15,6 +15,10 @@ bands as its luminance, and where there are several, each as a channel of its na
 ``integrator.traced`` for the last image and in ``integrator.traced_by(sensor)`` for the last one of a sensor, where
 pixels count on the whole film. ``seed`` scrambles the Sobol points and is the seed of ``bodies``.
 
+Derivatives (`dr.backward`, `dr.forward` of what ``mi.render(scene, params)`` returns) are those of
+`render.tracing.gradient`, with respect to directions, rates and ``rotation`` of the stars, and all numbers of the
+camera.
+
 Shapes that stand between the sky and the lens hide stars, ray by ray (`render.plugins.occlusion`).
 
 With ``bodies``, radiances in the scene count photons per s, mm^2 and sr in each band; a band's light is shared out
@@ -35,6 +39,7 @@ from optics.errors import BackendError, ConfigError
 from render.detector.diffusion import diffuse
 from render.engine.jit import dr
 from render.plugins.occlusion import SceneShade
+from render.plugins.star_gradient import attached_image
 from render.records import StarField
 from render.tracing.convergence import TOLERANCE
 from render.tracing.tracer import TracedStars, Tracer
@@ -106,6 +111,7 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
                 )
             self.traced: TracedStars | None = None
             self._traced_by: dict[int, tuple[Any, TracedStars]] = {}
+            self._number = 0
             self._tracers: dict[tuple[int, int], Tracer] = {}
 
         def render(
@@ -119,6 +125,7 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
         ) -> Any:
             camera, field = self._seen(scene, sensor)
             number = int(np.asarray(seed).item())  # a number, or a Dr.Jit array of one
+            self._number = number
             self.traced = self._trace(scene, camera, field, number)
             self._traced_by[id(camera)] = (camera, self.traced)
             film = camera.film()
@@ -129,6 +136,40 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
             image = mi.TensorXf(np.ascontiguousarray(electrons))
             put_on_film(mi, film, image, field.stars.band)
             return image
+
+        def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
+            """Derivative of the image along the gradients of the parameters."""
+            with dr.resume_grad():
+                image = self._attached(scene, sensor)
+                dr.forward_to(image)
+                return dr.grad(image)
+
+        def render_backward(
+            self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
+        ) -> None:
+            """Gradients of the parameters from that of the image."""
+            with dr.resume_grad():
+                image = self._attached(scene, sensor)
+                dr.set_grad(image, grad_in)
+                dr.enqueue(dr.ADMode.Backward, image)
+                dr.traverse(dr.ADMode.Backward)
+
+        def _attached(self, scene: Any, sensor: Any) -> Any:
+            """The image with derivatives.
+
+            Raises
+            ------
+            ConfigError
+                What has none: motion, bodies that hide stars or shine, beams that apertures cut.
+            """
+            camera, field = self._seen(scene, sensor)
+            if camera.exposure_motion is not None or self.bodies is not None:
+                what = "stars under an exposure_motion" if self.bodies is None else "bodies"
+                raise ConfigError(f"star_tracer: derivatives of {what} are not known; leave them out")
+            traced = self._traced_by.get(id(camera))
+            if traced is not None and traced[1].truth.electrons_hidden.any():
+                raise ConfigError("star_tracer: derivatives of stars that bodies hide in part are not known")
+            return attached_image(mi, self.tracer(camera, self._number), camera, field)
 
         def traced_by(self, sensor: Any) -> TracedStars:
             """What the last image of a sensor was made of."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ __all__ = ["TruthSums", "add_stamps"]
 
 
 def add_stamps(
-    image: NDArray[np.float32],
+    image: NDArray[Any],
     pixels: FloatArray,
     corner_px: FloatArray,
     electrons: FloatArray,
@@ -26,7 +27,7 @@ def add_stamps(
 
     Parameters
     ----------
-    image : (h, w, b) float32
+    image : (h, w, b) float32 or float64
         Changed in place.
     pixels : (s, b, m, m)
         Share of a star's light per pixel.
@@ -53,7 +54,7 @@ def add_stamps(
     star, band, r, c = np.nonzero(lit)
     share = pixels[star, band, r, c]
     flat = (row[star, band, r] * width + column[star, band, c]) * bands + band
-    np.add.at(image.reshape(-1), flat, (share * electrons[star, band]).astype(np.float32))
+    np.add.at(image.reshape(-1), flat, (share * electrons[star, band]).astype(image.dtype))
     kept = np.asarray(np.bincount(star * bands + band, weights=share, minlength=pixels.shape[0] * bands), float)
     return kept.reshape(pixels.shape[:2])
 

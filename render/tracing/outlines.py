@@ -20,7 +20,18 @@ from render.tracing.aimed_pupil import AimedLens, Chiefs, Rims, find_stop_rims
 from render.tracing.kernel import StarKernel
 from render.tracing.pupil_points import OutlinePoints, bounding_outline
 
-__all__ = ["GOLDEN", "NodePicks", "Outlines", "every_node", "find_outlines", "node_picks", "node_turns", "rings"]
+__all__ = [
+    "ARMS",
+    "GOLDEN",
+    "NodePicks",
+    "Outlines",
+    "every_node",
+    "find_outlines",
+    "node_picks",
+    "node_turns",
+    "outline_series",
+    "rings",
+]
 
 
 GOLDEN = 0.6180339887498949
@@ -146,6 +157,13 @@ def _series(arms: int) -> FloatArray:
     return np.concatenate([twice * np.cos(order[:, None] * angle), twice * np.sin(order[:, None] * angle)])
 
 
+def outline_series(azimuth: FloatArray) -> FloatArray:
+    """Matrices (k, a, `ARMS`) that lead from radii at `ARMS` azimuths to those at azimuths (k, a): Fourier series."""
+    order = np.arange(ARMS // 2 + 1)[:, None]
+    waves = np.concatenate([np.cos(order * azimuth[:, None]), np.sin(order * azimuth[:, None])], axis=1)
+    return np.asarray(np.swapaxes(waves, 1, 2) @ _series(ARMS))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Outlines:
     """Outlines of the beams of n stars in b bands.
@@ -203,9 +221,7 @@ class Outlines:
 
     def _at(self, azimuth: FloatArray, stars: IntArray) -> FloatArray:
         """Radii (s, b, k, a) of smooth outlines at azimuths (k, a), by their Fourier series."""
-        order = np.arange(ARMS // 2 + 1)[:, None]
-        waves = np.concatenate([np.cos(order * azimuth[:, None]), np.sin(order * azimuth[:, None])], axis=1)
-        matrix = np.swapaxes(waves, 1, 2) @ _series(ARMS)  # (k, a, m)
+        matrix = outline_series(azimuth)
         return np.asarray((matrix @ self.picks.spread(self.radius[stars], stars)[..., None])[..., 0])
 
 

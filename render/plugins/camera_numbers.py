@@ -1,0 +1,152 @@
+"""Numbers of a camera as parameters of a scene: what ``mi.traverse`` shows of ``lens_camera``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.lens.parameters import lens_parameters, steps_of, with_parameters
+from render.camera import Camera
+from render.engine.jit import dr
+
+__all__ = ["ALUMINIUM_PER_K", "CameraNumbers"]
+
+ALUMINIUM_PER_K = 23.6e-6
+"""Expansion of aluminium 6061."""
+FOCUS_STEP_MM = 1e-3
+TURN_STEP_RAD = 1e-3
+BESIDE_K = 1e-7
+_WEIGHTS = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))
+"""Fourth-order central difference."""
+
+
+class CameraNumbers:
+    """Tensors of a camera.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba in its active variant.
+    camera : Camera
+        The camera that they count from.
+    housing_cte_per_k : float
+        Expansion of the housing.
+
+    Attributes
+    ----------
+    tensors : dict of str to TensorXf64
+        ``rotation``, ``attitude_rad``, ``defocus_mm`` and what `optics.lens.parameters.lens_parameters` names.
+    """
+
+    def __init__(self, mi: Any, camera: Camera, housing_cte_per_k: float) -> None:
+        self.base, self.housing_cte_per_k = camera, housing_cte_per_k
+        self._start = {**lens_parameters(camera.lens), "defocus_mm": np.array([camera.defocus_mm])}
+        arrays = {"rotation": camera.rotation_cam_from_world, "attitude_rad": np.zeros(3), **self._start}
+        self.tensors = {name: mi.TensorXf64(np.ascontiguousarray(value)) for name, value in arrays.items()}
+        self._known, self._optics = self._start, camera
+
+    def values(self) -> dict[str, FloatArray]:
+        """Numbers of lens and focus as they are now."""
+        return {name: plain(self.tensors[name], like.shape) for name, like in self._start.items()}
+
+    def optics(self) -> Camera:
+        """The camera with these numbers, but with its first attitude; the same record while they stay the same."""
+        values = self.values()
+        if any(not np.array_equal(values[name], known) for name, known in self._known.items()):
+            self._optics, self._known = self.made(values), values
+        return self._optics
+
+    def made(self, values: dict[str, FloatArray]) -> Camera:
+        """Camera of other numbers."""
+        if all(np.array_equal(values[name], first) for name, first in self._start.items()):
+            return self.base
+        lens = with_parameters(
+            self.base.lens,
+            {name: value for name, value in values.items() if name != "defocus_mm"},
+            housing_cte_per_k=self.housing_cte_per_k,
+        )
+        return replace(self.base, lens=lens, defocus_mm=float(values["defocus_mm"][0]))
+
+    def rotation(self) -> FloatArray:
+        """Cam from world (3, 3), with the turn on top."""
+        rotation, turn = plain(self.tensors["rotation"], (3, 3)), plain(self.tensors["attitude_rad"], (3,))
+        return np.asarray(Rotation.from_rotvec(turn).as_matrix() @ rotation) if turn.any() else rotation
+
+    def _centre(self) -> dict[str, FloatArray]:
+        """Numbers about which derivatives are taken.
+
+        Glasses have thermal terms only away from the temperature of their catalogue: where that is differentiated, all
+        is done `BESIDE_K` beside it.
+        """
+        values = self.values()
+        if dr.grad_enabled(self.tensors["temperature_c"]):
+            values["temperature_c"] = values["temperature_c"] + BESIDE_K
+        return values
+
+    def derivatives(
+        self, numbers_of: Callable[[Camera], FloatArray]
+    ) -> tuple[Camera, list[tuple[str, int, FloatArray]]]:
+        """How a vector that is made of a camera changes with every number whose derivative is asked for.
+
+        Parameters
+        ----------
+        numbers_of : callable
+            Camera to array; smooth, so that differences of fourth order are right to rounding.
+
+        Returns
+        -------
+        camera : Camera
+            The camera itself.
+        list of (str, int, array)
+            Name, position in its flat array, derivative.
+        """
+        values = self._centre()
+        steps = {**steps_of({k: v for k, v in values.items() if k != "defocus_mm"})}
+        steps["defocus_mm"] = np.array([FOCUS_STEP_MM])
+        found = []
+        for name, value in values.items():
+            if not dr.grad_enabled(self.tensors[name]):
+                continue
+            for at in np.ndindex(value.shape):
+                if not self._free(values, name, at):
+                    continue
+                total: Any = 0.0
+                for times, weight in _WEIGHTS:
+                    moved = value.copy()
+                    moved[at] += times * steps[name][at]
+                    total = total + weight * numbers_of(self.made({**values, name: moved}))
+                found.append((name, int(np.ravel_multi_index(at, value.shape)), total / steps[name][at]))
+        return self.made(values), found
+
+    def _free(self, values: dict[str, FloatArray], name: str, at: tuple[int, ...]) -> bool:
+        """Whether a surface has this number."""
+        moved = values[name].copy()
+        moved[at] += 1e-12 + abs(moved[at]) * 1e-9
+        try:
+            self.made({**values, name: moved})
+        except DomainError:
+            return False
+        return True
+
+    def turn_derivatives(self) -> FloatArray:
+        """Derivative (3, 3, 3) of the turn's matrix with respect to ``attitude_rad``, last axis."""
+        turn = plain(self.tensors["attitude_rad"], (3,))
+        columns = []
+        for axis in np.eye(3):
+            moved = (
+                weight * Rotation.from_rotvec(turn + times * TURN_STEP_RAD * axis).as_matrix()
+                for times, weight in _WEIGHTS
+            )
+            columns.append(sum(moved, np.zeros((3, 3))) / TURN_STEP_RAD)
+        return np.stack(columns, axis=-1)
+
+
+def plain(tensor: Any, shape: tuple[int, ...]) -> FloatArray:
+    """Numbers of a tensor, without derivatives."""
+    return np.array(dr.detach(tensor).numpy(), float).reshape(shape)

@@ -1,0 +1,100 @@
+"""The image of a scene's stars with derivatives: from the parameters of `mi.traverse` to `render.tracing.gradient`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from optics.arrays import FloatArray
+from render.engine.jit import dr
+from render.plugins.camera_numbers import plain
+from render.tracing.gradient import lens_numbers, star_image
+from render.tracing.tracer import Tracer
+
+__all__ = ["attached_image"]
+
+Matrix = list[list[Any]]
+
+
+def attached_image(mi: Any, tracer: Tracer, camera: Any, field: Any) -> Any:
+    """Image (h, w, b) of a ``star_field`` through a ``lens_camera``, as a tensor with derivatives.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba in its active variant.
+    tracer : Tracer
+        Of the camera.
+    camera, field
+        The plugins.
+    """
+    F, stars, numbers = mi.Float64, field.stars, camera.numbers
+    turn = _times(_turn(F, numbers), _entries(F, numbers.tensors["rotation"]))
+    if field.turned:
+        turn = _times(turn, _entries(F, field.rotation))
+    count = dr.arange(mi.UInt32, len(stars))
+    s = [dr.gather(F, field.direction.array, 3 * count + axis) for axis in range(3)]
+    length = dr.rsqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2])
+    direction = [(row[0] * s[0] + row[1] * s[1] + row[2] * s[2]) * length for row in turn]
+    rotation = np.array([[float(np.asarray(dr.detach(v).numpy())[0]) for v in row] for row in turn])
+    optics, slopes = numbers.derivatives(lambda other: lens_numbers(other, tracer.pupil).values)
+    known = lens_numbers(optics, tracer.pupil)
+    vector, moves = F(known.values), np.zeros(len(known.values), np.bool_)
+    for name, at, slope in slopes:
+        moves |= slope != 0.0
+        number = dr.gather(F, numbers.tensors[name].array, mi.UInt32(at))
+        vector = vector + F(np.ascontiguousarray(slope)) * (number - dr.detach(number))
+    image = star_image(
+        mi,
+        tracer,
+        stars,
+        rotation,
+        camera.exposure_s,
+        numbers=known,
+        vector=vector,
+        moves=moves,
+        direction=direction,
+        rate=field.photon_rate.array,
+    )
+    return _on_crop(mi, image, camera, len(stars.band))
+
+
+def _on_crop(mi: Any, image: Any, camera: Any, bands: int) -> Any:
+    """The film's crop of a flat image, in single precision."""
+    film, width = camera.film(), camera.optics.width_px
+    (left, top), (columns, rows) = film.crop_offset(), film.crop_size()
+    lane = dr.arange(mi.UInt32, int(rows * columns * bands))
+    band, column, row = lane % bands, lane // bands % int(columns), lane // int(bands * columns)
+    at = ((row + int(top)) * width + column + int(left)) * bands + band
+    return mi.TensorXf(mi.Float(dr.gather(mi.Float64, image, at)), (int(rows), int(columns), bands))
+
+
+def _entries(F: Any, tensor: Any) -> Matrix:
+    """Entries (3, 3) of a tensor."""
+    array = tensor.array
+    index = dr.uint32_array_t(F)
+    return [[dr.gather(F, array, index(3 * row + column)) for column in range(3)] for row in range(3)]
+
+
+def _times(left: Matrix, right: Matrix) -> Matrix:
+    """Product of two matrices."""
+    return [
+        [sum((left[i][k] * right[k][j] for k in range(1, 3)), left[i][0] * right[0][j]) for j in range(3)]
+        for i in range(3)
+    ]
+
+
+def _turn(F: Any, numbers: Any) -> Matrix:
+    """Matrix of ``attitude_rad``, with its derivatives."""
+    tensor = numbers.tensors["attitude_rad"]
+    value: FloatArray = Rotation.from_rotvec(plain(tensor, (3,))).as_matrix()
+    index = dr.uint32_array_t(F)
+    changes = [dr.gather(F, tensor.array, index(axis)) for axis in range(3)]
+    changes = [change - dr.detach(change) for change in changes]
+    slope = numbers.turn_derivatives()
+    return [
+        [sum((float(slope[i, j, k]) * changes[k] for k in range(3)), F(float(value[i, j]))) for j in range(3)]
+        for i in range(3)
+    ]

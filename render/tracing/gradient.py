@@ -1,0 +1,385 @@
+"""The image of stars as a function that Dr.Jit differentiates: lens, focus, directions and rates.
+
+The same rays as those of `render.tracing.tracer` are traced once more, in arrays with derivatives: pixel values are
+sums over rays of what diffusion leaves on a pixel, so their derivatives are exact, of the quadrature itself. What
+quadrature and lens have in common moves too: where the stop lies inside, the chief ray and the outline of the beam are
+where a function of lens and direction is zero, and one Newton step from the point that is known there has its
+derivative. A beam that other apertures cut (arcs, or Sobol points that are lost at an edge) has none that sampling can
+tell, and is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optics.arrays import BoolArray, FloatArray, IntArray
+from optics.errors import ConfigError
+from optics.rays.aim import front_of, without_apertures
+from optics.rays.program import LensProgram, compile_lens
+from optics.rays.pupil import EntrancePupil
+from optics.rays.trace import Rays, trace_program
+from render.camera import Camera
+from render.engine.arrays import DrJitArrays
+from render.engine.jit import dr
+from render.records import StarField
+from render.tracing.kernel import PIXEL_REACH
+from render.tracing.outlines import ARMS, Outlines, outline_series
+from render.tracing.paths import at_rest
+from render.tracing.pupil_points import OutlinePoints, TablePoints
+from render.tracing.tracer import Tracer
+
+__all__ = ["LensNumbers", "lens_numbers", "star_image"]
+
+AIM, RIM = 1e-4, 1e-5
+"""Differences by which the slopes of Newton's last step are taken, in radii of the launch disk."""
+PASS_RAYS = 1 << 22
+
+
+@dataclass(frozen=True, slots=True)
+class LensNumbers:
+    """What the trace reads of a camera, as one vector: lens, lens up to the stop, launch disk, stop's radius.
+
+    Attributes
+    ----------
+    program, front : LensProgram
+        The lens, and the lens up to its stop without apertures; both read the same parameters.
+    stop : int
+        Number of the stop.
+    values : (m,)
+        The parameters, then centre and radius of the launch disk (4) and the radius of the stop.
+    """
+
+    program: LensProgram
+    front: LensProgram
+    stop: int
+    values: FloatArray
+
+
+def lens_numbers(camera: Camera, pupil: EntrancePupil) -> LensNumbers:
+    """Numbers of a camera, in a structure that its perturbed copies share.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    pupil : EntrancePupil
+        Launch disk of the camera or, where the stop lies inside, of one that it is a perturbed copy of: what is aimed
+        does not depend on where it starts.
+    """
+    lens = camera.focused_lens
+    program, theta = compile_lens(lens, general=True)
+    stop = lens.surfaces[lens.stop_index]
+    disk = [pupil.x_mm, pupil.y_mm, pupil.z_mm, pupil.radius_mm]
+    if pupil.exact:
+        disk = [*stop.position_mm.tolist(), stop.semi_diameter_mm]
+    front = front_of(without_apertures(program), lens.stop_index)
+    return LensNumbers(program, front, lens.stop_index, np.concatenate([theta, disk, [stop.semi_diameter_mm]]))
+
+
+class _Numbers:
+    """One array, element by element, as wide as the rays: derivatives of all of them are then one vector.
+
+    Elements that nothing moves are single numbers.
+    """
+
+    def __init__(self, scene: _Scene, width: int, start: int = 0) -> None:
+        self.scene, self.start = scene, start
+        self.base = dr.arange(scene.U, width) * dr.opaque(scene.U, 0)
+
+    def __getitem__(self, at: int | slice) -> Any:
+        if isinstance(at, slice):
+            return [self[i] for i in range(at.start, at.stop)]
+        scene, index = self.scene, self.start + at
+        if scene.moves[index]:
+            return dr.gather(scene.F, scene.vector, self.base + index)
+        return dr.gather(scene.F, scene.still, dr.opaque(scene.U, index))
+
+
+@dataclass(frozen=True, slots=True)
+class _Bundle:
+    """What one bundle of lanes needs; see `_Scene.bundle`."""
+
+    theta: _Numbers
+    disk: list[Any]
+    stop: Any
+
+
+class _Scene:
+    """Arrays with derivatives that all passes share."""
+
+    def __init__(
+        self, mi: Any, tracer: Tracer, numbers: LensNumbers, vector: Any, moves: BoolArray, light: list[Any]
+    ) -> None:
+        self.still, self.moves = dr.detach(vector), moves
+        self.F, self.U, self.I = mi.Float64, mi.UInt32, mi.Int32
+        self.xp = DrJitArrays(self.F)
+        self.camera, self.numbers, self.vector, self.light = tracer.camera, numbers, vector, light
+
+    def bundle(self, width: int) -> _Bundle:
+        """Numbers of the lens for so many lanes."""
+        tail = _Numbers(self, width, self.numbers.program.size)
+        return _Bundle(_Numbers(self, width), tail[0:4], tail[4])
+
+    def trace(self, bundle: _Bundle, star: Any, px: Any, py: Any, wave: Any, *, to_stop: bool = False) -> Rays:
+        """Rays of stars through points of the launch disk, on the image plane or at the stop."""
+        x0, y0, z0, radius = bundle.disk
+        dx, dy, dz = (dr.gather(self.F, component, star) for component in self.light)
+        zero = dr.zeros(self.I, dr.width(star))
+        rays = Rays(
+            x=x0 + px * radius, y=y0 + py * radius, z=z0 + 0.0 * px, dx=dx, dy=dy, dz=dz,
+            wavelength_nm=wave, opl_mm=self.F(0.0), status=zero, failed_at=zero - 1,
+        )  # fmt: skip
+        if not to_stop:
+            return trace_program(self.numbers.program, bundle.theta, rays, self.xp)
+        found: list[Rays] = []
+
+        def visit(number: int, there: Rays) -> None:
+            if number == self.numbers.stop:
+                found.append(there)
+
+        trace_program(self.numbers.front, bundle.theta, rays, self.xp, visit)
+        return found[0]
+
+
+def _newton(value: Any, slope: Any, at: Any) -> Any:
+    """One Newton step from a root: the root again, with its derivative."""
+    return dr.detach(at) - value / dr.detach(slope)
+
+
+def star_image(
+    mi: Any,
+    tracer: Tracer,
+    stars: StarField,
+    rotation: FloatArray,
+    exposure_s: float,
+    *,
+    numbers: LensNumbers,
+    vector: Any,
+    moves: BoolArray,
+    direction: list[Any],
+    rate: Any,
+) -> Any:
+    """Electrons of every pixel and band (h w b,) as an array with derivatives.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba in a variant with derivatives.
+    tracer : Tracer
+        Of the camera.
+    stars : StarField
+        The stars.
+    rotation : (3, 3)
+        Cam from world.
+    exposure_s : float
+        Exposure time.
+    numbers : LensNumbers
+        The camera's.
+    vector : Float64 (m,)
+        The same values, with derivatives.
+    moves : (m,)
+        Which of them have any.
+    direction : 3 of Float64 (n,)
+        Unit vectors towards the stars in cam, with derivatives.
+    rate : Float64 (n b k,)
+        Photon rates, with derivatives.
+
+    Raises
+    ------
+    ConfigError
+        Stars whose beam is cut, light behind a collimator.
+    """
+    if tracer.camera.diffraction != "rays":
+        raise ConfigError("derivatives of diffraction images are not known; set diffraction to rays")
+    if stars.collimation is not None:
+        raise ConfigError("derivatives of stars behind a collimator are not known; leave collimation out")
+    F = mi.Float64
+    camera, planner = tracer.camera, tracer.planner
+    paths = at_rest(np.asarray(stars.direction @ rotation.T))
+    seen = planner.seen(paths, stars.wavelength_nm)
+    chiefs = planner.chiefs(seen.mid, stars.wavelength_nm)
+    scene = _Scene(mi, tracer, numbers, vector, moves, [direction[0], -direction[1], direction[2]])
+    response = F(np.ascontiguousarray(camera.response_at(stars.wavelength_nm).ravel()))
+    bands, nodes = stars.wavelength_nm.shape
+    image = dr.zeros(F, camera.height_px * camera.width_px * bands)
+    outlines = None if planner.pupil.exact else planner.shapes(seen, chiefs).outlines
+    groups, *_ = planner.groups(seen, stars.wavelength_nm, chiefs)
+    for group in groups:
+        if not len(group.members):
+            continue
+        if group.plan.mode != "quadrature":
+            raise ConfigError(
+                f"star {group.members[0]} has no derivative: its beam is sampled by {group.plan.mode}, as the lens or "
+                "the charge diffusion leaves no smooth outline; stars whose beam only the stop limits have one"
+            )
+        step = max(1, PASS_RAYS // (bands * nodes * group.plan.rays_per_node))
+        for part in (group.members[i : i + step] for i in range(0, len(group.members), step)):
+            points = group.points(part)
+            if isinstance(points, OutlinePoints):
+                assert outlines is not None
+                sample = _outline_points(scene, outlines, part, points, stars.wavelength_nm)
+            else:
+                assert isinstance(points, TablePoints)
+                sample = _table_points(scene, points)
+            _splat(mi, scene, image, part, points.count, stars.wavelength_nm, sample, rate, response, exposure_s)
+    return image
+
+
+Sample = Callable[[Any, Any, Any], tuple[Any, Any, Any]]
+"""(slot, node, point) -> coordinates in radii of the launch disk, and share of its area."""
+
+
+def _table_points(scene: _Scene, points: TablePoints) -> Sample:
+    types = scene  # offers Float64 and UInt32 as the engine's module of types does
+
+    class Types:
+        Float64, UInt32 = types.F, types.U
+
+    return lambda slot, node, point: points.sample(Types, slot, node, point)
+
+
+def _outline_points(
+    scene: _Scene, outlines: Outlines, part: IntArray, points: OutlinePoints, wavelength_nm: FloatArray
+) -> Sample:
+    """Points inside outlines that move with lens and direction."""
+    F, U = scene.F, scene.U
+    centre = _chiefs(scene, outlines.chief, part, wavelength_nm.mean(1))
+    few = _rims(scene, outlines, part, centre)
+    bands, picked = len(wavelength_nm), outlines.picks.count
+    nodes, arms = points.radius.shape[-2:]
+    matrix = outline_series(points.azimuth)  # (nodes, arms, ARMS)
+    colours = outlines.picks.colours  # (b, nodes, picked)
+    lane = dr.arange(U, len(part) * bands * nodes * arms)
+    arm, node, slot = lane % arms, lane // arms % nodes, lane // (arms * nodes)
+    band = slot % bands
+    radius = dr.zeros(F, 1)
+    for j in range(picked):
+        colour = dr.gather(F, F(np.ascontiguousarray(colours[:, :, j].ravel())), band * nodes + node)
+        for m in range(ARMS):
+            factor = dr.gather(F, F(np.ascontiguousarray(matrix[:, :, m].ravel())), node * arms + arm)
+            radius = radius + colour * factor * dr.gather(F, few, (slot * picked + j) * ARMS + m)
+    along = [F(np.ascontiguousarray(v.ravel())) for v in (np.cos(points.azimuth), np.sin(points.azimuth))]
+    weight = F(points.ring_weight)
+    part_of_turn = float((points.share / points.radius**2).flat[0])  # the same for every azimuth
+    ring, which = F(points.ring), U(points.arm)
+
+    def sample(slot: Any, node: Any, point: Any) -> tuple[Any, Any, Any]:
+        arm, rho = dr.gather(U, which, point), dr.gather(F, ring, point)
+        rim = dr.gather(F, radius, (slot * nodes + node) * arms + arm)
+        at = node * arms + arm
+        x, y = (dr.gather(F, centre[axis], slot) + rho * rim * dr.gather(F, along[axis], at) for axis in (0, 1))
+        return x, y, rim * rim * part_of_turn * dr.gather(F, weight, point)
+
+    return sample
+
+
+def _chiefs(scene: _Scene, chief: FloatArray, part: IntArray, wavelength_nm: FloatArray) -> list[Any]:
+    """Launch points of chief rays (s b,), in radii of the launch disk, with derivatives."""
+    F, U = scene.F, scene.U
+    bands = len(wavelength_nm)
+    lane = dr.arange(U, len(part) * bands)
+    star = dr.gather(U, U(part.astype(np.uint32)), lane // bands)
+    wave = dr.gather(F, F(wavelength_nm), lane % bands)
+    start = [F(np.ascontiguousarray(chief[part][..., axis].ravel())) for axis in (0, 1)]
+    bundle = scene.bundle(len(part) * bands)
+
+    def at_stop(px: Any, py: Any) -> tuple[Any, Any]:
+        rays = scene.trace(bundle, star, px, py, wave, to_stop=True)
+        return rays.x, rays.y
+
+    with dr.suspend_grad():
+        columns = []
+        for dx, dy in ((AIM, 0.0), (0.0, AIM)):
+            ahead, back = at_stop(start[0] + dx, start[1] + dy), at_stop(start[0] - dx, start[1] - dy)
+            columns.append([(a - b) * (0.5 / AIM) for a, b in zip(ahead, back, strict=True)])
+        (a, c), (b, d) = columns
+        scale = 1.0 / (a * d - b * c)
+        dr.eval(a, b, c, d, scale)
+    u, v = at_stop(*start)
+    return [start[0] - (d * u - b * v) * scale, start[1] - (a * v - c * u) * scale]
+
+
+def _rims(scene: _Scene, outlines: Outlines, part: IntArray, centre: list[Any]) -> Any:
+    """Radii of outlines (s b picked `ARMS`,) with derivatives."""
+    F, U = scene.F, scene.U
+    picks = outlines.picks
+    bands, picked = picks.wavelength_nm.shape
+    lane = dr.arange(U, len(part) * bands * picked * ARMS)
+    arm, pick, slot = lane % ARMS, lane // ARMS % picked, lane // (ARMS * picked)
+    star = dr.gather(U, U(part.astype(np.uint32)), slot // bands)
+    wave = dr.gather(F, F(picks.wavelength_nm.ravel()), slot % bands * picked + pick)
+    sine, cosine = dr.sincos(F(arm) * (2.0 * np.pi / ARMS))
+    x, y = (dr.gather(F, component, slot) for component in centre)
+    start = F(np.ascontiguousarray(outlines.radius[part].ravel()))
+    bundle = scene.bundle(len(part) * bands * picked * ARMS)
+
+    def height(radius: Any) -> Any:
+        rays = scene.trace(bundle, star, x + radius * cosine, y + radius * sine, wave, to_stop=True)
+        return dr.sqrt(rays.x * rays.x + rays.y * rays.y) / bundle.stop
+
+    with dr.suspend_grad():
+        slope = (height(start + RIM) - height(start - RIM)) * (0.5 / RIM)
+        dr.eval(slope)
+    return _newton(height(start) - 1.0, slope, start)
+
+
+def _splat(
+    mi: Any,
+    scene: _Scene,
+    image: Any,
+    part: NDArray[Any],
+    count: int,
+    wavelength_nm: FloatArray,
+    sample: Sample,
+    rate: Any,
+    response: Any,
+    exposure_s: float,
+) -> None:
+    """Add stars to the image, ray by ray, as `render.tracing.kernel.StarKernel.splat` does."""
+    F, U, camera = scene.F, scene.U, scene.camera
+    bands, nodes = wavelength_nm.shape
+    total = len(part) * bands * nodes * count
+    lane = dr.arange(U, total)
+    point, node, slot = lane % count, lane // count % nodes, lane // (count * nodes)
+    star, colour = dr.gather(U, U(part.astype(np.uint32)), slot // bands), slot % bands * nodes + node
+    wave = dr.gather(F, F(wavelength_nm.ravel()), colour)
+    bundle = scene.bundle(total)
+    px, py, share = sample(slot, node, point)
+    rays = scene.trace(bundle, star, px, py, wave)
+    pitch, (cx, cy) = camera.pixel_pitch_mm, camera.centre_px
+    x, y = float(cx) + rays.x * (1.0 / pitch), float(cy) - rays.y * (1.0 / pitch)
+    toward = dr.gather(F, scene.light[2], star)
+    area = np.pi * exposure_s * dr.square(bundle.disk[3])
+    light = dr.gather(F, rate, star * (bands * nodes) + colour) * dr.gather(F, response, colour)
+    light = light * toward * area * share
+    sigma = camera.charge_diffusion_px
+    columns, rows = (_shares(scene, v + 0.5, sigma) for v in (x, y))
+    sensitive = camera.sensitive_columns
+    open_ = None if sensitive is None else mi.Bool(sensitive)
+    for r, along_y in enumerate(rows[1]):
+        row = rows[0] + r
+        for c, along_x in enumerate(columns[1]):
+            column = columns[0] + c
+            inside = (row >= 0) & (row < camera.height_px) & (column >= 0) & (column < camera.width_px)
+            if open_ is not None:
+                inside &= dr.gather(mi.Bool, open_, U(dr.maximum(column, 0)), inside)
+            index = (U(row) * camera.width_px + U(column)) * bands + slot % bands
+            dr.scatter_add(image, light * along_y * along_x, index, inside)
+
+
+def _shares(scene: _Scene, position: Any, sigma: float) -> tuple[Any, list[Any]]:
+    """First pixel and shares of a Gaussian around a position counted from the image's edge."""
+    F = scene.F
+    width = int(np.ceil(2.0 * PIXEL_REACH * sigma))
+    first = dr.detach(dr.floor(position - 0.5 * width))
+    shares, below = [], F(-1.0)
+    for tap in range(1, width + 2):
+        up_to = dr.erf((first + tap - position) * (1.0 / (np.sqrt(2.0) * sigma))) if tap <= width else F(1.0)
+        shares.append(0.5 * (up_to - below))
+        below = up_to
+    return scene.I(first), shares

@@ -1,0 +1,182 @@
+"""Derivatives through `mi.render` against central differences of images of the forward engine, in double precision."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from optics.lens.prescription import load_lens
+from render.camera import Camera
+from render.forward import star_scene
+from render.records import StarField
+
+WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
+"""Sixth-order central difference (Fornberg 1988, Math. Comp. 51, 699)."""
+# focal length, pixel pitch and focus of the bench; a spot at its best focus has no slope against focus
+BENCHES = {"star_camera_206mm": (206.2, 5.5e-3, 0.03), "star_tracker_26mm": (26.0, 10e-3, 0.02)}
+
+
+def scene_of(mi, lens, **camera):
+    """Two stars on a small film, some hundred pixels from the axis.
+
+    Diffusion of 0.16 px is spread over 6.2 standard deviations: what is cut there would else be a step in differences.
+    """
+    focal_mm, pitch_mm, focus_mm = BENCHES[lens]
+    settings = {"width_px": 40, "height_px": 36, "defocus_mm": focus_mm, "charge_diffusion_px": 0.16} | camera
+    record = Camera(lens=load_lens(lens), pixel_pitch_mm=pitch_mm, centre_px=np.array([-100.0, -80.0]), **settings)
+    stars = StarField(
+        direction=record.nominal_direction(np.array([18.3, 26.8]), np.array([17.7, 12.1]), focal_mm),
+        wavelength_nm=np.array([[500.0, 600.0, 700.0]]),
+        photon_rate=np.array([[[10.0, 12.0, 9.0]], [[5.0, 4.0, 7.0]]]),
+        band=("band",),
+    )
+    return mi.load_dict(star_scene(record, stars, exposure_s=0.5, tolerance=1e-6))
+
+
+def exact_image(scene):
+    """Image in double precision as the forward engine makes it."""
+    camera, field = scene.sensors()[0], scene.emitters()[0]
+    tracer = scene.integrator().tracer(camera, 0)
+    paths = tracer._in_cam(field.stars, camera.camera.rotation_cam_from_world)
+    light = tracer._light(field.stars, paths, camera.exposure_s)
+    image = np.zeros((camera.optics.height_px, camera.optics.width_px, 1))
+    tracer._trace(light, paths, image)
+    return image
+
+
+def moments(scene):
+    """Weights whose sum with the image is smooth in everything: light, place and size of the spots."""
+    truth = scene.integrator().traced.truth
+    u = np.arange(40) - truth.photon_x_px.mean()
+    v = np.arange(36)[:, None] - truth.photon_y_px.mean()
+    return (3.0 + 0.3 * u + 0.2 * v + 0.05 * u * u + 0.03 * v * v + 0.02 * u * v)[..., None].astype(np.float32)
+
+
+def gradients(mi, scene, params, keys):
+    """Of the weighted sum of the image, by reverse mode."""
+    import drjit as dr
+
+    for key in keys:
+        dr.enable_grad(params[key])
+    image = mi.render(scene, params)
+    weight = moments(scene)
+    dr.backward(dr.sum(image * mi.TensorXf(weight), axis=None))
+    found = {key: np.array(dr.grad(params[key]).numpy(), float) for key in keys}
+    for key in keys:
+        dr.disable_grad(params[key])
+    return found, weight.astype(float)
+
+
+def difference(mi, scene, params, weight, key, direction):
+    """Central difference of the weighted sum along a direction in a parameter."""
+    start = np.array(params[key].numpy(), float)
+    total = 0.0
+    for times, factor in WEIGHTS.items():
+        value = start + times * direction
+        if key == "stars.direction":
+            value /= np.linalg.norm(value, axis=1, keepdims=True)
+        params[key] = mi.TensorXf64(value)
+        params.update()
+        total += factor * float((exact_image(scene) * weight).sum())
+    params[key] = mi.TensorXf64(start)
+    params.update()
+    return total
+
+
+def check(mi, scene, steps):
+    """All kinds in one reverse pass, against differences one by one."""
+    params = mi.traverse(scene)
+    found, weight = gradients(mi, scene, params, list(dict.fromkeys(key for key, *_ in steps)))
+    for key, at, step in steps:
+        direction = np.zeros(np.shape(found[key]))
+        direction[at] = step
+        expected = difference(mi, scene, params, weight, key, direction)
+        assert abs(expected) > 1e-3, key  # more than nothing happens
+        assert float((found[key] * direction).sum()) == pytest.approx(expected, rel=1e-6), (key, at)
+
+
+def test_stars_and_attitude(mi):
+    """Directions, rates, and attitude of stars and camera; forward mode tells the same."""
+    import drjit as dr
+
+    scene = scene_of(mi, "star_camera_206mm")
+    steps = [
+        ("stars.photon_rate", (0, 0, 1), 1.0),
+        ("stars.direction", (0, 0), 3e-7),
+        ("stars.direction", (1, 1), 3e-7),
+        ("camera.attitude_rad", 0, 3e-7),
+        ("camera.attitude_rad", 1, 3e-7),
+        ("camera.attitude_rad", 2, 1e-4),
+    ]
+    check(mi, scene, steps)
+    params = mi.traverse(scene)
+    turn = params["camera.attitude_rad"]
+    dr.enable_grad(turn)
+    image = mi.render(scene, params)
+    dr.set_grad(turn, mi.TensorXf64(np.array([0.0, 1.0, 0.0])))
+    dr.enqueue(dr.ADMode.Forward, turn)
+    dr.traverse(dr.ADMode.Forward)
+    forward = dr.grad(image).numpy()
+    dr.disable_grad(turn)
+    weight = moments(scene).astype(float)
+    expected = difference(mi, scene, params, weight, "camera.attitude_rad", np.array([0.0, 3e-7, 0.0])) / 3e-7
+    assert float((forward * weight).sum()) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_lens_with_its_stop_in_front(mi):
+    """The stop in front of all glass: the launch disk is the stop."""
+    steps = [
+        ("camera.curvature_per_mm", 2, 5e-9),
+        ("camera.thickness_mm", 2, 5e-4),
+        ("camera.defocus_mm", 0, 5e-4),
+        ("camera.temperature_c", 0, 0.1),
+        ("camera.decentre_mm", (1, 0), 1e-4),
+        ("camera.tilt_deg", (1, 1), 3e-5),
+    ]
+    check(mi, scene_of(mi, "star_camera_206mm"), steps)
+
+
+@pytest.mark.slow
+def test_lens_with_its_stop_inside(mi):
+    """Aspheres, and outlines of beams that move with the lens."""
+    steps = [
+        ("camera.curvature_per_mm", 1, 1.5e-6),
+        ("camera.thickness_mm", 2, 5e-4),
+        ("camera.conic", 0, 2e-3),
+        ("camera.asphere", (10, 0), 5e-7),
+        ("camera.defocus_mm", 0, 5e-4),
+        ("camera.decentre_mm", (1, 0), 3e-4),
+        ("camera.tilt_deg", (0, 1), 2e-4),
+        ("camera.attitude_rad", 0, 4e-6),
+    ]
+    check(mi, scene_of(mi, "star_tracker_26mm"), steps)
+
+
+def test_what_has_no_derivative_is_refused(mi):
+    """Beams by Sobol points (no diffusion, a stop inside), and bodies in the same image."""
+    import drjit as dr
+
+    scene = scene_of(mi, "star_tracker_26mm", charge_diffusion_px=0.0)
+    params = mi.traverse(scene)
+    dr.enable_grad(params["stars.photon_rate"])
+    image = mi.render(scene, params)
+    with pytest.raises(Exception, match=r"star 0 has no derivative: its beam is sampled by sobol"):
+        dr.backward(dr.sum(image, axis=None))
+
+
+def test_numbers_that_a_surface_has_not(mi):
+    """A plane has no curvature, a sphere no conic constant; a stop that stands alone is not tilted."""
+    scene = scene_of(mi, "star_camera_206mm")
+    params = mi.traverse(scene)
+    for key, at, message in (
+        ("camera.conic", 1, "is a sphere; it has no conic"),
+        ("camera.tilt_deg", (0, 0), "is a stop that stands alone"),
+    ):
+        value = np.array(params[key].numpy(), float)
+        kept = value.copy()
+        value[at] = 0.1
+        params[key] = mi.TensorXf64(value)
+        with pytest.raises(Exception, match=message):
+            params.update()
+        params[key] = mi.TensorXf64(kept)
