@@ -21,7 +21,8 @@ sampling_weight : float, default 1e-30
     How often stock integrators pick the stars rather than another emitter, against 1 of these. By default never, so
     that the stars add no noise to bodies that the Sun or a lamp lights; where they are the only light they are picked.
 scene_centre, scene_radius : point, float
-    Sphere that holds the scene, where ``ptracer`` starts its rays.
+    Sphere that holds the scene, where ``ptracer`` starts its rays; without it the stars give it no light, which a
+    warning says, and an error where ``sampling_weight`` asks for their light.
 
 Each tensor may have a leading axis of size one: Mitsuba's property parser takes a tensor whose first axis has three
 entries for a colour, and nanobind says so on the error stream before it falls back to the tensor. Directions,
@@ -53,6 +54,7 @@ __all__ = ["NEVER", "define", "find_collimation", "save_star_field", "share_coll
 
 NEVER = 1e-30
 """Sampling weight that any other emitter's outweighs; of 0 alone Mitsuba makes no distribution."""
+NO_RADIUS = "ptracer starts rays around the scene; give scene_centre and scene_radius of a sphere that holds it"
 FAR = 1e10
 """Distance in scene units at which shadow rays may end."""
 NARROWEST_NM = 10.0
@@ -165,6 +167,7 @@ def define(mi: Any) -> type:
             self.collimation = find_collimation(handle) if handle else None
             self._centre = mi.ScalarPoint3f(props.get("scene_centre", mi.ScalarPoint3f(0.0)))
             self._radius = float(props.get("scene_radius", 0.0))
+            self._said = False
             self._stars: StarField | None = None
             self._light: _Light | None = None
             self.m_needs_sample_3 = True
@@ -234,10 +237,11 @@ def define(mi: Any) -> type:
         ) -> tuple[Any, Any]:
             """Ray from a disk that covers the scene as a star sees it; the weight is that of ``ptracer``."""
             if not self._radius > 0.0:
-                raise ConfigError(
-                    "star_field: ptracer starts rays around the scene; give scene_centre and scene_radius of a sphere "
-                    "that holds it"
-                )
+                if self.sampling_weight() > 2.0 * NEVER:
+                    raise ConfigError(f"star_field: {NO_RADIUS}")
+                if not self._said:
+                    mi.Log(mi.LogLevel.Warn, f"star_field adds no light: {NO_RADIUS}")
+                self._said = True
             light = self._as_light()
             star, share = light.pick.sample_pmf(sample3.x, active)
             toward = light.direction(star, active)

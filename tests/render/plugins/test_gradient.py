@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -95,13 +98,19 @@ def check(mi, scene, steps):
         assert float((found[key] * direction).sum()) == pytest.approx(expected, rel=1e-6), (key, at)
 
 
+def test_rates_backwards(mi):
+    """The image is linear in them: the derivative is the image of a unit rate."""
+    scene = scene_of(mi, "star_camera_206mm")
+    check(mi, scene, [("stars.photon_rate", (0, 0, 1), 1.0), ("stars.photon_rate", (1, 0, 2), 1.0)])
+
+
+@pytest.mark.slow
 def test_stars_and_attitude(mi):
     """Directions, rates, and attitude of stars and camera; forward mode tells the same."""
     import drjit as dr
 
     scene = scene_of(mi, "star_camera_206mm")
     steps = [
-        ("stars.photon_rate", (0, 0, 1), 1.0),
         ("stars.direction", (0, 0), 3e-7),
         ("stars.direction", (1, 1), 3e-7),
         ("camera.attitude_rad", 0, 3e-7),
@@ -125,14 +134,26 @@ def test_stars_and_attitude(mi):
 
 @pytest.mark.slow
 def test_lens_with_its_stop_in_front(mi):
-    """The stop in front of all glass: the launch disk is the stop."""
+    """The stop in front of all glass: the launch disk is the stop. The documentation's lines do the same."""
+    import drjit as dr
+
+    text = (Path(__file__).parents[3] / "docs" / "rendering.md").read_text(encoding="utf-8")
+    lines = re.search(r"## Derivatives\n\n```python\n(.*?)```", text, flags=re.DOTALL)[1]
+    scene = scene_of(mi, "star_camera_206mm")
+    mi.render(scene)
+    weight = moments(scene)
+    names = {"mi": mi, "dr": dr, "scene": scene, "weight": mi.TensorXf(weight)}
+    exec(compile(lines, "rendering.md", "exec"), names)
+    found = float(dr.grad(names["params"]["camera.defocus_mm"]).numpy()[0])
+    step = np.array([1e-4])
+    expected = difference(mi, scene, mi.traverse(scene), weight.astype(float), "camera.defocus_mm", step)
+    assert found * 1e-4 == pytest.approx(expected, rel=1e-6)
     steps = [
         ("camera.curvature_per_mm", 2, 5e-9),
-        ("camera.thickness_mm", 2, 5e-4),
-        ("camera.defocus_mm", 0, 5e-4),
-        ("camera.temperature_c", 0, 0.1),
-        ("camera.decentre_mm", (1, 0), 1e-4),
-        ("camera.tilt_deg", (1, 1), 3e-5),
+        ("camera.thickness_mm", 2, 1e-4),
+        ("camera.temperature_c", 0, 0.03),
+        ("camera.decentre_mm", (1, 0), 3e-5),
+        ("camera.tilt_deg", (1, 1), 1e-5),
     ]
     check(mi, scene_of(mi, "star_camera_206mm"), steps)
 
@@ -142,12 +163,9 @@ def test_lens_with_its_stop_inside(mi):
     """Aspheres, and outlines of beams that move with the lens."""
     steps = [
         ("camera.curvature_per_mm", 1, 1.5e-6),
-        ("camera.thickness_mm", 2, 5e-4),
         ("camera.conic", 0, 2e-3),
         ("camera.asphere", (10, 0), 5e-7),
-        ("camera.defocus_mm", 0, 5e-4),
         ("camera.decentre_mm", (1, 0), 3e-4),
-        ("camera.tilt_deg", (0, 1), 2e-4),
         ("camera.attitude_rad", 0, 4e-6),
     ]
     check(mi, scene_of(mi, "star_tracker_26mm"), steps)

@@ -56,7 +56,9 @@ RADIANCE = ALBEDO / math.pi * float(RATE @ DIRECTION[:, 2])
 """Lambert: what comes down per area, times albedo, over pi."""
 
 
-@pytest.mark.parametrize("integrator", ["path", "volpath", "prb", "ptracer"])
+@pytest.mark.parametrize(
+    "integrator", ["path", *(pytest.param(name, marks=pytest.mark.slow) for name in ("volpath", "prb", "ptracer"))]
+)
 def test_lambertian_plane_under_stars(mi, integrator):
     field = stars(scene_radius=5.0)  # holds the corners of the plane, at 4.2
     scene = mi.load_dict(lit_plane(stars=field, integrator={"type": integrator}))
@@ -100,7 +102,7 @@ def test_stars_add_no_noise_to_what_other_lights_do(mi):
 
 
 def test_ptracer_needs_to_know_how_large_the_scene_is(mi):
-    scene = mi.load_dict(lit_plane(stars=stars(), integrator={"type": "ptracer"}))
+    scene = mi.load_dict(lit_plane(stars=stars(sampling_weight=1.0), integrator={"type": "ptracer"}))
     with pytest.raises(RuntimeError) as caught:
         mi.render(scene, spp=1)
     reasons, error = [], caught.value
@@ -132,6 +134,7 @@ def test_field_from_files(mi, tmp_path):
         mi.load_dict({"type": "star_field", "filename": str(tmp_path / "none.npz")})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["ad_rgb", "ad_spectral", "ad_spectral_polarized"])
 def test_light_in_other_variants(mi, suffix):
     """Grey in colour; in spectral variants the density integrates to the photons of the bands."""

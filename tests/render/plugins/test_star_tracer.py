@@ -51,6 +51,7 @@ def test_crop_is_a_part_of_the_image(mi, bench, camera):
     assert on_film[..., 0] == pytest.approx(image.numpy().sum(-1), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_every_sensor_has_its_image_and_truth(mi, bench, camera):
     """Two cameras see one field, each under its own attitude."""
     stars = bench.stars_at(camera, [40.0], [40.0], nodes=1)
@@ -152,6 +153,7 @@ def test_vane_takes_its_segment_of_the_pupil(mi, bench, camera, edge_mm):
     assert balance == pytest.approx(truth.electrons_in, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_wire_is_found_between_the_points_of_a_quadrature(mi, bench, camera):
     """A wire of 1 mm across the aperture takes 4 w / (pi D) of the light."""
     wire = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([3.3, 0, 50]).scale([0.5, 500.0, 0.5])}
@@ -176,6 +178,7 @@ def test_body_hides_what_is_behind_its_disk(mi, bench, camera):
     assert np.isfinite(image.truth.chief_x_px).all()
 
 
+@pytest.mark.slow
 def test_body_stands_still_in_the_sky_while_the_camera_turns(mi, bench, camera):
     """Under a motion of 40 px the sphere hides the star that is behind it from any attitude, and no other."""
     far, turn = 1e9, 40 * camera.pixel_pitch_mm / 206.2
@@ -202,6 +205,7 @@ def test_spacecraft_turns_under_the_sky_with_its_boom(mi, bench, camera):
     assert mi.render(mi.load_dict(scene)).numpy() == pytest.approx(expected, abs=1e-4 * float(expected.max()))
 
 
+@pytest.mark.slow
 def test_bodies_and_stars_in_one_call(mi, bench, camera):
     """A glowing ball in front of a star, by `path`, and a star beside it: electrons of both on one film.
 
