@@ -208,4 +208,4 @@ def _paraxial(lens: LensSystem) -> tuple[float, float]:
     z = float(lens.image_position_mm[2])
     # through the rear nodal point a star stays at efl x slope in the focal plane; from there along the chief ray
     lever = (z - p.exit_pupil_z_mm) / (p.rear_focus_z_mm - p.exit_pupil_z_mm) if np.isfinite(p.exit_pupil_z_mm) else 1.0
-    return p.efl_mm * lever, p.rear_focus_z_mm - z
+    return p.efl_mm * lever, float(lens.axis[-1][2]) * (p.rear_focus_z_mm - z)

@@ -74,6 +74,8 @@ def _error_map(table: ErrorTable | None, folder: Path) -> SagMap | None:
     if table is None:
         return None
     path = folder / table.file
+    if path.exists() and not path.is_file():  # reading a pipe would wait for ever
+        raise ConfigError(f"{path}: surface map cannot be read (not a file)")
     try:
         values = np.load(path, mmap_mode="r") if path.suffix == ".npy" else np.loadtxt(path, ndmin=2)
     except OSError as error:

@@ -15,7 +15,7 @@ from optics.lens.shapes.qbfs import Qbfs
 from optics.lens.shapes.toroid import Toroid
 from optics.lens.shapes.zernike import Zernike
 
-pytestmark = pytest.mark.reference
+pytestmark = [pytest.mark.reference, pytest.mark.slow]
 
 geometries = pytest.importorskip("optiland.geometries")
 A = (0.01, -0.02, 0.015, 0.03, -0.01, 0.02, 0.005, -0.004, 0.003)
