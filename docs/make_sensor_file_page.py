@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from experiments.harness.config import ExperimentConfig
 from experiments.harness.registry import found
 from experiments.harness.settings_text import about, toml_value
+from experiments.laboratory.collimator_settings import FilteredCollimatorConfig
 from experiments.laboratory.sensor_file import SensorConfig
 
 PAGE = Path(__file__).with_name("sensor_file.md")
@@ -46,6 +47,24 @@ settings of an experiment, for `--config`:
   take every frame as exposed at once, targets of the laboratory stand still.
 * A curve is a CSV file of wavelength [nm] and transmission as a fraction, with or without a header line; a column that
   is called `transmission_percent` is converted. Tails below a thousandth of the peak are left out.
+"""
+
+LABORATORY = """## Not the sensor's: [collimator]
+
+The laboratory's collimator stands in the settings of `chromatic`, `budget`, `temporal`, `hsfe` and `distortion`, not in
+the sensor file (`--set collimator.pinhole_um=10`, or a table of a file for `--config`). It comes without errors. Wedges
+are for experiments with filters, `chromatic` and `budget`. A refractive collimator, an achromat of 1 m:
+
+    [collimator]
+    focal_length_mm = 1000.0
+    focus_wavelength_nm = [440.0, 500.0, 555.0, 656.0, 800.0, 910.0]
+    focus_um = [900.0, 330.0, 0.0, 430.0, 1500.0, 2200.0]
+    offset_mm = [5.0, 0.0]
+    pinhole_um = 10.0
+    wedge_arcsec = [3.0, 0.0, 5.0]
+    wedge_direction_deg = [0.0, 0.0, 90.0]
+    vibration_hz = [1.0, 10.0, 200.0]
+    vibration_arcsec2_per_hz = [0.02, 0.01, 1e-5]
 """
 
 OWN_WAYS = {
@@ -85,7 +104,7 @@ def page() -> str:
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
             words = (field.annotation.__doc__ or "").strip().partition("\n\n")[0].replace("``", "`")
             lines += ["", f"## [{name}]", "", words, "", *fields(field.annotation)]
-    lines += ["", "## What each experiment takes", "", *takers()]
+    lines += ["", "## What each experiment takes", "", *takers(), "", LABORATORY, *fields(FilteredCollimatorConfig)]
     return "\n".join(lines) + "\n"
 
 

@@ -8,23 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.measure.centroid import Centroider
 from experiments.budget.combine import Value
 from experiments.budget.laboratory import Laboratory
-from experiments.laboratory.bench import point_field
 from experiments.laboratory.centroid_methods import has_own_epsf
 from experiments.laboratory.chromatic_error import measure_chromatic, rms, shifts, table1, uncertainties
 from experiments.laboratory.epsf_session import variance_of_another
-from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_noise import ExpectedWindows, drawn_positions, expected_windows
+from experiments.laboratory.point_noise import drawn_positions, expected_windows, window_positions
 from experiments.laboratory.ray_prediction import bundle_prediction
-from experiments.laboratory.readout.centroids import centroiders, noiseless_positions, session_centroiders
-from experiments.laboratory.readout.noise_model import nominal_noise
+from experiments.laboratory.readout.centroids import centroiders, session_centroiders
 from experiments.laboratory.target import corner_directions
+from experiments.laboratory.target_light import target_light
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import EffectivePsf
-from render.tracing.psf import epsf_tracer, render_epsf
 
 __all__ = ["ChromaticTerm", "TracedTarget", "measured_terms", "predicted_terms", "trace_target"]
 
@@ -109,8 +105,8 @@ def trace_target(lab: Laboratory) -> TracedTarget:
     direction = corner_directions(bench.target, instrument)
     psf: list[list[list[EffectivePsf]]] = []
     if not all(has_own_epsf(method) for method in bench.methods):
-        tracer, half = epsf_tracer(instrument.camera), bench.window_px // 2 + 2
-        psf = [render_epsf(tracer, point_field(bench, instrument, one), half_size_px=half) for one in direction]
+        target = target_light(bench, instrument)
+        psf = [target.psfs(one, bench.window_px // 2 + 2) for one in direction]
     return TracedTarget(direction, bundle_prediction(bench, instrument, direction), psf)
 
 
@@ -183,7 +179,7 @@ def _as_centroided(
             for method, centroider in centroiders(bench, psf).items():
                 if sessions := session_centroiders(bench, psf, method):
                     of_all = built.setdefault(method, np.empty((len(sessions), *traced.place_px.shape)))
-                    of_all[:, p, :, band] = [_noiseless(one, instrument, windows) for one in sessions]
+                    of_all[:, p, :, band] = [window_positions(one, instrument, windows)[0] for one in sessions]
                     place[method][p, :, band] = of_all[:, p, :, band].mean(0)
                     error[method][p, :, band] = 0.0
                     continue
@@ -191,17 +187,6 @@ def _as_centroided(
                 place[method][p, :, band] = np.nanmean(drawn, axis=0)
                 error[method][p, :, band] = np.nanstd(drawn, axis=0, ddof=1) / np.sqrt(draws)
     return place, error, built
-
-
-def _noiseless(centroider: Centroider, instrument: Instrument, windows: ExpectedWindows) -> FloatArray:
-    return noiseless_positions(
-        centroider,
-        nominal_noise(instrument),
-        light_e=windows.light_e,
-        corner_px=windows.corner_px,
-        valid=windows.valid,
-        psf_index=windows.psf_index,
-    )[0]
 
 
 def measured_terms(

@@ -10,6 +10,7 @@ from experiments.budget.result import TermPair
 from experiments.budget.thermal import ThermalTerm
 from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Criterion, farthest_from_one
+from experiments.laboratory.collimator_effects import chromatic_criteria
 
 __all__ = ["criteria"]
 
@@ -47,6 +48,8 @@ def criteria(outcome: Outcome) -> list[Criterion]:
                 )
             )
     found += [one for method in methods for one in _ratios(result.pair(method), method, len(methods))]
+    if result.collimator is not None:
+        found += chromatic_criteria(result.collimator)
     return [*found, *_target(outcome), *_thermal(outcome), *_others(outcome)]
 
 

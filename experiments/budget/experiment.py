@@ -38,7 +38,9 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.budget.tolerances import tolerance_study
     from experiments.budget.tune import differences
     from experiments.laboratory.checks import check_light
+    from experiments.laboratory.collimator_effects import chromatic_effect
     from experiments.laboratory.published import is_published_sensor
+    from experiments.laboratory.readout.centroids import motion_method
     from experiments.laboratory.target import corner_directions
     from render.engine.random import Streams
 
@@ -66,6 +68,10 @@ def run(config: Config, *, progress: Progress) -> Result:
         attitude = attitude_study(
             lab.instrument, errors, config.attitude, streams.child("attitude"), advance=stage.advance
         )
+    # a fit of the true PSF follows all the light, whatever counts
+    seen = measured[motion_method(config.methods)].chromatic
+    corners = corner_directions(config.target, lab.instrument)
+    collimator = chromatic_effect(lab.filtered, lab.instrument, corners, seen.table1_px, seen.sigma_px)
     known = is_published_sensor(config) or config.published_within_fraction is not None
     return Result(
         config=config,
@@ -78,6 +84,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         tolerances=tolerances,
         attitude=attitude,
         thermal=thermal,
+        collimator=collimator,
         changed=differences(config),
     )
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from experiments.budget.settings import Config, MovedConfig
 from experiments.laboratory.bench import Bench
+from experiments.laboratory.collimator import build_collimator
 from experiments.laboratory.detector_changes import overridden
 from experiments.laboratory.filter_wheel import Filter, interference_filters, open_band
 from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector, configured_lens
@@ -93,6 +94,7 @@ def build_laboratory(config: Config, lens: LensSystem | None = None) -> Laborato
     for band in narrow:
         instrument.check_band("filters.centres_nm", band)
 
+    collimator = build_collimator(config.collimator, narrow)
     light = signal_of(config.source, wide[0], instrument, config.source.star_k)
 
     def bench(bands: Sequence[Filter], reference: int) -> Bench:
@@ -106,6 +108,7 @@ def build_laboratory(config: Config, lens: LensSystem | None = None) -> Laborato
             dark_frames=config.dark_frames,
             window_px=config.window_px,
             methods=config.methods,
+            collimator=collimator,
         )
 
     return Laboratory(

@@ -14,6 +14,7 @@ from experiments.budget.sweep import Sweep, Tornado
 from experiments.budget.thermal import ThermalTerm
 from experiments.harness.quantities import Quantities
 from experiments.laboratory.centroid_methods import MethodLabels
+from experiments.laboratory.collimator_effects import add_chromatic_effect
 from experiments.laboratory.signal import add_signal
 from optics.arrays import FloatArray
 
@@ -64,6 +65,14 @@ def describe(result: Result) -> Quantities:
     _attitude(q, result)
     if isinstance(result.thermal, ThermalTerm):
         _thermal(q, result, result.thermal)
+    if result.collimator is not None:
+        add_chromatic_effect(q, result.collimator)
+        between = result.lab.bench.power_px2(result.lab.instrument)[0] ** 0.5
+        place = "collimator.line_of_sight_between_arcsec_3sigma"
+        sight = 3.0 * between * result.lab.instrument.pixel_arcsec
+        q.add(
+            "collimator_between_arcsec", sight, "Line of sight from frame to frame", **ANGLE, format=".3f", json=place
+        )
     return q
 
 

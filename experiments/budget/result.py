@@ -16,6 +16,7 @@ from experiments.budget.sweep import Sweep, Tornado
 from experiments.budget.terms import Measurement, PredictedTerms
 from experiments.budget.thermal import ThermalTerm
 from experiments.budget.tolerances import ToleranceStudy
+from experiments.laboratory.collimator_effects import ChromaticEffect
 
 __all__ = ["Result", "TermPair"]
 
@@ -113,6 +114,8 @@ class Result:
         From the measured budget.
     thermal : ThermalTerm, str or None
         LSFE-T, apart from the budget; why there is none; None where it is switched off.
+    collimator : ChromaticEffect or None
+        What the collimator adds to Table 1; None for a perfect one.
     changed : mapping of str to (object, object)
         Settings that differ from the defaults: default, here.
     """
@@ -127,6 +130,7 @@ class Result:
     tolerances: ToleranceStudy
     attitude: AttitudeStudy
     thermal: ThermalTerm | str | None
+    collimator: ChromaticEffect | None
     changed: Mapping[str, tuple[object, object]]
 
     def pair(self, method: str) -> TermPair:

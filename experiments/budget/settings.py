@@ -11,6 +11,7 @@ from experiments.harness.config import StrictModel
 from experiments.harness.range import SweepRange, check_range, leaf_keys, parse_sweep
 from experiments.laboratory import settings as laboratory_settings
 from experiments.laboratory.centroid_methods import CentroiderName, ProcessingName
+from experiments.laboratory.collimator_settings import FilteredCollimatorConfig
 from experiments.laboratory.detector_changes import DetectorConfig
 from experiments.laboratory.point_settings import SourceConfig
 from experiments.laboratory.sensor_file import SensorExperimentConfig
@@ -146,6 +147,7 @@ class Config(SensorExperimentConfig):
     passband: PassbandConfig = PassbandConfig()
     source: SourceConfig = SourceConfig()
     filters: FilterConfig = FilterConfig()
+    collimator: FilteredCollimatorConfig = FilteredCollimatorConfig()
     hexapod: HexapodConfig = HexapodConfig()
     steps: StepConfig = StepConfig()
     grid: GridConfig = GridConfig()

@@ -14,6 +14,7 @@ from experiments.harness.pivot import Pivot, pivot
 from experiments.harness.quantities import Outcome, shown_unit
 from experiments.harness.summary import Measured
 from experiments.harness.tables import Cell, Column, Table
+from experiments.laboratory.collimator_effects import chromatic_table
 from experiments.laboratory.published import chromatic_of_table1_arcsec
 
 __all__ = ["sweep_table", "tables"]
@@ -48,6 +49,8 @@ def tables(outcome: Outcome) -> Mapping[str, Table | Pivot]:
             caption="Attitude error against the number of stars, 3 sigma.",
         ),
     }
+    if outcome.result.collimator is not None:
+        made["collimator"] = chromatic_table()
     if outcome.result.sweep is not None:
         made["sweep"] = sweep_table(outcome)
     if outcome.result.tornado is not None:

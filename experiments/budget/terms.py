@@ -121,7 +121,10 @@ class Psfs:
     def once(self, lab: Laboratory, bench: Bench, what: str, make: Callable[[], Any]) -> Any:
         """Anything that depends on the light alone."""
         config = lab.config
-        keys = (config.instrument, config.moved, config.target, config.source, config.filters, config.grid)
+        keys = (
+            *(config.instrument, config.moved, config.target, config.source, config.filters, config.grid),
+            config.collimator,
+        )
         scale = {"signal_e": None, "magnitude_mag": None}
         light = [part.model_copy(update=scale) if part is config.source else part for part in keys]
         key = repr((what, light, config.detector.diffusion_sigma_um, bench.window_px, bench.methods))

@@ -9,6 +9,7 @@ import numpy as np
 from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Criterion, farthest_from_one
 from experiments.laboratory import as_printed
+from experiments.laboratory.collimator_effects import chromatic_criteria
 from experiments.laboratory.criteria import (
     MOTION_RATIO,
     as_the_paper,
@@ -79,7 +80,10 @@ def _end_to_end(outcome: Outcome) -> list[Criterion]:
     found.append(as_the_paper("Table 1 of both lenses", reported, printed, "px"))
     found.append(as_the_paper("chromatic LSFE of both lenses", angles, expected, "arcsec"))
     measured = result.centred.measurement
-    return [*found, *centroids_on_the_light("centred lens, ", measured.mean_px, measured.photon_px)]
+    still = measured.common_mean_px / np.sqrt(measured.photon_px.shape[0] * measured.photon_px.shape[2])
+    if result.collimator is not None:
+        found += chromatic_criteria(result.collimator)
+    return [*found, *centroids_on_the_light("centred lens, ", measured.mean_px, measured.photon_px, still)]
 
 
 def _of_lens(outcome: Outcome, lens: str, label: str) -> list[Criterion]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,6 +37,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.chromatic.result import Result
     from experiments.chromatic.stars import stellar_shift
     from experiments.laboratory.chromatic_error import measure_chromatic, reduce_chromatic, shifts
+    from experiments.laboratory.collimator_effects import chromatic_effect
     from experiments.laboratory.filter_wheel import open_band
     from experiments.laboratory.instrument import build_instrument
     from experiments.laboratory.known_motion import measure_wedged
@@ -62,7 +64,8 @@ def run(config: Config, *, progress: Progress) -> Result:
         wedged = measure_wedged(bench, instrument, found["centred"].measurement, streams.child("wedge"))
     with progress.stage("stars"):
         stellar, moved_stellar = (stellar_shift(config.stars, band, one) for one in (instrument, moved))
-        field_shift = shifts(bundle_prediction(bench, instrument, stellar.direction[None]), bench.pairs)
+        ideal = replace(bench, collimator=None)  # stars have none
+        field_shift = shifts(bundle_prediction(ideal, instrument, stellar.direction[None]), bench.pairs)
         star_e = electrons_of_star(band, instrument, magnitude=7.5, temperature_k=config.stars.reference_k)
     return Result(
         config=config,
@@ -78,6 +81,14 @@ def run(config: Config, *, progress: Progress) -> Result:
         moved_stellar=moved_stellar,
         field_shift_px={name: shift[0] for name, shift in field_shift.items()},
         star_e=star_e,
+        collimator=chromatic_effect(
+            bench,
+            instrument,
+            direction,
+            found["centred"].table1_px,
+            found["centred"].table1_sigma_px,
+            found["centred"].measurement.rms_spot_um,
+        ),
         signal=signal,
     )
 
@@ -86,22 +97,25 @@ def _prepare(config: Config, instrument: Instrument, signal_e: float) -> tuple[B
     """Laboratory and target points; whatever can be refused without rendering is refused here."""
     from experiments.laboratory.bench import Bench
     from experiments.laboratory.checks import check_light
+    from experiments.laboratory.collimator import build_collimator
     from experiments.laboratory.filter_wheel import interference_filters
     from experiments.laboratory.target import corner_directions
     from optics.errors import unknown_name
     from optics.light.spectrum import Blackbody
 
-    filters = config.filters
+    wheel = config.filters
+    filters = interference_filters(wheel)
     bench = Bench(
         target=config.target,
         lamp=Blackbody(temperature_k=config.lamp_k),
-        filters=interference_filters(filters),
-        reference=filters.centres_nm.index(filters.reference_nm),
+        filters=filters,
+        reference=wheel.centres_nm.index(wheel.reference_nm),
         signal_e=signal_e,
         frames=config.frames,
         dark_frames=config.dark_frames,
         window_px=config.window_px,
         methods=config.methods,
+        collimator=build_collimator(config.collimator, filters),
     )
     for band in bench.filters:
         instrument.check_band("filters.centres_nm", band)

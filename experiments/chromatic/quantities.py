@@ -12,6 +12,7 @@ from experiments.harness.quantities import Quantities
 from experiments.harness.summary import Measured
 from experiments.laboratory.centroid_methods import MethodLabels
 from experiments.laboratory.chromatic_error import ChromaticReduction, rms
+from experiments.laboratory.collimator_effects import add_chromatic_effect
 from experiments.laboratory.published import ACC18_ARCSEC, ACC18_TABLE1_PX, is_published_sensor
 from experiments.laboratory.signal import add_signal
 from optics.arrays import FloatArray
@@ -43,6 +44,8 @@ def describe(result: Result) -> Quantities:
     q.add("rms_spot_um", radius_um, "RMS spot radius", unit="um", dims="band", format=".1f")
     add_signal(q, result.signal)
     q.add("pixel_arcsec", result.instrument.pixel_arcsec, "Angle of a pixel", unit="arcsec")
+    if result.collimator is not None:
+        add_chromatic_effect(q, result.collimator)
     return q
 
 

@@ -10,6 +10,7 @@ from experiments.chromatic.settings import Config
 from experiments.chromatic.stars import StellarShift
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.chromatic_error import ChromaticReduction
+from experiments.laboratory.collimator_effects import ChromaticEffect
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.known_motion import WedgedFilter
 from experiments.laboratory.signal import Signal
@@ -46,6 +47,8 @@ class Result:
         The same stars through the lens with the moved element.
     star_e : float
         Electrons of a V = 7.5 star of the reference temperature through the full pass band.
+    collimator : ChromaticEffect or None
+        What the collimator adds to Table 1 of the centred lens; None for a perfect one.
     signal : Signal
         Of a point behind every filter, and the star that gives as many electrons through the full pass band.
     """
@@ -63,6 +66,7 @@ class Result:
     field_shift_px: Mapping[str, FloatArray]
     moved_stellar: StellarShift
     star_e: float
+    collimator: ChromaticEffect | None
     signal: Signal
 
     @property

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from experiments.harness.config import StrictModel
 from experiments.laboratory.centroid_methods import MethodName
+from experiments.laboratory.collimator_settings import FilteredCollimatorConfig
 from experiments.laboratory.own_frames.option import OwnFramesConfig
 from experiments.laboratory.settings import (
     FilterConfig,
@@ -39,6 +40,7 @@ class Config(OwnFramesConfig, SignalConfig):
     target: TargetConfig = TargetConfig()
     passband: PassbandConfig = PassbandConfig()
     filters: FilterConfig = FilterConfig()
+    collimator: FilteredCollimatorConfig = FilteredCollimatorConfig()
     lamp_k: float = Field(default=3000.0, ge=1000, le=20000, description="colour temperature of the lamp")
     signal_e: float | None = Field(
         default=None, gt=0, le=1e7, description="electrons per point and frame, every filter; both left out: 6000"

@@ -10,6 +10,7 @@ import numpy as np
 from experiments.harness.pivot import Pivot, pivot
 from experiments.harness.quantities import Outcome
 from experiments.harness.tables import Cell, Column, Table
+from experiments.laboratory.collimator_effects import chromatic_table
 
 __all__ = ["tables"]
 
@@ -26,7 +27,10 @@ def tables(outcome: Outcome) -> Mapping[str, Table | Pivot]:
         columns=f"nominal_px {' '.join(f'{name}_shift_px' for name in shifts)}",
         caption="All points.",
     )
-    return {
+    found: dict[str, Table | Pivot] = {}
+    if outcome.result.collimator is not None:
+        found["collimator"] = chromatic_table()
+    return found | {
         "table1": Pivot(
             rows="lens pair axis",
             columns=("published_px " if "published_px" in outcome.data else "")

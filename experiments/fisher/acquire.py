@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from calib.measure.centroid import get_centroider
 from calib.measure.linear_response import centroid_covariance, linear_response
 from calib.records import NoiseModel, Stamps
-from experiments.laboratory.collimator import SingleStar
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.readout.centroids import measured_positions
 from experiments.laboratory.readout.stamps import dark_subtracted, refuse_saturated
 from experiments.laboratory.readout.windows import WindowReader, cut_windows, window_corners
 from experiments.laboratory.single_star.bench import Bench, aim
+from experiments.laboratory.single_star.star import SingleStar
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze

@@ -38,7 +38,6 @@ from experiments.fisher.predict import (
 from experiments.fisher.reduce import Evaluation, evaluate, expected_px
 from experiments.fisher.settings import Config
 from experiments.harness.progress import Progress
-from experiments.laboratory.collimator import SingleStar, star_direction
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.single_star.bench import Bench
 from experiments.laboratory.single_star.derivatives import reading_covariance_px2
@@ -51,6 +50,7 @@ from experiments.laboratory.single_star.reduce import (
     start_model,
 )
 from experiments.laboratory.single_star.setup import averaged, build_bench, build_star, build_table, star_signal
+from experiments.laboratory.single_star.star import SingleStar, star_direction
 from experiments.laboratory.turntable import Turntable
 from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC

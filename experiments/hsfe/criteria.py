@@ -7,6 +7,7 @@ import numpy as np
 from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Criterion, farthest_from_one
 from experiments.laboratory import as_printed
+from experiments.laboratory.collimator_effects import line_of_sight_criterion
 from experiments.laboratory.criteria import (
     MOTION_RATIO,
     as_the_paper,
@@ -81,7 +82,11 @@ def _end_to_end(outcome: Outcome) -> list[Criterion]:
     printed = [as_printed.high_frequency_arcsec(seen[method], stated) for method in methods]
     found.append(as_the_paper("HSFE of all centroiders", outcome.values("document_arcsec"), printed, "arcsec"))
     found.append(pixel_angle(result.instrument))
-    return [*found, *centroids_on_the_light("", seen, result.measured.photon_px)]
+    still = 0.0
+    if result.sight is not None:
+        found.append(line_of_sight_criterion(result.sight))
+        still = result.sight.between_px / np.sqrt(result.sight.frames)
+    return [*found, *centroids_on_the_light("", seen, result.measured.photon_px, still)]
 
 
 def _walking(outcome: Outcome, method: str) -> Criterion:

@@ -31,11 +31,13 @@ def run(config: Config, *, progress: Progress) -> Result:
         points not detected or saturated, light beyond the range of the data.
     """
     from experiments.hsfe.result import Result, geometry_study, s_curves
+    from experiments.laboratory.collimator_effects import line_of_sight
     from experiments.laboratory.hexapod import Hexapod, turned
     from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
     from experiments.laboratory.high_frequency_model import predict_high_frequency
     from experiments.laboratory.known_motion import measure_walking
     from experiments.laboratory.point_scene import point_laboratory, prepared_scene
+    from experiments.laboratory.readout.centroids import motion_method
     from experiments.laboratory.temporal_error import target_place
     from render.detector.maps import sensor_maps
     from render.engine.random import Streams
@@ -85,14 +87,13 @@ def run(config: Config, *, progress: Progress) -> Result:
         )
     with progress.stage("after the test"):
         # where the image stood is best read with the method that has no S-curve of its own
-        without_curve = "epsf" if "epsf" in bench.methods else bench.methods[0]
         after = predict_high_frequency(
             bench,
             instrument,
             plan,
             psf=psf,
             hexapod=hexapod,
-            shift_px=measured.common_shift_px(without_curve, before.place_px),
+            shift_px=measured.common_shift_px(motion_method(bench.methods), before.place_px),
             place_px=config.place_px,
             subtraction=config.subtraction,
             defect=defect,
@@ -110,6 +111,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         walking=walking,
         curves=curves,
         geometry=geometry,
+        sight=line_of_sight(bench, instrument, measured.motion_px2, bench.frames),
     )
 
 

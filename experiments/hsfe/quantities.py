@@ -8,6 +8,7 @@ import numpy as np
 
 from experiments.harness.quantities import Quantities
 from experiments.hsfe.result import Result
+from experiments.laboratory.collimator_effects import add_line_of_sight
 from experiments.laboratory.high_frequency import CAUSES
 from experiments.laboratory.point_quantities import point_quantities
 from experiments.laboratory.point_scene import point_signal
@@ -41,6 +42,8 @@ def describe(result: Result) -> Quantities:
     _hexapods(q, result)
     _steps(q, result)
     q.add("positions", config.steps.positions, "Positions")
+    if result.sight is not None:
+        add_line_of_sight(q, result.sight)
     q.add("frames", measured.frames, "Frames")
     q.add("stars", int(measured.photon_px.shape[1]), "Stars")
     q.add("pixel_arcsec", measured.pixel_arcsec, "Angle of a pixel", unit="arcsec")

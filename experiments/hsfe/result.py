@@ -10,6 +10,7 @@ import numpy as np
 from calib.measure.epsf import draw_epsf
 from experiments.hsfe.settings import Config
 from experiments.laboratory.bench import Bench
+from experiments.laboratory.collimator_effects import LineOfSight
 from experiments.laboratory.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import HighFrequencyMeasurement, StepPlan
 from experiments.laboratory.high_frequency_model import HighFrequencyPrediction
@@ -89,6 +90,8 @@ class Result:
         S-curves of the middle star.
     geometry : tuple of Geometry
         Hexapods of different quality.
+    sight : LineOfSight or None
+        Of the collimator; None at rest.
     """
 
     config: Config
@@ -99,6 +102,7 @@ class Result:
     walking: WalkingPoints
     curves: SCurve
     geometry: tuple[Geometry, ...]
+    sight: LineOfSight | None
 
 
 def s_curves(bench: Bench, instrument: Instrument, psf: Sequence[EffectivePsf], direction: FloatArray) -> SCurve:

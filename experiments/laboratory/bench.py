@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from experiments.laboratory.collimator import Collimator
 from experiments.laboratory.filter_wheel import Filter
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.settings import TargetConfig
 from optics.arrays import FloatArray
 from optics.light.band import band_nodes
+from optics.light.collimation import Collimation
 from optics.light.spectrum import Sed
 from optics.rays.spots import collecting_area_mm2
 from render.records import EffectivePsf, StarField
@@ -47,6 +49,8 @@ class Bench:
         Built from frames beforehand: what methods of the name ``NAME_measured`` use.
     sessions : sequence of EffectivePsf
         For predictions: what that PSF might have been, one for each drawn set of such frames.
+    collimator : Collimator, optional
+        With its errors; a perfect one if left out.
     """
 
     target: TargetConfig
@@ -60,6 +64,7 @@ class Bench:
     methods: Sequence[str]
     epsf: EffectivePsf | None = None
     sessions: Sequence[EffectivePsf] = ()
+    collimator: Collimator | None = None
 
     @property
     def pairs(self) -> list[tuple[str, int, int]]:
@@ -70,6 +75,19 @@ class Bench:
     def pair_names(self) -> list[str]:
         """Names of the differences."""
         return [name for name, _, _ in self.pairs]
+
+    def power_px2(self, instrument: Instrument) -> tuple[float, float]:
+        """Variance of the line of sight per axis: from exposure to exposure, and within one (`Collimator`)."""
+        if self.collimator is None:
+            return 0.0, 0.0
+        between, within = self.collimator.power_arcsec2(instrument.config.exposure_s)
+        return between / instrument.pixel_arcsec**2, within / instrument.pixel_arcsec**2
+
+    def collimation(self, wavelength_nm: FloatArray, instrument: Instrument) -> Collimation | None:
+        """How the light behind the filters is bent at wavelengths (b, k)."""
+        if self.collimator is None:
+            return None
+        return self.collimator.light(self.filters, wavelength_nm, instrument.camera.lens.environment)
 
 
 def band_pairs(centres_nm: Sequence[float], reference: int) -> list[tuple[str, int, int]]:
@@ -90,4 +108,10 @@ def point_field(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
     area = collecting_area_mm2(camera.lens) * instrument.config.exposure_s
     collected = (shape * camera.response_at(nodes.wavelength_nm)).sum(1) * area
     rate = (bench.signal_e / collected)[None, :, None] * shape[None] / direction[:, 2][:, None, None]
-    return StarField(direction=direction, wavelength_nm=nodes.wavelength_nm, photon_rate=rate, band=nodes.name)
+    return StarField(
+        direction=direction,
+        wavelength_nm=nodes.wavelength_nm,
+        photon_rate=rate,
+        band=nodes.name,
+        collimation=bench.collimation(nodes.wavelength_nm, instrument),
+    )

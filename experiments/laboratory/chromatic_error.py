@@ -8,16 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.laboratory.bench import Bench, point_field
+from experiments.laboratory.bench import Bench
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.points import PointMeasurement, PointReadout
 from experiments.laboratory.ray_prediction import bundle_prediction
 from experiments.laboratory.target import CORNERS, corner_directions
+from experiments.laboratory.target_light import target_light
 from optics.arrays import FloatArray
 from render.engine.random import Streams
-from render.forward import StarRenderer
 from render.records import ExpectedImage, WindowStack
-from render.tracing.psf import epsf_tracer
 
 __all__ = [
     "ChromaticMeasurement",
@@ -102,6 +101,8 @@ class ChromaticMeasurement:
         Noiseless image of the first position.
     windows : tuple of WindowStack
         Readout of the first position, per filter.
+    common_px : float
+        Standard deviation per axis of the line of sight from frame to frame, the same for all points of a position.
     """
 
     direction: FloatArray
@@ -116,6 +117,12 @@ class ChromaticMeasurement:
     rms_spot_um: FloatArray
     example: ExpectedImage
     windows: tuple[WindowStack, ...]
+    common_px: float = 0.0
+
+    @property
+    def common_mean_px(self) -> float:
+        """The same of the mean over the frames of a position."""
+        return float(self.common_px / np.sqrt(self.frames_used.mean()))
 
 
 def measure_chromatic(
@@ -147,18 +154,15 @@ def measure_chromatic(
     DomainError
         If points are not detected, or saturated.
     """
-    camera = instrument.camera
-    renderer, tracer = StarRenderer(camera, exposure_s=instrument.config.exposure_s), epsf_tracer(camera)
+    target = target_light(bench, instrument)
     first: ExpectedImage | None = None
     parts: list[PointMeasurement] = []
     points = corner_directions(bench.target, instrument) if directions is None else directions
     for place, direction in zip(CORNERS, points, strict=True):
-        stars = point_field(bench, instrument, direction)
-        expected = renderer.render(stars)
+        readout = PointReadout(bench, instrument, streams.child(place), place, patterns)
+        part, expected = readout.measure(target, direction)
         first = first or expected
-        parts.append(
-            PointReadout(bench, instrument, streams.child(place), place, patterns).measure(stars, expected, tracer)
-        )
+        parts.append(part)
         advance()
     assert first is not None
     return ChromaticMeasurement(
@@ -174,6 +178,7 @@ def measure_chromatic(
         rms_spot_um=np.stack([part.spot_um for part in parts]).mean((0, 1)),
         example=first,
         windows=parts[0].windows,
+        common_px=bench.power_px2(instrument)[0] ** 0.5,
     )
 
 
@@ -198,7 +203,8 @@ class ChromaticReduction:
     largest_pull : float
         Largest |measured - photon| / sigma of all points, pairs and axes.
     chi2 : float
-        Mean of ((measured - photon) / sigma)^2 over all points, pairs and axes; ``chi2_n`` of them.
+        Mean of ((measured - photon) / sigma)^2 over all points, pairs and axes; as if ``chi2_n`` of them were
+        independent (a line of sight that is not at rest moves all points of a position alike).
     truth_bias_px : (2,)
         Largest and RMS distance of the mean centroid from the photon centroid.
     """
@@ -245,7 +251,10 @@ def uncertainties(
         temporal = of_mean[..., high, :] + of_mean[..., low, :]
         sigma[name] = np.sqrt(temporal + (pattern[name] ** 2).mean(0))
         count = temporal.shape[0] * temporal.shape[1]
-        sigma_table[name] = np.sqrt(temporal.sum((0, 1)) / (2 * count) ** 2 + (table1(pattern[name]) ** 2).mean(0))
+        # what the points of a position have in common does not average over them
+        common = 2.0 * measured.common_mean_px**2 * (1.0 / temporal.shape[0] - 1.0 / count) / 4.0
+        own = temporal.sum((0, 1)) / (2 * count) ** 2
+        sigma_table[name] = np.sqrt(own + common + (table1(pattern[name]) ** 2).mean(0))
     return sigma, sigma_table
 
 
@@ -287,9 +296,16 @@ def reduce_chromatic(bench: Bench, instrument: Instrument, measured: ChromaticMe
         photon_residual_px=_residuals(photon, place),
         largest_pull=float(np.abs(pulls).max()),
         chi2=float((pulls**2).mean()),
-        chi2_n=int(pulls.size),
+        chi2_n=_independent(pulls, measured, sigma),
         truth_bias_px=(float(distance.max()), float(np.sqrt((distance**2).mean()))),
     )
+
+
+def _independent(pulls: FloatArray, measured: ChromaticMeasurement, sigma_px: Mapping[str, FloatArray]) -> int:
+    """Pulls (n, p, j, 2) that count as independent in the mean of their squares."""
+    variance = np.mean([sigma**2 for sigma in sigma_px.values()])
+    correlation = 2.0 * measured.common_mean_px**2 / variance
+    return int(pulls.size / (1.0 + (pulls.shape[2] - 1.0) * correlation**2))
 
 
 def _residuals(shift_px: Mapping[str, FloatArray], place_px: FloatArray) -> dict[str, dict[str, float]]:

@@ -61,7 +61,9 @@ def pixel_angle(instrument: Instrument) -> Criterion:
     )
 
 
-def centroids_on_the_light(label: str, position_px: Mapping[str, FloatArray], light_px: FloatArray) -> list[Criterion]:
+def centroids_on_the_light(
+    label: str, position_px: Mapping[str, FloatArray], light_px: FloatArray, common_px: float = 0.0
+) -> list[Criterion]:
     """Mean of centroid minus noiseless light over all points, by every centroider that follows all the light.
 
     Parameters
@@ -72,13 +74,15 @@ def centroids_on_the_light(label: str, position_px: Mapping[str, FloatArray], li
         Mean centroids by method.
     light_px : (..., 2)
         Centroids of the noiseless light (the renderer's truth).
+    common_px : float
+        Standard deviation per axis of what a moving line of sight leaves in the mean.
     """
     found = []
     for method in (one for one in WHOLE_LIGHT if one in position_px):
         apart = (position_px[method] - light_px).reshape(-1, 2)
         count = len(apart)
         # of the mean, from the scatter over the points: noise, fixed pattern and S-curve of each are in it
-        error = apart.std(axis=0, ddof=1) / np.sqrt(count)
+        error = np.hypot(apart.std(axis=0, ddof=1) / np.sqrt(count), common_px)
         found.append(
             Criterion(
                 name=f"{label}{method}: centroid minus noiseless light, mean of {count}, larger of x and y",

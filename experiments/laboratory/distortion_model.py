@@ -39,10 +39,15 @@ from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.distortion_error import camera_place, dense_grid, traced_bundles
 from experiments.laboratory.distortion_statistics import REFERENCES, Reference, without_pointing
 from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_noise import ExpectedWindows, drawn_positions, expected_windows, influence
+from experiments.laboratory.point_noise import (
+    ExpectedWindows,
+    drawn_positions,
+    expected_windows,
+    influence,
+    window_positions,
+)
 from experiments.laboratory.point_scene import one_filter
-from experiments.laboratory.readout.centroids import centroiders, noiseless_positions, session_centroiders
-from experiments.laboratory.readout.noise_model import nominal_noise
+from experiments.laboratory.readout.centroids import centroiders, session_centroiders
 from experiments.laboratory.targets import GridTarget, grid_directions
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
@@ -312,19 +317,7 @@ def _over_sessions(
     What a PSF does depends on where in the pixel a point lies, which differs from point to point; what it does to all
     of them is a shift of the camera.
     """
-    noise = nominal_noise(instrument)
-    each = [
-        noiseless_positions(
-            one,
-            noise,
-            light_e=windows.light_e,
-            corner_px=windows.corner_px,
-            valid=windows.valid,
-            psf_index=windows.psf_index,
-        )[0]
-        for one in sessions
-    ]
-    position = np.stack(each)
+    position = np.stack([window_positions(one, instrument, windows)[0] for one in sessions])
     return position.mean(0), _covariance(position - position.mean(1, keepdims=True))
 
 

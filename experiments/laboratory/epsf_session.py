@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from calib.measure.epsf_build import build_epsf
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench import Bench
+from experiments.laboratory.collimator import convolved_psf
 from experiments.laboratory.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import StepPlan
 from experiments.laboratory.instrument import Instrument
@@ -22,6 +23,7 @@ from experiments.laboratory.point_noise import ExpectedWindows, expected_windows
 from experiments.laboratory.point_scene import PointScene, one_filter
 from experiments.laboratory.readout.stamps import centre_of_gravity, dark_subtracted
 from experiments.laboratory.readout.windows import WindowReader
+from experiments.laboratory.target_light import frame_light
 from experiments.laboratory.temporal_error import target_place
 from optics.arrays import FloatArray
 from render.engine.random import Streams
@@ -73,7 +75,8 @@ def measured_epsf(
         here = streams.child("position", number)
         light = scene.light(direction, here, f"ePSF, position {number + 1}", psf=psf)
         reader = WindowReader(instrument, here)
-        stack = reader.expose(light.light_e, light.corner_px, frames=bench.frames, label="lamp")
+        light_e = frame_light(light.light_e, light.corner_px, light.bundle_px, light.psf, bench, instrument, here)
+        stack = reader.expose(light_e, light.corner_px, frames=bench.frames, label="lamp")
         dark_e = reader.dark(light.corner_px, bench.window_px, frames=bench.dark_frames)
         stamps, _ = dark_subtracted(stack, dark_e)
         added = stamps.electrons.reshape(bench.frames, *light.light_e.shape).sum(0)
@@ -105,6 +108,11 @@ def predicted_epsfs(
     ideal = Hexapod(step_error_arcsec=0.0, roll_error_arcsec=0.0, reading_error_arcsec=0.0)
     path = epsf_session(bench).path(instrument, ideal, rng)
     direction = turned(target_place(bench, instrument), path.commanded_rad)
+    between = bench.power_px2(instrument)[0]
+    if between:  # the sum of frames is blurred by what moves from frame to frame too
+        psf = [
+            convolved_psf(one, lambda q: np.exp(-2.0 * np.pi**2 * between * q**2), 4.0 * between**0.5) for one in psf
+        ]
     windows = expected_windows(one_filter(bench), instrument, direction, psf)
     spread = np.sqrt(noise.temporal_e2(windows.light_e, frames=frames, dark_frames=bench.dark_frames))
     found = []

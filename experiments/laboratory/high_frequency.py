@@ -17,9 +17,9 @@ from experiments.harness.summary import Measured
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.hexapod import Hexapod, HexapodPath, step_path, turned
 from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_frames import Subtraction, read_points
+from experiments.laboratory.point_frames import PointFrames, Subtraction, read_points
 from experiments.laboratory.point_scene import PointLight, PointScene, scene_of
-from experiments.laboratory.readout.centroids import centroiders, noiseless_positions
+from experiments.laboratory.readout.centroids import centroiders, common_motion_px2, motion_method, noiseless_positions
 from experiments.laboratory.readout.noise_model import nominal_noise
 from experiments.laboratory.step_statistics import (
     common_removed,
@@ -126,11 +126,13 @@ class HighFrequencyMeasurement:
     mean_px : dict of str to dict of str to (m, j, 2)
         Mean centroids by run and method: "all", "none", "only CAUSE", "without CAUSE".
     sigma_px : dict of str to (m, j, 2)
-        Standard deviation of a single frame's centroid, run "all".
+        Standard deviation of a single frame's centroid, run "all", without a motion that all stars have in common.
     paired_px : dict of str to dict of str to (m, j, 2)
         Standard deviation over the frames of the difference of two runs, by cause ("only CAUSE", "without CAUSE").
     lights : tuple of PointLight
         The target at every position.
+    motion_px2 : (m, 2, 2)
+        What the stars have in common in the frames (`experiments.laboratory.readout.centroids.common_motion_px2`).
     """
 
     plan: StepPlan
@@ -144,6 +146,7 @@ class HighFrequencyMeasurement:
     sigma_px: Mapping[str, FloatArray]
     paired_px: Mapping[str, Mapping[str, FloatArray]]
     lights: tuple[PointLight, ...]
+    motion_px2: FloatArray
 
     def document_px(self, method: str, run: str = "all") -> FloatArray:
         """The document's RMS (2,), 1 sigma."""
@@ -300,8 +303,9 @@ def measure_high_frequency(
     paired: dict[str, dict[str, list[FloatArray]]] = {
         run: {m: [] for m in bench.methods} for run in chips if run not in ("all", "none")
     }
-    lights = []
+    lights, motion = [], []
     directions = turned(rest, path.true_rad)
+    moving = bench.power_px2(instrument)[0] > 0.0
     if walk_px is not None:
         directions = nudged(instrument, directions, walk_px)
     for number, direction in enumerate(directions):
@@ -320,10 +324,11 @@ def measure_high_frequency(
             )
             for run, chip in chips.items()
         }
+        motion.append(common_motion_px2(frames["all"].position_px[motion_method(bench.methods)]))
         for method in bench.methods:
             for run, one in frames.items():
                 mean[run][method].append(one.mean_px(method))
-            sigma[method].append(frames["all"].sigma_px(method))
+            sigma[method].append(_own_sigma_px(frames["all"], method, moving))
             for run, of in paired.items():
                 against = frames["none" if run.startswith("only") else "all"]
                 difference = frames[run].position_px[method] - against.position_px[method]
@@ -341,7 +346,18 @@ def measure_high_frequency(
         sigma_px={m: np.stack(v) for m, v in sigma.items()},
         paired_px={run: {m: np.stack(v) for m, v in of.items()} for run, of in paired.items()},
         lights=tuple(lights),
+        motion_px2=np.stack(motion),
     )
+
+
+def _own_sigma_px(frames: PointFrames, method: str, moving: bool) -> FloatArray:
+    """Standard deviation of a frame (j, 2); of a moving line of sight what the stars do not have in common."""
+    if not moving:
+        return frames.sigma_px(method)
+    position = frames.position_px[method]
+    stars = position.shape[1]
+    own = position - np.nanmean(position, axis=1, keepdims=True)
+    return np.asarray(np.nanstd(own, axis=0, ddof=1) * np.sqrt(stars / (stars - 1.0)))
 
 
 def _noiseless(lights: Sequence[PointLight], bench: Bench, instrument: Instrument) -> dict[str, FloatArray]:

@@ -124,6 +124,7 @@ def measure_wedged(bench: Bench, instrument: Instrument, plain: ChromaticMeasure
     for measured, index in ((plain, band), (wedged, -1)):
         frames = measured.sigma_px[method][:, :, index] ** 2 / measured.frames_used[:, :, index, None]
         variance += frames.mean((0, 1)) / frames[..., 0].size
+        variance += measured.common_mean_px**2 * (1.0 / len(frames) - 1.0 / frames[..., 0].size)
         variance += (measured.pattern_px[method][..., index, :].mean((1, 2)) ** 2).mean(0)
     behind = replace(bench, filters=[bench.filters[band]], reference=0)
     return WedgedFilter(

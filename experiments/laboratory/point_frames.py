@@ -19,6 +19,7 @@ from experiments.laboratory.readout.centroids import (
 )
 from experiments.laboratory.readout.stamps import dark_subtracted, refuse_saturated, ring_subtracted
 from experiments.laboratory.readout.windows import WindowReader
+from experiments.laboratory.target_light import frame_light
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.detector.spec import Detector
@@ -103,7 +104,8 @@ def read_points(
         On saturated points, or fewer than two usable frames of a point.
     """
     reader = WindowReader(instrument if detector is None else replace(instrument, detector=detector), streams)
-    lit = reader.expose(light.light_e * signal_ratio, light.corner_px, frames=bench.frames, label="lamp")
+    light_e = frame_light(light.light_e, light.corner_px, light.bundle_px, light.psf, bench, instrument, streams)
+    lit = reader.expose(light_e * signal_ratio, light.corner_px, frames=bench.frames, label="lamp")
     stack = lit if mask_defects else replace(lit, defect=np.zeros_like(lit.defect))
     if subtraction == "dark":
         night = reader if dark_streams is None else replace(reader, streams=dark_streams)

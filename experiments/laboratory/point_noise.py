@@ -44,6 +44,7 @@ __all__ = [
     "expected_windows",
     "influence",
     "sampled_px",
+    "window_positions",
 ]
 
 
@@ -73,6 +74,15 @@ class ExpectedWindows:
     valid: NDArray[np.bool_]
     psf: tuple[EffectivePsf, ...]
     psf_index: NDArray[np.int64]
+
+    def moved(self, shift_px: FloatArray) -> ExpectedWindows:
+        """The same windows with the image moved by (2,) in them."""
+        theta = np.column_stack([self.place_px + shift_px - self.corner_px, self.light_e.sum((1, 2))])
+        size = self.light_e.shape[1:]
+        light, _ = EpsfModel(EpsfBank(self.psf, (size[0], size[1])), self.psf_index).evaluate(
+            theta, np.arange(len(theta))
+        )
+        return replace(self, place_px=self.place_px + shift_px, light_e=np.maximum(light, 0.0).reshape(-1, *size))
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -164,17 +174,24 @@ class Influence:
         return np.asarray(0.5 * of_variance / np.maximum(self.sigma_px(noise.temporal_e2(light_e)), 1e-300))
 
 
-def influence(centroider: Centroider, instrument: Instrument, windows: ExpectedWindows) -> Influence:
-    """Position and influence function of a centroider on noiseless windows."""
-    noise = nominal_noise(instrument)
-    position, stamps = noiseless_positions(
+def window_positions(
+    centroider: Centroider, instrument: Instrument, windows: ExpectedWindows
+) -> tuple[FloatArray, Stamps]:
+    """What a centroider makes of the windows as they are: positions (n, 2), and the stamps it was given."""
+    return noiseless_positions(
         centroider,
-        noise,
+        nominal_noise(instrument),
         light_e=windows.light_e,
         corner_px=windows.corner_px,
         valid=windows.valid,
         psf_index=windows.psf_index,
     )
+
+
+def influence(centroider: Centroider, instrument: Instrument, windows: ExpectedWindows) -> Influence:
+    """Position and influence function of a centroider on noiseless windows."""
+    noise = nominal_noise(instrument)
+    position, stamps = window_positions(centroider, instrument, windows)
     return Influence(
         position_px=position, gain_px_per_e=linear_response(_tight(centroider), stamps, noise, windows.light_e)
     )
@@ -242,14 +259,7 @@ def drawn_positions(
         Source of the draws.
     """
     stated = nominal_noise(instrument)
-    _, stamps = noiseless_positions(
-        centroider,
-        stated,
-        light_e=windows.light_e,
-        corner_px=windows.corner_px,
-        valid=windows.valid,
-        psf_index=windows.psf_index,
-    )
+    _, stamps = window_positions(centroider, instrument, windows)
     shape = (draws, *windows.light_e.shape)
     electrons = rng.poisson(windows.light_e + noise.dark_e, shape) - noise.dark_e
     electrons = electrons + np.sqrt(noise.read_e2) * rng.standard_normal(shape)

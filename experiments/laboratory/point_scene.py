@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.harness.progress import Progress
-from experiments.laboratory.bench import Bench, point_field
+from experiments.laboratory.bench import Bench
 from experiments.laboratory.checks import check_light
+from experiments.laboratory.collimator import build_collimator
 from experiments.laboratory.filter_wheel import open_band
 from experiments.laboratory.instrument import Instrument, build_instrument
 from experiments.laboratory.point_settings import PointConfig
@@ -18,15 +19,13 @@ from experiments.laboratory.points import PointReadout, nominal_px
 from experiments.laboratory.readout.windows import cut_windows
 from experiments.laboratory.settings import TargetConfig
 from experiments.laboratory.signal import Signal, signal_of
+from experiments.laboratory.target_light import TargetLight, target_light
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.light.spectrum import Blackbody
 from optics.records import freeze
 from render.engine.random import Streams
-from render.forward import StarRenderer
 from render.records import EffectivePsf
-from render.tracing.psf import epsf_tracer, render_epsf
-from render.tracing.tracer import Tracer
 
 __all__ = [
     "PointLight",
@@ -91,20 +90,17 @@ class PointScene:
     ----------
     bench, instrument
         The laboratory; the bench has one filter.
-    renderer, tracer
-        For images and for PSFs.
+    target : TargetLight
+        Renders images and PSFs.
     """
 
     bench: Bench
     instrument: Instrument
-    renderer: StarRenderer
-    tracer: Tracer
+    target: TargetLight
 
     def psfs(self, direction: FloatArray) -> tuple[EffectivePsf, ...]:
         """PSF of each of the points (j, 3)."""
-        stars = point_field(self.bench, self.instrument, direction)
-        half = self.bench.window_px // 2 + 2
-        return tuple(row[0] for row in render_epsf(self.tracer, stars, half_size_px=half))
+        return tuple(row[0] for row in self.target.psfs(direction, self.bench.window_px // 2 + 2))
 
     def light(
         self, direction: FloatArray, streams: Streams, place: str, *, psf: Sequence[EffectivePsf] | None = None
@@ -127,8 +123,7 @@ class PointScene:
         DomainError
             If points are not detected, run into each other or lie too near to the edge of the detector.
         """
-        stars = point_field(self.bench, self.instrument, direction)
-        expected = self.renderer.render(stars)
+        expected = self.target.image(direction)
         truth = expected.truth
         assert truth is not None
         nominal = nominal_px(self.instrument, direction)
@@ -152,7 +147,10 @@ def one_filter(bench: Bench) -> Bench:
 
 def scene_of(scene: PointScene | None, bench: Bench, instrument: Instrument) -> PointScene:
     """A new scene, or the given one with this bench: frames, methods and signal may be others than it was made for."""
-    return point_scene(bench, instrument) if scene is None else replace(scene, bench=one_filter(bench))
+    if scene is None:
+        return point_scene(bench, instrument)
+    one = one_filter(bench)
+    return replace(scene, bench=one, target=replace(scene.target, bench=one))
 
 
 def point_scene(bench: Bench, instrument: Instrument) -> PointScene:
@@ -163,9 +161,8 @@ def point_scene(bench: Bench, instrument: Instrument) -> PointScene:
     bench, instrument
         The laboratory.
     """
-    camera = instrument.camera
-    renderer = StarRenderer(camera, exposure_s=instrument.config.exposure_s)
-    return PointScene(one_filter(bench), instrument, renderer, epsf_tracer(camera))
+    one = one_filter(bench)
+    return PointScene(one, instrument, target_light(one, instrument))
 
 
 def point_signal(config: PointConfig, instrument: Instrument) -> Signal:
@@ -187,6 +184,7 @@ def point_laboratory(config: PointConfig, target: TargetConfig | None = None) ->
         dark_frames=config.dark_frames,
         window_px=config.window_px,
         methods=config.methods,
+        collimator=build_collimator(config.collimator),
     )
     return bench, instrument
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field, model_validator
 
 from experiments.laboratory.centroid_methods import MethodName
+from experiments.laboratory.collimator_settings import CollimatorConfig
 from experiments.laboratory.own_frames.option import OwnFramesConfig
 from experiments.laboratory.settings import InstrumentConfig, PassbandConfig, SignalConfig, TargetConfig
 
@@ -26,6 +27,7 @@ class PointConfig(OwnFramesConfig):
     instrument: InstrumentConfig = InstrumentConfig()
     passband: PassbandConfig = PassbandConfig()
     source: SourceConfig = SourceConfig()
+    collimator: CollimatorConfig = CollimatorConfig()
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position and level (ACC18: at least 30)")
     dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off")
     window_px: int = Field(default=13, ge=7, le=63, description="window around a point, odd")

@@ -18,11 +18,10 @@ from experiments.laboratory.readout.centroids import frame_statistics, measured_
 from experiments.laboratory.readout.search import find_points
 from experiments.laboratory.readout.stamps import dark_subtracted, refuse_saturated
 from experiments.laboratory.readout.windows import WindowReader, cut_windows, window_corners
+from experiments.laboratory.target_light import TargetLight, frame_light
 from optics.arrays import FloatArray
 from render.engine.random import Streams
-from render.records import ExpectedImage, StarField, WindowStack
-from render.tracing.psf import render_epsf
-from render.tracing.tracer import Tracer
+from render.records import ExpectedImage, WindowStack
 
 __all__ = ["PointMeasurement", "PointReadout", "nominal_px", "pattern_effect"]
 
@@ -116,46 +115,49 @@ class PointReadout:
         where = f"{self.place} position"
         return found, window_corners(found, bench.window_px, size, where=where, advice="raise target.edge_px")
 
-    def measure(self, stars: StarField, expected: ExpectedImage, tracer: Tracer) -> PointMeasurement:
-        """Read out and reduce all filters.
+    def measure(self, target: TargetLight, direction: FloatArray) -> tuple[PointMeasurement, ExpectedImage]:
+        """Render, read out and reduce all filters; the noiseless image too.
 
         Parameters
         ----------
-        stars : StarField
-            The points' light (`experiments.laboratory.bench.point_field`).
-        expected : ExpectedImage
-            Its noiseless image, with truth.
-        tracer : Tracer
-            Traces the PSFs (`render.tracing.psf.epsf_tracer`).
+        target : TargetLight
+            Renders images and PSFs.
+        direction : (j, 3)
+            Unit vectors in cam towards the points.
 
         Raises
         ------
         DomainError
             As `corners`, and if points are saturated or hardly give a position.
         """
-        bench, camera, truth = self.bench, self.instrument.camera, expected.truth
+        bench, camera, expected = self.bench, self.instrument.camera, target.image(direction)
+        truth = expected.truth
         assert truth is not None
-        nominal = nominal_px(self.instrument, stars.direction)
+        nominal = nominal_px(self.instrument, direction)
         _, corner = self.corners(expected, nominal)
         light = np.moveaxis(cut_windows(expected.electrons, corner, bench.window_px), -1, 0)
         reader = WindowReader(self.instrument, self.streams)
         dark_e = reader.dark(corner, bench.window_px, frames=bench.dark_frames)
-        epsf = render_epsf(tracer, stars, half_size_px=bench.window_px // 2 + 1)
+        epsf = target.psfs(direction, bench.window_px // 2 + 1)
+        bundle = np.stack([truth.bundle_x_px, truth.bundle_y_px], axis=-1)
         stacks, results = [], []
-        for band, name in enumerate(stars.band):
-            stack = reader.expose(light[band], corner, frames=bench.frames, label=name)
+        for band, name in enumerate(expected.band):
+            own, reference = ([row[k] for row in epsf] for k in (band, bench.reference))
+            lit = frame_light(
+                light[band], corner, bundle[:, band], own, bench, self.instrument, self.streams.child(name)
+            )
+            stack = reader.expose(lit, corner, frames=bench.frames, label=name)
             stamps, noise = dark_subtracted(stack, dark_e)
             advice = f"lower signal_e ({bench.signal_e:g} e-)"
             refuse_saturated(stamps, len(corner), where=f"{self.place} position, filter {name}", advice=advice)
-            own, reference = ([row[k] for row in epsf] for k in (band, bench.reference))
             chosen = method_centroiders(bench.methods, own=own, reference=reference, measured=bench.epsf)
             results.append(self._centroids(stamps, noise, light[band].astype(float), chosen))
             stacks.append(stack)
-        return PointMeasurement(
-            direction=stars.direction,
+        found = PointMeasurement(
+            direction=direction,
             nominal_px=nominal,
             chief_px=np.stack([truth.chief_x_px, truth.chief_y_px], axis=-1),
-            bundle_px=np.stack([truth.bundle_x_px, truth.bundle_y_px], axis=-1),
+            bundle_px=bundle,
             photon_px=np.stack([truth.photon_x_px, truth.photon_y_px], axis=-1),
             mean_px={m: np.stack([one[0][m] for one in results], axis=1) for m in bench.methods},
             sigma_px={m: np.stack([one[1][m] for one in results], axis=1) for m in bench.methods},
@@ -164,6 +166,7 @@ class PointReadout:
             spot_um=np.sqrt(truth.variance_x_px2 + truth.variance_y_px2) * camera.pixel_pitch_mm * 1e3,
             windows=tuple(stacks),
         )
+        return found, expected
 
     def _centroids(
         self, stamps: Stamps, noise: NoiseModel, light_e: FloatArray, centroiders: Mapping[str, Centroider]

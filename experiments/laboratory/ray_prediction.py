@@ -10,9 +10,9 @@ from optics.arrays import FloatArray
 from optics.frames import field_angles_deg
 from optics.light.band import band_nodes
 from optics.rays.paraxial import lateral_colour_mm
-from optics.rays.spots import spot_moments
+from optics.rays.spots import SpotMoments, spot_moments
 
-__all__ = ["bundle_prediction", "expected_spots", "paraxial_prediction"]
+__all__ = ["bundle_prediction", "expected_spots", "light_shares", "paraxial_prediction", "spots_of"]
 
 ORDER = (5, 12)
 """Rings and azimuths in the pupil."""
@@ -20,7 +20,7 @@ PREDICTION_NODES = 11
 """Wavelength nodes of the predictions; another number than the renderer's on purpose."""
 
 
-def _shares(bench: Bench, instrument: Instrument) -> tuple[FloatArray, FloatArray]:
+def light_shares(bench: Bench, instrument: Instrument) -> tuple[FloatArray, FloatArray]:
     """Wavelength nodes (b, k) of the predictions and the share of the light each stands for."""
     nodes = band_nodes(bench.filters, PREDICTION_NODES)
     light = nodes.weight_nm * nodes.transmission * bench.lamp.photon_density(nodes.wavelength_nm)
@@ -35,10 +35,25 @@ def expected_spots(
 
     Photon-weighted, by the NumPy trace alone: no renderer, image or noise takes part. NaN where no ray arrives.
     """
-    camera = instrument.camera
-    wavelength, share = _shares(bench, instrument)
+    wavelength, share = light_shares(bench, instrument)
     field_x, field_y = field_angles_deg(direction.reshape(-1, 3))
-    spot = spot_moments(camera.focused_lens, field_x, field_y, wavelength.ravel(), order=ORDER)
+    bent = bench.collimation(wavelength, instrument)
+    spot = spot_moments(
+        instrument.camera.focused_lens,
+        field_x,
+        field_y,
+        wavelength.ravel(),
+        order=ORDER,
+        collimation=None if bent is None else bent.at(wavelength).reshape(-1, 3),
+    )
+    return spots_of(spot, share, instrument, direction.shape[:2])
+
+
+def spots_of(
+    spot: SpotMoments, share: FloatArray, instrument: Instrument, shape: tuple[int, ...]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """As `expected_spots`, from the moments of p j fields at all wavelengths of all bands and their shares (b, k)."""
+    camera = instrument.camera
     x, y, second, area = (
         v.reshape(-1, *share.shape) for v in (spot.x_mm, spot.y_mm, spot.xx_mm2 + spot.yy_mm2, spot.transmitted_mm2)
     )
@@ -46,7 +61,7 @@ def expected_spots(
     mean_x, mean_y = ((v * light).sum(2) for v in (x, y))
     apart = (x - mean_x[..., None]) ** 2 + (y - mean_y[..., None]) ** 2
     radius = np.sqrt(((second + apart) * light).sum(2)) / camera.pixel_pitch_mm
-    shape = (*direction.shape[:2], len(share))
+    shape = (*shape, len(share))
     place = np.stack(camera.to_pixel(mean_x, mean_y), axis=-1).reshape(*shape, 2)
     return place, radius.reshape(shape), (area * share).sum(2).reshape(shape)
 
@@ -62,7 +77,7 @@ def paraxial_prediction(bench: Bench, instrument: Instrument, direction: FloatAr
     The chief ray's height is averaged over the light of each band: over 100 nm it is far from linear in wavelength.
     """
     camera = instrument.camera
-    wavelength, share = _shares(bench, instrument)
+    wavelength, share = light_shares(bench, instrument)
     tangent = direction.reshape(-1, 3)[:, :2] / direction.reshape(-1, 3)[:, 2:]
     # the paraxial chief ray is linear in the tangent of the field
     height_mm = lateral_colour_mm(camera.focused_lens, 1.0, wavelength) / np.tan(np.radians(1.0))

@@ -155,7 +155,7 @@ class CatalogueConfig(StrictModel):
 
 
 class TargetConfig(StrictModel):
-    """A rows x columns grid; the collimator is taken as free of colour (an off-axis paraboloid)."""
+    """A rows x columns grid in the focal plane of the collimator."""
 
     rows: int = Field(default=5, ge=1, le=50, description="points along a column")
     columns: int = Field(default=5, ge=1, le=50, description="points along a row")

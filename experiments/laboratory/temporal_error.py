@@ -9,14 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
+from calib.measure.centroid import Centroider
 from experiments.harness.summary import Measured
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_frames import SUBTRACTIONS, Subtraction, read_points
-from experiments.laboratory.point_noise import bound_px, expected_windows, influence, sampled_px
+from experiments.laboratory.point_noise import (
+    ExpectedWindows,
+    bound_px,
+    expected_windows,
+    influence,
+    sampled_px,
+    window_positions,
+)
 from experiments.laboratory.point_scene import PointLight, PointScene, one_filter, scene_of
 from experiments.laboratory.ray_prediction import bundle_prediction
-from experiments.laboratory.readout.centroids import centroiders
+from experiments.laboratory.readout.centroids import centroiders, common_motion_px2, motion_method
 from experiments.laboratory.target import target_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams
@@ -87,6 +95,8 @@ class TemporalMeasurement:
         Readout at the level nearest to that of the bench.
     position_px : dict of str to (f, j, 2)
         Centroids of these frames, dark-subtracted.
+    motion_px2 : (l, 2, 2)
+        What the stars have in common (`experiments.laboratory.readout.centroids.common_motion_px2`).
     """
 
     levels_e: FloatArray
@@ -96,6 +106,7 @@ class TemporalMeasurement:
     light: PointLight
     windows: WindowStack
     position_px: Mapping[str, FloatArray]
+    motion_px2: FloatArray
 
     def te_arcsec(self, method: str, level: int = 0, subtraction: Subtraction = "dark") -> tuple[Measured, Measured]:
         """Temporal error at a level, x and y, 3 sigma (`temporal_error_arcsec`)."""
@@ -120,6 +131,11 @@ class TemporalPrediction:
         Cramer-Rao bound.
     device_px : dict of str to (l, j, 2)
         By how much the standard deviation differs from chip to chip.
+    common_px : dict of str to (l, j, 2)
+        Standard deviation that the line of sight from frame to frame makes, which is part of all the others: its own,
+        times what the centroid follows (1 but for the S-curve).
+    frames : int
+        N.
     """
 
     levels_e: FloatArray
@@ -129,6 +145,8 @@ class TemporalPrediction:
     sampled_px: Mapping[str, FloatArray]
     draws: int
     bound_px: FloatArray
+    common_px: Mapping[str, FloatArray]
+    frames: int
 
     def te_arcsec(self, method: str, level: int = 0) -> FloatArray:
         """Temporal error at a level, (x, y), 3 sigma, by influence function."""
@@ -139,11 +157,16 @@ class TemporalPrediction:
         return np.asarray(3.0 * self.pixel_arcsec * self.sampled_px[method][level].mean(0))
 
     def te_uncertainty_arcsec(self, method: str, level: int = 0) -> FloatArray:
-        """Standard deviation of `sampled_te_arcsec` (x, y): finite draws, and one chip against the next."""
+        """Standard deviation of `sampled_te_arcsec` (x, y): finite draws, and one chip against the next.
+
+        With a line of sight that is not at rest also what N frames draw of it, which is the same for all stars.
+        """
         device = self.device_px[method][level]
         drawn = self.sampled_px[method][level] / np.sqrt(2.0 * max(self.draws - 1, 1)) if self.draws >= 2 else 0.0
         spread = np.sqrt((device**2 + np.square(drawn)).sum(0)) / len(device)
-        return np.asarray(3.0 * self.pixel_arcsec * spread)
+        size = self.sampled_px[method][level]
+        drawn = (self.common_px[method][level] ** 2 / (2.0 * size)).mean(0) * np.sqrt(2.0 / (self.frames - 1.0))
+        return np.asarray(3.0 * self.pixel_arcsec * np.hypot(spread, drawn))
 
     def bound_te_arcsec(self, level: int = 0) -> FloatArray:
         """The same for the best unbiased estimator."""
@@ -200,7 +223,7 @@ def measure_temporal(
     levels = np.array([bench.signal_e] if levels_e is None else levels_e, float)
     nearest = int(np.argmin(np.abs(np.log(levels / bench.signal_e))))
     sigma: dict[str, dict[str, list[FloatArray]]] = {s: {m: [] for m in bench.methods} for s in subtractions}
-    kept = None
+    kept, motion = None, []
     for number, level in enumerate(levels):
         for subtraction in subtractions:
             frames = read_points(
@@ -213,6 +236,8 @@ def measure_temporal(
             )
             for method in bench.methods:
                 sigma[subtraction][method].append(frames.sigma_px(method))
+            if subtraction == subtractions[0]:
+                motion.append(common_motion_px2(frames.position_px[motion_method(bench.methods)]))
             if number == nearest and kept is None:
                 kept = frames
         advance()
@@ -225,6 +250,7 @@ def measure_temporal(
         light=light,
         windows=kept.windows,
         position_px=kept.position_px,
+        motion_px2=np.stack(motion),
     )
 
 
@@ -262,7 +288,8 @@ def predict_temporal(
     linear: dict[str, list[FloatArray]] = {m: [] for m in methods}
     sampled: dict[str, list[FloatArray]] = {m: [] for m in methods}
     device: dict[str, list[FloatArray]] = {m: [] for m in methods}
-    bound = []
+    followed: dict[str, list[FloatArray]] = {m: [] for m in methods}
+    bound, step = [], bench.power_px2(instrument)[0] ** 0.5
     place = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
     for level in levels:
         windows = expected_windows(
@@ -273,15 +300,35 @@ def predict_temporal(
             gain = influence(centroider, instrument, windows)
             linear[name].append(gain.sigma_px(noise.temporal_e2(windows.light_e)))
             device[name].append(gain.device_sigma_px(windows.light_e, noise))
+            followed[name].append(_followed_px(centroider, instrument, windows, step))
             if draws >= 2:
                 sampled[name].append(sampled_px(centroider, instrument, windows, noise, draws=draws, rng=rng))
     stacked = {m: np.stack(v) for m, v in linear.items()}
+    common = {m: np.stack(v) for m, v in followed.items()}
+    if step:
+        stacked = {m: np.hypot(v, common[m]) for m, v in stacked.items()}
     return TemporalPrediction(
         levels_e=levels,
         pixel_arcsec=instrument.pixel_arcsec,
         linear_px=stacked,
         device_px={m: np.stack(v) for m, v in device.items()},
-        sampled_px={m: np.stack(v) for m, v in sampled.items()} if draws >= 2 else stacked,
+        sampled_px={m: np.hypot(np.stack(v), common[m]) for m, v in sampled.items()} if draws >= 2 else stacked,
         draws=draws,
-        bound_px=np.stack(bound),
+        bound_px=np.hypot(np.stack(bound), step),
+        common_px=common,
+        frames=bench.frames,
     )
+
+
+def _followed_px(
+    centroider: Centroider, instrument: Instrument, windows: ExpectedWindows, step_px: float
+) -> FloatArray:
+    """What a centroid (n, 2) makes of a step of the image: half of the way between both sides."""
+    if not step_px:
+        return np.zeros_like(windows.place_px)
+    ends = []
+    for axis in range(2):
+        moved = (windows.moved(side * step_px * np.eye(2)[axis]) for side in (-1.0, 1.0))
+        low, high = (window_positions(centroider, instrument, one)[0][:, axis] for one in moved)
+        ends.append((high - low) / 2.0)
+    return np.stack(ends, axis=1)

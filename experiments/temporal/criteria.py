@@ -7,6 +7,7 @@ import numpy as np
 from experiments.harness.quantities import Outcome
 from experiments.harness.summary import Criterion, farthest_from_one
 from experiments.laboratory import as_printed
+from experiments.laboratory.collimator_effects import line_of_sight_criterion
 from experiments.laboratory.criteria import (
     MOTION_RATIO,
     as_the_paper,
@@ -67,7 +68,10 @@ def _end_to_end(outcome: Outcome) -> list[Criterion]:
     found.append(as_the_paper("temporal error of all centroiders", outcome.values("dark_arcsec"), printed, "arcsec"))
     found.append(pixel_angle(result.instrument))
     mean = {method: np.nanmean(nominal[method], axis=0) for method in methods}
-    return [*found, *centroids_on_the_light("", mean, result.nominal.light.photon_px)]
+    if result.sight is not None:
+        found.append(line_of_sight_criterion(result.sight))
+    still = 0.0 if result.sight is None else result.sight.between_px / np.sqrt(result.nominal.frames)
+    return [*found, *centroids_on_the_light("", mean, result.nominal.light.photon_px, still)]
 
 
 def _shaken(outcome: Outcome, method: str) -> Criterion:
@@ -81,7 +85,9 @@ def _shaken(outcome: Outcome, method: str) -> Criterion:
     frames = at_rest / np.sqrt(sum(shaken.frames))
     apart = np.nanmean(result.nominal.position_px[method], axis=0) - light.photon_px
     pixels = 3.0 * shaken.pixel_arcsec * apart.std(axis=0, ddof=1) / np.sqrt(2.0)
-    error = np.hypot(frames, pixels) / np.sqrt(len(light)) / expected
+    common = 0.0 if result.sight is None else 3.0 * shaken.pixel_arcsec * result.sight.between_px
+    common /= np.sqrt(sum(shaken.frames))
+    error = np.hypot(np.hypot(frames, pixels) / np.sqrt(len(light)), common) / expected
     motion = " and ".join(f"{value:.2f}″" for value in shaken.motion_arcsec)
     return Criterion(
         name=f"{method}: temporal error of a target that moves by {motion} (3 σ, x and y), over what that gives",

@@ -30,7 +30,10 @@ def run(config: Config, *, progress: Progress) -> Result:
         On anything the user can mend: unknown lens or detector, target off the detector, points not detected or
         saturated, light beyond the range of the data.
     """
+    import numpy as np
+
     from experiments.laboratory.brightness import BrightnessControl
+    from experiments.laboratory.collimator_effects import line_of_sight
     from experiments.laboratory.known_motion import measure_shaken
     from experiments.laboratory.point_scene import point_laboratory, prepared_scene
     from experiments.laboratory.published import is_published_sensor
@@ -76,6 +79,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         )
         known = is_published_sensor(config)
         levels = published_levels(bench, instrument, psf, config.place_px) if known else {}
+    motion_px2 = np.concatenate([measured.motion_px2, nominal.motion_px2])
     return Result(
         config=config,
         instrument=instrument,
@@ -84,6 +88,7 @@ def run(config: Config, *, progress: Progress) -> Result:
         predicted=predicted,
         predicted_nominal=at_nominal,
         shaken=shaken,
+        sight=line_of_sight(bench, instrument, motion_px2, bench.frames),
         published_level_e=levels,
     )
 

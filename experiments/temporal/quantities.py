@@ -8,6 +8,7 @@ import numpy as np
 
 from experiments.harness.quantities import Quantities
 from experiments.harness.summary import Measured
+from experiments.laboratory.collimator_effects import add_line_of_sight
 from experiments.laboratory.point_quantities import point_quantities
 from experiments.laboratory.point_scene import point_signal
 from experiments.laboratory.published import ACC18_ARCSEC, is_published_sensor
@@ -53,6 +54,8 @@ def describe(result: Result) -> Quantities:
     described = {"unit": "mag", "dims": "level", "format": ".2f", "key": "magnitude_mag"}
     q.add("level_magnitude_mag", magnitude, "V", **described, json="levels[level].magnitude_mag")
     _stars(q, result)
+    if result.sight is not None:
+        add_line_of_sight(q, result.sight)
     q.add("frames", result.measured.frames, "Frames")
     q.add("stars", len(result.measured.light), "Stars")
     q.add("pixel_arcsec", result.measured.pixel_arcsec, "Angle of a pixel", unit="arcsec")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.laboratory.bench import Bench
+from experiments.laboratory.collimator_effects import LineOfSight
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.known_motion import ShakenTarget
 from experiments.laboratory.published import ACC18_ARCSEC
@@ -35,6 +36,8 @@ class Result:
         At the signal of the source.
     shaken : ShakenTarget
         At the signal of the source, the target moved by a known amount while frames were taken.
+    sight : LineOfSight or None
+        Of the collimator; None at rest.
     published_level_e : dict of str to (2,)
         Signal at which each centroider would show the published numbers, x and y, by prediction; NaN outside 50 to 2e4.
         Empty for another sensor than the published one.
@@ -47,6 +50,7 @@ class Result:
     predicted: TemporalPrediction
     predicted_nominal: TemporalPrediction
     shaken: ShakenTarget
+    sight: LineOfSight | None
     published_level_e: Mapping[str, FloatArray]
 
 

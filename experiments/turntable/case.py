@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from experiments.harness.progress import Progress
-from experiments.laboratory.collimator import star_direction
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.single_star.derivatives import reading_covariance_px2
 from experiments.laboratory.single_star.measure import Measurement, measure
 from experiments.laboratory.single_star.reduce import Data, check_fit, check_parity, reduce_data, start_model
 from experiments.laboratory.single_star.settings import TableConfig
 from experiments.laboratory.single_star.setup import averaged, build_table
+from experiments.laboratory.single_star.star import star_direction
 from experiments.laboratory.turntable import Turntable
 from experiments.turntable.bound import Bound, bound, knowledge, noise_shares
 from experiments.turntable.evaluation import Reduction, judge

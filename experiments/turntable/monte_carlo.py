@@ -11,10 +11,10 @@ import numpy as np
 from calib.attitude.link import angles_of_rotation
 from calib.calibration.record import Calibration
 from calib.cameras import CameraModel
-from experiments.laboratory.collimator import star_angles_deg
 from experiments.laboratory.single_star.bench import Bench
 from experiments.laboratory.single_star.derivatives import reading_covariance_px2
 from experiments.laboratory.single_star.reduce import Data, reduce_data
+from experiments.laboratory.single_star.star import star_angles_deg
 from experiments.turntable.bound import bound
 from experiments.turntable.evaluation import judge
 from experiments.turntable.traced import TracedMap

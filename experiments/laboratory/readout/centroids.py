@@ -20,8 +20,10 @@ from render.records import EffectivePsf
 
 __all__ = [
     "centroiders",
+    "common_motion_px2",
     "frame_statistics",
     "measured_positions",
+    "motion_method",
     "noiseless_positions",
     "refuse_few_frames",
     "session_centroiders",
@@ -63,6 +65,25 @@ def frame_statistics(position_px: FloatArray) -> tuple[FloatArray, FloatArray, N
     filled = np.where(enough, position_px, 0.0)
     mean, sigma = np.nanmean(filled, axis=0), np.nanstd(filled, axis=0, ddof=1)
     return np.where(enough, mean, np.nan), np.where(enough, sigma, np.nan), count
+
+
+def motion_method(methods: Sequence[str]) -> str:
+    """The method that a motion of the image is judged by: a fit of the true PSF has no S-curve; or the first."""
+    return "epsf" if "epsf" in methods else methods[0]
+
+
+def common_motion_px2(position_px: FloatArray) -> FloatArray:
+    """Variance (2, 2) of positions (f, n, 2): first (x, y) of what the points have in common from frame to frame.
+
+    Then what the points' own noise leaves in the mean over them, which has been taken from the first. NaN for a single
+    point.
+    """
+    points = position_px.shape[1]
+    if points < 2:
+        return np.full((2, 2), np.nan)
+    mean = np.nanmean(position_px, axis=1)
+    own = np.nanvar(position_px - mean[:, None], axis=0, ddof=1).mean(0) / (points - 1.0)
+    return np.stack([mean.var(0, ddof=1) - own, own])
 
 
 def refuse_few_frames(position_px: FloatArray, method: str, *, where: str) -> None:

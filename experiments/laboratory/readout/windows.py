@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,20 @@ class WindowReader:
     streams: Streams
 
     def expose(self, light_e: ArrayLike, corner_px: NDArray[np.int64], *, frames: int, label: str) -> WindowStack:
-        """Frames of windows (n, h, w) with their first pixels at ``corner_px``; ``label`` names the random streams."""
+        """Frames of windows (n, h, w) with their first pixels at ``corner_px``; ``label`` names the random streams.
+
+        With an axis before them, (f, n, h, w), the light is that of each frame.
+        """
+        light = np.asarray(light_e)
+        if light.ndim == 3:
+            return self._expose(light, corner_px, frames, 0, label)
+        every = [self._expose(one, corner_px, 1, number, label) for number, one in enumerate(light)]
+        dn, saturated = (np.concatenate([getattr(one, name) for one in every]) for name in ("dn", "saturated"))
+        return replace(every[0], dn=dn, saturated=saturated)
+
+    def _expose(
+        self, light_e: FloatArray, corner_px: NDArray[np.int64], frames: int, first: int, label: str
+    ) -> WindowStack:
         config = self.instrument.config
         return expose_windows(
             light_e,
@@ -42,6 +55,7 @@ class WindowReader:
             self.instrument.detector,
             streams=self.streams,
             frames=frames,
+            first_frame=first,
             exposure_s=config.exposure_s,
             temperature_c=config.chip_temperature_c,
             band=label,

@@ -9,8 +9,8 @@ import numpy as np
 
 from calib.attitude.link import angles_of_rotation, increment_per_angle
 from calib.cameras.base import CameraModel
-from experiments.laboratory.collimator import star_angles_deg
 from experiments.laboratory.single_star.bench import Bench
+from experiments.laboratory.single_star.star import star_angles_deg
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, DEG_RAD
 

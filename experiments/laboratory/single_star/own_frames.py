@@ -11,7 +11,6 @@ from calib.calibration.record import Calibration
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.cameras.line_of_sight import line_of_sight_map
 from experiments.harness.summary import Criterion
-from experiments.laboratory.collimator import star_direction
 from experiments.laboratory.own_frames.folder import FrameFolder
 from experiments.laboratory.own_frames.series import SeriesFrames, reduce_series
 from experiments.laboratory.own_frames.settings import SETTINGS_FILE, Layout
@@ -24,6 +23,7 @@ from experiments.laboratory.single_star.reduce import (
     check_parity,
     reduce_data,
 )
+from experiments.laboratory.single_star.star import star_direction
 from experiments.laboratory.turntable import Turntable, build_turntable
 from optics.arrays import FloatArray
 from optics.errors import ConfigError

@@ -63,6 +63,7 @@ def whole(bench, instrument, seed=1):
         moved_stellar=stars,
         field_shift_px={name: np.zeros((1, 2)) for name, _, _ in bench.pairs},
         star_e=6000.0,
+        collimator=None,
         signal=Signal(signal_e=6000.0, magnitude_mag=7.5, temperature_k=5800.0),
     )
 

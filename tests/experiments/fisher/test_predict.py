@@ -28,8 +28,8 @@ from experiments.fisher.predict import (
 )
 from experiments.fisher.reduce import baseline_px, evaluate
 from experiments.fisher.table_noise import table_share, table_sweep
-from experiments.laboratory.collimator import star_direction
 from experiments.laboratory.single_star.bench import Bench, aim
+from experiments.laboratory.single_star.star import star_direction
 from experiments.laboratory.turntable import build_turntable
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
 from render.engine.random import Streams

@@ -13,7 +13,6 @@ from experiments.chromatic.settings import Config as ChromaticConfig
 from experiments.distortion.own_frames import reduce as distortion_from_frames
 from experiments.distortion.settings import Config as DistortionConfig
 from experiments.hsfe.own_frames import reduce as hsfe_from_frames
-from experiments.laboratory.bench import point_field
 from experiments.laboratory.distortion_error import measure_distortion
 from experiments.laboratory.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
@@ -71,8 +70,7 @@ class Writer:
         ]
 
     def image(self, direction):
-        expected = self.scene.renderer.render(point_field(self.scene.bench, self.scene.instrument, direction))
-        return expected.electrons[:, :, 0]
+        return self.scene.target.image(direction).electrons[:, :, 0]
 
     def frames(self, image, streams, band, count, name):
         config = self.scene.instrument.config

@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.laboratory.bench import point_field
 from experiments.laboratory.instrument import build_instrument
 from experiments.laboratory.point_scene import point_scene
 from experiments.laboratory.points import PointReadout
@@ -21,6 +20,7 @@ from experiments.laboratory.readout.frames import empty_frame
 from experiments.laboratory.readout.noise_model import true_noise
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
 from experiments.laboratory.single_star.star_readings import WindowPlan, read_windows
+from experiments.laboratory.target_light import target_light
 from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
 from render.detector.readout import expose
 from render.engine.random import Streams
@@ -63,7 +63,7 @@ def within(measured: np.ndarray, predicted: np.ndarray) -> None:
 @pytest.fixture(scope="module")
 def visits(engine, camera):
     """A star of 12000 e- at 12 x 8 places, with its PSFs."""
-    from experiments.laboratory.collimator import SingleStar
+    from experiments.laboratory.single_star.star import SingleStar
     from optics.light.band import TopHat
     from optics.light.spectrum import Blackbody
 
@@ -124,10 +124,8 @@ def test_fixed_patterns_of_a_point_target(engine, bench_of, camera):
     """Few dark frames, many frames: the mean centroids are off by the noise of the dark frames and by PRNU."""
     bench = bench_of(rows=12, columns=10, frames=50, dark_frames=2, centres_nm=(600.0,), reference=0)
     bench = replace(bench, target=bench.target.model_copy(update={"pitch_px": 40.4}))
-    stars = point_field(bench, camera, target_place(bench, camera, PLACE))
-    expected = StarRenderer(camera.camera, exposure_s=camera.config.exposure_s).render(stars)
     readout = PointReadout(bench, camera, Streams(5), "middle")
-    found = readout.measure(stars, expected, epsf_tracer(camera.camera))
+    found, _ = readout.measure(target_light(bench, camera), target_place(bench, camera, PLACE))
     off2 = (found.mean_px["epsf"] - found.photon_px) ** 2 - found.sigma_px["epsf"] ** 2 / found.frames_used[..., None]
     within(off2, found.pattern_px["epsf"] ** 2)
 

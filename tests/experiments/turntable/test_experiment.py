@@ -9,9 +9,9 @@ from scipy.stats import chi2
 
 from calib.cameras import BrownConrady, SensorGeometry
 from experiments.harness.config import load_config
-from experiments.laboratory.collimator import star_direction
 from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.single_star.reduce import Data, check_fit, check_parity, reduce_data
+from experiments.laboratory.single_star.star import star_direction
 from experiments.laboratory.turntable import build_turntable
 from experiments.turntable.criteria import RENDERED_QUANTILE, rendered_limit
 from experiments.turntable.evaluation import judge

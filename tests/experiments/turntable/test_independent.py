@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from calib.cameras import BrownConrady, SensorGeometry
 from experiments.laboratory import turntable as table_module
-from experiments.laboratory.collimator import star_direction
 from experiments.laboratory.single_star import setup
 from experiments.laboratory.single_star.bench import aim
 from experiments.laboratory.single_star.reduce import Data, reduce_data
 from experiments.laboratory.single_star.setup import averaged, build_bench, build_table
+from experiments.laboratory.single_star.star import star_direction
 from experiments.turntable import independent
 from experiments.turntable.criteria import FALSE_ALARM, MOVED_LIMIT
 from experiments.turntable.independent import check_case

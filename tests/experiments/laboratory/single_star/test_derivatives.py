@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.cameras import BrownConrady, SensorGeometry
-from experiments.laboratory.collimator import star_direction
 from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.single_star.derivatives import angle_effect, design, lean_effect, reading_covariance_px2
+from experiments.laboratory.single_star.star import star_direction
 from experiments.laboratory.turntable import build_turntable
 from optics.units import ARCSEC_RAD
 

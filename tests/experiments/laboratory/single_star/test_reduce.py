@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.cameras import BrownConrady, SensorGeometry
-from experiments.laboratory.collimator import star_direction
 from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.single_star.reduce import (
     Data,
@@ -17,6 +16,7 @@ from experiments.laboratory.single_star.reduce import (
     check_parity,
     reduce_data,
 )
+from experiments.laboratory.single_star.star import star_direction
 from experiments.laboratory.turntable import build_turntable
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD

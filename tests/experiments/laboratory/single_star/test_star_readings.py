@@ -12,7 +12,7 @@ from render.records import ExpectedImage
 @pytest.fixture(scope="module")
 def visited(engine, small_camera):
     """A star of 12000 e- at 8 x 8 places of the small camera, with its PSFs."""
-    from experiments.laboratory.collimator import SingleStar
+    from experiments.laboratory.single_star.star import SingleStar
     from optics.light.band import TopHat
     from optics.light.spectrum import Blackbody
     from render.forward import StarRenderer

@@ -1,0 +1,300 @@
+"""What the collimator's errors do to the document's numbers: in closed form, and as frames show it.
+
+The closed forms share no equation with the light that is rendered (`experiments.laboratory.collimator`):
+
+* a thin prism turns light by (n - 1) times the angle between its faces, n the maker's index;
+* air of a gradient dT/dx bends it over the path L by L (n - 1) / T dT/dx (Gladstone-Dale, ideal gas);
+* a target that is p behind the focus F has the vergence -p / F^2: seen from d beside the axis of the beam it stands
+  p d / F^2 away, and the focus of a camera of focal length f moves by f^2 p / F^2;
+* a disk of the radius R adds R^2 / 4 to the variance of the image along an axis;
+* the mean over the exposure T of a vibration at f keeps the part sinc(f T)^2 of its power (`Collimator.power_arcsec2`).
+
+All but the vergence's blur is constant over the field, where the lateral colour of a centred lens is odd: eq. 16 shows
+half of the difference of two filters, in full.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from experiments.harness.pivot import Pivot
+from experiments.harness.quantities import Quantities
+from experiments.harness.summary import Criterion, farthest_from_one
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.chromatic_error import shifts, table1
+from experiments.laboratory.collimator_settings import FilteredCollimatorConfig
+from experiments.laboratory.criteria import MOTION_RATIO, two_sided_limit
+from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.ray_prediction import ORDER, bundle_prediction, light_shares, spots_of
+from optics.arrays import FloatArray
+from optics.frames import field_angles_deg
+from optics.glass.air import air_index
+from optics.glass.catalogue import get_glass
+from optics.rays.spots import SpotMoments, spot_moments
+from optics.units import ARCSEC_RAD, DEG_RAD, UM_MM
+
+__all__ = [
+    "PARTS",
+    "ChromaticEffect",
+    "LineOfSight",
+    "add_chromatic_effect",
+    "add_line_of_sight",
+    "chromatic_criteria",
+    "chromatic_effect",
+    "chromatic_table",
+    "closed_motion_px",
+    "closed_spot_um",
+    "line_of_sight",
+    "line_of_sight_criterion",
+]
+
+PARTS = {"wedge": "wedge", "air": "air", "decollimation": "decollimation"}
+"""What moves the image by an angle that depends on the wavelength."""
+KELVIN = 273.15
+SPOT_RATIO = 0.03
+"""What a paraxial change of focus may be off in the radius of a spot."""
+FIELD_RATIO = 0.03
+"""What the scale of the image changes over the field, by distortion and the slope of its plane."""
+
+
+def closed_motion_px(bench: Bench, instrument: Instrument) -> dict[str, FloatArray]:
+    """Motion of the image (b, 2) [px] behind every filter by each of `PARTS`."""
+    collimator, camera = bench.collimator, instrument.camera
+    none = np.zeros((len(bench.filters), 2))
+    found = dict.fromkeys(PARTS, none)
+    if collimator is None:
+        return found
+    config, f = collimator.config, collimator.config.focal_length_mm
+    wavelength, share = light_shares(bench, instrument)
+    px = instrument.focal_length_mm / camera.pixel_pitch_mm
+    if isinstance(config, FilteredCollimatorConfig):
+        minus_one = (share * (get_glass(config.wedge_glass).index(wavelength) - 1.0)).sum(1)
+        wedge = [collimator.wedge.get(band.name, (0.0, 0.0)) for band in bench.filters]
+        turn = [collimator.wedge_lever * k * a * ARCSEC_RAD for k, (a, _) in zip(minus_one, wedge, strict=True)]
+        way = [(np.cos(at * DEG_RAD), np.sin(at * DEG_RAD)) for _, at in wedge]
+        found["wedge"] = px * np.array(turn)[:, None] * np.array(way)
+    air = camera.lens.environment
+    if any(config.air_gradient_k_per_m):
+        thin = (share * (air_index(wavelength, air.temperature_c, air.pressure_hpa) - 1.0)).sum(1)
+        bend = config.air_path_m * thin / (KELVIN + air.temperature_c)
+        found["air"] = px * bend[:, None] * np.array(config.air_gradient_k_per_m)
+    behind = config.decollimation_um * UM_MM - (share * collimator.focus_mm(wavelength)).sum(1)
+    found["decollimation"] = px * (behind / f**2)[:, None] * np.array(config.offset_mm)
+    return found
+
+
+def closed_spot_um(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
+    """RMS radius (b,) [um] of the spots of points (p, j, 3): the camera refocused for every colour, and the disk."""
+    collimator = bench.collimator
+    assert collimator is not None
+    config, camera = collimator.config, instrument.camera
+    wavelength, share = light_shares(bench, instrument)
+    field = field_angles_deg(direction.reshape(-1, 3))
+    behind = config.decollimation_um * UM_MM - collimator.focus_mm(wavelength).ravel()
+    moved = (instrument.focal_length_mm / config.focal_length_mm) ** 2 * behind
+    spots = [
+        spot_moments(replace(camera, defocus_mm=camera.defocus_mm + shift).focused_lens, *field, wave, order=ORDER)
+        for shift, wave in zip(moved, wavelength.ravel(), strict=True)
+    ]
+    every = {name: np.concatenate([getattr(one, name) for one in spots], axis=1) for name in SpotMoments.__slots__}
+    _, radius_px, _ = spots_of(SpotMoments(**every), share, instrument, direction.shape[:2])
+    disk_px = collimator.source_radius_rad / (instrument.pixel_arcsec * ARCSEC_RAD)
+    return np.asarray(np.hypot(radius_px, disk_px / 2.0**0.5).mean((0, 1)) * camera.pixel_pitch_mm / UM_MM)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChromaticEffect:
+    """The collimator in ACC18's chromatic test, by pair of bands.
+
+    Attributes
+    ----------
+    part_px : dict of str to dict of str to (2,)
+        By each of `PARTS`, in closed form: what it adds to Table 1.
+    seen_px, sigma_px : dict of str to (2,)
+        Table 1 as measured minus that traced without the collimator's errors, and its standard deviation.
+    spot_um, seen_spot_um : (b,) or None
+        RMS radius of the spots in closed form, and of the rendered light.
+    """
+
+    part_px: Mapping[str, Mapping[str, FloatArray]]
+    seen_px: Mapping[str, FloatArray]
+    sigma_px: Mapping[str, FloatArray]
+    spot_um: FloatArray | None
+    seen_spot_um: FloatArray | None
+
+    @property
+    def together_px(self) -> dict[str, FloatArray]:
+        """All parts."""
+        return {pair: np.sum([of[pair] for of in self.part_px.values()], axis=0) for pair in self.seen_px}
+
+
+def chromatic_effect(
+    bench: Bench,
+    instrument: Instrument,
+    direction: FloatArray,
+    table1_px: Mapping[str, FloatArray],
+    sigma_px: Mapping[str, FloatArray],
+    seen_spot_um: FloatArray | None = None,
+) -> ChromaticEffect | None:
+    """Closed forms beside what was measured; None for a perfect collimator.
+
+    Parameters
+    ----------
+    bench, instrument
+        The laboratory.
+    direction : (p, j, 3)
+        Target points.
+    table1_px, sigma_px : dict of str to (2,)
+        Eq. 16 as measured, with its standard deviation.
+    seen_spot_um : (b,), optional
+        RMS radius of the rendered spots, where it is to be compared too.
+    """
+    if bench.collimator is None:
+        return None
+    without = shifts(bundle_prediction(replace(bench, collimator=None), instrument, direction), bench.pairs)
+    motion = closed_motion_px(bench, instrument)
+    return ChromaticEffect(
+        part_px={
+            part: {pair: (of[high] - of[low]) / 2.0 for pair, high, low in bench.pairs} for part, of in motion.items()
+        },
+        seen_px={pair: table1_px[pair] - table1(shift) for pair, shift in without.items()},
+        sigma_px=sigma_px,
+        spot_um=None if seen_spot_um is None else closed_spot_um(bench, instrument, direction),
+        seen_spot_um=seen_spot_um,
+    )
+
+
+def add_chromatic_effect(q: Quantities, effect: ChromaticEffect) -> None:
+    """The effect as quantities ``collimator_...``; the axes ``pair``, ``axis`` and ``band`` are there already."""
+    pairs = list(effect.seen_px)
+    q.axis("part", list(PARTS), "Part", names=PARTS)
+    entry: dict[str, Any] = {"unit": "px", "dims": "pair axis", "format": "+.4f"}
+    parts = [[of[pair] for pair in pairs] for of in effect.part_px.values()]
+    json = "collimator.{}_px"
+    q.add("collimator_part_px", parts, "Closed form", **(entry | {"dims": "part pair axis"}), json=json.format("parts"))
+    together = effect.together_px
+    values = [together[pair] for pair in pairs]
+    q.add("collimator_together_px", values, "Together", **entry, json=json.format("together"))
+    seen, sigma = ([of[pair] for pair in pairs] for of in (effect.seen_px, effect.sigma_px))
+    places = {"json": json.format("seen"), "json_error": "collimator.sigma_px"}
+    q.add("collimator_seen_px", seen, "Seen", **entry, error=sigma, **places)
+
+
+def chromatic_criteria(effect: ChromaticEffect) -> list[Criterion]:
+    """Table 1 and spots of a collimator with errors against the closed forms."""
+    expected, seen, sigma = (
+        np.array(list(of.values())) for of in (effect.together_px, effect.seen_px, effect.sigma_px)
+    )
+    allowed = two_sided_limit(seen.size) * sigma + FIELD_RATIO * np.abs(expected)
+    found = [
+        Criterion(
+            name="collimator: Table 1 less that traced without its errors, against (n - 1) wedge, air and "
+            "decollimation in closed form, in units of what is allowed",
+            value=float((np.abs(seen - expected) / allowed).max()),
+            limit=1.0,
+        )
+    ]
+    if effect.seen_spot_um is not None and effect.spot_um is not None:
+        found.append(
+            Criterion(
+                name="collimator: radius of the rendered spots over that of a refocused camera and a disk",
+                value=farthest_from_one(effect.seen_spot_um / effect.spot_um),
+                about=1.0,
+                limit=SPOT_RATIO,
+            )
+        )
+    return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineOfSight:
+    """The line of sight from frame to frame, per axis.
+
+    Attributes
+    ----------
+    between_px, within_px : float
+        Standard deviation from exposure to exposure, and within one, in closed form.
+    seen_px : (2,)
+        The former from frames: what the stars have in common.
+    own_px : float
+        What the stars' own noise leaves in the mean over them.
+    frames : int
+        That ``seen_px`` is from.
+    pixel_arcsec : float
+        Angle of a pixel.
+    """
+
+    between_px: float
+    within_px: float
+    seen_px: FloatArray
+    own_px: float
+    frames: int
+    pixel_arcsec: float
+
+
+def line_of_sight(bench: Bench, instrument: Instrument, motion_px2: FloatArray, frames: int) -> LineOfSight | None:
+    """Closed form beside what frames show; None for a line of sight at rest, or of a single star.
+
+    Parameters
+    ----------
+    bench, instrument
+        The laboratory.
+    motion_px2 : (n, 2, 2)
+        `experiments.laboratory.readout.centroids.common_motion_px2` of n series of ``frames`` frames each.
+    frames : int
+        Of each series.
+    """
+    between, within = bench.power_px2(instrument)
+    if not between or not np.isfinite(motion_px2).all():
+        return None
+    motion, own = motion_px2.mean(0)
+    return LineOfSight(
+        between_px=between**0.5,
+        within_px=within**0.5,
+        seen_px=np.sqrt(np.maximum(motion, 0.0)),
+        own_px=float(np.sqrt(own.mean())),
+        frames=frames * len(motion_px2),
+        pixel_arcsec=instrument.pixel_arcsec,
+    )
+
+
+def add_line_of_sight(q: Quantities, sight: LineOfSight) -> None:
+    """The line of sight as quantities ``collimator_...``, 3 sigma; the axis ``axis`` is there already."""
+    scale, angle = 3.0 * sight.pixel_arcsec, {"unit": "arcsec", "format": ".3f"}
+    for name, label, value in (
+        ("between", "Line of sight from frame to frame, predicted", sight.between_px),
+        ("within", "Line of sight within a frame, predicted", sight.within_px),
+    ):
+        place = f"collimator.line_of_sight_{name}_arcsec_3sigma"
+        q.add(f"collimator_{name}_arcsec", scale * value, label, **angle, json=place)
+    place = "collimator.line_of_sight_seen_arcsec_3sigma"
+    error = np.full(2, scale * sight.between_px / np.sqrt(2.0 * sight.frames))
+    label = "Line of sight from frame to frame, seen"
+    q.add("collimator_seen_arcsec", scale * sight.seen_px, label, **angle, dims="axis", error=error, json=place)
+
+
+def line_of_sight_criterion(sight: LineOfSight) -> Criterion:
+    """What all stars have in common from frame to frame over the integral of the spectrum."""
+    drawn = (1.0 + (sight.own_px / sight.between_px) ** 2) / np.sqrt(2.0 * sight.frames)
+    return Criterion(
+        name=f"collimator: what all stars have in common from frame to frame, {sight.frames} frames, over seeing and "
+        "spectrum times sinc² of the exposure",
+        value=farthest_from_one(sight.seen_px / sight.between_px),
+        about=1.0,
+        limit=MOTION_RATIO + two_sided_limit(2) * float(drawn),
+    )
+
+
+def chromatic_table() -> Pivot:
+    """Table of the quantities of `add_chromatic_effect`."""
+    return Pivot(
+        rows="pair axis",
+        across="part",
+        columns="collimator_part_px collimator_together_px collimator_seen_px",
+        caption="What the collimator adds to Table 1.",
+        note="*Seen*: Table 1 as measured, less that traced through the lens alone.",
+    )

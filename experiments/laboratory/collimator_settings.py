@@ -1,0 +1,89 @@
+"""The table ``[collimator]`` of a configuration: what the laboratory's collimator adds. Light to import."""
+
+from __future__ import annotations
+
+from pydantic import Field, model_validator
+
+from experiments.harness.config import StrictModel
+
+__all__ = ["CollimatorConfig", "FilteredCollimatorConfig"]
+
+
+class CollimatorConfig(StrictModel):
+    """Errors of the collimator, its air and its mount; left out, it is perfect (a paraboloid, focused, at rest)."""
+
+    focal_length_mm: float = Field(default=1000.0, ge=10, le=1e5, description="of the collimator")
+    decollimation_um: float = Field(
+        default=0.0, ge=-1e4, le=1e4, description="target behind the focus (away from the collimator)"
+    )
+    focus_wavelength_nm: tuple[float, ...] = Field(
+        default=(), description="at least two, increasing: where focus_um is known; none: a reflective collimator"
+    )
+    focus_um: tuple[float, ...] = Field(
+        default=(), description="focus against its nominal place, away from the collimator; linear in between"
+    )
+    offset_mm: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="pupil of the camera beside the axis of the beam, along columns and rows"
+    )
+    pinhole_um: float = Field(default=0.0, ge=0, le=1000, description="diameter of a point of the target; 0: a point")
+    air_path_m: float = Field(default=2.0, ge=0, le=100, description="way through the air")
+    air_gradient_k_per_m: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="temperature of the air, growing along columns and rows of the image"
+    )
+    seeing_arcsec: float = Field(
+        default=0.0, ge=0, le=60, description="angle of arrival from exposure to exposure, RMS per axis (turbulence)"
+    )
+    vibration_hz: tuple[float, ...] = Field(default=(), description="at least two, increasing; none: at rest")
+    vibration_arcsec2_per_hz: tuple[float, ...] = Field(
+        default=(), description="spectrum of the line of sight per axis, one-sided; power laws in between"
+    )
+
+    @model_validator(mode="after")
+    def _tables(self) -> CollimatorConfig:
+        for at, of in (("focus_wavelength_nm", "focus_um"), ("vibration_hz", "vibration_arcsec2_per_hz")):
+            known, values = getattr(self, at), getattr(self, of)
+            if len(known) != len(values):
+                raise ValueError(f"{of} has {len(values)} values for {len(known)} of {at}; give one for each")
+            if len(known) == 1 or any(b <= a for a, b in zip((0.0, *known), known, strict=False)):
+                raise ValueError(f"{at} = {list(known)}: at least two increasing values above 0 are needed")
+        for name, limit in (("focus_um", 1e5), ("offset_mm", 1000.0), ("air_gradient_k_per_m", 100.0)):
+            worst = max(map(abs, getattr(self, name)), default=0.0)
+            if not worst <= limit:
+                raise ValueError(f"{name}: {worst:g} is outside -{limit:g} ... {limit:g}")
+        worst = min(self.vibration_arcsec2_per_hz, default=1.0)
+        if not worst > 0:
+            raise ValueError(f"vibration_arcsec2_per_hz: {worst:g} is not above 0")
+        return self
+
+
+class FilteredCollimatorConfig(CollimatorConfig):
+    """The same with a filter wheel: every filter is a little prism of its own."""
+
+    wedge_arcsec: tuple[float, ...] = Field(
+        default=(), description="angle between the faces of each filter, in the order of filters.centres_nm; none: flat"
+    )
+    wedge_direction_deg: tuple[float, ...] = Field(
+        default=(), description="where the image moves (to the thin edge), from column towards row; none: along columns"
+    )
+    wedge_glass: str = Field(default="N-BK7", description="glass of the filters")
+    filter_distance_mm: float | None = Field(
+        default=None, gt=0, le=1e5, description="from target to filter; left out: in the collimated beam"
+    )
+
+    @model_validator(mode="after")
+    def _wedges(self) -> FilteredCollimatorConfig:
+        if self.wedge_direction_deg and len(self.wedge_direction_deg) != len(self.wedge_arcsec):
+            raise ValueError(
+                f"wedge_direction_deg has {len(self.wedge_direction_deg)} values for {len(self.wedge_arcsec)} of "
+                "wedge_arcsec; give one for each, or none"
+            )
+        for name, limit in (("wedge_arcsec", 3600.0), ("wedge_direction_deg", 360.0)):
+            worst = max(map(abs, getattr(self, name)), default=0.0)
+            if not worst <= limit:
+                raise ValueError(f"{name}: {worst:g} is outside -{limit:g} ... {limit:g}")
+        if self.filter_distance_mm is not None and self.filter_distance_mm > self.focal_length_mm:
+            raise ValueError(
+                f"filter_distance_mm = {self.filter_distance_mm:g}: at most focal_length_mm = "
+                f"{self.focal_length_mm:g}; leave it out for a filter in the collimated beam"
+            )
+        return self

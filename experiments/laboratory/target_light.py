@@ -1,0 +1,110 @@
+"""The light of a point target as the camera sees it: images and PSFs, and what stands elsewhere in every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.measure.epsf import draw_epsf
+from experiments.laboratory.bench import Bench, point_field
+from experiments.laboratory.instrument import Instrument
+from optics.arrays import FloatArray
+from optics.units import ARCSEC_RAD
+from render.camera import Camera
+from render.engine.random import Streams
+from render.forward import StarRenderer
+from render.records import EffectivePsf, ExpectedImage
+from render.tracing.psf import epsf_tracer, render_epsf
+from render.tracing.tracer import Tracer
+
+__all__ = ["TargetLight", "frame_light", "seen_camera", "target_light"]
+
+
+@dataclass(frozen=True, slots=True)
+class TargetLight:
+    """Renders targets through one camera; holds what is prepared once (`target_light`).
+
+    Attributes
+    ----------
+    bench, instrument
+        The laboratory.
+    renderer, tracer
+        For images and for PSFs.
+    """
+
+    bench: Bench
+    instrument: Instrument
+    renderer: StarRenderer
+    tracer: Tracer
+
+    def image(self, direction: FloatArray) -> ExpectedImage:
+        """Noiseless image of points (j, 3) behind every filter, with truth."""
+        stars, collimator = point_field(self.bench, self.instrument, direction), self.bench.collimator
+        exposure_s, pixel_rad = self.instrument.config.exposure_s, self.instrument.pixel_arcsec * ARCSEC_RAD
+        return self.renderer.render(
+            stars, motion=None if collimator is None else collimator.motion(exposure_s, pixel_rad)
+        )
+
+    def psfs(self, direction: FloatArray, half_size_px: int) -> list[list[EffectivePsf]]:
+        """PSF of each of the points (j, 3) behind each filter."""
+        stars, collimator = point_field(self.bench, self.instrument, direction), self.bench.collimator
+        found = render_epsf(self.tracer, stars, half_size_px=half_size_px)
+        if collimator is None:
+            return found
+        pixel_rad = self.instrument.pixel_arcsec * ARCSEC_RAD
+        return [[collimator.pinhole_psf(psf, pixel_rad) for psf in row] for row in found]
+
+
+def seen_camera(bench: Bench, instrument: Instrument) -> Camera:
+    """The camera with what vibration blurs within an exposure, a Gaussian beside that of the charge diffusion."""
+    camera, (_, within) = instrument.camera, bench.power_px2(instrument)
+    return replace(camera, charge_diffusion_px=float(np.hypot(camera.charge_diffusion_px, within**0.5)))
+
+
+def target_light(bench: Bench, instrument: Instrument) -> TargetLight:
+    """The light of a bench."""
+    camera = seen_camera(bench, instrument)
+    renderer = StarRenderer(camera, exposure_s=instrument.config.exposure_s)
+    return TargetLight(bench, instrument, renderer, epsf_tracer(camera))
+
+
+def frame_light(
+    light_e: FloatArray,
+    corner_px: NDArray[np.int64],
+    place_px: FloatArray,
+    psf: Sequence[EffectivePsf],
+    bench: Bench,
+    instrument: Instrument,
+    streams: Streams,
+) -> FloatArray:
+    """Light of windows (n, h, w) frame by frame (f, n, h, w) where the line of sight is not at rest; else as it is.
+
+    The rendered light is changed by what its PSF changes when it is moved.
+
+    Parameters
+    ----------
+    light_e : (n, h, w)
+        Expected electrons with the line of sight in its mean place.
+    corner_px, place_px : (n, 2)
+        First pixels of the windows, and the places of the points.
+    psf : sequence of EffectivePsf
+        Of the points.
+    bench, instrument
+        The laboratory; ``bench.frames`` of them.
+    streams : Streams
+        Draws the line of sight.
+    """
+    if bench.collimator is None:
+        return light_e
+    offset = bench.collimator.offsets_px(streams, bench.frames, instrument.config.exposure_s, instrument.pixel_arcsec)
+    if offset is None:
+        return light_e
+    moved = np.empty((len(offset), *light_e.shape))
+    for star, (light, corner, place) in enumerate(zip(light_e, corner_px, place_px, strict=True)):
+        x, y = (place - corner + np.concatenate([np.zeros((1, 2)), offset])).T
+        drawn = draw_epsf(psf[star], x, y, light.shape)
+        moved[:, star] = light + (drawn[1:] - drawn[0]) * (light.sum() / drawn[0].sum())
+    return np.maximum(moved, 0.0)

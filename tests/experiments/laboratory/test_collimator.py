@@ -1,0 +1,247 @@
+"""The collimator's errors against published numbers, closed forms and brute force; broken equations are noticed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from scipy.special import erf
+
+from experiments.chromatic.settings import Config
+from experiments.laboratory import collimator as model
+from experiments.laboratory import collimator_effects as effects
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.chromatic_error import shifts, table1
+from experiments.laboratory.collimator import build_collimator
+from experiments.laboratory.collimator_settings import CollimatorConfig, FilteredCollimatorConfig
+from experiments.laboratory.filter_wheel import interference_filters
+from experiments.laboratory.instrument import build_instrument
+from experiments.laboratory.ray_prediction import bundle_prediction, expected_spots
+from experiments.laboratory.readout.centroids import common_motion_px2
+from experiments.laboratory.target import corner_directions
+from experiments.laboratory.target_light import frame_light, target_light
+from optics.errors import ConfigError, DomainError
+from optics.glass.media import Environment
+from optics.light.spectrum import Blackbody
+from optics.units import ARCSEC_RAD
+from render.engine.random import Streams
+from render.records import EffectivePsf
+
+D_LINE = np.array([[587.5618]])
+BAND = [SimpleNamespace(name="d")]
+
+
+def light(**settings):
+    return build_collimator(FilteredCollimatorConfig(**settings), BAND).light(BAND, D_LINE, Environment())
+
+
+def test_wedge_of_bk7_turns_light_by_half_its_angle():
+    """n_d = 1.51680 (SCHOTT); halfway between target and collimator the angle in the collimated beam is half of it."""
+    slope = light(wedge_arcsec=(10.0,), wedge_direction_deg=(90.0,)).slope_rad[0, 0] / ARCSEC_RAD
+    np.testing.assert_allclose(slope, [0.0, 5.1680], atol=2e-4)
+    near = light(wedge_arcsec=(10.0,), filter_distance_mm=500.0).slope_rad[0, 0] / ARCSEC_RAD
+    np.testing.assert_allclose(near, [2.5840, 0.0], atol=2e-4)
+
+
+def test_target_behind_the_focus_is_imaged_in_front_of_the_camera():
+    """1 / s' = 1 / f - 1 / s; light that runs together there comes, for a camera beside the axis, from its own side."""
+    seen = light(decollimation_um=300.0, offset_mm=(5.0, 0.0))
+    image_mm = 1.0 / (1.0 / 1000.0 - 1.0 / 1000.3)
+    assert -1.0 / seen.vergence_per_mm[0, 0] == pytest.approx(image_mm, rel=1e-9)
+    np.testing.assert_allclose(seen.slope_rad[0, 0], [5.0 / image_mm, 0.0], rtol=1e-9)
+    colour = light(focus_wavelength_nm=(486.0, 656.0), focus_um=(-100.0, 100.0))
+    part = (D_LINE[0, 0] - 486.0) / 170.0 * 200.0 - 100.0
+    assert colour.vergence_per_mm[0, 0] == pytest.approx(part * 1e-3 / 1000.0**2, rel=1e-3)
+
+
+def test_warm_air_seems_to_draw_the_source():
+    """dn/dT of air is -0.93e-6 / K at 20 C (Ciddor 1996)."""
+    slope = light(air_path_m=2.0, air_gradient_k_per_m=(0.0, 1.0)).slope_rad[0, 0]
+    np.testing.assert_allclose(slope, [0.0, 2.0 * 0.93e-6], rtol=0.01, atol=1e-15)
+    with pytest.raises(DomainError, match="in a vacuum"):
+        build_collimator(CollimatorConfig(air_gradient_k_per_m=(0.0, 1.0))).light(
+            BAND, D_LINE, Environment(pressure_hpa=0.0)
+        )
+
+
+def test_vibration_is_split_by_the_exposure():
+    """Drawn oscillations, averaged; nothing of the integral over sinc² takes part."""
+    config = CollimatorConfig(vibration_hz=(0.5, 8.0, 60.0), vibration_arcsec2_per_hz=(0.2, 0.05, 1e-4))
+    collimator = build_collimator(config)
+    between, within = collimator.power_arcsec2(0.1)
+    assert between + within == pytest.approx(collimator.spectrum.rms_arcsec[0] ** 2, rel=1e-6)
+    assert 0.2 < between / within < 5.0
+    count = 4000
+    seen = [collimator.offsets_px(Streams(n), count // 20, 0.1, 2.0).var(0, ddof=1) * 4.0 for n in range(20)]
+    np.testing.assert_allclose(np.mean(seen, axis=0), between, rtol=4.0 * np.sqrt(2.0 / count))
+
+
+def test_frames_hold_the_light_where_the_line_of_sight_stands():
+    """Against pixel integrals of a Gaussian at every place."""
+    sigma, cells, size = 0.6, 8, 13
+
+    def along(pixel, place):
+        low, high = (pixel - place + side for side in (-0.5, 0.5))
+        return 0.5 * (erf(high / sigma / 2**0.5) - erf(low / sigma / 2**0.5))
+
+    grid = np.arange(-48, 49) / cells
+    psf = EffectivePsf(values=np.outer(along(grid, 0.0), along(grid, 0.0)), oversampling=cells)
+    offset = np.array([[0.0, 0.0], [0.31, -0.17], [-0.6, 0.4]])
+    moving = SimpleNamespace(offsets_px=lambda *_: offset)
+    bench, instrument = (
+        SimpleNamespace(collimator=moving, frames=3),
+        SimpleNamespace(config=SimpleNamespace(exposure_s=0.1), pixel_arcsec=5.0),
+    )
+    pixel, place = np.arange(size), np.array([6.2, 5.9])
+
+    def image(at):
+        return 5000.0 * np.outer(along(pixel, at[1]), along(pixel, at[0]))
+
+    frames = frame_light(image(place)[None], np.zeros((1, 2), int), place[None], [psf], bench, instrument, Streams(0))
+    for frame, shift in zip(frames[:, 0], offset, strict=True):
+        np.testing.assert_allclose(frame, image(place + shift), atol=0.5)
+
+
+def test_common_motion_of_points():
+    rng = np.random.default_rng(4)
+    common, own = rng.standard_normal((4000, 1, 2)) * [0.2, 0.1], 0.3 * rng.standard_normal((4000, 9, 2))
+    motion, left = common_motion_px2(common + own)
+    np.testing.assert_allclose(motion, [0.04, 0.01], rtol=0.1)
+    np.testing.assert_allclose(left, 0.01, rtol=0.05)
+    assert np.isnan(common_motion_px2(common)).all()
+
+
+@pytest.fixture(scope="module")
+def laboratory():
+    config = Config.model_validate(
+        {
+            "instrument": {"detector": "cmv4000", "width_px": 700, "height_px": 500},
+            "target": {"rows": 2, "columns": 2, "edge_px": 60.0},
+            "collimator": {
+                "decollimation_um": 200.0,
+                "focus_wavelength_nm": [400.0, 600.0, 900.0],
+                "focus_um": [150.0, 0.0, 250.0],
+                "offset_mm": [30.0, -20.0],
+                "pinhole_um": 10.0,
+                "wedge_arcsec": [12.0, 0.0, 8.0],
+                "wedge_direction_deg": [30.0, 0.0, 200.0],
+                "air_path_m": 50.0,
+                "air_gradient_k_per_m": [-20.0, 20.0],
+            },
+        }
+    )
+    instrument, filters = build_instrument(config.instrument), interference_filters(config.filters)
+    bench = Bench(
+        target=config.target,
+        lamp=Blackbody(temperature_k=3000.0),
+        filters=filters,
+        reference=1,
+        signal_e=6000.0,
+        frames=2,
+        dark_frames=2,
+        window_px=13,
+        methods=("cog",),
+        collimator=build_collimator(config.collimator, filters),
+    )
+    return bench, instrument, corner_directions(config.target, instrument)
+
+
+def judged(laboratory, spot_um=None):
+    """Criteria on what a laboratory without noise would find, by ray trace."""
+    bench, instrument, direction = laboratory
+    found = shifts(bundle_prediction(bench, instrument, direction), bench.pairs)
+    table = {pair: table1(shift) for pair, shift in found.items()}
+    if spot_um is None:
+        radius = np.hypot(
+            expected_spots(bench, instrument, direction)[1] * instrument.camera.pixel_pitch_mm * 1e3,
+            bench.collimator.source_radius_rad * instrument.focal_length_mm * 1e3 / 2**0.5,
+        )
+        spot_um = radius.mean((0, 1))
+    sigma = dict.fromkeys(table, np.full(2, 1e-3))
+    effect = effects.chromatic_effect(bench, instrument, direction, table, sigma, spot_um)
+    return [one.passed for one in effects.chromatic_criteria(effect)], effect
+
+
+def test_closed_forms_hold_and_are_constant_over_the_field(laboratory):
+    passed, effect = judged(laboratory)
+    assert passed == [True, True]
+    bench, instrument, direction = laboratory
+    without = shifts(bundle_prediction(replace(bench, collimator=None), instrument, direction), bench.pairs)
+    seen = shifts(bundle_prediction(bench, instrument, direction), bench.pairs)
+    for pair, shift in seen.items():
+        added = shift - without[pair]
+        assert np.abs(added - added.mean((0, 1))).max() < 0.02 * np.abs(added.mean((0, 1))).max()
+        assert np.abs(table1(without[pair])).max() < 1e-6  # lateral colour is odd: nothing of it is left
+    for part, of in effect.part_px.items():
+        assert max(np.abs(value).max() for value in of.values()) > 0.01, part
+
+
+@pytest.mark.parametrize(
+    "broken", ["n in place of n - 1", "wedge turned over", "air upside down", "vergence", "offset"]
+)
+def test_broken_equations_fail_a_criterion(laboratory, monkeypatch, broken):
+    snell, air = model.refracted_slope, model._air_slope
+    bench, instrument, direction = laboratory
+    if broken.startswith("n "):
+        monkeypatch.setattr(model, "refracted_slope", lambda angle, *rest: snell(angle, *rest) + angle * ARCSEC_RAD)
+    elif broken.startswith("wedge"):
+        monkeypatch.setattr(model, "refracted_slope", lambda *given: -snell(*given))
+    elif broken.startswith("air"):
+        monkeypatch.setattr(model, "_air_slope", lambda *given: -air(*given))
+    else:
+        made = model.Collimation
+        change = {"vergence": "vergence_per_mm", "offset": "slope_rad"}[broken]
+        monkeypatch.setattr(model, "Collimation", lambda **given: made(**(given | {change: -given[change]})))
+    passed, _ = judged((bench, instrument, direction))
+    assert not all(passed)
+
+
+@pytest.mark.slow
+def test_a_pinhole_is_seen_alike_in_image_and_psf(engine, laboratory):
+    bench, instrument, direction = laboratory
+    bare = replace(bench.collimator, config=bench.collimator.config.model_copy(update={"pinhole_um": 0.0}))
+    target, sharp = (target_light(replace(bench, collimator=one), instrument) for one in (bench.collimator, bare))
+    size = bench.collimator.source_radius_rad / (instrument.pixel_arcsec * ARCSEC_RAD)
+    found, point = (one.psfs(direction[0], 8)[0][1] for one in (target, sharp))
+    grown = np.subtract(*(one.image(direction[0]).truth.variance_x_px2 for one in (target, sharp)))
+    np.testing.assert_allclose(grown, size**2 / 4.0, rtol=0.01)  # 0.4 % by the slope of the field
+
+    def variance(one):
+        x = (np.arange(len(one.values)) - (len(one.values) - 1) / 2) / one.oversampling
+        share = one.values.sum(0) / one.values.sum()
+        return (share * x**2).sum() - (share * x).sum() ** 2
+
+    assert variance(found) - variance(point) == pytest.approx(size**2 / 4.0, rel=0.01)
+    assert found.values.sum() == pytest.approx(point.values.sum(), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"focal_length_mm": 1.0}, "greater than or equal to 10"),
+        ({"focus_um": (1.0, 2.0)}, "2 values for 0 of focus_wavelength_nm"),
+        ({"focus_um": (1.0, 2.0), "focus_wavelength_nm": (600.0, 500.0)}, r"\[600.0, 500.0\]: at least two increasing"),
+        ({"vibration_hz": (1.0,), "vibration_arcsec2_per_hz": (1.0,)}, "at least two increasing"),
+        ({"vibration_hz": (1.0, 2.0), "vibration_arcsec2_per_hz": (1.0, 0.0)}, "0 is not above 0"),
+        ({"offset_mm": (0.0, 2e3)}, "offset_mm: 2000 is outside -1000 ... 1000"),
+        ({"wedge_arcsec": (1e4,)}, "wedge_arcsec: 10000 is outside -3600 ... 3600"),
+        ({"wedge_arcsec": (1.0,), "wedge_direction_deg": (1.0, 2.0)}, "2 values for 1 of wedge_arcsec"),
+        ({"filter_distance_mm": 2000.0}, "2000: at most focal_length_mm = 1000"),
+    ],
+)
+def test_refused_settings(settings, message):
+    with pytest.raises(ValidationError, match=message):
+        FilteredCollimatorConfig(**settings)
+
+
+def test_refused_with_the_filters():
+    assert build_collimator(FilteredCollimatorConfig(), BAND) is None
+    with pytest.raises(DomainError, match="wedge_arcsec has 2 values for 1 filters"):
+        build_collimator(FilteredCollimatorConfig(wedge_arcsec=(1.0, 2.0)), BAND)
+    with pytest.raises(ConfigError, match="N-BK8"):
+        build_collimator(FilteredCollimatorConfig(wedge_arcsec=(1.0,), wedge_glass="N-BK8"), BAND)
+    with pytest.raises(DomainError, match=r"focus_wavelength_nm = 400 ... 500 nm does not cover the light of 588"):
+        light(focus_wavelength_nm=(400.0, 500.0), focus_um=(0.0, 1.0))
