@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from render.bodies.lunar_map import HIGHLAND, MARE, MARIA, RAYED
 from render.engine import Engine
 from render.plugins.lunar_surface import lommel_seeliger_phase
 
@@ -22,14 +23,6 @@ MOON_RADIUS_KM = 1737.4
 EARTHSHINE = 10 ** (-0.4 * (26.75 - 17.0))
 GRID, REACH_DEG = 1300, 105.0
 CRATERS, SMALLEST_KM, LARGEST_KM = 6000, 11.0, 230.0
-MARE, HIGHLAND = 0.07, 0.135
-# longitude, latitude [deg], radius [km]
-MARIA = (
-    (-16, 34, 540), (17, 28, 330), (30, 9, 400), (59, 17, 240), (51, -7, 370), (35, -15, 170), (-17, -20, 340),
-    (-39, -24, 210), (-56, 20, 560), (-48, 2, 480), (-60, 40, 300), (0, 56, 180), (-30, 57, 200), (25, 56, 160),
-    (3, 13, 130), (-5, 3, 120), (-10, -5, 200), (86, 0, 160), (-22, -10, 260),
-)  # fmt: skip
-RAYED = ((-11.4, -43.3, 85, 1500), (-20.1, 9.6, 93, 500), (-38.0, 8.1, 31, 350), (-47.5, 23.7, 40, 300))
 
 
 def on_moon(longitude_deg: Any, latitude_deg: Any) -> np.ndarray:

@@ -54,24 +54,28 @@ class SolarSystem:
         The n bodies.
     direction : (n, 3)
         Where they are seen: unit vectors along icrs, light time and aberration included.
-    to_sun_au, to_observer_au : (n, 3)
-        From the body (when the light left) to the Sun and to the observer, along icrs [au].
+    to_sun_au, to_observer_au, to_earth_au : (n, 3)
+        From the body (when the light left) to the Sun, to the observer and to the Earth, along icrs [au].
     radius_km : (n,)
         Mean radius.
     magnitude_v : (n,)
         V; NaN where no published equation holds (`render.bodies.brightness`).
+    epoch_year : float
+        Julian year (TDB).
     """
 
     name: tuple[str, ...]
     direction: FloatArray
     to_sun_au: FloatArray
     to_observer_au: FloatArray
+    to_earth_au: FloatArray
     radius_km: FloatArray
     magnitude_v: FloatArray
+    epoch_year: float
 
     def __post_init__(self) -> None:
         sizes = {"n": len(self.name)}
-        for field in ("direction", "to_sun_au", "to_observer_au"):
+        for field in ("direction", "to_sun_au", "to_observer_au", "to_earth_au"):
             freeze(self, field, shape=("n", 3), sizes=sizes)
         freeze(self, "radius_km", shape=("n",), sizes=sizes)
         freeze(self, "magnitude_v", shape=("n",), sizes=sizes, finite=False)
@@ -112,8 +116,10 @@ class SolarSystem:
             direction=self.direction[chosen],
             to_sun_au=self.to_sun_au[chosen],
             to_observer_au=self.to_observer_au[chosen],
+            to_earth_au=self.to_earth_au[chosen],
             radius_km=self.radius_km[chosen],
             magnitude_v=self.magnitude_v[chosen],
+            epoch_year=self.epoch_year,
         )
 
 
@@ -168,8 +174,10 @@ def solar_system(epoch_year: float, *, observer: Observer | None = None, bodies:
         direction=aberrated(unit, seen_by.velocity_km_per_s),
         to_sun_au=to_sun,
         to_observer_au=-towards,
+        to_earth_au=_place("earth", epoch_year, 0.0) - place,
         radius_km=radius,
         magnitude_v=np.array(magnitude),
+        epoch_year=epoch_year,
     )
 
 

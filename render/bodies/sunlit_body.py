@@ -21,7 +21,8 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.light.photometry import photon_rate
 from optics.records import freeze
-from render.bodies.brightness import ALBEDO, ALBEDO_NM, planet_spectrum
+from render.bodies.brightness import ALBEDO, ALBEDO_NM, planet_spectrum, planet_v
+from render.bodies.lunar_map import HIGHLAND, MARE, lunar_map, moon_rotation
 from render.bodies.solar_system import SolarSystem
 from render.bodies.sphere_image import Halo, Light
 from render.plugins.lunar_surface import lommel_seeliger_phase
@@ -31,6 +32,8 @@ from render.sky.sunlight import sun_spectrum, sunlight
 __all__ = ["SunlitBody", "added", "covers", "map_factor", "planet_body", "sphere_photons"]
 
 
+SCALED_AT_NM = 550.0
+"""Where spectra of bodies are tied to their magnitude V."""
 DISK_RINGS, DISK_ARMS = 96, 384
 """Points of the disk at which the light of a sphere with a map is summed up."""
 
@@ -210,6 +213,8 @@ def sphere_photons(body: SunlitBody, wavelength_nm: ArrayLike) -> FloatArray:
 def planet_body(system: SolarSystem, name: str, *, law: Literal["lambert", "lunar"] | None = None) -> SunlitBody:
     """The Moon or a planet as a smooth sphere that has its published magnitude and colour.
 
+    The Moon has its map (`render.bodies.lunar_map`), turned as the observer sees it, and the light of the Earth on it.
+
     Parameters
     ----------
     system : SolarSystem
@@ -246,11 +251,43 @@ def planet_body(system: SolarSystem, name: str, *, law: Literal["lambert", "luna
         law=law,
         name=name,
     )
-    if math.isnan(system.magnitude_v[i]):
-        return body
-    at = np.array([550.0])
-    wanted = photon_rate(planet_spectrum(name), float(system.magnitude_v[i]), wavelength_nm=at)
-    return replace(body, albedo=body.albedo * float((wanted / sphere_photons(body, at))[0]))
+    if name == "moon":
+        factor = lunar_map() / np.float32(0.5 * (MARE + HIGHLAND))
+        body = replace(body, albedo_map=factor, rotation_icrs_from_body=moon_rotation(system.epoch_year))
+    scale = _scale(body, name, float(system.magnitude_v[i]))
+    if name == "moon":
+        body = replace(body, second_light=_earthlight(system.select([i]), body, scale))
+    return replace(body, albedo=body.albedo * scale)
+
+
+def _scale(body: SunlitBody, name: str, magnitude_v: float) -> float:
+    """Factor on the albedo that gives the sphere a magnitude; 1 where that is NaN."""
+    if math.isnan(magnitude_v):
+        return 1.0
+    at = np.array([SCALED_AT_NM])
+    wanted = photon_rate(planet_spectrum(name), magnitude_v, wavelength_nm=at)
+    return float((wanted / sphere_photons(body, at))[0])
+
+
+def _earthlight(moon: SolarSystem, body: SunlitBody, scale: float) -> Light | None:
+    """Light of the Earth on the Moon, in units of sunlight there; None where the Earth shows it its night side.
+
+    A surface is brighter the smaller the angle between its light and the observer: the albedo that the magnitude at
+    the Sun's phase angle gives is taken to that at the Earth's.
+    """
+    to_earth, to_sun, to_observer = moon.to_earth_au[0], moon.to_sun_au[0], moon.to_observer_au[0]
+    if not np.linalg.norm(to_earth) > 0.0:
+        return None
+    v = planet_v("earth", to_sun_au=to_sun - to_earth, to_observer_au=-to_earth, epoch_year=moon.epoch_year)
+    if math.isnan(v):
+        return None
+    at = np.array([SCALED_AT_NM])
+    share = float((photon_rate(planet_spectrum("earth"), v, wavelength_nm=at) / sunlight(at))[0])
+    share *= float(moon.sun_distance_au[0]) ** 2
+    towards = to_earth / np.linalg.norm(to_earth)
+    lit_so = towards * moon.sun_distance_au[0]
+    there = planet_v("moon", to_sun_au=lit_so, to_observer_au=to_observer, epoch_year=moon.epoch_year)
+    return Light(towards, share * _scale(replace(body, to_sun=towards), "moon", there) / scale)
 
 
 def covers(body: SunlitBody, direction: ArrayLike) -> NDArray[np.bool_]:

@@ -3,6 +3,7 @@
 The order of effects, each from the EMVA 1288 description in `render.detector.spec`:
 
 1. charge diffusion on the expectation (only where the renderer has not applied it; `render.detector.diffusion`);
+   then smear, lag and blooming, where the detector has them (`render.detector.strong_light`);
 2. response non-uniformity (PRNU) on all light, signal and background;
 3. Poisson variate of (signal + background + dark current); the dark current has its own map (spread, hot pixels) and
    doubles with every ``dark_doubling_c``; then the charge of cosmic rays (`render.detector.cosmic_rays`), where any is
@@ -36,6 +37,7 @@ from render.detector.deposits import frame_deposit, window_deposit
 from render.detector.diffusion import diffuse
 from render.detector.maps import full_maps, full_neighbours, neighbour_bits, window_maps
 from render.detector.spec import Detector
+from render.detector.strong_light import bloomed, column_effects, with_lag, with_smear
 from render.engine import Engine
 from render.engine.random import Streams
 from render.records import ExpectedImage, Frame, WindowStack, checked_exposure
@@ -57,6 +59,7 @@ def expose(
     background_e_per_s: float = 0.0,
     band: str | None = None,
     hits: CosmicRayHits | None = None,
+    before: ExpectedImage | NDArray[Any] | None = None,
 ) -> Frame:
     """Read one frame out.
 
@@ -80,6 +83,8 @@ def expose(
         Which band of an image with several; for a bare array a label.
     hits : CosmicRayHits, optional
         Cosmic rays of this frame and detector.
+    before : ExpectedImage or (h, w), optional
+        Expected photo-electrons of the frame before, for a detector with lag; none if left out.
 
     Returns
     -------
@@ -101,6 +106,17 @@ def expose(
             f"expected image of shape {electrons.shape} on detector {detector.name!r} of shape {detector.shape}; "
             "they must agree"
         )
+    if column_effects(detector) or before is not None:
+        background_e = background_e_per_s * exposure_s
+        light = with_smear(electrons.astype(float) * factor + background_e, detector, exposure_s)
+        if before is not None:
+            earlier, _, _, share = _expectation(before, detector, band, exposure_s)
+            if earlier.shape != detector.shape:
+                raise DomainError(f"before has shape {earlier.shape}, the detector {detector.shape}; they must agree")
+            light = with_lag(
+                light, detector, with_smear(earlier.astype(float) * share + background_e, detector, exposure_s)
+            )
+        electrons, factor, background_e_per_s = bloomed(light, detector).astype(np.float32), 1.0, 0.0
     from render.detector.chain import Neighbours, digitise
 
     maps = full_maps(detector, types)
@@ -184,9 +200,15 @@ def expose_windows(
 
     Raises
     ------
+    ConfigError
+        A detector with smear or blooming, which no window can know.
     DomainError, BackendError
         As in `expose`; also windows not inside the detector, zero frames, or sets of hits that are not as many.
     """
+    if column_effects(detector):
+        raise ConfigError(
+            f"detector {detector.name!r} has smear or blooming, which run along whole columns; read whole frames"
+        )
     types = Engine.active().types
     electrons = _checked_electrons(stamps, "stamps", ndim=3)
     corner = _checked_corners(corner_px, electrons, detector, margin_px)

@@ -55,6 +55,9 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     "column_pattern_e": (0, 1e5, "e-"),
     "adc_bits": (1, 16, "bit"),
     "sensor_seed": (0, 2**63, ""),
+    "blooming": (0, 1, ""),
+    "lag": (0, 0.5, ""),
+    "transfer_line_us": (0, 1e5, "us"),
     "damage_centres_per_px": (0, 1000, ""),
     "damage_dark_e_per_s": (0, _HIGHEST, "e-/s"),
     "damage_known_e_per_s": (0, _HIGHEST, "e-/s"),
@@ -114,6 +117,12 @@ class Detector:
         Resolution of the converter.
     sensor_seed : int
         The individual: which pixels are hot, what the patterns look like.
+    blooming : float
+        Share of the charge beyond the full well that runs along its column; 0: all of it is drained (anti-blooming).
+    lag : float
+        Share of a frame's charge that is read with the next one.
+    transfer_line_us : float
+        Time per row of a frame transfer under light [us]; 0: a shutter, or a detector that does not shift its image.
     damage_centres_per_px, damage_dark_e_per_s : float
         Radiation damage (`render.detector.radiation.aged`): mean number of centres per pixel, mean of the exponentially
         distributed dark current of each at the reference [e-/s].
@@ -157,6 +166,9 @@ class Detector:
     column_pattern_e: float
     adc_bits: int
     sensor_seed: int
+    blooming: float = 0.0
+    lag: float = 0.0
+    transfer_line_us: float = 0.0
     damage_centres_per_px: float = 0.0
     damage_dark_e_per_s: float = 0.0
     damage_known_e_per_s: float = _HIGHEST
@@ -290,6 +302,9 @@ class DetectorFile(BaseModel):
     column_pattern_e: float = _in_range("column_pattern_e", "spread of the offset over the columns")
     adc_bits: int = _in_range("adc_bits", "resolution of the converter")
     sensor_seed: int = _in_range("sensor_seed", "seed of the individual")
+    blooming: float = _in_range("blooming", "share of the excess over the full well that runs on", default=0.0)
+    lag: float = _in_range("lag", "share of a frame's charge that is read with the next", default=0.0)
+    transfer_line_us: float = _in_range("transfer_line_us", "time per row of a frame transfer under light", default=0.0)
     damage_centres_per_px: float = _in_range("damage_centres_per_px", "radiation damage: centres", default=0.0)
     damage_dark_e_per_s: float = _in_range("damage_dark_e_per_s", "mean dark current of a centre", default=0.0)
     damage_known_e_per_s: float = _in_range(
