@@ -24,7 +24,7 @@ __all__ = ["Camera", "Diffraction", "build_camera", "launch_disk"]
 
 RESPONSE_STEP_NM = 5.0
 
-Diffraction = Literal["rays", "waves"]
+Diffraction = Literal["rays", "waves", "exact_waves"]
 """How the images of stars are made."""
 
 
@@ -53,8 +53,9 @@ class Camera:
     blind_columns_px : tuple of (int, int)
         First and last columns of strips that take no light, such as the gaps between chips; stars lose it there as over
         the edge.
-    diffraction : {"rays", "waves"}
-        How stars are rendered: as the rays land, or as diffraction images of the traced wavefront.
+    diffraction : {"rays", "waves", "exact_waves"}
+        How stars are rendered: as the rays land, or as diffraction images of the traced wavefront; those of many stars
+        are interpolated on a grid over the field where that is proven good enough, of ``exact_waves`` never.
     """
 
     lens: LensSystem
@@ -175,7 +176,7 @@ def build_camera(
         Whether to count absorption in the glass; needs the internal transmittance of every glass.
     rotation_cam_from_world : (3, 3), optional
         Attitude; identity if left out.
-    diffraction : {"rays", "waves"}
+    diffraction : {"rays", "waves", "exact_waves"}
         How stars are rendered.
 
     Raises

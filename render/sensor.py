@@ -256,7 +256,7 @@ def load_star_sensor(
         Design wavelength of the MgF2 quarter-wave coatings on all surfaces; 0: bare glass.
     absorption : bool
         Whether to count absorption in the glass; needs the internal transmittance of every glass.
-    diffraction : {"rays", "waves"}
+    diffraction : {"rays", "waves", "exact_waves"}
         How stars are rendered: as the rays land, or as diffraction images.
 
     Raises

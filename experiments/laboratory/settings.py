@@ -64,7 +64,7 @@ class InstrumentConfig(StrictModel):
     absorption: bool = Field(
         default=True, description="count absorption in the glass; needs the internal transmittance of every glass"
     )
-    diffraction: Literal["rays", "waves"] = Field(
+    diffraction: Literal["rays", "waves", "exact_waves"] = Field(
         default="rays", description="how stars are rendered: as rays land, or as diffraction images of the wavefront"
     )
     coating_nm: float = Field(

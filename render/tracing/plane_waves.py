@@ -31,6 +31,7 @@ from render.tracing.pupil_points import PupilPoints
 __all__ = [
     "BandLimited",
     "FieldSampling",
+    "PixelTable",
     "PlaneWaves",
     "hidden_points",
     "phase_changes",
@@ -321,7 +322,7 @@ class FieldSampling:
     @property
     def light_step(self) -> float:
         """Distance of the samples of |U|^2 [px]."""
-        return 1.0 / (LIGHT_RATE * self.highest)
+        return 1.0 / math.ceil(LIGHT_RATE * self.highest)
 
     def pixel(self, box_px: float, sigma_px: float) -> BandLimited:
         """Kernel that makes light on pixels or cells, after diffusion, of samples of |U|^2."""
@@ -330,6 +331,46 @@ class FieldSampling:
         tail = math.log(max(left, KERNEL_ERROR) / KERNEL_ERROR) / (math.pi * (high - self.highest))
         reach = max(0.5 * box_px + 5.5 * sigma_px + 0.5, tail)
         return BandLimited(self.highest, high, reach, box_px, sigma_px)
+
+    def table(self, sigma_px: float) -> PixelTable:
+        """Weights of samples for pixels that lie anywhere between them."""
+        return _pixel_table(self, sigma_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PixelTable:
+    """Kernel of a pixel as a table, for many windows.
+
+    Attributes
+    ----------
+    values : (n,)
+        Share of a sample's light, against its distance from the middle of a pixel.
+    step_px : float
+        Of the table.
+    pad_px : float
+        Margin of samples around a window.
+    """
+
+    values: FloatArray
+    step_px: float
+    pad_px: float
+
+    def __call__(self, centre_px: FloatArray, sample_px: FloatArray, shift_px: FloatArray) -> NDArray[np.float32]:
+        """Weights (s, n, m) for pixels at n centres of m samples that are shifted by s distances."""
+        distance = np.abs(centre_px[:, None] - sample_px - shift_px[:, None, None]) / self.step_px
+        index = np.minimum(distance.astype(np.int64), len(self.values) - 2)
+        part = np.minimum(distance - index, 1.0)
+        return np.asarray(self.values[index] * (1.0 - part) + self.values[index + 1] * part, np.float32)
+
+
+@cache
+def _pixel_table(field: FieldSampling, sigma_px: float) -> PixelTable:
+    kernel = field.pixel(1.0, sigma_px)
+    step = 1.0 / 2048.0
+    distance = np.asarray(np.arange(math.ceil(kernel.reach_px / step) + 2) * step, np.float64)
+    values = kernel(distance) * field.light_step
+    values[-1] = 0.0
+    return PixelTable(values, step, kernel.reach_px - 0.5)
 
 
 @cache

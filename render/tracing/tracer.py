@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +27,8 @@ from render.tracing.paths import StarPaths, at_rest, pick_times, star_paths
 from render.tracing.planning import PupilPlanner, Seen
 from render.tracing.pupil_arcs import ARC_LADDER
 from render.tracing.pupil_points import DiskPoints, OutlinePoints, PupilPoints, SobolPoints, TablePoints
-from render.tracing.wave_images import Trail, WaveImages
+from render.tracing.wave_grid import LEAST_STARS, WaveGrid, build_grid
+from render.tracing.wave_images import Trail, WaveImages, WaveStamps
 
 __all__ = ["TracedStars", "Tracer"]
 
@@ -36,6 +38,8 @@ SHADE_LOG2_RAYS = 14
 
 WING_PX = 30.0
 """How far beside the detector a star's rays may land for its diffraction image to be rendered."""
+GRIDS, GRID_BATCH = 4, 256
+"""Grids of images (of other wavelengths) that are kept; stars that are interpolated at a time."""
 SHORTEST_PX = 1e-3
 """Path along which the lens's scale is not measured."""
 
@@ -97,6 +101,7 @@ class Tracer:
             tolerance=tolerance,
             general=general,
         )
+        self._grids: dict[bytes, WaveGrid | None] = {}
 
     @property
     def pupil(self) -> EntrancePupil:
@@ -168,7 +173,7 @@ class Tracer:
         sums.chief_x[...], sums.chief_y[...] = (np.where(chiefs.blocked, np.nan, v) for v in (chiefs.x_px, chiefs.y_px))
         shaded = None if shade is None else self._shaded(seen, light.wavelength_nm, shade)
         groups, bounds, entrance = self.planner.groups(seen, light.wavelength_nm, chiefs, shaded)
-        by_waves = self.camera.diffraction == "waves" and image.size > 0
+        by_waves = self.camera.diffraction != "rays" and image.size > 0
         rays_to = np.zeros((0, 0, image.shape[2]), np.float32) if by_waves else image
         entering = (light.share * entrance).sum(2)
         passes = Passes(self.camera, seen.nodes, light, bounds, rays_to, sums, entering, shade)
@@ -210,15 +215,57 @@ class Tracer:
         edge = np.array([camera.width_px, camera.height_px]) - 0.5 + WING_PX
         inside = np.all((bounds.high > -0.5 - WING_PX) & (bounds.low < edge), axis=2)
         near = np.flatnonzero(np.any(inside, axis=1))
-        for group in self.planner.wave_groups(still, light.wavelength_nm, chiefs, near, shades[1]):
+        batches = self._by_grid(images, light, still, near, sums) if shades[0] is None else iter(())
+        done = np.empty(0, np.int64)
+        for stamps in batches:
+            done = np.concatenate([done, stamps.stars])
+            self._add_stamps(stamps, light, image, sums, sampling)
+        left = np.setdiff1d(near, done)
+        if not len(left):
+            return sampling
+        for group in self.planner.wave_groups(still, light.wavelength_nm, chiefs, left, shades[1]):
             for stamps in images.stamps(group):
-                electrons = light.electrons[stamps.stars]
-                on_image = add_stamps(image, stamps.pixels, stamps.corner_px, electrons, camera.sensitive_columns)
-                sums.store_waves(stamps, electrons, on_image)
-                before = sampling.get(stamps.mode, (0, 0))
-                rays = max(before[1], stamps.rays * light.wavelength_nm.shape[1])
-                sampling[stamps.mode] = (before[0] + len(stamps.stars), rays)
+                self._add_stamps(stamps, light, image, sums, sampling)
         return sampling
+
+    def _add_stamps(
+        self,
+        stamps: WaveStamps,
+        light: Light,
+        image: NDArray[np.float32],
+        sums: TruthSums,
+        sampling: dict[str, tuple[int, int]],
+    ) -> None:
+        electrons = light.electrons[stamps.stars]
+        columns = self.camera.sensitive_columns
+        on_image = add_stamps(image, stamps.pixels, stamps.corner_px, electrons, columns)
+        sums.store_waves(stamps, electrons, on_image)
+        stars, rays = sampling.get(stamps.mode, (0, 0))
+        sampling[stamps.mode] = (stars + len(stamps.stars), max(rays, stamps.rays * light.wavelength_nm.shape[1]))
+
+    def _by_grid(
+        self, images: WaveImages, light: Light, still: Seen, stars: IntArray, sums: TruthSums
+    ) -> Iterator[WaveStamps]:
+        """Stamps of stars by the grid of this camera and these wavelengths, if they are many enough for it."""
+        if self.camera.diffraction != "waves" or len(stars) < LEAST_STARS:
+            return
+        key = light.wavelength_nm.tobytes()
+        if key not in self._grids:
+            while len(self._grids) >= GRIDS:
+                self._grids.pop(next(iter(self._grids)))
+            self._grids[key] = build_grid(self.planner, light.wavelength_nm)
+        grid = self._grids[key]
+        if grid is None:
+            return
+        stars = stars[grid.holds(still.paths.mid[stars])]
+        mean = np.stack([sums.bundle_x, sums.bundle_y], axis=-1)
+        if images.trail is not None:
+            mean = mean - images.trail.mean_px
+        lost = sums.vignetted / np.where(light.electrons > 0.0, light.electrons, 1.0)
+        through = np.nan_to_num(sums.entrance - lost)
+        for part in (stars[i : i + GRID_BATCH] for i in range(0, len(stars), GRID_BATCH)):
+            direction = still.paths.mid[part]
+            yield grid.stamps(part, direction, images.share[part], mean[part], through[part], images.trail)
 
     def _wave_images(
         self, light: Light, still: Seen, seen: Seen, chiefs: Chiefs, shade: Shade | None = None
@@ -330,7 +377,7 @@ class Tracer:
             raise DomainError(f"star {np.argwhere(np.isnan(corner))[0][0]}: none of its light reaches the detector")
         seen = self.planner.seen(paths, light.wavelength_nm)
         chiefs = self.planner.chiefs(seen.mid, light.wavelength_nm)
-        if self.camera.diffraction == "waves":
+        if self.camera.diffraction != "rays":
             return self._wave_cells(light, seen, chiefs, half_size_px, cells_per_px)
         groups, bounds, _ = self.planner.groups(seen, light.wavelength_nm, chiefs)
         passes = Passes(self.camera, seen.nodes, light, bounds, nothing, sums, sums.entrance)

@@ -33,8 +33,10 @@ from render.tracing.pupil_points import DiskPoints, PupilPoints, TablePoints
 __all__ = ["WING", "Trail", "WaveGroup", "WaveImages", "WaveStamps", "covered_points"]
 
 
-WING = 1e-5
+WING = 2e-5
 """Share of a star's light in a pixel below which a stamp ends."""
+NEAREST_PX = 4.0
+"""Least distance of a stamp's edge from the rays."""
 PROBE_ORDER = (12, 40)
 MOST_RAYS = 1 << 17
 """Rays of one star, band and wavelength."""
@@ -148,12 +150,15 @@ class WaveImages:
         self.wavelength_nm, self.share = wavelength_nm, share
         self.index = np.asarray(camera.focused_lens.indices(wavelength_nm)[-1])
 
-    def stamps(self, group: WaveGroup) -> Iterator[WaveStamps]:
-        """Stamps of the stars of a group, in batches; stars whose rays are lost inside an outline go by cells."""
+    def stamps(self, group: WaveGroup, radius_px: float | None = None) -> Iterator[WaveStamps]:
+        """Stamps of the stars of a group, in batches; stars whose rays are lost inside an outline go by cells.
+
+        Each has a radius of its own if none is given.
+        """
         group, pierced = self._sorted(group)
         if pierced is not None:
-            yield from self.stamps(pierced)
-        radius, field, order = self._needs(group)
+            yield from self.stamps(pierced, radius_px)
+        radius, field, order = self._needs(group, radius_px)
         for key in sorted(set(zip(radius.tolist(), field.tolist(), map(tuple, order.tolist()), strict=True))):
             alike = (radius == key[0]) & (field == key[1]) & (order == key[2]).all(1)
             members = group.members[alike]
@@ -186,6 +191,23 @@ class WaveImages:
                     result[0, b] = (matrix @ image @ matrix.T) / light[0, b]
                 yield part, result, mean
 
+    def common_needs(self, groups: list[WaveGroup]) -> tuple[int, FieldSampling] | None:
+        """Radius [px] and sampling that serve all stars of groups; None if some have no smooth outline."""
+        radius = highest = 0.0
+        for group in groups:
+            if group.points is None or self._sorted(group)[1] is not None:
+                return None
+            radii, fields, _ = self._needs(group)
+            radius, highest = max(radius, float(radii.max())), max(highest, float(fields.max()))
+        return int(radius), FieldSampling(highest)
+
+    def each(self, groups: list[WaveGroup], radius_px: float) -> Iterator[tuple[int, PlaneWaves]]:
+        """Every star and its waves, for windows of a radius."""
+        for group in groups:
+            _, _, order = self._needs(group, radius_px)
+            for star, own in zip(group.members.tolist(), order.tolist(), strict=True):
+                yield star, self._traced(group, (own[0], own[1]), np.array([star]))
+
     def _sorted(self, group: WaveGroup) -> tuple[WaveGroup, WaveGroup | None]:
         """Stars whose outlines hold nothing but light, and the others, such as those behind a hole or a spider."""
         if group.points is None:
@@ -203,7 +225,9 @@ class WaveImages:
             self._check_aperture(probe)
             spot, highest = probe.spot_px, probe.highest
             rings = (1.0 / (probe.lowest_cutoff * math.pi**3 * WING)) ** (1.0 / 3.0)
-            radius = np.ceil(spot + rings) if radius_px is None else np.full(len(part), radius_px)
+            radius = (
+                np.ceil(np.maximum(rings, spot + NEAREST_PX)) if radius_px is None else np.full(len(part), radius_px)
+            )
             self._check_size(part, spot, radius)
             radial, around = phase_changes(probe, PROBE_ORDER, radius + 1.5)
             order = np.stack([radial / 4.0 + 5.0, around + 2.5 * np.cbrt(around) + 3.0], axis=1)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from optics.errors import ConfigError, DomainError
 from optics.frames import field_direction
+from optics.lens.perturb import decentre
 from optics.lens.prescription import load_lens
 from optics.lens.system import LensSystem
 from optics.waves.pupil_field import PupilField, trace_pupil
@@ -176,6 +177,37 @@ def test_effective_psf_is_what_the_renderer_puts_into_pixels(engine):
     middle = psf.shape[0] // 2
     pixels = psf[middle - 16 : middle + 17 : 4, middle - 16 : middle + 17 : 4]
     assert image.electrons[2:11, 2:11, 0] / truth.electrons_in[0, 0] == pytest.approx(pixels, abs=2e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", [lambda lens: lens, lambda lens: decentre(lens, "L2", 0.15, -0.1)])
+def test_images_interpolated_over_the_field_are_those_of_every_star(engine, change):
+    """Also those of a lens that is not one of revolution, for which mirrored images would be wrong."""
+    lens = change(load_lens("star_camera_206mm"))
+    camera = camera_of(lens, 900, 700)
+    rng = np.random.default_rng(5)
+    x, y = rng.uniform(60.0, 840.0, 16), rng.uniform(60.0, 640.0, 16)
+    wave = np.array([560.0, 680.0])
+    direction = camera.nominal_direction(x, y, 206.2)
+    stars = StarField(
+        direction=direction,
+        wavelength_nm=wave[None],
+        photon_rate=rng.uniform(0.2, 1.0, (16, 1, 2)),
+        band=("b",),
+    )
+    fast = Tracer(camera).render(stars, exposure_s=1.0)
+    exact = Tracer(replace(camera, diffraction="exact_waves")).render(stars, exposure_s=1.0)
+    assert list(fast.sampling) == ["grid"]
+    assert list(exact.sampling) == ["quadrature"]
+    column, row = (np.rint(v[:, 0]).astype(int) for v in (exact.truth.photon_x_px, exact.truth.photon_y_px))
+    for i, light in enumerate(exact.truth.electrons_in[:, 0]):
+        part = slice(max(row[i] - 6, 0), row[i] + 7), slice(max(column[i] - 6, 0), column[i] + 7)
+        ours, theirs = (r.electrons[..., 0][part].astype(float) for r in (fast, exact))
+        assert np.abs(ours - theirs).max() < 1e-4 * light
+        grid = np.arange(theirs.shape[1])
+        assert (ours.sum(0) @ grid) / ours.sum() == pytest.approx((theirs.sum(0) @ grid) / theirs.sum(), abs=1e-4)
+    assert fast.truth.photon_x_px == pytest.approx(exact.truth.photon_x_px, abs=1e-6)
+    assert fast.truth.electrons_beyond == pytest.approx(exact.truth.electrons_beyond, rel=0.2)
 
 
 def test_a_star_beside_the_detector_costs_nothing_and_is_off_the_edge(engine):
