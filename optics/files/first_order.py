@@ -47,6 +47,7 @@ def _power(row: Row, before: float, after: float) -> float:
     return (after - before) * curvature
 
 
+@np.errstate(all="ignore")
 def first_order(rows: Sequence[Row], glasses: Sequence[Glass | None], wavelength_nm: float) -> FirstOrder:
     """First-order data of the rows of a file.
 
@@ -58,6 +59,11 @@ def first_order(rows: Sequence[Row], glasses: Sequence[Glass | None], wavelength
         What follows each of them; None for air.
     wavelength_nm : float
         Design wavelength.
+
+    Returns
+    -------
+    FirstOrder
+        Not finite where numbers of the file are out of all proportion.
     """
     matrix: FloatArray = np.eye(2)
     n, side, stop_at = 1.0, 1.0, np.eye(2)
@@ -78,7 +84,6 @@ def first_order(rows: Sequence[Row], glasses: Sequence[Glass | None], wavelength
         matrix = transfer @ matrix
     last = np.array([[1.0, -distance / n], [0.0, 1.0]]) @ matrix
     (a, _), (c, _) = last
-    with np.errstate(divide="ignore", invalid="ignore"):
-        efl, bfl = (float(np.divide(x, c)) for x in (-1.0, -a))
-        pupil = float(np.divide(stop_at[0, 1], stop_at[0, 0]))
+    efl, bfl = (float(np.divide(x, c)) for x in (-1.0, -a))
+    pupil = float(np.divide(stop_at[0, 1], stop_at[0, 0]))
     return FirstOrder(efl, bfl * abs(n), float(stop_at[0, 0]), pupil, distance * side)

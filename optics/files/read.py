@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from optics.errors import ConfigError, StarbenchError
 from optics.files.assemble import Imported, assemble
 from optics.files.draft import Draft
@@ -70,6 +72,8 @@ def import_lens(
     except StarbenchError as error:
         folder = f"{place.parent}/" if str(place.parent) != "." else ""
         raise type(error)("\n".join(folder + line for line in str(error).split("\n"))) from None
+    except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+        raise ConfigError(f"{path}: numbers that make no lens ({error})") from None
     if strict:
         imported.report.require_exact()
     return imported

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -158,11 +159,17 @@ class _Reader:
 
     def _radii_or_curvatures(self) -> None:
         """Without RDM the numbers may be radii or curvatures: what no surface can be is ruled out."""
-        bases = [abs(number(c.words, 1, 0.0)) for c in self.commands if c.key == "S" and len(c.words) > 1]
-        bent = [b for b in bases if b > 0.0 and math.isfinite(b)]
-        pupils = [number(c.words, 1) for c in self.commands if c.key == "EPD" and len(c.words) > 1]
-        gaps = [abs(number(c.words, 2, 0.0)) for c in self.commands if c.key == "S" and len(c.words) > 2]
-        size = max(pupils, default=max((g for g in gaps if math.isfinite(g)), default=1.0)) / 2.0
+
+        def sizes(key: str, at: int) -> list[float]:
+            """Numbers of one place of a command; what is none is refused where it is read."""
+            found = []
+            for command in self.commands:
+                with suppress(ValueError):
+                    found += [abs(number(command.words, at, 0.0))] if command.key == key else []
+            return [value for value in found if 0.0 < value < math.inf]
+
+        bent = sizes("S", 1)
+        size = max(sizes("EPD", 1), default=max(sizes("S", 2), default=1.0)) / 2.0
         as_radii, as_curvatures = (all(b > 0.5 * size for b in bent), all(b * size < 2.0 for b in bent))
         if bent and as_radii == as_curvatures:
             raise ConfigError(

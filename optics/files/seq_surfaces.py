@@ -130,6 +130,8 @@ class SurfaceData:
             return "odd asphere"
         if key == "SCO" and self.special == "ODD":
             index = int(words[1].upper().lstrip("C"))
+            if not 1 <= index <= 31:
+                raise ValueError(f"coefficient C{index} of an odd asphere; C1 to C31 are read")
             if index == 1:
                 self.conic = number(words, 2)
             else:

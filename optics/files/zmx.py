@@ -22,6 +22,7 @@ __all__ = ["read_zmx"]
 UNITS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "METER": 1000.0, "M": 1000.0}
 ATMOSPHERE_HPA = 1013.25
 MOST_SURFACES = 1000
+MOST_LISTED = 200
 
 _DISPLAY = dict.fromkeys(
     (
@@ -137,6 +138,10 @@ class _Reader:
             raise ValueError(f"field type {kind} is not known; angles and heights (0 to 3) are read")
         draft.field_kind, draft.fields_line = _FIELD_KINDS[kind], line
         self.counts = (max(0, whole(words, 3, 0)), max(0, whole(words, 4, 0)))
+        if max(self.counts) > MOST_LISTED:
+            raise ValueError(
+                f"{self.counts[0]} fields and {self.counts[1]} wavelengths; at most {MOST_LISTED} are read"
+            )
         self.report.taken(line, text, f"fields by {draft.field_kind.replace('_', ' ')}, {self.counts[0]} of them")
 
     def _fields(self, line: int, key: str, words: list[str], text: str) -> None:
@@ -321,7 +326,7 @@ class _Reader:
                 data.conic = value
         elif key == "APER" and self.draft.aperture is not None:
             self.draft.aperture.value = number(words, 3) * (unit if self.draft.aperture.kind == "EPD" else 1.0)
-        elif key in ("XFIE", "YFIE"):
+        elif key in ("XFIE", "YFIE") and 0 < at <= MOST_LISTED:
             self.numbers.setdefault(f"{key[0]}FLN", [0.0] * at)[at - 1] = number(words, 3)
         elif key == "TEMP":
             self.draft.temperature_c = number(words, 3)
