@@ -19,6 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 from scipy.special import j1
 
@@ -102,7 +103,7 @@ class Collimator:
                 f"collimator.focus_wavelength_nm = {known[0]:g} ... {known[-1]:g} nm does not cover the light of "
                 f"{low:.0f} ... {high:.0f} nm"
             )
-        return np.asarray(np.interp(wavelength_nm, known, self.config.focus_um)) * UM_MM
+        return np.asarray(PchipInterpolator(known, self.config.focus_um)(wavelength_nm)) * UM_MM
 
     def light(
         self, filters: Sequence[Filter], wavelength_nm: FloatArray, environment: Environment

@@ -20,7 +20,7 @@ class CollimatorConfig(StrictModel):
         default=(), description="at least two, increasing: where focus_um is known; none: a reflective collimator"
     )
     focus_um: tuple[float, ...] = Field(
-        default=(), description="focus against its nominal place, away from the collimator; linear in between"
+        default=(), description="focus against its nominal place, away from the collimator; monotone cubics in between"
     )
     offset_mm: tuple[float, float] = Field(
         default=(0.0, 0.0), description="pupil of the camera beside the axis of the beam, along columns and rows"
