@@ -26,6 +26,15 @@ def describe(result: FramesResult) -> Quantities:
     q.add("usable_fraction", usable, "Usable", **every, format=".3f", json="series[series].usable_fraction")
     q.add("points", len(folder.series[0].found_px), "Points")
     q.add("dark_frames", folder.dark_frames, "Frames with the lamp off")
+    if folder.flat is None:
+        percent = np.array([one.percent_px for one in series])
+        noise = [np.sqrt((one.predicted_px(result.methods[0]) ** 2).mean() / one.frames) for one in series]
+        place = "without_flat.one_percent_moves_px"
+        q.add("percent_px", float(percent.max()), "Moved by 1 % of response", unit="px", format=".4f", json=place)
+        place = "without_flat.over_noise_of_mean"
+        q.add(
+            "percent_over_noise", float((percent / noise).max()), "Over the noise of a mean", format=".2f", json=place
+        )
     q.add("flat_frames", 0 if folder.flat is None else folder.flat.frames, "Flats")
     q.add("bad_pixels", folder.bad_pixels, "Pixels of the bad-pixel map")
     q.add("frame_size_px", [folder.width_px, folder.height_px], "Size of a frame", unit="px", dims="side")

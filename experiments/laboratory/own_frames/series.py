@@ -46,6 +46,8 @@ class SeriesFrames:
     pattern_px : (j, 2, h, w)
         By how much what is the same in all frames moves the first method's centroids, pixel by pixel, one standard
         deviation: noise of the mean dark frame and of the flat, and the response that no flat removes.
+    percent_px : float
+        RMS over points and axes of what a response that differs by 1 % from pixel to pixel moves them.
     """
 
     settings: SeriesSettings
@@ -55,6 +57,7 @@ class SeriesFrames:
     mean_e: FloatArray
     frame_covariance_px2: Mapping[str, FloatArray]
     pattern_px: FloatArray
+    percent_px: float
 
     @property
     def name(self) -> str:
@@ -116,6 +119,7 @@ def reduce_series(
         mean_e=mean,
         frame_covariance_px2={m: centroid_covariance(gain[m], temporal_e2) for m in modelled},
         pattern_px=gain[methods[0]] * np.sqrt(fixed_e2)[:, None],
+        percent_px=float(0.01 * np.sqrt(((gain[methods[0]] * light[:, None]) ** 2).sum((2, 3)).mean())),
     )
 
 

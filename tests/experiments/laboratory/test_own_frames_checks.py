@@ -29,7 +29,7 @@ def readout(light, rng, *, top=65535, step=1):
     return (np.rint((OFFSET + GAIN * electrons) / step) * step).clip(0, top).astype(np.uint16)
 
 
-def judged(folder, frames, *, gain=GAIN, offset=OFFSET):
+def judged(folder, frames, *, gain=GAIN, offset=OFFSET, centroid="gaussian"):
     """Criteria by their names, and results, of a folder with one series in one cube."""
     folder.mkdir(parents=True, exist_ok=True)
     fits.PrimaryHDU(np.stack(frames)).writeto(folder / "cube.fits", overwrite=True)
@@ -37,7 +37,7 @@ def judged(folder, frames, *, gain=GAIN, offset=OFFSET):
         f"gain_dn_per_e = {gain}\noffset_dn = {offset}\nread_noise_e = {READ}\npixel_arcsec = 5.5\npoints = 9\n"
         '[[series]]\nfiles = "cube.fits"\nname = "still"\n'
     )
-    config = Config(own_frames=str(folder), centroid="gaussian", compare=())
+    config = Config(own_frames=str(folder), centroid=centroid, compare=())
     own = experiment.instead(config)
     outcome = own.outcome(config, own.run(config, progress=Progress()))
     return {one.name: one for one in own.judge(outcome)}, own.results(outcome)
@@ -59,6 +59,14 @@ def test_good_frames_hold_every_criterion(tmp_path, rng):
     found = results["gain_dn_per_e"]["photon_transfer"]
     assert found.value == pytest.approx(GAIN, abs=4 * found.uncertainty)
     assert found.uncertainty < 0.05 * GAIN
+
+
+def test_what_missing_flats_mean_is_said(tmp_path, rng):
+    """Of a Gaussian spot a response of 1 % moves the centre of gravity by 1 % / sqrt(8 pi), of any width."""
+    _, results = judged(tmp_path / "a", [readout(expected(), rng) for _ in range(5)], centroid="cog")
+    alone = results["without_flat"]
+    assert alone["one_percent_moves_px"] == pytest.approx(0.01 / np.sqrt(8 * np.pi), rel=0.05)
+    assert 0.02 < alone["over_noise_of_mean"] < 0.5
 
 
 def test_a_gain_in_electrons_per_dn_is_named(tmp_path, rng):
