@@ -14,7 +14,7 @@ import numpy as np
 from optics.arrays import FloatArray
 from optics.lens.system import LensSystem, Surface
 
-__all__ = ["geometry_faults"]
+__all__ = ["axial_ray", "geometry_faults"]
 
 
 HEIGHTS = 64
@@ -78,7 +78,7 @@ def _idle_stop(lens: LensSystem) -> list[str]:
     stop = lens.surfaces[lens.stop_index]
     if not math.isfinite(stop.semi_diameter_mm):
         return []
-    height = _axial_heights(lens)
+    height = axial_ray(lens)[0]
     if height[lens.stop_index] == 0.0:
         return []
     heights = height * (stop.semi_diameter_mm / height[lens.stop_index])
@@ -95,8 +95,8 @@ def _idle_stop(lens: LensSystem) -> list[str]:
     ]
 
 
-def _axial_heights(lens: LensSystem) -> FloatArray:
-    """Paraxial heights (surfaces,) of a ray parallel to the axis at height 1."""
+def axial_ray(lens: LensSystem) -> tuple[FloatArray, float]:
+    """Paraxial heights (surfaces,) of a ray that is parallel to the axis at height 1, and the focal length [mm]."""
     index = lens.indices(lens.design_wavelength_nm)
     y, nu, at, found = 1.0, 0.0, lens.surfaces[0].position_mm, []
     for i, surface in enumerate(lens.surfaces):
@@ -104,4 +104,4 @@ def _axial_heights(lens: LensSystem) -> FloatArray:
         nu -= y * surface.shape.power(float(index[i]), float(-index[i] if surface.mirror else index[i + 1]))
         at = surface.position_mm
         found.append(y)
-    return np.array(found)
+    return np.array(found), -float(index[-1]) / nu if nu else math.inf

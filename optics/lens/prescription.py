@@ -8,7 +8,7 @@ same lens with every surface in a frame whose +z light travels along.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -21,11 +21,11 @@ from optics.errors import ConfigError, StarbenchError, unknown_name
 from optics.files.read import SUFFIXES, import_lens, split_configuration
 from optics.glass.catalogue import Glass, get_glass, glass_from_table, list_glasses
 from optics.glass.media import CATALOGUE_AIR, Environment
-from optics.lens.geometry import geometry_faults
+from optics.lens.geometry import axial_ray, geometry_faults
 from optics.lens.sag_map import SagMap
 from optics.lens.shapes.plane import Plane
 from optics.lens.system import AMBIENT, LensSystem, Surface
-from optics.lens.tables import MIRROR, BreakTable, ErrorTable, MovedTable, Prescription, SurfaceTable
+from optics.lens.tables import MIRROR, BreakTable, ErrorTable, MovedTable, Prescription, PupilTable, SurfaceTable
 from optics.validate import parse_model, read_toml
 
 __all__ = ["glasses_of", "lens_from_table", "lens_path", "list_lenses", "load_lens"]
@@ -314,7 +314,7 @@ def lens_from_table(
     if surfaces[-1].medium != AMBIENT:
         raise ConfigError(f"{where}: the last surface is followed by {surfaces[-1].medium!r}; it must be 'air'")
     _check_apertures(file, where)
-    return LensSystem(
+    lens = LensSystem(
         name=file.name,
         source=file.source,
         surfaces=tuple(surfaces),
@@ -325,3 +325,20 @@ def lens_from_table(
         max_field_deg=file.max_field_deg,
         environment=environment,
     )
+    return lens if file.pupil is None else _opened(lens, file.pupil, where)
+
+
+def _opened(lens: LensSystem, pupil: PupilTable, where: str) -> LensSystem:
+    """The lens with its stop as wide as an F-number or an entrance pupil says."""
+    height, focal_mm = axial_ray(lens)
+    diameter = pupil.entrance_pupil_diameter_mm
+    if pupil.f_number is not None:
+        diameter = abs(focal_mm) / pupil.f_number
+    radius = 0.5 * float(diameter or np.inf) * abs(float(height[lens.stop_index]))
+    stop = lens.surfaces[lens.stop_index]
+    if not stop.inner_semi_diameter_mm < radius < stop.shape.rim_mm:
+        raise ConfigError(
+            f"{where}: [pupil] asks for a stop of radius {radius:.6g} mm; it must lie between its hole, "
+            f"{stop.inner_semi_diameter_mm:g} mm, and the rim of its surface, {stop.shape.rim_mm:.6g} mm"
+        )
+    return lens.with_surfaces({lens.stop_index: replace(stop, semi_diameter_mm=radius)})

@@ -26,7 +26,17 @@ from optics.lens.shapes.base import Shape
 from optics.lens.shapes.registry import SHAPES, UNNAMED
 from optics.validate import refuse_lax
 
-__all__ = ["BREAK", "MIRROR", "BreakTable", "ErrorTable", "GlassTable", "ImageTable", "Prescription", "SurfaceTable"]
+__all__ = [
+    "BREAK",
+    "MIRROR",
+    "BreakTable",
+    "ErrorTable",
+    "GlassTable",
+    "ImageTable",
+    "Prescription",
+    "PupilTable",
+    "SurfaceTable",
+]
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -80,8 +90,21 @@ class StopTable(_Table):
     """A stop that stands alone: a plane at ``z_mm`` in the lens frame."""
 
     z_mm: FiniteFloat
-    semi_diameter_mm: Positive
+    semi_diameter_mm: Positive = math.inf
     inner_semi_diameter_mm: NotNegative = 0.0
+
+
+class PupilTable(_Table):
+    """How wide the stop is open, by what it makes of the light on the axis at the design wavelength."""
+
+    f_number: Positive | None = None
+    entrance_pupil_diameter_mm: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> PupilTable:
+        if (self.f_number is None) == (self.entrance_pupil_diameter_mm is None):
+            raise ValueError("[pupil] needs either f_number or entrance_pupil_diameter_mm")
+        return self
 
 
 class ErrorTable(_Table):
@@ -163,8 +186,6 @@ class SurfaceTable(MovedTable):
             raise ValueError("carry = 'bend' goes with medium = 'mirror'; use 'forward' for a surface that refracts")
         if self.cte_per_k is not None and self.medium != MIRROR:
             raise ValueError("cte_per_k goes with medium = 'mirror'; a lens expands as its glass does")
-        if self.stop and math.isinf(self.semi_diameter_mm):
-            raise ValueError("the stop needs semi_diameter_mm")
         return self
 
     def shape(self) -> Shape:
@@ -226,6 +247,7 @@ class Prescription(_Table):
     design_wavelength_nm: Positive
     max_field_deg: Annotated[float, Field(gt=0, lt=90)]
     stop: StopTable | None = None
+    pupil: PupilTable | None = None
     surface: Annotated[tuple[AnySurface, ...], Field(min_length=1)]
     image: ImageTable = ImageTable()
     glass: dict[str, GlassTable] = {}
@@ -235,4 +257,10 @@ class Prescription(_Table):
         stops = sum(isinstance(s, SurfaceTable) and s.stop for s in self.surface) + (self.stop is not None)
         if stops != 1:
             raise ValueError(f"{stops} stops are given; exactly one is needed ([stop] or stop = true on one surface)")
+        stop = self.stop or next(s for s in self.surface if isinstance(s, SurfaceTable) and s.stop)
+        if math.isinf(stop.semi_diameter_mm) == (self.pupil is None):
+            raise ValueError(
+                "the stop needs semi_diameter_mm, or in its place a table [pupil] with f_number or "
+                "entrance_pupil_diameter_mm; not both"
+            )
         return self

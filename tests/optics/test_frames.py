@@ -5,7 +5,7 @@ import pytest
 
 from optics import frames
 from optics.errors import DomainError
-from optics.lens.prescription import list_lenses, load_lens
+from optics.lens.prescription import load_lens
 from optics.rays.spots import spot_moments
 
 SIZE = (4096, 2048)
@@ -28,7 +28,7 @@ def test_light_travels_away_from_its_star():
     assert np.linalg.det(lens_axes_in_cam) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("name", list_lenses())
+@pytest.mark.parametrize("name", ["star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm"])
 def test_star_towards_plus_x_lands_at_a_larger_column_and_plus_y_at_a_larger_row(name):
     spots = spot_moments(load_lens(name), [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [600.0])
     column, row = frames.pixel_from_lens(spots.x_mm[:, 0], spots.y_mm[:, 0], pitch_mm=5.5e-3, size_px=SIZE)

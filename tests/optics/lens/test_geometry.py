@@ -7,6 +7,7 @@ import pytest
 from optics.errors import ConfigError, DomainError
 from optics.lens.prescription import load_lens
 from optics.rays.axial_beam import check_axial_beam
+from optics.rays.paraxial import paraxial
 
 STOP = """[[surface]]
 stop = true
@@ -96,6 +97,20 @@ def test_what_cannot_be_is_refused(tmp_path, old, new, said):
     assert loaded(tmp_path, TRIPLET).name == "triplet"
     with pytest.raises(ConfigError, match=said):
         loaded(tmp_path, TRIPLET.replace(old, new))
+
+
+@pytest.mark.parametrize("pupil", ["f_number = 5.0", "entrance_pupil_diameter_mm = 10.0"])
+def test_a_pupil_stands_for_the_radius_of_the_stop(tmp_path, pupil):
+    text = TRIPLET.replace("semi_diameter_mm = 3.9\n", "")
+    p = paraxial(loaded(tmp_path, f"{text}\n[pupil]\n{pupil}\n"))
+    wanted = p.f_number if pupil.startswith("f") else 2.0 * p.entrance_pupil_radius_mm
+    assert wanted == pytest.approx(float(pupil.split()[-1]), rel=1e-12)
+    with pytest.raises(ConfigError, match=r"the stop needs semi_diameter_mm, or in its place a table \[pupil\]"):
+        loaded(tmp_path, text)
+    with pytest.raises(ConfigError, match="not both"):
+        loaded(tmp_path, f"{TRIPLET}\n[pupil]\n{pupil}\n")
+    with pytest.raises(ConfigError, match=r"surface 2 leaves only"):
+        loaded(tmp_path, f"{text}\n[pupil]\nf_number = 1.0\n")
 
 
 def test_an_expansion_that_no_glass_has_is_refused(tmp_path):

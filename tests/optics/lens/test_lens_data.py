@@ -122,7 +122,7 @@ def test_star_tracker_is_what_its_file_says():
 def test_every_lens_has_named_elements_a_source_and_apertures(name):
     lens = load_lens(name)
     assert lens.source
-    assert len(lens.elements) >= 4
+    assert len(lens.elements) >= 2
     assert all(np.isfinite(s.semi_diameter_mm) for s in lens.surfaces)
     assert all(s.element for s in lens.surfaces if not s.is_stop)
     assert all(glass.dndt is not None and glass.cte_per_k is not None for glass in lens.glasses.values())

@@ -10,7 +10,7 @@ from optics.glass.catalogue import Glass
 from optics.glass.dispersion import Dispersion
 from optics.glass.media import VACUUM
 from optics.lens.perturb import decentre, tilt
-from optics.lens.prescription import list_lenses, load_lens
+from optics.lens.prescription import load_lens
 from optics.lens.shapes.plane import Plane
 from optics.lens.shapes.sphere import Sphere
 from optics.lens.system import LensSystem, Surface
@@ -75,7 +75,7 @@ def test_unit_magnification_at_twice_the_focal_length():
     assert z == pytest.approx(p.rear_principal_z_mm + 2.0 * p.efl_mm, rel=1e-13)
 
 
-@pytest.mark.parametrize("name", list_lenses())
+@pytest.mark.parametrize("name", ["star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm"])
 @pytest.mark.parametrize("wavelength", [500.0, 800.0])
 def test_real_rays_near_the_axis_agree(name, wavelength):
     lens = load_lens(name)
@@ -88,7 +88,7 @@ def test_real_rays_near_the_axis_agree(name, wavelength):
     assert float(x) == pytest.approx(chief_ray(lens, 1e-3, wavelength)[0][-1], rel=1e-6)
 
 
-@pytest.mark.parametrize("name", list_lenses())
+@pytest.mark.parametrize("name", ["star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm"])
 def test_front_quantities_are_the_rear_ones_of_the_lens_seen_from_behind(name):
     from optics.rays.reverse import reverse
 

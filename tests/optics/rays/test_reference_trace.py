@@ -6,7 +6,7 @@ import pytest
 from optics.frames import field_direction
 from optics.glass.air import air_index
 from optics.lens.perturb import decentre, tilt, tilt_image
-from optics.lens.prescription import list_lenses, load_lens
+from optics.lens.prescription import load_lens
 from optics.lens.shapes.conic import Conic
 from optics.lens.shapes.even_asphere import EvenAsphere
 from optics.lens.shapes.plane import Plane
@@ -75,7 +75,7 @@ def everything_askew(lens):
     return tilt_image(tilt(decentre(lens, lens.elements[0], 0.1, 0.05), lens.elements[-2], -0.2, 0.3), 0.5, 0.4)
 
 
-@pytest.mark.parametrize("name", list_lenses())
+@pytest.mark.parametrize("name", ["star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm"])
 @pytest.mark.parametrize("change", [centred, tilted, decentred, everything_askew])
 def test_rays_agree_with_batoid(name, change):
     batoid = pytest.importorskip("batoid")
@@ -140,7 +140,7 @@ def number(value) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", list_lenses())
+@pytest.mark.parametrize("name", ["star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm"])
 @pytest.mark.parametrize("wavelength", [500.0, 600.0, 800.0])
 def test_focal_lengths_agree_with_optiland(name, wavelength):
     pytest.importorskip("optiland")
