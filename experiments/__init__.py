@@ -1,8 +1,21 @@
 """The experiments, one package each, and what they share: the laboratory and the frame that makes commands of them."""
 
+import os
+import signal
 import sys
+import threading
 from importlib.util import find_spec
 from pathlib import Path
+
+
+def _leave(number: int, frame: object) -> None:
+    os.write(2, b"interrupted; nothing was written\n")
+    os._exit(130)
+
+
+if sys.argv[:1] == ["-m"] and threading.current_thread() is threading.main_thread():  # a command is starting
+    # imports take a second, and an interrupt amid them would end in a traceback; the command takes over from here
+    signal.signal(signal.SIGINT, _leave)
 
 for _name in ("optics", "render", "calib"):  # a user's module of that name makes imports fail in strange ways
     _found = find_spec(_name)

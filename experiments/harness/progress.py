@@ -98,15 +98,31 @@ class _RichProgress(Progress):
     def __init__(self) -> None:
         super().__init__()
         from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            ProgressColumn,
+            SpinnerColumn,
+            Text,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
         from rich.progress import Progress as Bars
+
+        class Rate(ProgressColumn):
+            def render(self, task: Any) -> Text:
+                speed = task.finished_speed or task.speed
+                return Text("" if speed is None else f"{speed:.3g}/s")
 
         self._bars = Bars(
             SpinnerColumn(),
             TextColumn("{task.description}"),
             BarColumn(bar_width=30),
             MofNCompleteColumn(),
+            Rate(),
             TimeElapsedColumn(),
+            TimeRemainingColumn(),
             console=Console(stderr=True),
             transient=True,
         )
@@ -134,15 +150,19 @@ class _RichProgress(Progress):
 class _LineStage:
     def __init__(self, progress: LineProgress, label: str, total: int | None) -> None:
         self._progress, self._label, self._total, self._done = progress, label, total, 0
+        self._begun = progress.clock()
 
     def advance(self, steps: int = 1) -> None:
         self._done += steps
         of = f" of {self._total}" if self._total is not None else ""
-        self._progress.say(f"{self._label}: {self._done}{of}")
+        took = self._progress.clock() - self._begun
+        rate = f", {self._done / took:.3g}/s" if took > 0 else ""
+        left = (self._total - self._done) * took / self._done if self._total and self._done else 0.0
+        self._progress.say(f"{self._label}: {self._done}{of}{rate}" + (f", {left:.0f} s left" if left > 0 else ""))
 
 
 class LineProgress(Progress):
-    """Plain lines, for a pipe or a log file: none from a run of two seconds, then one in ten seconds at most.
+    """Plain lines, for a pipe or a log file: none from a run of two seconds, then one in thirty seconds at most.
 
     Parameters
     ----------
@@ -153,17 +173,17 @@ class LineProgress(Progress):
     """
 
     FIRST_S = 2.0
-    EVERY_S = 10.0
+    EVERY_S = 30.0
 
     def __init__(self, stream: TextIO, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
-        self._stream, self._clock = stream, clock
+        self._stream, self.clock = stream, clock
         self._start = clock()
         self._next = self._start + self.FIRST_S
 
     def say(self, words: str) -> None:
         """Write a line if it is time for one."""
-        now = self._clock()
+        now = self.clock()
         if now >= self._next:
             print(f"[{now - self._start:.0f} s] {words}", file=self._stream, flush=True)
             self._next = now + self.EVERY_S

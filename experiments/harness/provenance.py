@@ -9,7 +9,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -18,7 +18,15 @@ from typing import Any
 from experiments.harness.outputs import PROGRAM
 from render.engine.llvm import llvm_version
 
-__all__ = ["collect", "file_digests", "peak_memory_mb", "process_seconds", "program_version", "without_paths"]
+__all__ = [
+    "collect",
+    "count_memory_of_workers",
+    "file_digests",
+    "peak_memory_mb",
+    "process_seconds",
+    "program_version",
+    "without_paths",
+]
 
 _PACKAGES = (
     "starbench",
@@ -32,6 +40,7 @@ _PACKAGES = (
     "pydantic",
     "matplotlib",
 )
+_WORKERS_MB: list[float] = []
 _IMPORTED = time.perf_counter()
 
 
@@ -91,11 +100,24 @@ def file_digests(folder: Path) -> dict[str, str]:
 
 
 def peak_memory_mb() -> float:
-    """Largest resident memory of this process so far [MB = 10^6 bytes]."""
+    """Largest resident memory of this process so far, and of those that worked for it [MB = 10^6 bytes]."""
     import resource
 
     largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return largest * (1.0 if sys.platform == "darwin" else 1024.0) / 1e6
+    return largest * (1.0 if sys.platform == "darwin" else 1024.0) / 1e6 + sum(_WORKERS_MB)
+
+
+def count_memory_of_workers(peaks_mb: Iterable[float]) -> None:
+    """Add the peaks of processes that work beside this one; earlier ones of less memory no longer count.
+
+    Parameters
+    ----------
+    peaks_mb : iterable of float
+        What `peak_memory_mb` says in each of them.
+    """
+    peaks = list(peaks_mb)
+    if sum(peaks) > sum(_WORKERS_MB):
+        _WORKERS_MB[:] = peaks
 
 
 def process_seconds() -> float:

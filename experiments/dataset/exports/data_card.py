@@ -75,12 +75,13 @@ def _baseline(result: Result) -> dict[str, str]:
     if result.evaluation is None or not len(result.evaluation.stars.magnitude):
         return {}
     found = describe(result).dataset
+    half = float(found["bright_magnitude_of_half"])
+    faint = f", half of those of {half:.2f} mag" if math.isfinite(half) else ""
     looked = f"first {int(found['frames_looked_at'])} frames"
     said = {
         f"detection at {result.config.threshold_sigma:g} sigma, {looked}": (
-            f"{100 * float(found['bright_undisturbed']):.2f} % of undisturbed stars of SNR 10 and more, half of those "
-            f"of {float(found['bright_magnitude_of_half']):.2f} mag; {float(found['false_not_flagged']):.2f} false "
-            "ones a frame"
+            f"{100 * float(found['bright_undisturbed']):.2f} % of undisturbed stars of SNR 10 and more{faint}; "
+            f"{float(found['false_not_flagged']):.2f} false ones a frame"
         ),
         f"centroid ({result.config.centroid})": (f"error {float(found['bound_ratio']):.2f} times the Cramer-Rao bound"),
     }

@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.dataset.production.complete import in_words
+from experiments.dataset.production.complete import in_words, prompt_pool
 from experiments.dataset.production.folder import (
     IDENTITY,
     OWN_FOLDERS,
@@ -20,7 +19,6 @@ from experiments.dataset.production.folder import (
     held_identity,
     numbers,
 )
-from experiments.dataset.production.schedule import processors
 from experiments.harness.progress import Progress
 from optics.errors import ConfigError
 
@@ -90,7 +88,7 @@ def check(folder: Path, progress: Progress) -> Checked:
         if file.is_file() and not file.name.startswith(".")
     }
     frames = numbers(folder)
-    with ThreadPoolExecutor(processors()) as pool:
+    with prompt_pool() as pool:
         records = pool.map(lambda frame: checked_frame(folder, frame, truth), frames)
         records = progress.track(records, "frames", total=len(frames))
         whole = {one.frame for one in records if one is not None}

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 
@@ -16,7 +17,12 @@ from experiments.dataset.settings import Config
 from experiments.dataset.truth.frame_record import FrameRecord
 from experiments.harness.progress import Progress
 
-__all__ = ["Completed", "complete", "in_words"]
+SMALLEST_SHARE = {"none": 1.0, "rice": 0.1, "gzip": 0.1}
+"""No frame with noise is packed smaller than this."""
+FAINTEST_SHARE = 0.5
+"""The first one may hold the Moon, or a mask that the others lack."""
+
+__all__ = ["Completed", "complete", "in_words", "prompt_pool"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,13 +74,15 @@ def complete(config: Config, output: DatasetFolder, job: Job, *, pixels: int, pr
     records = _whole_frames(config, output, progress)
     damaged = tuple(frame for frame in numbers(output.path) if frame not in records)
     missing = [frame for frame in range(config.frames) if frame not in records]
-    if config.files.compression == "none":
-        output.check_room(len(missing) * 2 * pixels)
+    if missing:
+        output.check_room(len(missing) * 2 * pixels * SMALLEST_SHARE[config.files.compression])
     times: list[tuple[float, int]] = []
     with progress.stage("make frames", total=len(missing)) as stage:
 
         def done(some: Sequence[FrameRecord]) -> None:
             records.update({one.frame: one for one in some})
+            if not times and config.files.compression != "none":  # by now it is known how well frames are packed
+                output.check_room((len(missing) - len(some)) * some[0].frame_bytes * FAINTEST_SHARE)
             times.append((time.perf_counter(), len(some)))
             stage.advance(len(some))
 
@@ -100,12 +108,22 @@ def in_words(frames: Sequence[int]) -> str:
     return ", ".join(map(str, frames[:20])) + (f" and {len(frames) - 20} more" if len(frames) > 20 else "")
 
 
+@contextmanager
+def prompt_pool() -> Iterator[ThreadPoolExecutor]:
+    """Threads that do not finish what is waiting when the work is interrupted."""
+    pool = ThreadPoolExecutor(processors())
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
 def _whole_frames(config: Config, output: DatasetFolder, progress: Progress) -> dict[int, FrameRecord]:
     """Frames that are there and whole, by number."""
     there = numbers(output.path)
     if not there:
         return {}
     check = partial(checked_frame, output.path, truth=config.files.truth)
-    with ThreadPoolExecutor(processors()) as pool:
+    with prompt_pool() as pool:
         found = progress.track(pool.map(check, there), "look at the frames there are", total=len(there))
         return {one.frame: one for one in found if one is not None}

@@ -245,7 +245,7 @@ class DatasetFolder:
         except OSError as error:
             raise StorageError(f"{self.shown}: cannot be written ({error.strerror})") from None
 
-    def check_room(self, needed_bytes: int) -> None:
+    def check_room(self, needed_bytes: float) -> None:
         """Refuse what surely does not fit.
 
         Raises
@@ -257,7 +257,7 @@ class DatasetFolder:
         if needed_bytes > free:
             raise StorageError(
                 f"{self.shown}: needs {needed_bytes / 1e9:.3g} GB more, its disk has {free / 1e9:.3g} GB left; make "
-                "room, ask for fewer frames, or set files.compression = rice"
+                "room, ask for fewer frames, or set files.compression = rice in a new dataset"
             )
 
     def close(self) -> None:

@@ -8,9 +8,12 @@ import logging
 import os
 import secrets
 import signal
+import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from itertools import islice
 from multiprocessing import resource_tracker
 from pathlib import Path
@@ -19,6 +22,7 @@ from typing import Any
 from experiments.dataset.production.identity import software
 from experiments.dataset.production.job import Job, make_frame
 from experiments.dataset.truth.frame_record import FrameRecord
+from experiments.harness.provenance import count_memory_of_workers, peak_memory_mb
 from experiments.harness.threads import THREADS
 from optics.errors import BackendError, ConfigError
 
@@ -35,6 +39,9 @@ DEATHS = 3
 """Workers that a frame may cost before it is given up."""
 FEW_FRAMES = 8
 """With so few frames, starting workers takes longer than making them."""
+LOOK_S, POLL_S = 1.0, 0.003
+ALONE_S, GIVE_UP_S = 10.0, 300.0
+GO_ON = "what was made is kept: run the same command again to go on"
 _MEMORY = {"MALLOC_TRIM_THRESHOLD_": str(1 << 30), "MALLOC_MMAP_THRESHOLD_": str(1 << 25)}
 """Images are allocated and freed all the time: what a worker got from the system it keeps."""
 
@@ -101,18 +108,24 @@ def _on_processes(job: Job, frames: Sequence[int], count: int, done: Done) -> in
         with (
             _interrupts_held()
         ):  # threads and processes that start meanwhile inherit it: an interrupt is ours to handle
-            cluster = distributed.LocalCluster(
-                n_workers=count,
-                threads_per_worker=1,
-                processes=True,
-                dashboard_address=None,
-                memory_limit=0,
-                local_directory=scratch,
-                silence_logs=logging.CRITICAL,
-            )
+            try:
+                cluster = distributed.LocalCluster(
+                    n_workers=count,
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address=None,
+                    memory_limit=0,
+                    local_directory=scratch,
+                    silence_logs=logging.CRITICAL,
+                )
+            except (OSError, RuntimeError, TimeoutError) as error:
+                raise BackendError(f"{count} workers cannot be started ({_said(error)}); set workers = 1") from None
             stack.callback(cluster.close, timeout=CONNECT_S)
             client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
-        _gather(distributed, client, job, frames, slots=count, threads=max(1, processors() // count), done=done)
+        watch = _Watch(client, "workers on this machine", most_workers=count + DEATHS)
+        _gather(distributed, client, job, frames, watch=watch, threads=max(1, processors() // count), done=done)
+        with contextlib.suppress(OSError, TimeoutError, RuntimeError):
+            count_memory_of_workers(client.run(peak_memory_mb).values())
     return count
 
 
@@ -129,18 +142,16 @@ def _on_cluster(job: Job, frames: Sequence[int], address: str, done: Done) -> in
                 distributed.Client(address, timeout=f"{CONNECT_S:g}s", set_as_default=False, name="starbench")
             )
         except (OSError, TimeoutError, ValueError, RuntimeError) as error:
-            reason = " ".join(str(error).split())[:160] or type(error).__name__
             raise ConfigError(
-                f"scheduler {address} does not answer as one within {CONNECT_S:g} s ({reason}); start one with 'dask "
-                "scheduler', or leave scheduler out to use this machine"
+                f"scheduler {address} does not answer as one within {CONNECT_S:g} s ({_said(error)}); start one with "
+                "'dask scheduler', or leave scheduler out to use this machine"
             ) from None
-        workers = client.scheduler_info(n_workers=-1)["workers"]
-        if not workers:
+        if not client.scheduler_info(n_workers=-1)["workers"]:
             raise ConfigError(f"scheduler {address} has no workers; start some with 'dask worker {address}'")
         _check_workers(client, job, address)
-        slots = sum(int(worker["nthreads"]) for worker in workers.values())
-        _gather(distributed, client, job, frames, slots=slots, threads=None, done=done)
-    return len(workers)
+        watch = _Watch(client, f"scheduler {address}")
+        _gather(distributed, client, job, frames, watch=watch, threads=None, done=done)
+    return watch.most
 
 
 async def _greet(distributed: Any, address: str) -> None:
@@ -158,9 +169,9 @@ def _check_workers(client: Any, job: Job, address: str) -> None:
         try:
             answers = client.run(probe, str(token), job.backend)
         except Exception as error:  # whatever hinders a worker from running our function
-            reason = " ".join(str(error).split())[:160] or type(error).__name__
             raise ConfigError(
-                f"scheduler {address}: its workers cannot run starbench ({reason}); install the same version there"
+                f"scheduler {address}: its workers cannot run starbench ({_said(error)}); install the same version "
+                "there"
             ) from None
     finally:
         token.unlink(missing_ok=True)
@@ -184,12 +195,80 @@ def probe(token: str, backend: str) -> tuple[bool, dict[str, str]]:
     return Path(token).exists(), software(backend)
 
 
+class _Watch:
+    """Looks at a cluster now and then: how many frames it takes at once, and whether it is still there.
+
+    Workers may come and go (adaptive scaling); without any for `ALONE_S` seconds the user is told, after `GIVE_UP_S`
+    the run ends.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        Connection to it.
+    name : str
+        What to call it.
+    most_workers : int, optional
+        Workers that may be seen before the first frame is back: those that are started again and again die at start.
+    """
+
+    def __init__(self, client: Any, name: str, most_workers: int | None = None) -> None:
+        self._client, self._name, self._most_workers = client, name, most_workers
+        self.slots, self.most, self.finished = 1, 0, 0
+        self._seen: set[str] = set()
+        self._next = self._good = time.monotonic()
+        self._told = False
+        self.look()
+
+    def look(self) -> None:
+        """Ask the scheduler, if the last answer is old.
+
+        Raises
+        ------
+        BackendError
+            It is gone, or has been without workers for too long, or they die as soon as they start.
+        """
+        now = time.monotonic()
+        if now < self._next:
+            return
+        self._next = now + LOOK_S
+        workers: dict[str, Any] = {}
+        with contextlib.suppress(OSError, TimeoutError, RuntimeError, KeyError, AttributeError):
+            workers = self._client.scheduler_info(n_workers=-1)["workers"]
+        if self._client.status in ("closed", "closing"):
+            raise self.gone()
+        self._seen |= set(workers)
+        if self._most_workers is not None and not self.finished and len(self._seen) > self._most_workers:
+            raise BackendError(
+                f"{self._name} die as soon as they start ({len(self._seen)} so far; out of memory, or killed); {GO_ON}"
+            )
+        if workers:
+            self.slots = sum(int(worker["nthreads"]) for worker in workers.values())
+            self.most = max(self.most, len(workers))
+            self._good, self._told = now, False
+        elif now - self._good > GIVE_UP_S:
+            raise BackendError(f"{self._name}: no workers for {GIVE_UP_S:g} s; {GO_ON}")
+        elif now - self._good > ALONE_S and not self._told:
+            self._told = True
+            print(f"{self._name}: no workers for {ALONE_S:g} s; waiting for some", file=sys.stderr, flush=True)
+
+    def gone(self) -> BackendError:
+        """The error for a cluster that does not answer any more."""
+        return BackendError(f"{self._name}: is gone; {GO_ON}")
+
+
 def _gather(
-    distributed: Any, client: Any, job: Job, frames: Sequence[int], *, slots: int, threads: int | None, done: Done
+    distributed: Any,
+    client: Any,
+    job: Job,
+    frames: Sequence[int],
+    *,
+    watch: _Watch,
+    threads: int | None,
+    done: Done,
 ) -> None:
     """Hand frames out, a few ahead, and take them in as they are finished."""
     run = secrets.token_hex(4)
-    size = max(1, min(LARGEST_BATCH, len(frames) // (8 * slots)))
+    size = max(1, min(LARGEST_BATCH, len(frames) // (8 * watch.slots)))
     batches = (frames[start : start + size] for start in range(0, len(frames), size))
 
     def submit(some: Iterable[Sequence[int]]) -> list[Any]:
@@ -198,8 +277,13 @@ def _gather(
             for batch in some
         ]
 
-    running = distributed.as_completed(submit(islice(batches, AHEAD * slots)), loop=client.loop)
-    for future in running:
+    running = distributed.as_completed(submit(islice(batches, AHEAD * watch.slots)), loop=client.loop)
+    while not running.is_empty():
+        watch.look()
+        if not running.has_ready():
+            time.sleep(POLL_S)
+            continue
+        future = next(running)
         try:
             done(future.result())
         except distributed.KilledWorker:
@@ -207,9 +291,16 @@ def _gather(
                 f"workers died {DEATHS + 1} times over {future.key.rsplit('-', 1)[0]} (killed, or out of memory); what "
                 "was made is kept: use fewer workers and run the same command again"
             ) from None
+        except (CancelledError, distributed.CancelledError, distributed.comm.CommClosedError):
+            raise watch.gone() from None
+        watch.finished += 1
         future.release()
-        for following in submit(islice(batches, 1)):
+        for following in submit(islice(batches, max(0, AHEAD * watch.slots - running.count()))):
             running.add(following)
+
+
+def _said(error: BaseException) -> str:
+    return " ".join(str(error).split())[:160] or type(error).__name__
 
 
 def make_batch(job: Job, frames: Sequence[int], threads: int | None) -> list[FrameRecord]:

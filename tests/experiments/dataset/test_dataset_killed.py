@@ -153,14 +153,13 @@ def test_interrupted(tmp_path, workers):
 
 
 def test_a_disk_that_is_really_full(tmp_path):
-    """A file system of 1 MB, mounted for one process."""
+    """A file system of 3.8 MB, mounted for one process: frames would fit, with their truth they do not."""
     if shutil.which("unshare") is None or subprocess.run(["unshare", "-m", "true"], check=False).returncode:
         pytest.skip("needs the right to mount")
     disk, kept = tmp_path / "disk", tmp_path / "kept"
     disk.mkdir()
-    steps = 'mount -t tmpfs -o size=1m none "$0" && { shift 0; "$@"; echo status $?; cp -r "$0/full" "$KEPT"; }'
-    packed = ("--set", "files.compression=rice")  # what surely does not fit would be refused before
-    line = ["unshare", "-m", "sh", "-c", steps, str(disk), *command(disk / "full", *packed)]
+    steps = 'mount -t tmpfs -o size=3800k none "$0" && { shift 0; "$@"; echo status $?; cp -r "$0/full" "$KEPT"; }'
+    line = ["unshare", "-m", "sh", "-c", steps, str(disk), *command(disk / "full")]
     environment = {**os.environ, "KEPT": str(kept), "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(line, capture_output=True, text=True, cwd=ROOT, env=environment, timeout=120, check=False)
     if "mount:" in done.stderr:
@@ -172,13 +171,45 @@ def test_a_disk_that_is_really_full(tmp_path):
     truths = [name for name in made if name.endswith(".parquet")]
     assert 5 < len(truths) < FRAMES
     assert f"{len(truths)} of 60 frames are whole and kept" in done.stderr
-    process = start(kept, *packed)  # with room
+    process = start(kept)  # with room
     out, error = process.communicate(timeout=120)
     assert process.returncode == 0, out + error
     whole = data(kept)
     assert len(whole) == 2 * FRAMES
     assert made.items() <= whole.items()  # nothing half-written bore a frame's name
     assert results(kept)["frames_made"] == FRAMES - len(truths)
+
+
+def test_a_scheduler_that_is_killed(tmp_path):
+    """One line, exit status 2, how to go on."""
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": ROOT}
+    file = tmp_path / "scheduler.json"
+    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
+    scheduler = subprocess.Popen([*dask, "--scheduler-file", str(file), "--host", "127.0.0.1"], **quiet)
+    worker = None
+    try:
+        until = time.monotonic() + 30
+        while not (file.exists() and file.read_text()):
+            assert time.monotonic() < until
+            time.sleep(0.1)
+        address = json.loads(file.read_text())["address"]
+        one = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny"]
+        worker = subprocess.Popen([*one, "--no-dashboard", "--local-directory", str(tmp_path)], **quiet)
+        wait = f"from distributed import Client; Client({address!r}).wait_for_workers(1, timeout=60)"
+        subprocess.run([sys.executable, "-c", wait], check=True, timeout=90, **quiet)
+        folder = tmp_path / "lost"
+        process = start(folder, "--scheduler", address, frames=5000)
+        wait_for(folder, 3, process)
+        scheduler.kill()
+        _, error = process.communicate(timeout=60)
+        assert process.returncode == 2, error
+        assert "is gone; what was made is kept: run the same command again to go on" in error
+        assert error.count("\n") == 1, error
+    finally:
+        for one in (worker, scheduler):
+            if one is not None:
+                one.kill()
+                one.wait()
 
 
 def test_a_scheduler_elsewhere(dataset, tmp_path):

@@ -38,18 +38,21 @@ def test_silent_where_there_is_no_error_stream(monkeypatch):
 
 
 def test_long_work_in_a_pipe_says_a_line_now_and_then():
-    """Seven steps of 3 s: a line after 2 s, then one in ten seconds; no control characters in a log file."""
+    """Seven steps of 9 s: a line after 2 s, then one in thirty seconds; no control characters in a log file."""
     now, log = [100.0], io.StringIO()
     progress = LineProgress(log, clock=lambda: now[0])
     with progress.stage("render", total=7) as stage:
         for _ in range(7):
-            now[0] += 3.0
+            now[0] += 9.0
             stage.advance()
     with progress.stage("write"):
         now[0] += 30.0
     with progress.stage("judge"):
         pass
-    assert log.getvalue() == "[3 s] render: 1 of 7\n[15 s] render: 5 of 7\n[51 s] judge\n"
+    assert (
+        log.getvalue()
+        == "[9 s] render: 1 of 7, 0.111/s, 54 s left\n[45 s] render: 5 of 7, 0.111/s, 18 s left\n[93 s] judge\n"
+    )
 
 
 def test_bars_on_a_terminal(monkeypatch):
