@@ -56,7 +56,8 @@ def read_material(path: str | Path, name: str | None = None) -> Glass:
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f" line {mark.line + 1}:" if mark else ""
-        raise ConfigError(f"{path}:{where} not valid YAML ({getattr(error, 'problem', None) or error})") from None
+        said = " ".join(str(getattr(error, "problem", None) or error).split())
+        raise ConfigError(f"{path}:{where} not valid YAML ({said})") from None
     if not isinstance(file, Mapping) or not isinstance(file.get("DATA"), Sequence):
         raise ConfigError(f"{path}: no list DATA; a material file of refractiveindex.info is needed")
     called = name or Path(path).stem

@@ -31,6 +31,10 @@ from experiments.dataset.truth.star_truth import COLUMNS
 from experiments.harness.config import load_config
 from experiments.laboratory.own_frames import settings as own_frames
 from optics.errors import StarbenchError
+from optics.export.write import write_lens
+from optics.glass.agf import read_agf
+from optics.glass.index_database import read_material
+from optics.lens.lens_file import read_lens_file
 from optics.lens.prescription import load_lens
 from optics.light.band_file import load_band
 from render.catalogue.read import read_catalog
@@ -43,6 +47,32 @@ INPUTS = 2000
 LONGEST_S = 1.0
 MOST_BYTES = 600e6
 NASTY = b"-1 0 1 -0.0 1e309 nan inf 2147483648 9223372036854775808 -32768 99999 1e-300 '' T F [] {} ../../x".split()
+
+
+MATERIAL = """DATA:
+  - type: formula 2
+    wavelength_range: 0.3 2.5
+    coefficients: 0 1.03961212 0.00600069867 0.231792344 0.0200179144 1.01046945 103.560653
+  - type: tabulated k
+    data: |
+        0.300 2.8607E-06
+        0.310 1.3679E-06
+        0.320 6.6608E-07
+SPECS:
+    nd: 1.5168
+    Vd: 64.17
+"""
+
+
+GLASSES = """CC A catalogue of one glass
+NM N-BK7 2 517642.251 1.5168 64.17 0 1
+ED 7.1 8.3 2.51 -0.0009 0
+CD 1.03961212E+00 6.00069867E-03 2.31792344E-01 2.00179144E-02 1.01046945E+00 1.03560653E+02
+TD 1.86E-06 1.31E-08 -1.37E-11 4.34E-07 6.27E-10 1.70E-01 2.0E+01
+LD 3.1E-01 2.5
+IT 3.1E-01 0.574 25.0
+IT 5.0E-01 0.998 25.0
+"""
 
 
 def frame(side=9):
@@ -121,6 +151,13 @@ def seeds(folder):
             add(f"{name}.{form}", *((read_record, read_table) if name == "truth" else (read_table,)))
     shutil.copy(ROOT / "optics/data/lenses/star_tracker_26mm.toml", folder / "lens.toml")
     add("lens.toml", load_lens)
+    for name in ("lens.zmx", "lens.seq"):
+        write_lens(read_lens_file("star_tracker_26mm"), folder / name)
+        add(name, read_lens_file)
+    (folder / "glass.agf").write_text(GLASSES)
+    add("glass.agf", glasses_of)
+    (folder / "glass.yml").write_text(MATERIAL)
+    add("glass.yml", read_material)
     shutil.copy(ROOT / "render/data/detectors/cmv4000.toml", folder / "detector.toml")
     add("detector.toml", load_detector)
     (folder / "run.toml").write_text(
@@ -132,6 +169,12 @@ def seeds(folder):
     )
     add("band.csv", load_band)
     return made
+
+
+def glasses_of(path):
+    catalogue = read_agf(path)
+    for name in catalogue.names:
+        catalogue.glass(name)
 
 
 def frame_of(path):
@@ -224,7 +267,7 @@ def outcome(reader, path):
     try:
         reader(path)
     except StarbenchError as error:
-        if "\n" in str(error).strip() and "toml" not in path.name:  # settings: a line for every key
+        if "\n" in str(error).strip() and path.suffix not in (".toml", ".zmx", ".seq"):  # a line for every fault
             return f"more than a line: {error}"
     except Exception as error:
         return f"{type(error).__name__}: {error}"

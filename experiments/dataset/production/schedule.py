@@ -122,7 +122,7 @@ def _on_processes(job: Job, frames: Sequence[int], count: int, done: Done) -> in
                 raise BackendError(f"{count} workers cannot be started ({_said(error)}); set workers = 1") from None
             stack.callback(cluster.close, timeout=CONNECT_S)
             client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
-        watch = _Watch(client, "workers on this machine", most_workers=count + DEATHS)
+        watch = _Watch(client, "the scheduler on this machine", most_workers=count + DEATHS)
         _gather(distributed, client, job, frames, watch=watch, threads=max(1, processors() // count), done=done)
         with contextlib.suppress(OSError, TimeoutError, RuntimeError):
             count_memory_of_workers(client.run(peak_memory_mb).values())
@@ -133,7 +133,8 @@ def _on_cluster(job: Job, frames: Sequence[int], address: str, done: Done) -> in
     dask, distributed = _dask()
     if not address.startswith(("tcp://", "tls://", "ws://", "wss://", "ucx://")):
         raise ConfigError(f"scheduler = {address!r}; an address such as tcp://host:8786 is needed")
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is wrong is said below, in one line
+    for name in [name for name in logging.root.manager.loggerDict if name.partition(".")[0] == "distributed"]:
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what is wrong is said below, in one line
     with contextlib.ExitStack() as stack:
         stack.enter_context(dask.config.set({"distributed.comm.timeouts.connect": f"{CONNECT_S:g}s"}))
         try:
@@ -239,7 +240,7 @@ class _Watch:
         self._seen |= set(workers)
         if self._most_workers is not None and not self.finished and len(self._seen) > self._most_workers:
             raise BackendError(
-                f"{self._name} die as soon as they start ({len(self._seen)} so far; out of memory, or killed); {GO_ON}"
+                f"workers die as soon as they start ({len(self._seen)} so far; out of memory, or killed); {GO_ON}"
             )
         if workers:
             self.slots = sum(int(worker["nthreads"]) for worker in workers.values())
@@ -253,7 +254,7 @@ class _Watch:
 
     def gone(self) -> BackendError:
         """The error for a cluster that does not answer any more."""
-        return BackendError(f"{self._name}: is gone; {GO_ON}")
+        return BackendError(f"{self._name} is gone; {GO_ON}")
 
 
 def _gather(

@@ -148,6 +148,9 @@ def test_what_cannot_fit_is_refused(tmp_path, monkeypatch, capsys):
     assert run(tmp_path / "large") == 2
     assert "0.000147 GB more, its disk has 0.0001 GB left" in capsys.readouterr().err  # 3 x 2 x 192 x 128 bytes
     assert not (tmp_path / "large").exists()
+    monkeypatch.setattr(storage.shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(10, 9, 10**4))
+    assert run(tmp_path / "packed", "--set", "files.compression=rice") == 2
+    assert "its disk has 1e-05 GB left" in capsys.readouterr().err
 
 
 def test_a_run_that_made_nothing_leaves_nothing(tmp_path, capsys):

@@ -1,0 +1,67 @@
+"""What a cluster that fails looks like: told in time, in one line, with how to go on."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from experiments.dataset.production import schedule
+from optics.errors import BackendError
+
+
+@pytest.fixture
+def cluster(monkeypatch):
+    """A cluster that is as the test says, and a clock."""
+    held = SimpleNamespace(now=100.0, workers={"a": {"nthreads": 1}}, status="running")
+    held.scheduler_info = lambda n_workers: {"workers": held.workers}
+    monkeypatch.setattr(schedule.time, "monotonic", lambda: held.now)
+    return held
+
+
+def test_workers_that_are_gone(cluster, capsys):
+    watch = schedule._Watch(cluster, "scheduler tcp://head:8786")
+    cluster.workers = {}
+    told = {}
+    for second in range(1, 300):
+        cluster.now = 100.0 + second
+        watch.look()
+        if line := capsys.readouterr().err:
+            told[second] = line
+    assert list(told.values()) == ["scheduler tcp://head:8786: no workers for 10 s; waiting for some\n"]
+    assert 10 <= min(told) <= 12
+    cluster.now = 402.0
+    with pytest.raises(BackendError, match="no workers for 300 s; what was made is kept: run the same command again"):
+        watch.look()
+
+
+def test_workers_that_come_and_go(cluster, capsys):
+    """Adaptive scaling: more frames are handed out ahead to more workers."""
+    watch = schedule._Watch(cluster, "scheduler")
+    assert watch.slots == 1
+    for second, count in ((110, 0), (115, 3), (130, 2), (140, 0), (145, 1)):
+        cluster.now = float(second)
+        cluster.workers = {f"w{k}": {"nthreads": 2} for k in range(count)}
+        watch.look()
+        assert watch.slots == (2 * count or watch.slots)
+    assert watch.most == 3
+    assert capsys.readouterr().err == ""
+
+
+def test_workers_that_die_at_start(cluster):
+    watch = schedule._Watch(cluster, "the scheduler on this machine", most_workers=2 + schedule.DEATHS)
+    for again in range(4):
+        cluster.now += 2.0
+        cluster.workers = {f"w{again}": {"nthreads": 1}}
+        watch.look()
+    cluster.now += 2.0
+    cluster.workers = {"w4": {"nthreads": 1}}
+    with pytest.raises(BackendError, match=r"die as soon as they start \(6 so far"):
+        watch.look()
+
+
+def test_a_scheduler_that_is_gone(cluster):
+    watch = schedule._Watch(cluster, "scheduler tcp://head:8786")
+    cluster.status, cluster.now = "closed", 200.0
+    with pytest.raises(BackendError, match=r"^scheduler tcp://head:8786 is gone; what was made is kept"):
+        watch.look()
