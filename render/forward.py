@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +26,9 @@ from render.tracing.tracer import TracedStars
 
 __all__ = ["StarRenderer", "render_stars", "star_scene"]
 
+SCENES = "STARBENCH_SCENES"
+"""Environment variable that names a folder: the scene of every image of stars is saved there."""
+_number = itertools.count()
 STARS = ("direction", "wavelength_nm", "photon_rate")
 
 
@@ -101,6 +106,8 @@ class StarRenderer:
     ----------
     traced : TracedStars or None
         What the last image was made of, including how the pupil was sampled.
+    label : str
+        Name of the next image's scene file where `SCENES` asks for one; numbered where it is empty.
     """
 
     def __init__(
@@ -118,6 +125,7 @@ class StarRenderer:
         self._mi = Engine.active().mitsuba
         self.camera, self.seed = camera, int(seed)
         self.traced: TracedStars | None = None
+        self.label = ""
         self._settings: dict[str, Any] = {
             "exposure_s": self.exposure_s,
             "sobol_log2_rays": sobol_log2_rays,
@@ -184,6 +192,9 @@ class StarRenderer:
                 raise error.__cause__ from None
             raise
         self._last = (camera, stars, motion)
+        if folder := os.environ.get(SCENES):
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            self.save(Path(folder) / f"{self.label or f'stars_{os.getpid()}_{next(_number):06d}'}.xml")
         self.traced = replace(self._scene.integrator().traced, electrons=image.numpy())
         return self.traced
 

@@ -89,6 +89,7 @@ class FrameMaker:
         scene, config = self.scene, self.scene.config
         plan = plan_frame(scene.plan, frame)
         seen = point_sources(scene, plan)
+        self._renderer.label = f"frame_{frame:06d}"
         traced = self._traced(seen, plan)
         electrons = traced.electrons[:, :, 0].copy()
         sky_e = self._add_sky(electrons, plan)

@@ -98,6 +98,16 @@ def test_saved_scene_renders_to_the_same_bytes(mi, bench, camera, tmp_path):
         assert again.tobytes() == expected.tobytes()
 
 
+def test_scenes_of_all_images_are_kept_on_request(mi, bench, camera, tmp_path, monkeypatch):
+    """By an environment variable, so that any experiment does it; named by whoever knows the frame."""
+    monkeypatch.setenv("STARBENCH_SCENES", str(tmp_path / "scenes"))
+    renderer = StarRenderer(camera)
+    renderer.label = "frame_000007"
+    expected = renderer.render(bench.stars_at(camera, [40.2], [39.1], nodes=1)).electrons
+    again = mi.render(mi.load_file(str(tmp_path / "scenes" / "frame_000007.xml"))).numpy()
+    assert again.tobytes() == expected.tobytes()
+
+
 def test_scene_of_properties_comes_back_from_a_file(mi, tmp_path):
     film = {"type": "hdrfilm", "width": 30, "height": 20, "rfilter": {"type": "box"}, "component_format": "float32"}
     scene = {
