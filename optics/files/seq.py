@@ -22,14 +22,15 @@ from optics.files.report import ReportBuilder
 from optics.files.seq_surfaces import SurfaceData
 from optics.glass.catalogue import Glass
 from optics.glass.dispersion import Dispersion
-from optics.glass.index_database import LARGEST_RESIDUAL, fitted_index
+from optics.glass.index_database import fitted_index
 from optics.textfile import TextFile
 
 __all__ = ["read_seq"]
 
 UNITS_MM = {"M": 1.0, "MM": 1.0, "C": 10.0, "CM": 10.0, "I": 25.4, "IN": 25.4}
 MOST_SURFACES = 1000
-EXACT_RESIDUAL = 1e-6
+EXACT_RESIDUAL, ROUGH_RESIDUAL = 1e-6, 1e-3
+"""Of the indices of a file's own glass from a smooth curve: from here on approximated, refused."""
 _WORD = re.compile(r"'[^']*'|\"[^\"]*\"|[^\s'\"]+")
 _SURFACE = re.compile(r"S(\d+|O|I|A)$", re.IGNORECASE)
 
@@ -299,7 +300,7 @@ class _Reader:
         if not (wave[0] > 100.0 and (index >= 1.0).all() and (index < 5.0).all()):
             raise ValueError("wavelengths or indices that no glass has")
         dispersion, residual = fitted_index(1e-3 * wave, index)
-        if residual > LARGEST_RESIDUAL:
+        if residual > ROUGH_RESIDUAL:
             raise ValueError(f"no smooth curve follows the indices of glass {name}: residuals of {residual:.1e}")
         if residual > EXACT_RESIDUAL:
             self.report.approximated(line, f"'{name}'", f"indices by a smooth curve, residuals up to {residual:.1e}")

@@ -1,0 +1,122 @@
+"""What becomes of a folder of Zemax and CODE V files, as a table, and their rays beside optiland's.
+
+    python benchmarks/lens_files.py FOLDER [--catalogues FOLDER] [--peer]
+
+Every .zmx and .seq below FOLDER is read: exactly, with approximations, or refused with its reason. With ``--peer`` the
+files are read by optiland's own reader too (pip install optiland), its glasses are given our indices, and 49 parallel
+rays are traced by both: what then differs is geometry. A file in which the other reader finds other surfaces is told.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import os
+import warnings
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from optics.errors import StarbenchError
+from optics.lens.lens_file import LensFile, read_lens_file
+from optics.rays.trace import Rays, trace
+
+
+def files_below(folder: Path) -> Iterator[Path]:
+    """Lens files, in the order of their names."""
+    for path in sorted(folder.rglob("*")):
+        if path.suffix.lower() in (".zmx", ".seq") and path.is_file():
+            yield path
+
+
+def bundle(file: LensFile) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Start x, y [mm] and direction of 49 parallel rays that fill half of the entrance pupil."""
+    assert file.defaults is not None
+    radius = 0.25 * file.defaults.entrance_pupil_mm
+    radius = radius if 0.0 < radius < 1e4 else 0.25
+    x, y = map(np.ravel, np.meshgrid(*(np.linspace(-1.0, 1.0, 7) * radius,) * 2))
+    tilt = np.radians(0.3 * min(file.lens.max_field_deg, 10.0))
+    return x, y, np.array([0.0, np.sin(tilt), np.cos(tilt)])
+
+
+def peer_rays(path: Path, file: LensFile) -> tuple[np.ndarray, np.ndarray] | str:
+    """Global points [mm] of the rays in the image plane by optiland, or why they cannot be had."""
+    from optiland.fileio import load_codev_file, load_zemax_file
+    from optiland.materials import IdealMaterial
+    from optiland.rays import RealRays
+
+    lens, wave = file.lens, file.lens.design_wavelength_nm
+    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            load = load_zemax_file if path.suffix.lower() == ".zmx" else load_codev_file
+            optic = load(str(path))
+            group: Any = optic.surface_group
+            found = len(group.surfaces) - 2
+            if found != len(lens.surfaces):
+                return f"it finds {found} surfaces, the file has {len(lens.surfaces)}"
+            air = lens.indices(wave)[0]
+            for surface, own, index in zip(group.surfaces[1:-1], lens.surfaces, lens.indices(wave)[1:], strict=True):
+                if not own.mirror:
+                    surface.material_post = IdealMaterial(n=float(index / air))
+            x, y, d = bundle(file)
+            one = np.ones_like(x)
+            rays = RealRays(x, y, -5.0 * one, d[0] * one, d[1] * one, d[2] * one, one, 1e-3 * wave * one)
+            optic.surface_group.trace(rays, skip=1)
+            return np.asarray(rays.x, float), np.asarray(rays.y, float)
+        except Exception as error:  # another program's reader may fail in any way
+            return f"{type(error).__name__}: {str(error)[:60]}"
+
+
+def difference(path: Path, file: LensFile) -> str:
+    """Largest difference of the rays in the image plane, or why there is none."""
+    peer = peer_rays(path, file)
+    if isinstance(peer, str):
+        return peer
+    x, y, d = bundle(file)
+    wave = file.lens.design_wavelength_nm
+    own = trace(file.lens, Rays.create(x_mm=x, y_mm=y, z_mm=-5.0, direction=d, wavelength_nm=wave))
+    lens = file.lens
+    points = np.stack([own.x, own.y, np.zeros_like(own.x)], -1) @ lens.image_rotation.T + lens.image_position_mm
+    arrived = np.asarray(own.ok) & np.isfinite(peer[0])
+    if not arrived.any():
+        return "no ray arrives in both"
+    apart = np.hypot(points[:, 0] - peer[0], points[:, 1] - peer[1])[arrived]
+    return f"{apart.max():.1e} mm ({arrived.sum()} rays)"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--catalogues", type=Path, help="folder of AGF files")
+    parser.add_argument("--peer", action="store_true", help="compare rays with optiland")
+    options = parser.parse_args()
+    catalogues = (
+        sorted(p for p in options.catalogues.iterdir() if p.suffix.lower() == ".agf") if options.catalogues else []
+    )
+    counts: Counter[str] = Counter()
+    print(f"| file | became | why{' | rays beside optiland' if options.peer else ''} |")
+    print("|---|---|---" + ("|---|" if options.peer else "|"))
+    for path in files_below(options.folder):
+        rays = ""
+        try:
+            file = read_lens_file(path, catalogues=catalogues)
+            assert file.report is not None
+            inexact = [line for line in file.report.inexact if line.line or line.command not in ("field", "object")]
+            became = "approximated" if inexact else "read"
+            why = "; ".join(dict.fromkeys(f"{line.command[:24]}: {line.message[:70]}" for line in inexact[:2]))
+            rays = difference(path, file) if options.peer else ""
+        except StarbenchError as error:
+            became, why = "refused", str(error).replace(f"{path.parent}{os.sep}", "").split(": ", 1)[-1][:140]
+        counts[became] += 1
+        print(f"| {path.name} | {became} | {why.replace('|', '/')}{f' | {rays}' if options.peer else ''} |")
+    print("\n" + ", ".join(f"{number} {name}" for name, number in sorted(counts.items())))
+
+
+if __name__ == "__main__":
+    main()
