@@ -40,6 +40,8 @@ class MadeFrame:
         Mean expected electrons per pixel of sky light.
     saturated_px : int
         Pixels that are saturated.
+    disks : tuple of Disk
+        Bodies that are larger than a pixel.
     """
 
     plan: FramePlan
@@ -47,6 +49,7 @@ class MadeFrame:
     truth: dict[str, Any]
     background_e: float
     saturated_px: int
+    disks: tuple[Disk, ...] = ()
 
     @property
     def stars(self) -> int:
@@ -93,7 +96,7 @@ class FrameMaker:
         traced = self._traced(seen, plan)
         electrons = traced.electrons[:, :, 0].copy()
         sky_e = self._add_sky(electrons, plan)
-        self._add_disks(electrons, plan)
+        disks = self._add_disks(electrons, plan)
         hits = self.hits(frame)
         band = scene.light.band[0]
         read = expose(
@@ -126,6 +129,7 @@ class FrameMaker:
             truth=truth,
             background_e=sky_e,
             saturated_px=int(np.count_nonzero(read.saturated)),
+            disks=tuple(disks),
         )
 
     def _share_on_axis(self) -> float:

@@ -11,10 +11,11 @@ from typing import Any
 
 from experiments.dataset.frames.header import header_cards
 from experiments.dataset.frames.maker import FrameMaker, MadeFrame
-from experiments.dataset.frames.scene import build_scene
+from experiments.dataset.frames.scene import Scene, build_scene
 from experiments.dataset.production.folder import checked_frame, frame_files, storage_error, write_whole
 from experiments.dataset.production.identity import origin
 from experiments.dataset.settings import Config
+from experiments.dataset.truth.disk_truth import disk_truth
 from experiments.dataset.truth.files import truth_bytes
 from experiments.dataset.truth.frame_record import FrameRecord
 from optics.attitude import angles_from_attitude, quat_xyzw
@@ -105,7 +106,7 @@ def _write(maker: FrameMaker, of_dataset: str, folder: Path, frame: int) -> Fram
         content = path.read_bytes()
     except OSError as error:
         raise storage_error(path, error) from None
-    record = _record(made, config, frame_name, truth_name, content)
+    record = _record(made, maker.scene, frame_name, truth_name, content)
     write_whole(folder / truth_name, truth_bytes(made.truth, record, config.files.truth, of_dataset))
     return record
 
@@ -126,7 +127,8 @@ def _write_fits(maker: FrameMaker, made: MadeFrame, path: Path) -> None:
         raise storage_error(path, error) from None
 
 
-def _record(made: MadeFrame, config: Config, frame_name: str, truth_name: str, content: bytes) -> FrameRecord:
+def _record(made: MadeFrame, scene: Scene, frame_name: str, truth_name: str, content: bytes) -> FrameRecord:
+    config = scene.config
     ra, dec, roll = angles_from_attitude(made.plan.attitude)
     x, y, z, w = quat_xyzw(made.plan.attitude).tolist()
     return FrameRecord(
@@ -147,4 +149,5 @@ def _record(made: MadeFrame, config: Config, frame_name: str, truth_name: str, c
         background_e=made.background_e,
         frame_bytes=len(content),
         sha256=hashlib.sha256(content).hexdigest(),
+        disks=disk_truth(scene, made.plan, made.disks),
     )

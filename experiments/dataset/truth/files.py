@@ -32,7 +32,7 @@ _BLANK = "0" * 64
 _SEAL = re.compile(DIGEST.encode() + rb"[^0-9a-f]{1,6}([0-9a-f]{64})", re.DOTALL)
 
 INDEX_COLUMNS = (
-    Column("frame", "int32", "", "number of the frame"),
+    Column("frame", "int64", "", "number of the frame"),
     Column("split", "str", "", "train, validation or test"),
     Column("file", "str", "", "the frame, relative to this folder"),
     Column("truth", "str", "", "its truth, relative to this folder"),

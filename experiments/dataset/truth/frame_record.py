@@ -5,7 +5,48 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 
-__all__ = ["FrameRecord", "record_from_text"]
+__all__ = ["DiskTruth", "FrameRecord", "record_from_text"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiskTruth:
+    """The Moon or a planet that is larger than a pixel.
+
+    Attributes
+    ----------
+    name, kind : str
+        Which; ``moon`` or ``planet``, as in the labels.
+    star_id : int
+        As that of planets among the stars (-10^6 - NAIF number).
+    ra_deg, dec_deg : float
+        Direction in which its middle is seen, icrs.
+    x_px, y_px, diameter_px : float
+        Its middle (column, row) and size.
+    phase_deg, sun_angle_deg : float
+        Angle Sun - body - observer; direction of the Sun in the image, from +column towards +row.
+    magnitude : float or None
+        V; None where no published equation holds.
+    electrons, photon_x_px, photon_y_px : float
+        Expected electrons on the detector and their centroid.
+    noise_share : float
+        Square of the image's error over the photon noise, in the pixel where it is largest.
+    """
+
+    name: str
+    kind: str
+    star_id: int
+    ra_deg: float
+    dec_deg: float
+    x_px: float
+    y_px: float
+    diameter_px: float
+    phase_deg: float
+    sun_angle_deg: float
+    magnitude: float | None
+    electrons: float
+    photon_x_px: float
+    photon_y_px: float
+    noise_share: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +81,8 @@ class FrameRecord:
         Size of the frame's file.
     sha256 : str
         Its digest.
+    disks : tuple of DiskTruth
+        Bodies that it shows as disks; left out of the text where there are none.
     """
 
     frame: int
@@ -59,10 +102,14 @@ class FrameRecord:
     background_e: float
     frame_bytes: int
     sha256: str
+    disks: tuple[DiskTruth, ...] = ()
 
     def to_text(self) -> str:
         """JSON on one line, keys in their order."""
-        return json.dumps(asdict(self))
+        values = asdict(self)
+        if not self.disks:
+            del values["disks"]
+        return json.dumps(values)
 
 
 def record_from_text(text: str) -> FrameRecord:
@@ -76,4 +123,5 @@ def record_from_text(text: str) -> FrameRecord:
     values = json.loads(text)
     for name in ("quat_xyzw", "rate_deg_per_s"):
         values[name] = tuple(values[name])
+    values["disks"] = tuple(DiskTruth(**disk) for disk in values.get("disks", ()))
     return FrameRecord(**values)

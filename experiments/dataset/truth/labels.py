@@ -21,7 +21,7 @@ from optics.units import ARCSEC_RAD
 from render.detector.cosmic_rays import CosmicRayHits
 from render.detector.maps import sensor_maps
 
-__all__ = ["CLASSES", "Label", "LabelMaker", "pixels_of_ellipse"]
+__all__ = ["CLASSES", "Label", "LabelMaker", "pixel_of", "pixels_of_ellipse"]
 
 IntArray = NDArray[np.int64]
 
@@ -111,7 +111,7 @@ class LabelMaker:
         camera = scene.instrument.camera
         v_cam = disks.direction @ plan_frame(scene.plan, frame).attitude.as_matrix().T
         ahead = np.flatnonzero(v_cam[:, 2] > 0.0)
-        place = _pixel_of(scene, v_cam[ahead])
+        place = pixel_of(scene, v_cam[ahead])
         radius = 0.5 * disks.angular_diameter_rad[ahead] / (scene.instrument.pixel_arcsec * ARCSEC_RAD)
         found = []
         for body, (x, y), r in zip(ahead, place, radius, strict=True):
@@ -143,7 +143,7 @@ class LabelMaker:
         ]
 
 
-def _pixel_of(scene: Scene, v_cam: FloatArray) -> FloatArray:
+def pixel_of(scene: Scene, v_cam: FloatArray) -> FloatArray:
     """Column and row (n, 2) of directions; by an undistorted lens outside the field, from where disks reach in."""
     camera = scene.instrument.camera
     ideal = v_cam[:, :2] / v_cam[:, 2:] * (scene.instrument.focal_length_mm / camera.pixel_pitch_mm) + camera.centre_px

@@ -31,7 +31,7 @@ class Column:
 
 
 COLUMNS = (
-    Column("frame", "int32", "", "number of the frame"),
+    Column("frame", "int64", "", "number of the frame"),
     Column("star_id", "int64", "", "id in the catalogue (Gaia DR3 source_id, or -HIP); planets: -10^6 - NAIF number"),
     Column("catalogue_row", "int64", "", "row of the catalogue; -1 for planets"),
     Column("band", "str", "", "pass band"),
@@ -156,7 +156,7 @@ def star_rows(
     rays = values["variance_x_px2"], values["variance_y_px2"]
     sigma = _spot_sigma(np.stack(rays), detector.diffusion_sigma_px)
     columns = {
-        "frame": np.full(n, frame, np.int32),
+        "frame": np.full(n, frame, np.int64),
         "star_id": seen.star_id,
         "catalogue_row": seen.catalogue_row,
         "band": band,

@@ -102,7 +102,7 @@ def test_snr_of_a_faint_gaussian_spot():
 
 
 def test_a_record_survives_their_text(maker, made):
-    record = _record(made, maker.scene.config, "frames/a.fits", "truth/a.parquet", b"content")
+    record = _record(made, maker.scene, "frames/a.fits", "truth/a.parquet", b"content")
     assert record_from_text(record.to_text()) == record
     x, y, z, w = record.quat_xyzw
     assert w >= 0

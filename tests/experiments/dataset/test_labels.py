@@ -2,9 +2,13 @@
 
 import numpy as np
 import pytest
+from astropy import units
+from astropy.coordinates import GCRS, SkyCoord, get_body
+from astropy.time import Time
 
 from experiments.dataset.frames.maker import FrameMaker
 from experiments.dataset.frames.scene import build_scene
+from experiments.dataset.production.job import _record
 from experiments.dataset.settings import (
     BodyPointing,
     ConePointing,
@@ -12,6 +16,8 @@ from experiments.dataset.settings import (
     RadiationConfig,
     VerifyConfig,
 )
+from experiments.dataset.truth.disk_truth import disk_truth
+from experiments.dataset.truth.frame_record import record_from_text
 from experiments.dataset.truth.labels import LabelMaker
 from experiments.laboratory.settings import InstrumentConfig
 from render.detector.cosmic_rays import cosmic_ray_hits
@@ -71,6 +77,42 @@ def test_hot_pixels_stand_out_of_frames_without_light(shot):
     assert np.median(middle[y, x]) > np.median(middle) + 3.0 * np.std(frames - middle)
 
 
+def hold_disk_to_astropy(disk, made, scene, label):
+    """Place, size and phase from astropy's own bodies; the light lies on the Sun's side of the middle."""
+    time = Time(scene.config.catalogue.epoch_year, format="jyear", scale="tdb")
+    moon, sun = (get_body(name, time, ephemeris="builtin").transform_to(GCRS(obstime=time)) for name in ("moon", "sun"))
+    seen = SkyCoord(disk.ra_deg * units.deg, disk.dec_deg * units.deg)
+    assert seen.separation(SkyCoord(moon.ra, moon.dec)).arcsec < 0.1
+    away = moon.separation(sun).rad
+    near, far = moon.distance.to_value(units.km), sun.distance.to_value(units.km)
+    phase = np.arctan2(far * np.sin(away), near - far * np.cos(away))
+    assert disk.phase_deg == pytest.approx(np.degrees(phase), abs=0.01)
+    assert disk.diameter_px == pytest.approx(label.box_px[2], abs=1e-6)
+    assert (disk.x_px, disk.y_px) == pytest.approx((label.x_px, label.y_px), abs=1e-9)
+    assert (disk.kind, disk.star_id) == ("moon", -1000301)
+    towards = np.radians(disk.sun_angle_deg)
+    shift = np.array([disk.photon_x_px - disk.x_px, disk.photon_y_px - disk.y_px])
+    assert shift @ [np.cos(towards), np.sin(towards)] > 0.02 * disk.diameter_px
+    assert disk.electrons > 1e3
+    assert disk.noise_share < 0.03
+    record = _record(made, scene, "frame.fits", "truth.parquet", b"")
+    assert record.disks == (disk,)
+    assert record_from_text(record.to_text()) == record
+
+
+@pytest.mark.slow
+def test_any_number_of_a_frame_with_the_moon():
+    """(From frame 65 536 on the number of a stream overflowed.)"""
+    Engine.start("llvm")
+    small = SMALL.model_copy(update={"exposure_s": 1e-4, "width_px": 256, "height_px": 256})
+    config = Config(instrument=small, nodes=3, pointing=BodyPointing(body="moon", offset_deg=0.3))
+    maker = FrameMaker(build_scene(config))
+    for frame in (65_536, 2**40):
+        made = maker.make(frame)
+        assert [disk.name for disk in made.disks] == ["moon"]
+        assert (made.truth["frame"] == frame).all()
+
+
 @pytest.mark.slow
 def test_a_field_with_the_moon_has_its_disk_where_the_label_says():
     Engine.start("llvm")
@@ -87,7 +129,10 @@ def test_a_field_with_the_moon_has_its_disk_where_the_label_says():
     labels = LabelMaker(scene, maker.hits)
     for frame in range(2):
         (moon,) = [one for one in labels.labels(frame) if one.name == "moon"]
-        dn = maker.make(frame).frame.dn.astype(float)
+        made = maker.make(frame)
+        (disk,) = disk_truth(scene, made.plan, made.disks)
+        hold_disk_to_astropy(disk, made, scene, moon)
+        dn = made.frame.dn.astype(float)
         bright = dn > np.median(dn) + 0.05 * (dn.max() - np.median(dn))
         rows, columns = np.nonzero(bright)
         left, top, width, height = moon.box_px
