@@ -177,20 +177,20 @@ def _attitude(prediction: CameraPrediction, rendered: Rendered) -> tuple[Compari
     error = rendered.sky.error_arcsec
     solved = np.isfinite(error).all(axis=1)
     sigma = prediction.attitude.total_arcsec[: len(error)][solved]
-    found = []
+    found: list[Comparison] = []
+    if not solved.any():
+        return ()
     for name, columns, words in (("cross", slice(0, 2), "across"), ("roll", slice(2, 3), "roll")):
         seen, expected = error[solved][:, columns], sigma[:, columns]
         typical = float(np.sqrt((expected**2).mean()))
         # the mean square of normal errors of different sigma
-        spread = (
-            float(np.sqrt(2.0 * (expected**4).sum())) / expected.size / (2.0 * typical) if expected.size else np.nan
-        )
+        spread = float(np.sqrt(2.0 * (expected**4).sum())) / expected.size / (2.0 * typical)
         found.append(
             Comparison(
                 name=f"attitude_{name}",
                 label=f"Attitude {words}, RMS of {int(solved.sum())} frames",
                 unit="arcsec",
-                measured=float(np.sqrt((seen**2).mean())) if seen.size else float("nan"),
+                measured=float(np.sqrt((seen**2).mean())),
                 predicted=typical,
                 error=spread,
                 n=int(seen.size),

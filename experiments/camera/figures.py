@@ -251,7 +251,7 @@ def what_to_change(outcome: Outcome) -> Figure:
         scale = 1.0 if name.endswith("_mag") else 100.0
         for row, swing in enumerate(swings):
             for end, colour in ((swing.at_low, PALETTE[5]), (swing.at_high, PALETTE[1])):
-                if end:
+                if end and np.isfinite(end[name]):
                     panel.barh(row, scale * end[name], height=0.62, color=colour, alpha=0.85)
         panel.axvline(0.0, color=INK, linewidth=0.8)
         panel.set(xlabel=f"change of {words}")

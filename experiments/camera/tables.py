@@ -124,10 +124,9 @@ def _swings(outcome: Outcome) -> Table:
 
 
 def _pair(ends: list[dict[str, float]], name: str) -> str:
-    if name.endswith("_mag"):
-        words = [f"{end[name] + 0.0:+.2f}" if end else "–" for end in ends]
-    else:
-        words = [f"{100.0 * end[name] + 0.0:+.1f}" if end else "–" for end in ends]
+    scale, digits = (1.0, 2) if name.endswith("_mag") else (100.0, 1)
+    known = [end and not math.isnan(end[name]) for end in ends]
+    words = [f"{scale * end[name] + 0.0:+.{digits}f}" if one else "–" for one, end in zip(known, ends, strict=True)]
     return " / ".join(words).replace("-", "\N{MINUS SIGN}")
 
 

@@ -38,7 +38,7 @@ class ThermalStudy:
     nea_arcsec : (t,)
         Of the star that is quoted.
     attitude_arcsec : (t,)
-        Across the boresight, median over the sky.
+        Across the boresight, median over the sky; infinite where too few stars are seen.
     refusal : str
         Why there is nothing; "" where there is.
     """
@@ -55,7 +55,7 @@ class ThermalStudy:
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
         for name in _COLUMNS:
-            freeze(self, name, shape=("t",), sizes=sizes)
+            freeze(self, name, shape=("t",), sizes=sizes, finite=name != "attitude_arcsec")
 
     @property
     def focus_shift_um(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -44,8 +45,9 @@ class Swing:
     at_high: dict[str, float]
 
     def size(self, name: str) -> float:
-        """Largest change."""
-        return max((abs(end[name]) for end in (self.at_low, self.at_high) if end), default=0.0)
+        """Largest change that is known."""
+        known = (abs(end[name]) for end in (self.at_low, self.at_high) if end and math.isfinite(end[name]))
+        return max(known, default=0.0)
 
 
 def _parameters(config: Config, base: CameraPrediction) -> Sequence[tuple[str, str, str, float, float, float]]:
@@ -130,4 +132,7 @@ def predict_tornado(
 
 
 def _change(name: str, value: float, base: float) -> float:
-    return value - base if name.endswith("_mag") else value / base - 1.0
+    """NaN where there is nothing to change: no star in the worst part of the sky, attitudes that nobody knows."""
+    if name.endswith("_mag"):
+        return value - base
+    return value / base - 1.0 if math.isfinite(base) and base else math.nan

@@ -1,6 +1,7 @@
 """The camera report as a user runs it."""
 
 import json
+import re
 
 import pytest
 
@@ -71,6 +72,18 @@ def test_frames_of_a_sensor_that_turns(sensor, tmp_path, engine):
     assert status == 0
     assert len(summary["criteria"]) == 8
     assert "trail" in page
+
+
+@pytest.mark.slow
+def test_a_sensor_that_sees_too_few_stars_says_so(sensor, tmp_path, engine):
+    """Fields of 0.4 degrees and 20 ms: no attitude in most of the sky, and no traceback."""
+    narrow = {"lens": "star_camera_206mm", "width_px": 300, "height_px": 200, "exposure_s": 0.02, "defocus_mm": 0.01}
+    changes = [word for key, value in narrow.items() for word in ("--set", f"instrument.{key}={value}")]
+    status, summary, page = run(sensor, tmp_path, *changes)
+    assert status == 0
+    assert "too few" in page
+    assert "nan" not in re.sub("<[^>]*>", " ", page.partition("<footer")[0])
+    assert not [one for one in summary["criteria"] if one["name"].startswith("attitude")]
 
 
 @pytest.mark.slow
