@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from astropy.coordinates import SkyCoord, get_body_barycentric, get_sun
+from astropy.coordinates import SkyCoord, get_body, get_body_barycentric, get_sun
 from astropy.time import Time
 
 from experiments.dataset.frames.maker import FrameMaker
@@ -154,3 +154,32 @@ def test_refused(settings, said):
     sky = CatalogueConfig(faintest_mag=9.0, epoch_year=EPOCH)
     with pytest.raises(StarbenchError, match=said):
         build_scene(Config(**{**CAMERA, "catalogue": sky, **settings}))
+
+
+@pytest.mark.slow
+def test_venus_behind_the_moon_gives_no_light():
+    """Where astropy's ephemeris, too, has it behind the Moon's disk."""
+    then = Time(2019.0834474, format="jyear", scale="tdb")
+    moon, planet = get_body("moon", then), get_body("venus", then)
+    assert moon.separation(planet).rad < np.arcsin(1737.4 / moon.distance.to_value("km"))
+    config = Config.model_validate(
+        {
+            "frames": 1,
+            "catalogue": {"epoch_year": 2019.0834474, "observer": "earth", "faintest_mag": 9.0},
+            "background": {"moon_planets": True},
+            "instrument": {
+                "lens": "star_tracker_26mm",
+                "detector": "cmv4000",
+                "width_px": 1024,
+                "height_px": 1024,
+                "exposure_s": 2e-4,
+            },
+            "pointing": {"kind": "body", "body": "moon"},
+        }
+    )
+    truth = FrameMaker(build_scene(config)).make(0).truth
+    venus = np.flatnonzero(truth["star_id"] == -1000299)
+    assert len(venus) == 1
+    assert truth["electrons"][venus[0]] == 0.0
+    assert truth["electrons_hidden"][venus[0]] > 1e4
+    assert truth["flags"][venus[0]] & (FLAGS["hidden"][0] | FLAGS["no_light"][0]) == 192
