@@ -71,7 +71,10 @@ def table(found: list[dict[str, dict[str, list[float]]]]) -> str:
         cells = []
         for term in TERMS:
             pulls = np.concatenate([one[method][term] for one in found])
-            cells.append(f"{pulls.mean():+.2f}, {np.sqrt((pulls**2).mean()):.2f}")
+            lost = int(np.isnan(pulls).sum())  # a bad pixel in the middle of a point
+            cells.append(
+                f"{np.nanmean(pulls):+.2f}, {np.sqrt(np.nanmean(pulls**2)):.2f}" + (f" ({lost} lost)" if lost else "")
+            )
         lines.append(f"| {method} | " + " | ".join(cells) + " |")
     counts = {term: sum(len(one[METHODS[0]][term]) for one in found) for term in TERMS}
     expected = ", ".join(
