@@ -61,6 +61,7 @@ def test_the_ten_lines_are_ten_and_the_same_everywhere():
     assert script == scripts("docs/library.md")[0]
 
 
+@pytest.mark.slow
 def test_the_ten_lines_find_the_attitude(tmp_path):
     """Lost in space, and in the same process as without tetra3rs, the attitude known to 0.1 deg."""
     before, lost, after = re.split(r"^(identified = .*\n)", scripts("README.md")[0], flags=re.M)

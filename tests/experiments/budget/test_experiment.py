@@ -39,6 +39,7 @@ def small(engine):
     return lab, psfs, predict_terms(lab, psfs=psfs, draws=60, step_draws=40)["epsf"]
 
 
+@pytest.mark.slow
 def test_prediction_knows_the_bound(small):
     """The ePSF fit is maximum likelihood with flux free: at 6000 e- it reaches the bound, never beats it."""
     lab, _, predicted = small
@@ -47,6 +48,7 @@ def test_prediction_knows_the_bound(small):
     np.testing.assert_allclose(te.arcsec, bound, rtol=0.03, atol=4 * te.uncertainty_arcsec.max())
 
 
+@pytest.mark.slow
 def test_centred_lens_has_no_chromatic_term(small):
     _, _, predicted = small
     assert np.array_equal(predicted.budget["LSFE-S"].arcsec, [0.0, 0.0])
@@ -64,6 +66,7 @@ def test_marking_errors_feed_the_polynomial(small):
     np.testing.assert_allclose(predicted.budget["LSFE-C2"].arcsec, 0.5)
 
 
+@pytest.mark.slow
 def test_coarse_prediction_follows_the_fine_one(small):
     lab, psfs, predicted = small
     coarse = coarse_budget(lab.config, psfs)
@@ -151,6 +154,7 @@ def run(tiny_run):
     return tiny_run("budget", **TINY, **attitude, **beyond, detector__read_noise_e=10)
 
 
+@pytest.mark.slow
 def test_the_run_is_complete(run):
     assert run.status in (0, 1)  # so few frames that a ratio may miss its limit
     assert "Error budget" in (run.folder / "report.html").read_text(encoding="utf-8")
@@ -169,6 +173,7 @@ def test_the_run_is_complete(run):
     assert "published_arcsec_3sigma" not in run.results["terms"]["TE"]["x"]  # a chip that is not the document's
 
 
+@pytest.mark.slow
 def test_sums_by_plain_arithmetic(run):
     """Eq. 31-32 from the table's own terms."""
     table = Table.read(run.folder / "budget.ecsv", format="ascii.ecsv")
@@ -181,6 +186,7 @@ def test_sums_by_plain_arithmetic(run):
         assert attitude == pytest.approx(total / 3**0.5)
 
 
+@pytest.mark.slow
 def test_marking_error_is_what_was_put_in(run):
     """C2 is three times the marking error; k coefficients take sqrt((k - 1) / (W - 1)) of it into C1."""
     terms, share = run.results["terms"], np.sqrt((COEFFICIENTS - 1) / (POINTS - 1))
@@ -191,6 +197,7 @@ def test_marking_error_is_what_was_put_in(run):
             assert terms["LSFE-C1"][axis][key] == pytest.approx(3 * MARKING_ARCSEC * share, rel=limit)
 
 
+@pytest.mark.slow
 def test_temporal_error_scatters_about_the_bound(run):
     """Four points of eight frames: 3 sigma of 28 degrees of freedom; Student's factor is within 1 %."""
     for axis in "xy":
@@ -199,6 +206,7 @@ def test_temporal_error_scatters_about_the_bound(run):
         assert found == pytest.approx(bound, rel=4.0 / np.sqrt(2.0 * 28) + 0.05)
 
 
+@pytest.mark.slow
 def test_more_light_less_noise_in_the_sweep(run):
     sweep = run.results["sweep"]
     assert sweep["key"] == "source.signal_e"

@@ -15,6 +15,8 @@ from scipy.stats import chi2
 
 from experiments.dataset.experiment import main
 
+pytestmark = pytest.mark.slow  # a whole run
+
 FRAMES, SIDE, EXPOSURE_S, SKY_E_PER_S, DARK_FRAMES = 4, 640, 0.2, 2.0, 10
 BINS_PER_DECADE = 6
 

@@ -17,6 +17,8 @@ from experiments.laboratory.distortion_statistics import distortion_statistics
 from render.engine.random import Streams
 from render.sensor import StarSensor
 
+pytestmark = pytest.mark.slow  # a whole run
+
 ROWS, COLUMNS, ORDER, SURVEYS, MARKING_ARCSEC = 4, 5, 2, 100, 2.0
 
 
@@ -125,7 +127,6 @@ def _failing(wide):
     return [criterion.name for criterion in wide_criteria(outcome) if not criterion.passed]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("factor", "fails"), [(1.0, 0), (1.05, 2), (0.98, 2), (-1.0, 1)])
 def test_a_wrong_distortion_in_the_frames_is_noticed(wide, factor, fails):
     """Rationale: frames of another lens. Expected: its distortion times 1.05, 0.98 or -1 fails; its own does not."""

@@ -12,6 +12,8 @@ from experiments.hsfe.experiment import experiment
 from experiments.laboratory.step_statistics import common_removed, document_rms_px
 from render.sensor import StarSensor
 
+pytestmark = pytest.mark.slow  # a whole run
+
 PITCH_PX, STEP_PX, POSITIONS = 45.1, 0.25, 4
 
 
@@ -109,7 +111,6 @@ def test_a_wrong_angle_of_a_pixel_is_noticed(run, failing, monkeypatch):
     assert "angle of a pixel over that of two traced bundles beside the axis" in failing("hsfe", run.result)
 
 
-@pytest.mark.slow
 def test_no_false_alarm_in_twenty_runs(run, failing):
     """Criteria of this kind fail by chance once in a thousand times; there are two of them for each centroider."""
     for seed in range(20):

@@ -72,6 +72,7 @@ def run(name, folder, out, *arguments):
     return content["results"], content["criteria"]
 
 
+@pytest.mark.slow
 def test_chromatic_shifts_that_galsim_put_in_come_out(tmp_path, engine):
     """Lateral colour about a centre, and a mean shift in x, behind three filters at two places; flats matter here."""
     camera, frames = Camera(170, 150, 5), 8
@@ -192,6 +193,7 @@ def test_turntable_calibration_of_galsim_frames(poses, tmp_path, engine):
     assert any(one["name"].startswith("calibration: mean square") for one in criteria)
 
 
+@pytest.mark.slow
 def test_star_vectors_of_galsim_frames_are_as_accurate_as_what_was_put_in(poses, tmp_path, engine):
     """Readings of 8 arcsec and centroids of some 2 arcsec."""
     results, _ = run("fisher", poses, tmp_path / "out")

@@ -142,6 +142,7 @@ def test_rule_is_chosen_by_the_pupil(engine, bench):
     assert rule(camera(ring), 2000, 1000) == {"sobol"}
 
 
+@pytest.mark.slow
 def test_a_sliver_cut_from_the_pupil_is_noticed(engine, bench):
     """A thousandth of the light lost at one edge: quadrature over the whole disk would be wrong, so it is not taken."""
     lens = load_lens("star_camera_206mm")
