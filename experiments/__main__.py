@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 from experiments.harness.registry import found, load
+from experiments.harness.system import print_anything
 from optics.errors import ConfigError
 
 __all__ = ["console", "main"]
@@ -65,6 +66,7 @@ def _lens(argv: list[str], *, own_process: bool = False) -> int:
 
 def console() -> int:
     """The console command ``starbench``."""
+    print_anything()
     return main(sys.argv[1:], own_process=True)
 
 

@@ -6,12 +6,11 @@ algebra, and results come back in the order of the tasks. An interrupt ends the 
 
 from __future__ import annotations
 
-import contextlib
 import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ import numpy as np
 from experiments.acf.points import Plan, Point
 from experiments.acf.settings import Config
 from experiments.acf.trials import Task, work
+from experiments.harness.system import processors, signals_held
 from experiments.harness.threads import one_thread
 from optics.arrays import FloatArray
 from optics.errors import BackendError
@@ -105,14 +105,14 @@ def run_tasks(
     BackendError
         When a worker vanished (killed, out of memory).
     """
-    count = min(workers or _processors(), len(tasks))
+    count = min(workers or processors(), len(tasks))
     if not tasks:
         return []
     others = set(multiprocessing.active_children())
     with one_thread():  # quicker side by side, and the same sums everywhere
         pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"), initializer=_prepare)
         try:
-            with _interrupts_held():  # children inherit this: an interrupt at the terminal is ours to handle
+            with signals_held(signal.SIGINT):  # children inherit this: an interrupt at the terminal is ours to handle
                 futures = [pool.submit(work, task) for task in tasks]
             found = []
             for index, future in enumerate(futures):
@@ -129,22 +129,6 @@ def run_tasks(
             raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@contextlib.contextmanager
-def _interrupts_held() -> Iterator[None]:
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _prepare() -> None:

@@ -18,6 +18,7 @@ from experiments.harness.interrupts import EXIT_FAILED, EXIT_GOOD, EXIT_INTERRUP
 from experiments.harness.outputs import RECORD, OutputFolder
 from experiments.harness.progress import terminal_progress
 from experiments.harness.summary import Criterion
+from experiments.harness.system import print_anything
 from experiments.harness.threads import one_thread
 from optics.errors import ConfigError
 from optics.validate import parse_model
@@ -95,6 +96,8 @@ def command(experiment: Experiment) -> Main:
 
     def main(argv: Sequence[str] | None = None, *, own_process: bool | None = None) -> int:
         alone = argv is None if own_process is None else own_process
+        if alone:
+            print_anything()
         status_of_run.clear()
         interrupts.asked.clear()
         interrupts.at_once = alone

@@ -8,12 +8,13 @@ import json
 import os
 import shutil
 import signal
+import sys
 import tempfile
-import threading
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from experiments.harness.system import signals_held, sync
 from optics.errors import ConfigError
 
 __all__ = ["PROGRAM", "RECORD", "OutputFolder", "flat", "shown_value"]
@@ -23,6 +24,7 @@ RECORD = "provenance.json"
 
 _RENAME_EXCHANGE = 2  # linux/fs.h
 _AT_FDCWD = -100  # fcntl.h
+_ENDING = (signal.SIGINT, signal.SIGTERM)
 
 
 class OutputFolder:
@@ -80,13 +82,13 @@ class OutputFolder:
             _open_to_umask(staging)
             _sync_tree(staging)
             self._refuse_unsuitable()
-            with _uninterrupted():
+            with signals_held(*_ENDING):
                 self._take_place(staging)
                 done = True
         except OSError as error:
             raise ConfigError(f"{self.shown}: cannot be written ({error.strerror or error})") from error
         finally:
-            with _uninterrupted():
+            with signals_held(*_ENDING):
                 if staging is not None:
                     shutil.rmtree(staging, ignore_errors=True)  # by now the earlier output, or what was not finished
                 if not done:
@@ -170,17 +172,20 @@ class OutputFolder:
 
     def _take_place(self, staging: Path) -> None:
         if not self.path.exists() or not any(self.path.iterdir()):
+            if sys.platform == "win32" and self.path.exists():
+                self.path.rmdir()
             os.rename(staging, self.path)  # POSIX: replaces an empty folder in one step
         elif not _exchange(staging, self.path):
             earlier = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.earlier-", dir=self.path.parent))
-            os.rename(self.path, earlier)
+            os.rename(self.path, earlier / "output")
             try:
                 os.rename(staging, self.path)
             except OSError:
-                os.rename(earlier, self.path)
+                os.rename(earlier / "output", self.path)
+                earlier.rmdir()
                 raise
             shutil.rmtree(earlier, ignore_errors=True)
-        _sync(self.path.parent)
+        sync(self.path.parent)
 
 
 def flat(value: Any, key: str = "") -> dict[str, Any]:
@@ -222,28 +227,7 @@ def _open_to_umask(folder: Path) -> None:
     folder.chmod(0o777 & ~mask)
 
 
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
 def _sync_tree(folder: Path) -> None:
     for path in sorted(folder.rglob("*")):
-        _sync(path)
-    _sync(folder)
-
-
-@contextlib.contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Hold back Ctrl-C and termination while folders change places."""
-    if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        sync(path)
+    sync(folder)

@@ -7,7 +7,6 @@ import os
 import platform
 import re
 import subprocess
-import sys
 import time
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
@@ -16,6 +15,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 from experiments.harness.outputs import PROGRAM
+from experiments.harness.system import own_peak_memory_mb
 from render.engine.llvm import llvm_version
 
 __all__ = [
@@ -101,10 +101,7 @@ def file_digests(folder: Path) -> dict[str, str]:
 
 def peak_memory_mb() -> float:
     """Largest resident memory of this process so far, and of those that worked for it [MB = 10^6 bytes]."""
-    import resource
-
-    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return largest * (1.0 if sys.platform == "darwin" else 1024.0) / 1e6 + sum(_WORKERS_MB)
+    return own_peak_memory_mb() + sum(_WORKERS_MB)
 
 
 def count_memory_of_workers(peaks_mb: Iterable[float]) -> None:

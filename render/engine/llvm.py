@@ -13,7 +13,15 @@ from pathlib import Path
 
 from optics.errors import BackendError
 
-__all__ = ["check_llvm", "find_llvm", "llvm_version", "packaged", "point_to_llvm"]
+__all__ = [
+    "check_llvm",
+    "find_llvm",
+    "install_advice",
+    "llvm_version",
+    "packaged",
+    "point_to_llvm",
+    "searched_folders",
+]
 
 _LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 _OLDEST_LLVM = 15
@@ -21,26 +29,48 @@ _OLDEST_LLVM = 15
 # then ends the process ("LLVM ERROR: Cannot select"), which no caller can catch. LLVM 19 has it.
 _ABORTING_DRJIT = (1, 5)
 _OLDEST_LLVM_FOR_ABORTING_DRJIT = 17
-# Where Dr.Jit 1.4 looks by itself, and where else distributions, conda and Homebrew put the library.
-_SEARCHED_BY_DRJIT = ("/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib/wsl/lib")
-_SEARCHED_HERE = (
-    *_SEARCHED_BY_DRJIT,
-    "/usr/lib/llvm-*/lib",
-    "/usr/lib64",
-    "/usr/lib",
-    "/usr/local/lib",
-    "/opt/homebrew/opt/llvm*/lib",
-)
+# Where Dr.Jit looks by itself (drjit-core, llvm_api.cpp), and where else distributions, conda, Homebrew and the LLVM
+# project's own installers put the library.
+_FILE = {"win32": "LLVM-C.dll", "darwin": "libLLVM.dylib"}  # elsewhere libLLVM.so
+_SEARCHED_BY_DRJIT = {
+    "linux": tuple(
+        f"/usr/lib/{folder}/libLLVM*.so.*" for folder in ("x86_64-linux-gnu", "aarch64-linux-gnu", "wsl/lib")
+    ),
+    "darwin": tuple(f"{root}/Cellar/llvm/*/lib/libLLVM.dylib" for root in ("/opt/homebrew", "/usr/local")),
+}
+_SEARCHED_HERE = {
+    "linux": (
+        *("/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib/wsl/lib"),
+        *("/usr/lib/llvm-*/lib", "/usr/lib64", "/usr/lib", "/usr/local/lib"),
+    ),
+    "darwin": (
+        "/opt/homebrew/opt/llvm@*/lib",
+        "/usr/local/opt/llvm@*/lib",
+        "/opt/homebrew/opt/llvm/lib",
+        "/usr/local/opt/llvm/lib",
+        "/opt/local/libexec/llvm-*/lib",
+    ),
+    "win32": ("C:/Program Files/LLVM/bin", "C:/Program Files (x86)/LLVM/bin"),
+}
+_SEARCH_PATH = {"win32": "PATH", "darwin": "DYLD_LIBRARY_PATH"}  # elsewhere LD_LIBRARY_PATH
+_CONDA = {"win32": "Library/bin"}  # below sys.prefix; elsewhere lib
 _NUMBERED = re.compile(r"libLLVM(?:-|\.so\.|\.)(\d+)")
+_NUMBERED_FOLDER = re.compile(r"llvm(?:[@-]|/)(\d+)")
 
 
 def point_to_llvm() -> None:
     """Name the library in the environment where Dr.Jit's own search would miss it."""
     if _LIBRARY_VARIABLE in os.environ or _found_by_drjit():
         return
-    library = find_llvm([*os.environ.get("LD_LIBRARY_PATH", "").split(":"), f"{sys.prefix}/lib", *_SEARCHED_HERE])
+    library = find_llvm(searched_folders())
     if library is not None:
         os.environ[_LIBRARY_VARIABLE] = str(library)
+
+
+def searched_folders() -> list[str]:
+    """Folders in which `point_to_llvm` looks on this system, first the user's search path and the environment."""
+    told = os.environ.get(_SEARCH_PATH.get(sys.platform, "LD_LIBRARY_PATH"), "").split(os.pathsep)
+    return [*told, f"{sys.prefix}/{_CONDA.get(sys.platform, 'lib')}", *_SEARCHED_HERE.get(sys.platform, ())]
 
 
 def llvm_version() -> str | None:
@@ -74,9 +104,9 @@ def check_llvm(version: Iterable[int], drjit_version: str, *, said: str = "") ->
     if major < 0 and refused:
         major = int(refused.group(1))
     if major < 0:
-        raise BackendError(f"backend 'llvm' needs the LLVM library, which {_where_missing()}; {_advice()}")
+        raise BackendError(f"backend 'llvm' needs the LLVM library, which {_where_missing()}; {install_advice()}")
     if major < _OLDEST_LLVM:
-        raise BackendError(f"LLVM {major} is too old: version {_OLDEST_LLVM} or newer is needed; {_advice()}")
+        raise BackendError(f"LLVM {major} is too old: version {_OLDEST_LLVM} or newer is needed; {install_advice()}")
     release = tuple(int(part) for part in re.findall(r"\d+", drjit_version)[:2])
     if release >= _ABORTING_DRJIT and major < _OLDEST_LLVM_FOR_ABORTING_DRJIT:
         raise BackendError(
@@ -96,18 +126,28 @@ def find_llvm(folders: Iterable[str | Path]) -> Path | None:
     Returns
     -------
     pathlib.Path or None
-        E.g. ``libLLVM-15.so``, ``libLLVM-15.so.1``, ``libLLVM.so.19.1``; None if there is none.
+        E.g. ``libLLVM-15.so``, ``libLLVM-15.so.1``, ``libLLVM.so.19.1``, on macOS ``libLLVM.dylib`` (its version is
+        that of its folder), on Windows ``LLVM-C.dll``; None if there is none.
     """
     best: tuple[int, Path] | None = None
     for folder in filter(None, map(str, folders)):
-        for name in sorted(glob(f"{folder}/libLLVM*")):
-            match = _NUMBERED.match(Path(name).name)
-            if match is None or ".so" not in name or not Path(name).is_file():
-                continue
-            major = int(match.group(1))
-            if major >= _OLDEST_LLVM and (best is None or major > best[0]):
-                best = (major, Path(name))
+        for name in map(Path, sorted(glob(f"{folder}/*LLVM*"))):
+            major = _major(name)
+            if major is not None and major >= _OLDEST_LLVM and (best is None or major > best[0]) and name.is_file():
+                best = (major, name)
     return None if best is None else best[1]
+
+
+def _major(path: Path) -> int | None:
+    """Version of a library as its name, or on macOS and Windows its folder, tells; None if it is no such library."""
+    plain = _FILE.get(sys.platform, "libLLVM.so")
+    if Path(plain).suffix not in path.suffixes:
+        return None
+    numbered = _NUMBERED.match(path.name)
+    if numbered is None and path.name == plain and sys.platform in _FILE:
+        numbered = _NUMBERED_FOLDER.search(path.as_posix())
+        return int(numbered[1]) if numbered else _OLDEST_LLVM  # Dr.Jit will tell
+    return int(numbered[1]) if numbered else None
 
 
 def packaged(names: Iterable[str]) -> str | None:
@@ -116,15 +156,22 @@ def packaged(names: Iterable[str]) -> str | None:
     return max(known, key=lambda match: int(match[1]))[0] if known else None
 
 
-def _advice() -> str:
-    """How to install the library here: Debian and Ubuntu name it differently in every release."""
+def install_advice() -> str:
+    """How to install the library on this system: Debian and Ubuntu name it differently in every release."""
+    if sys.platform == "darwin":
+        return "install it with: brew install llvm@19"
+    if sys.platform == "win32":
+        return (
+            "install it with: winget install --id LLVM.LLVM --version 19.1.7, and if it is not found then, set "
+            f"{_LIBRARY_VARIABLE} to LLVM-C.dll"
+        )
     try:
         listed = subprocess.run(
             ["apt-cache", "pkgnames", "libllvm1"], capture_output=True, text=True, check=False, timeout=20
         )
         package = packaged(listed.stdout.split())
     except (OSError, subprocess.SubprocessError):
-        return "install LLVM 15 to 19 (Fedora: dnf install llvm-libs; macOS: brew install llvm)"
+        return "install LLVM 15 to 19 (Fedora: dnf install llvm-libs; Arch: pacman -S llvm-libs)"
     sudo = "" if os.geteuid() == 0 else "sudo "
     if package is None:
         return f"install it with: {sudo}apt-get update, then a package from libllvm15 to libllvm19"
@@ -140,8 +187,9 @@ def _where_missing() -> str:
 
 
 def _found_by_drjit() -> bool:
+    name = _FILE.get(sys.platform, "libLLVM.so")
     try:
-        ctypes.CDLL("libLLVM.so")
+        ctypes.CDLL(name)
     except OSError:
-        return any(glob(f"{folder}/libLLVM*.so.*") for folder in _SEARCHED_BY_DRJIT)
+        return any(map(glob, _SEARCHED_BY_DRJIT.get(sys.platform, ())))
     return True

@@ -12,10 +12,11 @@ from functools import partial
 
 from experiments.dataset.production.folder import DatasetFolder, StorageError, checked_frame, numbers
 from experiments.dataset.production.job import Job
-from experiments.dataset.production.schedule import make_frames, processors
+from experiments.dataset.production.schedule import make_frames
 from experiments.dataset.settings import Config
 from experiments.dataset.truth.frame_record import FrameRecord
 from experiments.harness.progress import Progress
+from experiments.harness.system import processors
 
 SMALLEST_SHARE = {"none": 1.0, "rice": 0.1, "gzip": 0.1}
 """No frame with noise is packed smaller than this."""

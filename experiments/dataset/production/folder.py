@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import hashlib
 import itertools
 import json
@@ -30,6 +29,7 @@ from experiments.dataset.truth.files import read_origin, read_record
 from experiments.dataset.truth.frame_record import FrameRecord
 from experiments.harness.outputs import flat, shown_value
 from experiments.harness.summary import dumps
+from experiments.harness.system import lock_folder
 from optics.errors import ConfigError
 
 __all__ = [
@@ -353,15 +353,10 @@ class DatasetFolder:
             return False
 
     def _take_lock(self) -> None:
-        handle = os.open(self.path, os.O_RDONLY)
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # let go by the system when the process ends, however
+            self._lock = lock_folder(self.path)
         except BlockingIOError:
-            os.close(handle)
             raise ConfigError(f"{self.shown}: another run is writing here; wait for it, or end it") from None
-        except OSError:  # a file system without locks
-            pass
-        self._lock = handle
 
     def _clear(self) -> None:
         """Remove temporary files that an earlier run left."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import multiprocessing
-import os
-import signal
 import tempfile
 import time
 from collections.abc import Sequence
@@ -69,8 +67,8 @@ def check_resume(job: Job, records: Sequence[FrameRecord], *, truth: str) -> Res
         try:
             _wait(Path(scratch) / TRUTH, truth, len(numbers) // 2, process)
         finally:
-            if process.pid is not None and process.is_alive():
-                os.kill(process.pid, signal.SIGKILL)
+            if process.is_alive():
+                process.kill()
             process.join()
         whole = sum(checked_frame(Path(scratch), number, truth) is not None for number in numbers)
         for number in numbers:

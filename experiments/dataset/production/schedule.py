@@ -10,9 +10,8 @@ import secrets
 import signal
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import CancelledError
 from itertools import islice
 from multiprocessing import resource_tracker
@@ -23,10 +22,11 @@ from experiments.dataset.production.identity import software
 from experiments.dataset.production.job import Job, make_frame
 from experiments.dataset.truth.frame_record import FrameRecord
 from experiments.harness.provenance import count_memory_of_workers, peak_memory_mb
+from experiments.harness.system import processors, signals_held
 from experiments.harness.threads import THREADS
 from optics.errors import BackendError, ConfigError
 
-__all__ = ["Done", "make_frames", "processors"]
+__all__ = ["Done", "make_frames"]
 
 Done = Callable[[Sequence[FrameRecord]], None]
 
@@ -44,11 +44,6 @@ ALONE_S, GIVE_UP_S = 10.0, 300.0
 GO_ON = "what was made is kept: run the same command again to go on"
 _MEMORY = {"MALLOC_TRIM_THRESHOLD_": str(1 << 30), "MALLOC_MMAP_THRESHOLD_": str(1 << 25)}
 """Images are allocated and freed all the time: what a worker got from the system it keeps."""
-
-
-def processors() -> int:
-    """Processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def make_frames(job: Job, frames: Sequence[int], *, workers: int, scheduler: str, done: Done) -> int:
@@ -105,9 +100,9 @@ def _on_processes(job: Job, frames: Sequence[int], count: int, done: Done) -> in
     with contextlib.ExitStack() as stack:
         stack.enter_context(dask.config.set(settings))
         scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="starbench-", ignore_cleanup_errors=True))
-        with (
-            _interrupts_held()
-        ):  # threads and processes that start meanwhile inherit it: an interrupt is ours to handle
+        if os.name == "posix":  # it lets interrupts through again when it starts, for the thread it starts from
+            resource_tracker.ensure_running()
+        with signals_held(signal.SIGINT):  # threads and processes that start inherit it: an interrupt is ours to handle
             try:
                 cluster = distributed.LocalCluster(
                     n_workers=count,
@@ -318,16 +313,3 @@ def _dask() -> tuple[Any, Any]:
             "several workers need the package distributed; pip install distributed, or set workers = 1"
         ) from None
     return dask, distributed
-
-
-@contextlib.contextmanager
-def _interrupts_held() -> Iterator[None]:
-    if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    resource_tracker.ensure_running()  # when it starts it lets interrupts through again, for the thread it starts from
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -11,7 +11,7 @@ import pytest
 
 from optics.errors import BackendError
 from render.engine import Engine
-from render.engine.llvm import check_llvm, find_llvm, packaged
+from render.engine.llvm import check_llvm, find_llvm, install_advice, packaged, searched_folders
 
 ROOT = Path(__file__).parents[3]
 PROGRAM = """
@@ -176,3 +176,35 @@ def test_mitsuba_comes_when_it_is_asked_for_and_its_variant_is_the_engine():
     refused, variant = done.stdout.splitlines()
     assert "scalar_rgb is active; call render.engine.Engine.start" in refused
     assert variant == "llvm_ad_mono"
+
+
+@pytest.mark.parametrize(
+    ("system", "there", "found"),
+    [
+        ("darwin", ["llvm@19/lib/libLLVM.dylib", "llvm@17/lib/libLLVM.dylib"], "llvm@19/lib/libLLVM.dylib"),
+        ("darwin", ["Cellar/llvm/18.1.8/lib/libLLVM.dylib", "llvm@14/lib/libLLVM.dylib"], "Cellar/llvm/18.1.8/lib"),
+        ("darwin", ["llvm-16/lib/libLLVM-16.dylib", "llvm/lib/libLLVM.so.19"], "llvm-16/lib/libLLVM-16.dylib"),
+        ("win32", ["LLVM/bin/LLVM-C.dll", "LLVM/bin/LLVM-C.lib"], "LLVM/bin/LLVM-C.dll"),
+        ("win32", ["LLVM/bin/libLLVM.so.19"], None),
+    ],
+)
+def test_names_of_the_library_on_other_systems(tmp_path, monkeypatch, system, there, found):
+    monkeypatch.setattr(sys, "platform", system)
+    for name in there:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    library = find_llvm([(tmp_path / name).parent for name in there])
+    assert (library is None) if found is None else library.relative_to(tmp_path).as_posix().startswith(found)
+
+
+@pytest.mark.parametrize(
+    ("system", "variable", "folder", "said"),
+    [("darwin", "DYLD_LIBRARY_PATH", "/opt/homebrew/opt/llvm@*/lib", "brew"), ("win32", "PATH", "LLVM/bin", "winget")],
+)
+def test_where_other_systems_keep_it_and_what_installs_it(monkeypatch, system, variable, folder, said):
+    monkeypatch.setattr(sys, "platform", system)
+    monkeypatch.setenv(variable, os.pathsep.join(["/mine", "/yours"]))
+    folders = searched_folders()
+    assert folders[:2] == ["/mine", "/yours"]
+    assert any(name.endswith(folder) for name in folders)
+    assert said in install_advice()
