@@ -22,9 +22,9 @@ from optics.arrays import FloatArray, IntArray
 from render.camera import Camera
 from render.tracing.ideal_lens import IdealLens
 from render.tracing.paths import at_rest
-from render.tracing.plane_waves import FieldSampling, PixelTable, window_light, window_samples
 from render.tracing.planning import PupilPlanner
 from render.tracing.wave_images import Trail, WaveGroup, WaveImages, WaveStamps
+from render.tracing.wave_windows import FieldSampling, PixelTable, window_light, window_samples
 
 __all__ = ["LEAST_STARS", "TOLERANCE", "WaveGrid", "build_grid"]
 

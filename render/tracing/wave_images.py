@@ -19,16 +19,9 @@ from optics.errors import DomainError
 from optics.waves.pupil_field import LARGEST_APERTURE
 from render.camera import Camera
 from render.tracing.kernel import Shade, StarKernel
-from render.tracing.plane_waves import (
-    FieldSampling,
-    PlaneWaves,
-    hidden_points,
-    phase_changes,
-    trace_waves,
-    window_light,
-    window_samples,
-)
+from render.tracing.plane_waves import PlaneWaves, hidden_points, phase_changes, trace_waves
 from render.tracing.pupil_points import DiskPoints, PupilPoints, TablePoints
+from render.tracing.wave_windows import FieldSampling, window_light, window_samples
 
 __all__ = ["WING", "Trail", "WaveGroup", "WaveImages", "WaveStamps", "covered_points"]
 
@@ -162,7 +155,7 @@ class WaveImages:
         for key in sorted(set(zip(radius.tolist(), field.tolist(), map(tuple, order.tolist()), strict=True))):
             alike = (radius == key[0]) & (field == key[1]) & (order == key[2]).all(1)
             members = group.members[alike]
-            step = max(1, BATCH_LANES // (5 * math.prod(key[2]) * self.wavelength_nm.size))
+            step = max(1, BATCH_LANES // (3 * math.prod(key[2]) * self.wavelength_nm.size))
             for part in (members[i : i + step] for i in range(0, len(members), step)):
                 waves = self._traced(group, key[2], part)
                 yield self._stamps(part, waves, key[0], FieldSampling(key[1]), group.mode)
@@ -219,7 +212,7 @@ class WaveImages:
     def _needs(self, group: WaveGroup, radius_px: float | None = None) -> tuple[FloatArray, FloatArray, IntArray]:
         """Radius of the stamp [px], highest frequency [cycles/px] and order of the quadrature of every star."""
         found: list[tuple[FloatArray, FloatArray, IntArray]] = []
-        step = max(1, BATCH_LANES // (5 * math.prod(PROBE_ORDER) * self.wavelength_nm.size))
+        step = max(1, BATCH_LANES // (3 * math.prod(PROBE_ORDER) * self.wavelength_nm.size))
         for part in (group.members[i : i + step] for i in range(0, len(group.members), step)):
             probe = self._traced(group, PROBE_ORDER, part)
             self._check_aperture(probe)

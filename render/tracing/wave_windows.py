@@ -1,0 +1,266 @@
+"""Diffraction images over windows of the detector: plane waves summed on samples, and samples made pixels.
+
+|U|^2 holds no frequency beyond twice the aperture of the light, so samples of it hold all of it, and an integral over a
+pixel after charge diffusion is a sum with a band-limited kernel. The rays' frequencies lie anywhere in the aperture;
+each is spread over a few points of a regular grid of frequencies with a narrow kernel, from there a matrix product
+leads to the samples, and what the kernel did is divided out (the non-uniform Fourier transform of Dutt & Rokhlin 1993,
+SIAM J. Sci. Comput. 14, 1368; kernel of Barnett, Magland & af Klinteberg 2019, SIAM J. Sci. Comput. 41, C479).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.sparse import csr_array
+from scipy.special import i0e
+
+from optics.arrays import FloatArray
+from render.tracing.plane_waves import PlaneWaves
+
+__all__ = ["BandLimited", "FieldSampling", "PixelTable", "window_light", "window_samples"]
+
+
+LIGHT_RATE = 2.3
+"""Samples of |U|^2 per cycle of its highest frequency and px, over 1."""
+KERNEL_ERROR = 1e-6
+"""At which the kernel of a pixel ends."""
+SPREAD = 7
+"""Points of the grid of frequencies along an axis to which a ray is spread: errors of 5e-7 of the largest amplitude."""
+OVERSAMPLING = 2
+"""How much finer that grid is than the width of the window asks for."""
+
+
+@lru_cache(maxsize=64)
+def _roll_off(nodes: int, low: float, high: float, reach_px: float) -> tuple[FloatArray, FloatArray]:
+    """Frequencies of a Gauss rule on (0, high), and its weights times a smooth step from 1 at low to 0 at high.
+
+    The step is the integral of the Kaiser-Bessel window whose transform has fallen off at the reach.
+    """
+    node, weight = np.polynomial.legendre.leggauss(nodes)
+    f = 0.5 * high * (1.0 + node)
+    t = np.linspace(-1.0, 1.0, 4001)
+    window = _window(t, math.pi * (high - low) * reach_px)
+    fall = 1.0 - np.concatenate([[0.0], np.cumsum(0.5 * (window[1:] + window[:-1]))]) / np.sum(
+        0.5 * (window[1:] + window[:-1])
+    )
+    step = np.interp((f - low) / (0.5 * (high - low)) - 1.0, t, fall, left=1.0, right=0.0)
+    return f, 0.5 * high * weight * step
+
+
+def _window(t: FloatArray, beta: float) -> FloatArray:
+    """Kaiser-Bessel window at t in [-1, 1], scaled to 1 in the middle."""
+    root = np.sqrt(np.maximum(1.0 - t * t, 0.0))
+    return np.asarray(i0e(beta * root) / i0e(beta) * np.exp(beta * (root - 1.0)))
+
+
+@dataclass(frozen=True, slots=True)
+class BandLimited:
+    """A box convolved with a Gaussian, its spectrum ended smoothly between two frequencies; 0 beyond its reach.
+
+    Integrals of a function without frequencies above ``low``, sampled at no less than ``low + high``, are sums with
+    this kernel, but for exp(-pi (high - low) reach). A box of width 0 stands for a point: interpolation.
+
+    Attributes
+    ----------
+    low, high : float
+        Frequencies [cycles/px].
+    reach_px : float
+        Where it ends.
+    box_px, sigma_px : float
+        Width of the box, standard deviation of the Gaussian.
+    """
+
+    low: float
+    high: float
+    reach_px: float
+    box_px: float = 0.0
+    sigma_px: float = 0.0
+
+    def __call__(self, distance_px: FloatArray) -> FloatArray:
+        """Values at distances from its centre."""
+        distance = np.abs(distance_px)
+        values = _spline(self)(np.minimum(distance, self.reach_px))
+        return np.where(distance < self.reach_px, values, 0.0)
+
+
+@lru_cache(maxsize=64)
+def _spline(kernel: BandLimited) -> CubicSpline:
+    """The kernel on a table of 60 points per cycle of its highest frequency."""
+    high, reach = kernel.high, kernel.reach_px
+    f, weight = _roll_off(64 + 16 * math.ceil(reach * high), kernel.low, high, reach)
+    spectrum = weight * np.exp(-2.0 * (np.pi * kernel.sigma_px * f) ** 2)
+    if kernel.box_px > 0.0:
+        spectrum = spectrum * kernel.box_px * np.sinc(kernel.box_px * f)
+    table = np.linspace(0.0, reach, 8 + math.ceil(reach * 60.0 * high))
+    return CubicSpline(table, 2.0 * (np.cos(2.0 * np.pi * np.outer(table, f)) @ spectrum))
+
+
+@dataclass(frozen=True, slots=True)
+class FieldSampling:
+    """How the fields of a camera's stars are sampled.
+
+    Attributes
+    ----------
+    highest : float
+        Highest frequency of the intensity [cycles/px].
+    """
+
+    highest: float
+
+    @property
+    def light_step(self) -> float:
+        """Distance of the samples of |U|^2 [px]."""
+        return 1.0 / math.ceil(LIGHT_RATE * self.highest)
+
+    def pixel(self, box_px: float, sigma_px: float) -> BandLimited:
+        """Kernel that makes light on pixels or cells, after diffusion, of samples of |U|^2."""
+        high = 1.0 / self.light_step - self.highest
+        left = math.exp(-2.0 * (math.pi * sigma_px * high) ** 2) / (math.pi * high)
+        tail = math.log(max(left, KERNEL_ERROR) / KERNEL_ERROR) / (math.pi * (high - self.highest))
+        reach = max(0.5 * box_px + 5.5 * sigma_px + 0.5, tail)
+        return BandLimited(self.highest, high, reach, box_px, sigma_px)
+
+    def table(self, sigma_px: float) -> PixelTable:
+        """Weights of samples for pixels that lie anywhere between them."""
+        return _pixel_table(self, sigma_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PixelTable:
+    """Kernel of a pixel as a table, for many windows.
+
+    Attributes
+    ----------
+    values : (n,)
+        Share of a sample's light, against its distance from the middle of a pixel.
+    step_px : float
+        Of the table.
+    pad_px : float
+        Margin of samples around a window.
+    """
+
+    values: FloatArray
+    step_px: float
+    pad_px: float
+
+    def __call__(self, centre_px: FloatArray, sample_px: FloatArray, shift_px: FloatArray) -> NDArray[np.float32]:
+        """Weights (s, n, m) for pixels at n centres of m samples that are shifted by s distances."""
+        distance = np.abs(centre_px[:, None] - sample_px - shift_px[:, None, None]) / self.step_px
+        index = np.minimum(distance.astype(np.int64), len(self.values) - 2)
+        part = np.minimum(distance - index, 1.0)
+        return np.asarray(self.values[index] * (1.0 - part) + self.values[index + 1] * part, np.float32)
+
+
+@cache
+def _pixel_table(field: FieldSampling, sigma_px: float) -> PixelTable:
+    kernel = field.pixel(1.0, sigma_px)
+    step = 1.0 / 2048.0
+    distance = np.asarray(np.arange(math.ceil(kernel.reach_px / step) + 2) * step, np.float64)
+    values = kernel(distance) * field.light_step
+    values[-1] = 0.0
+    return PixelTable(values, step, kernel.reach_px - 0.5)
+
+
+@cache
+def _samples(field: FieldSampling, window_px: float, pad_px: float) -> FloatArray:
+    count = math.ceil((window_px + 2.0 * pad_px) / field.light_step)
+    return np.asarray((np.arange(count) - 0.5 * (count - 1)) * field.light_step + 0.5 * window_px, np.float64)
+
+
+def window_samples(field: FieldSampling, window_px: float, pad_px: float) -> FloatArray:
+    """Where `window_light` gives the light, along either axis, from the window's corner [px]."""
+    return _samples(field, window_px, pad_px)
+
+
+@cache
+def _grid(field: FieldSampling, count: int) -> tuple[float, NDArray[np.complex64]]:
+    """Step of the grid of frequencies [cycles/px], and what leads from it (n,) to samples (count,) about 0."""
+    step = 1.0 / (OVERSAMPLING * count * field.light_step)
+    reach = math.ceil(0.5 * field.highest / step + 0.5 * SPREAD + 1.0)
+    place = (np.arange(count) - 0.5 * (count - 1)) * field.light_step
+    node, weight = np.polynomial.legendre.leggauss(80)
+    kernel = weight * _bell(node)
+    spread = 0.5 * SPREAD * (np.cos(np.pi * SPREAD * step * np.outer(place, node)) @ kernel)
+    waves = np.exp(2j * np.pi * step * np.outer(place, np.arange(-reach, reach + 1)))
+    return step, np.asarray(waves / spread[:, None], np.complex64)
+
+
+def _bell(t: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Kernel on [-1, 1]: exponential of a semicircle."""
+    beta = math.pi * math.sqrt((SPREAD * (1.0 - 0.5 / OVERSAMPLING)) ** 2 - 0.8)
+    return np.asarray(np.exp(beta * (np.sqrt(np.maximum(1.0 - t * t, 0.0)) - 1.0)))
+
+
+def _spread(frequency: FloatArray, step: float, count: int, weight: NDArray[np.complex64] | None = None) -> csr_array:
+    """Weights (p, count) of p frequencies at points of a grid that is centred on 0."""
+    place = frequency / step + count // 2
+    first = np.ceil(place - 0.5 * SPREAD).astype(np.int32)
+    index = first[:, None] + np.arange(SPREAD, dtype=np.int32)
+    value = _bell(((index - place[:, None]) / (0.5 * SPREAD)).astype(np.float32)).astype(np.complex64)
+    if weight is not None:
+        value *= weight[:, None]
+    rows = np.arange(0, index.size + 1, SPREAD, dtype=np.int32)
+    return csr_array((value.ravel(), index.ravel(), rows), shape=(len(place), count))
+
+
+def window_light(
+    waves: PlaneWaves,
+    at: tuple[int, int],
+    shares: FloatArray,
+    corner_px: FloatArray,
+    window_px: float,
+    field: FieldSampling,
+    *,
+    pad_px: float,
+) -> NDArray[np.float32]:
+    """Light per px^2 (i, i) of one star and band on the samples of a window, rows first.
+
+    Parameters
+    ----------
+    waves : PlaneWaves
+        Traced.
+    at : (int, int)
+        Star and band.
+    shares : (k,)
+        Share of each wavelength.
+    corner_px : (2,)
+        Outer corner (column, row) of the window.
+    window_px, pad_px : float
+        Size of the window and of a margin around it.
+    field : FieldSampling
+        Sampling.
+    """
+    samples = _samples(field, window_px, pad_px)
+    count = len(samples)
+    step, to_samples = _grid(field, count)
+    middle = corner_px + 0.5 * window_px
+    light = np.zeros((count, count), np.float32)
+    for k, share in enumerate(shares):
+        lit = waves.amplitude[*at, k] > 0.0
+        if not (share > 0.0 and lit.any()):
+            continue
+        x, y, fx, fy, turns, amplitude = (
+            v[*at, k][lit] for v in (waves.x, waves.y, waves.fx, waves.fy, waves.turns, waves.amplitude)
+        )
+        fx, fy, phase = _untilted(fx, fy, x, y, turns, middle)
+        coefficient = (amplitude * math.sqrt(math.pi * share)) * np.exp(2j * np.pi * phase)
+        nodes = to_samples.shape[1]
+        spread = _spread(fy, step, nodes).T @ _spread(fx, step, nodes, coefficient.astype(np.complex64))
+        u = to_samples @ spread.toarray() @ to_samples.T
+        light += u.real**2 + u.imag**2
+    return light
+
+
+def _untilted(
+    fx: FloatArray, fy: FloatArray, x: FloatArray, y: FloatArray, turns: FloatArray, origin: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Frequencies about the middle of their range, which leaves |U| as it is, and phases at the origin [turns]."""
+    phase = turns + fx * (origin[0] - x) + fy * (origin[1] - y)
+    middle = [0.5 * (f.min() + f.max()) for f in (fx, fy)]
+    phase = phase - phase[0]
+    return fx - middle[0], fy - middle[1], phase - np.rint(phase)
