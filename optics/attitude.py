@@ -52,7 +52,18 @@ def attitude_from_angles(ra_deg: ArrayLike, dec_deg: ArrayLike, roll_deg: ArrayL
 
 
 def angles_from_attitude(attitude: Rotation) -> tuple[float, float, float]:
-    """Right ascension (0 ... 360), declination and roll (0 ... 360) [deg] of one attitude cam from icrs."""
+    """Right ascension (0 ... 360), declination and roll (0 ... 360) [deg] of one attitude cam from icrs.
+
+    Parameters
+    ----------
+    attitude : Rotation
+        cam from icrs, a single one.
+
+    Returns
+    -------
+    (float, float, float)
+        Right ascension, declination and roll [deg].
+    """
     _, down, boresight = attitude.as_matrix()
     ra = np.arctan2(boresight[1], boresight[0])
     dec = np.arctan2(boresight[2], np.hypot(boresight[0], boresight[1]))

@@ -152,6 +152,11 @@ def draw_lens(
         Rays per fan.
     wavelength_nm : float, optional
         Wavelength; the design wavelength if left out.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Made without pyplot; ``figure.savefig("lens.png")`` keeps it.
     """
     wave = lens.design_wavelength_nm if wavelength_nm is None else wavelength_nm
     fields = [0.0, 0.7 * lens.max_field_deg, lens.max_field_deg] if fields_deg is None else list(fields_deg)
@@ -214,6 +219,11 @@ def draw_spots(
         Wavelengths; 0.8, 1 and 1.25 times the design wavelength if left out.
     pixel_um : float, optional
         Draws a pixel of this pitch.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Made without pyplot; ``figure.savefig("lens.png")`` keeps it.
     """
     fields = (
         [(0.0, part * lens.max_field_deg) for part in (0.0, 0.5, 0.7, 1.0)] if fields_deg is None else list(fields_deg)
@@ -275,6 +285,11 @@ def draw_distortion(
         Wavelength; the design wavelength if left out.
     exaggeration : float, optional
         Factor on the displacements; if left out, a round one that makes them visible.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Made without pyplot; ``figure.savefig("lens.png")`` keeps it.
     """
     grid = distortion_map(lens, count=count, wavelength_nm=wavelength_nm)
     dx, dy = grid.x_mm - grid.ideal_x_mm, grid.y_mm - grid.ideal_y_mm

@@ -166,7 +166,7 @@ def build_camera(
 
     Parameters
     ----------
-    lens, detector
+    lens, detector : LensSystem, Detector
         The parts.
     defocus_mm : float
         Detector shift away from the lens.
@@ -178,6 +178,11 @@ def build_camera(
         Attitude; identity if left out.
     diffraction : {"rays", "waves", "exact_waves"}
         How stars are rendered.
+
+    Returns
+    -------
+    Camera
+        What `StarRenderer` renders with.
 
     Raises
     ------

@@ -97,17 +97,17 @@ class StarRenderer:
     contents : mapping, optional
         Further entries of the scene (`star_scene`): bodies that hide stars.
 
-    Raises
-    ------
-    DomainError
-        Exposure not positive.
-
     Attributes
     ----------
     traced : TracedStars or None
         What the last image was made of, including how the pupil was sampled.
     label : str
         Name of the next image's scene file where `SCENES` asks for one; numbered where it is empty.
+
+    Raises
+    ------
+    DomainError
+        Exposure not positive.
     """
 
     def __init__(

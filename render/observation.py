@@ -286,6 +286,11 @@ def observe(
     **settings
         Any other setting of `SkySimulator`: ``passband=``, ``temperature_c=``, ``zodiacal=`` ...
 
+    Returns
+    -------
+    Observation
+        Frame, truth, sky and stars of the field.
+
     Raises
     ------
     StarbenchError

@@ -259,6 +259,11 @@ def load_star_sensor(
     diffraction : {"rays", "waves", "exact_waves"}
         How stars are rendered: as the rays land, or as diffraction images.
 
+    Returns
+    -------
+    StarSensor
+        Camera, detector and focal length.
+
     Raises
     ------
     ConfigError, DomainError

@@ -1,10 +1,12 @@
 """The documents: their links lead somewhere, their code runs."""
 
 import ast
+import doctest
 import os
 import re
 import subprocess
 import sys
+from importlib import import_module
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 
@@ -94,3 +96,28 @@ def test_the_page_of_the_sensor_file_is_that_of_its_model():
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
     assert module.PAGE.read_text(encoding="utf-8") == module.page(), "run python docs/make_sensor_file_page.py"
+
+
+EXAMPLES = [
+    path.relative_to(ROOT)
+    for room in ("optics", "render", "calib", "experiments")
+    for path in sorted((ROOT / room).rglob("*.py"))
+    if ">>>" in path.read_text(encoding="utf-8")
+]
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=str)
+def test_examples_of_docstrings_run(path):
+    module = import_module(".".join(path.with_suffix("").parts))
+    assert doctest.testmod(module, globs={**vars(module), "np": np}).failed == 0
+
+
+def test_every_page_stands_in_a_table_of_contents():
+    """Pages that no toctree names are in no menu, and a warning of the build."""
+    pages = {page.relative_to(ROOT / "docs").with_suffix("").as_posix() for page in PAGES if page.parent != ROOT}
+    named = set()
+    for page in (ROOT / "docs").rglob("*.md"):
+        for body in re.findall(r"```\{toctree\}\n(.*?)```", page.read_text(encoding="utf-8"), re.S):
+            rows = [row.strip() for row in body.splitlines() if row.strip() and not row.startswith(":")]
+            named |= {(page.parent / row).resolve().relative_to(ROOT / "docs").as_posix() for row in rows}
+    assert pages - named == {"index"}

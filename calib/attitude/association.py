@@ -142,6 +142,7 @@ def associate(
     Returns
     -------
     Association
+        Pairs of detections and catalogue stars, their distances [px], and what is ambiguous.
 
     Raises
     ------
@@ -186,6 +187,7 @@ def match_stars(
     Returns
     -------
     StarMatch
+        The pairs and the refined attitude.
 
     Raises
     ------

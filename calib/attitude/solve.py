@@ -206,6 +206,7 @@ def solve_wahba(
     Returns
     -------
     AttitudeSolution
+        Rotation cam from reference, its covariance, and what the fit says about itself.
 
     Raises
     ------
@@ -241,12 +242,13 @@ def solve_wahba_many(
         Frame of each star, 0 to ``frames - 1``.
     frames : int, optional
         Number of frames f; the largest index plus one if left out.
-    sigma_rad, weight, method
+    sigma_rad, weight, method : optional
         As in `solve_wahba`.
 
     Returns
     -------
     AttitudeSolutions
+        The same per frame.
 
     Raises
     ------

@@ -84,6 +84,11 @@ def bound(
     free : sequence of str, optional
         Camera parameters that are unknown; all by default.
 
+    Returns
+    -------
+    Bound
+        Covariance of the unknowns that all frames share, and of all camera parameters.
+
     Raises
     ------
     DomainError

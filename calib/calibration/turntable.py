@@ -337,6 +337,16 @@ def _single_star(stars: Observations) -> FloatArray | None:
 def star_direction(calibration: Calibration) -> FloatArray:
     """Unit vector (3,) towards the star in the laboratory from a turntable calibration.
 
+    Parameters
+    ----------
+    calibration : Calibration
+        Of `calibrate` with `TurntableAttitudes`.
+
+    Returns
+    -------
+    (3,) array
+        Unit vector.
+
     Raises
     ------
     DomainError

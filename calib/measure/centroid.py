@@ -51,7 +51,13 @@ _REGISTRY: dict[str, str | type[Centroider]] = {
 
 
 def list_centroiders() -> tuple[str, ...]:
-    """Names that `get_centroider` knows."""
+    """Names that `get_centroider` knows.
+
+    Returns
+    -------
+    tuple of str
+        Names, in the order of registration.
+    """
     return tuple(_REGISTRY)
 
 
@@ -74,6 +80,16 @@ def centroider_class(name: str) -> type[Centroider]:
 
 def register_centroider(new: type[Centroider]) -> type[Centroider]:
     """Make a centroider of your own known by its name, in this process; usable as a decorator.
+
+    Parameters
+    ----------
+    new : class
+        A frozen dataclass with ``name``, ``label``, ``needs_epsf`` and ``measure``.
+
+    Returns
+    -------
+    class
+        The same.
 
     Raises
     ------
@@ -103,6 +119,11 @@ def get_centroider(name: str, **options: Any) -> Centroider:
         One of `list_centroiders`.
     **options
         Attributes of the centroider; those that need an ePSF take it as ``epsf=``.
+
+    Returns
+    -------
+    Centroider
+        With those options.
 
     Raises
     ------

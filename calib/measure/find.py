@@ -41,7 +41,7 @@ def find_stars(
         (`calib.measure.image.sensor_image`, which also takes gain and read noise where they are known).
     centroider : str
         Name of a centroider (`calib.measure.centroid.list_centroiders`).
-    background, threshold_sigma, fwhm_px, size_px, max_stars
+    background, threshold_sigma, fwhm_px, size_px, max_stars : optional
         As in `find_stamps`.
     **options
         Attributes of the centroider, e.g. ``epsf=`` for "epsf" or ``fit_background=True`` for "gaussian".

@@ -71,6 +71,11 @@ def subtract_dark(frame: Frame, dark_dn: ArrayLike) -> SensorImage:
     dark_dn : (h, w)
         Mean of frames without light, of the same exposure time and temperature [DN].
 
+    Returns
+    -------
+    SensorImage
+        With the noise model of the frame.
+
     Raises
     ------
     DomainError
@@ -116,6 +121,11 @@ def sensor_image(
         Exposure time.
     source : str
         Name for messages.
+
+    Returns
+    -------
+    SensorImage
+        What `find_stars` works on.
 
     Raises
     ------

@@ -393,7 +393,20 @@ def _catalogue(file: str = "glasses.toml") -> dict[str, Any]:
 
 
 def list_glasses(maker: str | None = None, *, obsolete: bool = False) -> tuple[str, ...]:
-    """Names in the catalogue, sorted; of one maker if given (SCHOTT, OHARA, CDGM, generic), or the obsolete ones."""
+    """Names in the catalogue, sorted; of one maker if given (SCHOTT, OHARA, CDGM, generic), or the obsolete ones.
+
+    Parameters
+    ----------
+    maker : str, optional
+        SCHOTT, OHARA, CDGM or generic; all if left out.
+    obsolete : bool
+        The obsolete glasses in place of those that are made.
+
+    Returns
+    -------
+    tuple of str
+        Names for `get_glass`.
+    """
     catalogue = _catalogue(_OBSOLETE) if obsolete else _catalogue()
     makers = {source["maker"] for source in catalogue["source"].values()}
     if maker is not None and maker not in makers:

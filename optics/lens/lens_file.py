@@ -67,6 +67,11 @@ def read_lens_file(
     strict : bool
         Refuse whatever is not the same as in the file.
 
+    Returns
+    -------
+    LensFile
+        The lens, with the report of every line that was read, approximated or left out.
+
     Raises
     ------
     ConfigError

@@ -94,10 +94,15 @@ def decentre(lens: LensSystem, what: What, x_mm: float = 0.0, y_mm: float = 0.0)
     ----------
     lens : LensSystem
         The lens.
-    what
+    what : str, int or sequence of int
         See the module.
     x_mm, y_mm : float
         Shift in the lens frame [mm].
+
+    Returns
+    -------
+    LensSystem
+        A new lens.
     """
     _finite("decentre [mm]", x_mm, y_mm)
     return _moved(lens, what, np.eye(3), np.zeros(3), np.array([x_mm, y_mm, 0.0]))
@@ -112,12 +117,17 @@ def tilt(
     ----------
     lens : LensSystem
         The lens.
-    what
+    what : str, int or sequence of int
         See the module.
     x_deg, y_deg : float
         Rotation vector about the axes of the lens frame [deg].
     pivot_mm : (3,), optional
         Point that stays; the vertex of the first named surface if left out.
+
+    Returns
+    -------
+    LensSystem
+        A new lens.
     """
     _finite("tilt [deg]", x_deg, y_deg)
     first = lens.surfaces[_selected(lens, what)[0][0]].position_mm
@@ -135,13 +145,18 @@ def despace(lens: LensSystem, what: What, z_mm: float, *, following: bool = Fals
     ----------
     lens : LensSystem
         The lens.
-    what
+    what : str, int or sequence of int
         See the module.
     z_mm : float
         Shift [mm].
     following : bool
         False: the gap before grows and the gap after shrinks. True: all later surfaces and the image plane move too (a
         thicker spacer in front of the named surfaces).
+
+    Returns
+    -------
+    LensSystem
+        A new lens.
     """
     _finite("despace [mm]", z_mm)
     shift = np.array([0.0, 0.0, z_mm])
@@ -166,6 +181,11 @@ def change_shape(lens: LensSystem, surface: int, name: str, by: float) -> LensSy
     by : float
         What is added, in the unit of the field.
 
+    Returns
+    -------
+    LensSystem
+        A new lens.
+
     Raises
     ------
     DomainError
@@ -183,6 +203,20 @@ def change_shape(lens: LensSystem, surface: int, name: str, by: float) -> LensSy
 def change_radius(lens: LensSystem, surface: int, by_mm: float) -> LensSystem:
     """Add to the radius of curvature of one surface.
 
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    surface : int
+        Index of the surface.
+    by_mm : float
+        What is added [mm].
+
+    Returns
+    -------
+    LensSystem
+        A new lens.
+
     Raises
     ------
     DomainError
@@ -194,6 +228,20 @@ def change_radius(lens: LensSystem, surface: int, by_mm: float) -> LensSystem:
 def change_conic(lens: LensSystem, surface: int, by: float) -> LensSystem:
     """Add to the conic constant of one surface; a sphere becomes a conic.
 
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    surface : int
+        Index of the surface.
+    by : float
+        What is added.
+
+    Returns
+    -------
+    LensSystem
+        A new lens.
+
     Raises
     ------
     DomainError
@@ -204,6 +252,20 @@ def change_conic(lens: LensSystem, surface: int, by: float) -> LensSystem:
 
 def change_index(lens: LensSystem, what: What, by: float) -> LensSystem:
     """Add to the refractive index of the glass (all glasses) of what is named, at every wavelength alike.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    what : str, int or sequence of int
+        See the module.
+    by : float
+        What is added.
+
+    Returns
+    -------
+    LensSystem
+        A new lens.
 
     Raises
     ------
@@ -225,13 +287,39 @@ def change_index(lens: LensSystem, what: What, by: float) -> LensSystem:
 
 
 def refocus(lens: LensSystem, z_mm: float) -> LensSystem:
-    """Shift the image plane along its own normal; positive: away from the lens."""
+    """Shift the image plane along its own normal; positive: away from the lens.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    z_mm : float
+        Shift [mm].
+
+    Returns
+    -------
+    LensSystem
+        A new lens.
+    """
     _finite("focus shift [mm]", z_mm)
     return replace(lens, image_position_mm=lens.image_position_mm + z_mm * lens.image_rotation[:, 2])
 
 
 def tilt_image(lens: LensSystem, x_deg: float = 0.0, y_deg: float = 0.0) -> LensSystem:
-    """Rotate the image plane about its own origin; rotation vector about the axes of the lens frame [deg]."""
+    """Rotate the image plane about its own origin; rotation vector about the axes of the lens frame [deg].
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    x_deg, y_deg : float
+        Rotation vector [deg].
+
+    Returns
+    -------
+    LensSystem
+        A new lens.
+    """
     _finite("image tilt [deg]", x_deg, y_deg)
     rotation = Rotation.from_rotvec([x_deg, y_deg, 0.0], degrees=True).as_matrix()
     return replace(lens, image_rotation=rotation @ lens.image_rotation)
@@ -287,6 +375,11 @@ def change_temperature(
         Linear expansion of the housing [1/K], e.g. 23.6e-6 aluminium 6061, 8.6e-6 titanium Ti-6Al-4V.
     pressure_hpa : float, optional
         New air pressure; unchanged if left out.
+
+    Returns
+    -------
+    LensSystem
+        A new lens.
 
     Raises
     ------

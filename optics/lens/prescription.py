@@ -207,7 +207,13 @@ def _builtin() -> dict[str, Path]:
 
 
 def list_lenses() -> tuple[str, ...]:
-    """Names of the built-in prescriptions."""
+    """Names of the built-in prescriptions.
+
+    Returns
+    -------
+    tuple of str
+        Names for `load_lens`, sorted.
+    """
     return tuple(_builtin())
 
 

@@ -124,6 +124,18 @@ def plate_scale_mm(lens: LensSystem, wavelength_nm: float | None = None) -> floa
     """Focal length as the image shows it: chief-ray displacement per tan(field) around field 0, mean of x and y [mm].
 
     Equal to the paraxial focal length only if the image plane is the paraxial focal plane.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    wavelength_nm : float, optional
+        Wavelength; the design wavelength if left out.
+
+    Returns
+    -------
+    float
+        Focal length [mm].
     """
     step = lens.max_field_deg / 100.0
     x, y = chief_ray_points(lens, [step, -step, 0.0, 0.0], [0.0, 0.0, step, -step], wavelength_nm)
@@ -152,6 +164,11 @@ def distortion_map(
         Wavelength; the design wavelength if left out.
     focal_length_mm : float, optional
         f of the ideal lens; the plate scale at that wavelength (`plate_scale_mm`) if left out.
+
+    Returns
+    -------
+    DistortionMap
+        Image points beside those of the ideal lens [mm].
 
     Raises
     ------

@@ -173,6 +173,11 @@ def paraxial(lens: LensSystem, wavelength_nm: float | None = None) -> ParaxialLe
     wavelength_nm : float, optional
         Wavelength; the design wavelength if left out.
 
+    Returns
+    -------
+    ParaxialLens
+        Focal length, principal planes, pupils [mm].
+
     Raises
     ------
     DomainError
@@ -234,7 +239,22 @@ def chief_ray(lens: LensSystem, field_deg: float, wavelength_nm: float | None = 
 
 
 def axial_colour_mm(lens: LensSystem, wavelength_nm: ArrayLike, reference_nm: float | None = None) -> FloatArray:
-    """Shift of the rear focus [mm] against the reference wavelength (design wavelength if left out)."""
+    """Shift of the rear focus [mm] against the reference wavelength (design wavelength if left out).
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    wavelength_nm : array_like
+        Wavelengths [nm].
+    reference_nm : float, optional
+        Reference wavelength.
+
+    Returns
+    -------
+    array
+        Shifts, of the shape of the wavelengths [mm].
+    """
     reference = paraxial(lens, reference_nm).rear_focus_z_mm
     values = np.asarray(wavelength_nm, float)
     return np.array([paraxial(lens, w).rear_focus_z_mm - reference for w in values.ravel()]).reshape(values.shape)

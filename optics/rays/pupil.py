@@ -132,6 +132,11 @@ def gauss_disk(rings: int, arms: int) -> PupilSamples:
     rings, arms : int
         Number of radii and of azimuths.
 
+    Returns
+    -------
+    PupilSamples
+        rings x arms points of the unit disk, with weights.
+
     Raises
     ------
     DomainError
@@ -163,6 +168,11 @@ def sobol_disk(count: int, *, seed: int) -> PupilSamples:
         Number of points, a power of two (what the balance of a Sobol set needs).
     seed : int
         Seed of the scrambling.
+
+    Returns
+    -------
+    PupilSamples
+        Points of the unit disk, of equal weights.
 
     Raises
     ------
@@ -234,6 +244,11 @@ def entrance_pupil(
     wavelength_nm : sequence of float, optional
         Wavelengths that have to be covered; if left out, the design wavelength, 0.75 and 1.4 times that (as far as the
         glasses are known there).
+
+    Returns
+    -------
+    EntrancePupil
+        Centre and radius of the disk [mm].
 
     Raises
     ------

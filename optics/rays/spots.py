@@ -129,6 +129,11 @@ def trace_spots(
     collimation : (w, 3), optional
         Of sources behind a collimator, slopes and vergence at the wavelengths (`optics.light.collimation`).
 
+    Returns
+    -------
+    Spots
+        Rays on the image plane, with the area of the pupil that each stands for.
+
     Raises
     ------
     DomainError
@@ -204,9 +209,25 @@ def spot_moments(
     order: tuple[int, int] = QUADRATURE,
     collimation: FloatArray | None = None,
 ) -> SpotMoments:
-    """Mean, covariance and transmitted area of the ray bundles of stars; parameters and errors as `trace_spots`.
+    """Mean, covariance and transmitted area of the ray bundles of stars; errors as `trace_spots`.
 
     A field from which no ray arrives has NaN moments and transmits 0.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    field_x_deg, field_y_deg : (f,)
+        Field angles [deg].
+    wavelength_nm : (w,)
+        Wavelengths [nm].
+    samples, order, collimation : optional
+        As in `trace_spots`.
+
+    Returns
+    -------
+    SpotMoments
+        Per field and wavelength.
     """
     spots = trace_spots(
         lens, field_x_deg, field_y_deg, wavelength_nm, samples=samples, order=order, collimation=collimation
@@ -273,7 +294,22 @@ def lateral_colour(
 def vignetting(
     lens: LensSystem, field_x_deg: ArrayLike, field_y_deg: ArrayLike, wavelength_nm: float | None = None
 ) -> FloatArray:
-    """Transmitted area of the beam relative to field 0, (f,); the cosine of the field angle is not part of it."""
+    """Transmitted area of the beam relative to field 0, (f,); the cosine of the field angle is not part of it.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    field_x_deg, field_y_deg : (f,)
+        Field angles [deg].
+    wavelength_nm : float, optional
+        Wavelength; the design wavelength if left out.
+
+    Returns
+    -------
+    (f,) array
+        Fractions.
+    """
     fx, fy = np.broadcast_arrays(np.atleast_1d(field_x_deg), np.atleast_1d(field_y_deg))
     wave = lens.design_wavelength_nm if wavelength_nm is None else wavelength_nm
     area = spot_moments(lens, np.append(fx, 0.0), np.append(fy, 0.0), wave).transmitted_mm2[:, 0]
@@ -284,6 +320,18 @@ def vignetting(
 
 def collecting_area_mm2(lens: LensSystem, wavelength_nm: float | None = None) -> float:
     """Cross-section of the beam of a star on the axis that reaches the image [mm^2]; the design wavelength if left out.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    wavelength_nm : float, optional
+        Wavelength; the design wavelength if left out.
+
+    Returns
+    -------
+    float
+        Area [mm^2].
 
     Raises
     ------
@@ -301,7 +349,21 @@ def best_focus_shift_mm(
 
     Minimises the sum over fields of the mean square distance from the spot's mean over all wavelengths, fields and
     wavelengths alike; ray heights are linear in the shift, so the minimum is a closed form. Apply it with
-    `optics.lens.perturb.refocus`. Parameters and errors as `trace_spots`.
+    `optics.lens.perturb.refocus`. Errors as `trace_spots`.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    field_x_deg, field_y_deg : (f,)
+        Field angles [deg].
+    wavelength_nm : (w,)
+        Wavelengths [nm].
+
+    Returns
+    -------
+    float
+        Shift [mm], positive away from the lens.
     """
     spots = trace_spots(lens, field_x_deg, field_y_deg, wavelength_nm)
     rays = spots.rays

@@ -238,7 +238,7 @@ def trace_program(
 
     Parameters
     ----------
-    program, theta
+    program, theta : LensProgram, array
         From `optics.rays.program.compile_lens`; ``theta`` in the form of ``xp.parameters``.
     rays : Rays
         In the lens frame.

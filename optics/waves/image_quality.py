@@ -62,7 +62,20 @@ def peak(field: PupilField, *, at: tuple[int, int] = (0, 0)) -> tuple[float, flo
 
 
 def strehl(field: PupilField, *, at: tuple[int, int] = (0, 0)) -> float:
-    """Strehl ratio: brightest point of the image over that of the same pupil, amplitudes and all, without phase."""
+    """Strehl ratio: brightest point of the image over that of the same pupil, amplitudes and all, without phase.
+
+    Parameters
+    ----------
+    field : PupilField
+        Traced pupils (`optics.waves.pupil_field.trace_pupil`).
+    at : (int, int)
+        Field and wavelength.
+
+    Returns
+    -------
+    float
+        Ratio, 0 to 1.
+    """
     amplitude = _rays(field, at)[0]
     ideal = (float(field.index[at[1]]) / (float(field.wavelength_nm[at[1]]) * 1e-6)) ** 2
     ideal *= float(amplitude.sum()) ** 2 / float(field.area_mm2[at].sum())
@@ -70,7 +83,22 @@ def strehl(field: PupilField, *, at: tuple[int, int] = (0, 0)) -> float:
 
 
 def strehl_through_focus(field: PupilField, focus_mm: ArrayLike, *, at: tuple[int, int] = (0, 0)) -> FloatArray:
-    """Strehl ratios at shifts of the image plane along the light."""
+    """Strehl ratios at shifts of the image plane along the light.
+
+    Parameters
+    ----------
+    field : PupilField
+        Traced pupils (`optics.waves.pupil_field.trace_pupil`).
+    focus_mm : (n,)
+        Shifts [mm], positive away from the lens.
+    at : (int, int)
+        Field and wavelength.
+
+    Returns
+    -------
+    (n,) array
+        Ratios, 0 to 1.
+    """
     return np.array([strehl(field.shifted(float(z)), at=at) for z in np.atleast_1d(np.asarray(focus_mm, float))])
 
 
@@ -84,12 +112,19 @@ def transfer_function(
 
     Parameters
     ----------
-    field, at
-        As `peak`.
+    field : PupilField
+        Traced pupils (`optics.waves.pupil_field.trace_pupil`).
     frequency : (f, 2)
         Frequencies; 0 beyond the cutoff.
+    at : (int, int)
+        Field and wavelength.
     size : int
         Cells across the pupil.
+
+    Returns
+    -------
+    (f,) complex array
+        1 at frequency 0.
     """
     _, fx, fy, phase = _rays(field, at)
     lit = field.area_mm2[at] > 0.0
@@ -150,6 +185,11 @@ def encircled_energy(
         Field and wavelength.
     centre_mm : (float, float), optional
         Centre; the centroid of all light if left out.
+
+    Returns
+    -------
+    (r,) array
+        Shares, 0 to 1.
     """
     amplitude, fx, fy, phase = _rays(field, at)
     mean_x, mean_y = (float(v[at]) for v in field.mean_mm)

@@ -281,6 +281,11 @@ def trace_pupil(
     half_width_mm : float
         Half the side of that window.
 
+    Returns
+    -------
+    PupilField
+        Rays, optical paths and weights per field and wavelength.
+
     Raises
     ------
     DomainError

@@ -94,6 +94,11 @@ def wavefront(
     radius_mm : float
         Of the reference sphere; infinite as in the sum of plane waves. Ray-tracing programs put it into the exit pupil.
 
+    Returns
+    -------
+    Wavefront
+        Its error over the pupil, with RMS and Zernike coefficients.
+
     Raises
     ------
     DomainError
@@ -198,6 +203,20 @@ class PathMap:
 
 def zernike_map(coefficients_nm: ArrayLike, order: ZernikeOrder = "noll", *, size: int = 129) -> PathMap:
     """Map of measured Zernike coefficients [nm], the first terms of an order.
+
+    Parameters
+    ----------
+    coefficients_nm : (n,)
+        Coefficients [nm].
+    order : {"noll", "ansi", "fringe"}
+        Whose numbering they follow.
+    size : int
+        Points across the map.
+
+    Returns
+    -------
+    PathMap
+        For the pupil of a `trace_pupil`.
 
     Raises
     ------

@@ -63,7 +63,22 @@ def zernike_numbers(count: int, order: ZernikeOrder = "noll") -> tuple[tuple[int
 
 
 def zernikes(x: FloatArray, y: FloatArray, count: int, order: ZernikeOrder = "noll") -> FloatArray:
-    """The first terms (count, ...) at points of the unit disk; parameters and errors as `zernike_numbers`."""
+    """The first terms (count, ...) at points of the unit disk; errors as `zernike_numbers`.
+
+    Parameters
+    ----------
+    x, y : array
+        Points of the unit disk.
+    count : int
+        Number of terms.
+    order : {"noll", "ansi", "fringe"}
+        Whose numbering.
+
+    Returns
+    -------
+    (count, ...) array
+        Values of the terms.
+    """
     r, angle = np.hypot(x, y), np.arctan2(y, x)
     terms = []
     for n, m in zernike_numbers(count, order):

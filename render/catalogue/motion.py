@@ -92,6 +92,11 @@ def earth_observer(epoch_year: float) -> Observer:
     epoch_year : float
         Julian year (TDB).
 
+    Returns
+    -------
+    Observer
+        Position and velocity, for `load_sky`.
+
     Raises
     ------
     DomainError

@@ -89,6 +89,7 @@ def expose(
     Returns
     -------
     Frame
+        Digital numbers, with what is saturated and defective.
 
     Raises
     ------

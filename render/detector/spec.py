@@ -313,7 +313,13 @@ class DetectorFile(BaseModel):
 
 
 def list_detectors() -> tuple[str, ...]:
-    """Names that `load_detector` knows."""
+    """Names that `load_detector` knows.
+
+    Returns
+    -------
+    tuple of str
+        Names, sorted.
+    """
     return tuple(sorted(path.stem for path in _DATA.glob("*.toml")))
 
 
@@ -328,6 +334,7 @@ def load_detector(name_or_path: str | Path) -> Detector:
     Returns
     -------
     Detector
+        The data sheet as a record.
 
     Raises
     ------

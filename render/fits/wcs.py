@@ -159,6 +159,7 @@ def lens_wcs(camera: Camera, *, wavelength_nm: float | None = None, tolerance_px
     Returns
     -------
     LensWcs
+        Linear part and both polynomials, with their errors [px].
 
     Raises
     ------

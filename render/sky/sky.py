@@ -114,6 +114,11 @@ def load_sky(
     temperature : {"colour", "effective"}
         Temperature of the black body that stands for a star (`render.catalogue.temperature.star_temperature`).
 
+    Returns
+    -------
+    Sky
+        Directions, magnitudes and temperatures, with a search tree.
+
     Raises
     ------
     ConfigError

@@ -17,7 +17,15 @@ __all__ = ["Conic"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conic(Curved):
-    """Conicoid: k < -1 hyperboloid, -1 paraboloid, -1 < k < 0 prolate, 0 sphere, > 0 oblate ellipsoid."""
+    """Conicoid: k < -1 hyperboloid, -1 paraboloid, -1 < k < 0 prolate, 0 sphere, > 0 oblate ellipsoid.
+
+    Attributes
+    ----------
+    radius_mm : float
+        Vertex radius [mm]; positive when the centre of curvature lies on the +z side.
+    conic : float
+        Conic constant k.
+    """
 
     conic: FiniteFloat
     kind: ClassVar[str] = "conic"

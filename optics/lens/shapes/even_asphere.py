@@ -21,7 +21,17 @@ __all__ = ["EvenAsphere"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EvenAsphere(Asphere):
-    """Conic plus even polynomial: ``asphere[j]`` [mm^-(3+2j)] times r^(4+2j); ``radius_mm`` may be infinite."""
+    """Conic plus even polynomial.
+
+    Attributes
+    ----------
+    radius_mm : float
+        Vertex radius [mm]; may be infinite.
+    conic : float
+        Conic constant.
+    asphere : tuple of float
+        ``asphere[j]`` [mm^-(3+2j)] times r^(4+2j).
+    """
 
     asphere: tuple[FiniteFloat, ...] = ()
     kind: ClassVar[str] = "even_asphere"

@@ -16,7 +16,13 @@ __all__ = ["Sphere"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sphere(Curved):
-    """Sphere of ``radius_mm``; positive when the centre of curvature lies on the +z side."""
+    """Sphere.
+
+    Attributes
+    ----------
+    radius_mm : float
+        Radius [mm]; positive when the centre of curvature lies on the +z side.
+    """
 
     kind: ClassVar[str] = "sphere"
 
