@@ -37,7 +37,7 @@ class FirstOrder:
 def _power(row: Row, before: float, after: float) -> float:
     shape = row.shape
     if shape["kind"] == "paraxial":
-        return before / float(shape["focal_length_mm"])
+        return 1.0 / float(shape["focal_length_mm"])
     radius = float(shape.get("radius_mm", shape.get("radius_y_mm", math.inf)))
     curvature = 1.0 / radius
     if shape["kind"] == "odd_asphere" and len(shape["terms"]) > 1:

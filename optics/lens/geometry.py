@@ -101,7 +101,9 @@ def axial_ray(lens: LensSystem) -> tuple[FloatArray, float]:
     y, nu, at, found = 1.0, 0.0, lens.surfaces[0].position_mm, []
     for i, surface in enumerate(lens.surfaces):
         y += float((surface.position_mm - at) @ lens.axis[i]) * nu / float(index[i])
-        nu -= y * surface.shape.power(float(index[i]), float(-index[i] if surface.mirror else index[i + 1]))
+        nu -= y * surface.shape.power(
+            *(float(n) for n in (index[i], -index[i] if surface.mirror else index[i + 1], index[0]))
+        )
         at = surface.position_mm
         found.append(y)
     return np.array(found), -float(index[-1]) / nu if nu else math.inf

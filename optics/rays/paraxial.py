@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.lens.system import LensSystem, Surface
+from optics.lens.system import LensSystem
 from optics.units import DEG_RAD
 
 __all__ = [
@@ -88,9 +88,10 @@ def _require_centred(lens: LensSystem) -> None:
             )
 
 
-def _power(surface: Surface, before: float, after: float) -> float:
-    """Power of a surface [1/mm] between two indices."""
-    return surface.shape.power(before, -before if surface.mirror else after)
+def _power(lens: LensSystem, n: FloatArray, i: int) -> float:
+    """Power of a surface [1/mm]."""
+    surface = lens.surfaces[i]
+    return surface.shape.power(n[i], -n[i] if surface.mirror else n[i + 1], n[0])
 
 
 def _distance(lens: LensSystem, i: int, at: FloatArray) -> float:
@@ -110,7 +111,7 @@ def _through(
     for i in range(first, last):
         surface = lens.surfaces[i]
         distance = float((surface.position_mm - at) @ axis[i])
-        refraction = np.array([[1.0, 0.0], [-_power(surface, n[i], n[i + 1]), 1.0]])
+        refraction = np.array([[1.0, 0.0], [-_power(lens, n, i), 1.0]])
         matrix, at = refraction @ _transfer(distance, n[i]) @ matrix, surface.position_mm
     return matrix, at
 
@@ -230,7 +231,7 @@ def chief_ray(lens: LensSystem, field_deg: float, wavelength_nm: float | None = 
     heights, slopes = [], []
     for i, surface in enumerate(lens.surfaces):
         ray = _transfer(_distance(lens, i, at), n[i]) @ ray
-        ray[1] -= _power(surface, n[i], n[i + 1]) * ray[0]
+        ray[1] -= _power(lens, n, i) * ray[0]
         at = surface.position_mm
         heights.append(ray[0])
         slopes.append(ray[1] / n[i + 1])

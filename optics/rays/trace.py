@@ -211,7 +211,7 @@ def _cross(number: int, step: Step, theta: Any, index: Sequence[Any], rays: Rays
         bend = -2.0 * hit.cos_i
         d = (d[0] + bend * hit.nx, d[1] + bend * hit.ny, d[2] + bend * hit.nz)
     elif step.shape.redirects:
-        d, path = step.shape.redirect(numbers, hit, d, (n1, index[step.after]), xp)
+        d, path = step.shape.redirect(numbers, hit, d, (n1, index[step.after], index[0]), xp)
         opl = opl + path
     elif step.before != step.after:
         eta = n1 / index[step.after]

@@ -68,15 +68,21 @@ class Shape(ABC):
         """Distance from the axis at which the surface ends, as a sphere does at its radius; infinite if it does not."""
         return math.inf
 
-    def power(self, before: float, after: float) -> float:
-        """Paraxial power [1/mm] between two refractive indices; behind a mirror the second one counts negative."""
+    def power(self, before: float, after: float, ambient: float) -> float:
+        """Paraxial power [1/mm] between two refractive indices, in surroundings of a third one.
+
+        Behind a mirror the second one counts negative.
+        """
         return (after - before) * self.curvature
 
     @staticmethod
     def redirect(
-        p: Sequence[Any], hit: Hit, d: Sequence[Any], index: tuple[Any, Any], xp: ArrayNamespace
+        p: Sequence[Any], hit: Hit, d: Sequence[Any], index: tuple[Any, Any, Any], xp: ArrayNamespace
     ) -> tuple[tuple[Any, Any, Any], Any]:
-        """Direction behind the surface and what is added to the optical path, of a kind that `redirects`."""
+        """Direction behind the surface and what is added to the optical path, of a kind that `redirects`.
+
+        ``index`` is that before it, behind it, and of the surroundings of the lens.
+        """
         raise NotImplementedError
 
     @abstractmethod

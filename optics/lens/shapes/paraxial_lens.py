@@ -1,13 +1,14 @@
 r"""Ideal thin lens.
 
 It is a plane that turns light as paraxial optics says at any height and angle: with slopes t = (dx/dz, dy/dz), heights
-h, indices n and n' in front and behind and the power :math:`\phi = 1/f`,
+h, indices n and n' in front and behind, and :math:`n_0` of the air or vacuum in which the whole lens stands,
 
-.. math:: n' t' = n t - \phi h.
+.. math:: n' t' = n t - n_0 h / f .
 
-Parallel light of any direction meets in one point of the plane n' f behind it; no real lens does that. The optical path
-is such that all rays of a parallel bundle are equally long to that point (``collimated = "before"``), or, for a lens
-met from its focus, all rays of a point of the plane n f in front to a plane wave (``"after"``). For objects between,
+f is thus the focal length in these surroundings, as in design programs, whose indices are relative to them. Parallel
+light of any direction meets in one point of the plane n' f / n0 behind it; no real lens does that. The optical path is
+such that all rays of a parallel bundle are equally long to that point (``collimated = "before"``), or, for a lens met
+from its focus, all rays of a point of the plane n f / n0 in front to a plane wave (``"after"``). For objects between,
 paths are not those of any lens.
 """
 
@@ -47,9 +48,9 @@ class ParaxialLens(Shape):
         """That of the plane, 0."""
         return 0.0
 
-    def power(self, before: float, after: float) -> float:
+    def power(self, before: float, after: float, ambient: float) -> float:
         """Power [1/mm]."""
-        return 1.0 / self.focal_length_mm
+        return ambient / self.focal_length_mm
 
     def parameters(self) -> tuple[float, ...]:
         """Focal length [mm], and 1 for parallel light before the lens or 0 for after it."""
@@ -62,11 +63,11 @@ class ParaxialLens(Shape):
 
     @staticmethod
     def redirect(
-        p: Sequence[Any], hit: Hit, d: Sequence[Any], index: tuple[Any, Any], xp: ArrayNamespace
+        p: Sequence[Any], hit: Hit, d: Sequence[Any], index: tuple[Any, Any, Any], xp: ArrayNamespace
     ) -> tuple[tuple[Any, Any, Any], Any]:
         """Direction behind the lens, and what it adds to the optical path [mm]."""
-        focal, before = p
-        n, m = index
+        n, m, ambient = index
+        focal, before = p[0] / ambient, p[1]
         tx, ty = d[0] / d[2], d[1] / d[2]
         ux, uy = (n * tx - hit.x / focal) / m, (n * ty - hit.y / focal) / m
         long_in, long_out = xp.sqrt(1.0 + tx * tx + ty * ty), xp.sqrt(1.0 + ux * ux + uy * uy)

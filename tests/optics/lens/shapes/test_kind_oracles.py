@@ -8,6 +8,8 @@ from numpy.polynomial.polynomial import polyval2d
 
 from optics.arrays import NUMPY
 from optics.errors import DomainError
+from optics.glass.media import CATALOGUE_AIR, VACUUM
+from optics.lens.geometry import axial_ray
 from optics.lens.prescription import lens_from_table
 from optics.lens.shapes.biconic import Biconic
 from optics.lens.shapes.conic import Conic
@@ -19,6 +21,7 @@ from optics.lens.shapes.qbfs import Qbfs
 from optics.lens.shapes.qcon import Qcon
 from optics.lens.shapes.toroid import Toroid
 from optics.lens.shapes.zernike import Zernike
+from optics.rays.paraxial import axial_paraxial
 from optics.rays.trace import Rays, trace
 from optics.waves.zernike import zernikes
 
@@ -157,14 +160,25 @@ def test_an_ideal_lens_images_stars_to_f_tan_field_with_equal_paths(focal, slope
     start = grid_rays(5.0, (*slope, 1.0))
     out = trace(lens, start)
     n = float(lens.indices(600.0)[0])
-    # the image lies at the lens's own focal length in these surroundings, n f, where the file puts f: carried on
-    beyond = (n - 1.0) * focal / out.dz
-    x, y = out.x + beyond * out.dx, out.y + beyond * out.dy
-    np.testing.assert_allclose(x, n * focal * slope[0], atol=1e-12)
-    np.testing.assert_allclose(y, n * focal * slope[1], atol=1e-12)
-    wave = n * (start.x * start.dx + start.y * start.dy + start.z * start.dz)
-    paths = out.opl_mm + n * beyond + wave
+    np.testing.assert_allclose(out.x, focal * slope[0], atol=1e-12)
+    np.testing.assert_allclose(out.y, focal * slope[1], atol=1e-12)
+    paths = out.opl_mm + n * (start.x * start.dx + start.y * start.dy + start.z * start.dz)
     np.testing.assert_allclose(paths, paths[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("environment", [CATALOGUE_AIR, VACUUM])
+def test_the_focal_length_of_an_ideal_lens_is_that_in_its_surroundings(environment):
+    """Between air and glass the focus lies at n'/n0 f (Gauss); by real rays, by matrices, and from the file's rows."""
+    thin = {"kind": "paraxial", "focal_length_mm": 100.0, "thickness_mm": 7.0, "medium": "N-BK7"}
+    face = {"kind": "plane", "thickness_mm": 60.0, "medium": "air"}
+    lens = lens_from_table({**HEAD, "surface": [STOP, thin, face]}, where="test", environment=environment)
+    n = lens.indices(600.0)
+    ratio = float(n[2] / n[0])
+    assert axial_paraxial(lens, 600.0).efl_mm == pytest.approx(100.0, abs=1e-12)
+    assert axial_paraxial(lens, 600.0).bfl_mm == pytest.approx(100.0 - 7.0 / ratio, abs=1e-12)
+    assert axial_ray(lens)[1] == pytest.approx(100.0, abs=1e-12)
+    out = trace(lens, Rays.create(x_mm=1e-4, y_mm=0.0, z_mm=0.0, direction=[0, 0, 1.0], wavelength_nm=600.0))
+    assert float(-out.x / out.dx * out.dz) + 60.0 == pytest.approx(100.0 - 7.0 / ratio, abs=1e-8)
 
 
 def test_a_hyperbolic_back_focuses_a_parallel_beam_in_one_point():
@@ -188,9 +202,9 @@ def test_a_window_moves_the_focus_back_by_what_the_plate_formula_says():
     lens = lens_from_table({**HEAD, "surface": [STOP, thin, plate, exit_]}, where="test")
     n_air, n = float(lens.indices(600.0)[0]), float(lens.indices(600.0)[3])
     out = trace(lens, Rays.create(x_mm=4.0, y_mm=0.0, z_mm=0.0, direction=[0, 0, 1.0], wavelength_nm=600.0))
-    sine = 4.0 / math.hypot(4.0, 100.0 * n_air)
+    sine = 4.0 / math.hypot(4.0, 100.0)
     inside = n_air / n * sine
-    heights = 4.0 - 80.0 * 4.0 / (100.0 * n_air) - 5.0 * inside / math.sqrt(1 - inside**2)
+    heights = 4.0 - 80.0 * 4.0 / 100.0 - 5.0 * inside / math.sqrt(1 - inside**2)
     assert float(out.x) == pytest.approx(heights, abs=1e-13)
 
 
