@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import sys
+from importlib import import_module
 
-from experiments.harness.registry import found, load
 from experiments.harness.system import print_anything
-from optics.errors import ConfigError
 
-__all__ = ["console", "main"]
+__all__ = ["COMMANDS", "console", "main"]
+
+COMMANDS = {
+    "doctor": "what is there (LLVM, versions, GPU, stars), what is missing, what to do",
+    "lens": "lens files: lens show FILE, lens convert FILE NEW   (.toml, .zmx, .seq)",
+}
+"""What is no experiment; ``experiments.NAME.command`` runs it."""
 
 
 def main(argv: list[str], *, own_process: bool = False) -> int:
@@ -17,8 +22,8 @@ def main(argv: list[str], *, own_process: bool = False) -> int:
     Parameters
     ----------
     argv : list of str
-        ``NAME [options]`` runs an experiment; ``--all`` runs all; ``--names`` prints bare names, one per line;
-        ``lens`` shows and converts lens files; ``--version`` the version; nothing or ``--help`` what there is.
+        ``NAME [options]`` runs an experiment or one of `COMMANDS`; ``--all`` runs all experiments; ``--names`` prints
+        bare names, one per line; ``--version`` the version; nothing or ``--help`` what there is.
     own_process : bool
         Whether the process is ours to end, as on a command line.
 
@@ -27,6 +32,11 @@ def main(argv: list[str], *, own_process: bool = False) -> int:
     int
         Exit code.
     """
+    if argv and argv[0] in COMMANDS:  # without the rest, which a broken installation may lack
+        return int(import_module(f"experiments.{argv[0]}.command").main(argv[1:]))
+    from experiments.harness.registry import found, load
+    from optics.errors import ConfigError
+
     experiments = found()
     if "--all" in argv:
         from experiments.harness.together import run_all
@@ -34,34 +44,31 @@ def main(argv: list[str], *, own_process: bool = False) -> int:
         return run_all([word for word in argv if word != "--all"], experiments)
     if argv == ["--names"]:
         sys.stdout.writelines(f"{name}\n" for name in experiments)
-        return 0
-    if argv == ["--version"]:
+    elif argv == ["--version"]:
         from experiments.harness.provenance import program_version
 
         print(program_version())
-        return 0
-    if argv and argv[0] not in ("-h", "--help"):
+    elif argv and argv[0] not in ("-h", "--help"):
         try:
-            command = _lens if argv[0] == "lens" else load(argv[0])
+            command = load(argv[0], beside=COMMANDS)
         except ConfigError as error:
             print(f"error: {error}", file=sys.stderr)
             return 2
         return command(argv[1:], own_process=own_process)
-    print("Run one with:  python -m experiments.NAME [--quick] [--out DIR]   (--help tells the rest)")
-    print("          or:  starbench NAME [--quick] [--out DIR]")
-    print("or all with:   python -m experiments --all [--quick] [--out DIR]")
-    print("Lens files:    starbench lens show FILE, starbench lens convert FILE NEW   (.toml, .zmx, .seq)\n")
-    width = max(map(len, experiments), default=0)
-    for name, line in experiments.items():
-        print(f"  {name:<{width}}  {line}")
+    else:
+        _tell(experiments)
     return 0
 
 
-def _lens(argv: list[str], *, own_process: bool = False) -> int:
-    """Lens files: no experiment, but a command of its own."""
-    from experiments.lens.command import main as lens
-
-    return lens(argv)
+def _tell(experiments: dict[str, str]) -> None:
+    print("Run one with:  python -m experiments.NAME [--quick] [--out DIR]   (--help tells the rest)")
+    print("          or:  starbench NAME [--quick] [--out DIR]")
+    print("or all with:   python -m experiments --all [--quick] [--out DIR]")
+    width = max(map(len, [*experiments, *COMMANDS]))
+    for listed in (experiments, COMMANDS):
+        print()
+        for name, line in listed.items():
+            print(f"  {name:<{width}}  {line}")
 
 
 def console() -> int:

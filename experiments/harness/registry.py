@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import pkgutil
+from collections.abc import Iterable
 from functools import cache
 from importlib import import_module, metadata
 from typing import TYPE_CHECKING
@@ -39,8 +40,15 @@ def found() -> dict[str, str]:
     return {name: (import_module(at).__doc__ or "").strip().partition("\n")[0] for name, at in _packages().items()}
 
 
-def load(name: str) -> Main:
+def load(name: str, beside: Iterable[str] = ()) -> Main:
     """The command of an experiment.
+
+    Parameters
+    ----------
+    name : str
+        Of the experiment.
+    beside : iterable of str
+        Other names that may have been meant.
 
     Raises
     ------
@@ -49,7 +57,7 @@ def load(name: str) -> Main:
     """
     packages = _packages()
     if name not in packages:
-        raise unknown_name("experiment", name, packages)
+        raise unknown_name("experiment", name, [*packages, *beside])
     main = getattr(import_module(f"{packages[name]}.experiment"), "main", None)
     if main is None:
         raise ConfigError(f"experiment {name!r}: {packages[name]}.experiment has no main = command(experiment)")

@@ -32,7 +32,7 @@ from render.catalogue.motion import propagate
 from render.catalogue.record import MAS_RAD, StarCatalog, direction_from_angles
 from render.catalogue.temperature import effective_temperature
 
-__all__ = ["ATTRIBUTION", "load_gaia"]
+__all__ = ["ATTRIBUTION", "gaia_extent", "load_gaia"]
 
 
 ATTRIBUTION = (
@@ -98,6 +98,13 @@ def load_gaia(path: str | Path | None = None, *, fill_bright: bool = True) -> St
         notes=(f"columns 5 and 6 of {file.name} hold {'BP and RP' if kind == 'magnitudes' else 'proper motions'}",),
     )
     return _with_bright_stars(catalog) if fill_bright else catalog
+
+
+def gaia_extent() -> tuple[Path, int, float]:
+    """File of the package, number of stars in it and magnitude G of the faintest; errors as `load_gaia`."""
+    file = _package_file()
+    stars = _read(file)
+    return file, len(stars), float(stars["g"].max())
 
 
 def _package_file() -> Path:
