@@ -25,13 +25,19 @@ GEOMETRY = {
 
 
 def camera_of(name="star_camera_206mm", *, fine=1, film=True, **changes):
-    """Camera of a built-in lens; ``fine`` times smaller pixels. Diffusion is given in unrefined pixels.
+    """Camera of a built-in lens, by rays; ``fine`` times smaller pixels. Diffusion is given in unrefined pixels.
 
     ``film=False`` leaves 8 x 8 px in the corner of the detector: truth does not need an image, and a test its memory.
     """
     lens = load_lens(name) if isinstance(name, str) else name
     width, height, pitch, _ = GEOMETRY[lens.name]
-    settings = {"width_px": width * fine, "height_px": height * fine, "charge_diffusion_px": 0.18} | changes
+    settings = {
+        "width_px": width * fine,
+        "height_px": height * fine,
+        "charge_diffusion_px": 0.18,
+        "diffraction": "rays",
+    }
+    settings |= changes
     settings["charge_diffusion_px"] *= fine
     if not film:
         centre = np.array([settings["width_px"] - 1, settings["height_px"] - 1]) / 2

@@ -25,7 +25,8 @@ def scene_of(mi, lens, **camera):
     Diffusion of 0.16 px is spread over 6.2 standard deviations: what is cut there would else be a step in differences.
     """
     focal_mm, pitch_mm, focus_mm = BENCHES[lens]
-    settings = {"width_px": 40, "height_px": 36, "defocus_mm": focus_mm, "charge_diffusion_px": 0.16} | camera
+    settings = {"width_px": 40, "height_px": 36, "defocus_mm": focus_mm, "charge_diffusion_px": 0.16}
+    settings |= {"diffraction": "rays"} | camera
     record = Camera(lens=load_lens(lens), pixel_pitch_mm=pitch_mm, centre_px=np.array([-100.0, -80.0]), **settings)
     stars = StarField(
         direction=record.nominal_direction(np.array([18.3, 26.8]), np.array([17.7, 12.1]), focal_mm),

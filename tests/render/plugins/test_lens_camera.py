@@ -58,7 +58,9 @@ def test_fall_off_against_the_light_that_goes_forward(mi, bench, name):
     """
     lens, size = load_lens(name), 24
     full = {"star_camera_206mm": 12.6, "star_tracker_26mm": 7.24, "double_gauss_50mm": 14.0}[name]  # half diagonal, mm
-    camera = Camera(lens=lens, width_px=size, height_px=size, pixel_pitch_mm=full * np.sqrt(2) / size)
+    camera = Camera(
+        lens=lens, width_px=size, height_px=size, pixel_pitch_mm=full * np.sqrt(2) / size, diffraction="rays"
+    )
     focal = bench.focal_length_mm(camera)
     radius = np.linspace(0.0, full / focal, 12)  # tan(field)
 

@@ -32,7 +32,12 @@ def telescope(which):
 
 def camera_of(which, size=600):
     return Camera(
-        lens=telescope(which), width_px=size, height_px=size, pixel_pitch_mm=PITCH_MM, charge_diffusion_px=0.3
+        lens=telescope(which),
+        width_px=size,
+        height_px=size,
+        pixel_pitch_mm=PITCH_MM,
+        charge_diffusion_px=0.3,
+        diffraction="rays",
     )
 
 

@@ -23,7 +23,7 @@ def test_one_ray_is_the_diffusion_kernel_on_pixels():
 
 
 def test_the_renderer_makes_the_same(engine):
-    sensor = load_star_sensor("star_tracker_26mm", "cmv4000", window_px=1024)
+    sensor = load_star_sensor("star_tracker_26mm", "cmv4000", window_px=1024, diffraction="rays")
     camera = sensor.camera
     direction = camera.nominal_direction(camera.centre_px[0] + 300.0, camera.centre_px[1], sensor.focal_length_mm)
     wave = np.array([[550.0, 700.0]])
