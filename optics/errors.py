@@ -63,4 +63,5 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigError:
         if near
         else f"known: {', '.join(names[:12])}{' and more' if len(names) > 12 else ''}"
     )
-    return ConfigError(f"unknown {kind} {name!r}; {hint}")
+    shown = repr(name) if len(repr(name)) <= 80 else repr(name)[:77] + "..."
+    return ConfigError(f"unknown {kind} {shown}; {hint}")

@@ -11,6 +11,7 @@ import bz2
 import gzip
 import io
 import lzma
+import os
 import warnings
 import zlib
 from collections.abc import Callable, Iterator
@@ -112,7 +113,7 @@ def unpacked(path: Path) -> bytes | None:
 
 @contextmanager
 def _stream(path: Path) -> Iterator[BinaryIO]:
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise ConfigError(f"{path}: no such file")
     content = unpacked(path)
     with path.open("rb") if content is None else io.BytesIO(content) as stream:

@@ -14,11 +14,13 @@ from pydantic.fields import FieldInfo
 
 from optics.errors import ConfigError, unknown_name
 
-__all__ = ["allowed_range", "parse_model", "parse_toml", "read_toml", "refuse_lax"]
+__all__ = ["MOST_LEVELS", "allowed_range", "parse_model", "parse_toml", "read_toml", "refuse_values", "without_lax"]
 
 Model = TypeVar("Model", bound=BaseModel)
 Location = tuple[int | str, ...]
 
+MOST_LEVELS = 16
+"""How deep tables and lists of a file may stand within one another."""
 _BOUNDS = (("gt", "above {}"), ("ge", "at least {}"), ("lt", "below {}"), ("le", "at most {}"))
 
 
@@ -49,9 +51,75 @@ def parse_model(model_class: type[Model], mapping: Mapping[str, Any], where: str
     try:
         return model_class.model_validate(dict(mapping))
     except ValidationError as error:
-        faults = [dict(fault) for fault in error.errors(include_url=False)]
-        lines = [f"{where}: {_sentence(model_class, fault)}" for fault in faults if not _follows(fault, faults)]
-    raise ConfigError("\n".join(dict.fromkeys(lines)))
+        faults = _faults(model_class, error)
+    raise _refusal(model_class, faults, where)
+
+
+def refuse_values(
+    model_class: type[BaseModel], mapping: Mapping[str, Any], given: Mapping[str, Any], where: str
+) -> None:
+    """Refuse values of one layer of settings that are wrong by themselves, whatever a later layer puts in their place.
+
+    What is wrong with tables as wholes, and with values that the layer does not hold, is left to `parse_model` of all
+    layers.
+
+    Parameters
+    ----------
+    model_class, mapping, where
+        As of `parse_model`: the layer upon those below it.
+    given : mapping
+        The layer alone.
+
+    Raises
+    ------
+    ConfigError
+        One line per fault.
+    """
+    try:
+        model_class.model_validate(dict(mapping))
+    except ValidationError as error:
+        faults = [
+            one for one in _faults(model_class, error) if _is_value(given, _without_tags(model_class, one["loc"]))
+        ]
+        if faults:
+            raise _refusal(model_class, faults, where) from None
+
+
+def _is_value(given: Any, location: list[int | str]) -> bool:
+    """Whether a value stands at a place, and no table."""
+    for step in location:
+        try:
+            given = given[step]
+        except (LookupError, TypeError):
+            return False
+    return not isinstance(given, Mapping)
+
+
+def _faults(model_class: type[BaseModel], error: ValidationError) -> list[dict[str, Any]]:
+    """What is wrong; where a value may be one of several types, what the nearest one says of it."""
+    faults: list[dict[str, Any]] = [dict(fault) for fault in error.errors(include_url=False)]
+    of_types: dict[Location, dict[Any, list[dict[str, Any]]]] = {}
+    for fault in faults:
+        at = _type_at(model_class, fault["loc"])
+        if at is not None:
+            of_types.setdefault(fault["loc"][:at], {}).setdefault(fault["loc"][at], []).append(fault)
+    for types in of_types.values():
+        nearest = min(reversed(types.values()), key=len)  # of as many, the one named last
+        for said in types.values():
+            faults = [fault for fault in faults if said is nearest or fault not in said]
+    return [fault for fault in faults if not _follows(fault, faults)]
+
+
+def _type_at(model_class: type[BaseModel], location: Location) -> int | None:
+    """Where in a location the name of one of several types stands, below a key that holds no table."""
+    for at, step in enumerate(location):
+        if at and isinstance(step, str) and not _owners(model_class, location[:at]):
+            return at
+    return None
+
+
+def _refusal(model_class: type[BaseModel], faults: list[dict[str, Any]], where: str) -> ConfigError:
+    return ConfigError("\n".join(dict.fromkeys(f"{where}: {_sentence(model_class, fault)}" for fault in faults)))
 
 
 def parse_toml(model_class: type[Model], path: str | Path) -> Model:
@@ -104,35 +172,79 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     if odd:
         raise ConfigError(f"{path}: a pipe or a device; a file is needed")
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+        table = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError) as error:  # no UTF-8, a number of thousands of digits, a thousand brackets
         raise ConfigError(f"{path}: not valid TOML ({' '.join(str(error).split())[:200]})") from None
+    if _deeper(table, MOST_LEVELS):
+        raise ConfigError(f"{path}: tables and lists within one another; {MOST_LEVELS} levels are allowed")
+    return table
 
 
-def refuse_lax(key: str, value: Any, annotation: Any) -> None:
-    """Refuse true for a number, "1.5" for a number and "yes" for true, which pydantic takes; also inside lists.
+def _deeper(table: Any, levels: int) -> bool:
+    """Whether tables and lists go deeper than so many levels; without recursion, which has a limit of its own."""
+    inside = [table]
+    for _ in range(levels):
+        inside = [
+            part
+            for one in inside
+            for part in (one.values() if isinstance(one, dict) else one)
+            if isinstance(part, dict | list)
+        ]
+    return bool(inside)
 
-    Raises
-    ------
-    ValueError
-        With key, value and what is needed.
+
+class _Lax:
+    """Stands for a value that pydantic would convert and nobody meant; no field takes it, messages show the value."""
+
+    def __init__(self, value: Any, needed: str) -> None:
+        self.value, self.needed = value, needed
+
+    def __repr__(self) -> str:
+        return repr(self.value)
+
+
+def without_lax(values: Any, model_class: type[BaseModel]) -> Any:
+    """Values of a model without those that pydantic would convert: true for a number, "1.5" for one, "yes" for true.
+
+    Parameters
+    ----------
+    values : Any
+        What is given for the model; for a validator that comes before the others.
+    model_class : type
+        The model.
+
+    Returns
+    -------
+    Any
+        The same, with something that no field takes in their places, also inside lists.
     """
-    leaves = _leaves(annotation)
-    for item in value if isinstance(value, list) else [value]:
-        if isinstance(item, list):
-            refuse_lax(key, item, annotation)
-        elif isinstance(item, bool | str) and {float, int} & leaves and type(item) not in leaves:
-            raise ValueError(f"{key} = {_shown(value)}: a number is needed, without quotation marks")
-        elif isinstance(item, str | int | float) and leaves == {bool} and not isinstance(item, bool):
-            raise ValueError(f"{key} = {_shown(value)}: true or false is needed, without quotation marks")
+    if not isinstance(values, Mapping):
+        return values
+    fields = model_class.model_fields
+    return {
+        key: _strict(value, _leaves(fields[key].annotation)) if key in fields else value
+        for key, value in values.items()
+    }
+
+
+def _strict(value: Any, leaves: set[Any]) -> Any:
+    if isinstance(value, list | tuple):
+        return [_strict(item, leaves) for item in value]
+    if isinstance(value, bool | str) and {float, int} & leaves and type(value) not in leaves:
+        return _Lax(value, "a number is needed, without quotation marks")
+    if isinstance(value, str | int | float) and leaves == {bool} and not isinstance(value, bool):
+        return _Lax(value, "true or false is needed, without quotation marks")
+    return value
 
 
 def _leaves(annotation: Any) -> set[Any]:
     """Plain types that an annotation is made of; str for a literal one."""
+    if typing.get_origin(annotation) is typing.Annotated:
+        return _leaves(typing.get_args(annotation)[0])
     if typing.get_origin(annotation) is typing.Literal:
         return {type(value) for value in typing.get_args(annotation)}
     inner = typing.get_args(annotation)
@@ -172,6 +284,8 @@ def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
     if kind in ("tuple_type", "list_type"):
         tables = bool(_owners(model_class, location))
         reason = f"a list of tables is needed, [[{key}]] before each" if tables else "a list is needed, such as [1, 2]"
+    if isinstance(fault.get("input"), _Lax):
+        reason = fault["input"].needed
     if not location:  # a check of the whole model: its sentence says it all
         return reason
     given = fault.get("input")
@@ -211,7 +325,10 @@ def _is_tag(owners: list[type[BaseModel]], step: int | str) -> bool:
 
 
 def _without_tags(model_class: type[BaseModel], location: Location) -> list[int | str]:
-    """The location as a user writes it."""
+    """The location as a user writes it: without tags, and without the name of one of several types."""
+    at = _type_at(model_class, location)
+    if at is not None:
+        location = (*location[:at], *location[at + 1 :])
     return [step for at, step in enumerate(location) if not _is_tag(_owners(model_class, location[:at]), step)]
 
 
@@ -241,7 +358,7 @@ def allowed_range(field: FieldInfo) -> str:
         for constraint in _constraints(field)
         if getattr(constraint, name, None) is not None
     ]
-    return " and ".join(bounds)
+    return " and ".join(dict.fromkeys(bounds))  # items of a list may each have the same ones
 
 
 def _number(value: Any) -> str:

@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import Field, field_validator, model_validator
 
-from experiments.harness.config import StrictModel
+from experiments.harness.config import AngleDeg, StrictModel
 from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig, read_sensor
 from experiments.laboratory.settings import InstrumentConfig
 from optics.validate import parse_model
@@ -39,13 +39,17 @@ class CameraConfig(StrictModel):
     height_px: int = Field(default=1024, ge=16, le=20000, description="rows")
     pixel_um: float = Field(default=10.0, gt=0, le=1000, description="pixel pitch; not in the document")
     focal_length_mm: float = Field(default=25.6, gt=0, le=1e5, description="f")
-    x0_px: float = Field(default=10.0, description="principal point from the centre of the image, columns")
-    y0_px: float = Field(default=-10.0, description="principal point from the centre of the image, rows")
-    q1_per_mm2: float = Field(default=2e-4, description="radial distortion, cubic")
-    q2_per_mm4: float = Field(default=-4e-7, description="radial distortion, fifth order")
-    q3_per_mm6: float = Field(default=1e-8, description="radial distortion, seventh order")
-    p1_per_mm: float = Field(default=2e-4, description="tangential distortion")
-    p2_per_mm: float = Field(default=2e-4, description="tangential distortion")
+    x0_px: float = Field(
+        default=10.0, ge=-1e5, le=1e5, description="principal point from the centre of the image, columns"
+    )
+    y0_px: float = Field(
+        default=-10.0, ge=-1e5, le=1e5, description="principal point from the centre of the image, rows"
+    )
+    q1_per_mm2: float = Field(default=2e-4, ge=-1, le=1, description="radial distortion, cubic")
+    q2_per_mm4: float = Field(default=-4e-7, ge=-1, le=1, description="radial distortion, fifth order")
+    q3_per_mm6: float = Field(default=1e-8, ge=-1, le=1, description="radial distortion, seventh order")
+    p1_per_mm: float = Field(default=2e-4, ge=-1, le=1, description="tangential distortion")
+    p2_per_mm: float = Field(default=2e-4, ge=-1, le=1, description="tangential distortion")
 
     @property
     def width_deg(self) -> float:
@@ -79,8 +83,8 @@ class StartConfig(StrictModel):
     """Where ACC starts: the initial values of Table 2, with no distortion and theta = 0; the others take its camera."""
 
     focal_length_mm: float = Field(default=20.0, gt=0, le=1e5, description="initial focal length")
-    x0_px: float = Field(default=0.0, description="initial principal point, columns")
-    y0_px: float = Field(default=0.0, description="initial principal point, rows")
+    x0_px: float = Field(default=0.0, ge=-1e5, le=1e5, description="initial principal point, columns")
+    y0_px: float = Field(default=0.0, ge=-1e5, le=1e5, description="initial principal point, rows")
     phi_from_stars: bool = Field(
         default=False, description="phi from the stars as the start camera sees them, in place of the document's 0 deg"
     )
@@ -96,7 +100,7 @@ class GyroConfig(StrictModel):
     )
     bias_deg_per_h: float = Field(default=0.03, ge=0, le=1000, description="size per axis; its sign is drawn per run")
     angle_random_walk_deg_per_sqrt_h: float = Field(default=0.005, ge=0, le=100, description="per axis")
-    installation_deg: tuple[float, float, float] = Field(
+    installation_deg: tuple[AngleDeg, AngleDeg, AngleDeg] = Field(
         default=(2.0, 2.0, 2.0), description="theta1, theta2, theta3: star sensor from gyro, angles as in eq. 2"
     )
 
@@ -105,7 +109,7 @@ class SkyConfig(StrictModel):
     """Stars, uniform over the sphere; their number is not in the document."""
 
     stars_per_frame: float = Field(default=34.0, le=200, description="mean number in a frame")
-    phi_deg: tuple[float, float, float] = Field(
+    phi_deg: tuple[AngleDeg, AngleDeg, AngleDeg] = Field(
         default=(56.9476, -1.0046, -25.3335), description="phi1, phi2, phi3 of the first frame (Table 2)"
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import typing
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -78,7 +78,7 @@ class AttitudeConfig(StrictModel):
     """Monte-Carlo of the attitude."""
 
     stars: int = Field(default=10, ge=2, le=1000, description="stars in the field (ACC18: 10)")
-    counts: tuple[int, ...] = Field(
+    counts: tuple[Annotated[int, Field(ge=2, le=10_000)], ...] = Field(
         default=(2, 3, 4, 5, 7, 10, 15, 20, 30, 50), min_length=1, description="numbers of stars of the curve"
     )
     trials: int = Field(default=4000, ge=50, le=1_000_000, description="fields of stars per number")
@@ -105,7 +105,9 @@ class ToleranceConfig(StrictModel):
     tilt_arcmin: float = Field(default=0.5, ge=0, le=60, description="tilt per axis, about the first vertex")
     despace_um: float = Field(default=10.0, ge=0, le=1000, description="shift along the axis")
     draws: int = Field(default=200, ge=2, le=100_000, description="lenses built")
-    limit_px: float = Field(default=80.0, gt=0, description="boresight motion beyond which a lens counts as not built")
+    limit_px: float = Field(
+        default=80.0, gt=0, le=1e5, description="boresight motion beyond which a lens counts as not built"
+    )
 
 
 Parameter = Literal[

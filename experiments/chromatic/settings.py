@@ -26,7 +26,7 @@ __all__ = ["Config", "DecentreConfig"]
 class DecentreConfig(StrictModel):
     """Which published number is to be reproduced by moving an element."""
 
-    wanted_px: float = Field(default=0.12, description="mean shift, halved (ACC18 Table 1)")
+    wanted_px: float = Field(default=0.12, ge=-100, le=100, description="mean shift, halved (ACC18 Table 1)")
     pair: str = Field(default="auto", description="pair of bands, such as 800-600; auto: the longest and the reference")
     axis: Literal["x", "y"] = Field(default="x", description="axis of Table 1")
     element: str = Field(default="auto", description="element to move in the rendered check; auto: see kind")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -13,6 +13,9 @@ from optics.errors import ConfigError
 __all__ = ["Config", "FaceName", "TrimConfig"]
 
 FaceName = Literal["+Z", "+X", "-X", "+Y", "-Y", "-Z"]
+
+
+OffsetMm = Annotated[float, Field(ge=-1000, le=1000)]
 
 
 class SimulatorConfig(StrictModel):
@@ -37,7 +40,7 @@ class CubeConfig(StrictModel):
 
     side_mm: float = Field(default=20.0, gt=0, le=500, description="edge length")
     chamfer_mm: float = Field(default=0.5, ge=0, le=50, description="unpolished rim of each face")
-    offset_mm: tuple[float, float, float] = Field(
+    offset_mm: tuple[OffsetMm, OffsetMm, OffsetMm] = Field(
         default=(0.0, 0.0, 0.0), description="centre of the cube in the table frame, from where the axes cross"
     )
     square_arcsec: float = Field(default=20.0, ge=0, le=3600, description="1 sigma: faces out of square")
@@ -75,7 +78,7 @@ class TrimConfig(StrictModel):
     allowed: int = Field(default=20, ge=1, le=1000, description="settings of the table per face")
     step_deg: float = Field(default=0.001, ge=0, le=1, description="the table is set in whole steps (Table 1)")
     gain_ratio: float = Field(default=0.8, gt=0, le=1.5, description="part of the offset that a trim takes out")
-    start_px: float = Field(default=20.0, ge=0, description="the eye starts within this, per axis (Table 1)")
+    start_px: float = Field(default=20.0, ge=0, le=1e5, description="the eye starts within this, per axis (Table 1)")
 
 
 class SunSensorConfig(StrictModel):

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["describe", "extra"]
 
 MAGNITUDE_STEP = 0.25
-SNR_BINS = 23
+SNR_BINS, LEAST_SNR = 23, 0.5
 
 
 def describe(result: Result) -> Quantities:
@@ -74,9 +74,9 @@ def _detections(q: Quantities, evaluation: Evaluation) -> None:
         q.add(f"bright_{name}", value, label, json=f"completeness.{name}")
     _curve(q, "magnitude", "magnitude", fine, fine.middle)
     positive = stars.snr[stars.snr > 0]
-    edges = (
-        np.geomspace(max(0.5, positive.min()), positive.max() * 1.001, SNR_BINS + 1) if len(positive) else np.ones(2)
-    )
+    edges = np.ones(2)
+    if positive.max(initial=0.0) > LEAST_SNR:
+        edges = np.geomspace(max(LEAST_SNR, positive.min()), positive.max() * 1.001, SNR_BINS + 1)
     _curve(q, "snr", "signal-to-noise ratio", completeness(stars, stars.snr, edges), np.sqrt(edges[1:] * edges[:-1]))
     whole = completeness(stars, stars.magnitude, even_edges(stars.magnitude, 1.0))
     some = np.flatnonzero(whole.stars)

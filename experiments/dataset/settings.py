@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from itertools import pairwise
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -32,7 +33,9 @@ __all__ = [
     "VerifyConfig",
 ]
 
-Vector = tuple[float, float, float]
+RateDegPerS = Annotated[float, Field(ge=-360, le=360)]
+SpectralDensity = Annotated[float, Field(ge=0, le=1e12)]
+Vector = tuple[RateDegPerS, RateDegPerS, RateDegPerS]
 
 
 SUN_EXCLUSION = "smallest angle between boresight and Sun as seen from the Earth; attitudes nearer are drawn anew"
@@ -121,15 +124,22 @@ class RandomRate(StrictModel):
 class JitterConfig(StrictModel):
     """Random motion about the camera's axes, as one-sided power spectra; power laws between the frequencies."""
 
-    frequency_hz: tuple[float, ...] = Field(default=(), description="at least two, increasing; none: no jitter")
-    psd_x_arcsec2_per_hz: tuple[float, ...] = Field(
+    frequency_hz: tuple[Annotated[float, Field(gt=0, le=1e6)], ...] = Field(
+        default=(), description="at least two, increasing; none: no jitter"
+    )
+    psd_x_arcsec2_per_hz: tuple[SpectralDensity, ...] = Field(
         default=(), description="about x at these frequencies; none: at rest"
     )
-    psd_y_arcsec2_per_hz: tuple[float, ...] = Field(default=(), description="about y")
-    psd_z_arcsec2_per_hz: tuple[float, ...] = Field(default=(), description="about the boresight")
+    psd_y_arcsec2_per_hz: tuple[SpectralDensity, ...] = Field(default=(), description="about y")
+    psd_z_arcsec2_per_hz: tuple[SpectralDensity, ...] = Field(default=(), description="about the boresight")
 
     @model_validator(mode="after")
     def _as_many(self) -> JitterConfig:
+        frequencies = self.frequency_hz
+        if len(frequencies) == 1 or any(b <= a for a, b in pairwise(frequencies)):
+            raise ValueError(f"frequency_hz = {list(frequencies)}: at least two, increasing, are needed, or none")
+        if frequencies and not any(getattr(self, f"psd_{axis}_arcsec2_per_hz") for axis in "xyz"):
+            raise ValueError(f"frequency_hz = {list(frequencies)}: psd_x_arcsec2_per_hz, _y or _z is needed with it")
         for axis in "xyz":
             count = len(getattr(self, f"psd_{axis}_arcsec2_per_hz"))
             if count not in (0, len(self.frequency_hz)):
@@ -275,10 +285,11 @@ class Config(SensorExperimentConfig):
         if kind != "body":
             return values
         implied: dict[str, dict[str, Any]] = {"catalogue": {"observer": "earth"}, "background": {"moon_planets": True}}
-        tables = {
-            name: {**(dict(old) if isinstance(old := values.get(name, {}), Mapping) else old.model_dump()), **more}
-            for name, more in implied.items()
-        }
+        tables: dict[str, Any] = {}
+        for name, more in implied.items():
+            old = values.get(name, {})
+            table = old.model_dump() if isinstance(old, StrictModel) else old
+            tables[name] = {**table, **more} if isinstance(table, Mapping) else table  # no table: said by the field
         return {**values, **tables}
 
     @field_validator("window_px")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -17,8 +17,12 @@ __all__ = ["Config", "StudyConfig", "WideConfig"]
 class StudyConfig(StrictModel):
     """Which targets and polynomials the map error is forecast for."""
 
-    rows: tuple[int, ...] = Field(default=(4, 6, 8, 12, 16), min_length=1, description="rows; twice as many columns")
-    orders: tuple[int, ...] = Field(default=(1, 2, 3, 5, 7), min_length=1, description="orders of the polynomial")
+    rows: tuple[Annotated[int, Field(ge=2, le=200)], ...] = Field(
+        default=(4, 6, 8, 12, 16), min_length=1, description="rows; twice as many columns"
+    )
+    orders: tuple[Annotated[int, Field(ge=1, le=9)], ...] = Field(
+        default=(1, 2, 3, 5, 7), min_length=1, description="orders of the polynomial"
+    )
 
 
 class WideConfig(StrictModel):

@@ -26,7 +26,7 @@ class EvaluationConfig(SignalConfig):
 
     columns: int = Field(default=21, ge=2, le=200, description="places along a row")
     rows: int = Field(default=11, ge=2, le=200, description="places along a column")
-    edge_px: float = Field(default=45.0, ge=0, description="distance of the outermost places from the edge")
+    edge_px: float = Field(default=45.0, ge=0, le=1e5, description="distance of the outermost places from the edge")
     signal_e: float | None = Field(
         default=None,
         gt=0,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import inspect
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -330,7 +331,7 @@ def finished(
 def configuration_file(name: str | None) -> str | Path | None:
     """The file that is meant: a path, or the bare name of one that comes with the program (``experiments/data``)."""
     shipped = Path(__file__).parents[1] / "data" / f"{name}.toml"
-    if name is None or Path(name).suffix or len(Path(name).parts) > 1 or not shipped.is_file():
+    if name is None or Path(name).suffix or len(Path(name).parts) > 1 or not os.path.isfile(shipped):
         return name
     return shipped
 

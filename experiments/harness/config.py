@@ -11,17 +11,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from optics.errors import ConfigError
-from optics.validate import parse_model, read_toml
+from optics.validate import MOST_LEVELS, parse_model, read_toml, refuse_values, without_lax
 
 __all__ = [
+    "AngleDeg",
     "ExperimentConfig",
     "FileName",
     "FolderName",
+    "PlacePx",
     "StrictModel",
+    "WavelengthNm",
     "absolute",
     "alternatives",
     "load_config",
@@ -40,6 +43,12 @@ class _IsFile:
     always: bool = False
 
 
+AngleDeg = Annotated[float, Field(ge=-360, le=360)]
+"""Type of an angle in a list of them."""
+PlacePx = Annotated[float, Field(ge=-1e5, le=1e5)]
+"""Type of a coordinate on a detector in a list of them."""
+WavelengthNm = Annotated[float, Field(ge=0, le=1e5)]
+"""Type of a wavelength in a list of them."""
 FileName = Annotated[str, _IsFile()]
 """Type of a setting that is a path, or the name of something built in; in a file, a path is relative to that file."""
 FolderName = Annotated[str, _IsFile(always=True)]
@@ -82,6 +91,8 @@ def unit_of(name: str) -> str:
 class StrictModel(BaseModel):
     """Base of every configuration table: frozen, unknown keys are errors, no NaN, units in the key names.
 
+    Values are of the type of their field: neither true nor "1.5" is a number.
+
     A field that holds real numbers must end in its unit (``defocus_um``, ``rate_e_per_s``) or in a word that says it
     has none (``_fraction``, ``_ratio``, ``_snr``, ...); other pure numbers are named in `dimensionless`.
 
@@ -94,6 +105,11 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
 
     dimensionless: ClassVar[frozenset[str]] = frozenset()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_their_types(cls, values: Any) -> Any:
+        return without_lax(values, cls)
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
@@ -185,7 +201,9 @@ def load_config(
         values = _merged(model_class, values, model_class.of_sensor(Path(sensor)))
         sources.append(str(sensor))
     if file is not None:
-        values = _merged(model_class, values, read_settings(model_class, file))
+        given = read_settings(model_class, file)
+        values = _merged(model_class, values, given)
+        refuse_values(model_class, values, given, str(file))
         sources.append(str(file))
     if settings:
         values = with_settings(model_class, values, settings)
@@ -288,6 +306,8 @@ def with_settings(model_class: type[BaseModel], values: Mapping[str, Any], setti
         key = key.strip()
         if not equals or not key:
             raise ConfigError(f"--set {setting}: key=value is needed, e.g. --set seed=7")
+        if key.count(".") > MOST_LEVELS:
+            raise ConfigError(f"--set {key[:60]}...: no key has more than {MOST_LEVELS} dots")
         value = _typed(_annotation_at(model_class, key.split(".")), text.strip())
         result = _with_value(model_class, result, key.split("."), value, f"--set {setting}")
     return result
@@ -331,7 +351,9 @@ def _with_value(
         place = int(key)
         items[place] = value if last else _with_value(model_class, items[place], keys, value, where, depth + 1)
         return items
-    table = dict(node) if isinstance(node, Mapping) else {}  # an unknown key, or no table: the model says which
+    if node is not None and not isinstance(node, Mapping):
+        raise ConfigError(f"{where}: {'.'.join(keys[:depth])} = {node!r} is no table; it has no key {key!r}")
+    table = dict(node or {})  # nothing: an unknown key, which the model says
     if not last:
         table[key] = _with_value(model_class, table.get(key), keys, value, where, depth + 1)
         return table
@@ -372,7 +394,7 @@ def _typed(annotation: Any, text: str) -> Any:
     """The text as a TOML value where the field takes that; otherwise the bare text."""
     try:
         value = tomllib.loads(f"value = {text}")["value"]
-    except (tomllib.TOMLDecodeError, KeyError):
+    except (ValueError, KeyError, RecursionError):  # no TOML, a number of thousands of digits, a thousand brackets
         return text
     if annotation is None:
         return value

@@ -161,6 +161,9 @@ def log_ticks(axes: Any, which: Literal["x", "y"], ticks: Iterable[float] | None
     """
     axis = axes.xaxis if which == "x" else axes.yaxis
     low, high = sorted(axes.get_xlim() if which == "x" else axes.get_ylim())
+    if not low > 0:  # nothing was drawn
+        low, high = 1.0, 100.0
+        (axes.set_xlim if which == "x" else axes.set_ylim)(low, high)
     if ticks is None:
         decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
         ticks = (float(f"{digit}e{decade}") for decade in decades for digit in (1, 2, 5))

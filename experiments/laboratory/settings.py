@@ -7,7 +7,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from experiments.harness.config import FileName, StrictModel
+from experiments.harness.config import FileName, StrictModel, WavelengthNm
 from experiments.laboratory.housing import DEFAULT_HOUSING, EXPANSION_PPM_PER_K, expansion_per_k
 
 __all__ = [
@@ -81,7 +81,7 @@ class InstrumentConfig(StrictModel):
 class PassbandConfig(StrictModel):
     """Light that reaches the lens: a trapezoid, or a measured curve."""
 
-    range_nm: tuple[float, float] = Field(
+    range_nm: tuple[WavelengthNm, WavelengthNm] = Field(
         default=(450.0, 900.0),
         description="where half of it passes; [0, 0]: all that lens and detector are known for",
     )
@@ -137,9 +137,8 @@ class CatalogueConfig(StrictModel):
     dimensionless: ClassVar[frozenset[str]] = frozenset({"epoch_year"})
 
     source: FileName = Field(default="gaia", description="gaia: the built-in sky to G = 10; or a file, see preset")
-    preset: str = Field(
-        default="plain",
-        description="columns of the file: hipparcos, gaia, bright_star, open_bright_star or plain",
+    preset: Literal["hipparcos", "gaia", "bright_star", "open_bright_star", "plain"] = Field(
+        default="plain", description="columns of the file"
     )
     magnitude_system: Literal["preset", "V", "G"] = Field(
         default="preset", description="scale of the magnitudes of a file; preset: what the preset says"
@@ -159,8 +158,10 @@ class TargetConfig(StrictModel):
 
     rows: int = Field(default=5, ge=1, le=50, description="points along a column")
     columns: int = Field(default=5, ge=1, le=50, description="points along a row")
-    pitch_px: float = Field(default=150.0, gt=0, description="spacing of the points as the camera sees it")
-    edge_px: float = Field(default=150.0, ge=0, description="distance of the outermost points from the detector's edge")
+    pitch_px: float = Field(default=150.0, gt=0, le=1e5, description="spacing of the points as the camera sees it")
+    edge_px: float = Field(
+        default=150.0, ge=0, le=1e5, description="distance of the outermost points from the detector's edge"
+    )
 
 
 class GridTargetConfig(StrictModel):
@@ -168,7 +169,9 @@ class GridTargetConfig(StrictModel):
 
     rows: int = Field(default=4, ge=2, le=60, description="points along a column of the detector")
     columns: int = Field(default=8, ge=2, le=60, description="points along a row of the detector")
-    edge_px: float = Field(default=60.0, ge=0, description="distance of the outermost points from the detector's edge")
+    edge_px: float = Field(
+        default=60.0, ge=0, le=1e5, description="distance of the outermost points from the detector's edge"
+    )
     jitter_px: float = Field(default=5.0, ge=0, le=100, description="spread of the points about the regular grid")
     marking_error_arcsec: float = Field(
         default=0.5 / 3.0, ge=0, le=60, description="error of a measured place, 1 sigma"
@@ -179,7 +182,9 @@ class GridTargetConfig(StrictModel):
 class FilterConfig(StrictModel):
     """Interference filters; ``reference_nm`` is the one that the others are compared with."""
 
-    centres_nm: tuple[float, ...] = Field(default=(500.0, 600.0, 800.0), min_length=2, description="band centres")
+    centres_nm: tuple[WavelengthNm, ...] = Field(
+        default=(500.0, 600.0, 800.0), min_length=2, description="band centres"
+    )
     reference_nm: float = Field(default=600.0, description="centre of the reference band; one of centres_nm")
     width_nm: float = Field(default=100.0, gt=0, le=400, description="full width at half maximum")
     edge_nm: float = Field(default=10.0, ge=0, le=100, description="length of each edge, 0 to 100 %")
@@ -224,7 +229,7 @@ class StepConfig(StrictModel):
     """Positions along a line over the detector."""
 
     positions: int = Field(default=12, ge=2, le=200, description="M; ACC18 counts 0, 0.2 ... 2.0 px as 12, which is 11")
-    step_px: float = Field(default=0.2, gt=0, description="length of a step of the image")
+    step_px: float = Field(default=0.2, gt=0, le=1e5, description="length of a step of the image")
     direction_deg: float = Field(default=45.0, ge=-360, le=360, description="of the motion, from column towards row")
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from experiments.harness.config import StrictModel
+from experiments.harness.config import AngleDeg, StrictModel
 from experiments.laboratory.centroid_methods import CentroiderName
 from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig, whole_sensor
 from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
@@ -117,7 +117,7 @@ class GyroConfig(StrictModel):
     rate_hz: float = Field(default=100.0, gt=0, le=10000, description="samples per second")
     bias_deg_per_h: float = Field(default=0.03, ge=0, le=1000, description="size per axis")
     angle_random_walk_deg_per_sqrt_h: float = Field(default=0.005, ge=0, le=100, description="per axis")
-    installation_deg: tuple[float, float, float] = Field(
+    installation_deg: tuple[AngleDeg, AngleDeg, AngleDeg] = Field(
         default=(2.0, 2.0, 2.0), description="theta1, theta2, theta3: camera from gyro, angles as in ACF17 eq. 2"
     )
 

@@ -5,7 +5,12 @@ from __future__ import annotations
 from pydantic import Field, field_validator
 
 from experiments.harness.config import StrictModel
-from experiments.laboratory.single_star.settings import LARGEST_STAR_ANGLE_DEG, SingleStarConfig, TableConfig
+from experiments.laboratory.single_star.settings import (
+    LARGEST_STAR_ANGLE_DEG,
+    ReadingArcsec,
+    SingleStarConfig,
+    TableConfig,
+)
 
 __all__ = ["Config", "ReductionConfig", "StudyConfig"]
 
@@ -48,12 +53,12 @@ class StudyConfig(StrictModel):
 
     runs: int = Field(default=400, ge=20, le=100000, description="runs of the Monte-Carlo, each table")
     sweep_runs: int = Field(default=50, ge=5, le=10000, description="runs per point of a sweep")
-    reading_noise_arcsec: tuple[float, ...] = Field(
+    reading_noise_arcsec: tuple[ReadingArcsec, ...] = Field(
         default=(0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0),
         min_length=2,
         description="errors of the mean reading of a place to sweep",
     )
-    non_orthogonality_arcsec: tuple[float, ...] = Field(
+    non_orthogonality_arcsec: tuple[ReadingArcsec, ...] = Field(
         default=(0.0, 2.0, 5.0, 10.0, 20.0, 40.0), min_length=2, description="non-orthogonalities to sweep"
     )
     field_deg: tuple[float, ...] = Field(

@@ -24,7 +24,7 @@ from optics.glass.air import STANDARD_PRESSURE_HPA
 from optics.lens.apertures import APERTURES, Aperture
 from optics.lens.shapes.base import Shape
 from optics.lens.shapes.registry import SHAPES, UNNAMED
-from optics.validate import refuse_lax
+from optics.validate import without_lax
 
 __all__ = [
     "BREAK",
@@ -55,10 +55,7 @@ class _Table(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _of_their_types(cls, table: Any) -> Any:
-        for key, value in table.items() if isinstance(table, dict) else ():
-            if key in cls.model_fields:
-                refuse_lax(key, value, cls.model_fields[key].annotation)
-        return table
+        return without_lax(table, cls)
 
 
 class MovedTable(_Table):

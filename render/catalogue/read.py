@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
@@ -102,7 +103,7 @@ def read_catalog(
 def _read_table(path: Path, preset: ColumnPreset, form: str | None, readme: str | Path | None, options: Any) -> Any:
     from astropy.table import Table
 
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise ConfigError(f"{path}: no such file; give the path of a star catalogue")
     arguments = {**preset.options, **options}
     if form is not None:

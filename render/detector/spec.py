@@ -7,6 +7,7 @@ Data files are TOML, lengths in um; the record is in mm.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -364,7 +365,7 @@ def _resolve(name_or_path: str | Path) -> Path:
     if path.suffix == ".toml" or len(path.parts) > 1:
         return path
     shipped = _DATA / f"{name_or_path}.toml"
-    if not shipped.is_file():
+    if not os.path.isfile(shipped):
         raise unknown_name("detector", str(name_or_path), list_detectors())
     return shipped
 
@@ -373,7 +374,7 @@ def _read(path: Path, above: tuple[Path, ...]) -> Mapping[str, Any]:
     """Mapping of the file with those of its bases underneath."""
     if path.resolve() in above:
         raise ConfigError(f"{path.name}: base = {above[0].name!r} leads back to itself")
-    if not path.exists():
+    if not os.path.exists(path):
         raise ConfigError(f"{path}: no such file; known detectors: {', '.join(list_detectors())}")
     mapping = read_toml(path)
     base = mapping.get("base")

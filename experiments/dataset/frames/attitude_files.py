@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +74,7 @@ def _table(name: str, key: str) -> Any:
     if not name:
         raise ConfigError(f"{key} is empty; name a CSV or ECSV file with attitudes")
     path = Path(name)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise ConfigError(f"{key}: {name}: no such file")
     if path.suffix.lower() not in (".csv", ".ecsv"):
         raise ConfigError(f"{key}: {name}: a file .csv or .ecsv is needed")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -75,7 +76,7 @@ def check(folder: Path, progress: Progress) -> Checked:
     ConfigError
         No folder, or no dataset.
     """
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise ConfigError(f"{folder}: no such folder")
     origin, listed = held_identity(folder), _listed(folder)
     if origin is None and not listed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ def identity(config: Config) -> dict[str, Any]:
     content = config.model_dump(mode="json", exclude=set(FREE))
     for table, key in FILE_KEYS:
         name = content[table].get(key)
-        if name and Path(name).is_file():
+        if name and os.path.isfile(name):
             content[table][key] = f"{Path(name).name} sha256:{file_digest(name)[:16]}"
     return content
 
@@ -60,6 +61,6 @@ def for_workers(config: Config) -> Config:
     content = config.model_dump()
     for table, key in FILE_KEYS:
         name = content[table].get(key)
-        if name and Path(name).is_file():
+        if name and os.path.isfile(name):
             content[table][key] = str(Path(name).resolve())
     return Config.model_validate(content)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -32,8 +33,8 @@ def find_files(folder: Path, patterns: Sequence[str], name: str) -> list[Path]:
         if steps.is_absolute() or PureWindowsPath(pattern).drive or ".." in steps.parts or not steps.parts:
             raise ConfigError(f"{SETTINGS_FILE}, {name}: {pattern!r} is not within the folder; name files in it")
         many = any(sign in pattern for sign in "*?[")
-        here = sorted(p for p in folder.glob(pattern) if p.is_file()) if many else [folder / pattern]
-        if not here or not all(p.is_file() for p in here):
+        here = sorted(p for p in folder.glob(pattern) if os.path.isfile(p)) if many else [folder / pattern]
+        if not here or not all(map(os.path.isfile, here)):
             raise ConfigError(f"{SETTINGS_FILE}, {name}: no file {pattern!r} in the folder {folder}")
         found.update(dict.fromkeys(here))
     return list(found)

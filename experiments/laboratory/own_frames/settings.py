@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from experiments.harness.config import StrictModel
+from experiments.harness.config import AngleDeg, StrictModel
 from experiments.laboratory.centroid_methods import CentroiderName
 from optics.errors import ConfigError
 from optics.validate import parse_model, read_toml
@@ -34,16 +35,26 @@ class SeriesSettings(StrictModel):
 
     files: tuple[str, ...] = Field(min_length=1, description="file names or patterns (*, ?), within the folder")
     name: str = Field(default="", description="for messages and tables")
-    count: int | None = Field(default=None, ge=1, description="number of frames that must be there")
+    count: int | None = Field(default=None, ge=1, le=10**6, description="number of frames that must be there")
     dark: tuple[str, ...] = Field(default=(), description="lamp off, in place of those of the folder")
-    position: int | None = Field(default=None, description="hsfe: place in the order of the steps")
+    position: int | None = Field(
+        default=None, ge=-(10**6), le=10**6, description="hsfe: place in the order of the steps"
+    )
     shift_px: tuple[float, float] | None = Field(default=None, description="hsfe: commanded shift since the start")
     session: Literal["earlier", "test"] = Field(default="test", description="distortion: which session")
-    filter_nm: float | None = Field(default=None, gt=0, description="chromatic: central wavelength of the filter")
+    filter_nm: float | None = Field(
+        default=None, gt=0, le=1e5, description="chromatic: central wavelength of the filter"
+    )
     place: str = Field(default="middle", min_length=1, description="chromatic: where in the field the target stands")
-    outer_deg: float | None = Field(default=None, description="turntable, fisher: reading of the outermost axis")
-    middle_deg: float | None = Field(default=None, description="turntable, fisher: of the middle one of three axes")
-    inner_deg: float | None = Field(default=None, description="turntable, fisher: of the innermost axis")
+    outer_deg: float | None = Field(
+        default=None, ge=-1e5, le=1e5, description="turntable, fisher: reading of the outermost axis"
+    )
+    middle_deg: float | None = Field(
+        default=None, ge=-1e5, le=1e5, description="turntable, fisher: of the middle one of three axes"
+    )
+    inner_deg: float | None = Field(
+        default=None, ge=-1e5, le=1e5, description="turntable, fisher: of the innermost axis"
+    )
     use: Literal["calibration", "evaluation"] = Field(
         default="calibration", description="fisher: frames that calibrate, or whose star vectors are evaluated"
     )
@@ -58,10 +69,10 @@ class TableSettings(StrictModel):
     """Turntable of a single-star bench (turntable, fisher)."""
 
     axes: str = Field(description="axes, outermost first, as letters of the laboratory frame, minus for left turns")
-    reading_noise_arcsec: tuple[float, ...] = Field(
+    reading_noise_arcsec: tuple[Annotated[float, Field(ge=0, le=1e5)], ...] = Field(
         min_length=1, description="standard deviation of the reading of a series; one for all axes, or one per axis"
     )
-    star_deg: tuple[float, float] = Field(
+    star_deg: tuple[AngleDeg, AngleDeg] = Field(
         default=(0.0, 0.0), description="where the star is believed to stand at zero angles, azimuth and elevation"
     )
 
@@ -81,7 +92,7 @@ class FolderSettings(StrictModel):
     read_noise_e: float = Field(ge=0, le=1e5, description="temporal dark noise of a pixel")
     pixel_arcsec: float = Field(gt=0, le=36000, description="angle of a pixel on the axis")
     pixel_pitch_um: float | None = Field(default=None, gt=0, le=1000, description="turntable, fisher: side of a pixel")
-    saturation_dn: float | None = Field(default=None, gt=0, description="pixels from here on are saturated")
+    saturation_dn: float | None = Field(default=None, gt=0, le=1e9, description="pixels from here on are saturated")
     prnu_fraction: float = Field(
         default=0.0, ge=0, le=0.2, description="response from pixel to pixel that no flat removes, standard deviation"
     )
@@ -99,7 +110,10 @@ class FolderSettings(StrictModel):
         default=None, description="centroider that counts, in place of the configuration's; not epsf"
     )
     reference_nm: float | None = Field(
-        default=None, gt=0, description="chromatic: filter that the others are compared with; filters.reference_nm"
+        default=None,
+        gt=0,
+        le=1e5,
+        description="chromatic: filter that the others are compared with; filters.reference_nm",
     )
     centre_px: tuple[float, float] | None = Field(default=None, description="where tan_x = tan_y = 0 is imaged")
     table: TableSettings | None = Field(default=None, description="turntable, fisher: the table")
@@ -174,14 +188,14 @@ def read_settings(folder: Path) -> FolderSettings:
     ConfigError
         Folder or file missing, unknown key, value out of range, two series of one name.
     """
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise ConfigError(f"{folder}: no such folder; one with frames and {SETTINGS_FILE} is needed")
-    if not (folder / SETTINGS_FILE).is_file():
+    if not os.path.isfile(folder / SETTINGS_FILE):
         raise ConfigError(f"{folder}: holds no {SETTINGS_FILE}, which says which frame is which")
     settings = parse_model(FolderSettings, read_toml(folder / SETTINGS_FILE), SETTINGS_FILE)
     series: Sequence[SeriesSettings] = settings.series
     if settings.series_table is not None:
-        if not (folder / settings.series_table).is_file():
+        if not os.path.isfile(folder / settings.series_table):
             raise ConfigError(f"{SETTINGS_FILE}, series_table: no file {settings.series_table!r} in the folder")
         table = read_table(folder / settings.series_table)
         rows = [_filled(dict(zip(table, row, strict=True))) for row in zip(*table.values(), strict=True)]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from experiments.harness.config import StrictModel
+from experiments.harness.config import AngleDeg, PlacePx, StrictModel
 from experiments.laboratory.own_frames.option import OwnFramesConfig
 from experiments.laboratory.settings import InstrumentConfig, PassbandConfig, SignalConfig
 
@@ -14,6 +14,10 @@ __all__ = ["LARGEST_STAR_ANGLE_DEG", "GridConfig", "SingleStarConfig", "StarConf
 
 LARGEST_STAR_ANGLE_DEG = 60.0
 LARGEST_INSTALLATION_DEG = 30.0
+
+
+ReadingArcsec = Annotated[float, Field(ge=-1e5, le=1e5)]
+"""Type of an error of a turntable in a list of them."""
 
 
 class StarConfig(SignalConfig):
@@ -40,14 +44,16 @@ class TableConfig(StrictModel):
     """A turntable; one number for all axes, or one per axis, outermost first."""
 
     axes: str = Field(description="axes, outermost first, as letters of the laboratory frame, minus for left turns")
-    reading_noise_arcsec: tuple[float, ...] = Field(
+    reading_noise_arcsec: tuple[ReadingArcsec, ...] = Field(
         description="standard deviation of a reading, per axis; one per frame"
     )
-    non_orthogonality_arcsec: tuple[float, ...] = Field(description="90 deg minus the angle of neighbouring axes")
+    non_orthogonality_arcsec: tuple[ReadingArcsec, ...] = Field(
+        description="90 deg minus the angle of neighbouring axes"
+    )
     setting_noise_arcsec: float = Field(default=5.0, ge=0, le=1e4, description="how far from the commanded angle")
     encoder_amplitude_arcsec: float = Field(default=0.0, ge=0, le=1e3, description="sinusoidal error of the readings")
     encoder_cycles: int = Field(default=2, ge=1, le=100000, description="periods of that error per turn")
-    rolls_deg: tuple[float, ...] = Field(default=(0.0,), min_length=1, description="angles of a third, inner axis")
+    rolls_deg: tuple[AngleDeg, ...] = Field(default=(0.0,), min_length=1, description="angles of a third, inner axis")
 
     @field_validator("reading_noise_arcsec")
     @classmethod
@@ -62,7 +68,7 @@ class GridConfig(StrictModel):
 
     columns: int = Field(default=15, ge=1, le=200, description="places along a row")
     rows: int = Field(default=9, ge=1, le=200, description="places along a column")
-    edge_px: float = Field(default=60.0, ge=0, description="distance of the outermost places from the edge")
+    edge_px: float = Field(default=60.0, ge=0, le=1e5, description="distance of the outermost places from the edge")
 
 
 class SingleStarConfig(OwnFramesConfig):
@@ -70,10 +76,10 @@ class SingleStarConfig(OwnFramesConfig):
 
     instrument: InstrumentConfig = InstrumentConfig()
     passband: PassbandConfig = PassbandConfig()
-    principal_point_px: tuple[float, float] = Field(
+    principal_point_px: tuple[PlacePx, PlacePx] = Field(
         default=(12.0, -8.0), description="where the axis of the lens meets the detector, from its centre"
     )
-    installation_deg: tuple[float, float, float] = Field(
+    installation_deg: tuple[AngleDeg, AngleDeg, AngleDeg] = Field(
         default=(0.4, -0.7, 1.2), description="true installation (cam from table top), rotation vector"
     )
     star: StarConfig = StarConfig()

@@ -114,7 +114,7 @@ def test_settings_do_not_change_their_input():
         ("lens.defocus_um=nan", "finite"),
         ("filters.2.name=c", "items 0 to 1"),
         ("filters.x=c", "items 0 to 1"),
-        ("magnitudes_mag.0.x=c", "magnitudes_mag.0 = {'x': 'c'}"),
+        ("magnitudes_mag.0.x=c", "no table; it has no key 'x'"),
         ("lens=3", "lens"),
         ("seed=-1", "at least 0"),
     ],
@@ -158,6 +158,41 @@ def test_bad_file_is_one_line(tmp_path, content, expected):
         load_config(Config, file=file)
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("lens = 1", "lens = 1: a table is needed"),
+        ("frames = true", "frames = True: a number is needed"),
+        (f"{'a.' * 3000}a = 1", "levels"),
+        (f"a = {'[' * 3000}{']' * 3000}", "not valid TOML"),
+    ],
+)
+def test_what_a_file_has_wrong_is_said_though_a_setting_replaces_it(tmp_path, content, expected):
+    """Expected behaviour: one line that names the file; nothing of it passes because ``--set`` comes later."""
+    file = tmp_path / "wrong.toml"
+    file.write_text(content)
+    with pytest.raises(ConfigError, match=r"wrong\.toml") as caught:
+        load_config(Config, file=file, settings=["lens.defocus_um=1", "frames=4"])
+    assert expected in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_may_hold_half_of_what_is_valid_only_together(tmp_path):
+    class Range(ExperimentConfig):
+        first_nm: float = 400.0
+        last_nm: float = 500.0
+
+        @model_validator(mode="after")
+        def ordered(self):
+            if not self.first_nm < self.last_nm:
+                raise ValueError("not in order")
+            return self
+
+    file = tmp_path / "half.toml"
+    file.write_text("first_nm = 600")
+    assert load_config(Range, file=file, settings=["last_nm=700"]).last_nm == 700.0
 
 
 def test_missing_file(tmp_path):

@@ -1,0 +1,144 @@
+"""Every setting of every experiment, and of the sensor file, refuses what it cannot mean: one line, no traceback."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import typing
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import BaseModel
+
+from experiments.dataset.frames.attitude_files import read_attitudes
+from experiments.dataset.production.check import check
+from experiments.harness.cli import configuration_file
+from experiments.harness.config import alternatives, load_config
+from experiments.harness.progress import Progress
+from experiments.laboratory.own_frames.settings import FolderSettings, read_settings
+from experiments.laboratory.sensor_file import SensorConfig, read_sensor
+from experiments.laboratory.settings import CatalogueConfig
+from optics.errors import ConfigError
+from optics.lens.prescription import load_lens
+from optics.validate import parse_model
+from render.catalogue.presets import preset_names
+from render.catalogue.read import read_catalog
+from render.detector.spec import load_detector
+
+PACKAGES = Path(importlib.import_module("experiments").__file__ or "").parent
+FOLDER = {
+    "gain_dn_per_e": 1.0,
+    "offset_dn": 100.0,
+    "read_noise_e": 5.0,
+    "pixel_arcsec": 40.0,
+    "series": [{"files": ["a.fits"]}],
+    "table": {"axes": "-ZY", "reading_noise_arcsec": [0.1]},
+}
+WHOLE: list[BaseModel] = [
+    SensorConfig(),
+    FolderSettings.model_validate(FOLDER),
+    *(
+        importlib.import_module(f"experiments.{file.parent.name}.settings").Config()
+        for file in sorted(PACKAGES.glob("*/settings.py"))
+        if file.parent.name != "laboratory"
+    ),
+]
+
+HUGE = 1e308
+NEVER = (math.nan, math.inf, -math.inf, [[["x"]]], {"no such key": 1}, object())
+"""What no setting takes."""
+
+
+def tables(model: BaseModel) -> Iterator[BaseModel]:
+    """A model and those within it, with every kind of a table that comes in several."""
+    yield model
+    for name, field in type(model).model_fields.items():
+        value = getattr(model, name)
+        if isinstance(value, BaseModel):
+            yield from tables(value)
+            others = [one for one in alternatives(field.annotation) if one is not type(value)]
+            yield from (one() for one in others if isinstance(one, type) and issubclass(one, BaseModel))
+        for one in value if isinstance(value, tuple) else ():
+            yield from tables(one) if isinstance(one, BaseModel) else ()
+
+
+def kinds(annotation: Any) -> set[Any]:
+    """Plain types that an annotation is made of."""
+    if typing.get_origin(annotation) is typing.Literal:
+        return {"literal"}
+    inside = [part for part in typing.get_args(annotation) if isinstance(part, type) or typing.get_args(part)]
+    return set().union(*map(kinds, inside)) if inside else {annotation}
+
+
+def wrong(annotation: Any, value: Any) -> Iterator[Any]:
+    """What a setting must not take."""
+    types = kinds(annotation)
+    listed = any(typing.get_origin(part) is tuple for part in alternatives(annotation))
+    bad: list[Any] = list(NEVER)
+    if types & {int, float}:
+        bad += [True, False, HUGE, -HUGE, *(() if str in types else ("1.5", "one"))]
+    if int in types and float not in types:
+        bad += [1.5, 10**400, -(10**400)]
+    if "literal" in types:
+        bad += ["no such name", 7777, True]
+    if bool in types:
+        bad += [1, 0, "true"]
+    if str in types and not types & {int, float}:
+        bad += [5, True]
+    for one in bad:
+        yield one
+        if listed:
+            yield [one]
+            if value:
+                yield [*value[:-1], one]
+
+
+def test_wrong_values_are_refused() -> None:
+    """Rationale: a truth value counted as one, an exposure of 1e308 s, a list for a number must not pass silently.
+
+    Expected behaviour: `ConfigError` that names the setting.
+    """
+    faults = []
+    for table in {type(table): table for one in WHOLE for table in tables(one)}.values():
+        whole = table.model_dump()
+        for name, field in type(table).model_fields.items():
+            value = whole[name]
+            for bad in wrong(field.annotation, value):
+                try:
+                    parse_model(type(table), whole | {name: bad}, "test")
+                except ConfigError as error:
+                    if name not in str(error):
+                        faults.append(f"{type(table).__name__}: {name} = {bad!r:.40} gives {error}")
+                else:
+                    faults.append(f"{type(table).__module__}.{type(table).__name__}: {name} = {bad!r:.40} is taken")
+    assert not faults, "\n".join(faults)
+
+
+def test_presets_of_catalogues_are_those_there_are() -> None:
+    """Oracle: the registry that reads the files; an unknown name is refused even where no file is read."""
+    named = typing.get_args(CatalogueConfig.model_fields["preset"].annotation)
+    assert sorted(named) == sorted(preset_names())
+
+
+READERS = {
+    "lens": load_lens,
+    "detector": load_detector,
+    "catalogue": lambda name: read_catalog(name, "plain"),
+    "attitudes": lambda name: read_attitudes(name, "pointing.file"),
+    "settings": lambda name: load_config(SensorConfig, file=name),
+    "sensor": read_sensor,
+    "own frames": lambda name: read_settings(Path(name)),
+    "dataset": lambda name: check(Path(name), Progress()),
+    "built-in settings": lambda name: load_config(SensorConfig, file=configuration_file(name)),
+}
+
+
+@pytest.mark.parametrize("name", ["l" * 300, "l" * 300 + ".toml", "l/" * 3000 + "l.csv", "a\0b.csv"])
+@pytest.mark.parametrize("what", READERS)
+def test_names_that_the_file_system_refuses_are_one_line(what: str, name: str) -> None:
+    """Rationale: such a name is no missing file to the system but an error of its own, which came out as traceback."""
+    with pytest.raises(ConfigError) as caught:
+        READERS[what](name)
+    assert "\n" not in str(caught.value)
