@@ -109,7 +109,7 @@ def comatic_epsf(
 
 def lens_source(name: str, x_px: float, y_px: float, defocus_mm: float = 0.01) -> PsfSource:
     """Our 206 mm lens on its detector, 550 to 650 nm, rendered near pixel (x_px, y_px)."""
-    from optics.lens.prescription import load_lens
+    from optics.lens_file import load_lens
     from optics.light.band import TopHat, band_nodes
     from optics.rays.paraxial import axial_paraxial
     from render.camera import build_camera

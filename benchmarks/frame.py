@@ -31,7 +31,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.light.band import TopHat, band_nodes
 from optics.rays.paraxial import axial_paraxial
 from render.camera import Camera, build_camera

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from optics.errors import StarbenchError
-from optics.lens.lens_file import LensFile, read_lens_file
+from optics.lens_file import LensFile, read_lens_file
 from optics.rays.trace import Rays, trace
 
 
@@ -107,7 +107,11 @@ def main() -> None:
         try:
             file = read_lens_file(path, catalogues=catalogues)
             assert file.report is not None
-            inexact = [line for line in file.report.inexact if line.line or line.command not in ("field", "object")]
+            inexact = [
+                line
+                for line in file.report.inexact
+                if line.line or line.command not in ("field", "object", "clear apertures")
+            ]
             became = "approximated" if inexact else "read"
             why = "; ".join(dict.fromkeys(f"{line.command[:24]}: {line.message[:70]}" for line in inexact[:2]))
             rays = difference(path, file) if options.peer else ""

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from scipy.spatial.transform import Rotation
 
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.light.band import TopHat
 from render.camera import Camera
 from render.catalogue.gaia import load_gaia

@@ -29,9 +29,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from optics.frames import field_direction
 from optics.lens.perturb import decentre
-from optics.lens.prescription import load_lens
 from optics.lens.shapes.plane import Plane
 from optics.lens.system import AMBIENT, LensSystem
+from optics.lens_file import load_lens
 from optics.rays.program import compile_lens
 from optics.rays.pupil import entrance_pupil, sobol_disk, star_rays
 from optics.rays.trace import Rays, trace

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from optics.frames import field_direction
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.waves.pupil_field import trace_pupil
 from render.camera import Camera
 from render.records import StarField

@@ -27,7 +27,7 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from optics.attitude import attitude_from_angles
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.light.band import TopHat, band_nodes
 from optics.light.spectrum import Blackbody
 from optics.light.transmission import QuarterWave

@@ -26,7 +26,7 @@ from PIL import Image
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from docs.moon_model import MOON_RADIUS_KM, moon_scene
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.light.band import BandNodes, TopHat, band_nodes
 from optics.light.photometry import photon_rate
 from optics.light.spectrum import Blackbody

@@ -12,8 +12,8 @@ runs on NumPy and on Dr.Jit arrays (`trace_program`). No Mitsuba and no randomne
 Public names (read from ``__init__.pyi``, loaded on first use) and the modules behind them:
 
 ==========================  ============================================================================================
-optics.lens.prescription    `load_lens`, `list_lenses`
-optics.lens.lens_file       `read_lens_file`, `LensFile`: Zemax, CODE V and TOML files, with the report on every line
+optics.lens_file            `load_lens`, `list_lenses`; `read_lens_file`, `LensFile`: Zemax, CODE V and TOML files,
+                            with the report on every line
 optics.lens.system          `LensSystem`, `Surface`
 optics.lens.shapes          `Shape` and its kinds `Plane`, `Sphere`, `Conic`, `EvenAsphere`
 optics.lens.perturb         `tilt`, `decentre`, `despace`, `refocus`, `tilt_image`, `change_temperature`,

@@ -13,8 +13,6 @@ from .glass.catalogue import list_glasses as list_glasses
 from .glass.media import CATALOGUE_AIR as CATALOGUE_AIR
 from .glass.media import VACUUM as VACUUM
 from .glass.media import Environment as Environment
-from .lens.lens_file import LensFile as LensFile
-from .lens.lens_file import read_lens_file as read_lens_file
 from .lens.perturb import ALL_SURFACES as ALL_SURFACES
 from .lens.perturb import EVERYTHING as EVERYTHING
 from .lens.perturb import change_conic as change_conic
@@ -27,8 +25,6 @@ from .lens.perturb import despace as despace
 from .lens.perturb import refocus as refocus
 from .lens.perturb import tilt as tilt
 from .lens.perturb import tilt_image as tilt_image
-from .lens.prescription import list_lenses as list_lenses
-from .lens.prescription import load_lens as load_lens
 from .lens.shapes.base import Shape as Shape
 from .lens.shapes.conic import Conic as Conic
 from .lens.shapes.even_asphere import EvenAsphere as EvenAsphere
@@ -36,6 +32,10 @@ from .lens.shapes.plane import Plane as Plane
 from .lens.shapes.sphere import Sphere as Sphere
 from .lens.system import LensSystem as LensSystem
 from .lens.system import Surface as Surface
+from .lens_file import LensFile as LensFile
+from .lens_file import list_lenses as list_lenses
+from .lens_file import load_lens as load_lens
+from .lens_file import read_lens_file as read_lens_file
 from .light.band import TabulatedBand as TabulatedBand
 from .light.band import TopHat as TopHat
 from .light.band import band_nodes as band_nodes

@@ -11,8 +11,8 @@ import numpy as np
 
 from optics.errors import ConvergenceError, DomainError
 from optics.frames import field_angles_deg
-from optics.lens.prescription import load_lens
 from optics.lens.system import LensSystem
+from optics.lens_file import load_lens
 from optics.light.band import Band, TopHat, band_nodes
 from optics.light.spectrum import Blackbody
 from optics.light.transmission import QuarterWave

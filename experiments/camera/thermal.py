@@ -13,7 +13,7 @@ from experiments.camera.settings import Config
 from experiments.harness.range import with_value
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.records import freeze
 
 __all__ = ["ThermalStudy", "thermal_study"]

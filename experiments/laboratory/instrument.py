@@ -8,8 +8,8 @@ from experiments.laboratory.housing import expansion_per_k
 from experiments.laboratory.settings import InstrumentConfig
 from optics.errors import DomainError
 from optics.lens.perturb import change_temperature
-from optics.lens.prescription import load_lens
 from optics.lens.system import LensSystem
+from optics.lens_file import load_lens
 from optics.rays.paraxial import axial_paraxial, stopped_down
 from render.detector.noise import PixelNoise
 from render.detector.spec import Detector, load_detector

@@ -41,7 +41,7 @@ def _replacements(given: tuple[str, ...]) -> dict[str, str]:
 
 
 def _read(path: str, strict: bool, glass: tuple[str, ...], catalogue: tuple[str, ...]) -> Any:
-    from optics.lens.lens_file import read_lens_file
+    from optics.lens_file import read_lens_file
 
     return read_lens_file(path, catalogues=catalogue, glasses=_replacements(glass), strict=strict)
 

@@ -14,7 +14,7 @@ from experiments.harness.quantities import Outcome
 from experiments.lens import figures
 from experiments.lens.study import study
 from experiments.lens.tables import tables
-from optics.lens.lens_file import LensFile
+from optics.lens_file import LensFile
 
 __all__ = ["page_of"]
 

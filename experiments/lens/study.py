@@ -10,7 +10,7 @@ import numpy as np
 
 from optics.arrays import FloatArray
 from optics.errors import StarbenchError
-from optics.lens.lens_file import LensFile
+from optics.lens_file import LensFile
 from optics.rays.chief import chief_ray_points
 from optics.rays.paraxial import ParaxialLens, axial_paraxial
 from optics.rays.performance import LensPerformance, lens_performance, white_focus

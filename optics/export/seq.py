@@ -7,9 +7,9 @@ from typing import Any
 
 from optics.errors import ConfigError
 from optics.export.sequence import Break, Element, Sequence, safe_name
-from optics.lens.lens_file import LensFile
 from optics.lens.system import AMBIENT, LensSystem
 from optics.lens.tables import MIRROR, SurfaceTable
+from optics.lens_file import LensFile
 
 __all__ = ["seq_text"]
 

@@ -12,9 +12,9 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.glass.catalogue import Glass, get_glass
 from optics.glass.dispersion import AGF_FORMULAS, Dispersion
-from optics.lens.lens_file import LensFile
 from optics.lens.prescription import glasses_of
 from optics.lens.tables import MIRROR, BreakTable, MovedTable, Prescription, SurfaceTable
+from optics.lens_file import LensFile
 
 __all__ = ["Break", "Element", "Sequence", "agf_text", "safe_name", "sequence"]
 

@@ -11,7 +11,7 @@ from optics.errors import ConfigError
 from optics.export.seq import seq_text
 from optics.export.sequence import agf_text, sequence
 from optics.export.zmx import zmx_text
-from optics.lens.lens_file import LensFile
+from optics.lens_file import LensFile
 from optics.rays.paraxial import axial_paraxial
 
 __all__ = ["toml_lens", "write_lens"]
@@ -23,7 +23,7 @@ def write_lens(file: LensFile, path: str | Path) -> tuple[Path, ...]:
     Parameters
     ----------
     file : LensFile
-        The lens (`optics.lens.lens_file.read_lens_file`).
+        The lens (`optics.lens_file.read_lens_file`).
     path : path
         A name that ends in .toml, .zmx or .seq. Glasses that are in no maker's catalogue go into an AGF file of the
         same name beside a .zmx or .seq.

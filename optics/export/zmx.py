@@ -8,8 +8,8 @@ from typing import Any
 
 from optics.errors import ConfigError
 from optics.export.sequence import Break, Element, Sequence, safe_name
-from optics.lens.lens_file import LensFile
 from optics.lens.tables import MIRROR, SurfaceTable
+from optics.lens_file import LensFile
 
 __all__ = ["zmx_text"]
 

@@ -74,14 +74,18 @@ class FileDefaults:
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """A lens file as tables of a prescription (`optics.lens.tables`), with its report and defaults."""
+    """A lens file as tables of a prescription (`optics.lens.tables`), with its report and defaults.
+
+    ``rows`` are what the file says of each table of a surface or coordinate break, in the same order.
+    """
 
     tables: dict[str, Any]
     report: ImportReport
     defaults: FileDefaults
+    rows: tuple[Row, ...]
 
 
-def assemble(draft: Draft, *, catalogues: Sequence[Path] = (), glasses: Mapping[str, str] | None = None) -> Imported:
+def assemble(draft: Draft, catalogues: Sequence[Path], glasses: Mapping[str, str]) -> Imported:
     """Settle what a file leaves to its program.
 
     Parameters
@@ -90,7 +94,7 @@ def assemble(draft: Draft, *, catalogues: Sequence[Path] = (), glasses: Mapping[
         What was read.
     catalogues : sequence of path
         AGF files; those beside the lens file are used too.
-    glasses : mapping, optional
+    glasses : mapping
         Name in the file -> name of the glass to take instead.
 
     Raises
@@ -100,7 +104,7 @@ def assemble(draft: Draft, *, catalogues: Sequence[Path] = (), glasses: Mapping[
     """
     _checked_rows(draft)
     _checked_wavelengths(draft)
-    finder = GlassFinder(draft, [Path(p) for p in catalogues], glasses or {})
+    finder = GlassFinder(draft, catalogues, glasses)
     found = {id(row): finder.find(row.glass) for row in draft.rows if row.glass is not None}
     after = [found[id(row)].glass if id(row) in found else None for row in draft.rows]
     media = _through_mirrors(draft.rows, after)
@@ -117,6 +121,7 @@ def assemble(draft: Draft, *, catalogues: Sequence[Path] = (), glasses: Mapping[
         tables=tables,
         report=draft.report.finished(list(unique.values()), comparisons),
         defaults=_defaults(draft, angles, pupil_mm),
+        rows=tuple(draft.rows),
     )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from optics.files.seq import read_seq
 from optics.files.zmx import read_zmx
 from optics.textfile import TextFile, read_text
 
-__all__ = ["SUFFIXES", "import_lens", "split_configuration"]
+__all__ = ["SUFFIXES", "Reading", "import_lens", "split_configuration"]
 
 SUFFIXES = (".zmx", ".seq")
 """Endings of the lens files of other programs that are read."""
@@ -33,48 +34,35 @@ def split_configuration(name: str) -> tuple[str, int | None]:
     return name, None
 
 
-def import_lens(
-    path: str | Path,
-    *,
-    configuration: int | None = None,
-    catalogues: Sequence[str | Path] = (),
-    glasses: Mapping[str, str] | None = None,
-    strict: bool = False,
-) -> Imported:
-    """Read a Zemax or CODE V file as a prescription of our own.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reading:
+    """How a file is to be read; what the fields mean stands in `optics.lens_file.read_lens_file`."""
 
-    Parameters
-    ----------
-    path : path
-        A .zmx or .seq file.
-    configuration : int, optional
-        Which configuration (zoom position), from 1; the active one if left out.
-    catalogues : sequence of path
-        Glass catalogues (AGF) to look in; those beside the lens file are used too.
-    glasses : mapping, optional
-        Name in the file -> glass to take in its place.
-    strict : bool
-        Refuse whatever is not the same as in the file.
+    configuration: int | None = None
+    catalogues: tuple[Path, ...] = ()
+    glasses: Mapping[str, str] = field(default_factory=dict)
+    strict: bool = False
+
+
+def import_lens(path: Path, reading: Reading = Reading()) -> Imported:
+    """Read a Zemax or CODE V file as a prescription of our own.
 
     Raises
     ------
     ConfigError
         No such file, not a lens file, something in it that is not read, or ``strict`` and an approximation.
     """
-    place = Path(path)
-    if place.suffix.lower() in _CLOSED:
-        raise ConfigError(f"{path}: {_CLOSED[place.suffix.lower()]}; .zmx, .seq and .toml are read")
+    if path.suffix.lower() in _CLOSED:
+        raise ConfigError(f"{path}: {_CLOSED[path.suffix.lower()]}; .zmx, .seq and .toml are read")
     text = read_text(path, "a lens file")
     try:
-        imported = assemble(
-            _draft(place, text, configuration), catalogues=[Path(c) for c in catalogues], glasses=glasses
-        )
+        imported = assemble(_draft(path, text, reading.configuration), reading.catalogues, reading.glasses)
     except StarbenchError as error:
-        folder = f"{place.parent}/" if str(place.parent) != "." else ""
+        folder = f"{path.parent}/" if str(path.parent) != "." else ""
         raise type(error)("\n".join(folder + line for line in str(error).split("\n"))) from None
     except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
         raise ConfigError(f"{path}: numbers that make no lens ({error})") from None
-    if strict:
+    if reading.strict:
         imported.report.require_exact()
     return imported
 

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from optics.arrays import FloatArray
 from optics.lens.system import LensSystem, Surface
 
-__all__ = ["axial_ray", "geometry_faults"]
+__all__ = ["Crossing", "axial_ray", "crossings", "geometry_faults", "idle_stop"]
 
 
 HEIGHTS = 64
@@ -24,18 +26,47 @@ USED_STOP = 0.75
 """Least part of the radius of a stop that the rest of the lens leaves open on the axis."""
 
 
-def geometry_faults(lens: LensSystem) -> tuple[str, ...]:
-    """What is impossible about a lens, one line each; nothing for a lens that may be."""
-    return (*_image_plane(lens), *_crossing(lens), *_idle_stop(lens))
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Crossing:
+    """Two surfaces of a lens that meet: their numbers, the height from which on they do [mm], all of it in words."""
+
+    surfaces: tuple[int, int]
+    from_mm: float
+    words: str
 
 
-def _image_plane(lens: LensSystem) -> list[str]:
+def geometry_faults(lens: LensSystem, names: Sequence[str] | None = None) -> tuple[str, ...]:
+    """What is impossible about a lens, one line each; nothing for a lens that may be.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    names : sequence of str, optional
+        What to call its surfaces; ``surface 0`` and so on if left out.
+    """
+    crossing = (one.words for one in crossings(lens, names))
+    return (*_image_plane(lens, names), *crossing, *idle_stop(lens, names))
+
+
+def _name(names: Sequence[str] | None, number: int) -> str:
+    return f"surface {number}" if names is None else names[number]
+
+
+def _acts(lens: LensSystem, number: int) -> bool:
+    """Whether a surface does more to light than to stop some of it."""
+    surface = lens.surfaces[number]
+    return surface.mirror or surface.shape.redirects or lens.media[number] != lens.media[number + 1]
+
+
+def _image_plane(lens: LensSystem, names: Sequence[str] | None) -> list[str]:
     """The image plane has to lie behind the last surface."""
-    last = lens.surfaces[-1]
+    at = max(i for i, s in enumerate(lens.surfaces) if s.is_stop or _acts(lens, i))
+    last = lens.surfaces[at]
     behind = float((lens.image_position_mm - last.position_mm) @ lens.axis[-1])
     if behind > 0.0:
         return []
-    what = "the stop" if last.is_stop else f"surface {len(lens.surfaces) - 1}, the last,"
+    what = "the stop" if last.is_stop else f"{_name(names, at)}, the last,"
     return [
         f"the image plane lies {-behind:g} mm in front of {what}; it must lie behind it: check stop.z_mm and the "
         "thicknesses"
@@ -49,10 +80,10 @@ def _on_one_axis(one: Surface, other: Surface) -> float | None:
     return float(shift[2]) if same and one.shape.rotational and other.shape.rotational else None
 
 
-def _crossing(lens: LensSystem) -> list[str]:
-    """Surfaces that follow each other must not meet inside both their rims."""
-    real = [(i, s) for i, s in enumerate(lens.surfaces) if not s.is_stop or s.shape.curvature != 0.0]
-    faults = []
+def crossings(lens: LensSystem, names: Sequence[str] | None = None) -> list[Crossing]:
+    """Surfaces that follow each other and meet inside both their rims; parameters as `geometry_faults`."""
+    real = [(i, s) for i, s in enumerate(lens.surfaces) if s.shape.curvature != 0.0 or _acts(lens, i)]
+    found = []
     for (i, one), (j, other) in itertools.pairwise(real):
         distance = _on_one_axis(one, other)
         radius = min(one.semi_diameter_mm, other.semi_diameter_mm)
@@ -61,20 +92,25 @@ def _crossing(lens: LensSystem) -> list[str]:
         height = np.linspace(0.0, radius, HEIGHTS)
         gap = distance + other.shape.sag(height, 0.0 * height) - one.shape.sag(height, 0.0 * height)
         if not np.isfinite(gap).all():
-            faults.append(f"surface {i} or {j} does not reach its rim at {radius:g} mm")
+            words = f"{_name(names, i)} or {_name(names, j)} does not reach its rim at {radius:g} mm"
         elif gap.min() < -TOUCHING_MM:
             what = f"{one.medium} between them would be" if one.medium != "air" else "they would overlap by"
             at = height[int(np.argmin(gap))]
             amount = f"{gap.min():.4g}" if one.medium != "air" else f"{-gap.min():.4g}"
-            faults.append(
-                f"surfaces {i} and {j} cross: at {at:.4g} mm from the axis {what} {amount} mm; "
-                "at least 0 mm is needed: check radii, thickness_mm and semi_diameter_mm"
+            both = f"surfaces {i} and {j}" if names is None else f"{names[i]} and {names[j]}"
+            words = (
+                f"{both} cross: at {at:.4g} mm from the axis {what} {amount} mm; at least 0 mm is needed: check radii, "
+                "thickness_mm and semi_diameter_mm"
             )
-    return faults
+        else:
+            continue
+        first = float(height[int(np.argmax(~(gap >= -TOUCHING_MM)))])
+        found.append(Crossing(surfaces=(i, j), from_mm=first, words=words))
+    return found
 
 
-def _idle_stop(lens: LensSystem) -> list[str]:
-    """The stop has to limit the light on the axis, not another rim long before it."""
+def idle_stop(lens: LensSystem, names: Sequence[str] | None = None) -> list[str]:
+    """What keeps the stop from limiting the light on the axis: another rim long before it."""
     stop = lens.surfaces[lens.stop_index]
     if not math.isfinite(stop.semi_diameter_mm):
         return []
@@ -89,9 +125,9 @@ def _idle_stop(lens: LensSystem) -> list[str]:
     if room[worst] >= USED_STOP:
         return []
     return [
-        f"the stop, surface {lens.stop_index}, has semi_diameter_mm = {stop.semi_diameter_mm:g} mm, but on the axis "
-        f"the rim of surface {worst} leaves only {room[worst] * stop.semi_diameter_mm:.4g} mm of it; a stop must limit "
-        "the light: close it, or open that surface"
+        f"the stop, {_name(names, lens.stop_index)}, has semi_diameter_mm = {stop.semi_diameter_mm:g} mm, but on the "
+        f"axis the rim of {_name(names, worst)} leaves only {room[worst] * stop.semi_diameter_mm:.4g} mm of it; a stop "
+        "must limit the light: close it, or open that surface"
     ]
 
 

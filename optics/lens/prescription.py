@@ -7,9 +7,9 @@ same lens with every surface in a frame whose +z light travels along.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +17,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
-from optics.errors import ConfigError, StarbenchError, unknown_name
-from optics.files.read import SUFFIXES, import_lens, split_configuration
-from optics.glass.catalogue import Glass, get_glass, glass_from_table, list_glasses
+from optics.errors import ConfigError, StarbenchError
+from optics.glass.catalogue import Glass, get_glass, glass_from_table
 from optics.glass.media import CATALOGUE_AIR, Environment
-from optics.lens.geometry import axial_ray, geometry_faults
+from optics.lens.geometry import axial_ray
 from optics.lens.sag_map import SagMap
 from optics.lens.shapes.plane import Plane
 from optics.lens.system import AMBIENT, LensSystem, Surface
 from optics.lens.tables import MIRROR, BreakTable, ErrorTable, MovedTable, Prescription, PupilTable, SurfaceTable
-from optics.validate import parse_model, read_toml
+from optics.validate import parse_model
 
-__all__ = ["glasses_of", "lens_from_table", "lens_path", "list_lenses", "load_lens"]
+__all__ = ["glasses_of", "lens_from_table", "rims_mm"]
 
 
 EDGE_ON = 1e-6
@@ -183,6 +182,11 @@ def glasses_of(file: Prescription) -> dict[str, Glass]:
     return _glasses(file, media, file.name)
 
 
+def rims_mm(file: Prescription) -> list[float]:
+    """Radius at which each surface of a prescription ends, infinite where it does not; coordinate breaks count too."""
+    return [math.inf if isinstance(table, BreakTable) else table.shape().rim_mm for table in file.surface]
+
+
 def _check_apertures(file: Prescription, where: str) -> None:
     """Refuse a clear aperture that reaches beyond the rim where a surface ends, or beyond its measured part."""
     for number, table in enumerate(file.surface):
@@ -198,94 +202,6 @@ def _check_apertures(file: Prescription, where: str) -> None:
             raise ConfigError(
                 f"{where}: surface {number}: semi_diameter_mm = {table.semi_diameter_mm:g} mm reaches the rim of the "
                 f"surface ({shape}); it must be below {shape.rim_mm:.6g} mm"
-            )
-
-
-def _builtin() -> dict[str, Path]:
-    folder = Path(str(resources.files("optics"))) / "data" / "lenses"
-    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
-
-
-def list_lenses() -> tuple[str, ...]:
-    """Names of the built-in prescriptions.
-
-    Returns
-    -------
-    tuple of str
-        Names for `load_lens`, sorted.
-    """
-    return tuple(_builtin())
-
-
-def lens_path(name_or_path: str | Path) -> Path:
-    """File of a lens: a built-in name, or a path.
-
-    Raises
-    ------
-    ConfigError
-        A name that is neither, with the nearest built-in one.
-    """
-    builtin, text = _builtin(), str(name_or_path)
-    if text in builtin:
-        return builtin[text]
-    if "/" in text or text.lower().endswith((".toml", *SUFFIXES)):
-        return Path(text)
-    raise unknown_name("lens", text, builtin)
-
-
-def load_lens(name_or_path: str | Path, *, environment: Environment | None = None) -> LensSystem:
-    """Read a prescription.
-
-    Parameters
-    ----------
-    name_or_path : str or path
-        A built-in name (`list_lenses`), a TOML file, or a lens file of Zemax (.zmx) or CODE V (.seq), of which
-        ``zoom.zmx#2`` is the second configuration. `optics.lens.lens_file.read_lens_file` tells what became of every
-        line of such a file.
-    environment : Environment, optional
-        Temperature and pressure; `optics.glass.media.VACUUM` for space. Left out: that of the file, or
-        `optics.glass.media.CATALOGUE_AIR`.
-
-    Returns
-    -------
-    LensSystem
-        The lens.
-
-    Raises
-    ------
-    ConfigError
-        Unknown name (with the nearest), missing or broken file, unknown key (with the nearest), unknown glass; in TOML
-        also a glass that is not used, and a geometry that cannot be (`optics.lens.geometry`).
-    """
-    name, configuration = split_configuration(str(name_or_path))
-    path = lens_path(name)
-    where, surroundings = str(name_or_path), CATALOGUE_AIR
-    if path.suffix.lower() in SUFFIXES:
-        imported = import_lens(path, configuration=configuration)
-        tables, surroundings = imported.tables, imported.defaults.environment
-    else:
-        tables = read_toml(path)
-        _check_glasses(tables, where)
-    lens = lens_from_table(tables, where=where, folder=path.parent, environment=environment or surroundings)
-    faults = () if path.suffix.lower() in SUFFIXES else geometry_faults(lens)
-    if faults:
-        raise ConfigError("\n".join(f"{where}: {fault}" for fault in faults))
-    return lens
-
-
-def _check_glasses(tables: Mapping[str, Any], where: str) -> None:
-    """Refuse tables of glasses that no surface names, and such that hide a glass of the catalogue."""
-    own, surfaces = tables.get("glass", {}), tables.get("surface", [])
-    if not (isinstance(own, Mapping) and isinstance(surfaces, list)):
-        return  # said elsewhere
-    named = {s.get("medium") for s in surfaces if isinstance(s, Mapping)}
-    for name in own:
-        if name not in named:
-            raise ConfigError(f"{where}: no surface is of glass.{name}; leave the table out or name it as a medium")
-        if name in list_glasses():
-            raise ConfigError(
-                f"{where}: glass.{name} would hide the {name} of the catalogue; call it by another name, such as "
-                f"'{name}-melt'"
             )
 
 

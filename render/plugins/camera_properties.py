@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from optics.errors import ConfigError
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.units import UM_MM
 from render.camera import Camera
 from render.engine import Engine

@@ -13,7 +13,7 @@ from calib.records import NoiseModel, SensorImage
 @pytest.fixture(scope="module")
 def rendered():
     """Noiseless image of 36 stars all over the field of the 206 mm lens, its truth and an ePSF for every star."""
-    from optics.lens.prescription import load_lens
+    from optics.lens_file import load_lens
     from optics.light.band import TopHat, band_nodes
     from optics.rays.paraxial import axial_paraxial
     from render.camera import build_camera

@@ -101,7 +101,7 @@ def test_acf_takes_a_camera_that_images_as_the_lens_does():
     from experiments.acf.simulate import build_camera
     from optics.frames import field_direction
     from optics.lens.perturb import refocus
-    from optics.lens.prescription import load_lens
+    from optics.lens_file import load_lens
     from optics.rays.chief import chief_ray_points
 
     model = build_camera(load_config(Config, sensor=EXAMPLE))

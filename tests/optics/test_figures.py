@@ -6,8 +6,8 @@ import pytest
 
 from optics.figures import draw_distortion, draw_lens, draw_spots, wavelength_colour
 from optics.lens.perturb import tilt
-from optics.lens.prescription import load_lens
 from optics.lens.system import AMBIENT
+from optics.lens_file import load_lens
 from optics.rays.spots import spot_moments
 
 

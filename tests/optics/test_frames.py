@@ -5,7 +5,7 @@ import pytest
 
 from optics import frames
 from optics.errors import DomainError
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.rays.spots import spot_moments
 
 SIZE = (4096, 2048)

@@ -34,8 +34,7 @@ from optics.errors import StarbenchError
 from optics.export.write import write_lens
 from optics.glass.agf import read_agf
 from optics.glass.index_database import read_material
-from optics.lens.lens_file import read_lens_file
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens, read_lens_file
 from optics.light.band_file import load_band
 from render.catalogue.read import read_catalog
 from render.detector.spec import load_detector

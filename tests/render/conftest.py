@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.light.band import TopHat, band_nodes
 from optics.rays.paraxial import axial_paraxial
 from optics.rays.trace import Rays, trace

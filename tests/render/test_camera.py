@@ -9,7 +9,7 @@ import pytest
 
 from optics.errors import ConvergenceError, DomainError
 from optics.lens.perturb import decentre, tilt_image
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.light.transmission import QuarterWave, lens_transmission
 from optics.rays.trace import Rays, trace
 from optics.response import Response

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from optics.errors import ConvergenceError, DomainError
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from render.forward import StarRenderer, render_stars
 from render.tracing.tracer import Tracer
 

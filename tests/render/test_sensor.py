@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from optics.errors import DomainError
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points
 from render.detector.spec import load_detector
 from render.sensor import load_star_sensor

@@ -10,7 +10,7 @@ from calib.cameras import BrownConrady, PerBand, Polynomial, SensorGeometry
 from calib.cameras.fit import fit_to_map, left_jacobian
 from optics.errors import ConfigError, DomainError
 from optics.frames import field_direction, pixel_from_lens
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points, plate_scale_mm
 
 GEOMETRY = SensorGeometry(width_px=1024, height_px=1024, pixel_pitch_mm=0.01)

@@ -15,7 +15,7 @@ from experiments.harness.range import leaf_keys, parse_sweep, value_at, with_val
 from experiments.laboratory.detector_changes import DetectorConfig, overridden
 from experiments.laboratory.published import chromatic_of_table1_arcsec
 from optics.errors import ConfigError
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.rays.paraxial import axial_paraxial
 from render.detector.spec import load_detector
 from render.engine.random import Streams

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from experiments.chromatic.experiment import main
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 
 ROOT = Path(__file__).parents[3]
 LENS = ROOT / "optics" / "data" / "lenses" / "star_camera_206mm.toml"

@@ -9,7 +9,7 @@ from astropy.io import fits
 from astropy.table import Table
 
 from experiments.skycal.experiment import main
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.rays.paraxial import axial_paraxial
 
 pytestmark = pytest.mark.slow

@@ -15,8 +15,8 @@ from optics.export.seq import seq_text
 from optics.export.sequence import sequence
 from optics.export.zmx import zmx_text
 from optics.glass.agf import read_agf
-from optics.lens.lens_file import LensFile
 from optics.lens.prescription import lens_from_table
+from optics.lens_file import LensFile
 from optics.textfile import LARGEST_BYTES
 
 FILES = 1000

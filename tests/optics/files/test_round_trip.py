@@ -10,9 +10,9 @@ import pytest
 from optics import list_lenses, read_lens_file
 from optics.errors import ConfigError
 from optics.export.write import write_lens
-from optics.lens.lens_file import LensFile
 from optics.lens.prescription import lens_from_table
 from optics.lens.system import LensSystem
+from optics.lens_file import LensFile
 from optics.rays.trace import Rays, trace
 
 MIRRORS = [

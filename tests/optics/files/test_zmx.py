@@ -275,10 +275,10 @@ SURF 6
     file = read_lens_file(written(tmp_path, text))
     assert file.lens.image_position_mm == pytest.approx([0.0, 30.0, 25.0], abs=1e-12)
     assert file.report is not None
-    assert not file.report.inexact
+    assert [line.command for line in file.report.inexact] == ["clear apertures"]  # mirrors have none in the file
     wrong = read_lens_file(written(tmp_path, text.replace("PARM 3 45\n  PPAR", "PARM 3 44\n  PPAR")))
     assert wrong.report is not None
-    assert "stores 44" in str(wrong.report.inexact[0])
+    assert any("stores 44" in str(line) for line in wrong.report.inexact)
 
 
 def test_apertures_by_f_number_and_by_the_stop(tmp_path: Path) -> None:

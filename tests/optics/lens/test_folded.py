@@ -14,8 +14,9 @@ from optics.errors import ConfigError
 from optics.figures import draw_lens
 from optics.glass.catalogue import get_glass
 from optics.lens.perturb import EVERYTHING, change_temperature, decentre, despace, tilt
-from optics.lens.prescription import lens_from_table, load_lens
+from optics.lens.prescription import lens_from_table
 from optics.lens.shapes.conic import Conic
+from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points
 from optics.rays.paraxial import paraxial, refocused
 from optics.rays.reverse import retraced, reverse

@@ -5,7 +5,7 @@ import os
 import pytest
 
 from optics.errors import ConfigError, DomainError
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.rays.axial_beam import check_axial_beam
 from optics.rays.paraxial import paraxial
 

@@ -8,10 +8,10 @@ import pytest
 from optics.errors import ConfigError, DomainError
 from optics.frames import field_direction
 from optics.glass.media import VACUUM, Environment
-from optics.lens.prescription import list_lenses, load_lens
 from optics.lens.shapes.conic import Conic
 from optics.lens.shapes.even_asphere import EvenAsphere
 from optics.lens.system import AMBIENT
+from optics.lens_file import list_lenses, load_lens
 from optics.rays.chief import chief_ray_points, distortion_map, plate_scale_mm
 from optics.rays.paraxial import paraxial
 from optics.rays.pupil import PupilSamples, entrance_pupil, star_rays

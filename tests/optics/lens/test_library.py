@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from optics.lens.geometry import geometry_faults
-from optics.lens.prescription import list_lenses, load_lens
+from optics.lens_file import list_lenses, load_lens
 from optics.rays.axial_beam import check_axial_beam
 from optics.rays.paraxial import paraxial
 from optics.rays.spots import spot_moments

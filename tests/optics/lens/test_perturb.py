@@ -24,10 +24,10 @@ from optics.lens.perturb import (
     tilt,
     tilt_image,
 )
-from optics.lens.prescription import load_lens
 from optics.lens.shapes.plane import Plane
 from optics.lens.shapes.sphere import Sphere
 from optics.lens.system import LensSystem, Surface
+from optics.lens_file import load_lens
 from optics.rays.paraxial import paraxial
 from optics.rays.pupil import entrance_pupil, sobol_disk, star_rays
 from optics.rays.spots import lateral_colour, spot_moments

@@ -11,8 +11,9 @@ from scipy.optimize import brentq
 from optics.arrays import NUMPY
 from optics.errors import ConfigError, DomainError
 from optics.lens.perturb import change_temperature
-from optics.lens.prescription import lens_from_table, load_lens
+from optics.lens.prescription import lens_from_table
 from optics.lens.sag_map import SagMap
+from optics.lens_file import load_lens
 from optics.rays.program import compile_lens
 from optics.rays.reverse import retraced, reverse
 from optics.rays.trace import MISSED, Rays, trace, trace_program

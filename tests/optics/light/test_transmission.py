@@ -10,6 +10,7 @@ import pytest
 from optics.errors import ConfigError, DomainError
 from optics.glass.catalogue import Glass, get_glass
 from optics.glass.dispersion import Dispersion
+from optics.lens_file import load_lens
 from optics.light.transmission import Layout, QuarterWave, TabulatedCoating, Uncoated, layout_of, lens_transmission
 from optics.response import Response
 
@@ -94,8 +95,7 @@ def test_a_stop_in_air_costs_nothing_and_a_lens_is_read_along_its_vertices() -> 
 
 def test_star_camera_lens_transmits_as_its_glasses_allow() -> None:
     """Real lens: coated beats bare, never above one, and less in the blue where its flint absorbs."""
-    library = pytest.importorskip("optics.lens.prescription")
-    lens = library.load_lens("star_camera_206mm")
+    lens = load_lens("star_camera_206mm")
     wave = np.array([400.0, 500.0, 600.0, 700.0, 800.0, 900.0])
     bare, coated = lens_transmission(lens, wave), lens_transmission(lens, wave, coating=QuarterWave())
     assert (coated > bare).all()

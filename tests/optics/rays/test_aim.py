@@ -10,10 +10,10 @@ from scipy.optimize import brentq
 from optics.errors import ConvergenceError
 from optics.frames import field_direction, light_direction
 from optics.glass.catalogue import glass_from_table
-from optics.lens.prescription import load_lens
 from optics.lens.shapes.plane import Plane
 from optics.lens.shapes.sphere import Sphere
 from optics.lens.system import LensSystem, Surface
+from optics.lens_file import load_lens
 from optics.rays.aim import aim_at_stop
 from optics.rays.chief import chief_ray_points
 from optics.rays.pupil import launch_disks, sobol_disk, star_rays

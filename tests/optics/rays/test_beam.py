@@ -9,9 +9,9 @@ import pytest
 from optics.errors import ConvergenceError
 from optics.frames import field_direction
 from optics.lens.perturb import decentre
-from optics.lens.prescription import load_lens
 from optics.lens.shapes.plane import Plane
 from optics.lens.system import Surface
+from optics.lens_file import load_lens
 from optics.rays.beam import find_beams
 from optics.rays.pupil import sobol_disk
 from optics.rays.spots import collecting_area_mm2, spot_moments

@@ -10,10 +10,10 @@ from optics.glass.catalogue import Glass
 from optics.glass.dispersion import Dispersion
 from optics.glass.media import VACUUM
 from optics.lens.perturb import decentre, tilt
-from optics.lens.prescription import load_lens
 from optics.lens.shapes.plane import Plane
 from optics.lens.shapes.sphere import Sphere
 from optics.lens.system import LensSystem, Surface
+from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points, plate_scale_mm
 from optics.rays.paraxial import axial_colour_mm, chief_ray, image_of, lateral_colour_mm, paraxial, refocused
 from optics.rays.trace import Rays, trace

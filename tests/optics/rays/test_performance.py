@@ -5,7 +5,7 @@ import pytest
 
 from optics.errors import DomainError
 from optics.lens.perturb import refocus
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.rays.chief import distortion_map
 from optics.rays.paraxial import axial_colour_mm, paraxial, stopped_down
 from optics.rays.performance import lens_performance

@@ -6,7 +6,7 @@ import pytest
 from optics.errors import ConvergenceError, DomainError
 from optics.frames import field_direction
 from optics.lens.perturb import decentre, tilt
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.rays.pupil import EntrancePupil, disk_from_square, entrance_pupil, gauss_disk, sobol_disk, star_rays
 from optics.rays.trace import trace
 

@@ -7,7 +7,7 @@ import pytest
 
 from optics.errors import ConvergenceError, DomainError
 from optics.lens.perturb import decentre, refocus
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points, distortion_map
 from optics.rays.pupil import gauss_disk, sobol_disk
 from optics.rays.spots import best_focus_shift_mm, lateral_colour, spot_moments, vignetting

@@ -11,13 +11,13 @@ from optics.frames import field_direction
 from optics.glass.catalogue import Glass
 from optics.glass.dispersion import Dispersion
 from optics.lens.perturb import change_conic, decentre, tilt, tilt_image
-from optics.lens.prescription import load_lens
 from optics.lens.shapes.base import Shape
 from optics.lens.shapes.conic import Conic
 from optics.lens.shapes.even_asphere import EvenAsphere
 from optics.lens.shapes.plane import Plane
 from optics.lens.shapes.sphere import Sphere
 from optics.lens.system import LensSystem, Surface
+from optics.lens_file import load_lens
 from optics.rays.program import compile_lens
 from optics.rays.pupil import entrance_pupil, gauss_disk, sobol_disk, star_rays
 from optics.rays.reverse import retraced, reverse

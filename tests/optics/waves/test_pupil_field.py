@@ -8,7 +8,7 @@ from scipy.integrate import quad
 from scipy.special import j0, j1
 
 from optics.errors import DomainError
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.waves.image_quality import encircled_energy, peak, strehl, strehl_through_focus, transfer_function
 from optics.waves.pupil_field import PupilField, needed_order, trace_pupil
 from optics.waves.wavefront import wavefront, zernike_map

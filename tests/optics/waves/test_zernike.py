@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from optics.errors import ConfigError, DomainError
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.rays.pupil import gauss_disk
 from optics.waves.pupil_field import trace_pupil
 from optics.waves.wavefront import PathMap, wavefront, zernike_map

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from astropy.time import Time
 
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.light.band import TopHat
 from render.bodies.body_image import BodyRenderer
 from render.bodies.lunar_map import HIGHLAND, MARE, lunar_map, moon_rotation

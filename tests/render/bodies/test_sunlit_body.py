@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from optics.errors import ConfigError, DomainError
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.light.band import TopHat
 from render.bodies.body_image import render_body
 from render.bodies.solar_system import planet_field, solar_system

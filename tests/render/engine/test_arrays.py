@@ -8,7 +8,7 @@ import pytest
 from optics.arrays import NUMPY
 from optics.frames import field_direction, light_direction
 from optics.lens.perturb import decentre, tilt
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.rays.program import compile_lens
 from optics.rays.trace import Rays, trace, trace_program
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from optics.errors import ConvergenceError, DomainError
 from optics.frames import field_angles_deg
 from optics.lens.perturb import tilt
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points
 from render.camera import Camera
 from render.fits.files import write_frame

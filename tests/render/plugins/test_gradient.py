@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from render.camera import Camera
 from render.forward import star_scene
 from render.records import StarField

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from optics.errors import ConfigError
 from optics.frames import light_direction
 from optics.lens.perturb import decentre, tilt_image
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.rays.reverse import retraced
 from optics.rays.trace import Rays, trace
 from render.camera import Camera, launch_disk

@@ -75,7 +75,7 @@ def test_star_image_in_a_foreign_scene(mi):
 
 
 def test_plugin_scene_equals_the_library_path(mi):
-    from optics.lens.prescription import load_lens
+    from optics.lens_file import load_lens
     from render.records import StarField
 
     direction = unit([0.0, 0.002], [0.0, -0.001])

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from optics.errors import ConfigError, DomainError
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.light.band import TopHat, band_nodes
 from optics.light.spectrum import Blackbody
 from optics.response import Response

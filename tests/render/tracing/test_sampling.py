@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 from scipy.stats import qmc
 
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from render.tracing import pupil_points
 from render.tracing.convergence import TOLERANCE
 from render.tracing.pupil_points import SobolPoints

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from optics.errors import DomainError
 from optics.frames import field_angles_deg
 from optics.lens.perturb import decentre, tilt
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points
 from render.records import StarField
 from render.tracing.convergence import TOLERANCE

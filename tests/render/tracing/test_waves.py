@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from optics.errors import ConfigError, DomainError
 from optics.frames import field_direction
 from optics.lens.perturb import decentre
-from optics.lens.prescription import load_lens
 from optics.lens.system import LensSystem
+from optics.lens_file import load_lens
 from optics.waves.pupil_field import PupilField, trace_pupil
 from render.camera import Camera
 from render.motion.trajectory import ConstantRate

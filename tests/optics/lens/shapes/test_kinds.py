@@ -10,7 +10,6 @@ from optics.arrays import NUMPY
 from optics.errors import ConfigError, DomainError
 from optics.figures import draw_lens
 from optics.lens.perturb import change_shape, change_temperature, decentre, tilt
-from optics.lens.prescription import load_lens
 from optics.lens.shapes.base import Shape
 from optics.lens.shapes.biconic import Biconic
 from optics.lens.shapes.conic import Conic
@@ -26,6 +25,7 @@ from optics.lens.shapes.registry import SHAPES
 from optics.lens.shapes.sphere import Sphere
 from optics.lens.shapes.toroid import Toroid
 from optics.lens.shapes.zernike import Zernike
+from optics.lens_file import load_lens
 from optics.rays.paraxial import paraxial
 from optics.rays.reverse import retraced, reverse
 from optics.rays.trace import Rays, trace
