@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -21,9 +22,11 @@ from optics.light.band import Band
 from optics.rays.performance import LensPerformance, lens_performance, white_focus
 from optics.rays.spots import Spots, trace_spots
 from optics.units import ARCSEC_RAD
+from render.camera import Camera
 from render.records import EffectivePsf
 from render.sky.star_light import StarLight, star_light
 from render.tracing.ray_psf import ray_epsf, trailed
+from render.tracing.wave_psf import wave_images
 
 __all__ = ["NODES", "OpticalState", "optical_state"]
 
@@ -39,6 +42,9 @@ AZIMUTH_DEG = 22.5
 """Direction in which PSFs lie from the middle: halfway between the axes and the diagonals of the pixels."""
 COLD_K, HOT_K = 3500.0, 10000.0
 """Stars whose spots are compared with that of the star that is quoted."""
+AIRY_SIGMA = 0.42
+"""Standard deviation of the Gaussian nearest to an Airy pattern, in wavelengths times F-number (Zhang et al. 2007,
+Appl. Opt. 46, 1819, table 1: 0.21 wavelengths over the sine of the cone's half angle)."""
 _LAYERS = 64
 
 
@@ -67,7 +73,7 @@ class OpticalState:
     cold_psfs, hot_psfs : tuple of EffectivePsf
         The same of stars of 3500 and 10 000 K.
     fwhm_px : float
-        Width of the mean spot on the pixels, and so of the detection filter.
+        Width of the mean spot on the pixels, and so of the detection filter; with diffraction that of its core.
     trail_px : (2,)
         From the first to the last place of a star in an exposure, in which PSFs are drawn out; columns and rows.
     colour_px : (c, f)
@@ -183,9 +189,25 @@ def _state(
     if window is not None:
         _check_trail(float(np.hypot(*trail_px)), float(np.nanmax(rms_px)), *window)
     half = int(np.clip(np.ceil(4.0 * np.nanmax(rms_px) + 0.5 * np.abs(trail_px).max()) + 4, 8, 40))
-    camera_px = _Bundles(spots, pitch, diffusion_px, trail_px, half)
-    psfs = camera_px.psfs(share, AZIMUTH_DEG)
+    psfs_of = _psfs_by_rays(spots, camera, half)
     sigma2 = float(np.nanmean(rms_px**2)) / 2.0 + diffusion_px**2 + 1.0 / 12.0 + float(trail_px @ trail_px) / 24.0
+    if config.diffraction != "rays":
+        images = wave_images(
+            lens,
+            field_deg,
+            wave,
+            pitch_mm=pitch,
+            diffusion_px=diffusion_px,
+            azimuth_deg=AZIMUTH_DEG,
+            oversampling=OVERSAMPLING,
+            half_size_px=half,
+        )
+        psfs_of = images.psfs
+        sigma2 += (AIRY_SIGMA * float(share @ wave) * 1e-6 * performance.f_number / pitch) ** 2
+
+    def psfs(one: FloatArray) -> tuple[EffectivePsf, ...]:
+        return tuple(trailed(psf, trail_px) if trail_px.any() else psf for psf in psfs_of(one))
+
     kelvin = np.exp(light.log_temperature[4:-4:4])
     shares = np.stack([_share(light, response, float(t)) for t in kelvin])
     area = np.nan_to_num(performance.area_mm2)
@@ -198,9 +220,9 @@ def _state(
         share=share,
         radius_px=radius_px,
         performance=performance,
-        psfs=psfs,
-        cold_psfs=camera_px.psfs(_share(light, response, COLD_K), AZIMUTH_DEG),
-        hot_psfs=camera_px.psfs(_share(light, response, HOT_K), AZIMUTH_DEG),
+        psfs=psfs(share),
+        cold_psfs=psfs(_share(light, response, COLD_K)),
+        hot_psfs=psfs(_share(light, response, HOT_K)),
         fwhm_px=float(np.clip(2.3548 * np.sqrt(sigma2), 0.8, 20.0)),
         trail_px=trail_px,
         colour_px=(means - performance.white_mm) / pitch,
@@ -230,28 +252,22 @@ def _share(light: StarLight, response: FloatArray, temperature_k: float) -> Floa
     return np.asarray(rate / rate.sum())
 
 
-class _Bundles:
-    """Rays of all fields and wavelengths on the pixels, to be weighed by spectra."""
+def _psfs_by_rays(spots: Spots, camera: Camera, half_size_px: int) -> Callable[[FloatArray], tuple[EffectivePsf, ...]]:
+    """Function that makes PSFs of all fields of rays that are weighed by the share of each wavelength."""
+    cos, sin = math.cos(math.radians(AZIMUTH_DEG)), math.sin(math.radians(AZIMUTH_DEG))
+    x, y = spots.rays.x / camera.pixel_pitch_mm, -spots.rays.y / camera.pixel_pitch_mm
 
-    def __init__(
-        self, spots: Spots, pitch_mm: float, diffusion_px: float, trail_px: FloatArray, half_size_px: int
-    ) -> None:
-        self.x, self.y = spots.rays.x / pitch_mm, -spots.rays.y / pitch_mm
-        self.area, self.diffusion_px, self.half_size_px = spots.area_mm2, diffusion_px, half_size_px
-        self.trail_px = trail_px
-
-    def psfs(self, share: FloatArray, azimuth_deg: float) -> tuple[EffectivePsf, ...]:
-        """PSFs of all fields for light of which each wavelength has a share; the fields lie in a direction."""
-        cos, sin = np.cos(np.radians(azimuth_deg)), np.sin(np.radians(azimuth_deg))
-        at_rest = (
+    def psfs(share: FloatArray) -> tuple[EffectivePsf, ...]:
+        return tuple(
             ray_epsf(
-                (cos * x - sin * y).ravel(),
-                (sin * x + cos * y).ravel(),
+                (cos * column - sin * row).ravel(),
+                (sin * column + cos * row).ravel(),
                 (area * share[:, None]).ravel(),
-                diffusion_px=self.diffusion_px,
+                diffusion_px=camera.charge_diffusion_px,
                 oversampling=OVERSAMPLING,
-                half_size_px=self.half_size_px,
+                half_size_px=half_size_px,
             )
-            for x, y, area in zip(self.x, self.y, self.area, strict=True)
+            for column, row, area in zip(x, y, spots.area_mm2, strict=True)
         )
-        return tuple(trailed(psf, self.trail_px) if self.trail_px.any() else psf for psf in at_rest)
+
+    return psfs

@@ -58,7 +58,7 @@ class ChartFrames:
     bright_mag : float
         Magnitude of the stars whose scatter is measured.
     magnitude, radius_px, electrons : (n,)
-        Of the stars; electrons as rendered, those that reach the detector.
+        Of the stars; electrons that reach the detector, those beyond the stamps of diffraction images too.
     found : (k, n) bool
         Whether a detection belongs to the star.
     error_px : (k, n, 2)
@@ -175,7 +175,8 @@ class _Bench:
         traced = self.renderer.trace(stars, motion=self.motion)
         truth = traced.truth
         place = np.column_stack([truth.photon_x_px[:, 0], truth.photon_y_px[:, 0]])
-        return traced.electrons[:, :, 0], place, truth.electrons_image[:, 0]
+        assert truth.electrons_beyond is not None
+        return traced.electrons[:, :, 0], place, (truth.electrons_image + truth.electrons_beyond)[:, 0]
 
     def read(self, electrons: NDArray[np.float32], number: int, label: str) -> Frame:
         config = self.prediction.config

@@ -134,15 +134,6 @@ class Config(SensorExperimentConfig, SensorConfig):
     sweep_measured: bool = Field(default=False, description="render frames at every point of a sweep too")
 
     @model_validator(mode="after")
-    def _rays(self) -> Config:
-        if self.instrument.diffraction != "rays":
-            raise ValueError(
-                f"instrument.diffraction = {self.instrument.diffraction!r}: this report predicts its PSFs from rays; "
-                'set it to "rays" here (other experiments and the dataset render diffraction)'
-            )
-        return self
-
-    @model_validator(mode="after")
     def _shutter(self) -> Config:
         rate, line = self.slew.rate_deg_per_s, self.instrument.line_time_us
         if rate and line:

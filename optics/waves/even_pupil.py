@@ -24,7 +24,7 @@ __all__ = ["EvenPupil", "even_pupil", "waves_at_image"]
 
 
 DEGREE = 12
-PER_CELL = 4
+PER_CELL = 6
 """Points along a cell at the rim, which tell the part of it that is inside."""
 
 

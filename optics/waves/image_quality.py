@@ -11,29 +11,10 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import minimize
 
 from optics.arrays import FloatArray
-from optics.errors import DomainError
+from optics.waves.even_pupil import even_pupil, waves_at_image
 from optics.waves.pupil_field import ComplexArray, PupilField
-from optics.waves.zernike import fit_zernikes, zernikes
 
 __all__ = ["encircled_energy", "peak", "strehl", "strehl_through_focus", "transfer_function"]
-
-
-POLYNOMIALS = 91
-"""Zernike polynomials up to the twelfth degree."""
-
-
-def _rays(field: PupilField, at: tuple[int, int]) -> tuple[FloatArray, ...]:
-    """Amplitude, direction cosines times index over wavelength [1/mm] and phase [turns] about the mean point."""
-    lit = field.area_mm2[at] > 0.0
-    if not lit.any():
-        raise DomainError(f"field {at[0]}, wavelength {at[1]}: no light reaches the image plane")
-    wave_mm = float(field.wavelength_nm[at[1]]) * 1e-6
-    scale = float(field.index[at[1]]) / wave_mm
-    mean = [float(v[at]) for v in field.mean_mm]
-    l, m, x, y, path = (v[at][lit] for v in (field.l, field.m, field.x_mm, field.y_mm, field.path_mm))  # noqa: E741
-    amplitude = field.area_mm2[at][lit] * np.sqrt(field.jacobian[at][lit])
-    phase = path / wave_mm + scale * (l * (mean[0] - x) + m * (mean[1] - y))
-    return amplitude, l * scale, m * scale, phase - phase.mean()
 
 
 def peak(field: PupilField, *, at: tuple[int, int] = (0, 0)) -> tuple[float, float, float]:
@@ -76,7 +57,7 @@ def strehl(field: PupilField, *, at: tuple[int, int] = (0, 0)) -> float:
     float
         Ratio, 0 to 1.
     """
-    amplitude = _rays(field, at)[0]
+    amplitude = waves_at_image(field, at)[0]
     ideal = (float(field.index[at[1]]) / (float(field.wavelength_nm[at[1]]) * 1e-6)) ** 2
     ideal *= float(amplitude.sum()) ** 2 / float(field.area_mm2[at].sum())
     return peak(field, at=at)[2] / ideal
@@ -126,41 +107,15 @@ def transfer_function(
     (f,) complex array
         1 at frequency 0.
     """
-    _, fx, fy, phase = _rays(field, at)
-    lit = field.area_mm2[at] > 0.0
-    area, jacobian = field.area_mm2[at][lit], field.jacobian[at][lit]
-    rim_x, rim_y = _rim(field, at)
-    centre = np.array([0.5 * (v.min() + v.max()) for v in (rim_x, rim_y)])
-    rim = np.stack([rim_x, rim_y], axis=-1) - centre
-    reach = float(np.hypot(*rim.T).max()) * (1.0 + 2.0 / size)
-    u, v = (fx - centre[0]) / reach, (fy - centre[1]) / reach
-    weight = area * jacobian
-    side = (2.0 * np.arange(size) + 1.0) / size - 1.0
-    x, y = np.meshgrid(side, side)
-    terms = zernikes(x, y, POLYNOMIALS)
-    turns, amplitude = (
-        np.tensordot(fit_zernikes(u, v, values, weight, POLYNOMIALS), terms, 1)
-        for values in (phase, 1.0 / np.sqrt(jacobian))
-    )
-    angle = np.arctan2(rim[:, 1], rim[:, 0])
-    order = np.argsort(angle)
-    edge = np.interp(np.arctan2(y, x), angle[order], np.hypot(*rim.T)[order] / reach, period=2.0 * np.pi)
-    inside = np.clip((edge - np.hypot(x, y)) * (0.5 * size) + 0.5, 0.0, 1.0)
+    even = even_pupil(field, at, size=size)
     pupil = np.zeros((2 * size, 2 * size), complex)
-    pupil[:size, :size] = inside * amplitude * np.exp(2j * np.pi * turns)
+    pupil[:size, :size] = even.field
+    reach = 0.5 * size * float(even.frequency_x[1] - even.frequency_x[0])
     overlap = np.fft.fftshift(np.fft.ifft2(np.abs(np.fft.fft2(pupil)) ** 2)) / float((np.abs(pupil) ** 2).sum())
     shifts = (np.arange(2 * size) - size) * (2.0 * reach / size)
     at_points = np.atleast_2d(np.asarray(frequency, float))[:, ::-1]
     values = RegularGridInterpolator((shifts, shifts), overlap, bounds_error=False, fill_value=0.0)(at_points)
     return np.asarray(values)
-
-
-def _rim(field: PupilField, at: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
-    """Direction cosines (arms,) times index over wavelength [1/mm] at the rim, beyond the outermost ring."""
-    scale = float(field.index[at[1]]) / (float(field.wavelength_nm[at[1]]) * 1e-6)
-    out = (1.0 - field.ring[-1]) / (field.ring[-1] - field.ring[-2])
-    l, m = (scale * (v[at][-1] + out * (v[at][-1] - v[at][-2])) for v in (field.l, field.m))  # noqa: E741
-    return l, m
 
 
 def encircled_energy(
@@ -191,7 +146,7 @@ def encircled_energy(
     (r,) array
         Shares, 0 to 1.
     """
-    amplitude, fx, fy, phase = _rays(field, at)
+    amplitude, fx, fy, phase = waves_at_image(field, at)
     mean_x, mean_y = (float(v[at]) for v in field.mean_mm)
     dx, dy = (0.0, 0.0) if centre_mm is None else (centre_mm[0] - mean_x, centre_mm[1] - mean_y)
     highest = float(np.hypot(fx, fy).max())

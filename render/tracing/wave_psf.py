@@ -139,7 +139,7 @@ def wave_images(
             trace_pupil(lens, field_x_deg, nothing, wavelength_nm, half_width_mm=half_px * pitch_mm),
             math.radians(azimuth_deg),
         )
-    size = math.ceil(ROOM * 2.0 * half_px * highest)
+    size = max(160, math.ceil(ROOM * 2.0 * half_px * highest))
     light = np.empty((*mean_px.shape[:2], count, count), np.float32)
     for at in np.ndindex(*mean_px.shape[:2]):
         if clear:

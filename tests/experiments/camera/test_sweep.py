@@ -108,7 +108,6 @@ def test_stars_that_trail():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"instrument": {"diffraction": "waves"}}, "predicts its PSFs from rays"),
         ({"slew": {"rate_deg_per_s": 1.0}, "instrument": {"line_time_us": 5.0}}, "global shutter"),
         ({"sweep": ["exposre_s=0.1:0.2:3"]}, "did you mean exposure_s"),
         ({"sweep": ["frames.readouts=3:9:3"]}, "unknown parameter"),
