@@ -18,7 +18,8 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.association import associate, match_stars, pixel_angle_rad
-from calib.attitude.identify import Identification, build_database, identify, with_residuals
+from calib.attitude.identify import Identification, identify, with_residuals
+from calib.attitude.patterns import kept_database
 from calib.attitude.solve import AttitudeSolution, solve_wahba
 from calib.cameras.base import CameraModel
 from calib.fitting.misfit import joined
@@ -145,7 +146,8 @@ def identify_stars(
         Error of the camera model per axis that is allowed beside the noise of the stars; a star beyond both is told by
         ``beyond`` and in the message.
     database : tetra3rs.SolverDatabase, optional
-        Patterns (`calib.attitude.identify.build_database`); made for the field of the camera, and kept, if left out.
+        Patterns (`calib.attitude.identify.build_database`); if left out, those for the field of the camera, which are
+        kept on disk.
 
     Returns
     -------
@@ -312,7 +314,7 @@ def _field_deg(model: CameraModel) -> float:
 
 @lru_cache(maxsize=4)
 def _database(field_deg: float) -> Any:
-    return build_database(min_fov_deg=field_deg * (1.0 - FIELD_MARGIN), max_fov_deg=field_deg * (1.0 + FIELD_MARGIN))
+    return kept_database(min_fov_deg=field_deg * (1.0 - FIELD_MARGIN), max_fov_deg=field_deg * (1.0 + FIELD_MARGIN))
 
 
 class _ById(Mapping[int, FloatArray]):

@@ -127,10 +127,11 @@ def _independent(outcome: Outcome) -> list[Criterion]:
 def _attitudes(outcome: Outcome) -> list[Criterion]:
     """Nearly all frames are solved, and as well as their covariances say."""
     attempted, solved = outcome.value("attempted"), outcome.value("solved")
+    solver = "tetra3rs" if outcome.result.evaluation.blind else "a rough attitude"
     scale = outcome.result.scene.instrument.pixel_arcsec / MEDIAN_PIXEL_ARCSEC
     return [
         Criterion(
-            name=f"frames that tetra3rs does not solve, of {attempted}",
+            name=f"frames that {solver} does not solve, of {attempted}",
             value=attempted - solved,
             limit=max(1, math.floor(UNSOLVED_SHARE * attempted)),
         ),

@@ -97,12 +97,15 @@ def _evaluate(
 ) -> Evaluation | None:
     """Look at the first frames, as others will."""
     from experiments.dataset.evaluation.evaluate import evaluate
+    from experiments.dataset.evaluation.solve import star_patterns
 
     looked_at = records[: config.verify.frames]
     if not looked_at:
         return None
+    with progress.stage("star patterns of the sky (made once, then kept on disk)"):
+        patterns = star_patterns(scene)
     with progress.stage("look at frames", total=len(looked_at)) as stage:
-        return evaluate(output.path, scene, looked_at, advance=stage.advance)
+        return evaluate(output.path, scene, looked_at, patterns=patterns, advance=stage.advance)
 
 
 def _resume(config: Config, job: Job, records: tuple[FrameRecord, ...], progress: Progress) -> ResumeCheck | None:

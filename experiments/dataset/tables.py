@@ -72,5 +72,7 @@ def _solver(outcome: Outcome) -> Table:
     return Table(
         columns=("Quantity", "Found"),
         rows=rows,
-        caption="Frames solved blind by tetra3rs, attitudes against the truth.",
+        caption="Frames solved blind by tetra3rs, attitudes against the truth."
+        if outcome.result.evaluation.blind
+        else "Frames solved from a rough attitude, attitudes against the truth.",
     )

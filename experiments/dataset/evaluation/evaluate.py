@@ -84,6 +84,8 @@ class Evaluation:
         One per frame; empty where the solver is missing.
     without_solver : str
         Why, if so.
+    blind : bool
+        Whether stars were identified without a rough attitude (`experiments.dataset.evaluation.solve`).
     stars : FoundStars
         Of all frames.
     bound : CentroidBound
@@ -112,6 +114,7 @@ class Evaluation:
     calibration: MapFit
     solved: tuple[SolvedFrame, ...]
     without_solver: str
+    blind: bool
     stars: FoundStars
     bound: CentroidBound
     background_e: float
@@ -124,7 +127,9 @@ class Evaluation:
     example: Example | None
 
 
-def evaluate(folder: Path, scene: Scene, records: Sequence[FrameRecord], *, advance: Callable[[], None]) -> Evaluation:
+def evaluate(
+    folder: Path, scene: Scene, records: Sequence[FrameRecord], *, patterns: Any, advance: Callable[[], None]
+) -> Evaluation:
     """Measure, solve and compare frames of a dataset.
 
     Parameters
@@ -135,6 +140,8 @@ def evaluate(folder: Path, scene: Scene, records: Sequence[FrameRecord], *, adva
         What its frames have in common.
     records : sequence of FrameRecord
         The frames to look at.
+    patterns : tetra3rs.SolverDatabase or None
+        Of `experiments.dataset.evaluation.solve.star_patterns`.
     advance : callable
         Called once per frame.
 
@@ -151,7 +158,7 @@ def evaluate(folder: Path, scene: Scene, records: Sequence[FrameRecord], *, adva
     reduction = _reduction(scene, dark, psfs)
     known = scene.instrument.pixel_map(open_band(scene.config.passband, scene.instrument), temperature_k=temperature_k)
     calibration = fit_camera(known)
-    solver = BlindSolver(scene, calibration)
+    solver = BlindSolver(scene, calibration, patterns)
     size = {"width_px": camera.width_px, "height_px": camera.height_px}
     stars, solved, misses, plain = [], [], [np.zeros(0)], []
     focal_px, turned_off = scene.instrument.focal_length_mm / camera.pixel_pitch_mm, float("nan")
@@ -169,9 +176,9 @@ def evaluate(folder: Path, scene: Scene, records: Sequence[FrameRecord], *, adva
         if not any(one.rate_deg_per_s):
             pixels = read_pixels(folder / one.file)
             plain.append(plain_attitude(pixels, one, truth, focal_px=focal_px, centre_px=camera.centre_px))
-        if solver.database is not None:
+        if not solver.missing:
             solved.append(solver.solve(one, measured.at_once(solver.turned(one, measured))))
-            if np.isnan(turned_off) and solved[-1].solved and not any(one.rate_deg_per_s):
+            if solver.blind and np.isnan(turned_off) and solved[-1].solved and not any(one.rate_deg_per_s):
                 turned = measured.at_once(turned_px(measured.stars.pixel_px, camera.centre_px, TURN_DEG))
                 turned_off = turn_missed_sigma(solved[-1], solver.solve(one, turned))
         if example is None and one.stars:
@@ -185,6 +192,7 @@ def evaluate(folder: Path, scene: Scene, records: Sequence[FrameRecord], *, adva
         calibration=calibration,
         solved=tuple(solved),
         without_solver=solver.missing,
+        blind=solver.blind,
         stars=joined(stars),
         bound=dataset_bound(scene, psfs, sky_e),
         background_e=sky_e + scene.instrument.pixel_noise().dark_e,

@@ -71,16 +71,17 @@ def measured(sky, model, attitude, seed, *, mirrored=False, burnt=0):
     return MeasuredFrame(stars=stars, fit=flags == 0, detected_px=pixel)
 
 
-def solved(k, stars, *, sky, model, database, truth):
+def solved(k, stars, *, sky, model, database, truth, near=None):
     return solve_frame(
         k,
         stars,
         model=model,
         model_turn=Rotation.identity(),
         database=database,
-        sky=SkyMap(direction=sky.direction, by_id=dict(zip(sky.id.tolist(), sky.direction, strict=True))),
+        sky=SkyMap(direction=sky.direction, by_id=dict(zip(sky.id.tolist(), sky.direction, strict=True)), id=sky.id),
         truth=truth,
         pixel_arcsec=PIXEL_ARCSEC,
+        near=near,
     )
 
 
@@ -122,3 +123,16 @@ def test_an_attitude_that_is_not_the_truth_is_wrong(sky, model, database):
     one = solved(0, measured(sky, model, attitude, 2), sky=sky, model=model, database=database, truth=other)
     assert one.status == "wrong"
     assert isinstance(one, SolvedFrame)
+
+
+@pytest.mark.parametrize(("off_px", "solves"), [(20.0, True), (400.0, False)])
+def test_a_rough_attitude_takes_the_place_of_patterns(sky, model, off_px, solves):
+    """Expected behaviour: the right attitude from one that is 20 px off; from one in the wrong place, none."""
+    attitude = Rotation.random(random_state=5)
+    turn = Rotation.from_rotvec(off_px * PIXEL_ARCSEC / RAD_ARCSEC * np.array([0.6, -0.8, 0.0]))
+    one = solved(
+        0, measured(sky, model, attitude, 6), sky=sky, model=model, database=None, truth=attitude, near=turn * attitude
+    )
+    assert one.solved is solves
+    if solves:
+        assert one.boresight_arcsec < 5 * NOISE_PX * PIXEL_ARCSEC / np.sqrt(one.used)

