@@ -21,7 +21,7 @@ from experiments.laboratory.own_frames.settings import FolderSettings, read_sett
 from experiments.laboratory.sensor_file import SensorConfig, read_sensor
 from experiments.laboratory.settings import CatalogueConfig
 from optics.errors import ConfigError
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from optics.validate import parse_model
 from render.catalogue.presets import preset_names
 from render.catalogue.read import read_catalog
