@@ -231,7 +231,8 @@ def _of_program(imported: Imported, path: Path, environment: Environment | None,
     lens = lens_from_table(tables, where=where, folder=path.parent, environment=environment or defaults.environment)
     mine = {i: row for i, row in zip(_places(lens, tables), rows, strict=True) if i >= 0}
     names = [f"surface {mine[i].number} (line {mine[i].line})" for i in range(len(lens.surfaces))]
-    if not strict and np.isfinite(defaults.object_mm):
+    near = not strict and bool(np.isfinite(defaults.object_mm))
+    if near:
         lens, tables = _as_drawn(lens, tables, mine, notes)
     elif not strict:
         try:
@@ -243,11 +244,15 @@ def _of_program(imported: Imported, path: Path, environment: Environment | None,
             lens, tables = _closed(lens, tables, found)
             notes += _told(lens, needs, mine, found)
             lens, tables = _uncrossed(lens, tables, mine, found, notes)
-    limits = idle_stop(lens, names)
-    notes += [_note(mine[lens.stop_index].line, "stop", line, mine[lens.stop_index].number) for line in limits]
-    faults = [fault for fault in geometry_faults(lens, names) if fault not in limits]
-    if faults or (strict and limits):
-        raise ConfigError("\n".join(f"{where}: {fault}" for fault in [*faults, *limits]))
+    told = idle_stop(lens, names)
+    notes += [_note(mine[lens.stop_index].line, "stop", line, mine[lens.stop_index].number) for line in told]
+    for crossing in crossings(lens, names) if near else ():
+        told.append(crossing.words)
+        at = mine[crossing.surfaces[0]]
+        notes.append(_note(at.line, "clear aperture", f"{crossing.words}; kept, as the object is near", at.number))
+    faults = [fault for fault in geometry_faults(lens, names) if strict or fault not in told]
+    if faults:
+        raise ConfigError("\n".join(f"{where}: {fault}" for fault in faults))
     lines = sorted((*imported.report.lines, *notes), key=lambda line: line.line)
     report = replace(imported.report, lines=tuple(lines))
     return LensFile(lens=lens, tables=tables, report=report, defaults=defaults)

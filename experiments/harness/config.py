@@ -143,6 +143,21 @@ class ExperimentConfig(StrictModel):
         """
         raise ConfigError(f"--sensor {file}: this experiment has no sensor that could be another one")
 
+    @classmethod
+    def implied(cls, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Settings that others decide where no layer says anything, such as a lens file its pass band; none here.
+
+        Parameters
+        ----------
+        values : mapping
+            All settings of all layers, not yet validated.
+        """
+        return {}
+
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader of the report has to know of these settings, in Markdown; nothing here."""
+        return ()
+
     def as_sensor(self, file: Path | None) -> StrictModel | None:
         """The sensor file that describes what this configuration runs with; None where it has no such sensor.
 
@@ -164,6 +179,8 @@ def load_config(
     seed: int | None = None,
 ) -> Model:
     """Configuration from its layers; a later layer wins, and only the keys that it names.
+
+    What the layers imply (`ExperimentConfig.implied`) stands below all that the user says.
 
     Parameters
     ----------
@@ -195,19 +212,28 @@ def load_config(
     for key, value in (quick or {}).items():
         values = _with_value(model_class, values, key.split("."), value, f"quick setting {key!r}")
     sources = []
+    tables: list[Mapping[str, Any]] = []
     if sensor is not None:
         if not issubclass(model_class, ExperimentConfig):
             raise TypeError(f"{model_class.__name__} is no ExperimentConfig")
-        values = _merged(model_class, values, model_class.of_sensor(Path(sensor)))
+        tables.append(model_class.of_sensor(Path(sensor)))
         sources.append(str(sensor))
     if file is not None:
-        given = read_settings(model_class, file)
-        values = _merged(model_class, values, given)
-        refuse_values(model_class, values, given, str(file))
+        tables.append(read_settings(model_class, file))
         sources.append(str(file))
     if settings:
-        values = with_settings(model_class, values, settings)
         sources.append(f"--set {settings[0]}" if len(settings) == 1 else "--set")
+
+    def overlaid(below: dict[str, Any]) -> dict[str, Any]:
+        for table in tables:
+            below = _merged(model_class, below, table)
+        if file is not None:
+            refuse_values(model_class, below, tables[-1], str(file))
+        return with_settings(model_class, below, settings)
+
+    base, values = values, overlaid(values)
+    if issubclass(model_class, ExperimentConfig) and (implied := model_class.implied(values)):
+        values = overlaid(_merged(model_class, base, implied))
     if seed is not None:
         values["seed"] = seed
         sources.append("--seed")

@@ -236,11 +236,13 @@ def render_document(
         for name, html in page.items()
     }
     glossary = Glossary()
+    remarks: tuple[str, ...] = getattr(outcome.config, "remarks", tuple)()
     filled = {name: html if name == "title" else glossary.mark(str(html)) for name, html in filled.items()}
     return environment.get_template("report.html").render(
         **filled,
         passed=all(criterion.passed for criterion in criteria),
         verdict_line=verdict_line(criteria, judged) if criteria else "",
+        remarks=remarks,
         glossary=glossary,
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from pydantic import Field, field_validator
 
 from experiments.harness.config import ExperimentConfig, StrictModel, read_settings
 from experiments.laboratory.centroid_methods import CentroiderName
+from experiments.laboratory.lens_defaults import lens_defaults, lens_remarks
 from experiments.laboratory.requirements import RequirementsConfig
 from experiments.laboratory.settings import CatalogueConfig, FilterConfig, InstrumentConfig, PassbandConfig
 from optics.validate import parse_model
@@ -54,6 +56,16 @@ class SensorExperimentConfig(ExperimentConfig):
         """
         return {key: value for key, value in whole_sensor(file).items() if key in cls.model_fields}
 
+    @classmethod
+    def implied(cls, values: Mapping[str, Any]) -> dict[str, Any]:
+        """What the lens file of the instrument says beside the lens (`lens_defaults`)."""
+        return lens_defaults(values)
+
+    def remarks(self) -> tuple[str, ...]:
+        """What was taken from the lens file of the instrument."""
+        instrument, passband = getattr(self, "instrument", None), getattr(self, "passband", None)
+        return () if instrument is None else lens_remarks(instrument, passband)
+
     def as_sensor(self, file: Path | None) -> SensorConfig | None:
         """The sensor file of this configuration; parameters as of `ExperimentConfig.as_sensor`.
 
@@ -82,9 +94,12 @@ def read_sensor(file: Path) -> dict[str, Any]:
 
 
 def whole_sensor(file: Path) -> dict[str, Any]:
-    """As `read_sensor`, all tables whole, with the defaults of `SensorConfig`."""
+    """As `read_sensor`, all tables whole, with what its lens file implies and the defaults of `SensorConfig`."""
     given = read_sensor(file)
     tables = {
         key: value for key, value in SensorConfig.model_validate(given).model_dump().items() if isinstance(value, dict)
     }
+    implied = lens_defaults(tables)
+    for key, value in implied.items():
+        tables[key] = {**tables[key], **value, **given.get(key, {})}
     return {**given, **tables}

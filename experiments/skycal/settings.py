@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,6 +12,7 @@ from pydantic import Field, field_validator, model_validator
 
 from experiments.harness.config import AngleDeg, StrictModel
 from experiments.laboratory.centroid_methods import CentroiderName
+from experiments.laboratory.lens_defaults import lens_remarks
 from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig, whole_sensor
 from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
 
@@ -197,6 +199,19 @@ class Config(SensorExperimentConfig):
         own = {"instrument": given["instrument"], "faintest_mag": given["catalogue"]["faintest_mag"]}
         shared = {key: value for key, value in given.items() if key in cls.model_fields}
         return {**shared, "which": "own", "own": own}
+
+    @classmethod
+    def implied(cls, values: Mapping[str, Any]) -> dict[str, Any]:
+        """What the lens file of the camera ``own`` says beside the lens, where that camera runs."""
+        if values.get("which") != "own" or not isinstance(values.get("own"), Mapping):
+            return {}
+        found = super().implied({**values, "instrument": values["own"].get("instrument")})
+        own = {"own": {"instrument": found.pop("instrument")}} if "instrument" in found else {}
+        return {**found, **own}
+
+    def remarks(self) -> tuple[str, ...]:
+        """What was taken from the lens file of the camera ``own``."""
+        return lens_remarks(self.own.instrument, self.passband) if self.which == "own" else ()
 
     def as_sensor(self, file: Path | None) -> SensorConfig | None:
         """The sensor file of the first camera that runs; parameters as of `ExperimentConfig.as_sensor`."""

@@ -1,0 +1,78 @@
+"""What a lens file says beside the lens reaches experiments, beneath all that the user says."""
+
+import numpy as np
+import pytest
+
+from experiments.camera.settings import Config as Camera
+from experiments.chromatic.settings import Config as Chromatic
+from experiments.harness.config import load_config
+from experiments.laboratory.instrument import build_instrument
+from experiments.skycal.settings import Config as SkyCal
+
+SINGLET = """UNIT MM X W X CM MR CPMM
+NAME singlet
+ENPD 20
+FTYP 0 0 2 3 0 0 0
+XFLN 0 0
+YFLN 0 4
+WAVM 1 0.52 1
+WAVM 2 0.60 2
+WAVM 3 0.95 0
+WAVM 4 0.4 1
+PWAV 2
+SURF 0
+  DISZ INFINITY
+SURF 1
+  STOP
+  CURV 0.02
+  DISZ 5
+  GLAS N-BK7 0 0 1.5168 64.17
+  DIAM 10.1 1
+SURF 2
+  CURV 0
+  DISZ 93
+  DIAM 10.1 1
+SURF 3
+  DISZ 0
+"""
+
+
+@pytest.fixture
+def lens(tmp_path):
+    path = tmp_path / "singlet.zmx"
+    path.write_text(SINGLET)
+    return path
+
+
+def test_band_and_window_are_those_of_the_file_unless_the_user_says_others(lens):
+    """Three wavelengths are in use (FTYP), the third has no weight; 4 deg at f = 96.7 mm are 6.8 mm of radius."""
+    setting, chip = f"instrument.lens={lens}", "instrument.detector=cmv4000"
+    plain = load_config(Chromatic)
+    config = load_config(Chromatic, settings=[setting, chip])
+    assert config.passband.range_nm == (520.0, 600.0)
+    assert config.filters == plain.filters  # the bench has filters of its own
+    camera = build_instrument(config.instrument).camera
+    radius_mm = np.hypot(camera.width_px, camera.height_px) / 2 * camera.pixel_pitch_mm
+    assert np.degrees(np.arctan(radius_mm / 96.7)) == pytest.approx(4.0, abs=0.05)
+    said = load_config(Chromatic, settings=["passband.range_nm=[500, 700]", setting, chip, "instrument.width_px=300"])
+    assert said.passband.range_nm == (500.0, 700.0)
+    assert (said.instrument.width_px, said.instrument.height_px) == (300, 0)
+    assert load_config(Chromatic, settings=["instrument.lens=petzval_100mm"]).passband == plain.passband
+
+
+def test_a_sensor_file_takes_them_too_and_reports_say_so(lens, tmp_path):
+    sensor = tmp_path / "sensor.toml"
+    sensor.write_text(f'[instrument]\nlens = "{lens.name}"\ndetector = "cmv4000"\n')
+    camera = load_config(Camera, sensor=sensor)
+    assert camera.passband.range_nm == (520.0, 600.0)
+    assert camera.instrument.width_px > 0
+    sky = load_config(SkyCal, sensor=sensor)
+    assert (sky.passband, sky.own.instrument) == (camera.passband, camera.instrument)
+    for config in (camera, sky):
+        (said,) = config.remarks()
+        assert all(
+            word in said for word in ("singlet.zmx", "F/4.8", "600 nm", "4°", "520 to 600 nm", " px that its field")
+        )
+    assert load_config(Camera).remarks() == ()
+    sensor.write_text(f'[instrument]\nlens = "{lens.name}"\n[passband]\nrange_nm = [480, 640]\n')
+    assert load_config(Camera, sensor=sensor).passband.range_nm == (480.0, 640.0)
