@@ -15,7 +15,7 @@ calib.attitude     Wahba's problem, identification, association, attitudes linke
 calib.calibration  camera models and attitudes from many frames, with their bounds
 calib.directional  directions on the sphere: the Fisher distribution
 calib.fitting      least squares, robust loss, solutions
-calib.figures      stars marked in an image, residuals
+calib.figures      stars marked in an image or on its page, residuals
 =================  =====================================================================================================
 """
 

@@ -31,6 +31,7 @@ from .cameras.polynomial import Polynomial as Polynomial
 from .figures import draw_residuals as draw_residuals
 from .figures import mark_stars as mark_stars
 from .figures import show_image as show_image
+from .figures import star_marks as star_marks
 from .flags import StarFlag as StarFlag
 from .measure.background import estimate_background as estimate_background
 from .measure.centroid import get_centroider as get_centroider

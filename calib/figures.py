@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 
 from calib.attitude.identify import Identification
 from calib.attitude.star_attitude import StarAttitude
+from calib.flags import describe_flags
 from calib.measure.image import as_image
 from calib.records import SensorImage, StarTable
 from optics.figures import draw_image
+from optics.frame_page import Marks
 from render.records import Frame
 
-__all__ = ["draw_residuals", "mark_stars", "show_image"]
+__all__ = ["draw_residuals", "mark_stars", "show_image", "star_marks"]
 
 
 IDENTIFIED, FIT, UNFIT = "#59d98e", "#4aa3df", "#ff5d8f"
@@ -73,6 +75,63 @@ def mark_stars(axes: Axes, stars: StarTable, identified: Identification | StarAt
     if len(stars):
         axes.legend(loc="upper left", fontsize=7, labelcolor="white", facecolor="black", framealpha=0.6)
     return axes
+
+
+def star_marks(stars: StarTable, identified: Identification | StarAttitude | None = None) -> list[Marks]:
+    """Measured stars as layers of a page to zoom into: ``observation.save_page("frame.html", star_marks(stars))``.
+
+    Parameters
+    ----------
+    stars : StarTable
+        Those that were identified, those that may count, those that a flag speaks against.
+    identified : Identification or StarAttitude, optional
+        What they were identified as; with residuals, if it has them, as arrows from the catalogue's place.
+
+    Returns
+    -------
+    list of Marks
+        For ``Observation.save_page`` or `optics.frame_page.frame_page`; only layers that hold something.
+    """
+    names = np.full(len(stars), "", object)
+    if identified is not None:
+        of_catalogue = getattr(identified, "catalogue_id", getattr(identified, "catalogue", None))
+        names[identified.detected] = [str(one) for one in np.asarray(of_catalogue)]
+    mine = names != ""
+    layers = [
+        _star_layer(stars, mine, names, name="identified", shape="square", colour=IDENTIFIED),
+        _star_layer(stars, ~mine & stars.fit, names, name="measured stars", shape="square", colour=FIT),
+        _star_layer(stars, ~mine & ~stars.fit, names, name="flagged", shape="cross", colour=UNFIT),
+    ]
+    residual = None if identified is None else identified.residual_px
+    if identified is not None and residual is not None:
+        place = stars.pixel_px[identified.detected] - residual
+        layers.append(
+            Marks(
+                name="residuals of the attitude",
+                shape="arrow",
+                colour="#e0aaff",
+                x_px=place[:, 0],
+                y_px=place[:, 1],
+                dx_px=residual[:, 0],
+                dy_px=residual[:, 1],
+            )
+        )
+    return [layer for layer in layers if len(layer.x_px)]
+
+
+def _star_layer(stars: StarTable, rows: NDArray[np.bool_], names: NDArray[Any], **style: Any) -> Marks:
+    chosen = np.flatnonzero(rows)
+    chosen = chosen[np.argsort(-stars.flux_e[chosen], kind="stable")]
+    some = stars.select(chosen)
+    columns: dict[str, Any] = {
+        "catalogue": names[chosen],
+        "flux [e-]": some.flux_e,
+        "sigma [px]": some.position_sigma_px,
+        "background [e-]": some.background_e,
+        "flags": [describe_flags(int(value)) for value in some.flags],
+    }
+    columns = {name: values for name, values in columns.items() if any(str(value) for value in values)}
+    return Marks(x_px=some.x_px, y_px=some.y_px, columns=columns, **style)
 
 
 def draw_residuals(attitude: StarAttitude, stars: StarTable, axes: Axes | None = None, *, scale: float = 500.0) -> Axes:

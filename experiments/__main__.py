@@ -11,6 +11,7 @@ __all__ = ["COMMANDS", "console", "main"]
 
 COMMANDS = {
     "doctor": "what is there (LLVM, versions, GPU, stars), what is missing, what to do",
+    "frame": "any FITS image as a page to zoom into, with its stars: frame show FILE.fits --out page.html",
     "lens": "lens files: lens show FILE, lens convert FILE NEW   (.toml, .zmx, .seq)",
 }
 """What is no experiment; ``experiments.NAME.command`` runs it."""

@@ -6,6 +6,9 @@ from .errors import StarbenchError as StarbenchError
 from .figures import draw_distortion as draw_distortion
 from .figures import draw_lens as draw_lens
 from .figures import draw_spots as draw_spots
+from .frame_page import Marks as Marks
+from .frame_page import frame_page as frame_page
+from .frame_page import save_frame_page as save_frame_page
 from .frames import field_direction as field_direction
 from .glass.catalogue import Glass as Glass
 from .glass.catalogue import get_glass as get_glass

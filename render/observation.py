@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,9 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from optics.attitude import angles_from_attitude
 from optics.errors import ConfigError
+from optics.frame_page import Marks, differences, save_frame_page
 from optics.light.band import Band
 from render.detector.readout import expose
 from render.engine.random import Streams
+from render.fits.wcs import lens_wcs, sky_grid
 from render.forward import StarRenderer
 from render.records import ExpectedImage, Frame, Truth
 from render.sensor import StarSensor
@@ -123,6 +127,72 @@ class Observation:
             )
         axes.set_title(f"{self.frame.exposure_s:g} s, {self.frame.band}, {len(lit)} stars", fontsize=9)
         return axes
+
+    def save_page(self, path: str | Path, layers: Sequence[Marks] = ()) -> Path:
+        """Write the frame as a page to zoom into, with its pixel values, the true stars and what was measured.
+
+        Parameters
+        ----------
+        path : path
+            File to write: HTML that needs nothing else, neither server nor network.
+        layers : sequence of Marks
+            More marks, such as ``calib.star_marks(stars, solution)``; errors against the truth of the
+            measured ones, flagged ones (crosses) left out, are added as arrows.
+
+        Returns
+        -------
+        pathlib.Path
+            The file.
+
+        Raises
+        ------
+        ConfigError
+            It cannot be written.
+
+        Examples
+        --------
+        >>> observation.save_page("orion.html", star_marks(stars, solution))  # doctest: +SKIP
+        """
+        frame, true = self.frame, self._true_marks()
+        measured = [layer for layer in layers if layer.shape not in ("arrow", "cross")]
+        known = [replace(layer, shown=layer.shape != "arrow") for layer in layers]  # the truth says more than residuals
+        cards = lens_wcs(self.sensor.camera).header(self.attitude.as_matrix())
+        ra, dec, roll = angles_from_attitude(self.attitude)
+        return save_frame_page(
+            path,
+            frame.dn,
+            [true, *known, *([differences(measured, true)] if measured else [])],
+            title=f"{self.sensor.camera.lens.name}, {frame.exposure_s:g} s",
+            facts={
+                "right ascension": f"{ra:.4f}°",
+                "declination": f"{dec:.4f}°",
+                "roll": f"{roll:.4f}°",
+                "filter": frame.band,
+            },
+            flags={"saturated": frame.saturated, "defective": frame.defect},
+            sky=sky_grid(cards, frame.dn.shape),
+        )
+
+    def _true_marks(self) -> Marks:
+        """Stars whose light reaches the detector, brightest first."""
+        truth, stars, electrons = self.truth, self.field.stars, self.truth.electrons_image[:, 0]
+        rows = np.flatnonzero(electrons > 0)
+        rows = rows[np.argsort(-electrons[rows], kind="stable")]
+        x, y, z = self.field.direction[rows].T
+        return Marks(
+            name="true stars",
+            x_px=truth.photon_x_px[rows, 0],
+            y_px=truth.photon_y_px[rows, 0],
+            label=[f"{magnitude:.1f}" for magnitude in stars.magnitude[rows]],
+            columns={
+                "star": np.asarray(stars.id)[rows],
+                "magnitude": stars.magnitude[rows],
+                "temperature [K]": np.rint(self.sky.temperature_k[self.field.row[rows]]),
+                "right ascension [deg]": np.degrees(np.arctan2(y, x)) % 360.0,
+                "declination [deg]": np.degrees(np.arcsin(z)),
+                "light [e-]": electrons[rows],
+            },
+        )
 
 
 class SkySimulator:

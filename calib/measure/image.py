@@ -258,7 +258,10 @@ def _load(path: Path, hdu: int | str | None) -> tuple[NDArray[Any], Any]:
             images = [item for item in file if item.is_image and item.header.get("NAXIS", 0) >= 2]
             if not images:
                 raise ConfigError(f"{path}: holds no image; {len(file)} extension(s) without image data")
-        chosen = images[0] if hdu is None else file[hdu]
+        try:
+            chosen = images[0] if hdu is None else file[hdu]
+        except (IndexError, KeyError):
+            raise ConfigError(f"{path}: has no extension {hdu!r}; it has {len(file)}, counted from 0") from None
         data = chosen.data
         header = chosen.header.copy()
         dict(header)  # every value is looked at while what is wrong with it can be told

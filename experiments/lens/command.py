@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
-from optics.errors import ConfigError, StarbenchError
+from experiments.harness.groups import run_group
+from optics.errors import ConfigError
 
-__all__ = ["main"]
+__all__ = ["lens", "main"]
 
 HELP = """Lens files of Zemax (.zmx), CODE V (.seq) and our own (.toml); zoom.zmx#2 is the second configuration."""
 
@@ -59,12 +59,12 @@ def _tell(file: Any) -> None:
         click.echo(f"  {one.name}: {computed} {one.unit}" + (f" (file: {stated}, {one.source})" if one.source else ""))
 
 
-@click.group(help=HELP, context_settings={"help_option_names": ["-h", "--help"]})
-def _lens() -> None:
-    pass
+@click.group("lens", help=HELP, context_settings={"help_option_names": ["-h", "--help"]})
+def lens() -> None:
+    """The command with its subcommands."""
 
 
-@_lens.command(help="One HTML page: prescription, first-order data, drawing, spots, distortion, colour, MTF, report.")
+@lens.command(help="One HTML page: prescription, first-order data, drawing, spots, distortion, colour, MTF, report.")
 @click.argument("file")
 @click.option("--out", default=None, metavar="HTML", help="the page; the file's name with .html if left out")
 @_reading
@@ -86,7 +86,7 @@ def show(file: str, out: str | None, strict: bool, glass: tuple[str, ...], catal
     click.echo(f"page: {page}")
 
 
-@_lens.command(help="Write a lens file as another one: .toml, .zmx or .seq.")
+@lens.command(help="Write a lens file as another one: .toml, .zmx or .seq.")
 @click.argument("file")
 @click.argument("new")
 @click.option("--force", is_flag=True, help="replace a file that is there")
@@ -115,15 +115,4 @@ def main(argv: list[str]) -> int:
     int
         0, or 2 for bad input, told in one line per fault.
     """
-    try:
-        _lens.main(args=argv, prog_name="starbench lens", standalone_mode=False)
-    except click.exceptions.Exit as end:
-        return int(end.exit_code)
-    except click.ClickException as error:
-        print(f"error: {error.format_message()}", file=sys.stderr)
-        return 2
-    except StarbenchError as error:
-        for line in str(error).split("\n"):
-            print(f"error: {line}", file=sys.stderr)
-        return 2
-    return 0
+    return run_group(lens, argv)

@@ -18,10 +18,13 @@ upwards and show the sky mirrored, as they do with any image stored from its top
 from __future__ import annotations
 
 import math
+import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from astropy.io import fits
 from numpy.typing import ArrayLike
 
 from optics.arrays import FloatArray
@@ -34,7 +37,7 @@ from optics.units import RAD_DEG
 from render.camera import Camera
 from render.fits.headers import Card
 
-__all__ = ["LensWcs", "lens_wcs"]
+__all__ = ["LensWcs", "lens_wcs", "sky_grid"]
 
 HIGHEST_ORDER = 9
 """Highest order of a SIP polynomial that astropy and ds9 read (Shupe et al. 2005)."""
@@ -200,6 +203,40 @@ def lens_wcs(camera: Camera, *, wavelength_nm: float | None = None, tolerance_px
         residual_px=residual,
         inverse_residual_px=inverse_residual,
     )
+
+
+def sky_grid(header: fits.Header | Iterable[Card], shape: tuple[int, int], *, nodes: int = 65) -> FloatArray | None:
+    """Directions over a frame, for `optics.frame_page.frame_page`.
+
+    Parameters
+    ----------
+    header : astropy.io.fits.Header or iterable of cards
+        World coordinates of the frame.
+    shape : (int, int)
+        Rows and columns of the frame.
+    nodes : int
+        Of the grid along each side, from edge to edge.
+
+    Returns
+    -------
+    (nodes, nodes, 3) or None
+        Unit vectors along icrs; None where the header holds no celestial coordinates that astropy understands.
+    """
+    from astropy.wcs import WCS
+
+    cards = header if isinstance(header, fits.Header) else fits.Header(list(header))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            world = WCS(cards, naxis=2)
+            if not world.has_celestial:
+                return None
+            x, y = np.meshgrid(*(np.linspace(-0.5, size - 0.5, nodes) for size in reversed(shape)))
+            seen = world.celestial.pixel_to_world(x, y).icrs.cartesian.xyz.value
+        except Exception:  # wcslib and astropy raise what they happen to raise over headers of others
+            return None
+    grid = np.moveaxis(np.asarray(seen, np.float64), 0, -1)
+    return grid if np.isfinite(grid).all() else None
 
 
 def _rays_at(camera: Camera, nodes: FloatArray, wavelength_nm: float) -> tuple[FloatArray, FloatArray]:

@@ -1,11 +1,17 @@
 """Frames of the sky by name and angles: where astropy says that stars are, with the light that a catalogue says."""
 
+import base64
+import json
+import re
+import zlib
+
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 
 from optics.attitude import attitude_from_angles
 from optics.errors import ConfigError, DomainError
+from optics.frame_page import Marks
 from optics.light.photometry import photon_rate
 from optics.light.spectrum import Blackbody
 from optics.rays.spots import collecting_area_mm2
@@ -116,3 +122,29 @@ def test_what_cannot_be_observed_is_refused(sensor, sky):
         load_sky(faintest_mag=-5.0)
     with pytest.raises(DomainError, match="exposure_s"):
         observe(sensor, attitude_from_angles(*ORION), sky, exposure_s=0.0)
+
+
+def test_its_page_holds_the_frame_the_truth_and_the_errors_of_what_was_measured(observation, tmp_path):
+    truth = observation.truth
+    places = np.column_stack([truth.photon_x_px[:, 0], truth.photon_y_px[:, 0]])
+    apart = np.sort(np.linalg.norm(places[:, None] - places[None], axis=2), axis=1)[:, 1]
+    bright = np.argsort(-np.where(apart > 5, truth.electrons_image[:, 0], -1.0))[:5]  # no doubles
+    x, y = places[bright].T
+    measured = Marks(name="measured", x_px=x + 0.25, y_px=y)
+    page = observation.save_page(tmp_path / "page.html", [measured]).read_text(encoding="utf-8")
+    told = json.loads(re.search(r'id="meta">(.*?)</script>', page, re.DOTALL)[1])
+    true, own, errors = told["layers"]
+    assert {round(one, 4) for one in x} <= set(true["x"])
+    assert own["name"] == "measured"
+    assert errors["dx"] == [0.25] * 5
+    assert errors["dy"] == [0.0] * 5
+    raw = np.frombuffer(zlib.decompress(base64.b64decode(re.search(r'id="pixels">(.*?)<', page)[1])), np.uint8)
+    planes = raw.reshape(told["planes"], 512, 512).astype(int)
+    assert np.array_equal(told["zero"] + sum(p * 256**at for at, p in enumerate(planes)), observation.frame.dn)
+    row = true["x"].index(round(x[0], 4))
+    star = {column["name"]: column["values"][row] for column in true["columns"]}
+    vectors = np.reshape(told["sky"]["vectors"], (65, 65, 3))
+    cell = np.round((np.array([y[0], x[0]]) + 0.5) / 512 * 64).astype(int)  # nearest node, 4 px or so away
+    ra, dec = np.radians([star["right ascension"], star["declination"]])
+    towards = [np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)]
+    assert np.degrees(np.arccos(vectors[tuple(cell)] @ towards)) < 6 * observation.sensor.pixel_arcsec / 3600

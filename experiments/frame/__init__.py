@@ -1,0 +1,1 @@
+"""Any frame as a page to zoom into, with the stars in it: ``starbench frame``."""

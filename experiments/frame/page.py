@@ -1,0 +1,170 @@
+"""From a FITS image to its page: pixels, stars that are found, truth and catalogue where there are any."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from astropy.io import fits
+
+from calib.figures import star_marks
+from calib.measure.find import find_stars
+from calib.measure.image import read_image
+from calib.records import SensorImage
+from experiments.laboratory.truth_marks import truth_marks
+from optics.errors import ConfigError
+from optics.fits import open_fits
+from optics.frame_page import Marks, differences, save_frame_page
+from render.fits.wcs import sky_grid
+
+__all__ = ["Asked", "write_page"]
+
+CARDS = ("OBJECT", "DATE-OBS", "EXPTIME", "FILTER", "INSTRUME", "TELESCOP", "GAIN", "CCD-TEMP")
+NEAR_PX = 3.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Asked:
+    """What the page is made of.
+
+    Attributes
+    ----------
+    file : pathlib.Path
+        FITS image.
+    hdu, plane
+        As `calib.measure.image.read_image`.
+    sigma : float or None
+        Threshold of detection; None finds no stars.
+    truth : pathlib.Path or None
+        Table of places; None takes the truth of a dataset that the file is of.
+    faintest_mag : float or None
+        Stars of the catalogue to this magnitude; None marks none.
+    """
+
+    file: Path
+    hdu: int | str | None = None
+    plane: int | None = None
+    sigma: float | None = 5.0
+    truth: Path | None = None
+    faintest_mag: float | None = None
+
+
+def write_page(asked: Asked, page: Path) -> Iterator[str]:
+    """Write the page; what was found is told line by line.
+
+    Raises
+    ------
+    ConfigError
+        A file that cannot be read or written, a catalogue where the file has no coordinates.
+    """
+    image = read_image(asked.file, hdu=asked.hdu, plane=asked.plane)
+    header = _header(asked)
+    sky = sky_grid(header, image.dn.shape)
+    layers, reference = [], []
+    if truth := asked.truth or _truth_beside(asked.file):
+        reference.append(truth_marks(_table(truth)))
+    if asked.faintest_mag is not None:
+        if sky is None:
+            raise ConfigError(f"{asked.file}: has no world coordinates, so no star of the catalogue can be placed")
+        reference.append(_catalogue(header, image.dn.shape, asked.faintest_mag))
+    if asked.sigma is not None:
+        layers = star_marks(find_stars(image, "gaussian", threshold_sigma=asked.sigma))
+    counted = [layer for layer in layers if layer.shape != "cross"]
+    arrows = [differences(counted, one, within_px=NEAR_PX) for one in reference if counted]
+    save_frame_page(
+        page,
+        _values(image),
+        [*reference, *layers, *arrows],
+        title=asked.file.name,
+        facts=_facts(header),
+        flags={"saturated": image.saturated},
+        sky=sky,
+        noise=image.noise.read_noise_e * image.noise.gain_dn_per_e or None,
+    )
+    for layer in (*reference, *layers):
+        yield f"{len(layer.x_px)} {layer.name}"
+
+
+def _values(image: SensorImage) -> Any:
+    whole = image.dn.astype(np.int64)
+    if np.array_equal(whole, image.dn) and image.valid.all():
+        return whole
+    return np.where(image.valid, image.dn, np.nan)
+
+
+def _header(asked: Asked) -> fits.Header:
+    with open_fits(asked.file) as content:
+        chosen = asked.hdu
+        if chosen is None:
+            chosen = next(at for at, one in enumerate(content) if one.is_image and one.header.get("NAXIS", 0) >= 2)
+        found: fits.Header = content[chosen].header.copy()
+        return found
+
+
+def _facts(header: fits.Header) -> dict[str, str]:
+    known = {card: str(header[card]).strip() for card in CARDS if header.get(card) not in (None, "")}
+    return {name: f"{text} s" if name == "EXPTIME" else text for name, text in known.items()}
+
+
+def _truth_beside(file: Path) -> Path | None:
+    """Truth of a frame of a dataset: ``truth/frame_000001.parquet`` of ``frames/frame_000001.fits``."""
+    if file.resolve().parent.name != "frames":
+        return None
+    folder = file.resolve().parents[1] / "truth"
+    return next((path for form in ("parquet", "ecsv") if (path := folder / f"{file.stem}.{form}").is_file()), None)
+
+
+def _table(path: Path) -> Any:
+    """A table of any of the usual forms."""
+    from astropy.table import Table
+
+    try:
+        if path.suffix == ".parquet":
+            import pyarrow.parquet as pq
+
+            columns = pq.read_table(path)
+            return Table({name: columns.column(name).to_numpy() for name in columns.column_names})
+        return Table.read(path, format={".ecsv": "ascii.ecsv", ".csv": "ascii.csv"}.get(path.suffix))
+    except Exception as error:  # pyarrow and astropy raise what their readers happen to raise
+        raise ConfigError(f"{path}: no table that can be read ({' '.join(str(error).split())[:160]})") from None
+
+
+def _catalogue(header: fits.Header, shape: tuple[int, int], faintest_mag: float) -> Marks:
+    """Stars of the built-in sky in the frame, brightest first."""
+    import warnings
+
+    from astropy.wcs import WCS
+
+    from render.sky.sky import load_sky
+
+    known = load_sky(faintest_mag=faintest_mag)
+    ra = np.degrees(np.arctan2(known.direction[:, 1], known.direction[:, 0])) % 360.0
+    dec = np.degrees(np.arcsin(np.clip(known.direction[:, 2], -1.0, 1.0)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        world = WCS(header, naxis=2).celestial
+        rows, columns = shape
+        centre = world.pixel_to_world(0.5 * columns, 0.5 * rows).icrs.cartesian.xyz.value
+        corner = world.pixel_to_world(-0.5, -0.5).icrs.cartesian.xyz.value
+        near = np.flatnonzero(known.direction @ centre > min(float(centre @ corner), 1.0) - 1e-4)
+        x, y = world.all_world2pix(ra[near], dec[near], 0, quiet=True)
+    inside = (np.abs(x - 0.5 * (columns - 1)) <= 0.5 * columns) & (np.abs(y - 0.5 * (rows - 1)) <= 0.5 * rows)
+    magnitude = known.magnitude[near]
+    order = np.flatnonzero(inside)[np.argsort(magnitude[inside], kind="stable")]
+    stars = near[order]
+    return Marks(
+        name="catalogue",
+        x_px=x[order],
+        y_px=y[order],
+        colour="#ffd166",
+        label=[f"{one:.1f}" for one in magnitude[order]],
+        columns={
+            "star": np.asarray(known.id)[stars],
+            "magnitude": magnitude[order],
+            "right ascension [deg]": ra[stars],
+            "declination [deg]": dec[stars],
+        },
+    )

@@ -1,0 +1,40 @@
+"""Commands that are no experiments: their exit status, and what the user can mend as one line per fault."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+from optics.errors import StarbenchError
+
+__all__ = ["run_group"]
+
+
+def run_group(group: click.Group, argv: list[str]) -> int:
+    """Run a group of commands.
+
+    Parameters
+    ----------
+    group : click.Group
+        The group; its name is that of the command.
+    argv : list of str
+        Subcommand and options.
+
+    Returns
+    -------
+    int
+        0, or 2 for bad input.
+    """
+    try:
+        group.main(args=argv, prog_name=f"starbench {group.name}", standalone_mode=False)
+    except click.exceptions.Exit as end:
+        return int(end.exit_code)
+    except click.ClickException as error:
+        print(f"error: {error.format_message()}", file=sys.stderr)
+        return 2
+    except StarbenchError as error:
+        for line in str(error).split("\n"):
+            print(f"error: {line}", file=sys.stderr)
+        return 2
+    return 0
