@@ -7,7 +7,7 @@ import pytest
 
 from optics.errors import DomainError
 from optics.frames import field_direction
-from optics.lens.prescription import load_lens
+from optics.lens_file import load_lens
 from render.records import StarField
 from render.sensor import load_star_sensor
 from render.tracing import wave_psf
