@@ -251,7 +251,7 @@ class Config(SensorExperimentConfig):
         default=1e-4,
         ge=1e-7,
         le=1e-2,
-        description="of the pupil's quadrature: change of a spot with the next finer one",
+        description="of the quadrature over the pupil: largest error of a pixel in the light of its star",
     )
     catalogue: CatalogueConfig = CatalogueConfig()
     centroid: CentroiderName = Field(default="epsf", description="centroider")

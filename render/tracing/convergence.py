@@ -13,9 +13,10 @@ __all__ = ["HIGHEST_FREQUENCY", "MOTION_TOLERANCE", "TOLERANCE", "damped_frequen
 
 
 TOLERANCE = 3e-5
-"""Largest change of a damped characteristic function that counts as converged."""
+"""Largest error of a pixel that counts as converged, in the light of its star."""
 MOTION_TOLERANCE = 1e-4
-"""The same for paths and for spots that move along them; a pixel of a trail is then right to 7e-5 of the light."""
+"""Largest change of a damped characteristic function for paths and for spots that move along them; a pixel of a
+trail is then right to 7e-5 of the light."""
 HIGHEST_FREQUENCY = 8.0
 """Cycles per pixel beyond which a spot is not followed; diffusion below 0.09 px lets more through."""
 

@@ -21,9 +21,9 @@ from optics.rays.program import compile_lens
 from optics.rays.pupil import EntrancePupil, entrance_pupil, launch_disks, stop_in_front
 from render.camera import Camera, launch_disk
 from render.tracing.aimed_pupil import Chiefs, aimed_lens, find_chiefs
-from render.tracing.convergence import MOTION_TOLERANCE, TOLERANCE
+from render.tracing.convergence import HIGHEST_FREQUENCY, MOTION_TOLERANCE, TOLERANCE
 from render.tracing.ideal_lens import IdealLens
-from render.tracing.kernel import Geometry, StarKernel
+from render.tracing.kernel import Geometry, StarKernel, reach_px
 from render.tracing.outlines import NodePicks, Outlines, every_node, find_outlines, node_picks
 from render.tracing.passes import Bounds, Group, find_bounds
 from render.tracing.paths import StarPaths, pick_times, uniform_paths
@@ -34,6 +34,7 @@ from render.tracing.sampling import (
     OUTLINE_LADDER,
     Landed,
     PupilPlan,
+    Trial,
     bounding_disk,
     converged_order,
     lowest_order,
@@ -53,6 +54,12 @@ MOTION_FIELDS = (0, 1, 6, 9, 12, 15)
 MOST_TRIAL_TIMES = 72
 """Time nodes of a trial; a longer trail is judged by a part of it."""
 LEAST_ORDER, LEAST_ARC_ORDER = (2, 3), (2, 20)
+LEAST_DAMPED = 0.72
+"""Charge diffusion [px] times the highest frequency below which too much of that is left."""
+RIM_BEYOND = 0.25
+"""How far the rim of a spot is looked for beyond the rays of the lowest order, in terms of their extent."""
+WIDEST_TRIAL_PX = 200
+"""Size of the stamps of a trial; wider spots are left to Sobol points."""
 SHORTEST_PX = 0.25
 """Path below which the order is that of a star at rest."""
 
@@ -399,10 +406,51 @@ class PupilPlanner:
             tolerance = self.tolerance * (MOTION_TOLERANCE / TOLERANCE)
             found = lowest_order(land, self.camera.charge_diffusion_px, tolerance, still.order, least)
         else:
-            found = converged_order(land, self.camera.charge_diffusion_px, self.tolerance, ladder)
+            found = self._converged(seen, few, points, probes, ladder)
         if found is None:
             return None
         order, error = found
         fixed = self.pupil.exact and mode == "quadrature"
         pupil = staggered(order, wavelength_nm.shape[1], times) if fixed else None
         return PupilPlan(mode, order[0] * order[1], error, pupil, order)
+
+    def _converged(
+        self,
+        seen: Seen,
+        wavelength_nm: FloatArray,
+        points: Callable[[tuple[int, int]], PupilPoints],
+        probes: IntArray,
+        ladder: Ladder,
+    ) -> tuple[tuple[int, int], float] | None:
+        """Lowest order that is converged for probe stars at rest, on stamps that hold their light."""
+        diffusion, stars = self.camera.charge_diffusion_px, probes.astype(np.uint32)
+        if diffusion * HIGHEST_FREQUENCY < LEAST_DAMPED:
+            return None
+        x, y, ok = (v.reshape(*v.shape[:2], -1) for v in seen.nodes.land(points(ladder[0]), wavelength_nm, stars))
+        if not ok.any():
+            return None
+        low, high = (
+            np.stack([f(np.where(ok, v, end), axis=2) for v in (x, y)], axis=-1)
+            for f, end in ((np.min, np.inf), (np.max, -np.inf))
+        )
+        empty = ~np.isfinite(low)
+        room = reach_px(diffusion) + 1.0 + RIM_BEYOND * np.where(empty, 0.0, high - low)
+        corner = np.where(empty, 0.0, np.floor(low - room)) - 0.5
+        size = math.ceil(float(np.where(empty, 0.0, high - low + 2.0 * room).max())) + 1
+        if size > WIDEST_TRIAL_PX:
+            return None
+        share = np.full((len(probes), *wavelength_nm.shape), 1.0 / wavelength_nm.shape[1])
+
+        def trial(order: tuple[int, int]) -> Trial:
+            stamps = seen.nodes.splat(
+                stars=stars,
+                pupil=points(order),
+                wavelength_nm=wavelength_nm,
+                node_share=share,
+                corner_px=corner,
+                stamp_px=size,
+                cells_per_px=2,
+            )
+            return Trial.of(stamps, size)
+
+        return converged_order(trial, self.tolerance, ladder)

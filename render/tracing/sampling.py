@@ -1,9 +1,11 @@
 """How the pupil is sampled: quadrature where its outline is known, scrambled Sobol where it is not.
 
-The quadrature order is found by trial on stars spread over the field: what a pixel value depends on is the
-characteristic function of the landing points, times the transfer of the diffusion kernel and of the pixel; the first
-order that agrees with the next one to `TOLERANCE` is taken. Where none does (no charge diffusion, so that a pixel's
-edge cuts the bundle; an image dozens of pixels wide) Sobol points serve too.
+The quadrature order is found by trial on stars spread over the field: the first whose pixels, wherever their edges
+lie, agree to `TOLERANCE` of the star's light with those of an order of twice as many rays. Where none does (no charge
+diffusion, so that a pixel's edge cuts the bundle; an image dozens of pixels wide) Sobol points serve too.
+
+Under motion the order is lowered as far as the characteristic function of the landing points allows, times the
+transfer of the diffusion kernel and of the pixel.
 
 The azimuths of each wavelength node are turned by a golden-ratio fraction of their spacing: the nodes fill each other's
 gaps, which halves the number of azimuths needed.
@@ -11,7 +13,6 @@ gaps, which halves the number of azimuths needed.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from optics.arrays import FloatArray
 from optics.rays.pupil import gauss_disk
 from render.tracing.convergence import TOLERANCE, damped_frequencies, transfer
+from render.tracing.kernel import ARRIVED, FIRST, LOST, StampSums
 from render.tracing.outlines import node_turns
 from render.tracing.pupil_points import PupilPoints, SobolPoints, TablePoints
 
@@ -31,6 +33,7 @@ __all__ = [
     "TOLERANCE",
     "Landed",
     "PupilPlan",
+    "Trial",
     "bounding_disk",
     "converged_order",
     "lowest_order",
@@ -64,9 +67,13 @@ OUTLINE_LADDER = (
     (8, 12),
     (10, 14),
     (11, 16),
+    (12, 17),
     (13, 19),
+    (14, 21),
     (16, 23),
+    (18, 26),
     (20, 29),
+    (22, 33),
     (25, 37),
     (31, 47),
     (39, 60),
@@ -74,6 +81,13 @@ OUTLINE_LADDER = (
     (62, 98),
 )
 """The same for outlines, where the rings' azimuths are staggered."""
+
+BRIGHTEST = 0.01
+"""Light in the brightest pixel below which errors count in terms of that."""
+MEANS_FINER = 30.0
+"""How many times as close as the pixels the mean of a bundle, which is truth, is held."""
+LEAST_LIGHT = 1e-12
+"""Share of a star's light below which none is lost (rounding of the sums)."""
 
 PROBE_NODES = 6
 """Wavelength nodes per band on which the quadrature order is tried."""
@@ -90,7 +104,7 @@ class PupilPlan:
     rays_per_node : int
         Rays per star, band and node.
     error : float
-        Change of the damped characteristic function against the next order (quadrature), NaN for Sobol.
+        What the order was judged by (`converged_order`), NaN for Sobol.
     pupil : PupilPoints or None
         Points of the launch disk; None where they follow every star's outline.
     order : (int, int)
@@ -125,6 +139,47 @@ class Landed:
     arrived: NDArray[np.bool_]
     weight: FloatArray
     node_weight: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What an order makes of probe stars.
+
+    Attributes
+    ----------
+    pixels : (n, ...)
+        Light of all pixels, of all bands.
+    light, mean : (n, ...)
+        Light that arrives, and its mean [px].
+    clear : (n,)
+        Whether all of it does.
+    """
+
+    pixels: FloatArray
+    light: FloatArray
+    mean: FloatArray
+    clear: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, stamps: StampSums, size_px: int) -> Trial:
+        """From cells of half a pixel: pixels at every half pixel."""
+        rows = stamps.pixels[..., :-1, :] + stamps.pixels[..., 1:, :]
+        pixels = rows[..., :-1] + rows[..., 1:]
+        light = stamps.moments[..., ARRIVED]
+        with np.errstate(invalid="ignore"):
+            mean = size_px * stamps.moments[..., FIRST] / light[..., None]
+        return cls(pixels, light, mean, np.asarray((stamps.moments[..., LOST] < LEAST_LIGHT).all(1)))
+
+    def change(self, finer: Trial) -> float:
+        """Largest change to a finer order; see `converged_order`."""
+        axes = tuple(range(1, self.pixels.ndim))
+        scale = np.minimum(1.0, finer.pixels.max(axes) / BRIGHTEST)
+        pixel = np.abs(self.pixels - finer.pixels).max(axes) / scale
+        light, mean = (
+            np.abs(a - b).reshape(len(scale), -1).max(1)
+            for a, b in ((self.light, finer.light), (self.mean, finer.mean))
+        )
+        return float(np.max([v[finer.clear] for v in (pixel, light, MEANS_FINER * mean)]))
 
 
 def bounding_disk() -> TablePoints:
@@ -192,37 +247,34 @@ def probe_nodes(nodes: int) -> NDArray[np.int64]:
 
 
 def converged_order(
-    land: Callable[[tuple[int, int]], Landed],
-    diffusion_px: float,
-    tolerance: float = TOLERANCE,
-    ladder: tuple[tuple[int, int], ...] = LADDER,
+    trial: Callable[[tuple[int, int]], Trial], tolerance: float, ladder: tuple[tuple[int, int], ...] = LADDER
 ) -> tuple[tuple[int, int], float] | None:
     """Lowest order of a ladder that is converged for probe stars, and its error; None if there is none.
 
+    The error is the largest change of a pixel or of all light [the star's light], where the brightest pixel holds less
+    than `BRIGHTEST` in units of what that would then hold, or of the mean [px] times `MEANS_FINER`.
+
     Parameters
     ----------
-    land : callable
-        Landing points of the probe stars for an order; stars that are not clear do not count.
-    diffusion_px : float
-        Width of the diffusion kernel.
+    trial : callable
+        What becomes of the probe stars for an order; stars that are not clear do not count.
     tolerance : float
-        Largest change of the characteristic function and of the mean [px] that counts as converged.
+        Largest error that counts as converged.
     ladder : tuple of (int, int)
         Rings and azimuths that are tried, in this order.
     """
-    frequency = damped_frequencies(diffusion_px, tolerance)
-    if frequency is None:
-        return None
-    grid = frequency, transfer(frequency, diffusion_px)
-    previous, _ = _spectrum(land(ladder[0]), *grid)
-    for order, following in itertools.pairwise(ladder):
-        current, clear = _spectrum(land(following), *grid)
-        if not clear.any():
+    tried: dict[tuple[int, int], Trial] = {}
+    for order in ladder:
+        beyond = math.ceil(math.sqrt(2.0) * order[0]), math.ceil(math.sqrt(2.0) * order[1])
+        finer = next((one for one in ladder if math.prod(one) >= 2 * math.prod(order)), beyond)
+        for one in (order, finer):
+            if one not in tried:
+                tried[one] = trial(one)
+        if not tried[finer].clear.any():
             return None
-        error = float(np.abs(current - previous)[clear].max())
+        error = tried.pop(order).change(tried[finer])
         if error < tolerance:
             return order, error
-        previous = current
     return None
 
 

@@ -114,6 +114,30 @@ def test_chosen_order_keeps_its_tolerance(engine, bench, diffusion_px, defocus_m
     assert np.abs(stamps(tracer, stars, plan.pupil, size=22).pixels - fine).max() < TOLERANCE
 
 
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-5])
+def test_order_inside_outlines_is_high_enough_and_not_far_too_high(engine, bench, tolerance):
+    """Stop inside the lens: within the tolerance at stars that were not tried; a rule of half the rays is not."""
+    camera = bench.camera_of("star_tracker_26mm", fine=2, charge_diffusion_px=0.09)
+    rng = np.random.default_rng(4)
+    stars = bench.stars_at(camera, *rng.uniform(500, 1540, (2, 12)), bands=((625.0, 400.0),), nodes=6)
+    tracer = Tracer(camera, tolerance=tolerance)
+    planner = tracer.planner
+    seen = planner.seen(tracer._in_cam(stars, None), stars.wavelength_nm)
+    chiefs = planner.chiefs(seen.mid, stars.wavelength_nm)
+    (group, rest), _, _ = planner.groups(seen, stars.wavelength_nm, chiefs)
+    (shape,) = planner.shapes(seen, chiefs).parts
+    assert len(group.members) == 12
+    assert len(rest.members) == 0
+
+    def error(order):
+        pixels = stamps(tracer, stars, shape[2].points(order, shape[1]), size=30).pixels
+        return np.abs(pixels - exact).max()
+
+    exact = stamps(tracer, stars, shape[2].points((45, 70), shape[1]), size=30).pixels
+    rings, arms = group.plan.order
+    assert error((rings, arms)) < tolerance < error((round(0.7 * rings), round(0.7 * arms)))
+
+
 @pytest.mark.slow
 def test_rule_is_chosen_by_the_pupil(engine, bench):
     """Clear: quadrature. Cut before or behind a stop inside the lens: arcs. Anything else: Sobol."""
