@@ -4,7 +4,9 @@ Planets: A. Mallama and J. L. Hilton, "Computing apparent planetary magnitudes f
 and Computing 25, 10 (2018), eq. 2-17, :math:`V = V_1(\alpha) + 5 \log_{10} (r \Delta)` with r and :math:`\Delta` in au.
 What depends on the turn and the season of Mars (their tables of 0.06 and 0.09 mag at most) is left out. Where no
 equation holds V is NaN: Mercury and Venus beyond 179 deg, Mars beyond 120, Jupiter beyond 130, Saturn (with its rings)
-beyond 6.5, Neptune beyond 133 or, before 2000, beyond 1.9 deg; nobody has seen them from there.
+beyond 6.5, Neptune beyond 133 or, before 2000, beyond 1.9 deg; nobody has seen them from there. The Earth's curve and
+its geometric albedo of 0.434 make a Bond albedo of 0.57 in V; earthshine measures 0.297 (P. R. Goode et al., Geophys.
+Res. Lett. 28, 1671 (2001)): the light of a half Earth may be too bright by 0.7 mag.
 
 Moon: C. W. Allen, Astrophysical Quantities, 3rd ed. (1973), sec. 66, -12.73 at the mean distance of 384 400 km and the
 phase law 0.026 mag/deg + 4e-9 mag/deg^4, here up to 150 deg; no opposition surge below 6 deg (some 0.2 mag), no

@@ -1,15 +1,19 @@
 """The Moon's face: libration against an almanac's example, maria against published areas, earthshine against a star."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from astropy.time import Time
 
 from optics.lens_file import load_lens
 from optics.light.band import TopHat
+from optics.light.photometry import photon_rate
 from render.bodies.body_image import BodyRenderer
+from render.bodies.brightness import planet_spectrum
 from render.bodies.lunar_map import HIGHLAND, MARE, lunar_map, moon_rotation
 from render.bodies.solar_system import solar_system
-from render.bodies.sunlit_body import planet_body
+from render.bodies.sunlit_body import planet_body, sphere_photons
 from render.camera import Camera
 
 
@@ -63,6 +67,18 @@ def test_maria_cover_what_is_published():
     assert min(at(0.0, -60.0), at(20.0, -35.0), at(150.0, 0.0)) > 0.11  # the southern highlands, the far side
 
 
+def test_earthshine_of_the_whole_disk():
+    """At new Moon, where the Earth is full: -1.30 mag if it were all ocean, -3.69 if all cloud.
+
+    D. C. Agrawal, Eur. J. Phys. 37, 035601 (2016). Four days later the Earth has lost 0.6 mag.
+    """
+    body = planet_body(solar_system(Time("2021-10-06T11:05", scale="tt").tdb.jyear, bodies=["moon"]), "moon")
+    light = body.second_light
+    lit = sphere_photons(replace(body, to_sun=light.towards, second_light=None), [550.0]) * light.irradiance
+    magnitude = -2.5 * np.log10(lit / photon_rate(planet_spectrum("moon"), 0.0, wavelength_nm=np.array([550.0])))
+    assert -3.69 < magnitude < -1.30
+
+
 @pytest.mark.slow
 def test_phase_map_and_earthshine_through_a_lens(engine):
     """A crescent: the dark part of the disk shows the Earth's light and the maria."""
@@ -102,8 +118,10 @@ def test_phase_map_and_earthshine_through_a_lens(engine):
     brighter = sphere / 10 ** (-0.4 * (0.026 * phase + 4e-9 * phase**4))
     expected = brighter * 10 ** (-0.4 * (26.76 + v_earth))
     assert body.second_light.irradiance == pytest.approx(expected, rel=0.1)  # the map's part that is lit differs
-    # all of the dark disk: between -2.5 and -3.7 mag (D. C. Agrawal, Eur. J. Phys. 37, 035601 (2016))
-    assert -3.7 < -12.73 + 26.76 + v_earth < -2.2
+    # 12 to 17 mag per square arcsecond in V (P. Montanes-Rodriguez, E. Palle and P. R. Goode, AJ 134, 1145 (2007))
+    arcsec2 = np.degrees(3600.0 / focal_px) ** 2
+    dark = system.magnitude_v[0] - 2.5 * np.log10(electrons[night].mean() / electrons.sum() / arcsec2)
+    assert 12.0 < dark < 17.0
     assert 5e-5 < electrons[night].mean() / day < 2e-3
     # maria: the eastern limb's Crisium lies on the night side no more; contrast of the dark part is that of the map
     spread = electrons[night].std() / electrons[night].mean()
