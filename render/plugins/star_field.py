@@ -22,7 +22,7 @@ sampling_weight : float, default 1e-30
     that the stars add no noise to bodies that the Sun or a lamp lights; where they are the only light they are picked.
 scene_centre, scene_radius : point, float
     Sphere that holds the scene, where ``ptracer`` starts its rays; without it the stars give it no light, which a
-    warning says, and an error where ``sampling_weight`` asks for their light.
+    warning says.
 
 Each tensor may have a leading axis of size one: Mitsuba's property parser takes a tensor whose first axis has three
 entries for a colour, and nanobind says so on the error stream before it falls back to the tensor. Directions,
@@ -236,11 +236,8 @@ def define(mi: Any) -> type:
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> tuple[Any, Any]:
             """Ray from a disk that covers the scene as a star sees it; the weight is that of ``ptracer``."""
-            if not self._radius > 0.0:
-                if self.sampling_weight() > 2.0 * NEVER:
-                    raise ConfigError(f"star_field: {NO_RADIUS}")
-                if not self._said:
-                    mi.Log(mi.LogLevel.Warn, f"star_field adds no light: {NO_RADIUS}")
+            if not (self._radius > 0.0 or self._said):  # no exception: fields of other scenes are traced with this one
+                mi.Log(mi.LogLevel.Warn, f"star_field adds no light: {NO_RADIUS}")
                 self._said = True
             light = self._as_light()
             star, share = light.pick.sample_pmf(sample3.x, active)

@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from optics.errors import ConfigError
 from render.plugins.star_field import save_star_field
 from render.records import StarField
 
@@ -60,6 +59,7 @@ RADIANCE = ALBEDO / math.pi * float(RATE @ DIRECTION[:, 2])
     "integrator", ["path", *(pytest.param(name, marks=pytest.mark.slow) for name in ("volpath", "prb", "ptracer"))]
 )
 def test_lambertian_plane_under_stars(mi, integrator):
+    """The light tracer's error is 0.64 % (standard deviation over six seeds); the default seed is 0."""
     field = stars(scene_radius=5.0)  # holds the corners of the plane, at 4.2
     scene = mi.load_dict(lit_plane(stars=field, integrator={"type": integrator}))
     samples = 60000 if integrator == "ptracer" else 400
@@ -102,15 +102,29 @@ def test_stars_add_no_noise_to_what_other_lights_do(mi):
 
 
 def test_ptracer_needs_to_know_how_large_the_scene_is(mi):
-    scene = mi.load_dict(lit_plane(stars=stars(sampling_weight=1.0), integrator={"type": "ptracer"}))
-    with pytest.raises(RuntimeError) as caught:
-        mi.render(scene, spp=1)
-    reasons, error = [], caught.value
-    while error is not None:
-        reasons.append(error)
-        error = error.__cause__
-    assert isinstance(reasons[-1], ConfigError)
-    assert "give scene_centre and scene_radius" in str(reasons[-1])
+    """Without a radius stars give it no light, which a warning says; light of another scene is not touched by that.
+
+    Dr.Jit traces the methods of all emitters that are alive, in whatever scene: one that raises there would stop others.
+    """
+    said = []
+
+    class Listener(mi.Appender):
+        def append(self, level, text):
+            said.append(text)
+
+    listener = Listener()
+    mi.logger().add_appender(listener)
+    try:
+        unknown = mi.load_dict(lit_plane(stars=stars(sampling_weight=1.0), integrator={"type": "ptracer"}))
+        sun = {"type": "directional", "direction": [0, 0, -1], "irradiance": 2.0}
+        other = mi.load_dict(lit_plane(sun=sun, integrator={"type": "ptracer"}))
+        lit = np.array(mi.render(other, spp=20000))[..., 0]
+        dark = np.array(mi.render(unknown, spp=1))
+    finally:
+        mi.logger().remove_appender(listener)
+    assert lit.mean() == pytest.approx(ALBEDO / math.pi * 2.0, rel=4e-2)
+    assert not dark.any()
+    assert sum("give scene_centre and scene_radius" in text for text in said) == 1
 
 
 def test_field_from_files(mi, tmp_path):
