@@ -5,16 +5,17 @@ A pixel collects, of every ray n of the beams at every wavelength (`render.bodie
 .. math:: N = \sum_n \int L(v_n(x, y))\, E_n(x, y)\, dx\, dy\, dt
 
 over its area and its exposure. The direction v either meets the sphere, where its law of scattering gives the radiance
-in closed form, or does not. The pixel is divided into cells; of a cell that the limb cuts, the part inside a straight
-limb counts (its area and its mean depth are closed forms), with the mean radiance of such a strip. Pixels at which the
-sum changes too much when cells are halved get finer ones. Rays of a beam take turns along the path of a moving
-camera, so that a trail is sampled as finely as rays and times together.
+in closed form, or does not. The pixel is divided into cells. The light of a cell is integrated over the depth below
+the limb, between the terminator and a limb that counts as straight within the cell: however thin a crescent is, it is
+not missed between points. Pixels at which the sum changes too much when cells are halved get finer ones. Rays of a beam
+take turns along the path of a moving camera, so that a trail is sampled as finely as rays and times together.
 
 Charge diffusion acts on pixels afterwards (`render.detector.diffusion.diffuse`).
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
 from optics.arrays import FloatArray
+from render.bodies.disk_edge import Edge, apart
 from render.bodies.pixel_maps import PixelMaps, TileMap, powers
 from render.engine import Engine
 from render.engine.jit import dr
@@ -32,10 +34,11 @@ __all__ = ["Cover", "Exposed", "Halo", "Light", "Sphere", "sphere_image"]
 
 CELLS = (1, 2, 4, 8, 16, 32, 64)
 """Cells along each side of a pixel; the next number for the pixels that need it."""
-CRESCENT = 3.0
-"""Cells across the crescent's widest place to begin with."""
+ACROSS = 2.0
+"""Cells along the radius of the disk to begin with."""
 TURN_PX = 6.0
 """Path of a star during the exposure for which every ray has one time of its own."""
+GAUSS = (-math.sqrt(1.0 / 3.0), math.sqrt(1.0 / 3.0))
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
@@ -179,11 +182,9 @@ def sphere_image(
 
 
 def _first(sphere: Sphere, kernel: _Kernel) -> int:
-    """Number in `CELLS` at which the crescent is seen."""
-    radius_px = sphere.sine / kernel.pixel_rad
-    width_px = radius_px * (1.0 - float(sphere.lights[0].towards @ sphere.direction))
-    needed = CRESCENT / max(width_px, 1e-6)
-    return int(np.clip(np.searchsorted(CELLS, min(needed, 2.0 * radius_px * CELLS[-1])), 0, len(CELLS) - 2))
+    """Number in `CELLS` to begin with."""
+    needed = ACROSS * kernel.pixel_rad / sphere.sine
+    return int(np.clip(np.searchsorted(CELLS, needed), 0, len(CELLS) - 2))
 
 
 class _Rays:
@@ -206,7 +207,7 @@ def _converged(
     start: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Image of pixels (h, w) and its error, with finer cells where they are needed."""
-    wanted = kernel(place[0].ravel(), place[1].ravel(), 1, flat=True).reshape(place[0].shape) > 0.0
+    wanted = maximum_filter(kernel(place[0].ravel(), place[1].ravel(), 1, flat=True).reshape(place[0].shape), 3) > 0.0
     image, error = np.zeros(wanted.shape), np.zeros(wanted.shape)
     if wanted.any():
         image[wanted] = kernel(place[0][wanted], place[1][wanted], CELLS[start])
@@ -216,9 +217,11 @@ def _converged(
         finer = kernel(place[0][wanted], place[1][wanted], cells)
         error[wanted] = finer - image[wanted]
         image[wanted] = finer
-        photons = np.clip(image, 1e-12, ceiling_e)
-        worst = maximum_filter(error**2 / photons, 3)  # where one pixel changed little by chance, its neighbours tell
-        wanted &= (worst > noise_share) & (image < 2.0 * ceiling_e)
+        open_ = image < 2.0 * ceiling_e
+        share = np.where(open_, error**2 / np.clip(image, 1e-12, ceiling_e), 0.0)
+        wanted &= (
+            maximum_filter(share, 3) > noise_share
+        ) & open_  # a pixel may change little by chance, not all around
     return image, error
 
 
@@ -227,7 +230,7 @@ class _Kernel:
 
     def __init__(self, rays: _Rays, sphere: Sphere, exposed: Exposed) -> None:
         types = Engine.active().types
-        self.F, self.U = types.Float64, types.UInt32
+        self.F, self.U, self.B = types.Float64, types.UInt32, types.Bool
         self.rays, self.sphere, self.exposed = rays, sphere, exposed
         self.coefficient = self.F(rays.coefficient.ravel())
         self.albedo = None if sphere.albedo_map is None else self.F(sphere.albedo_map.astype(float).ravel())
@@ -337,57 +340,94 @@ class _Kernel:
                 along = (cam[0] * a + cam[1] * b) * inverse
                 steps = (a * inverse - along * cam[0], b * inverse - along * cam[1], -along * cam[2])
                 moves.append(_turned(axes, *(m * side for m in steps)))
-            inside, near, far = _part(c, sine, v, moves)
-            value = inside if flat else inside * self._strip(surface, c, sine, v, near, far)
+            edge = Edge.of(c, sine, v, moves)
+            inside = edge.inside()
+            value = inside if flat else surface(edge)
             if air is not None:
                 value += (1.0 - inside) * air(v)
             for direction, size in covers:
-                value *= 1.0 - _part(direction, size, v, moves)[0]
+                value *= 1.0 - Edge.of(direction, size, v, moves).inside()
             return value / math.pi
 
         return cell
 
-    def _strip(self, surface: Any, c: list[Any], sine: Any, v: list[Any], near: Any, far: Any) -> Any:
-        """Mean light of the disk between two depths below its edge, by Gauss in the cosine of emission.
-
-        The light of a limb changes as the square root of the depth, so that it is smooth in the cosine; equal areas of
-        the disk have equal parts of its square.
-        """
-        ends = [dr.safe_sqrt(1.0 - dr.square(1.0 - depth / sine)) for depth in (near, far)]
-        middle, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
-        outwards, off = _outwards(c, v)
-        value, weight = self.F(0.0), self.F(0.0)
-        for node in (-math.sqrt(1.0 / 3.0), math.sqrt(1.0 / 3.0)):
-            mu = dr.fma(half, node, middle)
-            shift = sine * dr.safe_sqrt(1.0 - mu * mu) - off
-            shift = dr.select(far > near, shift, 0.0)
-            value += mu * surface([dr.fma(shift, m, a) for a, m in zip(v, outwards, strict=True)])
-            weight += mu
-        return value / dr.maximum(weight, 1e-300)
-
     def _surface(self, c: list[Any], sine: Any) -> Any:
-        """Light of the surface in a direction that meets it."""
+        """Light of the part of a cell that the disk takes: where limb or terminator cross the cell, between them.
+
+        The light of a limb changes as the square root of the depth, so that it is smooth in the cosine of emission mu;
+        equal areas of the disk have equal parts of its square.
+        """
         sphere, turn = self.sphere, self.vector(self.sphere.rotation_icrs_from_body)
         lights = [(self.vector(light.towards), self.number(light.irradiance)) for light in sphere.lights]
-        lunar = sphere.law == "lunar"
+        cut = self._cut_surface(c, sine)
 
-        def surface(v: list[Any]) -> Any:
-            along, off2 = _apart(c, v)
-            reach = along - dr.safe_sqrt(dr.square(sine) - off2)
-            n = [reach * a - m for a, m in zip(v, c, strict=True)]
-            scale = dr.rsqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
-            n = [a * scale for a in n]
-            mu = dr.maximum(-(n[0] * v[0] + n[1] * v[1] + n[2] * v[2]), 0.0)
-            light = self.F(0.0)
-            for towards, irradiance in lights:
-                mu0 = n[0] * towards[0] + n[1] * towards[1] + n[2] * towards[2]
-                law = 2.0 * mu0 / (mu0 + mu) if lunar else mu0
-                light += dr.select(mu0 > 0.0, law * irradiance, 0.0)
-            if self.albedo is not None:
-                light *= self._factor([sum(turn[3 * k + j] * n[k] for k in range(3)) for j in range(3)])
-            return light
+        def smooth(edge: Edge) -> Any:
+            ends = [dr.safe_sqrt(1.0 - dr.square(1.0 - (edge.d + t) * edge.size / sine)) for t in (-0.5, 0.5)]
+            middle, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
+            value, weight = self.F(0.0), self.F(0.0)
+            for node in GAUSS:
+                mu = dr.fma(half, node, middle)
+                n = _normal(edge, c, sine, dr.safe_sqrt(1.0 - mu * mu), mu)
+                value += mu * sum(irradiance * self._lit(n, mu, towards, turn) for towards, irradiance in lights)
+                weight += mu
+            return value / dr.maximum(weight, 1e-300)
+
+        def surface(edge: Edge) -> Any:
+            above = [1.0 - depth / sine for depth in (edge.ends()[0], edge.ends()[3])]
+            crossed = (above[0] > 1.0) | (above[1] < 0.0)
+            for towards, _ in lights:
+                heights = [_dot(_normal(edge, c, sine, r, dr.safe_sqrt(1.0 - r * r)), towards) for r in above]
+                crossed |= heights[0] * heights[1] < 0.0
+            numbers = (edge.outwards, edge.d, edge.a, edge.b, edge.size)
+            ahead = edge.ahead & (above[1] < 1.0)
+            return dr.if_stmt(
+                numbers,
+                crossed & ahead,
+                lambda *at: cut(Edge(self.B(True), *at)),
+                lambda *at: dr.select(ahead, smooth(Edge(self.B(True), *at)), 0.0),
+                arg_labels=("outwards", "d", "a", "b", "size"),
+                label="disk",
+            )
 
         return surface
+
+    def _cut_surface(self, c: list[Any], sine: Any) -> Any:
+        """Light of a cell that limb or terminator cross: exact along the normal of the limb.
+
+        The integral over the depth is taken in the angle of emission e, depth = sine (1 - sin e). Along a radius of the
+        disk a source is above the horizon on one side of one e; every source's light is integrated on its own side.
+        """
+        turn = self.vector(self.sphere.rotation_icrs_from_body)
+        lights = [(self.vector(light.towards), self.number(light.irradiance)) for light in self.sphere.lights]
+        quarter = 0.5 * math.pi
+
+        def cut(edge: Edge) -> Any:
+            total = self.F(0.0)
+            ends = [dr.safe_asin(1.0 - dr.clip(depth / sine, 0.0, 2.0)) for depth in edge.ends()]
+            for towards, irradiance in lights:
+                sun, across = -_dot(c, towards), _dot(edge.outwards, towards)
+                scale = dr.rsqrt(dr.maximum(sun * sun + across * across, 1e-300))
+                dusk = dr.clip(dr.atan2(sun * scale, dr.abs(across) * scale - sine), -quarter, quarter)
+                low, high = dr.select(across > 0.0, -dusk, -quarter), dr.select(across > 0.0, quarter, dusk)
+                part = self.F(0.0)
+                for upper, lower in itertools.pairwise(dr.clip(end, low, high) for end in ends):
+                    middle, half = 0.5 * (upper + lower), 0.5 * (upper - lower)
+                    for node in GAUSS:
+                        above, mu = dr.sincos(dr.fma(half, node, middle))
+                        light = self._lit(_normal(edge, c, sine, above, mu), mu, towards, turn)
+                        part += half * mu * light * edge.density(sine * (1.0 - above))
+                total += part * irradiance
+            return total * sine
+
+        return cut
+
+    def _lit(self, n: list[Any], mu: Any, towards: list[Any], turn: list[Any]) -> Any:
+        """Light that a place with the normal n, seen under an angle of cosine mu, throws back of a source."""
+        mu0 = dr.maximum(_dot(n, towards), 0.0)
+        light = 2.0 * mu0 / dr.maximum(mu0 + mu, 1e-300) if self.sphere.law == "lunar" else mu0
+        if self.albedo is None:
+            return light
+        return light * self._factor([sum(turn[3 * k + j] * n[k] for k in range(3)) for j in range(3)])
 
     def _air(self, c: list[Any], sine: Any) -> Any:
         """Light of the air at the tangent point of a direction that passes the sphere; None without air."""
@@ -397,7 +437,7 @@ class _Kernel:
         lights = [(self.vector(light.towards), self.number(light.irradiance)) for light in self.sphere.lights]
 
         def air(v: list[Any]) -> Any:
-            along, off2 = _apart(c, v)
+            along, off2 = apart(c, v)
             off = dr.sqrt(off2)
             value = self.F(0.0)
             for towards, irradiance in lights:
@@ -426,44 +466,16 @@ class _Kernel:
         return dr.lerp(below, above, v - low)
 
 
-def _outwards(c: list[Any], v: list[Any]) -> tuple[list[Any], Any]:
-    """Unit vector at v away from c, and the sine of the angle between them."""
-    along, off2 = _apart(c, v)
-    scale = dr.rsqrt(dr.maximum(off2, 1e-300))
-    return [(a - along * m) * scale for a, m in zip(v, c, strict=True)], dr.sqrt(off2)
+def _dot(a: list[Any], b: list[Any]) -> Any:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _part(c: list[Any], sine: Any, v: list[Any], moves: list[list[Any]]) -> tuple[Any, Any, Any]:
-    """Part of a cell around v that lies in the disk around c, its edge taken as straight, and between which depths.
-
-    Where the edge passes at distance d inside the middle of a unit square, its normal (a, b), the moments of the depth
-    are differences of powers of d + (a + b) / 2, d + (a - b) / 2 ... : the projected square is a sum of two uniform
-    variates. The strip between the depths has the part's mean depth.
-    """
-    along, off2 = _apart(c, v)
-    off = dr.sqrt(off2)
-    # d(off)/d(cell): off^2 = 1 - along^2
-    change = [-(along / dr.maximum(off, 1e-300)) * sum(m * k for m, k in zip(move, c, strict=True)) for move in moves]
-    size = dr.maximum(dr.sqrt(change[0] * change[0] + change[1] * change[1]), 1e-300)
-    d = (sine - off) / size
-    a, b = (dr.maximum(dr.abs(change[k]) / size, 1e-3) for k in (0, 1))  # a line along the pixels is tilted a little
-    reach, flat = 0.5 * (a + b), 0.5 * (a - b)
-    depth = [dr.maximum(d + sign, 0.0) for sign in (reach, flat, -flat, -reach)]
-    area, moment = (
-        (depth[0] ** k - depth[1] ** k - depth[2] ** k + depth[3] ** k) / (math.factorial(k) * a * b) for k in (2, 3)
-    )
-    cut = dr.abs(d) < reach
-    inside = dr.select(cut, dr.clip(area, 0.0, 1.0), dr.select(d > 0.0, 1.0, 0.0))
-    far = dr.select(cut, 2.0 * moment / dr.maximum(area, 1e-12), d + 0.5)
-    near = dr.select(cut, 0.0, dr.maximum(d - 0.5, 0.0))
-    return dr.select(along > 0.0, inside, 0.0), near * size, dr.minimum(far * size, sine)
-
-
-def _apart(c: list[Any], v: list[Any]) -> tuple[Any, Any]:
-    """Cosine of the angle between unit vectors, and the square of its sine without loss of digits."""
-    cross = (c[1] * v[2] - c[2] * v[1], c[2] * v[0] - c[0] * v[2], c[0] * v[1] - c[1] * v[0])
-    cosine = c[0] * v[0] + c[1] * v[1] + c[2] * v[2]
-    return cosine, cross[0] * cross[0] + cross[1] * cross[1] + cross[2] * cross[2]
+def _normal(edge: Edge, c: list[Any], sine: Any, above: Any, mu: Any) -> list[Any]:
+    """Normal where a ray leaves the sphere under an angle of sine ``above`` (away from its centre) and cosine mu."""
+    off = sine * above
+    along = dr.safe_sqrt(1.0 - off * off)
+    out, back = above * along - mu * off, mu * along + above * off
+    return [out * e - back * m for e, m in zip(edge.outwards, c, strict=True)]
 
 
 def _transposed(x: Any, y: Any, z: Any, w: Any) -> list[Any]:

@@ -1,0 +1,78 @@
+"""Edge of a disk as a small cell of the sky sees it, in Dr.Jit arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from render.engine.jit import dr
+
+__all__ = ["Edge", "apart"]
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """Edge of a disk around c as a cell around v sees it, taken as straight.
+
+    Where it passes at distance d inside the middle of a unit square, its normal (a, b), the depth below it is d plus
+    the sum of two uniform variates of the widths a and b, whose density is a trapezoid.
+
+    Attributes
+    ----------
+    ahead : Bool
+        Whether the cell looks to the disk's side at all.
+    outwards : 3 of Float64
+        Unit vector across c, from c to v.
+    d, a, b : Float64
+        In cells.
+    size : Float64
+        Sine of the angle that a cell spans along the normal.
+    """
+
+    ahead: Any
+    outwards: list[Any]
+    d: Any
+    a: Any
+    b: Any
+    size: Any
+
+    @classmethod
+    def of(cls, c: list[Any], sine: Any, v: list[Any], moves: list[list[Any]]) -> Edge:
+        along, off2 = apart(c, v)
+        off = dr.sqrt(off2)
+        # at the very centre any direction serves
+        centre = off2 < 1e-6 * sum(m * m for m in moves[0])
+        across = [dr.select(centre, m, a - along * k) for m, a, k in zip(moves[0], v, c, strict=True)]
+        scale = dr.rsqrt(dr.maximum(sum(m * m for m in across), 1e-300))
+        across = [m * scale for m in across]
+        change = [sum(m * k for m, k in zip(move, across, strict=True)) for move in moves]
+        size = dr.maximum(dr.sqrt(change[0] * change[0] + change[1] * change[1]), 1e-300)
+        a, b = (dr.maximum(dr.abs(m) / size, 1e-3) for m in change)  # a line along the pixels is tilted a little
+        curve = size / (24.0 * dr.maximum(off, size))  # how far the edge bends away over the cell, in the mean
+        return cls(along > 0.0, across, (sine - off) / size - curve, a, b, size)
+
+    def ends(self) -> list[Any]:
+        """Depths, as sines, at which the density has kinks, ascending."""
+        reach, flat = 0.5 * (self.a + self.b), 0.5 * dr.abs(self.a - self.b)
+        return [(self.d + t) * self.size for t in (-reach, -flat, flat, reach)]
+
+    def density(self, depth: Any) -> Any:
+        """Part of the cell per sine of depth."""
+        left = 0.5 * (self.a + self.b) - dr.abs(depth / self.size - self.d)
+        value = dr.clip(left, 0.0, dr.minimum(self.a, self.b)) / (self.a * self.b * self.size)
+        return dr.select(self.ahead, value, 0.0)
+
+    def inside(self) -> Any:
+        """Part of the cell that lies in the disk."""
+        reach, flat = 0.5 * (self.a + self.b), 0.5 * (self.a - self.b)
+        depth = [dr.square(dr.maximum(self.d + sign, 0.0)) for sign in (reach, flat, -flat, -reach)]
+        area = (depth[0] - depth[1] - depth[2] + depth[3]) / (2.0 * self.a * self.b)
+        cut = dr.select(dr.abs(self.d) < reach, dr.clip(area, 0.0, 1.0), dr.select(self.d > 0.0, 1.0, 0.0))
+        return dr.select(self.ahead, cut, 0.0)
+
+
+def apart(c: list[Any], v: list[Any]) -> tuple[Any, Any]:
+    """Cosine of the angle between unit vectors, and the square of its sine without loss of digits."""
+    cross = (c[1] * v[2] - c[2] * v[1], c[2] * v[0] - c[0] * v[2], c[0] * v[1] - c[1] * v[0])
+    cosine = c[0] * v[0] + c[1] * v[1] + c[2] * v[2]
+    return cosine, cross[0] * cross[0] + cross[1] * cross[1] + cross[2] * cross[2]
