@@ -14,6 +14,8 @@ from optics.errors import DomainError
 from optics.lens.parameters import lens_parameters, steps_of, with_parameters
 from render.camera import Camera
 from render.engine.jit import dr
+from render.motion.trajectory import ConstantRate
+from render.tracing.motion import ExposureMotion, exposure_motion
 
 __all__ = ["ALUMINIUM_PER_K", "CameraNumbers"]
 
@@ -41,13 +43,15 @@ class CameraNumbers:
     Attributes
     ----------
     tensors : dict of str to TensorXf64
-        ``rotation``, ``attitude_rad``, ``defocus_mm`` and what `optics.lens.parameters.lens_parameters` names.
+        ``rotation``, ``attitude_rad``, ``rate_rad_per_s``, ``defocus_mm`` and what
+        `optics.lens.parameters.lens_parameters` names.
     """
 
     def __init__(self, mi: Any, camera: Camera, housing_cte_per_k: float) -> None:
         self.base, self.housing_cte_per_k = camera, housing_cte_per_k
         self._start = {**lens_parameters(camera.lens), "defocus_mm": np.array([camera.defocus_mm])}
-        arrays = {"rotation": camera.rotation_cam_from_world, "attitude_rad": np.zeros(3), **self._start}
+        attitude = {"rotation": camera.rotation_cam_from_world, "attitude_rad": np.zeros(3)}
+        arrays = attitude | {"rate_rad_per_s": np.zeros(3)} | self._start
         self.tensors = {name: mi.TensorXf64(np.ascontiguousarray(value)) for name, value in arrays.items()}
         self._known, self._optics = self._start, camera
 
@@ -77,6 +81,26 @@ class CameraNumbers:
         """Cam from world (3, 3), with the turn on top."""
         rotation, turn = plain(self.tensors["rotation"], (3, 3)), plain(self.tensors["attitude_rad"], (3,))
         return np.asarray(Rotation.from_rotvec(turn).as_matrix() @ rotation) if turn.any() else rotation
+
+    def motion(self, camera: Camera, exposure_s: float) -> ExposureMotion | None:
+        """Motion at the camera's rate, around its attitude in the middle of the exposure; None at rest."""
+        rate = plain(self.tensors["rate_rad_per_s"], (3,))
+        if not rate.any():
+            return None
+        start = Rotation.from_rotvec(0.5 * exposure_s * rate) * Rotation.from_matrix(camera.rotation_cam_from_world)
+        path = ConstantRate(initial=start, rate_rad_per_s=rate, end_s=exposure_s)
+        return exposure_motion(path, start_s=0.0, exposure_s=exposure_s, camera=camera)
+
+    def turning(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Turns (t, 3, 3) at times from the middle of the exposure, and their derivatives by the rate (t, 3, 3, 3)."""
+        rate = plain(self.tensors["rate_rad_per_s"], (3,))
+        step = TURN_STEP_RAD / float(np.abs(time_s).max())
+
+        def turns(rate: FloatArray) -> FloatArray:
+            return np.asarray(Rotation.from_rotvec(-time_s[:, None] * rate).as_matrix())
+
+        columns = [sum(weight * turns(rate + times * step * axis) for times, weight in _WEIGHTS) for axis in np.eye(3)]
+        return turns(rate), np.stack(columns, axis=-1) / step
 
     def _centre(self) -> dict[str, FloatArray]:
         """Numbers about which derivatives are taken.

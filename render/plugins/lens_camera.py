@@ -41,6 +41,7 @@ housing_cte_per_k : float, default 23.6e-6
     Expansion of the housing, for ``temperature_c`` as a parameter.
 
 Parameters of the scene (``mi.traverse``) are ``rotation``, ``attitude_rad`` (a rotation vector in cam on top of it),
+``rate_rad_per_s`` (angular velocity in cam, about that attitude in the middle of the exposure; it moves stars only),
 ``defocus_mm`` and the numbers of the lens, `optics.lens.parameters.LENS_PARAMETERS`; ``star_tracer`` differentiates
 with respect to all of them.
 
@@ -74,6 +75,7 @@ from render.engine.arrays import DrJitArrays
 from render.engine.jit import dr
 from render.plugins.camera_numbers import ALUMINIUM_PER_K, CameraNumbers
 from render.plugins.camera_properties import camera_of, exposure_motion_of, motion_of, moved
+from render.tracing.motion import ExposureMotion
 from render.tracing.sampling import probe_fields
 
 __all__ = ["define", "exit_disk"]
@@ -192,6 +194,7 @@ def define(mi: Any) -> type:
             exposure_s = float(props.get("shutter_close", 0.0)) - float(props.get("shutter_open", 0.0))
             self.exposure_s = exposure_s or 1.0
             self.exposure_motion = exposure_motion_of(props, self.exposure_s)
+            self._turning: ExposureMotion | None = None
             self._motion = motion_of(props)
             if self._motion is not None and not exposure_s > 0:
                 raise ConfigError("lens_camera: motion_rotation needs shutter_open and shutter_close")
@@ -211,6 +214,22 @@ def define(mi: Any) -> type:
             if optics is not self.optics or not np.array_equal(turn, self.camera.rotation_cam_from_world):
                 self.optics, self.camera = optics, replace(optics, rotation_cam_from_world=turn)
                 self._backward = self._forward = None
+            self._turning = None
+
+        @property
+        def star_motion(self) -> ExposureMotion | None:
+            """Motion under which stars are seen, given or made of the rate; None at rest.
+
+            Raises
+            ------
+            ConfigError
+                Both of them.
+            """
+            if self._turning is None:
+                self._turning = self.numbers.motion(self.camera, self.exposure_s)
+            if self._turning is not None and self.exposure_motion is not None:
+                raise ConfigError("lens_camera: exposure_motion and rate_rad_per_s are given; leave one of them out")
+            return self.exposure_motion if self._turning is None else self._turning
 
         def _window(self) -> tuple[int, int, int, int]:
             """Crop of the film (first column, first row, columns, rows); what hangs on another one is forgotten."""

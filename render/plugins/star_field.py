@@ -37,6 +37,7 @@ spectral ones the light of a node is spread evenly over its part of the band, pe
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -183,6 +184,15 @@ def define(mi: Any) -> type:
                 names = self._names or tuple(f"band {i}" for i in range(bands))
                 self._stars = StarField(band=names, collimation=self.collimation, **arrays)
             return self._stars
+
+        @property
+        def turned_stars(self) -> StarField:
+            """The stars as they are now, in the scene's world."""
+            turn = self.world_from_stars
+            if turn is None:
+                return self.stars
+            direction = self.stars.direction @ turn.T
+            return replace(self.stars, direction=direction / np.linalg.norm(direction, axis=1, keepdims=True))
 
         @property
         def world_from_stars(self) -> FloatArray | None:

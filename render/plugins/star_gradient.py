@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from optics.arrays import FloatArray
 from render.engine.jit import dr
 from render.plugins.camera_numbers import plain
-from render.tracing.gradient import lens_numbers, star_image
+from render.tracing.gradient import AttachedPaths, lens_numbers, star_image
+from render.tracing.paths import at_rest, star_paths
 from render.tracing.tracer import Tracer
 
 __all__ = ["attached_image"]
@@ -31,14 +32,7 @@ def attached_image(mi: Any, tracer: Tracer, camera: Any, field: Any) -> Any:
         The plugins.
     """
     F, stars, numbers = mi.Float64, field.stars, camera.numbers
-    turn = _times(_turn(F, numbers), _entries(F, numbers.tensors["rotation"]))
-    if field.turned:
-        turn = _times(turn, _entries(F, field.rotation))
-    count = dr.arange(mi.UInt32, len(stars))
-    s = [dr.gather(F, field.direction.array, 3 * count + axis) for axis in range(3)]
-    length = dr.rsqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2])
-    direction = [(row[0] * s[0] + row[1] * s[1] + row[2] * s[2]) * length for row in turn]
-    rotation = np.array([[float(np.asarray(dr.detach(v).numpy())[0]) for v in row] for row in turn])
+    paths = _paths(mi, tracer, camera, field)
     optics, slopes = numbers.derivatives(lambda other: lens_numbers(other, tracer.pupil).values)
     known = lens_numbers(optics, tracer.pupil)
     vector, moves = F(known.values), np.zeros(len(known.values), np.bool_)
@@ -50,15 +44,55 @@ def attached_image(mi: Any, tracer: Tracer, camera: Any, field: Any) -> Any:
         mi,
         tracer,
         stars,
-        rotation,
+        paths,
         camera.exposure_s,
         numbers=known,
         vector=vector,
         moves=moves,
-        direction=direction,
         rate=field.photon_rate.array,
     )
     return _on_crop(mi, image, camera, len(stars.band))
+
+
+def _paths(mi: Any, tracer: Tracer, camera: Any, field: Any) -> AttachedPaths:
+    """Directions of a field's stars, with derivatives."""
+    F, numbers, motion = mi.Float64, camera.numbers, camera.star_motion
+    stars = dr.arange(mi.UInt32, len(field.stars))
+    s = [dr.gather(F, field.direction.array, 3 * stars + axis) for axis in range(3)]
+    length = dr.rsqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2])
+    world = [component * length for component in s]
+    if field.turned:
+        world = _applied(_entries(F, field.rotation), world)
+    known = field.turned_stars.direction
+    turn = _times(_turn(F, numbers), _entries(F, numbers.tensors["rotation"]))
+    if motion is None:
+        seen = _applied(turn, world)
+        return AttachedPaths(at_rest(np.asarray(known @ camera.camera.rotation_cam_from_world.T)), seen, seen)
+    times = len(motion.weight)
+    lane = dr.arange(mi.UInt32, len(field.stars) * times)
+    time = lane % times
+    if camera.exposure_motion is None:
+        middle = _applied(turn, world)
+        value, slope = numbers.turning(motion.time_s - 0.5 * motion.exposure_s)
+        rate = _parameters(F, numbers.tensors["rate_rad_per_s"])
+    else:
+        middle, rate = _applied([[F(float(v)) for v in row] for row in motion.rotation_mid], world), []
+        value, slope = motion.rotation_cam_from_world, np.zeros((times, 3, 3, 0))
+    turned = middle if camera.exposure_motion is None else world
+    turned = [dr.gather(F, component, lane // times) for component in turned]
+
+    def entry(i: int, j: int) -> Any:
+        numbers_of = [F(np.ascontiguousarray(v[:, i, j])) for v in (value, *np.moveaxis(slope, -1, 0))]
+        first, *more = (dr.gather(F, v, time) for v in numbers_of)
+        return sum((by * change for by, change in zip(more, rate, strict=True)), first)
+
+    nodes = _applied([[entry(i, j) for j in range(3)] for i in range(3)], turned)
+    return AttachedPaths(star_paths(motion, known, tracer.camera), middle, nodes, motion.length_px)
+
+
+def _applied(matrix: Matrix, vector: list[Any]) -> list[Any]:
+    """Matrix times vector."""
+    return [row[0] * vector[0] + row[1] * vector[1] + row[2] * vector[2] for row in matrix]
 
 
 def _on_crop(mi: Any, image: Any, camera: Any, bands: int) -> Any:
@@ -69,6 +103,13 @@ def _on_crop(mi: Any, image: Any, camera: Any, bands: int) -> Any:
     band, column, row = lane % bands, lane // bands % int(columns), lane // int(bands * columns)
     at = ((row + int(top)) * width + column + int(left)) * bands + band
     return mi.TensorXf(mi.Float(dr.gather(mi.Float64, image, at)), (int(rows), int(columns), bands))
+
+
+def _parameters(F: Any, tensor: Any) -> list[Any]:
+    """Three numbers less their values: zeros with derivatives."""
+    index = dr.uint32_array_t(F)
+    changes = [dr.gather(F, tensor.array, index(axis)) for axis in range(3)]
+    return [change - dr.detach(change) for change in changes]
 
 
 def _entries(F: Any, tensor: Any) -> Matrix:
@@ -90,9 +131,7 @@ def _turn(F: Any, numbers: Any) -> Matrix:
     """Matrix of ``attitude_rad``, with its derivatives."""
     tensor = numbers.tensors["attitude_rad"]
     value: FloatArray = Rotation.from_rotvec(plain(tensor, (3,))).as_matrix()
-    index = dr.uint32_array_t(F)
-    changes = [dr.gather(F, tensor.array, index(axis)) for axis in range(3)]
-    changes = [change - dr.detach(change) for change in changes]
+    changes = _parameters(F, tensor)
     slope = numbers.turn_derivatives()
     return [
         [sum((float(slope[i, j, k]) * changes[k] for k in range(3)), F(float(value[i, j]))) for j in range(3)]

@@ -28,7 +28,6 @@ and the camera's response are applied as to the stars.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -40,7 +39,6 @@ from render.detector.diffusion import diffuse
 from render.engine.jit import dr
 from render.plugins.occlusion import SceneShade
 from render.plugins.star_gradient import attached_image
-from render.records import StarField
 from render.tracing.convergence import TOLERANCE
 from render.tracing.tracer import TracedStars, Tracer
 
@@ -83,12 +81,6 @@ def put_on_film(mi: Any, film: Any, image: Any, bands: tuple[str, ...]) -> None:
         )
     block = mi.ImageBlock(mi.TensorXf(value, (height, width, channels)), film.crop_offset())
     film.put_block(block)
-
-
-def _turned(stars: StarField, rotation: FloatArray) -> StarField:
-    """Stars with their directions turned."""
-    direction = stars.direction @ rotation.T
-    return replace(stars, direction=direction / np.linalg.norm(direction, axis=1, keepdims=True))
 
 
 def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
@@ -160,11 +152,12 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
             Raises
             ------
             ConfigError
-                What has none: motion, bodies that hide stars or shine, beams that apertures cut.
+                What has none: a rolling shutter, bodies that hide stars or shine, beams that apertures cut.
             """
             camera, field = self._seen(scene, sensor)
-            if camera.exposure_motion is not None or self.bodies is not None:
-                what = "stars under an exposure_motion" if self.bodies is None else "bodies"
+            motion = camera.star_motion
+            if self.bodies is not None or (motion is not None and motion.path is not None):
+                what = "bodies" if self.bodies is not None else "stars under a rolling shutter"
                 raise ConfigError(f"star_tracer: derivatives of {what} are not known; leave them out")
             traced = self._traced_by.get(id(camera))
             if traced is not None and traced[1].truth.electrons_hidden.any():
@@ -204,10 +197,8 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
 
         def _trace(self, scene: Any, camera: Any, field: Any, number: int) -> TracedStars:
             """Stars through the lens, less what bodies hide."""
-            stars, turn, motion = field.stars, field.world_from_stars, camera.exposure_motion
+            stars, motion = field.turned_stars, camera.star_motion
             attitude = camera.camera.rotation_cam_from_world
-            if turn is not None:
-                stars = _turned(stars, turn)
             shade = None
             if scene.shapes():
                 middle = attitude if motion is None else motion.rotation_mid

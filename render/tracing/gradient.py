@@ -29,11 +29,11 @@ from render.engine.jit import dr
 from render.records import StarField
 from render.tracing.kernel import PIXEL_REACH
 from render.tracing.outlines import ARMS, Outlines, outline_series
-from render.tracing.paths import at_rest
+from render.tracing.paths import StarPaths, pick_times
 from render.tracing.pupil_points import OutlinePoints, TablePoints
 from render.tracing.tracer import Tracer
 
-__all__ = ["LensNumbers", "lens_numbers", "star_image"]
+__all__ = ["AttachedPaths", "LensNumbers", "lens_numbers", "star_image"]
 
 AIM, RIM = 1e-4, 1e-5
 """Differences by which the slopes of Newton's last step are taken, in radii of the launch disk."""
@@ -81,6 +81,28 @@ def lens_numbers(camera: Camera, pupil: EntrancePupil) -> LensNumbers:
     return LensNumbers(program, front, lens.stop_index, np.concatenate([theta, disk, [stop.semi_diameter_mm]]))
 
 
+@dataclass(frozen=True, slots=True)
+class AttachedPaths:
+    """Directions of n stars in cam at t times, with derivatives; a global shutter.
+
+    Attributes
+    ----------
+    plain : StarPaths
+        The same without.
+    middle : 3 of Float64 (n,)
+        In the middle of the exposure.
+    nodes : 3 of Float64 (n t,)
+        At the time nodes.
+    length_px : float
+        Length of the paths.
+    """
+
+    plain: StarPaths
+    middle: list[Any]
+    nodes: list[Any]
+    length_px: float = 0.0
+
+
 class _Numbers:
     """One array, element by element, as wide as the rays: derivatives of all of them are then one vector.
 
@@ -113,22 +135,27 @@ class _Scene:
     """Arrays with derivatives that all passes share."""
 
     def __init__(
-        self, mi: Any, tracer: Tracer, numbers: LensNumbers, vector: Any, moves: BoolArray, light: list[Any]
+        self, mi: Any, tracer: Tracer, numbers: LensNumbers, vector: Any, moves: BoolArray, paths: AttachedPaths
     ) -> None:
         self.still, self.moves = dr.detach(vector), moves
         self.F, self.U, self.I = mi.Float64, mi.UInt32, mi.Int32
         self.xp = DrJitArrays(self.F)
-        self.camera, self.numbers, self.vector, self.light = tracer.camera, numbers, vector, light
+        self.camera, self.numbers, self.vector = tracer.camera, numbers, vector
+        self.middle, self.light = ([x, -y, z] for x, y, z in (paths.middle, paths.nodes))
+        self.times, self.weight = paths.plain.weight.shape[1], self.F(np.ravel(paths.plain.weight))
+        self.picked, self.factors = _picked(self, paths.plain)
 
     def bundle(self, width: int) -> _Bundle:
         """Numbers of the lens for so many lanes."""
         tail = _Numbers(self, width, self.numbers.program.size)
         return _Bundle(_Numbers(self, width), tail[0:4], tail[4])
 
-    def trace(self, bundle: _Bundle, star: Any, px: Any, py: Any, wave: Any, *, to_stop: bool = False) -> Rays:
-        """Rays of stars through points of the launch disk, on the image plane or at the stop."""
+    def trace(
+        self, bundle: _Bundle, light: list[Any], star: Any, px: Any, py: Any, wave: Any, *, to_stop: bool = False
+    ) -> Rays:
+        """Rays of light's directions through points of the launch disk, on the image plane or at the stop."""
         x0, y0, z0, radius = bundle.disk
-        dx, dy, dz = (dr.gather(self.F, component, star) for component in self.light)
+        dx, dy, dz = (dr.gather(self.F, component, star) for component in light)
         zero = dr.zeros(self.I, dr.width(star))
         rays = Rays(
             x=x0 + px * radius, y=y0 + py * radius, z=z0 + 0.0 * px, dx=dx, dy=dy, dz=dz,
@@ -146,6 +173,29 @@ class _Scene:
         return found[0]
 
 
+def _picked(scene: _Scene, plain: StarPaths) -> tuple[list[Any], list[Any]]:
+    """What `render.tracing.paths.pick_times` picks, with derivatives: light of (n p,) rays, p factors (n t,)."""
+    F, U, times = scene.F, scene.U, scene.times
+    count = pick_times(plain)[1].shape[2]
+    if count == 1:
+        return scene.middle, [dr.full(F, 1.0, len(plain.mid) * times)]
+    farthest = np.linalg.norm(plain.nodes - plain.mid[:, None], axis=2).argmax(1) + times * np.arange(len(plain.mid))
+    star = dr.arange(U, len(plain.mid) * times) // times
+    offset = [a - dr.gather(F, m, star) for a, m in zip(scene.light, scene.middle, strict=True)]
+    reach = [dr.gather(F, a, U(farthest.astype(np.uint32))) for a in offset]
+    size = dr.gather(F, sum(a * a for a in reach), star)
+    c = sum(a * dr.gather(F, b, star) for a, b in zip(offset, reach, strict=True)) / size
+    lane = dr.arange(U, len(plain.mid) * count)
+    end = F(lane % count) * (2.0 / (count - 1)) - 1.0
+    v = [
+        dr.gather(F, m, lane // count) + end * dr.gather(F, r, lane // count)
+        for m, r in zip(scene.middle, reach, strict=True)
+    ]
+    scale = dr.rsqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    linear = [0.5 - 0.5 * c, 0.5 + 0.5 * c]
+    return [a * scale for a in v], linear if count == 2 else [0.5 * c * (c - 1.0), 1.0 - c * c, 0.5 * c * (c + 1.0)]
+
+
 def _newton(value: Any, slope: Any, at: Any) -> Any:
     """One Newton step from a root: the root again, with its derivative."""
     return dr.detach(at) - value / dr.detach(slope)
@@ -155,13 +205,12 @@ def star_image(
     mi: Any,
     tracer: Tracer,
     stars: StarField,
-    rotation: FloatArray,
+    paths: AttachedPaths,
     exposure_s: float,
     *,
     numbers: LensNumbers,
     vector: Any,
     moves: BoolArray,
-    direction: list[Any],
     rate: Any,
 ) -> Any:
     """Electrons of every pixel and band (h w b,) as an array with derivatives.
@@ -174,8 +223,8 @@ def star_image(
         Of the camera.
     stars : StarField
         The stars.
-    rotation : (3, 3)
-        Cam from world.
+    paths : AttachedPaths
+        Where they are seen.
     exposure_s : float
         Exposure time.
     numbers : LensNumbers
@@ -184,8 +233,6 @@ def star_image(
         The same values, with derivatives.
     moves : (m,)
         Which of them have any.
-    direction : 3 of Float64 (n,)
-        Unit vectors towards the stars in cam, with derivatives.
     rate : Float64 (n b k,)
         Photon rates, with derivatives.
 
@@ -200,10 +247,9 @@ def star_image(
         raise ConfigError("derivatives of stars behind a collimator are not known; leave collimation out")
     F = mi.Float64
     camera, planner = tracer.camera, tracer.planner
-    paths = at_rest(np.asarray(stars.direction @ rotation.T))
-    seen = planner.seen(paths, stars.wavelength_nm)
+    seen = planner.seen(paths.plain, stars.wavelength_nm, paths.length_px)
     chiefs = planner.chiefs(seen.mid, stars.wavelength_nm)
-    scene = _Scene(mi, tracer, numbers, vector, moves, [direction[0], -direction[1], direction[2]])
+    scene = _Scene(mi, tracer, numbers, vector, moves, paths)
     response = F(np.ascontiguousarray(camera.response_at(stars.wavelength_nm).ravel()))
     bands, nodes = stars.wavelength_nm.shape
     image = dr.zeros(F, camera.height_px * camera.width_px * bands)
@@ -217,7 +263,7 @@ def star_image(
                 f"star {group.members[0]} has no derivative: its beam is sampled by {group.plan.mode}, as the lens or "
                 "the charge diffusion leaves no smooth outline; stars whose beam only the stop limits have one"
             )
-        step = max(1, PASS_RAYS // (bands * nodes * group.plan.rays_per_node))
+        step = max(1, PASS_RAYS // (bands * nodes * scene.times * group.plan.rays_per_node))
         for part in (group.members[i : i + step] for i in range(0, len(group.members), step)):
             points = group.points(part)
             if isinstance(points, OutlinePoints):
@@ -250,19 +296,22 @@ def _outline_points(
     F, U = scene.F, scene.U
     centre = _chiefs(scene, outlines.chief, part, wavelength_nm.mean(1))
     few = _rims(scene, outlines, part, centre)
-    bands, picked = len(wavelength_nm), outlines.picks.count
-    nodes, arms = points.radius.shape[-2:]
+    bands, colours, picked = outlines.picks.colours.shape
+    nodes, arms = points.radius.shape[-2:]  # nodes are all colours of the first time, then all of the second
     matrix = outline_series(points.azimuth)  # (nodes, arms, ARMS)
-    colours = outlines.picks.colours  # (b, nodes, picked)
     lane = dr.arange(U, len(part) * bands * nodes * arms)
     arm, node, slot = lane % arms, lane // arms % nodes, lane // (arms * nodes)
-    band = slot % bands
+    band, star = slot % bands, dr.gather(U, U(part.astype(np.uint32)), slot // bands)
     radius = dr.zeros(F, 1)
     for j in range(picked):
-        colour = dr.gather(F, F(np.ascontiguousarray(colours[:, :, j].ravel())), band * nodes + node)
+        factors = F(np.ascontiguousarray(outlines.picks.colours[:, :, j].ravel()))
+        colour = dr.gather(F, factors, band * colours + node % colours)
         for m in range(ARMS):
             factor = dr.gather(F, F(np.ascontiguousarray(matrix[:, :, m].ravel())), node * arms + arm)
-            radius = radius + colour * factor * dr.gather(F, few, (slot * picked + j) * ARMS + m)
+            for p, by_time in enumerate(scene.factors):
+                seen = dr.gather(F, by_time, star * scene.times + node // colours)
+                at = ((slot * len(scene.factors) + p) * picked + j) * ARMS + m
+                radius = radius + seen * colour * factor * dr.gather(F, few, at)
     along = [F(np.ascontiguousarray(v.ravel())) for v in (np.cos(points.azimuth), np.sin(points.azimuth))]
     weight = F(points.ring_weight)
     part_of_turn = float((points.share / points.radius**2).flat[0])  # the same for every azimuth
@@ -289,7 +338,7 @@ def _chiefs(scene: _Scene, chief: FloatArray, part: IntArray, wavelength_nm: Flo
     bundle = scene.bundle(len(part) * bands)
 
     def at_stop(px: Any, py: Any) -> tuple[Any, Any]:
-        rays = scene.trace(bundle, star, px, py, wave, to_stop=True)
+        rays = scene.trace(bundle, scene.middle, star, px, py, wave, to_stop=True)
         return rays.x, rays.y
 
     with dr.suspend_grad():
@@ -305,21 +354,23 @@ def _chiefs(scene: _Scene, chief: FloatArray, part: IntArray, wavelength_nm: Flo
 
 
 def _rims(scene: _Scene, outlines: Outlines, part: IntArray, centre: list[Any]) -> Any:
-    """Radii of outlines (s b picked `ARMS`,) with derivatives."""
+    """Radii of outlines (s b picked `ARMS`,), at few times and wavelengths, with derivatives."""
     F, U = scene.F, scene.U
     picks = outlines.picks
     bands, picked = picks.wavelength_nm.shape
-    lane = dr.arange(U, len(part) * bands * picked * ARMS)
-    arm, pick, slot = lane % ARMS, lane // ARMS % picked, lane // (ARMS * picked)
-    star = dr.gather(U, U(part.astype(np.uint32)), slot // bands)
+    times = len(scene.factors)
+    lane = dr.arange(U, len(part) * bands * times * picked * ARMS)
+    arm, pick, node = lane % ARMS, lane // ARMS % picked, lane // (ARMS * picked)
+    slot = node // times
+    star = dr.gather(U, U(part.astype(np.uint32)), slot // bands) * times + node % times
     wave = dr.gather(F, F(picks.wavelength_nm.ravel()), slot % bands * picked + pick)
     sine, cosine = dr.sincos(F(arm) * (2.0 * np.pi / ARMS))
     x, y = (dr.gather(F, component, slot) for component in centre)
     start = F(np.ascontiguousarray(outlines.radius[part].ravel()))
-    bundle = scene.bundle(len(part) * bands * picked * ARMS)
+    bundle = scene.bundle(len(part) * bands * times * picked * ARMS)
 
     def height(radius: Any) -> Any:
-        rays = scene.trace(bundle, star, x + radius * cosine, y + radius * sine, wave, to_stop=True)
+        rays = scene.trace(bundle, scene.picked, star, x + radius * cosine, y + radius * sine, wave, to_stop=True)
         return dr.sqrt(rays.x * rays.x + rays.y * rays.y) / bundle.stop
 
     with dr.suspend_grad():
@@ -342,20 +393,22 @@ def _splat(
 ) -> None:
     """Add stars to the image, ray by ray, as `render.tracing.kernel.StarKernel.splat` does."""
     F, U, camera = scene.F, scene.U, scene.camera
-    bands, nodes = wavelength_nm.shape
+    bands, colours = wavelength_nm.shape
+    nodes = scene.times * colours
     total = len(part) * bands * nodes * count
     lane = dr.arange(U, total)
     point, node, slot = lane % count, lane // count % nodes, lane // (count * nodes)
-    star, colour = dr.gather(U, U(part.astype(np.uint32)), slot // bands), slot % bands * nodes + node
+    star, colour = dr.gather(U, U(part.astype(np.uint32)), slot // bands), slot % bands * colours + node % colours
+    seen = star * scene.times + node // colours
     wave = dr.gather(F, F(wavelength_nm.ravel()), colour)
     bundle = scene.bundle(total)
     px, py, share = sample(slot, node, point)
-    rays = scene.trace(bundle, star, px, py, wave)
+    rays = scene.trace(bundle, scene.light, seen, px, py, wave)
     pitch, (cx, cy) = camera.pixel_pitch_mm, camera.centre_px
     x, y = float(cx) + rays.x * (1.0 / pitch), float(cy) - rays.y * (1.0 / pitch)
-    toward = dr.gather(F, scene.light[2], star)
+    toward = dr.gather(F, scene.light[2], seen) * dr.gather(F, scene.weight, seen)
     area = np.pi * exposure_s * dr.square(bundle.disk[3])
-    light = dr.gather(F, rate, star * (bands * nodes) + colour) * dr.gather(F, response, colour)
+    light = dr.gather(F, rate, star * (bands * colours) + colour) * dr.gather(F, response, colour)
     light = light * toward * area * share
     sigma = camera.charge_diffusion_px
     columns, rows = (_shares(scene, v + 0.5, sigma) for v in (x, y))

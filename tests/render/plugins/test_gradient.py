@@ -41,10 +41,14 @@ def exact_image(scene):
     """Image in double precision as the forward engine makes it."""
     camera, field = scene.sensors()[0], scene.emitters()[0]
     tracer = scene.integrator().tracer(camera, 0)
-    paths = tracer._in_cam(field.stars, camera.camera.rotation_cam_from_world)
+    motion = camera.star_motion
+    if motion is None:
+        paths = tracer._in_cam(field.stars, camera.camera.rotation_cam_from_world)
+    else:
+        paths = tracer._moving(field.stars, motion, camera.exposure_s)
     light = tracer._light(field.stars, paths, camera.exposure_s)
     image = np.zeros((camera.optics.height_px, camera.optics.width_px, 1))
-    tracer._trace(light, paths, image)
+    tracer._trace(light, paths, image, 0.0 if motion is None else motion.length_px)
     return image
 
 
@@ -170,6 +174,23 @@ def test_lens_with_its_stop_inside(mi):
         ("camera.attitude_rad", 0, 4e-6),
     ]
     check(mi, scene_of(mi, "star_tracker_26mm"), steps)
+
+
+@pytest.mark.slow
+def test_trails(mi):
+    """Stars that move by some four pixels: rate, attitude and directions; a stop in front, and one inside."""
+    cases = {
+        "star_camera_206mm": ((1e-4, -2e-4, 5e-4), 3e-7, ("camera.defocus_mm", 0, 2e-5)),
+        "star_tracker_26mm": ((-2e-3, 3e-3, 0.0), 4e-6, ("stars.direction", (0, 0), 4e-6)),
+    }
+    for lens, (rate, step, other) in cases.items():
+        scene = scene_of(mi, lens)
+        params = mi.traverse(scene)
+        params["camera.rate_rad_per_s"] = mi.TensorXf64(np.array(rate))
+        params.update()
+        mi.render(scene)
+        assert 2.0 < scene.sensors()[0].star_motion.length_px < 6.0
+        check(mi, scene, [("camera.rate_rad_per_s", 0, step), ("camera.attitude_rad", 1, step), other])
 
 
 def test_what_has_no_derivative_is_refused(mi):

@@ -104,7 +104,7 @@ def test_stars_add_no_noise_to_what_other_lights_do(mi):
 def test_ptracer_needs_to_know_how_large_the_scene_is(mi):
     """Without a radius stars give it no light, which a warning says; light of another scene is not touched by that.
 
-    Dr.Jit traces the methods of all emitters that are alive, in whatever scene: one that raises there would stop others.
+    Dr.Jit traces the methods of all emitters that are alive, in whatever scene: one that raises stops others.
     """
     said = []
 
