@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from importlib import import_module
 
@@ -10,6 +11,7 @@ from experiments.harness.system import print_anything
 __all__ = ["COMMANDS", "console", "main"]
 
 COMMANDS = {
+    "completion": "what makes bash, zsh or fish complete all this: completion bash",
     "doctor": "what is there (LLVM, versions, GPU, stars), what is missing, what to do",
     "frame": "any FITS image as a page to zoom into, with its stars: frame show FILE.fits --out page.html",
     "lens": "lens files: lens show FILE, lens convert FILE NEW   (.toml, .zmx, .seq)",
@@ -72,9 +74,29 @@ def _tell(experiments: dict[str, str]) -> None:
             print(f"  {name:<{width}}  {line}")
 
 
+def _complete(instruction: str) -> int:
+    """What a shell may put after what was typed."""
+    import click
+
+    from experiments.harness.completion import Tree, answer
+    from experiments.harness.registry import found, load
+
+    def command(name: str) -> click.Command:
+        if name not in COMMANDS:
+            loaded: click.Command = load(name).parser  # type: ignore[attr-defined]
+            return loaded
+        module = import_module(f"experiments.{name}.command")
+        known: click.Command | None = getattr(module, name, None)
+        return known or click.Command(name, params=[click.Option([one], is_flag=True) for one in module.OPTIONS])
+
+    return answer(Tree({**found(), **COMMANDS}, command, ("--all", "--names", "--version", "--help")), instruction)
+
+
 def console() -> int:
     """The console command ``starbench``."""
     print_anything()
+    if "_STARBENCH_COMPLETE" in os.environ:
+        return _complete(os.environ["_STARBENCH_COMPLETE"])
     return main(sys.argv[1:], own_process=True)
 
 

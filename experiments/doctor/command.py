@@ -14,7 +14,10 @@ from experiments.doctor.finding import Finding, examined
 from experiments.doctor.machine import check_caches, check_catalogue, check_disk, check_terminal
 from experiments.doctor.packages import PROGRAM, check_packages, check_python
 
-__all__ = ["findings", "main"]
+__all__ = ["OPTIONS", "findings", "main"]
+
+OPTIONS = ("--json", "--help")
+"""For the completion of shells."""
 
 
 def findings() -> list[Finding]:

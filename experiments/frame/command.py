@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from experiments.harness.completion import files
 from experiments.harness.groups import run_group
 from optics.errors import ConfigError
 
@@ -20,8 +21,8 @@ def frame() -> None:
 
 
 @frame.command()
-@click.argument("file")
-@click.option("--out", metavar="HTML", help="the page; the file's name with .html if left out")
+@click.argument("file", shell_complete=files)
+@click.option("--out", metavar="HTML", shell_complete=files, help="the page; the file's name with .html if left out")
 @click.option("--hdu", metavar="N", help="extension, by number or name; the first image if left out")
 @click.option("--plane", type=int, metavar="N", help="which image of a cube")
 @click.option("--stars/--no-stars", "find", default=True, help="find and measure stars")

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
+from experiments.harness.completion import files, folders, setting_keys
 from experiments.harness.config import ExperimentConfig, load_config
 from experiments.harness.experiment import Experiment
 from experiments.harness.interrupts import EXIT_FAILED, EXIT_GOOD, EXIT_INTERRUPTED, Interrupts, guarded, leave
@@ -113,6 +114,7 @@ def command(experiment: Experiment) -> Main:
             leave(status)
         return status or (status_of_run[0] if status_of_run else EXIT_GOOD)
 
+    main.parser = parser  # type: ignore[attr-defined]  # for completion
     return main
 
 
@@ -122,12 +124,28 @@ def _parser(experiment: Experiment, status: list[int], interrupts: Interrupts) -
     @click.command(
         help=_help(experiment), context_settings={"max_content_width": 100, "help_option_names": ["-h", "--help"]}
     )
-    @click.option("--sensor", metavar="FILE", multiple=True, help=_sensor_help(experiment))
-    @click.option("--config", "file", metavar="FILE", help="TOML file with any part of the configuration.")
-    @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="One setting, dotted keys; repeatable.")
+    @click.option("--sensor", metavar="FILE", multiple=True, help=_sensor_help(experiment), shell_complete=files)
+    @click.option(
+        "--config", "file", metavar="FILE", help="TOML file with any part of the configuration.", shell_complete=files
+    )
+    @click.option(
+        "--set",
+        "settings",
+        metavar="KEY=VALUE",
+        multiple=True,
+        help="One setting, dotted keys; repeatable.",
+        shell_complete=setting_keys(lambda: _keys(experiment)),
+    )
     @click.option("--seed", type=click.IntRange(min=0), help="Seed of all random streams.")
     @click.option("--backend", type=click.Choice(["auto", "llvm", "cuda"]), default="auto", show_default=True)
-    @click.option("--out", metavar="DIR", default=f"out/{experiment.name}", show_default=True, help="Output folder.")
+    @click.option(
+        "--out",
+        metavar="DIR",
+        default=f"out/{experiment.name}",
+        show_default=True,
+        help="Output folder.",
+        shell_complete=folders,
+    )
     @click.option("--force", is_flag=True, help="Replace the output of a run with other settings.")
     @click.option("--quick", is_flag=True, help="A small run that shows all parts in seconds.")
     @click.option(
@@ -164,6 +182,12 @@ def _parser(experiment: Experiment, status: list[int], interrupts: Interrupts) -
         help_text = f"{text} Short for --set {key}=TEXT."
         parse = click.option(f"--{name}", _parameter(name), metavar="TEXT", help=help_text)(parse)
     return parse
+
+
+def _keys(experiment: Experiment) -> Mapping[str, Any]:
+    from experiments.harness.range import leaf_keys
+
+    return leaf_keys(experiment.config)
 
 
 def _shorts(experiment: Experiment) -> dict[str, tuple[str, str]]:

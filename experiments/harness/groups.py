@@ -11,12 +11,12 @@ from optics.errors import StarbenchError
 __all__ = ["run_group"]
 
 
-def run_group(group: click.Group, argv: list[str]) -> int:
+def run_group(group: click.Command, argv: list[str]) -> int:
     """Run a group of commands.
 
     Parameters
     ----------
-    group : click.Group
+    group : click.Command
         The group; its name is that of the command.
     argv : list of str
         Subcommand and options.

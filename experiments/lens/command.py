@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from experiments.harness.completion import files
 from experiments.harness.groups import run_group
 from optics.errors import ConfigError
 
@@ -65,7 +66,7 @@ def lens() -> None:
 
 
 @lens.command(help="One HTML page: prescription, first-order data, drawing, spots, distortion, colour, MTF, report.")
-@click.argument("file")
+@click.argument("file", shell_complete=files)
 @click.option("--out", default=None, metavar="HTML", help="the page; the file's name with .html if left out")
 @_reading
 def show(file: str, out: str | None, strict: bool, glass: tuple[str, ...], catalogue: tuple[str, ...]) -> None:
@@ -87,7 +88,7 @@ def show(file: str, out: str | None, strict: bool, glass: tuple[str, ...], catal
 
 
 @lens.command(help="Write a lens file as another one: .toml, .zmx or .seq.")
-@click.argument("file")
+@click.argument("file", shell_complete=files)
 @click.argument("new")
 @click.option("--force", is_flag=True, help="replace a file that is there")
 @_reading

@@ -1,0 +1,1 @@
+"""Completion of the command ``starbench`` in bash, zsh and fish: ``starbench completion``."""
