@@ -37,15 +37,16 @@ def chromatic_of_table1_arcsec() -> tuple[float, float]:
     return y, x
 
 
-_OPEN = ("defocus_mm", "exposure_s")
-"""Of the instrument, what ACC18 does not state: an instrument that is tuned in these is still the published one."""
+_OPEN = ("defocus_mm", "exposure_s", "diffraction")
+"""Of the instrument, what ACC18 does not state, and how stars are rendered; an instrument that differs in these is
+still the published one."""
 
 
 def is_published_sensor(config: BaseModel) -> bool:
     """Whether a configuration runs the published sensor, so that published numbers have a place beside its own.
 
     Lens, detector, pass band and filters (those of them that the experiment has) have to be the defaults; focus and
-    exposure are free, for the document states neither.
+    exposure are free, for the document states neither, and stars may be rendered by rays or by waves.
     """
     standard = {"instrument": InstrumentConfig(), "passband": PassbandConfig(), "filters": FilterConfig()}
     for key, wanted in standard.items():

@@ -10,7 +10,12 @@ def test_what_the_document_leaves_open_may_change():
     from experiments.budget.settings import Config
 
     assert is_published_sensor(Config())
-    open_keys = ["instrument.defocus_mm=0.02", "instrument.exposure_s=0.2", "source.magnitude_mag=7"]
+    open_keys = [
+        "instrument.defocus_mm=0.02",
+        "instrument.exposure_s=0.2",
+        "source.magnitude_mag=7",
+        "instrument.diffraction=exact_waves",
+    ]
     assert is_published_sensor(load_config(Config, settings=open_keys))
     assert is_published_sensor(load_config(Config, file="experiments/data/acc18_tuned.toml"))
 
