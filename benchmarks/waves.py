@@ -19,7 +19,7 @@ from render.camera import Camera
 from render.records import StarField
 from render.tracing.psf import render_epsf
 from render.tracing.tracer import Tracer
-from render.tracing.wave_grid import build_grid
+from render.tracing.wave_grid_build import build_grid
 
 LENS, PITCH_MM, SIGMA_PX = "star_camera_206mm", 5.5e-3, 0.18
 FOCAL_MM = 206.237

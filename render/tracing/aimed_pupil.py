@@ -82,6 +82,10 @@ class Chiefs:
     y_px: FloatArray
     blocked: BoolArray
 
+    def take(self, stars: IntArray) -> Chiefs:
+        """Some of the stars."""
+        return Chiefs(self.points[stars], self.x_px[stars], self.y_px[stars], self.blocked[stars])
+
 
 @dataclass(frozen=True, slots=True)
 class Rims:

@@ -18,7 +18,7 @@ __all__ = ["TruthSums", "add_stamps"]
 
 def add_stamps(
     image: NDArray[Any],
-    pixels: FloatArray,
+    pixels: FloatArray | NDArray[np.float32],
     corner_px: FloatArray,
     electrons: FloatArray,
     sensitive: NDArray[np.bool_] | None = None,
@@ -131,8 +131,12 @@ class TruthSums:
         self.hidden[stars] = moments[..., HIDDEN] * electrons_in
 
     def store_waves(self, stamps: WaveStamps, electrons_in: FloatArray, on_image: FloatArray) -> None:
-        """What diffraction makes of stars whose rays are stored; parameters as `store`."""
-        stars, landed = stamps.stars, stamps.pixels.sum((2, 3))
+        """What diffraction makes of stars whose rays are stored, or come with it; parameters as `store`."""
+        stars, landed = stamps.stars, stamps.pixels.sum((2, 3), dtype=np.float64)
+        if (rays := stamps.moments) is not None:
+            self.bundle_x[stars], self.bundle_y[stars] = rays.mean_px[..., 0], rays.mean_px[..., 1]
+            self.variance_x[stars], self.variance_y[stars] = rays.variance_px2[..., 0], rays.variance_px2[..., 1]
+            self.entrance[stars], self.hidden[stars] = rays.entrance, 0.0
         self.photon_x[stars], self.photon_y[stars] = stamps.mean_px[..., 0], stamps.mean_px[..., 1]
         self.image[stars] = on_image * electrons_in
         self.off_edge[stars] = (landed - on_image) * electrons_in
@@ -140,6 +144,11 @@ class TruthSums:
         hidden = np.nan_to_num(self.hidden[stars])
         self.entrance[stars] = np.maximum(self.entrance[stars], stamps.light + hidden / electrons_in)
         self.vignetted[stars] = (self.entrance[stars] - stamps.light) * electrons_in - hidden
+
+    def put(self, stars: NDArray[np.int64], others: TruthSums) -> None:
+        """Take over what is known of some stars."""
+        for name in self.__dataclass_fields__:
+            getattr(self, name)[stars] = getattr(others, name)
 
     def truth(self, electrons: FloatArray) -> Truth:
         """The finished record, from the light of the launch disk (n, b)."""

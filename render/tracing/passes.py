@@ -62,6 +62,10 @@ class Light:
     share: FloatArray
     electrons: FloatArray
 
+    def take(self, stars: IntArray) -> Light:
+        """Some of the stars."""
+        return Light(self.wavelength_nm, self.share[stars], self.electrons[stars])
+
 
 @dataclass(frozen=True, slots=True)
 class Bounds:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from optics.arrays import FloatArray
+from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from optics.light.collimation import Collimation
 from render.camera import Camera
@@ -65,6 +65,12 @@ class StarPaths:
     shear: FloatArray | None
     shift_px: FloatArray
     collimation: Collimation | None = None
+
+    def take(self, stars: IntArray) -> StarPaths:
+        """Some of the stars."""
+        shear = None if self.shear is None else self.shear[stars]
+        parts = self.mid[stars], self.nodes[stars], self.weight[stars], shear, self.shift_px[stars]
+        return StarPaths(*parts, self.collimation)
 
 
 def at_rest(direction: FloatArray) -> StarPaths:

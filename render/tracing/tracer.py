@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.errors import ConfigError, ConvergenceError, DomainError
 from optics.frames import field_angles_deg
+from optics.light.collimation import Collimation
 from optics.rays.pupil import EntrancePupil, gauss_disk
 from optics.rays.spots import spot_moments
 from render.camera import Camera, launch_disk
@@ -27,7 +27,8 @@ from render.tracing.paths import StarPaths, at_rest, pick_times, star_paths
 from render.tracing.planning import PupilPlanner, Seen
 from render.tracing.pupil_arcs import ARC_LADDER
 from render.tracing.pupil_points import DiskPoints, OutlinePoints, PupilPoints, SobolPoints, TablePoints
-from render.tracing.wave_grid import LEAST_STARS, WaveGrid, build_grid
+from render.tracing.wave_grid import WaveGrid
+from render.tracing.wave_grid_build import WING_PX, build_grid, worth_a_grid
 from render.tracing.wave_images import Trail, WaveImages, WaveStamps
 
 __all__ = ["TracedStars", "Tracer"]
@@ -36,8 +37,6 @@ __all__ = ["TracedStars", "Tracer"]
 SHADE_LOG2_RAYS = 14
 """Rays by which it is found out whether something stands in a beam: what hides 3e-4 of it is hardly missed."""
 
-WING_PX = 30.0
-"""How far beside the detector a star's rays may land for its diffraction image to be rendered."""
 GRIDS, GRID_BATCH = 4, 256
 """Grids of images (of other wavelengths) that are kept; stars that are interpolated at a time."""
 SHORTEST_PX = 1e-3
@@ -101,7 +100,7 @@ class Tracer:
             tolerance=tolerance,
             general=general,
         )
-        self._grids: dict[bytes, WaveGrid | None] = {}
+        self._grids: dict[tuple[bytes, bytes, float], WaveGrid | None] = {}
 
     @property
     def pupil(self) -> EntrancePupil:
@@ -171,6 +170,31 @@ class Tracer:
         seen = self.planner.seen(paths, light.wavelength_nm, length_px)
         chiefs = self.planner.chiefs(seen.mid, light.wavelength_nm)
         sums.chief_x[...], sums.chief_y[...] = (np.where(chiefs.blocked, np.nan, v) for v in (chiefs.x_px, chiefs.y_px))
+        by_grid = np.empty(0, np.int64)
+        if shade is None and image.size > 0:
+            by_grid = self._add_by_grid(light, seen, chiefs, image, sums, sampling)
+        if not len(by_grid):
+            return sums, self._trace_each(light, seen, chiefs, image, sums, shade)
+        left = np.setdiff1d(np.arange(len(paths.mid)), by_grid)
+        if len(left):
+            some, others = light.take(left), TruthSums.empty(len(left), light.electrons.shape[1])
+            seen = self.planner.seen(paths.take(left), light.wavelength_nm, length_px)
+            sampling |= self._trace_each(some, seen, chiefs.take(left), image, others, shade)
+            others.chief_x[...], others.chief_y[...] = sums.chief_x[left], sums.chief_y[left]
+            sums.put(left, others)
+        return sums, sampling
+
+    def _trace_each(
+        self,
+        light: Light,
+        seen: Seen,
+        chiefs: Chiefs,
+        image: NDArray[np.float32],
+        sums: TruthSums,
+        shade: Shade | None,
+    ) -> dict[str, tuple[int, int]]:
+        """The same for stars whose rays are traced; how they were sampled."""
+        sampling: dict[str, tuple[int, int]] = {}
         shaded = None if shade is None else self._shaded(seen, light.wavelength_nm, shade)
         groups, bounds, entrance = self.planner.groups(seen, light.wavelength_nm, chiefs, shaded)
         by_waves = self.camera.diffraction != "rays" and image.size > 0
@@ -185,7 +209,7 @@ class Tracer:
                 sampling[plan.mode] = (len(members) - len(left), plan.rays_per_node * light.share.shape[2])
         if by_waves:
             sampling = self._add_waves(light, seen, chiefs, bounds, image, sums, (shade, shaded))
-        return sums, sampling
+        return sampling
 
     def _shaded(self, seen: Seen, wavelength_nm: FloatArray, shade: Shade) -> BoolArray:
         """Stars (n,) whose beam, or the disk beside it, something stands in."""
@@ -210,20 +234,17 @@ class Tracer:
     ) -> dict[str, tuple[int, int]]:
         """Add diffraction images of all stars whose light may meet the detector; how their pupils were sampled."""
         camera, sampling = self.camera, dict[str, tuple[int, int]]()
-        still = seen if seen.nodes is seen.mid else self.planner.seen(at_rest(seen.paths.mid), light.wavelength_nm)
+        still = seen
+        if seen.nodes is not seen.mid:
+            rest = replace(at_rest(seen.paths.mid), collimation=seen.paths.collimation)
+            still = self.planner.seen(rest, light.wavelength_nm)
         images = self._wave_images(light, still, seen, chiefs, shades[0])
         edge = np.array([camera.width_px, camera.height_px]) - 0.5 + WING_PX
         inside = np.all((bounds.high > -0.5 - WING_PX) & (bounds.low < edge), axis=2)
         near = np.flatnonzero(np.any(inside, axis=1))
-        batches = self._by_grid(images, light, still, near, sums) if shades[0] is None else iter(())
-        done = np.empty(0, np.int64)
-        for stamps in batches:
-            done = np.concatenate([done, stamps.stars])
-            self._add_stamps(stamps, light, image, sums, sampling)
-        left = np.setdiff1d(near, done)
-        if not len(left):
+        if not len(near):
             return sampling
-        for group in self.planner.wave_groups(still, light.wavelength_nm, chiefs, left, shades[1]):
+        for group in self.planner.wave_groups(still, light.wavelength_nm, chiefs, near, shades[1]):
             for stamps in images.stamps(group):
                 self._add_stamps(stamps, light, image, sums, sampling)
         return sampling
@@ -243,29 +264,44 @@ class Tracer:
         stars, rays = sampling.get(stamps.mode, (0, 0))
         sampling[stamps.mode] = (stars + len(stamps.stars), max(rays, stamps.rays * light.wavelength_nm.shape[1]))
 
-    def _by_grid(
-        self, images: WaveImages, light: Light, still: Seen, stars: IntArray, sums: TruthSums
-    ) -> Iterator[WaveStamps]:
-        """Stamps of stars by the grid of this camera and these wavelengths, if they are many enough for it."""
-        if self.camera.diffraction != "waves" or len(stars) < LEAST_STARS:
-            return
-        key = light.wavelength_nm.tobytes()
+    def _grid(self, wavelength_nm: FloatArray, collimation: Collimation | None, radius_px: float) -> WaveGrid | None:
+        """The grid of images at these wavelengths, at least as large as a radius; None if there is none."""
+        bent = b"" if collimation is None else collimation.at(wavelength_nm).tobytes()
+        key = wavelength_nm.tobytes(), bent, radius_px
         if key not in self._grids:
             while len(self._grids) >= GRIDS:
                 self._grids.pop(next(iter(self._grids)))
-            self._grids[key] = build_grid(self.planner, light.wavelength_nm)
-        grid = self._grids[key]
+            self._grids[key] = build_grid(self.planner, wavelength_nm, collimation, radius_px)
+        return self._grids[key]
+
+    def _add_by_grid(
+        self,
+        light: Light,
+        seen: Seen,
+        chiefs: Chiefs,
+        image: NDArray[np.float32],
+        sums: TruthSums,
+        sampling: dict[str, tuple[int, int]],
+    ) -> IntArray:
+        """Add stars by a grid of images, if they are many enough for it; which."""
+        camera, nobody = self.camera, np.empty(0, np.int64)
+        if camera.diffraction != "waves":
+            return nobody
+        chief = np.stack([sums.chief_x, sums.chief_y], axis=-1)
+        edge = np.array([camera.width_px, camera.height_px]) - 0.5 + WING_PX
+        stars = np.flatnonzero(((chief > -0.5 - WING_PX) & (chief < edge)).all((1, 2)))
+        if not worth_a_grid(light.wavelength_nm, len(stars)):
+            return nobody
+        grid = self._grid(light.wavelength_nm, seen.paths.collimation, 0.0)
         if grid is None:
-            return
-        stars = stars[grid.holds(still.paths.mid[stars])]
-        mean = np.stack([sums.bundle_x, sums.bundle_y], axis=-1)
-        if images.trail is not None:
-            mean = mean - images.trail.mean_px
-        lost = sums.vignetted / np.where(light.electrons > 0.0, light.electrons, 1.0)
-        through = np.nan_to_num(sums.entrance - lost)
+            return nobody
+        direction = seen.paths.mid
+        stars = stars[grid.holds(direction[stars])]
+        images = self._wave_images(light, seen, seen, chiefs)
         for part in (stars[i : i + GRID_BATCH] for i in range(0, len(stars), GRID_BATCH)):
-            direction = still.paths.mid[part]
-            yield grid.stamps(part, direction, images.share[part], mean[part], through[part], images.trail)
+            stamps = grid.stamps(part, direction[part], images.share[part], chief[part], images.trail)
+            self._add_stamps(stamps, light, image, sums, sampling)
+        return stars
 
     def _wave_images(
         self, light: Light, still: Seen, seen: Seen, chiefs: Chiefs, shade: Shade | None = None
@@ -369,16 +405,15 @@ class Tracer:
         """
         paths = self._in_cam(stars, None)
         light = self._light(stars, paths, 1.0)
-        nothing = np.zeros((0, 0, len(stars.band)), np.float32)
-        sums, _ = self._trace(light, paths, nothing)
-        stamp_px = 2 * half_size_px + 1
-        corner = np.stack([sums.bundle_x, sums.bundle_y], axis=-1) - 0.5 * stamp_px
-        if np.isnan(corner).any():
-            raise DomainError(f"star {np.argwhere(np.isnan(corner))[0][0]}: none of its light reaches the detector")
         seen = self.planner.seen(paths, light.wavelength_nm)
         chiefs = self.planner.chiefs(seen.mid, light.wavelength_nm)
         if self.camera.diffraction != "rays":
             return self._wave_cells(light, seen, chiefs, half_size_px, cells_per_px)
+        nothing = np.zeros((0, 0, len(stars.band)), np.float32)
+        sums, _ = self._trace(light, paths, nothing)
+        stamp_px = 2 * half_size_px + 1
+        corner = np.stack([sums.bundle_x, sums.bundle_y], axis=-1) - 0.5 * stamp_px
+        _check_lit(corner)
         groups, bounds, _ = self.planner.groups(seen, light.wavelength_nm, chiefs)
         passes = Passes(self.camera, seen.nodes, light, bounds, nothing, sums, sums.entrance)
         side = stamp_px * cells_per_px
@@ -394,12 +429,19 @@ class Tracer:
 
     def _wave_cells(self, light: Light, seen: Seen, chiefs: Chiefs, half_size_px: int, cells_per_px: int) -> FloatArray:
         """The same by waves."""
+        radius_px = float(math.ceil(math.sqrt(0.5) * (2 * half_size_px + 1)))
+        if self.camera.diffraction == "waves" and worth_a_grid(light.wavelength_nm, len(light.electrons)):
+            grid = self._grid(light.wavelength_nm, seen.paths.collimation, radius_px)
+            chief = np.stack([chiefs.x_px, chiefs.y_px], axis=-1)
+            if grid is not None and grid.holds(seen.paths.mid).all() and not chiefs.blocked.any():
+                return grid.cells(seen.paths.mid, light.share, chief, half_size_px, cells_per_px)
         images = self._wave_images(light, seen, seen, chiefs)
         side = (2 * half_size_px + 1) * cells_per_px
         result = np.empty((*light.electrons.shape, side, side))
         for group in self.planner.wave_groups(seen, light.wavelength_nm, chiefs, np.arange(len(result))):
             for stars, cells, _ in images.cells(group, half_size_px, cells_per_px):
                 result[stars] = cells
+        _check_lit(result[:, :, 0, :2])
         return result
 
     def _in_cam(self, stars: StarField, rotation: FloatArray | None) -> StarPaths:
@@ -442,6 +484,12 @@ class Tracer:
         electrons = per_node.sum(2)
         share = np.where(electrons[..., None] > 0, per_node, 1.0)
         return Light(stars.wavelength_nm, share / share.sum(2, keepdims=True), electrons)
+
+
+def _check_lit(place: FloatArray) -> None:
+    """Refuse stars none of whose light arrives, which have no place (n, b, 2)."""
+    if np.isnan(place).any():
+        raise DomainError(f"star {np.argwhere(np.isnan(place))[0][0]}: none of its light reaches the detector")
 
 
 def _check_in_front(direction: FloatArray, times: int = 1) -> None:

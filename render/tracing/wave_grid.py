@@ -1,13 +1,10 @@
 """Diffraction images of many stars by interpolation between few: a grid over the field for one state of a lens.
 
-At Chebyshev points of the detector's field every wavelength has its image, summed as for a star of its own and centred
-on the mean of the rays of a middle wavelength. A star's image is their interpolant at its place, weighed by its
-spectrum, and put where the mean of its own rays is. The images differ little: some tens of principal components hold
-them all, and a frame is one product of matrices.
-
-Nothing is taken on trust: a grid is made finer until images at places between its points, of the reddest and of the
-bluest light, differ from exact ones by less than `TOLERANCE`; where the finest fails (apertures that start to cut the
-beam leave a kink in the field) there is none, and every star is summed by itself.
+At Chebyshev points of the detector's field some wavelengths have their images, summed as for stars of their own
+(`render.tracing.wave_grid_build`) and centred on the mean of the rays of a middle wavelength. A star's image is their
+interpolant at its place, weighed by its spectrum, and put where its chief ray and the interpolated way from there to
+that mean tell. The images differ little: some tens of principal components hold them all, and a frame is one product of
+matrices. Mean, spread and losses of a star's rays are interpolated alike, so that none is traced but the chief ray.
 """
 
 from __future__ import annotations
@@ -20,38 +17,23 @@ from numpy.typing import NDArray
 
 from optics.arrays import FloatArray, IntArray
 from render.camera import Camera
-from render.tracing.ideal_lens import IdealLens
-from render.tracing.paths import at_rest
-from render.tracing.planning import PupilPlanner
-from render.tracing.wave_images import Trail, WaveGroup, WaveImages, WaveStamps
-from render.tracing.wave_windows import FieldSampling, PixelTable, window_light, window_samples
+from render.tracing.wave_images import RayMoments, Trail, WaveStamps
+from render.tracing.wave_windows import FieldSampling, PixelTable, window_samples
 
-__all__ = ["LEAST_STARS", "TOLERANCE", "WaveGrid", "build_grid"]
+__all__ = ["MOMENTS", "WaveGrid", "chebyshev", "lagrange"]
 
 
-TOLERANCE = 1e-4
-"""Largest error of a pixel [share of the light], and of the centroid in a window of 13 x 13 px [px]."""
-SIZES = (5, 7, 9)
-"""Points along either side that are tried."""
-LEAST_STARS = 12
-"""Stars on the detector from which on a grid (9 to 25 images and 5 to compare with) costs less over a few frames."""
-CENTROID_PX = 6
-"""Half the side of the window whose centroid is compared."""
-PROBES = 5
-HOPELESS = 30.0
-"""How many times the tolerance the error of a coarse grid may be for a finer one to be tried."""
-COMPONENT = 5e-6
-"""Principal components below this part of the largest are left out."""
-BEYOND = 1.02
-"""How far the grid reaches beyond the detector: stars there light its edge."""
+MOMENTS = 6
+"""Light of a wavelength that gets through the lens, and that enters it; the former times the mean (column, row) of its
+rays from the chief ray and times their mean squares."""
 
 
-def _chebyshev(count: int) -> FloatArray:
+def chebyshev(count: int) -> FloatArray:
     """Chebyshev points of the first kind in (-1, 1)."""
     return -np.cos(np.pi * (np.arange(count) + 0.5) / count)
 
 
-def _lagrange(points: FloatArray, at: FloatArray) -> FloatArray:
+def lagrange(points: FloatArray, at: FloatArray) -> FloatArray:
     """Values (n, p) at n places of the Lagrange polynomials of p points."""
     difference = points[:, None] - points
     np.fill_diagonal(difference, 1.0)
@@ -79,11 +61,13 @@ class WaveGrid:
         Of the stamps.
     field : FieldSampling
         Sampling of the images.
-    colour_px : (f, b, k, 2)
-        Mean of the rays of each wavelength from that of the middle one, at the f = p^2 points.
-    through : (f, b, k)
-        Share of the light that gets through the lens.
-    coefficient : (b, f, k, c) float32
+    spectral : (b, k, q)
+        What makes of the q wavelengths that have images the k of stars.
+    origin_px : (f, b, 2)
+        Mean of the rays of a middle wavelength from the chief ray, at the f = p^2 points: where images are centred.
+    moment : (f, b, q, 6)
+        `MOMENTS`.
+    coefficient : (b, f, q, c) float32
         Components of every image.
     component : (b, c, m, m) float32
         Principal components, light per px^2.
@@ -97,30 +81,26 @@ class WaveGrid:
     half: FloatArray
     radius_px: int
     field: FieldSampling
-    colour_px: FloatArray
-    through: FloatArray
+    spectral: FloatArray
+    origin_px: FloatArray
+    moment: FloatArray
     coefficient: NDArray[np.float32]
     component: NDArray[np.float32]
     error: float = math.nan
     error_px: float = math.nan
 
-    @property
-    def rays(self) -> int:
-        """Number of images of a wavelength."""
-        return len(self.points) ** 2
-
     def holds(self, direction: FloatArray) -> NDArray[np.bool_]:
         """Directions (n, 3) in cam that lie in the grid's field."""
-        place = (direction[:, :2] / direction[:, 2:] - self.middle) / self.half
-        return np.asarray(np.abs(place).max(1) <= 1.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            place = (direction[:, :2] / direction[:, 2:] - self.middle) / self.half
+        return np.asarray((np.abs(place).max(1) <= 1.0) & (direction[:, 2] > 0.0))
 
     def stamps(
         self,
         stars: IntArray,
         direction: FloatArray,
         share: FloatArray,
-        mean_px: FloatArray,
-        light: FloatArray,
+        chief_px: FloatArray,
         trail: Trail | None = None,
     ) -> WaveStamps:
         """Stamps of some stars.
@@ -133,222 +113,103 @@ class WaveGrid:
             In cam.
         share : (s, b, k)
             Share of each wavelength in their light.
-        mean_px : (s, b, 2)
-            Means of their rays, in the middle of an exposure.
-        light : (s, b)
-            Share of their light that gets through the lens.
+        chief_px : (s, b, 2)
+            Where their chief rays land, in the middle of an exposure.
         trail : Trail, optional
             How images move; of all stars.
         """
-        place = (direction[:, :2] / direction[:, 2:] - self.middle) / self.half
-        column, row = (_lagrange(self.points, place[:, i]) for i in (0, 1))
-        weight = (row[:, :, None] * column[:, None, :]).reshape(len(stars), -1)
-        through = share * np.einsum("sf,fbk->sbk", weight, self.through)
-        colour = np.einsum("sf,fbkx->sbkx", weight, self.colour_px)
-        total = through.sum(2)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            origin = mean_px - (through[..., None] * colour).sum(2) / total[..., None]
-        lit = (light > 0.0) & (total > 0.0) & np.isfinite(origin).all(2)
+        weight, shares = self._weights(direction, share)
+        light, moments = self._rays(weight, shares, chief_px)
+        origin = chief_px + np.einsum("sf,fbx->sbx", weight, self.origin_px)
         size = 2 * self.radius_px + 1
-        middle = np.rint(np.where(lit[..., None], mean_px, 0.0))
-        corner, stamp_px = middle - 0.5 * size, size
+        corner, stamp_px = np.rint(moments.mean_px) - 0.5 * size, size
         if trail is not None:
             offset = trail.offset_px[stars]
             first = np.floor(offset.min(2))
             stamp_px = size + int((np.ceil(offset.max(2)) - first).max(initial=0.0))
             corner = corner + first
-        pixels = np.zeros((len(stars), share.shape[1], stamp_px, stamp_px))
+        pixels = np.zeros((len(stars), share.shape[1], stamp_px, stamp_px), np.float32)
         for b in range(share.shape[1]):
-            images = self._images(weight, share[:, b], b)
-            images *= (light[:, b] / np.where(lit[:, b], total[:, b], 1.0) * lit[:, b])[:, None, None]
-            if trail is not None:
-                images *= self._disk
+            images = self._images(weight, shares[:, b], b)
             shift = (origin - corner)[:, b] - 0.5 * size  # of the image's middle from where the window's would be
-            where = np.where(lit[:, b, None], shift, 0.0)
-            pixels[:, b] = self._pixels(images, where, stamp_px, None if trail is None else (trail, stars, b))
+            if trail is None:
+                pixels[:, b] = self._pixels(images, shift, stamp_px)
+                continue
+            images *= self._disk
+            for t in range(trail.weight.shape[2]):
+                part = self._pixels(images, shift + trail.offset_px[stars, b, t], stamp_px)
+                pixels[:, b] += trail.weight[stars, b, t].astype(np.float32)[:, None, None] * part
         if trail is None:
             steps = np.arange(size) - 0.5 * (size - 1)
             pixels *= np.hypot(steps, steps[:, None]) <= self.radius_px
-            moved = mean_px
         else:
-            moved = mean_px + trail.mean_px[stars]
+            moments = moments.along(trail, stars)
         np.maximum(pixels, 0.0, out=pixels)
-        return WaveStamps(stars, pixels, corner, moved, np.where(lit, light, 0.0), self.rays, "grid")
+        return WaveStamps(stars, pixels, corner, moments.mean_px, light, len(self.points) ** 2, "grid", moments)
 
-    def _images(self, weight: FloatArray, share: FloatArray, band: int) -> NDArray[np.float32]:
+    def cells(
+        self, direction: FloatArray, share: FloatArray, chief_px: FloatArray, half_size_px: int, cells_per_px: int
+    ) -> FloatArray:
+        """Light per cell (s, b, m, m) of a square about the centroid, in shares of what gets through the lens.
+
+        Parameters as `stamps`; the square has to lie within the radius of the grid.
+        """
+        weight, shares = self._weights(direction, share)
+        light, moments = self._rays(weight, shares, chief_px)
+        origin = chief_px + np.einsum("sf,fbx->sbx", weight, self.origin_px)
+        count = (2 * half_size_px + 1) * cells_per_px
+        centres = (np.arange(count) + 0.5) / cells_per_px - 0.5 * count / cells_per_px
+        kernel = self.field.pixel(1.0 / cells_per_px, self.camera.charge_diffusion_px)
+        samples = window_samples(self.field, self._window, self._table.pad_px) - 0.5 * self._window
+        result = np.empty((*light.shape, count, count))
+        for b in range(light.shape[1]):
+            images = self._images(weight, shares[:, b], b)
+            for s, image in enumerate(images):
+                shift = moments.mean_px[s, b] - origin[s, b]
+                column, row = (kernel((centres + d)[:, None] - samples) * self.field.light_step for d in shift)
+                result[s, b] = (row @ image @ column.T) / light[s, b]
+        return result
+
+    def _weights(self, direction: FloatArray, share: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Weights of the points for stars (s, f), and of the wavelengths that have images (s, b, q)."""
+        place = (direction[:, :2] / direction[:, 2:] - self.middle) / self.half
+        column, row = (lagrange(self.points, place[:, i]) for i in (0, 1))
+        weight = (row[:, :, None] * column[:, None, :]).reshape(len(place), -1)
+        return weight, np.einsum("sbk,bkq->sbq", share, self.spectral)
+
+    def _rays(self, weight: FloatArray, shares: FloatArray, chief_px: FloatArray) -> tuple[FloatArray, RayMoments]:
+        """Share of the light that gets through (s, b), and moments of the rays."""
+        sums = np.einsum("sf,fbqm,sbq->sbm", weight, self.moment, shares, optimize=True)
+        light, entrance = sums[..., 0], sums[..., 1]
+        mean, square = sums[..., 2:4] / light[..., None], sums[..., 4:6] / light[..., None]
+        return light, RayMoments(chief_px + mean, square - mean**2, np.maximum(entrance, light))
+
+    def _images(self, weight: FloatArray, shares: FloatArray, band: int) -> NDArray[np.float32]:
         """Light per px^2 (s, m, m) of stars in a band, of the light that is sent into the launch disk."""
         coefficient = self.coefficient[band]
         points, colours, count = coefficient.shape
         each = (weight.astype(np.float32) @ coefficient.reshape(points, -1)).reshape(-1, colours, count)
-        mixed = np.einsum("sk,skc->sc", share.astype(np.float32), each)
+        mixed = np.einsum("sk,skc->sc", shares.astype(np.float32), each)
         component = self.component[band]
         return (mixed @ component.reshape(count, -1)).reshape(-1, *component.shape[1:])
 
-    def _pixels(
-        self,
-        images: NDArray[np.float32],
-        shift_px: FloatArray,
-        stamp_px: int,
-        moving: tuple[Trail, IntArray, int] | None,
-    ) -> NDArray[np.float32]:
+    def _pixels(self, images: NDArray[np.float32], shift_px: FloatArray, stamp_px: int) -> NDArray[np.float32]:
         """Pixels (s, n, n) of images whose middle lies beside the window's by a shift (s, 2)."""
-        table, size = self._table, 2 * self.radius_px + 1
-        samples = window_samples(self.field, float(size), table.pad_px)
-        centres = np.arange(0.5, stamp_px)
-        if moving is None:
-            column, row = (table(centres, samples, shift_px[:, axis]) for axis in (0, 1))
-            return np.asarray((row @ images) @ np.swapaxes(column, 1, 2))
-        trail, stars, band = moving
-        result = np.zeros((len(images), stamp_px, stamp_px), np.float32)
-        for t in range(trail.weight.shape[2]):
-            at = shift_px + trail.offset_px[stars, band, t]
-            column, row = (table(centres, samples, at[:, axis]) for axis in (0, 1))
-            part = (row @ images) @ np.swapaxes(column, 1, 2)
-            result += trail.weight[stars, band, t].astype(np.float32)[:, None, None] * part
-        return result
+        samples = images.shape[-1]
+        first = 0.5 - 0.5 * self._window + 0.5 * (samples - 1) * self.field.light_step  # pixel 0 from sample 0
+        column, row = (self._table.rows(first - shift_px[:, axis], stamp_px, samples) for axis in (0, 1))
+        return np.asarray((row @ images) @ np.swapaxes(column, 1, 2))
+
+    @property
+    def _window(self) -> float:
+        return 2.0 * self.radius_px + 1.0
 
     @property
     def _disk(self) -> NDArray[np.bool_]:
         """Samples within the radius."""
-        samples = window_samples(self.field, 2.0 * self.radius_px + 1.0, self._table.pad_px) - self.radius_px - 0.5
+        samples = window_samples(self.field, self._window, self._table.pad_px) - 0.5 * self._window
         return np.asarray(np.hypot(samples, samples[:, None]) <= self.radius_px + 0.5)
 
     @property
     def _table(self) -> PixelTable:
         return self.field.table(self.camera.charge_diffusion_px)
-
-
-def build_grid(planner: PupilPlanner, wavelength_nm: FloatArray) -> WaveGrid | None:
-    """The coarsest grid that is good enough; None where there is none."""
-    for size in SIZES:
-        for mirrored in (True, False):  # what a lens of revolution makes of it, which the probes confirm or refute
-            grid = _of_size(planner, wavelength_nm, size, mirrored)
-            if grid is not None and grid.error < TOLERANCE and grid.error_px < TOLERANCE:
-                return grid
-            if grid is not None and not mirrored and max(grid.error, grid.error_px) > HOPELESS * TOLERANCE:
-                return None
-    return None
-
-
-def _images_at(
-    planner: PupilPlanner, place: FloatArray, wavelength_nm: FloatArray, share: FloatArray
-) -> tuple[WaveImages, list[WaveGroup]]:
-    """Images of stars whose directions have these tangents (n, 2), and how their pupils are sampled."""
-    direction = np.column_stack([place, np.ones(len(place))])
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    seen = planner.seen(at_rest(direction), wavelength_nm)
-    chiefs = planner.chiefs(seen.mid, wavelength_nm)
-    images = WaveImages(planner.camera, seen.mid, wavelength_nm, share)
-    return images, planner.wave_groups(seen, wavelength_nm, chiefs, np.arange(len(place)))
-
-
-def _of_size(planner: PupilPlanner, wavelength_nm: FloatArray, size: int, mirrored: bool) -> WaveGrid | None:
-    """A grid with its errors; None for a lens or field without one. Mirrored: from a quarter of the field."""
-    camera, points = planner.camera, _chebyshev(size)
-    focal = IdealLens.of(camera).focal_px
-    edges = np.array([[-0.5, -0.5], [camera.width_px - 0.5, camera.height_px - 0.5]])
-    low, high = (edges - camera.centre_px) / focal
-    middle, half = 0.5 * (low + high), 0.5 * (high - low) * BEYOND + 2.0 / focal
-    if mirrored and np.abs(middle).max() * focal > 1e-6:
-        return None
-    first = size // 2 if mirrored else 0
-    place = middle + half * np.stack(np.meshgrid(points[first:], points[first:]), axis=-1).reshape(-1, 2)
-    bands, colours = wavelength_nm.shape
-    every = np.full((len(place), bands, colours), 1.0 / colours)
-    images, groups = _images_at(planner, place, wavelength_nm, every)
-    needs = images.common_needs(groups)
-    if needs is None:
-        return None
-    radius, field = needs
-    pad = field.table(camera.charge_diffusion_px).pad_px
-    window = 2.0 * radius + 1.0
-    count = len(window_samples(field, window, pad))
-    light = np.zeros((bands, len(place), colours, count, count), np.float32)
-    colour, through = np.zeros((len(place), bands, colours, 2)), np.zeros((len(place), bands, colours))
-    for star, waves in images.each(groups, radius):
-        mean, passed = waves.mean[0], waves.weight.sum(-1)[0]
-        if not (passed > 0.0).all():
-            return None
-        origin = mean[:, colours // 2]
-        colour[star], through[star] = mean - origin[:, None], passed
-        for b in range(bands):
-            for k, one in enumerate(np.eye(colours)):
-                corner = origin[b] - 0.5 * window
-                light[b, star, k] = window_light(waves, (0, b), one, corner, window, field, pad_px=pad)
-    if mirrored:
-        light, colour, through = _unfolded(light, colour, through, size)
-    parts = [_components(light[b].reshape(-1, count * count)) for b in range(bands)]
-    kept = max(len(component) for _, component in parts)
-    coefficient = np.zeros((bands, size**2, colours, kept), np.float32)
-    component = np.zeros((bands, kept, count, count), np.float32)
-    for b, (values, shapes) in enumerate(parts):
-        coefficient[b, ..., : len(shapes)] = values.reshape(size**2, colours, -1)
-        component[b, : len(shapes)] = shapes.reshape(-1, count, count)
-    grid = WaveGrid(camera, points, middle, half, radius, field, colour, through, coefficient, component)
-    return _judged(planner, wavelength_nm, grid)
-
-
-def _unfolded(
-    light: NDArray[np.float32], colour: FloatArray, through: FloatArray, size: int
-) -> tuple[NDArray[np.float32], FloatArray, FloatArray]:
-    """Images, colours and light at all points from those at points of the upper quarter."""
-    middle, count = size // 2, size - size // 2
-    row, column = (v.ravel() for v in np.indices((size, size)))
-    source = np.abs(row - middle) * count + np.abs(column - middle)
-    light, colour, through = light[:, source], colour[source], through[source]
-    for axis, lower in ((0, column < middle), (1, row < middle)):
-        colour[lower, ..., axis] *= -1.0
-        light[:, lower] = np.flip(light[:, lower], axis=4 - axis)
-    return light, colour, through
-
-
-def _components(images: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Coefficients (n, c) and orthonormal components (c, m) of images (n, m)."""
-    exact = images.astype(np.float64)
-    square, vectors = np.linalg.eigh(exact @ exact.T)
-    size = np.sqrt(np.maximum(square, 0.0))
-    keep = np.flatnonzero(size > COMPONENT * size[-1])
-    turned = vectors[:, keep].astype(np.float32)
-    return turned * size[keep].astype(np.float32), (turned.T @ images) / size[keep].astype(np.float32)[:, None]
-
-
-def _judged(planner: PupilPlanner, wavelength_nm: FloatArray, grid: WaveGrid) -> WaveGrid | None:
-    """The grid with its errors at places between its points, for the bluest and the reddest light and for both."""
-    bands, colours = wavelength_nm.shape
-    golden = 0.6180339887498949
-    steps = np.arange(1, PROBES + 1)
-    place = np.stack([2.0 * ((0.5 + golden * steps) % 1.0) - 1.0, 2.0 * (steps - 0.5) / PROBES - 1.0], axis=-1)
-    place = grid.middle + grid.half * place / BEYOND
-    kinds = np.zeros((3, colours))
-    kinds[0, 0], kinds[1, -1], kinds[2] = 1.0, 1.0, 1.0 / colours
-    places, kind = np.repeat(place, 3, axis=0), np.tile(np.arange(3), PROBES)
-    share = np.repeat(kinds[kind][:, None], bands, axis=1)
-    images, groups = _images_at(planner, places, wavelength_nm, share)
-    direction = np.column_stack([places, np.ones(len(places))])
-    worst = worst_px = 0.0
-    for group in groups:
-        for exact in images.stamps(group, float(grid.radius_px)):
-            if not np.isfinite(exact.mean_px).all():
-                return None
-            stars = exact.stars
-            ours = grid.stamps(stars, direction[stars], share[stars], exact.mean_px, exact.light)
-            error = (ours.pixels - exact.pixels) / exact.light[..., None, None]
-            worst = max(worst, float(np.abs(error).max(initial=0.0)))
-            offset = np.arange(error.shape[-1]) - 0.5 * (error.shape[-1] - 1)
-            error *= np.maximum(np.abs(offset), np.abs(offset[:, None])) <= CENTROID_PX
-            first = np.stack([(error * offset).sum((2, 3)), (error * offset[:, None]).sum((2, 3))])
-            worst_px = max(worst_px, float(np.abs(first).max(initial=0.0)))
-    return WaveGrid(
-        grid.camera,
-        grid.points,
-        grid.middle,
-        grid.half,
-        grid.radius_px,
-        grid.field,
-        grid.colour_px,
-        grid.through,
-        grid.coefficient,
-        grid.component,
-        worst,
-        worst_px,
-    )

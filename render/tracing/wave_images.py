@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
@@ -23,7 +24,7 @@ from render.tracing.plane_waves import PlaneWaves, hidden_points, phase_changes,
 from render.tracing.pupil_points import DiskPoints, PupilPoints, TablePoints
 from render.tracing.wave_windows import FieldSampling, window_light, window_samples
 
-__all__ = ["WING", "Trail", "WaveGroup", "WaveImages", "WaveStamps", "covered_points"]
+__all__ = ["WING", "RayMoments", "Trail", "WaveGroup", "WaveImages", "WaveStamps", "covered_points"]
 
 
 WING = 2e-5
@@ -60,6 +61,55 @@ class WaveGroup:
 
 
 @dataclass(frozen=True, slots=True)
+class Trail:
+    """Motion of n stars' images during an exposure.
+
+    Attributes
+    ----------
+    offset_px : (n, b, t, 2)
+        From where they are in the middle of it; the whole image moves alike.
+    weight : (n, b, t)
+        Share of the light at each time, sum 1.
+    """
+
+    offset_px: FloatArray
+    weight: FloatArray
+
+    @property
+    def mean_px(self) -> FloatArray:
+        """Mean offset (n, b, 2)."""
+        return np.asarray((self.weight[..., None] * self.offset_px).sum(2))
+
+    @property
+    def variance_px2(self) -> FloatArray:
+        """Variance of the offset (n, b, 2)."""
+        return np.asarray((self.weight[..., None] * self.offset_px**2).sum(2) - self.mean_px**2)
+
+
+@dataclass(frozen=True, slots=True)
+class RayMoments:
+    """What is known of the rays of s stars in b bands.
+
+    Attributes
+    ----------
+    mean_px, variance_px2 : (s, b, 2)
+        Mean and variance of the landing points along columns and rows.
+    entrance : (s, b)
+        Light that the stop alone would let through in that of the launch disk.
+    """
+
+    mean_px: FloatArray
+    variance_px2: FloatArray
+    entrance: FloatArray
+
+    def along(self, trail: Trail, stars: IntArray) -> RayMoments:
+        """The same over an exposure."""
+        return RayMoments(
+            self.mean_px + trail.mean_px[stars], self.variance_px2 + trail.variance_px2[stars], self.entrance
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class WaveStamps:
     """Stamps of s stars, all of one size.
 
@@ -79,36 +129,18 @@ class WaveStamps:
         Of a star, band and wavelength.
     mode : str
         How the pupils were sampled.
+    moments : RayMoments or None
+        Of the stars' rays, where these need no other trace.
     """
 
     stars: IntArray
-    pixels: FloatArray
+    pixels: FloatArray | NDArray[np.float32]
     corner_px: FloatArray
     mean_px: FloatArray
     light: FloatArray
     rays: int
     mode: str
-
-
-@dataclass(frozen=True, slots=True)
-class Trail:
-    """Motion of n stars' images during an exposure.
-
-    Attributes
-    ----------
-    offset_px : (n, b, t, 2)
-        From where they are in the middle of it; the whole image moves alike.
-    weight : (n, b, t)
-        Share of the light at each time, sum 1.
-    """
-
-    offset_px: FloatArray
-    weight: FloatArray
-
-    @property
-    def mean_px(self) -> FloatArray:
-        """Mean offset (n, b, 2)."""
-        return np.asarray((self.weight[..., None] * self.offset_px).sum(2))
+    moments: RayMoments | None = None
 
 
 class WaveImages:
@@ -181,7 +213,8 @@ class WaveImages:
                 for b in range(mean.shape[1]):
                     corner = mean[0, b] - 0.5 * window
                     image = window_light(waves, (0, b), self.share[star, b], corner, window, sampling, pad_px=pad)
-                    result[0, b] = (matrix @ image @ matrix.T) / light[0, b]
+                    with np.errstate(invalid="ignore"):
+                        result[0, b] = (matrix @ image @ matrix.T) / light[0, b]
                 yield part, result, mean
 
     def common_needs(self, groups: list[WaveGroup]) -> tuple[int, FieldSampling] | None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cache, lru_cache
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.sparse import csr_array
@@ -140,20 +141,39 @@ class PixelTable:
         Share of a sample's light, against its distance from the middle of a pixel.
     step_px : float
         Of the table.
+    sample_px : float
+        Distance of samples.
     pad_px : float
         Margin of samples around a window.
     """
 
     values: FloatArray
     step_px: float
+    sample_px: float
     pad_px: float
 
-    def __call__(self, centre_px: FloatArray, sample_px: FloatArray, shift_px: FloatArray) -> NDArray[np.float32]:
-        """Weights (s, n, m) for pixels at n centres of m samples that are shifted by s distances."""
-        distance = np.abs(centre_px[:, None] - sample_px - shift_px[:, None, None]) / self.step_px
+    def rows(self, first_px: FloatArray, pixels: int, samples: int) -> NDArray[np.float32]:
+        """Weights (s, pixels, samples) for windows whose first pixel lies s distances beyond the first sample.
+
+        They depend on the distance of a pixel from a sample alone, of which a whole number of samples makes a pixel.
+        """
+        per_px = round(1.0 / self.sample_px)
+        start = np.asarray(first_px) / self.sample_px
+        reach = (self.pad_px + 0.5) / self.sample_px
+        many = math.floor(2.0 * reach) + 1
+        steps = np.ceil(-start - reach).astype(np.int64)[:, None] + np.arange(many)  # pixel times per_px less sample
+        distance = np.abs(steps + start[:, None]) * (self.sample_px / self.step_px)
         index = np.minimum(distance.astype(np.int64), len(self.values) - 2)
         part = np.minimum(distance - index, 1.0)
-        return np.asarray(self.values[index] * (1.0 - part) + self.values[index + 1] * part, np.float32)
+        values = self.values[index] * (1.0 - part) + self.values[index + 1] * part
+        last = (pixels - 1) * per_px
+        band = np.zeros((len(start), last + samples), np.float32)
+        place = last - steps
+        known = (place >= 0) & (place < band.shape[1])
+        star = np.broadcast_to(np.arange(len(start))[:, None], place.shape)
+        band[star[known], place[known]] = values[known]
+        strides = band.strides[0], -per_px * band.itemsize, band.itemsize
+        return np.ascontiguousarray(as_strided(band[:, last:], (len(start), pixels, samples), strides))
 
 
 @cache
@@ -163,7 +183,7 @@ def _pixel_table(field: FieldSampling, sigma_px: float) -> PixelTable:
     distance = np.asarray(np.arange(math.ceil(kernel.reach_px / step) + 2) * step, np.float64)
     values = kernel(distance) * field.light_step
     values[-1] = 0.0
-    return PixelTable(values, step, kernel.reach_px - 0.5)
+    return PixelTable(values, step, field.light_step, kernel.reach_px - 0.5)
 
 
 @cache

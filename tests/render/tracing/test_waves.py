@@ -13,6 +13,7 @@ from optics.frames import field_direction
 from optics.lens.perturb import decentre
 from optics.lens.system import LensSystem
 from optics.lens_file import load_lens
+from optics.light.collimation import Collimation
 from optics.waves.pupil_field import PupilField, trace_pupil
 from render.camera import Camera
 from render.motion.trajectory import ConstantRate
@@ -208,6 +209,38 @@ def test_images_interpolated_over_the_field_are_those_of_every_star(engine, chan
         assert (ours.sum(0) @ grid) / ours.sum() == pytest.approx((theirs.sum(0) @ grid) / theirs.sum(), abs=1e-4)
     assert fast.truth.photon_x_px == pytest.approx(exact.truth.photon_x_px, abs=1e-6)
     assert fast.truth.electrons_beyond == pytest.approx(exact.truth.electrons_beyond, rel=0.2)
+    rays = Tracer(replace(camera, diffraction="rays")).render(stars, exposure_s=1.0).truth  # the grid traces none
+    for name in ("chief_x_px", "chief_y_px", "bundle_x_px", "bundle_y_px"):
+        assert getattr(fast.truth, name) == pytest.approx(getattr(rays, name), abs=1e-5)
+    for name in ("variance_x_px2", "variance_y_px2", "electrons_in"):
+        assert getattr(fast.truth, name) == pytest.approx(getattr(rays, name), rel=1e-4)
+
+
+@pytest.mark.slow
+def test_a_grid_shares_wavelengths_and_holds_the_light_of_a_collimator(engine):
+    """Images of 16 wavelengths come from 7; light that diverges a little and is turned differently at each of them."""
+    camera = camera_of("star_camera_206mm", 400, 300, defocus_mm=0.01)
+    rng = np.random.default_rng(7)
+    wave = np.linspace(553.0, 647.0, 16)[None]
+    bent = Collimation(
+        wavelength_nm=wave,
+        slope_rad=1e-6 * np.stack([wave - 600.0, 0.4 * (600.0 - wave)], axis=-1) / 50.0,
+        vergence_per_mm=np.full(wave.shape, 2e-7),
+    )
+    stars = StarField(
+        direction=camera.nominal_direction(rng.uniform(30.0, 370.0, 6), rng.uniform(30.0, 270.0, 6), 206.2),
+        wavelength_nm=wave,
+        photon_rate=rng.uniform(0.2, 1.0, (6, 1, 16)),
+        band=("b",),
+        collimation=bent,
+    )
+    fast, exact = (Tracer(replace(camera, diffraction=how)) for how in ("waves", "exact_waves"))
+    ours, theirs = (one.render(stars, exposure_s=1.0) for one in (fast, exact))
+    assert list(ours.sampling) == ["grid"]
+    assert np.abs(ours.electrons - theirs.electrons).max() < 1e-4 * theirs.truth.electrons_in.min()
+    assert ours.truth.photon_x_px == pytest.approx(theirs.truth.photon_x_px, abs=1e-5)
+    cells, expected = (one.centred_cells(stars, half_size_px=4, cells_per_px=4) for one in (fast, exact))
+    assert cells == pytest.approx(expected, abs=1e-5)
 
 
 def test_a_star_beside_the_detector_costs_nothing_and_is_off_the_edge(engine):
