@@ -41,6 +41,7 @@ __all__ = [
     "probe_nodes",
     "sobol_plan",
     "staggered",
+    "whole_disk",
 ]
 
 
@@ -210,6 +211,13 @@ def staggered(order: tuple[int, int], nodes: int, times: int = 1) -> TablePoints
     x = np.cos(turn) * pupil.x - np.sin(turn) * pupil.y
     y = np.sin(turn) * pupil.x + np.cos(turn) * pupil.y
     return TablePoints(np.stack([x, y], axis=-1), np.asarray(pupil.weight))
+
+
+def whole_disk(order: tuple[int, int], nodes: int) -> TablePoints:
+    """Gauss x trapezoid points of the whole disk, the same for every node."""
+    samples = gauss_disk(*order)
+    points = np.broadcast_to(np.column_stack([samples.x, samples.y]), (nodes, len(samples.x), 2))
+    return TablePoints(points, np.asarray(samples.weight))
 
 
 def _spectrum(landed: Landed, frequency: FloatArray, left: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:

@@ -11,34 +11,29 @@ from numpy.typing import NDArray
 from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.errors import ConfigError, ConvergenceError, DomainError
 from optics.frames import field_angles_deg
-from optics.light.collimation import Collimation
-from optics.rays.pupil import EntrancePupil, gauss_disk
+from optics.rays.pupil import EntrancePupil
 from optics.rays.spots import spot_moments
 from render.camera import Camera, launch_disk
 from render.records import StarField, Truth
 from render.tracing.aimed_pupil import Chiefs
-from render.tracing.compose import TruthSums, add_stamps
+from render.tracing.compose import TruthSums
 from render.tracing.convergence import TOLERANCE
 from render.tracing.ideal_lens import IdealLens
 from render.tracing.kernel import ARRIVED, OUTSIDE, Shade, StarKernel
 from render.tracing.motion import ExposureMotion
-from render.tracing.passes import PASS_BYTES, PASS_RAYS, Bounds, Light, Passes
+from render.tracing.passes import PASS_BYTES, PASS_RAYS, Light, Passes
 from render.tracing.paths import StarPaths, at_rest, pick_times, star_paths
 from render.tracing.planning import PupilPlanner, Seen
 from render.tracing.pupil_arcs import ARC_LADDER
-from render.tracing.pupil_points import DiskPoints, OutlinePoints, PupilPoints, SobolPoints, TablePoints
-from render.tracing.wave_grid import WaveGrid
-from render.tracing.wave_grid_build import WING_PX, build_grid, worth_a_grid
-from render.tracing.wave_images import Trail, WaveImages, WaveStamps
+from render.tracing.pupil_points import DiskPoints, PupilPoints, SobolPoints
+from render.tracing.sampling import whole_disk
+from render.tracing.wave_stars import WaveStars, check_lit
 
 __all__ = ["TracedStars", "Tracer"]
 
 
 SHADE_LOG2_RAYS = 14
 """Rays by which it is found out whether something stands in a beam: what hides 3e-4 of it is hardly missed."""
-
-GRIDS, GRID_BATCH = 4, 256
-"""Grids of images (of other wavelengths) that are kept; stars that are interpolated at a time."""
 SHORTEST_PX = 1e-3
 """Path along which the lens's scale is not measured."""
 
@@ -50,13 +45,6 @@ class TracedStars:
     electrons: NDArray[np.float32]
     truth: Truth
     sampling: dict[str, tuple[int, int]]
-
-
-def _unturned(order: tuple[int, int], nodes: int) -> TablePoints:
-    """Gauss x trapezoid points of the whole disk, the same for every node."""
-    samples = gauss_disk(*order)
-    points = np.broadcast_to(np.column_stack([samples.x, samples.y]), (nodes, len(samples.x), 2))
-    return TablePoints(points, np.asarray(samples.weight))
 
 
 class Tracer:
@@ -100,7 +88,7 @@ class Tracer:
             tolerance=tolerance,
             general=general,
         )
-        self._grids: dict[tuple[bytes, bytes, float], WaveGrid | None] = {}
+        self._waves = WaveStars(self.planner)
 
     @property
     def pupil(self) -> EntrancePupil:
@@ -172,7 +160,7 @@ class Tracer:
         sums.chief_x[...], sums.chief_y[...] = (np.where(chiefs.blocked, np.nan, v) for v in (chiefs.x_px, chiefs.y_px))
         by_grid = np.empty(0, np.int64)
         if shade is None and image.size > 0:
-            by_grid = self._add_by_grid(light, seen, chiefs, image, sums, sampling)
+            by_grid = self._waves.add_by_grid(light, seen, chiefs, image, sums, sampling)
         if not len(by_grid):
             return sums, self._trace_each(light, seen, chiefs, image, sums, shade)
         left = np.setdiff1d(np.arange(len(paths.mid)), by_grid)
@@ -208,7 +196,7 @@ class Tracer:
             if len(members) > len(left):
                 sampling[plan.mode] = (len(members) - len(left), plan.rays_per_node * light.share.shape[2])
         if by_waves:
-            sampling = self._add_waves(light, seen, chiefs, bounds, image, sums, (shade, shaded))
+            sampling = self._waves.add(light, seen, chiefs, bounds, image, sums, (shade, shaded))
         return sampling
 
     def _shaded(self, seen: Seen, wavelength_nm: FloatArray, shade: Shade) -> BoolArray:
@@ -221,110 +209,6 @@ class Tracer:
             disks = DiskPoints(pupil, *self.planner.disks(seen, wavelength_nm[:1], part))
             shaded[part] = kernel.hidden_share(shade, disks, part.astype(np.uint32)) > 0.0
         return shaded
-
-    def _add_waves(
-        self,
-        light: Light,
-        seen: Seen,
-        chiefs: Chiefs,
-        bounds: Bounds,
-        image: NDArray[np.float32],
-        sums: TruthSums,
-        shades: tuple[Shade | None, BoolArray | None],
-    ) -> dict[str, tuple[int, int]]:
-        """Add diffraction images of all stars whose light may meet the detector; how their pupils were sampled."""
-        camera, sampling = self.camera, dict[str, tuple[int, int]]()
-        still = seen
-        if seen.nodes is not seen.mid:
-            rest = replace(at_rest(seen.paths.mid), collimation=seen.paths.collimation)
-            still = self.planner.seen(rest, light.wavelength_nm)
-        images = self._wave_images(light, still, seen, chiefs, shades[0])
-        edge = np.array([camera.width_px, camera.height_px]) - 0.5 + WING_PX
-        inside = np.all((bounds.high > -0.5 - WING_PX) & (bounds.low < edge), axis=2)
-        near = np.flatnonzero(np.any(inside, axis=1))
-        if not len(near):
-            return sampling
-        for group in self.planner.wave_groups(still, light.wavelength_nm, chiefs, near, shades[1]):
-            for stamps in images.stamps(group):
-                self._add_stamps(stamps, light, image, sums, sampling)
-        return sampling
-
-    def _add_stamps(
-        self,
-        stamps: WaveStamps,
-        light: Light,
-        image: NDArray[np.float32],
-        sums: TruthSums,
-        sampling: dict[str, tuple[int, int]],
-    ) -> None:
-        electrons = light.electrons[stamps.stars]
-        columns = self.camera.sensitive_columns
-        on_image = add_stamps(image, stamps.pixels, stamps.corner_px, electrons, columns)
-        sums.store_waves(stamps, electrons, on_image)
-        stars, rays = sampling.get(stamps.mode, (0, 0))
-        sampling[stamps.mode] = (stars + len(stamps.stars), max(rays, stamps.rays * light.wavelength_nm.shape[1]))
-
-    def _grid(self, wavelength_nm: FloatArray, collimation: Collimation | None, radius_px: float) -> WaveGrid | None:
-        """The grid of images at these wavelengths, at least as large as a radius; None if there is none."""
-        bent = b"" if collimation is None else collimation.at(wavelength_nm).tobytes()
-        key = wavelength_nm.tobytes(), bent, radius_px
-        if key not in self._grids:
-            while len(self._grids) >= GRIDS:
-                self._grids.pop(next(iter(self._grids)))
-            self._grids[key] = build_grid(self.planner, wavelength_nm, collimation, radius_px)
-        return self._grids[key]
-
-    def _add_by_grid(
-        self,
-        light: Light,
-        seen: Seen,
-        chiefs: Chiefs,
-        image: NDArray[np.float32],
-        sums: TruthSums,
-        sampling: dict[str, tuple[int, int]],
-    ) -> IntArray:
-        """Add stars by a grid of images, if they are many enough for it; which."""
-        camera, nobody = self.camera, np.empty(0, np.int64)
-        if camera.diffraction != "waves":
-            return nobody
-        chief = np.stack([sums.chief_x, sums.chief_y], axis=-1)
-        edge = np.array([camera.width_px, camera.height_px]) - 0.5 + WING_PX
-        stars = np.flatnonzero(((chief > -0.5 - WING_PX) & (chief < edge)).all((1, 2)))
-        if not worth_a_grid(light.wavelength_nm, len(stars)):
-            return nobody
-        grid = self._grid(light.wavelength_nm, seen.paths.collimation, 0.0)
-        if grid is None:
-            return nobody
-        direction = seen.paths.mid
-        stars = stars[grid.holds(direction[stars])]
-        images = self._wave_images(light, seen, seen, chiefs)
-        for part in (stars[i : i + GRID_BATCH] for i in range(0, len(stars), GRID_BATCH)):
-            stamps = grid.stamps(part, direction[part], images.share[part], chief[part], images.trail)
-            self._add_stamps(stamps, light, image, sums, sampling)
-        return stars
-
-    def _wave_images(
-        self, light: Light, still: Seen, seen: Seen, chiefs: Chiefs, shade: Shade | None = None
-    ) -> WaveImages:
-        """Images of stars as they are in the middle of an exposure, and how they move during it."""
-        bands, colours = light.wavelength_nm.shape
-        share = light.share.reshape(*light.share.shape[:2], -1, colours)
-        trail = None
-        if seen.nodes is not seen.mid:
-            times, points = seen.nodes.times, np.nan_to_num(chiefs.points)
-            ray = OutlinePoints(
-                centre=points,
-                azimuth=np.zeros((times, 1)),
-                radius=np.zeros((len(points), bands, times, 1)),
-                share=np.ones((len(points), bands, times, 1)),
-                arm=np.zeros(1, np.uint32),
-                ring=np.zeros(1),
-                ring_weight=np.ones(1),
-            )
-            x, y, _ = seen.nodes.land(ray, light.wavelength_nm.mean(1, keepdims=True))
-            offset = np.stack([x[..., 0] - chiefs.x_px[..., None], y[..., 0] - chiefs.y_px[..., None]], axis=-1)
-            trail = Trail(np.nan_to_num(offset), share.sum(3))
-        return WaveImages(self.camera, still.mid, light.wavelength_nm, share.sum(2), trail, shade)
 
     def bundle_means(self, stars: StarField, *, rings: int = 6, arms: int = 14) -> FloatArray:
         """Mean landing point (n, b, 2) [px] of every star and band, without an image; NaN where no ray arrives.
@@ -342,7 +226,7 @@ class Tracer:
         means = np.full((len(paths.mid), len(light.share[0]), 2), np.nan)
         if self.pupil.exact:
             every = np.arange(len(means))
-            means, clear = self._means(seen.mid, light, every, _unturned((rings, arms), light.wavelength_nm.shape[1]))
+            means, clear = self._means(seen.mid, light, every, whole_disk((rings, arms), light.wavelength_nm.shape[1]))
             left = every[~clear]
         else:
             left = np.arange(len(means))
@@ -408,12 +292,12 @@ class Tracer:
         seen = self.planner.seen(paths, light.wavelength_nm)
         chiefs = self.planner.chiefs(seen.mid, light.wavelength_nm)
         if self.camera.diffraction != "rays":
-            return self._wave_cells(light, seen, chiefs, half_size_px, cells_per_px)
+            return self._waves.cells(light, seen, chiefs, half_size_px, cells_per_px)
         nothing = np.zeros((0, 0, len(stars.band)), np.float32)
         sums, _ = self._trace(light, paths, nothing)
         stamp_px = 2 * half_size_px + 1
         corner = np.stack([sums.bundle_x, sums.bundle_y], axis=-1) - 0.5 * stamp_px
-        _check_lit(corner)
+        check_lit(corner)
         groups, bounds, _ = self.planner.groups(seen, light.wavelength_nm, chiefs)
         passes = Passes(self.camera, seen.nodes, light, bounds, nothing, sums, sums.entrance)
         side = stamp_px * cells_per_px
@@ -425,23 +309,6 @@ class Tracer:
                 collected = passes.splat(pupil, part, corner[part], stamp_px, cells_per_px)
                 light_in = collected.moments[..., [ARRIVED, OUTSIDE]].sum(-1)
                 result[part] = collected.pixels / light_in[..., None, None]
-        return result
-
-    def _wave_cells(self, light: Light, seen: Seen, chiefs: Chiefs, half_size_px: int, cells_per_px: int) -> FloatArray:
-        """The same by waves."""
-        radius_px = float(math.ceil(math.sqrt(0.5) * (2 * half_size_px + 1)))
-        if self.camera.diffraction == "waves" and worth_a_grid(light.wavelength_nm, len(light.electrons)):
-            grid = self._grid(light.wavelength_nm, seen.paths.collimation, radius_px)
-            chief = np.stack([chiefs.x_px, chiefs.y_px], axis=-1)
-            if grid is not None and grid.holds(seen.paths.mid).all() and not chiefs.blocked.any():
-                return grid.cells(seen.paths.mid, light.share, chief, half_size_px, cells_per_px)
-        images = self._wave_images(light, seen, seen, chiefs)
-        side = (2 * half_size_px + 1) * cells_per_px
-        result = np.empty((*light.electrons.shape, side, side))
-        for group in self.planner.wave_groups(seen, light.wavelength_nm, chiefs, np.arange(len(result))):
-            for stars, cells, _ in images.cells(group, half_size_px, cells_per_px):
-                result[stars] = cells
-        _check_lit(result[:, :, 0, :2])
         return result
 
     def _in_cam(self, stars: StarField, rotation: FloatArray | None) -> StarPaths:
@@ -484,12 +351,6 @@ class Tracer:
         electrons = per_node.sum(2)
         share = np.where(electrons[..., None] > 0, per_node, 1.0)
         return Light(stars.wavelength_nm, share / share.sum(2, keepdims=True), electrons)
-
-
-def _check_lit(place: FloatArray) -> None:
-    """Refuse stars none of whose light arrives, which have no place (n, b, 2)."""
-    if np.isnan(place).any():
-        raise DomainError(f"star {np.argwhere(np.isnan(place))[0][0]}: none of its light reaches the detector")
 
 
 def _check_in_front(direction: FloatArray, times: int = 1) -> None:

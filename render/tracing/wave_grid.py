@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from optics.arrays import FloatArray, IntArray
 from render.camera import Camera
 from render.tracing.wave_images import RayMoments, Trail, WaveStamps
+from render.tracing.wave_spectrum import lagrange
 from render.tracing.wave_windows import FieldSampling, PixelTable, window_samples
 
-__all__ = ["MOMENTS", "WaveGrid", "chebyshev", "lagrange"]
+__all__ = ["MOMENTS", "WaveGrid", "chebyshev"]
 
 
 MOMENTS = 6
@@ -31,18 +32,6 @@ rays from the chief ray and times their mean squares."""
 def chebyshev(count: int) -> FloatArray:
     """Chebyshev points of the first kind in (-1, 1)."""
     return -np.cos(np.pi * (np.arange(count) + 0.5) / count)
-
-
-def lagrange(points: FloatArray, at: FloatArray) -> FloatArray:
-    """Values (n, p) at n places of the Lagrange polynomials of p points."""
-    difference = points[:, None] - points
-    np.fill_diagonal(difference, 1.0)
-    result = np.ones((len(at), len(points)))
-    for j in range(len(points)):
-        for i in range(len(points)):
-            if i != j:
-                result[:, j] *= (at - points[i]) / difference[j, i]
-    return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,8 +22,9 @@ from render.tracing.paths import at_rest
 from render.tracing.plane_waves import PlaneWaves
 from render.tracing.planning import PupilPlanner
 from render.tracing.pupil_points import TablePoints
-from render.tracing.wave_grid import WaveGrid, chebyshev, lagrange
+from render.tracing.wave_grid import WaveGrid, chebyshev
 from render.tracing.wave_images import LARGEST_RADIUS_PX, WaveGroup, WaveImages
+from render.tracing.wave_spectrum import picked_wavelengths
 from render.tracing.wave_windows import window_light, window_samples
 
 __all__ = ["TOLERANCE", "WING_PX", "build_grid", "worth_a_grid"]
@@ -31,46 +32,28 @@ __all__ = ["TOLERANCE", "WING_PX", "build_grid", "worth_a_grid"]
 
 TOLERANCE = 1e-4
 """Largest error of a pixel [share of the light], and of the centroid in a window of 13 x 13 px [px]."""
-SIZES = (5, 7, 9)
+SIZES = (5, 7, 9, 11, 13)
 """Points along either side that are tried."""
+GAIN = 4.0
+"""By how much the next size lowers the error, at least; sizes that would not do are passed over."""
 LEAST_STARS = 12
 """Stars on the detector, of wavelengths as many as a grid needs, from which it costs less over a few frames."""
 CENTROID_PX = 6
 """Half the side of the window whose centroid is compared."""
 PROBES = 5
-HOPELESS = 30.0
-"""How many times the tolerance the error of a coarse grid may be for a finer one to be tried."""
 COMPONENT = 5e-6
-"""Error of a pixel, as a share of the light, that principal components may leave."""
+"""Error that principal components may leave in images of the coarsest grid, as a share of the light; finer grids weigh
+their images with larger numbers of both signs."""
 WING_PX = 30.0
 """How far beside the detector a star may be for its image to be rendered; so far the grid reaches."""
 SYMMETRIC_PX = 1e-6
 """Difference of rays from mirrored ones below which a quarter of the field tells the rest."""
 
 
-def _picked(wavelength_nm: FloatArray, size: int) -> tuple[IntArray, IntArray, FloatArray]:
-    """Which of the wavelengths (k,) of a band have images, three to judge by, and the weights (k, q) for all.
-
-    Polynomials through wavelengths near the extrema of a Chebyshev polynomial; their number follows the change of the
-    rings' scale over the band, 13 for 500 to 800 nm.
-    """
-    middle, half = 0.5 * (wavelength_nm.max() + wavelength_nm.min()), 0.5 * np.ptp(wavelength_nm)
-    wanted = math.ceil((3.0 + 44.0 * half / middle) * size / SIZES[0])
-    order = np.argsort(wavelength_nm)
-    if wanted >= len(wavelength_nm) or half == 0.0:
-        which = order
-    else:
-        extrema = middle - half * np.cos(np.pi * np.arange(wanted) / (wanted - 1))
-        which = np.unique([np.abs(wavelength_nm - one).argmin() for one in extrema])
-    scaled = (wavelength_nm - middle) / (half or 1.0)
-    distance = np.abs(scaled[:, None] - scaled[which]).prod(1)
-    return which, np.unique([order[0], order[-1], distance.argmax()]), lagrange(scaled[which], scaled)
-
-
 def worth_a_grid(wavelength_nm: FloatArray, stars: int) -> bool:
     """Whether so many stars on the detector, of wavelengths (b, k), cost less by a grid."""
     return stars * wavelength_nm.shape[1] >= LEAST_STARS * max(
-        len(_picked(band, SIZES[0])[0]) for band in wavelength_nm
+        len(picked_wavelengths(band)[0]) for band in wavelength_nm
     )
 
 
@@ -95,12 +78,15 @@ def build_grid(
     """
     field = _FieldImages(planner, wavelength_nm, collimation, least_radius_px)
     mirrored = field.symmetric()
-    for size in SIZES:
-        grid = field.grid(size, mirrored)
-        if grid is None or max(grid.error, grid.error_px) > HOPELESS * TOLERANCE:
+    at = 0
+    while at < len(SIZES):
+        grid = field.grid(SIZES[at], mirrored)
+        if grid is None:
             return None
-        if grid.error < TOLERANCE and grid.error_px < TOLERANCE:
+        error = max(grid.error, grid.error_px) / TOLERANCE
+        if error < 1.0:
             return grid
+        at += math.ceil(math.log(max(error, 1.01)) / math.log(GAIN) * 0.999)
     return None
 
 
@@ -182,7 +168,7 @@ class _FieldImages:
         pad, window = field.table(self.camera.charge_diffusion_px).pad_px, 2.0 * radius + 1.0
         samples = window_samples(field, window, pad) - 0.5 * window
         near = np.hypot(samples, samples[:, None]) <= radius + pad + 0.5
-        picked = [_picked(band, size) for band in self.wavelength_nm]
+        picked = [picked_wavelengths(band, size / SIZES[0]) for band in self.wavelength_nm]
         most = max(len(which) for which, _, _ in picked)
         count = len(samples)
         light = np.zeros((bands, len(place), most, count, count), np.float32)
@@ -206,7 +192,14 @@ class _FieldImages:
         smoothing = (kernel(samples[:, None] - samples) * field.light_step).astype(np.float32)
         disk = np.hypot(samples, samples[:, None]) <= radius
         parts = [
-            _components(light[b].reshape(-1, count, count), smoothing, disk, field.light_step) for b in range(bands)
+            _components(
+                light[b].reshape(-1, count, count),
+                smoothing,
+                disk,
+                field.light_step,
+                COMPONENT * (SIZES[0] / size) ** 2,
+            )
+            for b in range(bands)
         ]
         kept = max(len(component) for _, component in parts)
         coefficient = np.zeros((bands, size**2, most, kept), np.float32)
@@ -283,18 +276,18 @@ def _unfolded(
 
 
 def _components(
-    images: NDArray[np.float32], smoothing: NDArray[np.float32], disk: NDArray[np.bool_], step_px: float
+    images: NDArray[np.float32], smoothing: NDArray[np.float32], disk: NDArray[np.bool_], step_px: float, limit: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Coefficients (n, c) and components (c, m, m) of images (n, m, m).
 
     Principal components of what pixels see of them: of light on pixels at every third of a pixel, within the disk. They
-    are so many that what is left out, the root of its squares summed over the pixels of a stamp, is below `COMPONENT`
-    of the light in every image.
+    are so many that what is left out, the root of its squares summed over the pixels of a stamp, is below a limit in
+    every image.
     """
     stride = max(1, round(1.0 / (3.0 * step_px)))
     few = smoothing[::stride]
     seen = ((few @ images @ few.T) * disk[::stride, ::stride]).reshape(len(images), -1).astype(np.float64)
     square, vectors = np.linalg.eigh(seen @ seen.T)
     left = np.cumsum(np.maximum(square, 0.0) * vectors**2, axis=1).max(0) * (stride * step_px) ** 2
-    keep = vectors[:, left > COMPONENT**2].astype(np.float32)
+    keep = vectors[:, left > limit**2].astype(np.float32)
     return keep, np.tensordot(keep, images, axes=(0, 0))

@@ -262,17 +262,17 @@ def window_light(
     light = np.zeros((count, count), np.float32)
     for k, share in enumerate(shares):
         lit = waves.amplitude[*at, k] > 0.0
-        if not (share > 0.0 and lit.any()):
+        if share == 0.0 or not lit.any():
             continue
         x, y, fx, fy, turns, amplitude = (
             v[*at, k][lit] for v in (waves.x, waves.y, waves.fx, waves.fy, waves.turns, waves.amplitude)
         )
         fx, fy, phase = _untilted(fx, fy, x, y, turns, middle)
-        coefficient = (amplitude * math.sqrt(math.pi * share)) * np.exp(2j * np.pi * phase)
+        coefficient = (amplitude * math.sqrt(math.pi)) * np.exp(2j * np.pi * phase)
         nodes = to_samples.shape[1]
         spread = _spread(fy, step, nodes).T @ _spread(fx, step, nodes, coefficient.astype(np.complex64))
         u = to_samples @ spread.toarray() @ to_samples.T
-        light += u.real**2 + u.imag**2
+        light += np.float32(share) * (u.real**2 + u.imag**2)
     return light
 
 

@@ -1,0 +1,82 @@
+"""Few wavelengths whose diffraction images tell those of a band."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from optics.arrays import FloatArray, IntArray
+
+__all__ = ["condensed_light", "lagrange", "picked_wavelengths"]
+
+
+RINGS = 44.0
+"""Wavelengths per relative half width of a band: as many as the change of the rings' scale asks for, on pixels."""
+
+
+def lagrange(points: FloatArray, at: FloatArray) -> FloatArray:
+    """Values (n, p) at n places of the Lagrange polynomials of p points."""
+    difference = points[:, None] - points
+    np.fill_diagonal(difference, 1.0)
+    result = np.ones((len(at), len(points)))
+    for j in range(len(points)):
+        for i in range(len(points)):
+            if i != j:
+                result[:, j] *= (at - points[i]) / difference[j, i]
+    return result
+
+
+def picked_wavelengths(
+    wavelength_nm: FloatArray, finer: float = 1.0, phase_rad: float = 0.0
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Wavelengths that have images, and what makes all others of them: polynomials near Chebyshev's extrema.
+
+    Parameters
+    ----------
+    wavelength_nm : (k,)
+        Of a band.
+    finer : float
+        Factor of their number, which is 13 for 500 to 800 nm.
+    phase_rad : float
+        Phase along a radius of the pupil at the edge of the spot of rays, which follows the wavelength too.
+
+    Returns
+    -------
+    picked : (q,)
+        Which have images.
+    judges : (j,)
+        Both ends, and the one farthest from the picked ones.
+    weight : (k, q)
+        What makes the k images of the q.
+    """
+    middle, half = 0.5 * (wavelength_nm.max() + wavelength_nm.min()), 0.5 * np.ptp(wavelength_nm)
+    wanted = math.ceil((3.0 + (RINGS + phase_rad) * half / middle) * finer)
+    order = np.argsort(wavelength_nm)
+    if wanted >= len(wavelength_nm) or half == 0.0:
+        which = np.asarray(order)
+    else:
+        extrema = middle - half * np.cos(np.pi * np.arange(wanted) / (wanted - 1))
+        which = np.unique([np.abs(wavelength_nm - one).argmin() for one in extrema])
+    scaled = (wavelength_nm - middle) / (half or 1.0)
+    distance = np.abs(scaled[:, None] - scaled[which]).prod(1)
+    weight = lagrange(scaled[which], scaled) if half > 0.0 else np.full((len(scaled), len(which)), 1.0 / len(which))
+    return which, np.unique([order[0], order[-1], distance.argmax()]), weight
+
+
+def condensed_light(wavelength_nm: FloatArray, share: FloatArray, phase_rad: float) -> tuple[FloatArray, FloatArray]:
+    """Fewer wavelengths (b, q), and shares of them (n, b, t q), that make the images of k wavelengths (n, b, t k).
+
+    Parameters as `picked_wavelengths`, for all bands; shares may be negative.
+    """
+    picked = [picked_wavelengths(band, 1.0, phase_rad) for band in wavelength_nm]
+    most = max(len(which) for which, _, _ in picked)
+    if most == wavelength_nm.shape[1]:
+        return wavelength_nm, share
+    waves = np.empty((len(picked), most))
+    by_time = share.reshape(*share.shape[:2], -1, wavelength_nm.shape[1])
+    found = np.zeros((*by_time.shape[:3], most))
+    for b, (which, _, weight) in enumerate(picked):
+        waves[b] = wavelength_nm[b, np.resize(which, most)]
+        found[:, b, :, : len(which)] = by_time[:, b] @ weight
+    return waves, found.reshape(*share.shape[:2], -1)
