@@ -69,14 +69,19 @@ def condensed_light(wavelength_nm: FloatArray, share: FloatArray, phase_rad: flo
 
     Parameters as `picked_wavelengths`, for all bands; shares may be negative.
     """
-    picked = [picked_wavelengths(band, 1.0, phase_rad) for band in wavelength_nm]
-    most = max(len(which) for which, _, _ in picked)
-    if most == wavelength_nm.shape[1]:
+    bands, colours = wavelength_nm.shape
+    most = max(len(picked_wavelengths(band, 1.0, phase_rad)[0]) for band in wavelength_nm)
+    if most == colours:
         return wavelength_nm, share
-    waves = np.empty((len(picked), most))
-    by_time = share.reshape(*share.shape[:2], -1, wavelength_nm.shape[1])
+    waves = np.empty((bands, most))
+    by_time = share.reshape(*share.shape[:2], -1, colours)
     found = np.zeros((*by_time.shape[:3], most))
-    for b, (which, _, weight) in enumerate(picked):
-        waves[b] = wavelength_nm[b, np.resize(which, most)]
-        found[:, b, :, : len(which)] = by_time[:, b] @ weight
+    for b, band in enumerate(wavelength_nm):
+        which = picked_wavelengths(band, 1.0, phase_rad)[0]
+        while len(which) < most:  # as many in every band, all of them different
+            distance = np.abs(band[:, None] - band[which]).prod(1)
+            which = np.sort(np.append(which, distance.argmax()))
+        waves[b] = band[which]
+        half = 0.5 * np.ptp(band)
+        found[:, b] = by_time[:, b] @ lagrange((waves[b] - band[0]) / half, (band - band[0]) / half)
     return waves, found.reshape(*share.shape[:2], -1)
