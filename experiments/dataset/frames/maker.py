@@ -1,4 +1,9 @@
-"""One frame with its truth: a pure function of configuration and frame number."""
+"""One frame with its truth: a pure function of configuration and frame number.
+
+A detector with lag keeps a share of the frame before, where frames follow each other: those of a scan. What is expected
+in the frame before is then computed too, or kept from having been made last, which gives the same bytes. In all other
+datasets every frame is the first one after a long rest.
+"""
 
 from __future__ import annotations
 
@@ -42,6 +47,8 @@ class MadeFrame:
         Pixels that are saturated.
     disks : tuple of Disk
         Bodies that are larger than a pixel.
+    struck : (h, w) bool or None
+        Pixels in which cosmic rays left at least an electron; None where none are asked for.
     """
 
     plan: FramePlan
@@ -50,6 +57,7 @@ class MadeFrame:
     background_e: float
     saturated_px: int
     disks: tuple[Disk, ...] = ()
+    struck: NDArray[np.bool_] | None = None
 
     @property
     def stars(self) -> int:
@@ -60,6 +68,26 @@ class MadeFrame:
     def saturated(self) -> int:
         """Stars with a saturated pixel."""
         return int(np.count_nonzero(self.truth["flags"] & FLAGS["saturated"][0]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Expected:
+    """What falls on the detector in a frame."""
+
+    plan: FramePlan
+    seen: PointSources
+    traced: TracedStars
+    electrons: NDArray[np.float32]
+    sky_e: float
+    disks: list[Disk]
+    hits: CosmicRayHits | None
+
+    def charge_e(self) -> NDArray[np.float32]:
+        """With what cosmic rays leave."""
+        charge = self.electrons.copy()
+        if self.hits is not None:
+            np.add.at(charge, (self.hits.row, self.hits.column), self.hits.charge_e.astype(np.float32))
+        return charge
 
 
 class FrameMaker:
@@ -86,21 +114,21 @@ class FrameMaker:
             self._bodies = BodyRenderer(scene.instrument.camera, scene.sky_light.bands, view=scene.view)
         self._streams: Streams = scene.plan.streams.child("detector")
         self._axis_share = self._share_on_axis()
+        self._lags = scene.instrument.detector.lag > 0.0 and scene.plan.path is not None
+        self._last: tuple[int, NDArray[np.float32]] | None = None
 
     def make(self, frame: int) -> MadeFrame:
         """Frame number ``frame``, up to 2^40 and more."""
         scene, config = self.scene, self.scene.config
-        plan = plan_frame(scene.plan, frame)
-        seen = point_sources(scene, plan)
-        self._renderer.label = f"frame_{frame:06d}"
-        traced = self._traced(seen, plan)
-        electrons = traced.electrons[:, :, 0].copy()
-        sky_e = self._add_sky(electrons, plan)
-        disks = self._add_disks(electrons, plan)
-        hits = self.hits(frame)
+        before = self._before(frame)
+        expected = self._expected(frame)
+        if self._lags:
+            self._last = frame, expected.charge_e()
+        plan, traced, hits = expected.plan, expected.traced, expected.hits
+        struck = None if hits is None else _struck(hits)
         band = scene.light.band[0]
         read = expose(
-            electrons,
+            expected.electrons,
             scene.instrument.detector,
             streams=self._streams,
             frame=frame,
@@ -109,17 +137,18 @@ class FrameMaker:
             background_e_per_s=config.background.extra_e_per_s,
             band=band,
             hits=hits,
+            before=before,
         )
         truth = star_rows(
-            seen,
+            expected.seen,
             traced.truth,
             scene.instrument.detector,
             frame=frame,
             band=band,
             on_chip=StarLightOnChip(
-                empty_e2=float(scene.instrument.pixel_noise().temporal_e2(sky_e)),
-                pixel_flags=pixel_flags(read.saturated, read.defect, None if hits is None else _struck(hits)),
-                smear_px=smear_px(scene, seen, plan, traced.truth.chief_y_px[:, 0]),
+                empty_e2=float(scene.instrument.pixel_noise().temporal_e2(expected.sky_e)),
+                pixel_flags=pixel_flags(read.saturated, read.defect, struck),
+                smear_px=smear_px(scene, expected.seen, plan, traced.truth.chief_y_px[:, 0]),
                 axis_share=self._axis_share,
             ),
         )
@@ -127,10 +156,31 @@ class FrameMaker:
             plan=plan,
             frame=read,
             truth=truth,
-            background_e=sky_e,
+            background_e=expected.sky_e,
             saturated_px=int(np.count_nonzero(read.saturated)),
-            disks=tuple(disks),
+            disks=tuple(expected.disks),
+            struck=struck,
         )
+
+    def _expected(self, frame: int) -> _Expected:
+        """Stars, sky, disks and cosmic rays of a frame."""
+        plan = plan_frame(self.scene.plan, frame)
+        seen = point_sources(self.scene, plan)
+        self._renderer.label = f"frame_{frame:06d}"
+        traced = self._traced(seen, plan)
+        electrons = traced.electrons[:, :, 0].copy()
+        sky_e = self._add_sky(electrons, plan)
+        disks = self._add_disks(electrons, plan)
+        hits = self.hits(frame)
+        return _Expected(plan=plan, seen=seen, traced=traced, electrons=electrons, sky_e=sky_e, disks=disks, hits=hits)
+
+    def _before(self, frame: int) -> NDArray[np.float32] | None:
+        """Charge of the frame before, of which a detector with lag keeps a share; None without one."""
+        if not self._lags or frame == 0:
+            return None
+        if self._last is not None and self._last[0] == frame - 1:
+            return self._last[1]
+        return self._expected(frame - 1).charge_e()
 
     def _share_on_axis(self) -> float:
         """Part of the light of a star on the axis that the lens lets through."""

@@ -222,11 +222,23 @@ def _path_px(plan: Plan, instrument: Instrument) -> float:
             f"px; at most {np.degrees(0.5 * smallest_px * pixel_rad / exposure_s):.3g} deg/s is possible"
         )
     corner_px = 0.5 * float(np.hypot(camera.width_px, camera.height_px))
-    steady_px = 0.5 * plan.duration_s * (across / pixel_rad + about * corner_px)
-    if plan.jitter is None:
-        return steady_px
-    x, y, z = plan.jitter.rms_arcsec * ARCSEC_RAD * JITTER_SIGMA
-    return steady_px + float(np.hypot(x, y)) / pixel_rad + float(z) * corner_px
+    moved_px = 0.5 * plan.duration_s * across / pixel_rad
+    if moved_px > corner_px:
+        raise DomainError(
+            f"at {np.degrees(across):g} deg/s stars move by {2 * moved_px:.0f} px while rows are read "
+            f"(instrument.line_time_us = {plan.config.instrument.line_time_us:g} us), more than the diagonal of "
+            f"{2 * corner_px:.0f} px; take a lower rate or line time"
+        )
+    shaken = np.zeros(3) if plan.jitter is None else plan.jitter.rms_arcsec * ARCSEC_RAD * JITTER_SIGMA
+    shaken_px = float(np.hypot(shaken[0], shaken[1])) / pixel_rad
+    if shaken_px > 0.5 * smallest_px:
+        raise DomainError(
+            f"jitter of {shaken_px / JITTER_SIGMA:.4g} px RMS across the boresight throws stars out of the frame of "
+            f"{camera.width_px} x {camera.height_px} px; lower jitter.psd_x_arcsec2_per_hz, psd_y_arcsec2_per_hz"
+        )
+    # a turn about the boresight brings in no star from farther than the corners
+    rolled_px = min((0.5 * plan.duration_s * about + float(shaken[2])) * corner_px, corner_px - 0.5 * smallest_px)
+    return moved_px + shaken_px + rolled_px
 
 
 def _check_stars(scene: Scene) -> None:

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from experiments.dataset.frames.header import header_cards
 from experiments.dataset.frames.maker import FrameMaker, MadeFrame
 from experiments.dataset.frames.scene import Scene, build_scene
@@ -18,12 +21,13 @@ from experiments.dataset.settings import Config
 from experiments.dataset.truth.disk_truth import disk_truth
 from experiments.dataset.truth.files import truth_bytes
 from experiments.dataset.truth.frame_record import FrameRecord
+from experiments.dataset.truth.labels import body_labels
 from optics.attitude import angles_from_attitude, quat_xyzw
 from optics.errors import ConfigError
 from optics.units import RAD_DEG
 from render.engine import Engine
 
-__all__ = ["Job", "make_frame", "prepare"]
+__all__ = ["Job", "make_frame", "pixel_marks", "prepare"]
 
 _MAKERS: dict[tuple[str, str], tuple[FrameMaker, str]] = {}
 _LOCK = threading.Lock()
@@ -117,7 +121,14 @@ def _write_fits(maker: FrameMaker, made: MadeFrame, path: Path) -> None:
     files = maker.scene.config.files
     compression = None if files.compression == "none" else files.compression
     try:
-        write_frame(made.frame, path, compression=compression, mask=files.mask, cards=header_cards(maker.scene, made))
+        write_frame(
+            made.frame,
+            path,
+            compression=compression,
+            mask=files.mask,
+            cards=header_cards(maker.scene, made),
+            marks=pixel_marks(maker.scene, made),
+        )
     except ConfigError as error:
         cause: Any = error.__context__
         if isinstance(cause, OSError):
@@ -125,6 +136,17 @@ def _write_fits(maker: FrameMaker, made: MadeFrame, path: Path) -> None:
         raise
     except OSError as error:
         raise storage_error(path, error) from None
+
+
+def pixel_marks(scene: Scene, made: MadeFrame) -> dict[str, NDArray[np.bool_]]:
+    """Pixels (h, w) that cosmic rays struck, and those of disks, where a dataset may have them, by card of the mask."""
+    found = {} if made.struck is None else {"COSMIC": made.struck}
+    if scene.sky_light.disks is not None:
+        disk = np.zeros(made.frame.dn.shape, np.bool_)
+        for label in body_labels(scene, made.plan):
+            disk[tuple(label.pixels)] = True
+        found["DISK"] = disk
+    return found
 
 
 def _record(made: MadeFrame, scene: Scene, frame_name: str, truth_name: str, content: bytes) -> FrameRecord:

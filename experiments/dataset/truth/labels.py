@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from experiments.dataset.frames.plan import plan_frame
+from experiments.dataset.frames.plan import FramePlan, plan_frame
 from experiments.dataset.frames.scene import Scene
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
 from render.detector.cosmic_rays import CosmicRayHits
 from render.detector.maps import sensor_maps
 
-__all__ = ["CLASSES", "Label", "LabelMaker", "pixel_of", "pixels_of_ellipse"]
+__all__ = ["CLASSES", "Label", "LabelMaker", "body_labels", "pixel_of", "pixels_of_ellipse"]
 
 IntArray = NDArray[np.int64]
 
@@ -102,26 +102,8 @@ class LabelMaker:
     def labels(self, frame: int) -> list[Label]:
         """Labels of a frame but its stars and point-like planets, which have rows in its truth."""
         hits = self._hits_of(frame)
-        return [*self._bodies(frame), *self._hot, *([] if hits is None else _tracks(hits))]
-
-    def _bodies(self, frame: int) -> list[Label]:
-        scene, disks = self.scene, self.scene.sky_light.disks
-        if disks is None or not len(disks):
-            return []
-        camera = scene.instrument.camera
-        v_cam = disks.direction @ plan_frame(scene.plan, frame).attitude.as_matrix().T
-        ahead = np.flatnonzero(v_cam[:, 2] > 0.0)
-        place = pixel_of(scene, v_cam[ahead])
-        radius = 0.5 * disks.angular_diameter_rad[ahead] / (scene.instrument.pixel_arcsec * ARCSEC_RAD)
-        found = []
-        for body, (x, y), r in zip(ahead, place, radius, strict=True):
-            box = _clipped(x + 0.5 - r, y + 0.5 - r, x + 0.5 + r, y + 0.5 + r, camera.width_px, camera.height_px)
-            if np.isfinite(x + y) and box is not None:
-                name = str(disks.name[body])
-                kind: Class = "moon" if name == "moon" else "planet"
-                pixels = pixels_of_ellipse(float(x), float(y), float(r), float(r), (camera.height_px, camera.width_px))
-                found.append(Label(kind=kind, name=name, x_px=float(x), y_px=float(y), box_px=box, pixels=pixels))
-        return found
+        bodies = body_labels(self.scene, plan_frame(self.scene.plan, frame))
+        return [*bodies, *self._hot, *([] if hits is None else _tracks(hits))]
 
     def _hot_pixels(self) -> list[Label]:
         instrument = self.scene.instrument
@@ -141,6 +123,27 @@ class LabelMaker:
             )
             for x, y in zip(columns.tolist(), rows.tolist(), strict=True)
         ]
+
+
+def body_labels(scene: Scene, plan: FramePlan) -> list[Label]:
+    """Labels of the disks that a frame shows."""
+    disks = scene.sky_light.disks
+    if disks is None or not len(disks):
+        return []
+    camera = scene.instrument.camera
+    v_cam = disks.direction @ plan.attitude.as_matrix().T
+    ahead = np.flatnonzero(v_cam[:, 2] > 0.0)
+    place = pixel_of(scene, v_cam[ahead])
+    radius = 0.5 * disks.angular_diameter_rad[ahead] / (scene.instrument.pixel_arcsec * ARCSEC_RAD)
+    found = []
+    for body, (x, y), r in zip(ahead, place, radius, strict=True):
+        box = _clipped(x + 0.5 - r, y + 0.5 - r, x + 0.5 + r, y + 0.5 + r, camera.width_px, camera.height_px)
+        if np.isfinite(x + y) and box is not None:
+            name = str(disks.name[body])
+            kind: Class = "moon" if name == "moon" else "planet"
+            pixels = pixels_of_ellipse(float(x), float(y), float(r), float(r), (camera.height_px, camera.width_px))
+            found.append(Label(kind=kind, name=name, x_px=float(x), y_px=float(y), box_px=box, pixels=pixels))
+    return found
 
 
 def pixel_of(scene: Scene, v_cam: FloatArray) -> FloatArray:

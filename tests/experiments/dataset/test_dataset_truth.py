@@ -16,6 +16,7 @@ from experiments.dataset.settings import (
     ConePointing,
     Config,
     FixedRate,
+    JitterConfig,
 )
 from experiments.dataset.truth.frame_record import record_from_text
 from experiments.dataset.truth.star_truth import FLAGS, flux_snr, footprint_px
@@ -30,6 +31,10 @@ SMALL = {
     "catalogue": CatalogueConfig(faintest_mag=10.0),
     "pointing": ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1),
 }
+
+
+SLOW = InstrumentConfig(detector="cmv4000", exposure_s=0.2, width_px=256, height_px=192, line_time_us=1e4)
+SHAKEN = JitterConfig(frequency_hz=(1.0, 100.0), psd_x_arcsec2_per_hz=(1e9, 1e9))
 
 
 @pytest.fixture(scope="module")
@@ -128,6 +133,8 @@ def test_no_light_at_all(engine):
         ({"catalogue": CatalogueConfig(faintest_mag=-2.0)}, "the brightest star"),
         ({"catalogue": CatalogueConfig(faintest_mag=1.0)}, "no frame sees a star"),
         ({"rate": FixedRate(rate_deg_per_s=(0.0, 5.0, 0.0))}, "leave the frame"),
+        ({"rate": FixedRate(rate_deg_per_s=(0.0, 0.7, 0.0)), "instrument": SLOW}, "while rows are read"),
+        ({"jitter": SHAKEN}, "jitter of .* throws stars out"),
         ({"instrument": InstrumentConfig(detector="cmv4000", width_px=4096)}, "set it to at most that"),
         ({"instrument": InstrumentConfig(lens="star_tracker_26mm", detector="cmv4000")}, "made for 16.5 deg"),
         ({"passband": PassbandConfig(range_nm=(300.0, 700.0))}, "known for 400"),
@@ -144,3 +151,14 @@ def test_a_catalogue_without_magnitudes(tmp_path):
     Table({"source_id": [1, 2], "ra": [10.0, 20.0], "dec": [1.0, 2.0], "phot_g_mean_mag": [np.nan, np.nan]}).write(path)
     with pytest.raises(DomainError, match="no magnitude for any of its 2 stars"):
         build_scene(Config(**{**SMALL, "catalogue": CatalogueConfig(source=str(path), preset="gaia")}))
+
+
+@pytest.mark.slow
+def test_no_rate_of_roll_blames_the_lens():
+    """A turn about the boresight brings in no star from beyond the corners, however fast."""
+    still, rolling = (
+        build_scene(Config(**SMALL, rate=FixedRate(rate_deg_per_s=(0.0, 0.0, rate)))).view.radius_rad
+        for rate in (0.0, 360.0)
+    )
+    corner = np.hypot(256, 192) / 192
+    assert still <= rolling <= corner * still

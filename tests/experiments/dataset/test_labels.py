@@ -5,10 +5,11 @@ import pytest
 from astropy import units
 from astropy.coordinates import GCRS, SkyCoord, get_body
 from astropy.time import Time
+from scipy import ndimage
 
 from experiments.dataset.frames.maker import FrameMaker
 from experiments.dataset.frames.scene import build_scene
-from experiments.dataset.production.job import _record
+from experiments.dataset.production.job import _record, pixel_marks
 from experiments.dataset.settings import (
     BodyPointing,
     ConePointing,
@@ -64,6 +65,21 @@ def test_every_struck_pixel_is_in_one_track_and_no_charge_is_lost(shot):
     inside = (column[:, None] > boxes[:, 0]) & (column[:, None] < boxes[:, 0] + boxes[:, 2])
     inside &= (row[:, None] > boxes[:, 1]) & (row[:, None] < boxes[:, 1] + boxes[:, 3])
     assert inside.any(1).all()
+
+
+def test_pixels_that_cosmic_rays_struck_are_marked(shot):
+    """Expected behaviour: every pixel with an electron of theirs, in datasets that ask for them alone."""
+    scene, quiet = shot
+    config = scene.config.model_copy(update={"radiation": RadiationConfig(environment="solar_flare")})
+    flare = FrameMaker(build_scene(config))
+    made = flare.make(0)
+    struck = pixel_marks(flare.scene, made)["COSMIC"]
+    hits = flare.hits(0)
+    assert set(zip(*np.nonzero(struck), strict=True)) >= set(
+        zip(hits.row[hits.charge_e >= 1].tolist(), hits.column[hits.charge_e >= 1].tolist(), strict=True)
+    )
+    assert 0 < struck.sum() < struck.size / 2
+    assert "COSMIC" not in pixel_marks(scene, quiet.make(0))
 
 
 def test_hot_pixels_stand_out_of_frames_without_light(shot):
@@ -130,6 +146,10 @@ def test_a_field_with_the_moon_has_its_disk_where_the_label_says():
     for frame in range(2):
         (moon,) = [one for one in labels.labels(frame) if one.name == "moon"]
         made = maker.make(frame)
+        lit = made.disks[0].image.image.electrons[:, :, 0]
+        marked = pixel_marks(scene, made)["DISK"]  # pixels with their middle on the disk; its limb is blurred
+        assert lit[ndimage.binary_dilation(marked, np.ones((3, 3)))].sum() > 0.99 * lit.sum()
+        assert lit[ndimage.binary_erosion(~marked, np.ones((3, 3)))].max() < 0.05 * lit.max()
         (disk,) = disk_truth(scene, made.plan, made.disks)
         hold_disk_to_astropy(disk, made, scene, moon)
         dn = made.frame.dn.astype(float)

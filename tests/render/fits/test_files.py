@@ -95,6 +95,23 @@ def test_masks(tmp_path: Path) -> None:
             assert len(content) == planes
 
 
+@pytest.mark.parametrize("options", [{}, {"mask": "saturated"}, {"compression": "rice"}])
+def test_marks_are_in_the_mask_and_in_no_frame(tmp_path: Path, options: dict[str, Any]) -> None:
+    """Expected behaviour: other software sees each mark under the bit that its card names; a measurement does not."""
+    held = frame()
+    marks = {"COSMIC": held.dn % 3 == 0, "DISK": held.dn % 5 == 0}
+    path = write_frame(held, tmp_path / "a.fits", marks=marks, **options)
+    with fits.open(path) as content:
+        mask, header = content["MASK"].data, content["MASK"].header
+        for card, where in {**marks, "SATURATE": held.saturated}.items():
+            assert np.array_equal(mask & header[card] != 0, where)
+    after = read_frame(path)
+    assert np.array_equal(after.saturated, held.saturated)
+    assert np.array_equal(after.defect, held.defect & (options.get("mask") != "saturated"))
+    with pytest.raises(ConfigError, match="unknown mark 'GLARE'"):
+        write_frame(held, path, marks={"GLARE": held.defect})
+
+
 def test_bytes_depend_on_nothing_else(tmp_path: Path) -> None:
     """Another process, on another day, after other files, writes the same bytes; zero keeps no sign."""
     write_frame(frame(), tmp_path / "other.fits", cards=[("A_2_0", -0.0, ""), ("B", 1, ""), ("C", True, "")])
