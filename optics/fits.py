@@ -12,6 +12,7 @@ import gzip
 import io
 import lzma
 import os
+import re
 import warnings
 import zlib
 from collections.abc import Callable, Iterator
@@ -37,6 +38,9 @@ _SURELY_BYTES = 1 << 26
 _MOST_EXTENSIONS = 4096
 _MOST_HEADER_BLOCKS = 1000
 _DEEPEST_BITS = (8, 16, 32, 64, -32, -64)
+_WIDTH = {"L": 1, "B": 1, "A": 1, "I": 2, "J": 4, "E": 4, "K": 8, "D": 8, "C": 8, "M": 16, "P": 8, "Q": 16}
+_FORMAT = re.compile(r"(\d*)([LXBAIJEKDCMPQ])")
+_GZIP_OR_ZLIB = 47
 
 
 @contextmanager
@@ -138,6 +142,7 @@ def _walk(stream: BinaryIO) -> None:
             )
         if header.get("ZIMAGE") == "T":
             _check_tiles(header, number, size)
+            _check_streams(stream, header, number, start)
         start += -(-size // _BLOCK) * _BLOCK
         if start >= length:
             return
@@ -203,6 +208,78 @@ def _check_tiles(header: dict[str, str], number: int, stored: int) -> None:
             size *= _integer(header, f"{name}{axis + 1}", number, 1, default="1")
         if size > max(_SURELY_BYTES, MOST_RATIO * stored):
             raise ConfigError(f"header {number} announces {name} of {size} bytes from {stored} that are stored")
+
+
+def _check_streams(stream: BinaryIO, header: dict[str, str], number: int, start: int) -> None:
+    """Refuse tiles that unpack to more than a tile: gzip to a thousand times its size, HCOMPRESS to sides of its own.
+
+    Those of the other algorithms cannot become larger than their tile (FITS standard 4.0, sec. 10).
+    """
+    pixels = 1
+    for axis in range(int(header["ZNAXIS"])):
+        pixels *= int(header.get(f"ZTILE{axis + 1}", header[f"ZNAXIS{axis + 1}"] if axis == 0 else "1"))
+    algorithm = _text(header.get("ZCMPTYPE", ""))
+    for column, offset, wide in _columns(header, number):
+        is_gzip = column == "GZIP_COMPRESSED_DATA" or (column == "COMPRESSED_DATA" and algorithm.startswith("GZIP"))
+        if not (is_gzip or (column == "COMPRESSED_DATA" and algorithm == "HCOMPRESS_1")):
+            continue
+        for tile in _tiles(stream, header, number, start, offset, wide):
+            if is_gzip:
+                fits = _unpacks_within(tile, 8 * pixels)
+            else:
+                sides = int.from_bytes(tile[2:6], "big"), int.from_bytes(tile[6:10], "big")
+                fits = sides[0] * sides[1] <= pixels
+            if not fits:
+                raise ConfigError(f"header {number}: a compressed tile unpacks to more than its {pixels} pixels")
+
+
+def _text(value: str) -> str:
+    return value.strip("' ")
+
+
+def _columns(header: dict[str, str], number: int) -> Iterator[tuple[str, int, bool]]:
+    """Name, place in the row and width of the descriptor of every column of variable length."""
+    offset = 0
+    for field in range(1, int(header.get("TFIELDS", "0")) + 1):
+        found = _FORMAT.match(_text(header.get(f"TFORM{field}", "")))
+        if found is None:
+            raise ConfigError(f"header {number}: TFORM{field} = {header.get(f'TFORM{field}')!r} is no format")
+        repeat, kind = int(found[1] or "1"), found[2]
+        if kind in "PQ" and repeat:
+            yield _text(header.get(f"TTYPE{field}", "")).upper(), offset, kind == "Q"
+        offset += -(-repeat // 8) if kind == "X" else repeat * _WIDTH[kind]
+
+
+def _tiles(
+    stream: BinaryIO, header: dict[str, str], number: int, start: int, offset: int, wide: bool
+) -> Iterator[bytes]:
+    """Stored bytes of the tiles of a column."""
+    row, rows, heap = int(header["NAXIS1"]), int(header["NAXIS2"]), int(header.get("PCOUNT", "0"))
+    size = 8 if wide else 4
+    stream.seek(start)
+    table = stream.read(row * rows)
+    before = int(header.get("THEAP", str(row * rows))) - row * rows
+    for at in range(offset, len(table), max(row, 1)):
+        count = int.from_bytes(table[at : at + size], "big")
+        place = int.from_bytes(table[at + size : at + 2 * size], "big")
+        if before < 0 or before + place + count > heap:
+            raise ConfigError(f"header {number}: a compressed tile lies outside its table")
+        stream.seek(start + row * rows + before + place)
+        yield stream.read(count)
+
+
+def _unpacks_within(content: bytes, most: int) -> bool:
+    """Whether all members of a gzip stream together unpack to so many bytes at most; damage is left to the reader."""
+    while content:
+        unpack = zlib.decompressobj(_GZIP_OR_ZLIB)
+        try:
+            most -= len(unpack.decompress(content, most + 1))
+        except zlib.error:
+            return True
+        if most < 0:
+            return False
+        content = unpack.unused_data
+    return True
 
 
 def _said(error: BaseException) -> str:

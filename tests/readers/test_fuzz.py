@@ -375,6 +375,29 @@ def test_bombs(tmp_path, bounded):
         assert 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) < 1.2 * 2**30
 
 
+@pytest.mark.parametrize("members", [1, 2])
+def test_a_bomb_within_a_tile(tmp_path, members):
+    """Rationale: the header of the image is honest, one tile of it is not. Expected: a line, before it is unpacked."""
+    table = fits.CompImageHDU(np.zeros((64, 64), np.int16), compression_type="GZIP_1", tile_shape=(64, 64))
+    fits.HDUList([fits.PrimaryHDU(), table]).writeto(tmp_path / "honest.fits")
+    image_of(tmp_path / "honest.fits")
+    with fits.open(tmp_path / "honest.fits", disable_image_compression=True) as content:
+        cards = [(card, content[1].header[card]) for card in content[1].header if card.startswith("Z")]
+    bomb = gzip.compress(b"", mtime=0) * (members - 1) + gzip.compress(bytes(1 << 27), mtime=0)
+    tile = fits.Column(
+        name="COMPRESSED_DATA", format="1PB()", array=np.array([np.frombuffer(bomb, np.uint8), 0], object)[:1]
+    )
+    made = fits.BinTableHDU.from_columns([tile])
+    made.header.update(dict(cards))
+    fits.HDUList([fits.PrimaryHDU(), made]).writeto(tmp_path / "bomb.fits")
+    before, begun = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
+    with pytest.raises(StarbenchError, match="unpacks to more than its 4096 pixels") as error:
+        image_of(tmp_path / "bomb.fits")
+    assert "\n" not in str(error.value)
+    assert time.process_time() - begun < LONGEST_S
+    assert 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) < 2**26
+
+
 @pytest.mark.parametrize(
     ("more", "said"),
     [
