@@ -1,4 +1,8 @@
-"""The experiments, one package each, and what they share: the laboratory and the frame that makes commands of them."""
+"""The experiments, one package each, and what they share: the laboratory and the frame that makes commands of them.
+
+Commands (``python -m experiments.NAME``) run them; `run_experiment` does the same from Python and gives their numbers,
+tables and figures.
+"""
 
 import os
 import signal
@@ -6,6 +10,8 @@ import sys
 import threading
 from importlib.util import find_spec
 from pathlib import Path
+
+import lazy_loader
 
 
 def _leave(number: int, frame: object) -> None:
@@ -26,3 +32,5 @@ for _name in ("optics", "render", "calib"):  # a user's module of that name make
             print(f"error: {_said}", file=sys.stderr)
             raise SystemExit(2)
         raise ImportError(_said)
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,7 +7,7 @@ from importlib import import_module
 
 import pytest
 
-PACKAGES = ("optics", "render", "calib")
+PACKAGES = ("optics", "render", "calib", "experiments")
 HEAVY = ("numpy", "scipy", "matplotlib", "mitsuba", "drjit", "astropy", "skimage")
 
 

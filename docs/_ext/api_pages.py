@@ -23,11 +23,11 @@ LOGGER = logging.getLogger(__name__)
 DOCS = Path(__file__).resolve().parents[1]
 PACKAGES = ("optics", "render", "calib", "experiments")
 NAMED = re.compile(rf"`((?:{'|'.join(PACKAGES)})(?:\.[A-Za-z_]\w*)+)(?:\(.*?\))?`")
-WITH_NAMES = PACKAGES[:3]  # experiments are commands; what of them is used from Python is named with its module
 TITLES = {
     "optics": "Lens and light",
     "render": "Sky, star sensor, frames",
     "calib": "Stars, cameras, attitudes, calibration",
+    "experiments": "Experiments as functions",
 }
 # parameters missing, unknown, in another order, without type or text; Returns missing, empty; no summary, no docstring
 REQUIRED = {"PR01", "PR02", "PR03", "PR04", "PR07", "RT01", "RT03", "GL08", "GL07", "SS01"}
@@ -37,7 +37,7 @@ REQUIRED = {"PR01", "PR02", "PR03", "PR04", "PR07", "RT01", "RT03", "GL08", "GL0
 def public_names() -> tuple[str, ...]:
     """Names like ``optics.load_lens``, package by package in the order of the stubs."""
     names = []
-    for package in WITH_NAMES:
+    for package in PACKAGES:
         stub = (DOCS.parent / package / "__init__.pyi").read_text(encoding="utf-8")
         listed = re.findall(r"^from \S+ import \w+ as (\w+)$", stub, re.M)
         if set(listed) != set(import_module(package).__all__):
@@ -122,7 +122,7 @@ def _further_page() -> str:
 def _index_page() -> str:
     rows = ["API", "===", "", "Names that are public, by package, and what these pages name by its module.", ""]
     rows += [".. toctree::", "   :maxdepth: 2", ""]
-    return "\n".join([*rows, *(f"   {package}" for package in WITH_NAMES), "   further", ""])
+    return "\n".join([*rows, *(f"   {package}" for package in PACKAGES), "   further", ""])
 
 
 def write_pages() -> None:
@@ -130,7 +130,7 @@ def write_pages() -> None:
     folder = DOCS / "api"
     (folder / "names").mkdir(parents=True, exist_ok=True)
     pages = {"index": _index_page(), "further": _further_page()}
-    pages |= {package: _package_page(package) for package in WITH_NAMES}
+    pages |= {package: _package_page(package) for package in PACKAGES}
     for name, text in pages.items():
         path = folder / f"{name}.rst"
         if not path.exists() or path.read_text(encoding="utf-8") != text:

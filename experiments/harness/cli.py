@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from experiments.harness.quantities import Outcome
     from experiments.harness.tables import Table
 
-__all__ = ["Main", "command", "configuration_file"]
+__all__ = ["Main", "Options", "Run", "asked", "command", "configuration_file", "finished", "output_folder", "write_run"]
 
 Main = Callable[..., int]
 
@@ -53,7 +53,9 @@ class Output(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Options:
+class Options:
+    """What a command line asks for."""
+
     sensor: tuple[str, ...]
     file: str | None
     settings: tuple[str, ...]
@@ -66,7 +68,7 @@ class _Options:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Run:
+class Run:
     """A finished run, ready to be written."""
 
     experiment: Experiment
@@ -163,7 +165,7 @@ def _parser(experiment: Experiment, status: list[int], interrupts: Interrupts) -
             return
         given = {name: options.pop(_parameter(name)) for name in shorts}
         short = {name: _text(value) for name, value in given.items() if value not in (None, ())}
-        chosen = _Options(short=short, **options)
+        chosen = Options(short=short, **options)
         if defaults is not None:
             click.echo(_defaults(experiment, chosen, whole=defaults == "all"), nl=False)
             return
@@ -236,7 +238,7 @@ def _help(experiment: Experiment) -> str:
     return "\n\n".join(parts)
 
 
-def _asked(declared: Experiment, options: _Options) -> tuple[Experiment, ExperimentConfig]:
+def asked(declared: Experiment, options: Options) -> tuple[Experiment, ExperimentConfig]:
     """What is to be run, and its configuration; several sensors are a configuration each."""
     if len(options.sensor) < 2:
         config = _configuration(declared, options)
@@ -250,7 +252,7 @@ def _asked(declared: Experiment, options: _Options) -> tuple[Experiment, Experim
     )
 
 
-def _configuration(declared: Experiment, options: _Options) -> Any:
+def _configuration(declared: Experiment, options: Options) -> Any:
     shorts = _shorts(declared)
     short = [f"{shorts[name][0]}={text}" for name, text in options.short.items()]
     return load_config(
@@ -263,7 +265,7 @@ def _configuration(declared: Experiment, options: _Options) -> Any:
     )
 
 
-def _defaults(experiment: Experiment, options: _Options, *, whole: bool) -> str:
+def _defaults(experiment: Experiment, options: Options, *, whole: bool) -> str:
     """The configuration as a file: the sensor that it runs with, or all of it."""
     from experiments.harness.settings_text import toml_text
 
@@ -281,10 +283,10 @@ def _defaults(experiment: Experiment, options: _Options, *, whole: bool) -> str:
     )
 
 
-def _perform(declared: Experiment, options: _Options, interrupts: Interrupts) -> int:
-    experiment, config = _asked(declared, options)
+def _perform(declared: Experiment, options: Options, interrupts: Interrupts) -> int:
+    experiment, config = asked(declared, options)
     with interrupts.unwinding():
-        folder: Output = _output(experiment, options, config)
+        folder: Output = output_folder(experiment, options, config)
     interrupts.said = lambda: folder.interrupted
     own = {"output": folder} if experiment.output else {}
     variant = None
@@ -298,12 +300,12 @@ def _perform(declared: Experiment, options: _Options, interrupts: Interrupts) ->
     with progress.stage("write"):
         run = finished(experiment, config, result, variant=variant, quick=options.quick, times_s=progress.times_s)
         with folder.writing() as staging:
-            _write(run, staging)
+            write_run(run, staging)
     _show(run, folder.shown)
     return EXIT_GOOD if all(criterion.passed for criterion in run.criteria) else EXIT_FAILED
 
 
-def _output(experiment: Experiment, options: _Options, config: ExperimentConfig) -> Output:
+def output_folder(experiment: Experiment, options: Options, config: ExperimentConfig) -> Output:
     """The output folder; that of another run is refused unless the user insists."""
     if not options.out.strip():
         raise ConfigError("--out is empty: name a folder")
@@ -337,11 +339,11 @@ def finished(
     variant: str | None = None,
     quick: bool = False,
     times_s: Mapping[str, float] | None = None,
-) -> _Run:
+) -> Run:
     """A result with its quantities, tables and criteria; parameters as of `experiments.harness.provenance.collect`."""
     outcome = experiment.outcome(config, result)
     criteria, tables = experiment.judge(outcome), experiment.make_tables(outcome)
-    return _Run(
+    return Run(
         experiment=experiment,
         outcome=outcome,
         criteria=criteria,
@@ -360,7 +362,7 @@ def configuration_file(name: str | None) -> str | Path | None:
     return shipped
 
 
-def _write(run: _Run, folder: Path) -> None:
+def write_run(run: Run, folder: Path) -> None:
     from experiments.harness.plotting import house_style
     from experiments.harness.provenance import collect, file_digests, without_paths
     from experiments.harness.quantities import write_netcdf
@@ -384,7 +386,7 @@ def _write(run: _Run, folder: Path) -> None:
     (folder / RECORD).write_text(dumps(origin), encoding="utf-8")
 
 
-def _show(run: _Run, shown: str) -> None:
+def _show(run: Run, shown: str) -> None:
     from rich.console import Console
 
     from experiments.harness.summary import verdict_line

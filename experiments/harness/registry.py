@@ -15,7 +15,7 @@ from optics.errors import ConfigError, unknown_name
 if TYPE_CHECKING:
     from experiments.harness.cli import Main
 
-__all__ = ["GROUP", "found", "load"]
+__all__ = ["GROUP", "found", "load", "package_of"]
 
 GROUP = "starbench.experiments"
 """Entry points under which other distributions offer experiments: ``NAME = "package"``, laid out as ours."""
@@ -40,8 +40,8 @@ def found() -> dict[str, str]:
     return {name: (import_module(at).__doc__ or "").strip().partition("\n")[0] for name, at in _packages().items()}
 
 
-def load(name: str, beside: Iterable[str] = ()) -> Main:
-    """The command of an experiment.
+def package_of(name: str, beside: Iterable[str] = ()) -> str:
+    """The package of an experiment.
 
     Parameters
     ----------
@@ -58,8 +58,14 @@ def load(name: str, beside: Iterable[str] = ()) -> Main:
     packages = _packages()
     if name not in packages:
         raise unknown_name("experiment", name, [*packages, *beside])
-    main = getattr(import_module(f"{packages[name]}.experiment"), "main", None)
+    return packages[name]
+
+
+def load(name: str, beside: Iterable[str] = ()) -> Main:
+    """The command of an experiment; parameters and errors as of `package_of`."""
+    package = package_of(name, beside)
+    main = getattr(import_module(f"{package}.experiment"), "main", None)
     if main is None:
-        raise ConfigError(f"experiment {name!r}: {packages[name]}.experiment has no main = command(experiment)")
+        raise ConfigError(f"experiment {name!r}: {package}.experiment has no main = command(experiment)")
     command: Main = main
     return command

@@ -17,11 +17,13 @@ import pytest
 from astropy.table import Table as AstropyTable
 from scipy.io import netcdf_file
 
+from experiments import run_experiment
 from experiments.__main__ import main as starbench
 from experiments.harness import registry
 from experiments.harness.cli import command
 from experiments.harness.registry import found
 from experiments.harness.summary import Criterion
+from optics.errors import ConfigError
 
 ROOT = Path(__file__).parents[3]
 SCRIPT = Path(__file__).parents[1] / "shot_noise.py"
@@ -156,6 +158,20 @@ def test_same_seed_same_bytes(shot_noise, tmp_path, output):
         return re.findall(r"<svg.*?</svg>", (folder / "report.html").read_text(encoding="utf-8"), flags=re.DOTALL)
 
     assert drawings(tmp_path / "again") == drawings(output[1])
+
+
+def test_from_python_the_same_numbers_as_by_command(shot_noise, tmp_path, output):
+    told = run_experiment(shot_noise.experiment, {"label": "<b>7 & 8</b>"}, seed=3, out=tmp_path / "again")
+    for name in ("levels.ecsv", "frames/variance.npy"):
+        assert (tmp_path / "again" / name).read_bytes() == (output[1] / name).read_bytes()
+    written = AstropyTable.read(output[1] / "levels.ecsv")
+    assert (told.table("levels")["variance_e2"] == written["variance_e2"]).all()
+    assert told.draw("draw").axes
+    assert "1 criteria met" in repr(told)
+    with pytest.raises(ConfigError, match="chromatic"):
+        run_experiment("chromatik")
+    with pytest.raises(ConfigError, match="name a folder"):
+        run_experiment("dataset")
 
 
 def test_failed_criterion_is_exit_1_and_still_written(shot_noise, tmp_path, capsys):

@@ -1,0 +1,153 @@
+"""An experiment from Python: what its command does, as a function."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from experiments.harness.cli import Options, Run, asked, finished, output_folder, write_run
+from experiments.harness.experiment import Experiment
+from experiments.harness.progress import Progress
+from experiments.harness.registry import package_of
+from experiments.harness.threads import one_thread
+from optics.errors import ConfigError
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from astropy.table import Table
+    from matplotlib.figure import Figure
+
+    from experiments.harness.summary import Criterion
+
+__all__ = ["ExperimentRun", "run_experiment"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class ExperimentRun:
+    """A run of an experiment.
+
+    Attributes
+    ----------
+    run : Run
+        What the command would write: result, quantities, criteria and tables.
+    """
+
+    run: Run
+
+    def __repr__(self) -> str:
+        failed = [one.name for one in self.criteria if not one.passed]
+        verdict = f"not met: {', '.join(failed)}" if failed else f"all {len(self.criteria)} criteria met"
+        return f"<{self.run.experiment.name}: tables {', '.join(self.run.tables)}; {verdict}>"
+
+    @property
+    def result(self) -> Any:
+        """What the experiment computed, as its own records."""
+        return self.run.outcome.result
+
+    @property
+    def data(self) -> xr.Dataset:
+        """Every number of the report with its dimensions, label and unit, as ``results.nc`` holds it."""
+        return self.run.outcome.data
+
+    @property
+    def criteria(self) -> tuple[Criterion, ...]:
+        """The verdicts."""
+        return tuple(self.run.criteria)
+
+    def table(self, name: str) -> Table:
+        """A table of the report by name, as an `astropy.table.Table`."""
+        from experiments.harness.tables import to_astropy
+        from optics.errors import unknown_name
+
+        if name not in self.run.tables:
+            raise unknown_name("table", name, self.run.tables)
+        return to_astropy(self.run.tables[name])
+
+    def draw(self, name: str, *arguments: Any) -> Figure:
+        """A figure of the report by name."""
+        from experiments.harness.plotting import house_style
+
+        with house_style():
+            figure: Figure = self.run.experiment.draw(self.run.outcome)(name, *arguments)
+        return figure
+
+
+def run_experiment(
+    name: str | Experiment,
+    settings: Mapping[str, Any] | None = None,
+    *,
+    sensor: str | Path | None = None,
+    quick: bool = False,
+    seed: int | None = None,
+    out: str | Path | None = None,
+    backend: Literal["auto", "llvm", "cuda"] = "auto",
+) -> ExperimentRun:
+    """Run an experiment as its command does.
+
+    Parameters
+    ----------
+    name : str or Experiment
+        One of ``python -m experiments --names``, or a declaration of your own.
+    settings : mapping, optional
+        Dotted keys and their values, what ``--set`` takes: ``{"frames": 10, "instrument.exposure_s": 0.2}``.
+    sensor : path, optional
+        Sensor file, what ``--sensor`` takes.
+    quick : bool
+        The small run.
+    seed : int, optional
+        Seed; the configuration's own if left out.
+    out : path, optional
+        Folder to write, report included; nothing is written if left out (a dataset needs one).
+    backend : {"auto", "llvm", "cuda"}
+        Where rendering runs; it is chosen once per process.
+
+    Returns
+    -------
+    ExperimentRun
+        Numbers, tables, figures, verdicts.
+
+    Raises
+    ------
+    StarbenchError
+        Whatever the command refuses in one line.
+    """
+    module = None if isinstance(name, Experiment) else import_module(f"{package_of(name)}.experiment")
+    declared: Experiment = name if module is None else module.experiment
+    if declared.output is not None and out is None:
+        raise ConfigError(f"the experiment {declared.name!r} writes as it goes: name a folder, out=")
+    options = Options(
+        sensor=() if sensor is None else (str(sensor),),
+        file=None,
+        settings=tuple(f"{key}={_text(value)}" for key, value in (settings or {}).items()),
+        short={},
+        seed=seed,
+        backend=backend,
+        out=str(out or ""),
+        force=False,
+        quick=quick,
+    )
+    with one_thread(unless_told=True):
+        experiment, config = asked(declared, options)
+        folder = output_folder(experiment, options, config) if out is not None else None
+        variant = None
+        if experiment.renders(config):
+            from render.engine import Engine
+
+            variant = Engine.start(backend).variant
+        progress = Progress()
+        own = {"output": folder} if experiment.output else {}
+        result = experiment.run(config, progress=progress, **own)
+        run = finished(experiment, config, result, variant=variant, quick=quick, times_s=progress.times_s)
+        if folder is not None:
+            with folder.writing() as staging:
+                write_run(run, staging)
+    return ExperimentRun(run=run)
+
+
+def _text(value: Any) -> str:
+    """A value as ``--set`` takes it."""
+    return str(value) if isinstance(value, str | Path) else json.dumps(value, ensure_ascii=False)
