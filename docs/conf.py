@@ -31,7 +31,7 @@ html_math_renderer = "mathml"  # shown by the browser itself: nothing is loaded 
 
 # Names
 autodoc_typehints = "none"
-autosummary_generate = True
+autosummary_generate = [f"api/{page}.rst" for page in ("optics", "render", "calib", "experiments", "further")]
 autosummary_imported_members = False
 templates_path = ["_templates"]
 numpydoc_show_class_members = False

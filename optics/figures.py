@@ -167,8 +167,10 @@ def draw_lens(
     fans = [_fan(lens, field, rays, wave, 0.12 * length - first) for field in fields]
     reach = _reaches(lens, fans)
     top = 1.12 * max(reach)
+    image = 1.15 * max(float(np.nanmax(np.abs(fan[-1, :, 1]), initial=0.0)) for fan in fans)
+    height = 2.4 * max(top, 0.9 * image)
     figure = Figure(
-        figsize=(10.0, float(np.clip(8.0 * 2.4 * top / (1.16 * length) + 0.9, 3.0, 7.0))), layout="constrained"
+        figsize=(10.0, float(np.clip(8.0 * height / (1.16 * length) + 0.9, 3.0, 7.0))), layout="constrained"
     )
     axes = figure.add_subplot()
     axes.axhline(0.0, color="0.55", linewidth=0.6, dashes=(12, 3, 2, 3), zorder=1)
@@ -180,7 +182,6 @@ def draw_lens(
     _draw_glass(axes, lens, reach)
     _draw_mirrors(axes, lens, reach)
     _draw_stop(axes, lens, top)
-    image = max([float(np.nanmax(np.abs(fan[-1, :, 1]), initial=0.0)) for fan in fans]) * 1.15
     ends = np.array([[0.0, -image, 0.0], [0.0, image, 0.0]]) @ lens.image_rotation.T + lens.image_position_mm
     axes.plot(ends[:, 2], ends[:, 1], color="black", linewidth=1.4, zorder=4)
     for name in lens.elements:
@@ -189,7 +190,7 @@ def draw_lens(
     axes.set(xlabel="z [mm]", ylabel="y [mm]", title=f"{lens.name}, {wave:g} nm")
     axes.set_aspect("equal")
     axes.set_xlim(first - 0.12 * length, last + 0.04 * length)
-    axes.set_ylim(-1.25 * top, 1.12 * top)
+    axes.set_ylim(-max(1.25 * top, 1.05 * image), max(1.12 * top, 1.05 * image))
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=9)
     return figure

@@ -60,6 +60,7 @@ def star_scene(
         Further entries of the scene, e.g. shapes that hide stars, in the camera's world frame and mm.
     """
     mi = Engine.active().mitsuba
+    register_plugins()
     moving = {} if motion is None else {"exposure_motion": share_motion(motion)}
     bent = {} if stars.collimation is None else {"collimation": share_collimation(stars.collimation)}
     tensors = {name: mi.TensorXf64(np.ascontiguousarray(getattr(stars, name))[None]) for name in STARS}

@@ -121,3 +121,13 @@ def test_every_page_stands_in_a_table_of_contents():
             rows = [row.strip() for row in body.splitlines() if row.strip() and not row.startswith(":")]
             named |= {(page.parent / row).resolve().relative_to(ROOT / "docs").as_posix() for row in rows}
     assert pages - named == {"index"}
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docs" / "gallery").glob("plot_*.py")), ids=lambda path: path.name)
+def test_a_script_of_the_gallery_is_short(path):
+    """What it shows takes 30 lines at most; the text above them, comments and empty lines do not count."""
+    source = path.read_text(encoding="utf-8")
+    title = ast.parse(source).body[0]
+    code = [line for line in source.splitlines()[title.end_lineno :] if line.strip() and not line.startswith("#")]
+    assert isinstance(title, ast.Expr)
+    assert len(code) <= 30

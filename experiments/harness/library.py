@@ -65,7 +65,11 @@ class ExperimentRun:
 
         if name not in self.run.tables:
             raise unknown_name("table", name, self.run.tables)
-        return to_astropy(self.run.tables[name])
+        table = to_astropy(self.run.tables[name])
+        for column in table.itercols():
+            if column.dtype.kind == "f":
+                column.info.format = ".4g"
+        return table
 
     def draw(self, name: str, *arguments: Any) -> Figure:
         """A figure of the report by name."""

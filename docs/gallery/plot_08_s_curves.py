@@ -1,0 +1,29 @@
+"""
+S-curves of centroiders
+=======================
+
+One star after another, each a little further across its pixel, without noise: what a centroider answers less where the
+light is. On a star as sharp as this a windowed centroid is drawn far towards the pixel's middle, a Gaussian least.
+"""
+
+import numpy as np
+from matplotlib import pyplot as plt
+
+from calib import find_stars, sensor_image
+from optics import TopHat
+from render import StarRenderer, load_star_sensor, star_light
+
+sensor = load_star_sensor("star_camera_206mm", "cmv4000", window_px=(1100, 60))
+light = star_light([TopHat(centre_nm=650.0, width_nm=200.0, edge_nm=10.0)], nodes=8)
+column = 30.0 + 50.0 * np.arange(21) + np.linspace(-0.64, 0.64, 21)
+direction = sensor.camera.nominal_direction(column, np.full(21, 30.0), sensor.focal_length_mm)
+expected = StarRenderer(sensor.camera, exposure_s=1.0).render(light.stars(direction, 4.0, 5800.0))
+image = sensor_image(expected.electrons[:, :, 0], gain_dn_per_e=1.0, offset_dn=0.0, read_noise_e=1.0)
+true_px = np.sort(expected.truth.photon_x_px[:, 0])
+figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
+for name in ("cog", "windowed", "gaussian"):
+    found = np.sort(find_stars(image, name, size_px=9).x_px)
+    axes.plot((true_px + 0.5) % 1 - 0.5, found - true_px, "o", markersize=4, label=name)
+axes.set(xlabel="place of the star in its pixel [px]", ylabel="error in x [px]")
+axes.legend()
+axes.grid(color="0.9")

@@ -1,0 +1,28 @@
+"""
+Sun sensor and cube mirror
+==========================
+
+The bench of CUBE09, path traced: an aperture throws a beam of sunlight on a face of a cube mirror, and what the face
+sends back lands on the screen around the aperture. Its displacement tells how the face is turned.
+"""
+
+import numpy as np
+from matplotlib import pyplot as plt
+
+from experiments.cube.bench import Case, build_laboratory, build_table, concentric_angles, draw_truths, put_cube
+from experiments.cube.settings import Config
+from experiments.cube.trim import take_spot
+from render import Engine
+
+Engine.start("auto")
+laboratory = build_laboratory(Config())
+truth = draw_truths(laboratory.config, laboratory.streams)[0]
+table = build_table(laboratory.config, truth, Case(name="shown", label="shown"))
+trimmed = concentric_angles(table, truth.normal_in_table("+Z"), "+Z")
+figure, panels = plt.subplots(1, 2, figsize=(9, 4.4), layout="constrained")
+for axes, turned_arcsec in zip(panels, (0.0, 60.0), strict=True):
+    angle = trimmed + np.radians([0.0, turned_arcsec / 3600.0])
+    put_cube(laboratory, truth, table.rotation(angle[None])[0].as_matrix())
+    picture = take_spot(laboratory, laboratory.streams, sensor=laboratory.sensor, log2_particles=17)
+    axes.imshow(np.arcsinh(picture.electrons / 50.0), cmap="inferno")
+    axes.set(xlabel="column [px]", ylabel="row [px]", title=f"inner axis off by {turned_arcsec:.0f} arcsec")
