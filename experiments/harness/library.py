@@ -120,7 +120,7 @@ def run_experiment(
         Whatever the command refuses in one line.
     """
     module = None if isinstance(name, Experiment) else import_module(f"{package_of(name)}.experiment")
-    declared: Experiment = name if module is None else module.experiment
+    declared: Any = name if module is None else module.experiment
     if declared.output is not None and out is None:
         raise ConfigError(f"the experiment {declared.name!r} writes as it goes: name a folder, out=")
     options = Options(
