@@ -74,6 +74,7 @@ from .waves.image_quality import encircled_energy as encircled_energy
 from .waves.image_quality import strehl as strehl
 from .waves.image_quality import strehl_through_focus as strehl_through_focus
 from .waves.image_quality import transfer_function as transfer_function
+from .waves.measured import with_wavefront as with_wavefront
 from .waves.pupil_field import trace_pupil as trace_pupil
 from .waves.wavefront import wavefront as wavefront
 from .waves.wavefront import zernike_map as zernike_map

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
 
 from experiments.laboratory.housing import expansion_per_k
 from experiments.laboratory.settings import InstrumentConfig
 from optics.errors import DomainError
 from optics.lens.perturb import change_temperature
+from optics.lens.sag_map import read_map
 from optics.lens.system import LensSystem
 from optics.lens_file import load_lens
 from optics.rays.paraxial import axial_paraxial, stopped_down
+from optics.waves.measured import with_wavefront
+from optics.waves.wavefront import PathMap, zernike_map
 from render.detector.noise import PixelNoise
 from render.detector.spec import Detector, load_detector
 from render.sensor import StarSensor, load_star_sensor
@@ -43,7 +49,7 @@ class Instrument(StarSensor):
 
 
 def configured_lens(config: InstrumentConfig) -> LensSystem:
-    """The lens of a configuration: stopped down, then brought to its temperature with its housing.
+    """The lens of a configuration: stopped down, brought to its temperature with its housing, with its measured error.
 
     Raises
     ------
@@ -56,12 +62,28 @@ def configured_lens(config: InstrumentConfig) -> LensSystem:
             lens = stopped_down(lens, config.f_number)
     except DomainError as error:
         raise DomainError(f"instrument.{error}") from None
-    if config.lens_temperature_c is None:
-        return lens
+    if config.lens_temperature_c is not None:
+        try:
+            lens = change_temperature(
+                lens, config.lens_temperature_c, housing_cte_per_k=expansion_per_k(config.housing)
+            )
+        except DomainError as error:
+            raise DomainError(f"instrument.lens_temperature_c = {config.lens_temperature_c:g} C: {error}") from None
+    return _with_measured_wavefront(lens, config)
+
+
+def _with_measured_wavefront(lens: LensSystem, config: InstrumentConfig) -> LensSystem:
+    key = "wavefront_zernike_nm" if config.wavefront_zernike_nm else f"wavefront_map = {config.wavefront_map}"
     try:
-        return change_temperature(lens, config.lens_temperature_c, housing_cte_per_k=expansion_per_k(config.housing))
-    except DomainError as error:
-        raise DomainError(f"instrument.lens_temperature_c = {config.lens_temperature_c:g} C: {error}") from None
+        if config.wavefront_zernike_nm:
+            return with_wavefront(lens, zernike_map(config.wavefront_zernike_nm))
+        if config.wavefront_map:
+            values = read_map(Path(config.wavefront_map))
+            x, y = (np.linspace(-1.0, 1.0, count) for count in (values.shape[-1], len(values)))
+            return with_wavefront(lens, PathMap(x=x, y=y, error_nm=values))
+    except DomainError as fault:
+        raise DomainError(f"instrument.{key}: {fault}") from None
+    return lens
 
 
 def configured_detector(config: InstrumentConfig) -> Detector:

@@ -61,6 +61,16 @@ class InstrumentConfig(StrictModel):
         description="material of the housing, or its linear expansion in 1e-6/K, with lens_temperature_c; materials: "
         + ", ".join(EXPANSION_PPM_PER_K),
     )
+    wavefront_zernike_nm: tuple[float, ...] = Field(
+        default=(),
+        max_length=66,
+        description="measured error of the wavefront on the axis: standard Zernike coefficients by Noll's index, "
+        "from 1, positive where light is late",
+    )
+    wavefront_map: FileName = Field(
+        default="",
+        description="the same as a map in nm over the square of the pupil, .npy or text, rows along +y; in its place",
+    )
     absorption: bool = Field(
         default=True, description="count absorption in the glass; needs the internal transmittance of every glass"
     )
@@ -70,6 +80,12 @@ class InstrumentConfig(StrictModel):
     coating_nm: float = Field(
         default=550.0, ge=0, le=2000, description="design wavelength of the MgF2 quarter-wave coatings; 0: bare glass"
     )
+
+    @model_validator(mode="after")
+    def _one_wavefront(self) -> Self:
+        if self.wavefront_zernike_nm and self.wavefront_map:
+            raise ValueError("wavefront_zernike_nm and wavefront_map: give one of them")
+        return self
 
     @field_validator("housing")
     @classmethod

@@ -21,7 +21,7 @@ from optics.errors import ConfigError, StarbenchError
 from optics.glass.catalogue import Glass, get_glass, glass_from_table
 from optics.glass.media import CATALOGUE_AIR, Environment
 from optics.lens.geometry import axial_ray
-from optics.lens.sag_map import SagMap
+from optics.lens.sag_map import SagMap, read_map
 from optics.lens.shapes.plane import Plane
 from optics.lens.system import AMBIENT, LensSystem, Surface
 from optics.lens.tables import MIRROR, BreakTable, ErrorTable, MovedTable, Prescription, PupilTable, SurfaceTable
@@ -72,16 +72,8 @@ def _error_map(table: ErrorTable | None, folder: Path) -> SagMap | None:
     """The measured deviation that a file holds."""
     if table is None:
         return None
-    path = folder / table.file
-    if path.exists() and not path.is_file():  # reading a pipe would wait for ever
-        raise ConfigError(f"{path}: surface map cannot be read (not a file)")
-    try:
-        values = np.load(path, mmap_mode="r") if path.suffix == ".npy" else np.loadtxt(path, ndmin=2)
-    except OSError as error:
-        raise ConfigError(f"{path}: surface map cannot be read ({error.strerror or 'not a file'})") from None
-    except Exception as error:  # a damaged header of NumPy's raises many kinds
-        raise ConfigError(f"{path}: not a table of numbers ({error})") from None
-    return SagMap(values_mm=np.asarray(values) * (table.scale * UNIT_MM[table.unit]), width_mm=table.width_mm)
+    values = read_map(folder / table.file)
+    return SagMap(values_mm=values * (table.scale * UNIT_MM[table.unit]), width_mm=table.width_mm)
 
 
 def _surface(table: SurfaceTable, frame: _Frame, before: str, folder: Path) -> Surface:

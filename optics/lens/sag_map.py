@@ -7,15 +7,16 @@ differentiable (de Boor 1978, *A Practical Guide to Splines*, ch. IV and XVII).
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
 from optics.arrays import ArrayNamespace, FloatArray
-from optics.errors import DomainError
+from optics.errors import ConfigError, DomainError
 from optics.records import freeze
 
-__all__ = ["SagMap"]
+__all__ = ["SagMap", "read_map"]
 
 LEAST_POINTS = 5
 
@@ -89,6 +90,34 @@ class SagMap:
                 line, slope = line + wx[i] * value, slope + dx[i] * value
             height, along_x, along_y = height + wy[j] * line, along_x + wy[j] * slope, along_y + dy[j] * line
         return height, along_x * (1.0 / step_x), along_y * (1.0 / step_y), in_x & in_y
+
+
+def read_map(path: Path) -> FloatArray:
+    """Values (rows, columns) of a map: NumPy's .npy, or numbers in lines of text.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    (rows, columns) array
+        As they stand there.
+
+    Raises
+    ------
+    ConfigError
+        No such file, or not a table of numbers.
+    """
+    if path.exists() and not path.is_file():  # reading a pipe would wait for ever
+        raise ConfigError(f"{path}: map cannot be read (not a file)")
+    try:
+        return np.asarray(np.load(path, mmap_mode="r") if path.suffix == ".npy" else np.loadtxt(path, ndmin=2))
+    except OSError as error:
+        raise ConfigError(f"{path}: map cannot be read ({error.strerror or 'not a file'})") from None
+    except Exception as error:  # a damaged header of NumPy's raises many kinds
+        raise ConfigError(f"{path}: not a table of numbers ({error})") from None
 
 
 def _weights(u: Any, count: int, xp: ArrayNamespace) -> tuple[Any, list[Any], list[Any], Any]:

@@ -178,7 +178,7 @@ def test_it_is_read_from_text_in_any_unit_and_grows_with_the_glass(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (None, "map.txt: surface map cannot be read"),
+        (None, "map.txt: map cannot be read"),
         ("1 2 x\n", "map.txt: not a table of numbers"),
         ("1 2 3\n4 5 6\n", r"surface map of \(2, 3\) points"),
         ("nan " * 6 + "\n" + ("1 " * 6 + "\n") * 6, "finite"),

@@ -1,0 +1,123 @@
+"""A measured wavefront error, given to a lens as the figure error of a surface next to its stop.
+
+Interferometers measure the error of a whole lens over its pupil. Added to the surface next to the stop it acts on all
+fields and wavelengths nearly alike, bends rays and delays waves together (so that the mean of the light stays the mean
+of the rays), and moves with its element. The height that makes a path of the map follows from the path that a small
+constant height adds to every ray, which by Fermat's principle does not depend on how rays bend further on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.lens.sag_map import SagMap
+from optics.lens.system import LensSystem
+from optics.rays.trace import Rays, trace_path
+from optics.waves.pupil_field import PupilField, trace_pupil
+from optics.waves.wavefront import PathMap
+
+__all__ = ["with_wavefront"]
+
+
+ORDER = (12, 32)
+DEGREE = 7
+"""Of the polynomials that lead from the surface back to the pupil."""
+PROBE_MM = 1e-5
+POINTS = 129
+MARGIN = 1.3
+"""Width of the map in footprints of the light on the axis, at least; the rims of the surface, if they are wider."""
+REACH = 1.04
+"""Radius of the pupil up to which a map is read; the beams of other fields that lie further out get what is there."""
+
+
+def with_wavefront(lens: LensSystem, error: PathMap) -> LensSystem:
+    """The lens with an additional error of its wavefront, exact on the axis at the design wavelength.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    error : PathMap
+        Optical path [nm] over the pupil, positive where the light is late, axes as in the lens frame; read up to 1.04
+        of the pupil's radius, or to where it ends.
+
+    Returns
+    -------
+    LensSystem
+        The changed lens.
+
+    Raises
+    ------
+    DomainError
+        No refracting or reflecting surface without a measured error of its own.
+    """
+    at = _surface(lens)
+    wave = lens.design_wavelength_nm
+    pupil = trace_pupil(lens, [0.0], [0.0], [wave], order=ORDER)
+    raised = trace_pupil(_with_error(lens, at, np.full((5, 5), PROBE_MM), 1e5), [0.0], [0.0], [wave], order=ORDER)
+    lit = (pupil.area_mm2[0, 0] > 0.0) & (raised.area_mm2[0, 0] > 0.0)
+    gain = (raised.path_to([[0.0]], [[0.0]]) - pupil.path_to([[0.0]], [[0.0]]))[0, 0][lit] / PROBE_MM
+    u, v = (p[lit] for p in pupil.unit_pupil((0, 0)))
+    foot = _footprint(lens, at, pupil)[:, lit]
+    radius = float(np.hypot(*foot).max())
+    rim = lens.surfaces[at].semi_diameter_mm
+    width = 2.0 * max(MARGIN * radius, 1.01 * rim if np.isfinite(rim) else 0.0)
+    side = np.linspace(-0.5 * width, 0.5 * width, POINTS)
+    x, y = np.meshgrid(side, side)
+    within = np.minimum(1.0, radius / np.maximum(np.hypot(x, y), 1e-300))  # polynomials hold on the footprint
+    back = _fitted(foot / radius, np.stack([u, v, gain]), x * within / radius, y * within / radius)
+    outward = np.maximum(1.0 / within, 1.0)
+    px, py = back[0] * outward, back[1] * outward
+    end = min(REACH, *(abs(float(edge)) for grid in (error.x, error.y) for edge in (grid[0], grid[-1])))
+    inside = np.minimum(1.0, end / np.maximum(np.hypot(px, py), 1e-300))
+    return _with_error(lens, at, 1e-6 * error(px * inside, py * inside) / back[2], width)
+
+
+def _surface(lens: LensSystem) -> int:
+    """The surface next to the stop that turns light and has no measured error; of two as near, the later one."""
+    index = lens.indices(np.array([lens.design_wavelength_nm]))[:, 0]
+    able = [
+        i
+        for i, surface in enumerate(lens.surfaces)
+        if surface.error is None and (surface.mirror or abs(index[i + 1] - index[i]) > 1e-3)
+    ]
+    if not able:
+        raise DomainError(
+            f"lens {lens.name!r}: no surface is left that a measured wavefront error could be given to; each needs a "
+            "change of index or a mirror, and no surface map of its own"
+        )
+    return min(able, key=lambda i: (abs(i - lens.stop_index), -i))
+
+
+def _with_error(lens: LensSystem, at: int, height_mm: FloatArray, width_mm: float) -> LensSystem:
+    surfaces = list(lens.surfaces)
+    surfaces[at] = replace(surfaces[at], error=SagMap(values_mm=height_mm, width_mm=(width_mm, width_mm)))
+    return replace(lens, surfaces=tuple(surfaces))
+
+
+def _footprint(lens: LensSystem, at: int, pupil: PupilField) -> FloatArray:
+    """Where the rays of a pupil on the axis meet a surface, (2, rings, arms), in its own frame."""
+    surface = lens.surfaces[at]
+    start = Rays.create(
+        x_mm=pupil.pupil_x[0, 0],
+        y_mm=pupil.pupil_y[0, 0],
+        z_mm=float(lens.surfaces[0].position_mm[2]) - 1.0,
+        direction=np.array([0.0, 0.0, 1.0]),
+        wavelength_nm=lens.design_wavelength_nm,
+    )
+    point = trace_path(lens, start)[at + 1]
+    return np.moveaxis((point - surface.position_mm) @ surface.rotation, -1, 0)[:2]
+
+
+def _fitted(at: FloatArray, values: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Values (k, n) at points (2, n) of the unit disk, on other points of it by polynomials."""
+    some = np.add.outer(np.arange(DEGREE + 1), np.arange(DEGREE + 1)) <= DEGREE
+    terms = legendre.legvander2d(at[0], at[1], [DEGREE, DEGREE])[:, some.ravel()]
+    found = np.zeros((len(values), DEGREE + 1, DEGREE + 1))
+    found[:, some] = np.linalg.lstsq(terms, values.T, rcond=None)[0].T
+    return np.stack([legendre.legval2d(x, y, one) for one in found])
