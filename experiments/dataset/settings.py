@@ -166,6 +166,12 @@ class BackgroundConfig(StrictModel):
     moon_planets: bool = Field(
         default=False, description="Moon and planets where they stand; needs catalogue.observer = earth"
     )
+    earth_direction_deg: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="right ascension and declination at which the Earth's centre is seen"
+    )
+    earth_distance_km: float | None = Field(
+        default=None, ge=6500, le=1e7, description="to the Earth's centre, with moon_planets; left out: no Earth"
+    )
 
 
 class RadiationConfig(StrictModel):

@@ -16,6 +16,7 @@ from optics.errors import ConfigError, DomainError
 from optics.light.band import Band, BandNodes, band_nodes
 from optics.light.photometry import band_integral
 from optics.records import freeze
+from render.bodies.earth_air import rayleigh_thickness
 from render.bodies.pixel_maps import PixelMaps
 from render.bodies.sphere_image import Cover, Exposed, Light, Sphere, sphere_image
 from render.bodies.sunlit_body import SunlitBody
@@ -163,7 +164,9 @@ class BodyRenderer:
             quiet: dict[str, Any] = {"noise_share": noise_share, "ceiling_e": ceiling_e}
             light = _light(camera, body, self.bands, self.rule)
             if body.mesh is None:
-                mean, error = sphere_image(self._maps, _sphere(body, in_front), exposed, light, window, **quiet)
+                mean, error = sphere_image(
+                    self._maps, _sphere(body, in_front, self.rule), exposed, light, window, **quiet
+                )
             else:
                 sequence = (streams or Streams(0)).child("body", body.name).sequence("rays", frame)
                 mean, error = self._mesh(body, attitudes, exposed, light, window, quiet | {"sequence": sequence})
@@ -233,7 +236,7 @@ def _check(exposure_s: float, line_time_s: float, noise_share: float, in_front: 
         raise ConfigError("a body in front is a mesh; only spheres hide what is behind them")
 
 
-def _sphere(body: SunlitBody, in_front: Sequence[SunlitBody]) -> Sphere:
+def _sphere(body: SunlitBody, in_front: Sequence[SunlitBody], rule: BandNodes) -> Sphere:
     lights = [Light(body.to_sun)] + ([] if body.second_light is None else [body.second_light])
     return Sphere(
         direction=body.direction,
@@ -243,7 +246,9 @@ def _sphere(body: SunlitBody, in_front: Sequence[SunlitBody]) -> Sphere:
         albedo_map=body.albedo_map,
         rotation_icrs_from_body=body.rotation_icrs_from_body,
         covers=tuple(Cover(other.direction, other.radius_km / other.distance_km) for other in in_front),
-        halo=body.halo,
+        air=body.air,
+        thickness=rayleigh_thickness(rule.wavelength_nm.ravel()),
+        air_unit=1.0 / np.maximum(body.albedo_at(rule.wavelength_nm.ravel()), 1e-12),
     )
 
 
@@ -311,7 +316,7 @@ def _limb(body: SunlitBody, count: int = 32) -> FloatArray:
     second = np.cross(body.direction, first)
     turn = 2.0 * np.pi * np.arange(count) / count
     a = body.angular_radius_rad
-    if body.halo is not None:
-        a *= 1.0 + AIR_HEIGHTS * body.halo.height
+    if body.air is not None:
+        a = math.asin(min(math.sin(a) * (1.0 + AIR_HEIGHTS * body.air.height), 1.0))
     around = np.outer(np.cos(turn), first) + np.outer(np.sin(turn), second)
     return np.asarray(math.cos(a) * body.direction + math.sin(a) * around)

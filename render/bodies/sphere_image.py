@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -26,11 +26,12 @@ from scipy.ndimage import maximum_filter
 
 from optics.arrays import FloatArray
 from render.bodies.disk_edge import Edge, apart
+from render.bodies.earth_air import Air
 from render.bodies.pixel_maps import PixelMaps, TileMap, powers
 from render.engine import Engine
 from render.engine.jit import dr
 
-__all__ = ["Cover", "Exposed", "Halo", "Light", "Sphere", "sphere_image"]
+__all__ = ["Cover", "Exposed", "Light", "Sphere", "sphere_image"]
 
 CELLS = (1, 2, 4, 8, 16, 32, 64)
 """Cells along each side of a pixel; the next number for the pixels that need it."""
@@ -59,18 +60,6 @@ class Cover:
 
 
 @dataclass(frozen=True, slots=True)
-class Halo:
-    """Lit air around a sphere: radiance at the limb over that of a white Lambertian surface lit square on.
-
-    Above it the radiance falls by e with every ``height`` of tangent height, in radii; along the limb it goes with the
-    sine of the Sun's elevation.
-    """
-
-    radiance: float
-    height: float
-
-
-@dataclass(frozen=True, slots=True)
 class Sphere:
     """What a direction meets; vectors along icrs.
 
@@ -90,8 +79,10 @@ class Sphere:
         Attitude of the map.
     covers : tuple of Cover
         What hides it.
-    halo : Halo or None
+    air : Air or None
         Its air.
+    thickness, air_unit : (b k,)
+        Vertical thickness of the air and one over the sphere's albedo, at the wavelengths of all bands.
     """
 
     direction: FloatArray
@@ -101,7 +92,9 @@ class Sphere:
     albedo_map: NDArray[np.float32] | None
     rotation_icrs_from_body: FloatArray
     covers: tuple[Cover, ...] = ()
-    halo: Halo | None = None
+    air: Air | None = None
+    thickness: FloatArray = field(default_factory=lambda: np.zeros(0))
+    air_unit: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +166,7 @@ def sphere_image(
         place = column + columns.start, row + rows.start
         for band, light in enumerate(light_e):
             nodes = slice(band * len(light), (band + 1) * len(light))
-            rays = _Rays(tile_map, nodes, light * exposed.exposure_s)
+            rays = _Rays(tile_map, nodes, light * exposed.exposure_s, sphere)
             if rays.count:
                 kernel = _Kernel(rays, sphere, exposed)
                 start = _first(sphere, kernel)
@@ -190,11 +183,16 @@ def _first(sphere: Sphere, kernel: _Kernel) -> int:
 class _Rays:
     """Polynomials of the rays of one band in one tile that carry light, with the light in the third."""
 
-    def __init__(self, tile_map: TileMap, nodes: slice, light: FloatArray) -> None:
+    def __init__(self, tile_map: TileMap, nodes: slice, light: FloatArray, sphere: Sphere) -> None:
         coefficient = tile_map.coefficient[nodes].copy()
         coefficient[:, :, 2] *= light[:, None, None]
         flat = coefficient.reshape(-1, *coefficient.shape[2:])
-        self.coefficient = np.ascontiguousarray(flat[np.abs(flat[:, 2]).max(1) > 0.0])
+        lit = np.abs(flat[:, 2]).max(1) > 0.0
+        self.coefficient = np.ascontiguousarray(flat[lit])
+        self.air = None
+        if sphere.air is not None:
+            both = (sphere.thickness[nodes] * sphere.air.slant, sphere.air_unit[nodes])
+            self.air = [np.repeat(v, coefficient.shape[1])[lit] for v in both]
         self.count = len(self.coefficient)
         self.centre_px, self.half_px = tile_map.tile.centre_px, tile_map.tile.half_px
 
@@ -233,6 +231,7 @@ class _Kernel:
         self.F, self.U, self.B = types.Float64, types.UInt32, types.Bool
         self.rays, self.sphere, self.exposed = rays, sphere, exposed
         self.coefficient = self.F(rays.coefficient.ravel())
+        self.air = None if rays.air is None else [self.F(v) for v in rays.air]
         self.albedo = None if sphere.albedo_map is None else self.F(sphere.albedo_map.astype(float).ravel())
         self.attitude = [self.F(np.ascontiguousarray(v)) for v in exposed.attitudes.T]
         steps = rays.coefficient[:, :2, 1:3].mean(0) / rays.half_px[::-1]
@@ -267,12 +266,13 @@ class _Kernel:
             tx, ty, light, *slope = self._polynomials(ray, x, y)
             slope = [v / half[k % 2] for k, v in enumerate(slope)]
             axes = look(time, rows)
+            through = None if self.air is None else [dr.gather(F, v, ray) for v in self.air]
 
             def one(k: Any, part: Any) -> tuple[Any, Any]:
                 down = k // sides
                 dx, dy = (F(k - down * sides) + 0.5) * side - 0.5, (F(down) + 0.5) * side - 0.5
                 at = tx + slope[0] * dx + slope[1] * dy, ty + slope[2] * dx + slope[3] * dy
-                return k + 1, part + cell(axes, *at, slope, side)
+                return k + 1, part + cell(axes, *at, slope, side, through)
 
             inner = dr.while_loop((U(0), dr.zeros(F, dr.width(x))), lambda k, part: k < sides * sides, one)[1]
             return i + 1, total + dr.maximum(light, 0.0) * inner * side * side
@@ -330,7 +330,7 @@ class _Kernel:
         covers = [(self.vector(cover.direction), self.number(cover.sine)) for cover in sphere.covers]
         surface, air = self._surface(c, sine), self._air(c, sine)
 
-        def cell(axes: list[Any], tx: Any, ty: Any, slope: list[Any], side: Any) -> Any:
+        def cell(axes: list[Any], tx: Any, ty: Any, slope: list[Any], side: Any, through: Any) -> Any:
             inverse = dr.rsqrt(1.0 + tx * tx + ty * ty)
             cam = (tx * inverse, ty * inverse, inverse)
             v = _turned(axes, *cam)
@@ -344,7 +344,7 @@ class _Kernel:
             inside = edge.inside()
             value = inside if flat else surface(edge)
             if air is not None:
-                value += (1.0 - inside) * air(v)
+                value += (1.0 - inside) * air(v, *through)
             for direction, size in covers:
                 value *= 1.0 - Edge.of(direction, size, v, moves).inside()
             return value / math.pi
@@ -367,7 +367,7 @@ class _Kernel:
             value, weight = self.F(0.0), self.F(0.0)
             for node in GAUSS:
                 mu = dr.fma(half, node, middle)
-                n = _normal(edge, c, sine, dr.safe_sqrt(1.0 - mu * mu), mu)
+                n = edge.normal(c, sine, dr.safe_sqrt(1.0 - mu * mu), mu)
                 value += mu * sum(irradiance * self._lit(n, mu, towards, turn) for towards, irradiance in lights)
                 weight += mu
             return value / dr.maximum(weight, 1e-300)
@@ -376,7 +376,7 @@ class _Kernel:
             above = [1.0 - depth / sine for depth in (edge.ends()[0], edge.ends()[3])]
             crossed = (above[0] > 1.0) | (above[1] < 0.0)
             for towards, _ in lights:
-                heights = [_dot(_normal(edge, c, sine, r, dr.safe_sqrt(1.0 - r * r)), towards) for r in above]
+                heights = [_dot(edge.normal(c, sine, r, dr.safe_sqrt(1.0 - r * r)), towards) for r in above]
                 crossed |= heights[0] * heights[1] < 0.0
             numbers = (edge.outwards, edge.d, edge.a, edge.b, edge.size)
             ahead = edge.ahead & (above[1] < 1.0)
@@ -414,7 +414,7 @@ class _Kernel:
                     middle, half = 0.5 * (upper + lower), 0.5 * (upper - lower)
                     for node in GAUSS:
                         above, mu = dr.sincos(dr.fma(half, node, middle))
-                        light = self._lit(_normal(edge, c, sine, above, mu), mu, towards, turn)
+                        light = self._lit(edge.normal(c, sine, above, mu), mu, towards, turn)
                         part += half * mu * light * edge.density(sine * (1.0 - above))
                 total += part * irradiance
             return total * sine
@@ -430,23 +430,31 @@ class _Kernel:
         return light * self._factor([sum(turn[3 * k + j] * n[k] for k in range(3)) for j in range(3)])
 
     def _air(self, c: list[Any], sine: Any) -> Any:
-        """Light of the air at the tangent point of a direction that passes the sphere; None without air."""
-        if self.sphere.halo is None:
+        """Light of the air in a direction that passes the sphere (`render.bodies.earth_air`); None without air."""
+        air = self.sphere.air
+        if air is None:
             return None
-        radiance, scale = self.number(self.sphere.halo.radiance), self.number(self.sphere.halo.height)
         lights = [(self.vector(light.towards), self.number(light.irradiance)) for light in self.sphere.lights]
+        scale, slant, ground = (self.number(v) for v in (air.height, air.slant, 0.5 * air.ground))
 
-        def air(v: list[Any]) -> Any:
+        def halo(v: list[Any], thickness: Any, unit: Any) -> Any:
             along, off2 = apart(c, v)
             off = dr.sqrt(off2)
+            above = dr.maximum(off / sine - 1.0, 0.0)
+            way = thickness * dr.exp(-above / scale)
             value = self.F(0.0)
             for towards, irradiance in lights:
                 mu0 = sum((along * a - m) * t for a, m, t in zip(v, c, towards, strict=True)) / off
-                value += dr.maximum(mu0, 0.0) * irradiance
-            height = dr.maximum(off / sine - 1.0, 0.0)
-            return dr.select(along > 0.0, value * radiance * dr.exp(-height / scale), 0.0)
+                grazing = dr.rsqrt(mu0 * mu0 + 4.0 / dr.square(slant))  # Chapman's function up to 90 deg
+                lowest = (1.0 + above) * dr.safe_sqrt(1.0 - mu0 * mu0) - 1.0  # of a ray that comes from below
+                beyond = dr.exp(-dr.clip((lowest - above) / scale, -40.0, 0.0)) * slant - grazing
+                left = dr.exp(-dr.minimum(way, 1.0) / slant * dr.select(mu0 > 0.0, grazing, beyond))
+                left = dr.select((mu0 > 0.0) | (lowest > 0.0), left, 0.0)
+                phase = 0.1875 * (1.0 + dr.square(_dot(v, towards)))
+                value += (phase * left + ground * dr.maximum(mu0, 0.0)) * irradiance
+            return dr.select(along > 0.0, value * unit * (1.0 - dr.exp(-way)), 0.0)
 
-        return air
+        return halo
 
     def _factor(self, n: list[Any]) -> Any:
         """The map at a point of the sphere, linear between the centres of its cells."""
@@ -468,14 +476,6 @@ class _Kernel:
 
 def _dot(a: list[Any], b: list[Any]) -> Any:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _normal(edge: Edge, c: list[Any], sine: Any, above: Any, mu: Any) -> list[Any]:
-    """Normal where a ray leaves the sphere under an angle of sine ``above`` (away from its centre) and cosine mu."""
-    off = sine * above
-    along = dr.safe_sqrt(1.0 - off * off)
-    out, back = above * along - mu * off, mu * along + above * off
-    return [out * e - back * m for e, m in zip(edge.outwards, c, strict=True)]
 
 
 def _transposed(x: Any, y: Any, z: Any, w: Any) -> list[Any]:

@@ -22,9 +22,10 @@ from optics.errors import ConfigError, DomainError
 from optics.light.photometry import photon_rate
 from optics.records import freeze
 from render.bodies.brightness import ALBEDO, ALBEDO_NM, planet_spectrum, planet_v
+from render.bodies.earth_air import BOND_ALBEDO, Air, earth_air
 from render.bodies.lunar_map import HIGHLAND, MARE, lunar_map, moon_rotation
 from render.bodies.solar_system import SolarSystem
-from render.bodies.sphere_image import Halo, Light
+from render.bodies.sphere_image import Light
 from render.plugins.lunar_surface import lommel_seeliger_phase
 from render.records import ExpectedImage
 from render.sky.sunlight import sun_spectrum, sunlight
@@ -70,8 +71,8 @@ class SunlitBody:
         the centres of the cells.
     second_light : Light or None
         Another light far away: the Earth's on the Moon.
-    halo : Halo or None
-        Lit air around a sphere.
+    air : Air or None
+        Lit air around a sphere (`render.bodies.earth_air`).
     name : str
         What it is called; part of the key of its random numbers.
 
@@ -96,7 +97,7 @@ class SunlitBody:
     rotation_icrs_from_body: FloatArray = field(default_factory=lambda: np.eye(3))
     albedo_map: NDArray[np.float32] | None = None
     second_light: Light | None = None
-    halo: Halo | None = None
+    air: Air | None = None
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -130,8 +131,8 @@ class SunlitBody:
             Path(self.mesh).is_file() and Path(self.mesh).suffix.lower() in (".ply", ".obj")
         ):
             raise ConfigError(f"SunlitBody.mesh = {str(self.mesh)!r}: no such file, or neither .ply nor .obj")
-        if self.mesh is not None and (self.albedo_map is not None or self.halo is not None):
-            raise ConfigError("SunlitBody: albedo_map and halo belong to a sphere; a mesh has neither")
+        if self.mesh is not None and (self.albedo_map is not None or self.air is not None):
+            raise ConfigError("SunlitBody: albedo_map and air belong to a sphere; a mesh has neither")
 
     @property
     def phase_rad(self) -> float:
@@ -214,6 +215,8 @@ def planet_body(system: SolarSystem, name: str, *, law: Literal["lambert", "luna
     """The Moon or a planet as a smooth sphere that has its published magnitude and colour.
 
     The Moon has its map (`render.bodies.lunar_map`), turned as the observer sees it, and the light of the Earth on it.
+    The Earth, which is seen from nearby, is Lambertian of its Bond albedo in V, without clouds, with lit air above its
+    limb (`render.bodies.earth_air`).
 
     Parameters
     ----------
@@ -228,7 +231,7 @@ def planet_body(system: SolarSystem, name: str, *, law: Literal["lambert", "luna
     -------
     SunlitBody
         Its albedo is scaled so that the whole sphere has the magnitude of ``system``; where that is NaN, the geometric
-        albedo stands with the phase function of the law.
+        albedo stands with the phase function of the law. The Earth's is not scaled.
 
     Raises
     ------
@@ -254,6 +257,10 @@ def planet_body(system: SolarSystem, name: str, *, law: Literal["lambert", "luna
     if name == "moon":
         factor = lunar_map() / np.float32(0.5 * (MARE + HIGHLAND))
         body = replace(body, albedo_map=factor, rotation_icrs_from_body=moon_rotation(system.epoch_year))
+    if name == "earth":
+        return replace(
+            body, albedo=BOND_ALBEDO * shape / np.interp(SCALED_AT_NM, ALBEDO_NM, ALBEDO[name]), air=earth_air()
+        )
     scale = _scale(body, name, float(system.magnitude_v[i]))
     if name == "moon":
         body = replace(body, second_light=_earthlight(system.select([i]), body, scale))

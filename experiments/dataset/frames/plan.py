@@ -24,7 +24,7 @@ from optics.arrays import FloatArray
 from optics.attitude import attitude_from_angles
 from optics.errors import ConfigError, DomainError
 from optics.units import DEG_RAD
-from render.catalogue.motion import earth_observer
+from render.catalogue.motion import Observer, earth_observer
 from render.engine.random import Streams
 from render.motion.jitter import JitterSpectrum, jittered
 from render.motion.trajectory import ConstantRate, SampledAttitude, Trajectory
@@ -147,7 +147,7 @@ def build_plan(config: Config, height_px: int | None = None, diagonal_deg: float
             path = jittered(path, jitter, streams=streams)  # one motion for all frames
     aim: SkyPointing | ConePointing | None = None
     if isinstance(pointing, BodyPointing):
-        aim = _cone_about(pointing, config.catalogue.epoch_year)
+        aim = _cone_about(pointing, config)
     to_sun = None
     if isinstance(pointing, SkyPointing | ConePointing):
         aim = pointing
@@ -186,6 +186,17 @@ def _spectrum(config: JitterConfig) -> JitterSpectrum | None:
     )
 
 
+def observer_of(config: Config) -> Observer | None:
+    """The centre of the Earth, or a place from which the Earth is seen where the settings say; None for no place."""
+    if config.catalogue.observer != "earth":
+        return None
+    observer, background = earth_observer(config.catalogue.epoch_year), config.background
+    if background.earth_distance_km is None:
+        return observer
+    away = attitude_from_angles(*background.earth_direction_deg).as_matrix()[2] * -background.earth_distance_km
+    return observer.moved(position_km=away, velocity_km_per_s=np.zeros(3))
+
+
 def sun_direction(epoch_year: float) -> FloatArray:
     """Unit vector from the Earth towards the Sun, along icrs."""
     away = earth_observer(epoch_year).from_sun_au
@@ -193,11 +204,13 @@ def sun_direction(epoch_year: float) -> FloatArray:
     return np.asarray(-away / np.linalg.norm(away))
 
 
-def _cone_about(pointing: BodyPointing, epoch_year: float) -> ConePointing:
-    """The cone of boresights that have a body in their field, as the Earth sees it."""
+def _cone_about(pointing: BodyPointing, config: Config) -> ConePointing:
+    """The cone of boresights that have a body in their field, as the observer sees it."""
     from render.bodies.solar_system import solar_system
 
-    x, y, z = solar_system(epoch_year, observer=earth_observer(epoch_year), bodies=(pointing.body,)).direction[0]
+    x, y, z = solar_system(
+        config.catalogue.epoch_year, observer=observer_of(config), bodies=(pointing.body,)
+    ).direction[0]
     return ConePointing(
         ra_deg=float(np.degrees(np.arctan2(y, x)) % 360.0),
         dec_deg=float(np.degrees(np.arcsin(z))),

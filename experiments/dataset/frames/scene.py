@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from experiments.dataset.frames.plan import Plan, build_plan, fastest_rad_per_s, plan_frame, sun_direction
+from experiments.dataset.frames.plan import Plan, build_plan, fastest_rad_per_s, observer_of, plan_frame, sun_direction
 from experiments.dataset.frames.sky_light import SkyLight, build_sky_light, check_sun
 from experiments.dataset.settings import Config, SkyPointing
 from experiments.laboratory.catalogue import load_catalogue
@@ -19,7 +19,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD
 from render.catalogue.index import SkyIndex, build_index
-from render.catalogue.motion import Observer, earth_observer
+from render.catalogue.motion import Observer
 from render.catalogue.record import StarCatalog
 from render.catalogue.temperature import star_temperature
 from render.detector.radiation import aged
@@ -121,7 +121,7 @@ def build_scene(config: Config) -> Scene:
         raise DomainError(_no_star(whole, config.catalogue))
     catalogue = whole.select(bright)
     light = star_light([band], nodes=config.nodes, magnitude_system=whole.magnitude_system)
-    observer = earth_observer(config.catalogue.epoch_year) if config.catalogue.observer == "earth" else None
+    observer = observer_of(config)
     pixel_rad = instrument.pixel_arcsec * ARCSEC_RAD
     scene = Scene(
         config=config,

@@ -15,7 +15,7 @@ from experiments.dataset.settings import BackgroundConfig, Config, SkyPointing
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.light.band import Band
-from render.bodies.solar_system import SolarSystem, planet_field, solar_system
+from render.bodies.solar_system import BODIES, SolarSystem, planet_field, solar_system
 from render.camera import Camera
 from render.catalogue.motion import Observer
 from render.records import StarField
@@ -42,6 +42,7 @@ PLANET_IDS = {
     "mercury": -1000199,
     "venus": -1000299,
     "moon": -1000301,
+    "earth": -1000399,
     "mars": -1000499,
     "jupiter": -1000599,
     "saturn": -1000699,
@@ -117,7 +118,8 @@ def build_sky_light(
     if background.moon_planets:
         if observer is None:
             raise ConfigError("background.moon_planets needs an observer; set catalogue.observer = earth")
-        system = solar_system(config.catalogue.epoch_year, observer=observer)
+        seen = BODIES if background.earth_distance_km is None else (*BODIES, "earth")
+        system = solar_system(config.catalogue.epoch_year, observer=observer, bodies=seen)
         large = system.angular_diameter_rad > RESOLVED_PX * pixel_rad
         disks, small = system.select(large), system.select(~large)
         points = small.select(np.isfinite(small.magnitude_v))  # the others stand beside the Sun

@@ -11,6 +11,7 @@ from experiments.dataset.frames.maker import FrameMaker
 from experiments.dataset.frames.scene import build_scene
 from experiments.dataset.production.job import _record, pixel_marks
 from experiments.dataset.settings import (
+    BackgroundConfig,
     BodyPointing,
     ConePointing,
     Config,
@@ -21,6 +22,7 @@ from experiments.dataset.truth.disk_truth import disk_truth
 from experiments.dataset.truth.frame_record import record_from_text
 from experiments.dataset.truth.labels import LabelMaker
 from experiments.laboratory.settings import InstrumentConfig
+from render.bodies.solar_system import solar_system
 from render.detector.cosmic_rays import cosmic_ray_hits
 from render.detector.maps import sensor_maps
 from render.engine import Engine
@@ -127,6 +129,25 @@ def test_any_number_of_a_frame_with_the_moon():
         made = maker.make(frame)
         assert [disk.name for disk in made.disks] == ["moon"]
         assert (made.truth["frame"] == frame).all()
+
+
+@pytest.mark.slow
+def test_the_moon_behind_the_earth():
+    """A million kilometres behind the Earth, as the Moon sees it: its disk with the air around it, and no Moon."""
+    Engine.start("llvm")
+    small = SMALL.model_copy(update={"exposure_s": 1e-6, "width_px": 256, "height_px": 256})
+    moon = solar_system(Config().catalogue.epoch_year, bodies=["moon"]).direction[0]
+    away = (float(np.degrees(np.arctan2(moon[1], moon[0]))) % 360.0, float(np.degrees(np.arcsin(moon[2]))))
+    background = BackgroundConfig(moon_planets=True, earth_direction_deg=away, earth_distance_km=1e6)
+    pointing = BodyPointing(body="moon", offset_deg=0.1)
+    scene = build_scene(Config(instrument=small, nodes=3, pointing=pointing, background=background))
+    made = FrameMaker(scene).make(0)
+    earth, hidden = made.disks
+    assert (earth.name, hidden.name) == ("earth", "moon")
+    assert earth.image.electrons[0] > 1e3
+    assert hidden.image.electrons[0] == 0.0
+    (disk,) = disk_truth(scene, made.plan, made.disks)
+    assert (disk.name, disk.kind) == ("earth", "planet")
 
 
 @pytest.mark.slow
