@@ -9,6 +9,8 @@ taken, ends at rounding after a few steps. Points of launch are in units of the 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +18,8 @@ import numpy as np
 
 from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.frames import light_direction
-from optics.lens.system import LensSystem
+from optics.lens.apertures import Circle
+from optics.lens.system import LensSystem, Surface
 from optics.rays.aim import aim_at_stop, front_of, without_apertures, without_holes
 from optics.rays.program import LensProgram
 from optics.rays.trace import OK, VIGNETTED, Rays, trace_program
@@ -24,7 +27,16 @@ from render.engine import Engine
 from render.engine.jit import dr
 from render.tracing.kernel import StarKernel
 
-__all__ = ["AimedLens", "Chiefs", "Rims", "aimed_lens", "find_chiefs", "find_rims", "find_stop_rims"]
+__all__ = [
+    "AimedLens",
+    "Chiefs",
+    "Rims",
+    "aimed_lens",
+    "find_chiefs",
+    "find_rims",
+    "find_shadow",
+    "find_stop_rims",
+]
 
 
 AIM_STEPS, AIM_TOLERANCE, AIM_DIFFERENCE = 6, 1e-11, 1e-5
@@ -51,8 +63,9 @@ class AimedLens:
         The lens up to its stop, without apertures, and the whole; parameters of both.
     stop : int
         Number of the stop.
-    limits : tuple of (int, float)
-        Number and radius [mm] of every clear aperture, the stop's among them.
+    limits, holes : tuple of (int, float)
+        Number and radius [mm] of every clear aperture, the stop's among them, and of every circle about a vertex that
+        stops the light inside; none where apertures of other shapes count too.
     """
 
     system: LensSystem
@@ -61,6 +74,7 @@ class AimedLens:
     theta: Any
     stop: int
     limits: tuple[tuple[int, float], ...]
+    holes: tuple[tuple[int, float], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,11 +124,21 @@ class Rims:
 def aimed_lens(lens: LensSystem, program: LensProgram, theta: FloatArray) -> AimedLens:
     """A lens, compiled as it is traced, ready for aiming."""
     limits = [(i, float(s.semi_diameter_mm)) for i, s in enumerate(lens.surfaces) if np.isfinite(s.semi_diameter_mm)]
-    if any(surface.holed for surface in lens.surfaces):
-        limits = []
+    holes = [(i, hole) for i, surface in enumerate(lens.surfaces) if (hole := _hole_mm(surface)) > 0.0]
+    if not all(np.isfinite(hole) for _, hole in holes):
+        limits, holes = [], []
     front = front_of(without_apertures(program), lens.stop_index)
     numbers = Engine.active().arrays.parameters(theta.tolist())
-    return AimedLens(lens, front, program, numbers, lens.stop_index, tuple(limits))
+    return AimedLens(lens, front, program, numbers, lens.stop_index, tuple(limits), tuple(holes))
+
+
+def _hole_mm(surface: Surface) -> float:
+    """Radius of the circle about a surface's vertex that stops light, infinite if an aperture is of another shape."""
+    radii = [surface.inner_semi_diameter_mm]
+    for one in surface.apertures:
+        round_ = isinstance(one, Circle) and one.obscures and one.centre_mm == (0.0, 0.0)
+        radii.append(one.radius_mm if isinstance(one, Circle) and round_ else math.inf)
+    return max(radii)
 
 
 def find_chiefs(
@@ -213,8 +237,10 @@ class _Beams:
         wavelength_nm: FloatArray,
         azimuth: FloatArray,
         stars: IntArray | None,
+        circles: Sequence[tuple[int, float]],
     ) -> None:
         F, U = kernel.F, kernel.U
+        self.circles = dict(circles)
         nodes, arms = azimuth.shape[-2:]
         self.shape = (*chief.shape[:2], nodes, arms)
         self.lens, self.kernel = lens, kernel
@@ -228,11 +254,11 @@ class _Beams:
     def heights(self, radius: Any, program: LensProgram, numbers: tuple[int, ...]) -> tuple[Rays, list[Any]]:
         """Rays at a radius, and their heights on surfaces in units of the apertures."""
         px, py = self.cx + radius * self.cosine, self.cy + radius * self.sine
-        limit, found = dict(self.lens.limits), {}
+        found = {}
 
         def visit(number: int, rays: Rays) -> None:
             if number in numbers:
-                unit = dr.opaque(self.kernel.F, 1.0 / limit[number])
+                unit = dr.opaque(self.kernel.F, 1.0 / self.circles[number])
                 found[number] = dr.sqrt(rays.x * rays.x + rays.y * rays.y) * unit
 
         rays = self.kernel.rays(self.star, px, py, self.wavelength)
@@ -309,7 +335,7 @@ def find_stop_rims(
     stars : (n,), optional
         Which of the kernel's stars; all if left out.
     """
-    beams = _Beams(lens, kernel, chief, wavelength_nm, azimuth, stars)
+    beams = _Beams(lens, kernel, chief, wavelength_nm, azimuth, stars, lens.limits)
     others = tuple(number for number, _ in lens.limits if number != lens.stop)
     return beams.rims(*beams.solve(lens.front, (lens.stop,)), others, largest=True)
 
@@ -323,6 +349,30 @@ def find_rims(
     stars: IntArray | None = None,
 ) -> Rims:
     """Outlines as all apertures make them; parameters as `find_stop_rims`."""
-    beams = _Beams(lens, kernel, chief, wavelength_nm, azimuth, stars)
+    beams = _Beams(lens, kernel, chief, wavelength_nm, azimuth, stars, lens.limits)
     numbers = tuple(number for number, _ in lens.limits)
     return beams.rims(*beams.solve(lens.full, numbers), numbers)
+
+
+def find_shadow(
+    lens: AimedLens,
+    kernel: StarKernel,
+    chief: FloatArray,
+    wavelength_nm: FloatArray,
+    azimuth: FloatArray,
+    stars: IntArray | None = None,
+) -> tuple[FloatArray, BoolArray]:
+    """Inner outlines (n, b, k, m) of beams with a hole about the chief ray, and where they were found.
+
+    They are found where the chief ray meets every circle of ``lens.holes`` inside, and a ray that is moved out by
+    `INSIDE` gets through. Parameters as `find_stop_rims`.
+    """
+    beams = _Beams(lens, kernel, chief, wavelength_nm, azimuth, stars, lens.holes)
+    parts = [beams.solve(without_apertures(lens.full), (number,)) for number, _ in lens.holes]
+    radius = _largest([part for part, _ in parts])
+    rays, _ = beams.heights(radius * (1.0 + INSIDE), lens.full, ())
+    good = rays.status == OK
+    for _, found in parts:
+        good = good & found
+    dr.eval(radius, good)
+    return radius.numpy().reshape(beams.shape), good.numpy().astype(bool).reshape(beams.shape)

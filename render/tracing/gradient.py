@@ -258,7 +258,7 @@ def star_image(
     for group in groups:
         if not len(group.members):
             continue
-        if group.plan.mode != "quadrature":
+        if group.plan.mode != "quadrature" or (outlines is not None and outlines.shadow is not None):
             raise ConfigError(
                 f"star {group.members[0]} has no derivative: its beam is sampled by {group.plan.mode}, as the lens or "
                 "the charge diffusion leaves no smooth outline; stars whose beam only the stop limits have one"

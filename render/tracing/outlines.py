@@ -5,6 +5,8 @@ A point is launched at ``centre + rho B(azimuth) (cos, sin)``, with Gauss-Legend
 the beam, B is smooth: it is found at a few azimuths and interpolated by its Fourier series, and equidistant azimuths
 are the best there are. Those of every other ring lie in the gaps of its neighbours', which halves their number. The
 axes' odd powers of rho, which a rule in rho^2 does not take exactly, come with the odd harmonics of B and are small.
+Where something round stands in the middle of the beam its shadow has an outline of the same kind, and the nodes lie
+between the squares of the two.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optics.arrays import FloatArray, IntArray
-from render.tracing.aimed_pupil import AimedLens, Chiefs, Rims, find_stop_rims
+from render.tracing.aimed_pupil import AimedLens, Chiefs, Rims, find_shadow, find_stop_rims
 from render.tracing.kernel import StarKernel
 from render.tracing.pupil_points import OutlinePoints, bounding_outline
 
@@ -180,6 +182,8 @@ class Outlines:
         As the stop alone makes them, at m equidistant azimuths; NaN where no ray touches its rim.
     clear, cut : (n,)
         Stars limited by the stop alone; stars for which other apertures count too. Others have no outline.
+    shadow : (n, b, picked nodes, m), optional
+        Outlines of the shadow in the middle, where there is one.
     """
 
     lens: AimedLens
@@ -188,23 +192,27 @@ class Outlines:
     radius: FloatArray
     clear: NDArray[np.bool_]
     cut: NDArray[np.bool_]
+    shadow: FloatArray | None = None
 
     def points(self, order: tuple[int, int], stars: IntArray) -> OutlinePoints:
         """Quadrature points of so many rings and azimuths inside smooth outlines."""
         count, arms = order
         turn = node_turns(self.picks.colours.shape[1], self.picks.times.shape[1])[:, None] + np.repeat([0.0, 0.5], arms)
         azimuth = 2.0 * np.pi / arms * (np.tile(np.arange(arms), 2) + turn % 1.0)
-        radius = self._at(azimuth, stars)
+        matrix = outline_series(azimuth)
+        radius = self._at(matrix, self.radius, stars)
+        shadow = None if self.shadow is None else self._at(matrix, self.shadow, stars)
         ring, weight = rings(count)
         arm = np.arange(arms) + arms * (np.arange(count) % 2)[:, None]
         return OutlinePoints(
             centre=self.chief[stars],
             azimuth=azimuth,
             radius=radius,
-            share=radius**2 / arms,
+            share=(radius**2 if shadow is None else radius**2 - shadow**2) / arms,
             arm=arm.ravel().astype(np.uint32),
             ring=np.repeat(ring, arms),
             ring_weight=np.repeat(weight, arms),
+            shadow=shadow,
         )
 
     def entrance(self) -> FloatArray:
@@ -216,13 +224,14 @@ class Outlines:
         """Points that bound the landing points at the wavelengths of `NodePicks.ends`: the rim, and fewer inside."""
         azimuth = 2.0 * np.pi * np.arange(ARMS)[None] / ARMS
         every, half = np.arange(ARMS), np.arange(0, ARMS, 2)
-        radius = self.radius[stars][:, :, self.picks.ends()[0]]
-        return bounding_outline(self.chief[stars], azimuth, radius, (every, half, half + 1, half))
+        ends = self.picks.ends()[0]
+        shadow = None if self.shadow is None else self.shadow[stars][:, :, ends]
+        radius = self.radius[stars][:, :, ends]
+        return bounding_outline(self.chief[stars], azimuth, radius, (every, half, half + 1, half), shadow)
 
-    def _at(self, azimuth: FloatArray, stars: IntArray) -> FloatArray:
-        """Radii (s, b, k, a) of smooth outlines at azimuths (k, a), by their Fourier series."""
-        matrix = outline_series(azimuth)
-        return np.asarray((matrix @ self.picks.spread(self.radius[stars], stars)[..., None])[..., 0])
+    def _at(self, matrix: FloatArray, radius: FloatArray, stars: IntArray) -> FloatArray:
+        """Radii (s, b, k, a) of smooth outlines, by the matrix of their Fourier series."""
+        return np.asarray((matrix @ self.picks.spread(radius[stars], stars)[..., None])[..., 0])
 
 
 def find_outlines(lens: AimedLens, picks: NodePicks, chiefs: Chiefs) -> Outlines:
@@ -241,8 +250,13 @@ def find_outlines(lens: AimedLens, picks: NodePicks, chiefs: Chiefs) -> Outlines
     centre = np.where(aimed[:, None, None], chiefs.points, 0.0)
     azimuth = np.tile(2.0 * np.pi * np.arange(ARMS) / ARMS, (picks.count, 1))
     rims = find_stop_rims(lens, picks.kernel, centre, picks.wavelength_nm, azimuth)
-    clear = aimed & _only_the_stop(rims)
-    return Outlines(lens=lens, picks=picks, chief=centre, radius=rims.radius, clear=clear, cut=aimed & ~clear)
+    clear, shadow = aimed & _only_the_stop(rims), None
+    if lens.holes:
+        shadow, found = find_shadow(lens, picks.kernel, centre, picks.wavelength_nm, azimuth)
+        clear = clear & found.all((1, 2, 3)) & _smooth(shadow) & (shadow < rims.radius).all((1, 2, 3))
+    return Outlines(
+        lens=lens, picks=picks, chief=centre, radius=rims.radius, clear=clear, cut=aimed & ~clear, shadow=shadow
+    )
 
 
 def _only_the_stop(rims: Rims) -> NDArray[np.bool_]:
@@ -250,5 +264,10 @@ def _only_the_stop(rims: Rims) -> NDArray[np.bool_]:
     others = rims.height[0]
     most, least = others.max(3), others.min(3)
     free = most + BETWEEN * (most - least) < 1.0
-    highest = np.abs(rims.radius @ (-1.0) ** np.arange(ARMS)) / ARMS
-    return np.asarray(rims.good.all((1, 2, 3)) & free.all((1, 2)) & (highest < HARMONIC_LEFT).all((1, 2)))
+    return np.asarray(rims.good.all((1, 2, 3)) & free.all((1, 2)) & _smooth(rims.radius))
+
+
+def _smooth(radius: FloatArray) -> NDArray[np.bool_]:
+    """Stars (n,) whose outlines (n, b, k, `ARMS`) are believed."""
+    highest = np.abs(radius @ (-1.0) ** np.arange(ARMS)) / ARMS
+    return np.asarray((highest < HARMONIC_LEFT).all((1, 2)))

@@ -205,6 +205,8 @@ class PupilPlanner:
         """
         if not seen.mid.count or self._aim.stop not in dict(self._aim.limits):
             return Shapes([], None)
+        if self.pupil.exact and self._aim.holes:
+            return Shapes([], None)
         parts: list[Shape] = []
         if self.pupil.exact:
             outlines, centre = None, chiefs.points
@@ -215,7 +217,7 @@ class PupilPlanner:
             if outlines.clear.any():
                 parts.append(("quadrature", np.flatnonzero(outlines.clear), outlines))
         picks = seen.picks
-        for again in (False, True):
+        for again in (False,) if self._aim.holes else (False, True):
             if again:  # about a point inside the beam where that is not the chief ray's, and at every wavelength
                 if not len(left) or seen.nodes is not seen.mid:
                     break

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optics.arrays import FloatArray, IntArray
-from render.tracing.aimed_pupil import AimedLens, find_rims
+from render.tracing.aimed_pupil import AimedLens, find_rims, find_shadow
 from render.tracing.outlines import GOLDEN, NodePicks, rings
 from render.tracing.pupil_points import OutlinePoints, bounding_outline
 
@@ -81,16 +81,23 @@ class Arcs:
         azimuth, share = _rule(self.start[at], self.length[at], order[1], alike=not picks.every)
         rims = find_rims(self.lens, picks.kernel, self.centre[at], picks.wavelength_nm, azimuth, stars)
         found = np.where(rims.good, rims.radius, np.nan)  # its rays are lost, and with them the star is found out
+        shadow = None
+        if self.lens.holes:
+            dark, clear = find_shadow(self.lens, picks.kernel, self.centre[at], picks.wavelength_nm, azimuth, stars)
+            found = np.where(clear & (dark < found), found, np.nan)
+            shadow = picks.spread(dark, stars)
         azimuth, radius, share = (picks.spread(v, stars) for v in (azimuth, found, share))
         ring, weight = rings(order[0])
+        lit = radius**2 if shadow is None else radius**2 - shadow**2
         return OutlinePoints(
             centre=self.centre[at],
             azimuth=azimuth,
             radius=radius,
-            share=np.nan_to_num(radius) ** 2 * share,
+            share=np.nan_to_num(lit) * share,
             arm=np.tile(np.arange(order[1], dtype=np.uint32), order[0]),
             ring=np.repeat(ring, order[1]),
             ring_weight=np.repeat(weight, order[1]),
+            shadow=shadow,
         )
 
     def bounding(self, stars: IntArray) -> OutlinePoints:

@@ -79,6 +79,9 @@ class TablePoints:
 class OutlinePoints:
     """Points ``centre + ring * radius (cos, sin)(azimuth)`` inside the outlines of s stars in b bands.
 
+    With a shadow in the middle, which no light comes from, they move out, such that the squares of their distances
+    divide what is left as ``ring**2`` divided the whole.
+
     Attributes
     ----------
     centre : (s, b, 2)
@@ -91,6 +94,8 @@ class OutlinePoints:
         Share of the disk's area in the sector of every azimuth.
     arm, ring, ring_weight : (p,)
         Azimuth of every point, its part of the radius, and its weight in the sector, sum 1 over the rings of an arm.
+    shadow : (s, b, k, a), optional
+        The outline of the shadow.
     """
 
     centre: FloatArray
@@ -100,6 +105,7 @@ class OutlinePoints:
     arm: NDArray[np.uint32]
     ring: FloatArray
     ring_weight: FloatArray
+    shadow: FloatArray | None = None
 
     @property
     def count(self) -> int:
@@ -121,8 +127,14 @@ class OutlinePoints:
         F, U = types.Float64, types.UInt32
         nodes, arms = self.radius.shape[-2:]
         at = (slot * dr.opaque(U, nodes) + node) * dr.opaque(U, arms) + dr.gather(U, U(self.arm), point)
-        along = [self.radius * np.cos(self.azimuth), self.radius * np.sin(self.azimuth)]
         ring = dr.gather(F, F(self.ring), point)
+        if self.shadow is None:
+            length = self.radius
+        else:
+            length, dark = np.ones_like(self.radius), dr.gather(F, F((self.shadow**2).ravel()), at)
+            lit = dr.gather(F, F((self.radius**2 - self.shadow**2).ravel()), at)
+            ring = dr.sqrt(dark + ring * ring * lit)
+        along = [length * np.cos(self.azimuth), length * np.sin(self.azimuth)]
         px, py = (
             dr.gather(F, F(np.ascontiguousarray(self.centre[..., axis].ravel())), slot)
             + ring * dr.gather(F, F(along[axis].ravel()), at)
@@ -132,20 +144,25 @@ class OutlinePoints:
 
 
 def bounding_outline(
-    centre: FloatArray, azimuth: FloatArray, radius: FloatArray, arms: Sequence[IntArray]
+    centre: FloatArray,
+    azimuth: FloatArray,
+    radius: FloatArray,
+    arms: Sequence[IntArray],
+    shadow: FloatArray | None = None,
 ) -> OutlinePoints:
     """Points that bound where the light inside outlines lands: on the rim, and on three rings inside.
 
     Parameters
     ----------
-    centre, azimuth, radius
+    centre, azimuth, radius, shadow
         As in `OutlinePoints`.
     arms : 4 arrays
         Azimuths that are used on each of `BOUNDING_RINGS`.
     """
     ring = np.repeat(BOUNDING_RINGS, [len(arm) for arm in arms])
     weight = np.full(len(ring), 1.0 / len(ring))
-    return OutlinePoints(centre, azimuth, radius, radius**2, np.concatenate(arms).astype(np.uint32), ring, weight)
+    arm = np.concatenate(arms).astype(np.uint32)
+    return OutlinePoints(centre, azimuth, radius, radius**2, arm, ring, weight, shadow)
 
 
 @dataclass(frozen=True, slots=True)

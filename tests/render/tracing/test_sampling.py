@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 from scipy.stats import qmc
 
+from optics.lens.apertures import Spider
 from optics.lens_file import load_lens
 from render.tracing import pupil_points
 from render.tracing.convergence import TOLERANCE
@@ -140,7 +141,7 @@ def test_order_inside_outlines_is_high_enough_and_not_far_too_high(engine, bench
 
 @pytest.mark.slow
 def test_rule_is_chosen_by_the_pupil(engine, bench):
-    """Clear: quadrature. Cut before or behind a stop inside the lens: arcs. Anything else: Sobol."""
+    """Clear, or with a hole: quadrature. Cut before or behind a stop inside the lens: arcs. Anything else: Sobol."""
 
     def rule(camera, x, y):
         stars = bench.stars_at(camera, x, y, nodes=1)
@@ -155,7 +156,10 @@ def test_rule_is_chosen_by_the_pupil(engine, bench):
     assert rule(replace(tracker, charge_diffusion_px=0.0), 500, 500) == {"sobol"}
     stop = tracker.lens.surfaces[tracker.lens.stop_index]
     spot = tracker.lens.with_surfaces({tracker.lens.stop_index: replace(stop, inner_semi_diameter_mm=1.0)})
-    assert rule(replace(tracker, lens=spot), 500, 500) == {"sobol"}
+    assert rule(replace(tracker, lens=spot), 500, 500) == {"quadrature"}
+    vanes = (Spider(obscures=True, arms=3, width_mm=0.2),)
+    spider = tracker.lens.with_surfaces({tracker.lens.stop_index: replace(stop, apertures=vanes)})
+    assert rule(replace(tracker, lens=spider), 500, 500) == {"sobol"}
     assert rule(camera(charge_diffusion_px=0.0), 2000, 1000) == {"sobol"}
     assert rule(camera(defocus_mm=1.5), 2000, 1000) == {"sobol"}  # 90 px wide
     last = len(lens.surfaces) - 1
@@ -163,7 +167,33 @@ def test_rule_is_chosen_by_the_pupil(engine, bench):
     assert rule(camera(cut), [2047.5, 4090], [1023.5, 5]) == {"quadrature", "sobol"}
     stop = lens.surfaces[lens.stop_index]
     ring = lens.with_surfaces({lens.stop_index: replace(stop, inner_semi_diameter_mm=8.0)})
-    assert rule(camera(ring), 2000, 1000) == {"sobol"}
+    assert rule(camera(ring), 2000, 1000) == {"quadrature"}
+
+
+@pytest.mark.parametrize(
+    ("name", "inner_mm"),
+    [("star_tracker_26mm", 2.0), pytest.param("star_camera_206mm", 12.0, marks=pytest.mark.slow)],
+)
+def test_a_beam_with_a_hole_is_the_whole_less_its_middle(engine, bench, name, inner_mm):
+    """Light adds up: what a stop with a hole lets through and what a stop as large as the hole does make the whole."""
+    lens = load_lens(name)
+    stop = lens.surfaces[lens.stop_index]
+
+    def traced(**changes):
+        changed = lens.with_surfaces({lens.stop_index: replace(stop, **changes)})
+        camera = bench.camera_of(changed, charge_diffusion_px=0.3)
+        places = np.array([[0.5, 0.7, 0.4], [0.5, 0.4, 0.65]]) * [[camera.width_px], [camera.height_px]]
+        return Tracer(camera).render(bench.stars_at(camera, *places), exposure_s=1.0)
+
+    ring, whole, middle = traced(inner_semi_diameter_mm=inner_mm), traced(), traced(semi_diameter_mm=inner_mm)
+    assert set(ring.sampling) == {"quadrature"}
+    light = whole.truth.electrons_image.min()
+    assert middle.truth.electrons_image.min() > 0.05 * light
+    assert np.abs(ring.electrons - (whole.electrons - middle.electrons)).max() < 2 * TOLERANCE * light
+    np.testing.assert_allclose(
+        ring.truth.electrons_image, whole.truth.electrons_image - middle.truth.electrons_image, rtol=1e-5
+    )
+    np.testing.assert_allclose(ring.truth.electrons_vignetted, middle.truth.electrons_image, rtol=1e-4)
 
 
 @pytest.mark.slow
