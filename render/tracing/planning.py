@@ -56,6 +56,9 @@ MOST_TRIAL_TIMES = 72
 LEAST_ORDER, LEAST_ARC_ORDER = (2, 3), (2, 20)
 LEAST_DAMPED = 0.72
 """Charge diffusion [px] times the highest frequency below which too much of that is left."""
+UNBLURRED_MORE = 2
+"""By how much more the logarithm of the number of Sobol points is then: a pixel's edge counts rays, and what that
+misses falls as their number to the power -3/4 (4e-4 of the light by 2^16, below 1e-4 by 2^18)."""
 RIM_BEYOND = 0.25
 """How far the rim of a spot is looked for beyond the rays of the lowest order, in terms of their extent."""
 WIDEST_TRIAL_PX = 200
@@ -172,6 +175,11 @@ class PupilPlanner:
             diffusion_px=self.camera.charge_diffusion_px,
         )
         return StarKernel(self.program, self.theta, geometry, direction, shear, collimation)
+
+    @property
+    def _blurred(self) -> bool:
+        """Whether charge diffusion softens the edges of pixels enough for a quadrature."""
+        return self.camera.charge_diffusion_px * HIGHEST_FREQUENCY >= LEAST_DAMPED
 
     def seen(self, paths: StarPaths, wavelength_nm: FloatArray, length_px: float = 0.0) -> Seen:
         """What is needed of an exposure."""
@@ -307,7 +315,8 @@ class PupilPlanner:
             left = np.setdiff1d(left, group.members)
         if not self.pupil.exact:
             find_bounds(seen.mid, bounds, left, ends, disks)
-        sobol = sobol_plan(wavelength_nm.shape[1] * seen.nodes.times, self.sobol_seed, self.sobol_log2_rays)
+        log2_rays = self.sobol_log2_rays + (0 if self._blurred else UNBLURRED_MORE)
+        sobol = sobol_plan(wavelength_nm.shape[1] * seen.nodes.times, self.sobol_seed, log2_rays)
         if seen.nodes is not seen.mid:
             bounds = bounds.moved(seen.paths.shift_px)
 
@@ -425,9 +434,9 @@ class PupilPlanner:
         ladder: Ladder,
     ) -> tuple[tuple[int, int], float] | None:
         """Lowest order that is converged for probe stars at rest, on stamps that hold their light."""
-        diffusion, stars = self.camera.charge_diffusion_px, probes.astype(np.uint32)
-        if diffusion * HIGHEST_FREQUENCY < LEAST_DAMPED:
+        if not self._blurred:
             return None
+        stars = probes.astype(np.uint32)
         x, y, ok = (v.reshape(*v.shape[:2], -1) for v in seen.nodes.land(points(ladder[0]), wavelength_nm, stars))
         if not ok.any():
             return None
@@ -436,7 +445,7 @@ class PupilPlanner:
             for f, end in ((np.min, np.inf), (np.max, -np.inf))
         )
         empty = ~np.isfinite(low)
-        room = reach_px(diffusion) + 1.0 + RIM_BEYOND * np.where(empty, 0.0, high - low)
+        room = reach_px(self.camera.charge_diffusion_px) + 1.0 + RIM_BEYOND * np.where(empty, 0.0, high - low)
         corner = np.where(empty, 0.0, np.floor(low - room)) - 0.5
         size = math.ceil(float(np.where(empty, 0.0, high - low + 2.0 * room).max())) + 1
         if size > WIDEST_TRIAL_PX:

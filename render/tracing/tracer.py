@@ -57,7 +57,8 @@ class Tracer:
     camera : Camera
         The camera; its attitude may be overridden per call.
     sobol_log2_rays : int
-        Logarithm of the rays per star and band where quadrature does not serve.
+        Logarithm of the rays per star and band where quadrature does not serve; four times as many are taken where no
+        charge diffusion softens the edges of the pixels.
     sobol_seed : int
         Seed of the scrambling.
     tolerance : float

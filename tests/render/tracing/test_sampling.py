@@ -243,3 +243,16 @@ def test_probes_cover_the_field_and_bounds_the_rim():
     radius = np.linalg.norm(bounding_disk().points[0], axis=1)
     assert radius.max() == pytest.approx(1.0)
     assert np.count_nonzero(radius > 0.999) == 48
+
+
+@pytest.mark.slow
+def test_pixels_without_blur_against_counted_rays(engine, bench):
+    """A defocused spot in the corner, on pixels with sharp edges: a dense bundle by NumPy."""
+    camera = bench.camera_of(charge_diffusion_px=0.0, defocus_mm=0.01)
+    camera = bench.window(camera, 25, 4000.3, 1990.2)
+    stars = bench.stars_at(camera, [12.3], [11.8])
+    traced = Tracer(camera).render(stars, exposure_s=1.0)
+    assert set(traced.sampling) == {"sobol"}
+    counted = bench.pixel_integrals(*bench.bundle(camera, stars, 0, 0, rings=700, arms=701), 0.0, 0, 0, 25)
+    assert counted.sum() == pytest.approx(1.0, abs=1e-6)
+    assert np.abs(traced.electrons[..., 0] / traced.truth.electrons_in[0, 0] - counted).max() < 1e-4
