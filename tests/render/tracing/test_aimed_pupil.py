@@ -14,7 +14,7 @@ from optics.rays.program import compile_lens
 from optics.rays.trace import OK, VIGNETTED, Rays, trace, trace_path
 from render.tracing.aimed_pupil import aimed_lens, find_chiefs, find_rims, find_stop_rims
 from render.tracing.kernel import Geometry, StarKernel
-from render.tracing.outlines import find_outlines, node_picks
+from render.tracing.outlines import find_outlines, node_picks, outline_series
 from render.tracing.pupil_arcs import find_arcs
 from render.tracing.tracer import Tracer
 
@@ -62,6 +62,7 @@ def test_rays_inside_the_outline_pass_and_those_outside_do_not(engine, bench, na
     alone = find_stop_rims(planner._aim, seen.mid, chiefs.points, WAVELENGTH_NM, azimuth)
     assert rims.good.all()
     along = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
+    found = outlines._at(outline_series(azimuth), outlines.radius, np.arange(3))
     for star in range(3):
         for node, wavelength in enumerate(WAVELENGTH_NM[0]):
             radius = rims.radius[star, 0, node][:, None]
@@ -71,7 +72,7 @@ def test_rays_inside_the_outline_pass_and_those_outside_do_not(engine, bench, na
                 assert (out.status == (OK if passes else VIGNETTED)).all()
         if not cut[star]:
             assert np.abs(alone.radius[star] - rims.radius[star]).max() < 1e-12
-            assert np.abs(outlines._at(azimuth, np.array([star]))[0] - rims.radius[star]).max() < 1e-6
+            assert np.abs(found[star] - rims.radius[star]).max() < 1e-6
 
 
 def two_apertures(distance_mm, tangent):
