@@ -5,6 +5,8 @@
 Every .zmx and .seq below FOLDER is read: exactly, with approximations, or refused with its reason. With ``--peer`` the
 files are read by optiland's own reader too (pip install optiland), its glasses are given our indices, and 49 parallel
 rays are traced by both: what then differs is geometry. A file in which the other reader finds other surfaces is told.
+batoid (pip install batoid) reads no such files: its coordinate systems, surfaces and media are put together from the
+prescription that was read, by its own turns and shifts, and traced with the same rays.
 """
 
 from __future__ import annotations
@@ -72,9 +74,70 @@ def peer_rays(path: Path, file: LensFile) -> tuple[np.ndarray, np.ndarray] | str
             return f"{type(error).__name__}: {str(error)[:60]}"
 
 
-def difference(path: Path, file: LensFile) -> str:
+def batoid_surface(table: dict[str, Any]) -> Any:
+    """A surface of a prescription as batoid has it; KeyError for a kind that it does not have."""
+    import batoid
+
+    kind, radius, conic = table.get("kind", "conic"), table.get("radius_mm", np.inf), table.get("conic", 0.0)
+    if kind not in ("plane", "sphere", "conic", "even_asphere"):
+        raise KeyError(kind)
+    terms = table.get("asphere", ())
+    if np.isinf(radius) and not any(terms):
+        return batoid.Plane()
+    return batoid.Asphere(radius, conic, list(terms)) if any(terms) else batoid.Quadric(radius, conic)
+
+
+def batoid_frame(frame: Any, table: dict[str, Any]) -> Any:
+    """A coordinate system after the shift and the turn of a table."""
+    import batoid
+
+    shift = [*table.get("decentre_mm", (0.0, 0.0)), 0.0][:3]
+    angles = np.radians([*table.get("tilt_deg", (0.0, 0.0)), 0.0][:3])
+    turns = [turn(angle) for turn, angle in zip((batoid.RotX, batoid.RotY, batoid.RotZ), angles, strict=True)]
+    turned = frame if table.get("first") == "tilt" else frame.shiftLocal(shift)
+    for turn in turns if table.get("axes") == "moving" else turns[::-1]:
+        turned = turned.rotateLocal(turn)
+    return turned.shiftLocal(shift) if table.get("first") == "tilt" else turned
+
+
+def batoid_rays(file: LensFile) -> tuple[np.ndarray, np.ndarray] | str:
+    """Global points [mm] of the rays in the image plane by batoid, or why they cannot be had."""
+    import batoid
+
+    lens, wave = file.lens, file.lens.design_wavelength_nm
+    x, y, d = bundle(file)
+    index = iter(lens.indices(wave))
+    before = float(next(index))
+    velocity = np.broadcast_to(d / before, (len(x), 3))
+    rays = batoid.RayVector(x, y, np.full(len(x), -5.0), *velocity.T, wavelength=wave * 1e-9)
+    frame = batoid.CoordSys()
+    for table in file.tables["surface"]:
+        own = batoid_frame(frame, table)
+        if table.get("kind") != "coordinate_break":
+            if table.get("carry") == "bend":
+                return "batoid has no axis that follows a mirror"
+            try:
+                surface = batoid_surface(table)
+            except KeyError as error:
+                return f"batoid has no {error.args[0]}"
+            after = float(next(index))
+            if table["medium"] == "mirror":
+                batoid.reflect(surface, rays, own)
+            else:
+                batoid.refract(surface, rays, batoid.ConstMedium(before), batoid.ConstMedium(after), own)
+            before = after
+        if table.get("kind") == "coordinate_break" or table.get("carry") == "forward":
+            frame = own
+        frame = frame.shiftLocal([0.0, 0.0, table.get("thickness_mm", 0.0)])
+    frame = batoid_frame(frame, file.tables.get("image", {}))
+    batoid.intersect(batoid.Plane(), rays, frame)
+    points = frame.origin + rays.r @ frame.rot.T
+    lost = rays.failed
+    return np.where(lost, np.nan, points[:, 0]), np.where(lost, np.nan, points[:, 1])
+
+
+def difference(peer: tuple[np.ndarray, np.ndarray] | str, file: LensFile) -> str:
     """Largest difference of the rays in the image plane, or why there is none."""
-    peer = peer_rays(path, file)
     if isinstance(peer, str):
         return peer
     x, y, d = bundle(file)
@@ -94,14 +157,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--catalogues", type=Path, help="folder of AGF files")
-    parser.add_argument("--peer", action="store_true", help="compare rays with optiland")
+    parser.add_argument("--peer", action="store_true", help="compare rays with optiland and batoid")
     options = parser.parse_args()
     catalogues = (
         sorted(p for p in options.catalogues.iterdir() if p.suffix.lower() == ".agf") if options.catalogues else []
     )
     counts: Counter[str] = Counter()
-    print(f"| file | became | why{' | rays beside optiland' if options.peer else ''} |")
-    print("|---|---|---" + ("|---|" if options.peer else "|"))
+    print(f"| file | became | why{' | rays beside optiland | beside batoid' if options.peer else ''} |")
+    print("|---|---|---" + ("|---|---|" if options.peer else "|"))
     for path in files_below(options.folder):
         rays = ""
         try:
@@ -114,7 +177,8 @@ def main() -> None:
             ]
             became = "approximated" if inexact else "read"
             why = "; ".join(dict.fromkeys(f"{line.command[:24]}: {line.message[:70]}" for line in inexact[:2]))
-            rays = difference(path, file) if options.peer else ""
+            if options.peer:
+                rays = f"{difference(peer_rays(path, file), file)} | {difference(batoid_rays(file), file)}"
         except StarbenchError as error:
             became, why = "refused", str(error).replace(f"{path.parent}{os.sep}", "").split(": ", 1)[-1][:140]
         counts[became] += 1
