@@ -25,6 +25,7 @@ import numpy as np
 
 from optics.errors import StarbenchError
 from optics.lens_file import LensFile, read_lens_file
+from optics.rays.paraxial import axial_paraxial
 from optics.rays.trace import Rays, trace
 
 
@@ -36,12 +37,18 @@ def files_below(folder: Path) -> Iterator[Path]:
 
 
 def bundle(file: LensFile) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Start x, y [mm] and direction of 49 parallel rays that fill half of the entrance pupil."""
+    """Start x, y [mm] and direction of 49 parallel rays that fill half of the entrance pupil, in front of the lens."""
     assert file.defaults is not None
     radius = 0.25 * file.defaults.entrance_pupil_mm
     radius = radius if 0.0 < radius < 1e4 else 0.25
     x, y = map(np.ravel, np.meshgrid(*(np.linspace(-1.0, 1.0, 7) * radius,) * 2))
     tilt = np.radians(0.3 * min(file.lens.max_field_deg, 10.0))
+    try:
+        pupil_mm = axial_paraxial(file.lens, file.lens.design_wavelength_nm).entrance_pupil_z_mm
+    except StarbenchError:
+        pupil_mm = 0.0
+    if abs(pupil_mm) < 1e5:
+        y = y - (pupil_mm + 5.0) * np.tan(tilt)
     return x, y, np.array([0.0, np.sin(tilt), np.cos(tilt)])
 
 
@@ -84,6 +91,9 @@ def batoid_surface(table: dict[str, Any]) -> Any:
     terms = table.get("asphere", ())
     if np.isinf(radius) and not any(terms):
         return batoid.Plane()
+    if conic == -1.0:  # where the formula of other conics divides by 0
+        conics = batoid.Paraboloid(radius)
+        return batoid.Sum([conics, batoid.Asphere(1e30, 0.0, list(terms))]) if any(terms) else conics
     return batoid.Asphere(radius, conic, list(terms)) if any(terms) else batoid.Quadric(radius, conic)
 
 

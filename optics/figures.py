@@ -133,6 +133,15 @@ def _fan(lens: LensSystem, field_y_deg: float, rays: int, wavelength_nm: float, 
     return paths(np.linspace(passes[0], passes[-1], rays))
 
 
+def _extent(drawn: Sequence[FloatArray], fans: Sequence[FloatArray], length: float) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper limits (z, y) of all that is drawn; of the light in front of the lens only its last part."""
+    rays = np.concatenate([fan[..., [2, 1]].reshape(-1, 2) for fan in fans])
+    points = np.concatenate([*drawn, rays])
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    margin = np.array([0.04 * length, 0.08 * max(float(high[1] - low[1]), 0.1 * length)])
+    return low - margin - [0.0, margin[1]], high + margin  # names of elements stand at the bottom
+
+
 def draw_lens(
     lens: LensSystem,
     *,
@@ -161,16 +170,16 @@ def draw_lens(
     wave = lens.design_wavelength_nm if wavelength_nm is None else wavelength_nm
     fields = [0.0, 0.7 * lens.max_field_deg, lens.max_field_deg] if fields_deg is None else list(fields_deg)
     along_z = [float(position[2]) for position, _ in lens.poses]
-    first, last = min(along_z), max(along_z)
+    length = max(along_z) - min(along_z)
     lens = _without_vanes(lens)
-    length = last - first
-    fans = [_fan(lens, field, rays, wave, 0.12 * length - first) for field in fields]
+    fans = [_fan(lens, field, rays, wave, 0.12 * length - min(along_z)) for field in fields]
     reach = _reaches(lens, fans)
-    top = 1.12 * max(reach)
-    image = 1.15 * max(float(np.nanmax(np.abs(fan[-1, :, 1]), initial=0.0)) for fan in fans)
-    height = 2.4 * max(top, 0.9 * image)
+    image = max([float(np.nanmax(np.abs(fan[-1, :, 1]), initial=0.0)) for fan in fans]) * 1.15
+    ends = np.array([[0.0, -image, 0.0], [0.0, image, 0.0]]) @ lens.image_rotation.T + lens.image_position_mm
+    low, high = _extent([ends[:, [2, 1]], *(_profile(lens, i, r) for i, r in enumerate(reach))], fans, length)
     figure = Figure(
-        figsize=(10.0, float(np.clip(8.0 * height / (1.16 * length) + 0.9, 3.0, 7.0))), layout="constrained"
+        figsize=(10.0, float(np.clip(8.0 * (high[1] - low[1]) / (high[0] - low[0]) + 0.9, 3.0, 7.0))),
+        layout="constrained",
     )
     axes = figure.add_subplot()
     axes.axhline(0.0, color="0.55", linewidth=0.6, dashes=(12, 3, 2, 3), zorder=1)
@@ -181,16 +190,15 @@ def draw_lens(
         axes.plot([], [], color=colour, linewidth=1.2, label=f"{field:.3g}°")
     _draw_glass(axes, lens, reach)
     _draw_mirrors(axes, lens, reach)
-    _draw_stop(axes, lens, top)
-    ends = np.array([[0.0, -image, 0.0], [0.0, image, 0.0]]) @ lens.image_rotation.T + lens.image_position_mm
+    _draw_stop(axes, lens, max(1.12 * max(reach), 1.12 * lens.surfaces[lens.stop_index].semi_diameter_mm))
     axes.plot(ends[:, 2], ends[:, 1], color="black", linewidth=1.4, zorder=4)
     for name in lens.elements:
         middle = np.mean([lens.surfaces[i].position_mm[2] for i in lens.indices_of(name)])
-        axes.annotate(name, (middle, -top), ha="center", va="top", fontsize=9, color="0.25")
+        axes.annotate(name, (middle, low[1]), ha="center", va="bottom", fontsize=9, color="0.25")
     axes.set(xlabel="z [mm]", ylabel="y [mm]", title=f"{lens.name}, {wave:g} nm")
     axes.set_aspect("equal")
-    axes.set_xlim(first - 0.12 * length, last + 0.04 * length)
-    axes.set_ylim(-max(1.25 * top, 1.05 * image), max(1.12 * top, 1.05 * image))
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=9)
     return figure
