@@ -18,6 +18,7 @@ import os
 import warnings
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,10 @@ from optics.errors import StarbenchError
 from optics.lens_file import LensFile, read_lens_file
 from optics.rays.paraxial import axial_paraxial
 from optics.rays.trace import Rays, trace
+
+
+FLAT_MM = 1e25
+"""Radius of a plane for batoid, whose formula does not know infinity."""
 
 
 def files_below(folder: Path) -> Iterator[Path]:
@@ -93,8 +98,8 @@ def batoid_surface(table: dict[str, Any]) -> Any:
         return batoid.Plane()
     if conic == -1.0:  # where the formula of other conics divides by 0
         conics = batoid.Paraboloid(radius)
-        return batoid.Sum([conics, batoid.Asphere(1e30, 0.0, list(terms))]) if any(terms) else conics
-    return batoid.Asphere(radius, conic, list(terms)) if any(terms) else batoid.Quadric(radius, conic)
+        return batoid.Sum([conics, batoid.Asphere(FLAT_MM, 0.0, list(terms))]) if any(terms) else conics
+    return batoid.Asphere(min(radius, FLAT_MM), conic, list(terms)) if any(terms) else batoid.Quadric(radius, conic)
 
 
 def batoid_frame(frame: Any, table: dict[str, Any]) -> Any:
@@ -152,8 +157,9 @@ def difference(peer: tuple[np.ndarray, np.ndarray] | str, file: LensFile) -> str
         return peer
     x, y, d = bundle(file)
     wave = file.lens.design_wavelength_nm
-    own = trace(file.lens, Rays.create(x_mm=x, y_mm=y, z_mm=-5.0, direction=d, wavelength_nm=wave))
-    lens = file.lens
+    bare = {i: replace(s, semi_diameter_mm=np.inf, apertures=()) for i, s in enumerate(file.lens.surfaces)}
+    lens = file.lens.with_surfaces(bare)  # the bundle of an off-axis lens may pass beside its rims
+    own = trace(lens, Rays.create(x_mm=x, y_mm=y, z_mm=-5.0, direction=d, wavelength_nm=wave))
     points = np.stack([own.x, own.y, np.zeros_like(own.x)], -1) @ lens.image_rotation.T + lens.image_position_mm
     arrived = np.asarray(own.ok) & np.isfinite(peer[0])
     if not arrived.any():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -9,8 +11,20 @@ from experiments.harness.plotting import INK, PALETTE, band_colours, new_figure
 from experiments.harness.quantities import Outcome
 from experiments.lens.study import SHOWN, Study
 from optics.figures import draw_lens
+from optics.rays.performance import white_focus
 
-__all__ = ["curvature", "distortion", "drawing", "lateral", "mtf", "spots"]
+__all__ = [
+    "curvature",
+    "distortion",
+    "drawing",
+    "encircled",
+    "images",
+    "lateral",
+    "mtf",
+    "spots",
+    "through_focus",
+    "wavefronts",
+]
 
 
 def _made(outcome: Outcome) -> Study:
@@ -87,7 +101,84 @@ def curvature(outcome: Outcome) -> Figure:
         axes.plot(1e3 * made.focus[:, column], made.field_deg, style, color=PALETTE[column], label=name)
     axes.axvline(0.0, color=INK, linewidth=0.6)
     axes.set(xlabel="best focus from the image plane [µm]", ylabel="field [°]")
+    axes.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    return figure
+
+
+def wavefronts(outcome: Outcome) -> Figure:
+    """Wavefront errors over the pupil, each at its own scale."""
+    made = _made(outcome)
+    assert made.waves is not None
+    figure, axes = new_figure(1, 3, aspect_ratio=0.36)
+    for panel, at, error in zip(axes, SHOWN, made.waves.wavefront, strict=True):
+        waves = error.error_nm / error.wavelength_nm
+        reach = max(float(np.abs(waves).max()), 1e-6)
+        filled = panel.tripcolor(error.x, error.y, waves, shading="gouraud", cmap="RdBu_r", vmin=-reach, vmax=reach,
+                                 rasterized=True)  # fmt: skip
+        figure.colorbar(filled, ax=panel, shrink=0.8, format="%.2g")
+        panel.set(title=f"{made.field_deg[at]:.3g}°", aspect="equal", xlim=(-1.05, 1.05), ylim=(-1.05, 1.05))
+        panel.set(xlabel="pupil, along the field")
+    axes[0].set_ylabel("pupil, across")
+    return figure
+
+
+def images(outcome: Outcome) -> Figure:
+    """Images of a star by diffraction, logarithmic, all at one scale."""
+    made = _made(outcome)
+    assert made.waves is not None
+    assert made.waves.images is not None
+    figure, axes = new_figure(1, 3, aspect_ratio=0.36, sharex=True, sharey=True)
+    half = 1e3 * made.waves.half_mm
+    shown: Any = None
+    for panel, at, image in zip(axes, SHOWN, made.waves.images, strict=True):
+        decibel = np.log10(np.maximum(image / made.waves.images.max(), 1e-12))
+        shown = panel.imshow(decibel, extent=(-half, half, -half, half), origin="lower", vmin=-4.0, vmax=0.0,
+                             interpolation="nearest")  # fmt: skip
+        panel.set(title=f"{made.field_deg[at]:.3g}°", xlabel="along the field [µm]")
+        panel.grid(visible=False)
+    axes[0].set_ylabel("across [µm]")
+    figure.colorbar(shown, ax=axes, shrink=0.8, label="log₁₀ of the brightest")
+    return figure
+
+
+def encircled(outcome: Outcome) -> Figure:
+    """Share of the light within circles: by diffraction at the design wavelength, by rays of all wavelengths."""
+    made = _made(outcome)
+    assert made.waves is not None
+    assert made.spots is not None
+    figure, axes = new_figure(width="half", aspect_ratio=0.8)
+    weight = made.weight / made.weight.sum()
+    for row, at in enumerate(SHOWN):
+        light = made.spots.area_mm2[at] * weight[:, None]
+        x, y = (np.where(light > 0, v[at], 0.0) for v in (made.spots.rays.x, made.spots.rays.y))
+        radius = np.hypot(x - (light * x).sum() / light.sum(), y - (light * y).sum() / light.sum())
+        within = [float(light[radius <= r].sum() / light.sum()) for r in made.waves.radius_mm]
+        axes.plot(1e3 * made.waves.radius_mm, within, "--", color=PALETTE[row], linewidth=0.9)
+        if made.waves.encircled is not None:
+            axes.plot(1e3 * made.waves.radius_mm, made.waves.encircled[row], "-", color=PALETTE[row])
+        axes.plot([], [], color=PALETTE[row], label=f"{made.field_deg[at]:.3g}°")
+    axes.set(xlabel="radius [µm]", ylabel="encircled light", ylim=(0.0, 1.02), xlim=(0.0, None))
     axes.legend(frameon=False)
+    return figure
+
+
+def through_focus(outcome: Outcome) -> Figure:
+    """Strehl ratio through focus; below it the RMS spot of all wavelengths."""
+    made = _made(outcome)
+    assert made.waves is not None
+    assert made.spots is not None
+    figure, (upper, lower) = new_figure(2, 1, width="half", aspect_ratio=1.0, sharex=True)
+    curve = white_focus(made.spots, made.weight / made.weight.sum())
+    shift = np.linspace(made.waves.focus_mm[0], made.waves.focus_mm[-1], 101)
+    spot = 1e3 * curve.rms_mm(shift[:, None])
+    for row, at in enumerate(SHOWN):
+        label = f"{made.field_deg[at]:.3g}°"
+        upper.plot(1e3 * made.waves.focus_mm, made.waves.strehl_through_focus[row], "o-", markersize=2.5,
+                   color=PALETTE[row], label=label)  # fmt: skip
+        lower.plot(1e3 * shift, spot[:, at], color=PALETTE[row])
+    upper.set(ylabel="Strehl ratio", ylim=(0.0, None))
+    lower.set(xlabel="shift of the image plane [µm]", ylabel="RMS spot [µm]", ylim=(0.0, None))
+    upper.legend(frameon=False)
     return figure
 
 

@@ -10,15 +10,17 @@ import numpy as np
 
 from optics.arrays import FloatArray
 from optics.errors import StarbenchError
+from optics.lens.system import LensSystem
 from optics.lens_file import LensFile
 from optics.rays.chief import chief_ray_points
 from optics.rays.paraxial import ParaxialLens, axial_paraxial
 from optics.rays.performance import LensPerformance, lens_performance, white_focus
 from optics.rays.spots import Spots, trace_spots
-from optics.waves.image_quality import transfer_function
-from optics.waves.pupil_field import trace_pupil
+from optics.waves.image_quality import perfect_peak, strehl, transfer_function
+from optics.waves.pupil_field import PupilField, trace_pupil
+from optics.waves.wavefront import Wavefront, wavefront
 
-__all__ = ["Study", "study"]
+__all__ = ["Study", "Waves", "study"]
 
 FIELD_SHARES = (0.0, 0.35, 0.5, 0.7, 0.85, 1.0)
 SHOWN = (0, 3, 5)
@@ -26,6 +28,13 @@ SHOWN = (0, 3, 5)
 FREQUENCIES = 41
 PUPIL_ORDER = (16, 48)
 """Rays whose phase a polynomial of the twelfth degree follows."""
+ZERNIKES = 15
+"""Noll coefficients, up to the fourth order."""
+FOCUS_STEPS, DEPTHS = 11, 3.0
+"""Image planes on both sides, to so many times the depth of focus 2 wavelength F^2 (a quarter wave at the rim)."""
+SIDE, CIRCLES = 121, 33
+AIRY_RADII, SPOT_RADII = 3.0, 2.5
+"""Images reach so many Airy radii and so many RMS radii of the largest spot from their middle."""
 BAND_SHARES = (0.85, 1.0, 1.2)
 """Wavelengths over the design wavelength, where the file states none or one."""
 
@@ -37,6 +46,41 @@ class Mtf:
     frequency: FloatArray
     geometric: FloatArray
     diffraction: FloatArray | None
+    note: str
+
+
+@dataclass(frozen=True, slots=True)
+class Waves:
+    """Diffraction at the design wavelength for the shown fields.
+
+    Attributes
+    ----------
+    wavefront : tuple of Wavefront
+        Wavefront errors about the reference point of the smallest.
+    zernike_waves : (fields, ZERNIKES)
+        Their Noll coefficients, in wavelengths.
+    strehl : tuple of float
+        Strehl ratios in the plane of the file.
+    focus_mm, strehl_through_focus : (z,), (fields, z)
+        Shifts of the image plane, and Strehl ratios there.
+    half_mm : float
+        Half the side of the images, about the mean of the light.
+    images : (fields, side, side)
+        Intensities over the brightest point of the same pupil without wavefront error; None where they need too many
+        rays, as ``note`` says.
+    radius_mm, encircled : (r,), (fields, r)
+        Share of the light within circles about the mean of the light; None like the images.
+    """
+
+    wavefront: tuple[Wavefront, ...]
+    zernike_waves: FloatArray
+    strehl: tuple[float, ...]
+    focus_mm: FloatArray
+    strehl_through_focus: FloatArray
+    half_mm: float
+    images: FloatArray | None
+    radius_mm: FloatArray
+    encircled: FloatArray | None
     note: str
 
 
@@ -58,6 +102,7 @@ class Study:
     chief_mm: FloatArray | None
     focus: FloatArray | None
     mtf: Mtf | None
+    waves: Waves | None
     missing: dict[str, str]
 
 
@@ -111,6 +156,60 @@ def _mtf(lens: Any, spots: Spots, weight: FloatArray, fields: FloatArray, limit:
     return Mtf(frequency, geometric, diffraction, note)
 
 
+def _diffraction(lens: LensSystem, fields: FloatArray, rms_mm: FloatArray, f_number: float) -> Waves:
+    """Everything by waves, at the design wavelength."""
+    chosen = fields[list(SHOWN)], np.zeros(len(SHOWN)), [lens.design_wavelength_nm]
+    pupil, all_fields = trace_pupil(lens, *chosen, order=PUPIL_ORDER), range(len(SHOWN))
+    errors = tuple(wavefront(pupil, at=(row, 0)) for row in all_fields)
+    wave_mm = 1e-6 * lens.design_wavelength_nm
+    focus_mm = DEPTHS * 2.0 * wave_mm * f_number**2 * np.linspace(-1.0, 1.0, FOCUS_STEPS)
+    perfect = [perfect_peak(pupil, at=(row, 0)) for row in all_fields]
+    through = np.array([[_highest(pupil.shifted(float(z)), row) for z in focus_mm] for row in all_fields])
+    half_mm = AIRY_RADII * 1.22 * wave_mm * f_number + SPOT_RADII * float(np.nanmax(rms_mm[list(SHOWN)]))
+    radius_mm, images, encircled, note = half_mm * np.linspace(0.0, 1.0, CIRCLES), None, None, ""
+    try:
+        fine = trace_pupil(lens, *chosen, half_width_mm=half_mm)
+        grid = half_mm * np.linspace(-1.0, 1.0, SIDE)
+        means = [[float(v[row, 0]) for v in fine.mean_mm] for row in all_fields]
+        light = np.array([fine.intensity(x + grid, y + grid, at=(row, 0)) for row, (x, y) in enumerate(means)])
+        images, encircled = light / np.array(perfect)[:, None, None], _within(light, grid, radius_mm)
+    except StarbenchError as error:
+        note = str(error)
+    return Waves(
+        wavefront=errors,
+        zernike_waves=np.array([one.zernike_nm(ZERNIKES) / one.wavelength_nm for one in errors]),
+        strehl=tuple(strehl(pupil, at=(row, 0)) for row in all_fields),
+        focus_mm=focus_mm,
+        strehl_through_focus=through / np.array(perfect)[:, None],
+        half_mm=half_mm,
+        images=images,
+        radius_mm=radius_mm,
+        encircled=encircled,
+        note=note,
+    )
+
+
+def _highest(pupil: PupilField, row: int) -> float:
+    """Intensity of the brightest point, to a percent: the best of a fine grid about the best of a coarse one."""
+    unit_mm = 1e-6 * float(pupil.wavelength_nm[0]) / float(np.hypot(pupil.l, pupil.m)[row].max())
+    x, y = (float(v[row, 0]) for v in pupil.mean_mm)
+    image = np.zeros((1, 1))
+    for reach, step in ((5.0, 0.25), (0.25, 0.05)):
+        grid = unit_mm * np.arange(-reach, reach + 0.5 * step, step)
+        image = pupil.intensity(x + grid, y + grid, at=(row, 0))
+        at_y, at_x = np.unravel_index(int(image.argmax()), image.shape)
+        x, y = x + float(grid[at_x]), y + float(grid[at_y])
+    return float(image.max())
+
+
+def _within(light: FloatArray, grid: FloatArray, radius_mm: FloatArray) -> FloatArray:
+    """Light within circles (fields, r) about the middle of images, whose cells at the rim count in part."""
+    step = float(grid[1] - grid[0])
+    part = np.clip((radius_mm[:, None, None] - np.hypot(grid, grid[:, None])) / step + 0.5, 0.0, 1.0)
+    part[0] = 0.0
+    return np.asarray(np.einsum("fyx,ryx->fr", light, part)) * step**2
+
+
 def study(file: LensFile, shown: str) -> Study:
     """Compute a page.
 
@@ -140,13 +239,15 @@ def study(file: LensFile, shown: str) -> Study:
     if spots is not None:
         performance = tried("distortion", lambda: lens_performance(lens, fields, waves, weight, spots=spots))
     chief = tried("lateral colour", lambda: chief_ray_points(lens, fields[:, None], 0.0, waves[None, :])[0])
-    focus = mtf = None
+    focus = mtf = by_waves = None
     if spots is not None:
         focus = _along_and_across(spots, weight)
         f_number = abs(first.f_number) if first is not None and np.isfinite(first.f_number) else 4.0
         limit = min(1e6 / (lens.design_wavelength_nm * f_number), 200.0)
         mtf = tried("MTF", lambda: _mtf(lens, spots, weight, fields, limit))
-    return Study(shown, file, waves, weight, fields, first, spots, performance, chief, focus, mtf, missing)
+        rms = np.asarray(white_focus(spots, weight / weight.sum()).rms_mm())
+        by_waves = tried("images by diffraction", lambda: _diffraction(lens, fields, rms, f_number))
+    return Study(shown, file, waves, weight, fields, first, spots, performance, chief, focus, mtf, by_waves, missing)
 
 
 def white_rms_mm(made: Study) -> FloatArray | None:

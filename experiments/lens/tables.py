@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from experiments.harness.tables import Column, Table
-from experiments.lens.study import Study, white_rms_mm
+from experiments.lens.study import SHOWN, Study, white_rms_mm
 
 __all__ = ["tables"]
 
@@ -102,6 +102,41 @@ def _fields(made: Study) -> Table:
     )
 
 
+_ZERNIKE_NAMES = (
+    "piston", "tilt along", "tilt across", "defocus", "astigmatism 45°", "astigmatism 0°", "coma across", "coma along",
+    "trefoil across", "trefoil along", "spherical", "second astigmatism 0°", "second astigmatism 45°",
+    "tetrafoil 0°", "tetrafoil 22.5°",
+)  # fmt: skip
+
+
+def _wavefront(made: Study) -> dict[str, Table]:
+    """Strehl ratios with errors of the wavefront, and its Zernike coefficients."""
+    waves = made.waves
+    assert waves is not None
+    columns = [Column(name=f"{made.field_deg[at]:.3g}°", format=".4f") for at in SHOWN]
+    rows: list[Any] = [
+        ("Strehl ratio", *waves.strehl),
+        ("exp(-(2π σ)²) (Maréchal)", *(one.marechal for one in waves.wavefront)),
+        ("RMS σ [waves]", *(one.rms_waves for one in waves.wavefront)),
+        ("peak to valley [waves]", *(one.peak_to_valley_nm / one.wavelength_nm for one in waves.wavefront)),
+    ]
+    zernike: list[Any] = [
+        (f"{j + 1}", name, *(float(v) for v in waves.zernike_waves[:, j])) for j, name in enumerate(_ZERNIKE_NAMES) if j
+    ]
+    return {
+        "wavefront": Table(
+            columns=(Column(name="in the plane of the file"), *columns),
+            rows=rows,
+            caption="Wavefront at the design wavelength, tilt removed.",
+        ),
+        "zernike": Table(
+            columns=(Column(name="j"), Column(name="term"), *columns),
+            rows=zernike,
+            caption="Zernike coefficients (Noll, orthonormal) [waves]; positive: light is late.",
+        ),
+    }
+
+
 def _report(made: Study) -> dict[str, Table]:
     report = made.file.report
     assert report is not None
@@ -145,4 +180,6 @@ def tables(made: Study) -> dict[str, Table]:
     found = {"prescription": _prescription(made), "fields": _fields(made)}
     if made.first_order is not None:
         found["first_order"] = _first_order(made)
+    if made.waves is not None:
+        found |= _wavefront(made)
     return found | (_report(made) if made.file.report is not None else {})

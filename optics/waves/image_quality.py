@@ -14,7 +14,7 @@ from optics.arrays import FloatArray
 from optics.waves.even_pupil import even_pupil, waves_at_image
 from optics.waves.pupil_field import ComplexArray, PupilField
 
-__all__ = ["encircled_energy", "peak", "strehl", "strehl_through_focus", "transfer_function"]
+__all__ = ["encircled_energy", "peak", "perfect_peak", "strehl", "strehl_through_focus", "transfer_function"]
 
 
 def peak(field: PupilField, *, at: tuple[int, int] = (0, 0)) -> tuple[float, float, float]:
@@ -57,10 +57,14 @@ def strehl(field: PupilField, *, at: tuple[int, int] = (0, 0)) -> float:
     float
         Ratio, 0 to 1.
     """
+    return peak(field, at=at)[2] / perfect_peak(field, at=at)
+
+
+def perfect_peak(field: PupilField, *, at: tuple[int, int] = (0, 0)) -> float:
+    """Intensity [share of the light per mm^2] of the brightest point for the same pupil without phase errors."""
     amplitude = waves_at_image(field, at)[0]
-    ideal = (float(field.index[at[1]]) / (float(field.wavelength_nm[at[1]]) * 1e-6)) ** 2
-    ideal *= float(amplitude.sum()) ** 2 / float(field.area_mm2[at].sum())
-    return peak(field, at=at)[2] / ideal
+    scale = (float(field.index[at[1]]) / (float(field.wavelength_nm[at[1]]) * 1e-6)) ** 2
+    return scale * float(amplitude.sum()) ** 2 / float(field.area_mm2[at].sum())
 
 
 def strehl_through_focus(field: PupilField, focus_mm: ArrayLike, *, at: tuple[int, int] = (0, 0)) -> FloatArray:
