@@ -29,7 +29,6 @@ from optics.lens_file import LensFile, read_lens_file
 from optics.rays.paraxial import axial_paraxial
 from optics.rays.trace import Rays, trace
 
-
 FLAT_MM = 1e25
 """Radius of a plane for batoid, whose formula does not know infinity."""
 
