@@ -25,7 +25,7 @@ from astropy.utils.exceptions import AstropyUserWarning, AstropyWarning
 
 from optics.errors import ConfigError, StarbenchError
 
-__all__ = ["open_fits", "unpacked"]
+__all__ = ["image_header", "open_fits", "unpacked"]
 
 _BLOCK, _CARD = 2880, 80
 _PACKED: dict[bytes, Callable[..., Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ": lzma.open}
@@ -82,6 +82,23 @@ def open_fits(path: str | Path, **options: Any) -> Iterator[fits.HDUList]:
         raise ConfigError(f"{path}: not a readable FITS file ({error})") from None
     except Exception as error:  # astropy raises a dozen kinds on damaged files
         raise ConfigError(f"{path}: not a readable FITS file ({_said(error)})") from None
+
+
+def image_header(path: str | Path, hdu: int | str | None = None) -> fits.Header:
+    """Header of an image: of an extension, or of the first image in the file, compressed or not.
+
+    Raises
+    ------
+    ConfigError
+        As `open_fits`; no image, no such extension.
+    """
+    with open_fits(path) as content:
+        images = [one for one in content if one.is_image and one.header.get("NAXIS", 0) >= 2]
+        try:
+            header: fits.Header = (images[0] if hdu is None else content[hdu]).header.copy()
+        except (IndexError, KeyError):
+            raise ConfigError(f"{path}: holds no image {'' if hdu is None else f'in extension {hdu}'}") from None
+        return header
 
 
 def unpacked(path: Path) -> bytes | None:

@@ -165,7 +165,7 @@ class Observation:
             title=f"{self.sensor.camera.lens.name}, {frame.exposure_s:g} s",
             facts={
                 "right ascension": f"{ra:.4f}°",
-                "declination": f"{dec:.4f}°",
+                "declination": f"{dec:.4f}°".replace("-", "\N{MINUS SIGN}"),
                 "roll": f"{roll:.4f}°",
                 "filter": frame.band,
             },

@@ -16,7 +16,7 @@ from calib.measure.image import read_image
 from calib.records import SensorImage
 from experiments.laboratory.truth_marks import truth_marks
 from optics.errors import ConfigError
-from optics.fits import open_fits
+from optics.fits import image_header
 from optics.frame_page import Marks, differences, save_frame_page
 from render.fits.wcs import sky_grid
 
@@ -61,11 +61,11 @@ def write_page(asked: Asked, page: Path) -> Iterator[str]:
         A file that cannot be read or written, a catalogue where the file has no coordinates.
     """
     image = read_image(asked.file, hdu=asked.hdu, plane=asked.plane)
-    header = _header(asked)
+    header = image_header(asked.file, asked.hdu)
     sky = sky_grid(header, image.dn.shape)
     layers, reference = [], []
     if truth := asked.truth or _truth_beside(asked.file):
-        reference.append(truth_marks(_table(truth)))
+        reference.append(truth_marks(_columns(truth)))
     if asked.faintest_mag is not None:
         if sky is None:
             raise ConfigError(f"{asked.file}: has no world coordinates, so no star of the catalogue can be placed")
@@ -95,15 +95,6 @@ def _values(image: SensorImage) -> Any:
     return np.where(image.valid, image.dn, np.nan)
 
 
-def _header(asked: Asked) -> fits.Header:
-    with open_fits(asked.file) as content:
-        chosen = asked.hdu
-        if chosen is None:
-            chosen = next(at for at, one in enumerate(content) if one.is_image and one.header.get("NAXIS", 0) >= 2)
-        found: fits.Header = content[chosen].header.copy()
-        return found
-
-
 def _facts(header: fits.Header) -> dict[str, str]:
     known = {card: str(header[card]).strip() for card in CARDS if header.get(card) not in (None, "")}
     return {name: f"{text} s" if name == "EXPTIME" else text for name, text in known.items()}
@@ -117,8 +108,8 @@ def _truth_beside(file: Path) -> Path | None:
     return next((path for form in ("parquet", "ecsv") if (path := folder / f"{file.stem}.{form}").is_file()), None)
 
 
-def _table(path: Path) -> Any:
-    """A table of any of the usual forms."""
+def _columns(path: Path) -> dict[str, Any]:
+    """Columns of a table in any of the usual forms."""
     from astropy.table import Table
 
     try:
@@ -126,8 +117,9 @@ def _table(path: Path) -> Any:
             import pyarrow.parquet as pq
 
             columns = pq.read_table(path)
-            return Table({name: columns.column(name).to_numpy() for name in columns.column_names})
-        return Table.read(path, format={".ecsv": "ascii.ecsv", ".csv": "ascii.csv"}.get(path.suffix))
+            return {name: columns.column(name).to_numpy() for name in columns.column_names}
+        table = Table.read(path, format={".ecsv": "ascii.ecsv", ".csv": "ascii.csv"}.get(path.suffix))
+        return {name: np.asarray(table[name]) for name in table.colnames}
     except Exception as error:  # pyarrow and astropy raise what their readers happen to raise
         raise ConfigError(f"{path}: no table that can be read ({' '.join(str(error).split())[:160]})") from None
 

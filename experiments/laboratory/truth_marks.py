@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -28,13 +29,13 @@ SHOWN = {
 }
 
 
-def truth_marks(table: Any, name: str = "true stars") -> Marks:
+def truth_marks(table: Mapping[str, Any], name: str = "true stars") -> Marks:
     """Rows of a table of stars, brightest first.
 
     Parameters
     ----------
-    table : astropy.table.Table
-        With columns ``photon_x_px, photon_y_px`` as the truth of a dataset, or ``x_px, y_px``.
+    table : mapping of str to (n,) array
+        Columns by name, with ``photon_x_px, photon_y_px`` as the truth of a dataset, or ``x_px, y_px``.
     name : str
         Of the layer.
 
@@ -43,14 +44,15 @@ def truth_marks(table: Any, name: str = "true stars") -> Marks:
     ConfigError
         No columns of places.
     """
-    found = next((pair for pair in PLACES if set(pair) <= set(table.colnames)), None)
+    known = {name: np.asarray(values) for name, values in table.items()}
+    found = next((pair for pair in PLACES if set(pair) <= set(known)), None)
     if found is None:
-        raise ConfigError(f"table of stars: columns x_px and y_px are needed; it has {', '.join(table.colnames)}")
-    x, y = (np.asarray(table[column], np.float64) for column in found)
-    light = next((np.asarray(table[one], np.float64) for one in BRIGHTNESS if one in table.colnames), None)
-    order = np.arange(len(table)) if light is None else np.argsort(-light, kind="stable")
+        raise ConfigError(f"table of stars: columns x_px and y_px are needed; it has {', '.join(known)}")
+    x, y = (known[column].astype(np.float64) for column in found)
+    light = next((known[one].astype(np.float64) for one in BRIGHTNESS if one in known), None)
+    order = np.arange(len(x)) if light is None else np.argsort(-light, kind="stable")
     if light is not None:
         order = order[light[order] > 0]
-    columns = {shown: np.asarray(table[column])[order] for column, shown in SHOWN.items() if column in table.colnames}
+    columns = {shown: known[column][order] for column, shown in SHOWN.items() if column in known}
     magnitude = columns.get("magnitude", ())
     return Marks(name=name, x_px=x[order], y_px=y[order], label=[f"{one:.1f}" for one in magnitude], columns=columns)

@@ -11,6 +11,7 @@ from experiments.dataset.truth.frame_record import FrameRecord
 from experiments.harness.progress import Progress
 
 if TYPE_CHECKING:
+    from experiments.dataset.evaluation.evaluate import Example
     from experiments.dataset.frames.scene import Scene
     from experiments.dataset.result import Result
 
@@ -78,4 +79,29 @@ def write_closing_files(result: Result, folder: Path) -> None:
             (folder / f"index_{split}.parquet").write_bytes(index_bytes(some, "parquet", truth))
     (folder / "croissant.json").write_text(croissant(result, folder), encoding="utf-8")
     (folder / "README.md").write_text(data_card(result), encoding="utf-8")
+    if result.evaluation is not None and result.evaluation.example is not None:
+        _write_frame_page(result, result.evaluation.example, folder)
     (folder / "contact_sheet.png").write_bytes(contact_sheet(result.folder, result.records))
+
+
+def _write_frame_page(result: Result, example: Example, folder: Path) -> None:
+    """``frame.html``: the frame that the report shows, to zoom into."""
+    from calib.figures import star_marks
+    from experiments.laboratory.truth_marks import truth_marks
+    from optics.fits import image_header
+    from optics.frame_page import differences, save_frame_page
+    from render.fits.files import read_frame
+    from render.fits.wcs import sky_grid
+
+    record = next(one for one in result.records if one.frame == example.frame)
+    frame, true = read_frame(result.folder / record.file), truth_marks(example.truth)
+    measured = star_marks(example.measured.stars)
+    save_frame_page(
+        folder / "frame.html",
+        frame.dn,
+        [true, *measured, differences([one for one in measured if one.shape != "cross"], true)],
+        title=f"Frame {record.frame}",
+        facts={"exposure": f"{record.exposure_s:g} s", "split": record.split, "filter": frame.band},
+        flags={"saturated": frame.saturated, "defective": frame.defect},
+        sky=sky_grid(image_header(result.folder / record.file), frame.dn.shape),
+    )

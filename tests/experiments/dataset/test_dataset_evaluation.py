@@ -74,6 +74,12 @@ def test_everything_that_was_described_is_there(folder):
     names = {file.name for file in folder.iterdir()}
     tables = {f"{name}.ecsv" for name in ("centroids", "completeness", "flags", "solved_frames", "solver")}
     assert {*tables, "README.md", "report.html", "results.nc", "summary.json", "index.parquet"} <= names
+    assert "(frame.html" in (folder / "report.html").read_text().replace('href="', "(")
+    page = json.loads(re.search(r'id="meta">(.*?)</script>', (folder / "frame.html").read_text(), re.DOTALL)[1])
+    first = pq.read_table(sorted(folder.glob("truth/*"))[0])
+    lit = first.column("electrons").to_numpy() > 0
+    assert sorted(page["layers"][0]["x"]) == sorted(first.column("photon_x_px").to_numpy()[lit].round(4))
+    assert page["layers"][-1]["name"] == "errors against true stars"
     with xr.open_dataset(folder / "results.nc", engine="scipy") as data:
         assert data["centroid_error_px"].attrs["units"] == "px"
         assert data["centroid_error_px"].attrs["ancillary_variables"] == "centroid_error_px_error"
