@@ -109,14 +109,14 @@ def parts(settings: list[str], frames: int) -> dict[str, float]:
     }
     for (owner, name), (label, function) in replaced.items():
         setattr(owner, name, timed(label, function))
-    tracer = maker._tracer
-    tracer.render = timed("trace and splat", tracer.render)  # type: ignore[method-assign]
+    renderer = maker._renderer
+    renderer.trace = timed("trace and splat", renderer.trace)  # type: ignore[method-assign]
     total = timed("all", work._write)
     with tempfile.TemporaryDirectory() as folder:
         for part in ("frames", "truth"):
             (Path(folder) / part).mkdir()
         for frame in range(frames):
-            total(maker, Path(folder), frame)
+            total(maker, "timed", Path(folder), frame)
     for (owner, name), (_, function) in replaced.items():
         setattr(owner, name, function)
     found = {name: 1e3 * float(np.median(values[frames // 4 :])) for name, values in times.items()}

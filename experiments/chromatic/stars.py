@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -91,7 +91,8 @@ def stellar_shift(config: StarsConfig, band: Band, instrument: Instrument) -> St
         photon_rate=np.repeat(rate, len(place), axis=0),
         band=("full",),
     )
-    truth = StarRenderer(camera).render(stars).truth
+    by_rays = replace(camera, diffraction="rays")  # which tell the mean of all light of diffraction images too
+    truth = StarRenderer(by_rays).render(stars).truth
     assert truth is not None
     position = np.stack([truth.photon_x_px, truth.photon_y_px], axis=-1).reshape(len(temperatures), len(place), 2)
     return StellarShift(

@@ -25,7 +25,7 @@ from render.tracing.pupil_points import TablePoints
 from render.tracing.wave_grid import WaveGrid, chebyshev
 from render.tracing.wave_images import LARGEST_RADIUS_PX, WaveGroup, WaveImages
 from render.tracing.wave_spectrum import picked_wavelengths
-from render.tracing.wave_windows import window_light, window_samples
+from render.tracing.wave_windows import COARSE_REACH_PX, coarser, window_light, window_samples
 
 __all__ = ["TOLERANCE", "WING_PX", "build_grid", "worth_a_grid"]
 
@@ -44,6 +44,8 @@ PROBES = 5
 COMPONENT = 5e-6
 """Error that principal components may leave in images of the coarsest grid, as a share of the light; finer grids weigh
 their images with larger numbers of both signs."""
+MOST_IMAGES = 1500
+"""Images of a band that a grid is made of, whose matrix of products is still cheap."""
 WING_PX = 30.0
 """How far beside the detector a star may be for its image to be rendered; so far the grid reaches."""
 SYMMETRIC_PX = 1e-6
@@ -162,14 +164,18 @@ class _FieldImages:
         needs = images.common_needs(groups)
         if needs is None or not np.isfinite(chief).all():
             return None
-        radius, field = max(needs[0], math.ceil(self.least_radius_px)), needs[1]
+        radius, fine = max(needs[0], math.ceil(self.least_radius_px)), needs[1]
+        field = fine.seen(self.camera.charge_diffusion_px)
         if radius > LARGEST_RADIUS_PX:
             return None
         pad, window = field.table(self.camera.charge_diffusion_px).pad_px, 2.0 * radius + 1.0
         samples = window_samples(field, window, pad) - 0.5 * window
         near = np.hypot(samples, samples[:, None]) <= radius + pad + 0.5
+        down, margin = coarser(fine, field, window, pad), pad + COARSE_REACH_PX
         picked = [picked_wavelengths(band, size / SIZES[0]) for band in self.wavelength_nm]
         most = max(len(which) for which, _, _ in picked)
+        if most * size**2 > MOST_IMAGES:
+            return None
         count = len(samples)
         light = np.zeros((bands, len(place), most, count, count), np.float32)
         moment, origin = np.zeros((len(place), bands, most, 6)), np.zeros((len(place), bands, 2))
@@ -184,8 +190,8 @@ class _FieldImages:
                 for q, k in enumerate(which):
                     one = np.zeros(colours)
                     one[k] = 1.0
-                    image = window_light(waves, (0, b), one, mean - 0.5 * window, window, field, pad_px=pad)
-                    light[b, star, q] = image * near
+                    image = window_light(waves, (0, b), one, mean - 0.5 * window, window, fine, pad_px=margin)
+                    light[b, star, q] = (down @ image @ down.T) * near
         if mirrored:
             light, moment, origin = _unfolded(light, moment, origin, size)
         kernel = field.pixel(1.0, self.camera.charge_diffusion_px)

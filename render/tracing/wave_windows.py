@@ -23,13 +23,18 @@ from scipy.special import i0e
 from optics.arrays import FloatArray
 from render.tracing.plane_waves import PlaneWaves
 
-__all__ = ["BandLimited", "FieldSampling", "PixelTable", "window_light", "window_samples"]
+__all__ = ["COARSE_REACH_PX", "BandLimited", "FieldSampling", "PixelTable", "coarser", "window_light", "window_samples"]
 
 
 LIGHT_RATE = 2.3
 """Samples of |U|^2 per cycle of its highest frequency and px, over 1."""
 KERNEL_ERROR = 1e-6
 """At which the kernel of a pixel ends."""
+UNSEEN = 5e-5
+"""Part of a wave of light along an axis, left by pixels and diffusion, that is not kept in images of many stars; the
+lens leaves little of it before."""
+COARSE_REACH_PX = 3.0
+"""How far the samples of such images draw on those of |U|^2."""
 SPREAD = 7
 """Points of the grid of frequencies along an axis to which a ray is spread: errors of 5e-7 of the largest amplitude."""
 OVERSAMPLING = 2
@@ -125,6 +130,13 @@ class FieldSampling:
         tail = math.log(max(left, KERNEL_ERROR) / KERNEL_ERROR) / (math.pi * (high - self.highest))
         reach = max(0.5 * box_px + 5.5 * sigma_px + 0.5, tail)
         return BandLimited(self.highest, high, reach, box_px, sigma_px)
+
+    def seen(self, sigma_px: float) -> FieldSampling:
+        """Sampling of what pixels see after diffusion: what lies beyond its highest frequency they take for 0."""
+        frequency = np.linspace(0.5, 0.5 + self.highest, 1000)
+        passed = np.exp(-2.0 * (np.pi * sigma_px * frequency) ** 2) / (np.pi * frequency)
+        unseen = frequency[passed < UNSEEN]
+        return FieldSampling(min(self.highest, float(unseen[0]))) if len(unseen) else self
 
     def table(self, sigma_px: float) -> PixelTable:
         """Weights of samples for pixels that lie anywhere between them."""
@@ -226,6 +238,15 @@ def _spread(frequency: FloatArray, step: float, count: int, weight: NDArray[np.c
         value *= weight[:, None]
     rows = np.arange(0, index.size + 1, SPREAD, dtype=np.int32)
     return csr_array((value.ravel(), index.ravel(), rows), shape=(len(place), count))
+
+
+def coarser(fine: FieldSampling, coarse: FieldSampling, window_px: float, pad_px: float) -> NDArray[np.float32]:
+    """What makes coarse samples (c,) of a window of fine ones (f,), whose margin is `COARSE_REACH_PX` wider."""
+    rate = 1.0 / coarse.light_step
+    kernel = BandLimited(coarse.highest, rate - coarse.highest, COARSE_REACH_PX)
+    at = window_samples(fine, window_px, pad_px + COARSE_REACH_PX)
+    to = window_samples(coarse, window_px, pad_px)
+    return np.asarray(kernel(to[:, None] - at) * fine.light_step, np.float32)
 
 
 def window_light(

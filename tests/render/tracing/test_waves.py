@@ -181,15 +181,22 @@ def test_effective_psf_is_what_the_renderer_puts_into_pixels(engine):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("change", [lambda lens: lens, lambda lens: decentre(lens, "L2", 0.15, -0.1)])
-def test_images_interpolated_over_the_field_are_those_of_every_star(engine, change):
+@pytest.mark.parametrize(
+    ("name", "focal_mm", "change"),
+    [
+        ("star_camera_206mm", 206.2, lambda lens: lens),
+        ("star_camera_206mm", 206.2, lambda lens: decentre(lens, "L2", 0.15, -0.1)),
+        ("star_tracker_26mm", 26.0, lambda lens: lens),
+    ],
+)
+def test_images_interpolated_over_the_field_are_those_of_every_star(engine, name, focal_mm, change):
     """Also those of a lens that is not one of revolution, for which mirrored images would be wrong."""
-    lens = change(load_lens("star_camera_206mm"))
+    lens = change(load_lens(name))
     camera = camera_of(lens, 900, 700)
     rng = np.random.default_rng(5)
     x, y = rng.uniform(60.0, 840.0, 16), rng.uniform(60.0, 640.0, 16)
     wave = np.array([560.0, 680.0])
-    direction = camera.nominal_direction(x, y, 206.2)
+    direction = camera.nominal_direction(x, y, focal_mm)
     stars = StarField(
         direction=direction,
         wavelength_nm=wave[None],
@@ -210,10 +217,10 @@ def test_images_interpolated_over_the_field_are_those_of_every_star(engine, chan
     assert fast.truth.photon_x_px == pytest.approx(exact.truth.photon_x_px, abs=1e-6)
     assert fast.truth.electrons_beyond == pytest.approx(exact.truth.electrons_beyond, rel=0.2)
     rays = Tracer(replace(camera, diffraction="rays")).render(stars, exposure_s=1.0).truth  # the grid traces none
-    for name in ("chief_x_px", "chief_y_px", "bundle_x_px", "bundle_y_px"):
-        assert getattr(fast.truth, name) == pytest.approx(getattr(rays, name), abs=1e-5)
-    for name in ("variance_x_px2", "variance_y_px2", "electrons_in"):
-        assert getattr(fast.truth, name) == pytest.approx(getattr(rays, name), rel=1e-4)
+    for key in ("chief_x_px", "chief_y_px", "bundle_x_px", "bundle_y_px"):
+        assert getattr(fast.truth, key) == pytest.approx(getattr(rays, key), abs=1e-5)
+    for key in ("variance_x_px2", "variance_y_px2", "electrons_in"):
+        assert getattr(fast.truth, key) == pytest.approx(getattr(rays, key), rel=1e-4)
 
 
 @pytest.mark.slow
