@@ -21,7 +21,7 @@ from optics.files.read import SUFFIXES, Reading, import_lens, split_configuratio
 from optics.files.report import ImportReport, ReportLine, Status
 from optics.glass.catalogue import list_glasses
 from optics.glass.media import CATALOGUE_AIR, Environment
-from optics.lens.geometry import crossings, geometry_faults, idle_stop
+from optics.lens.geometry import acts, crossings, geometry_faults, idle_stop
 from optics.lens.prescription import lens_from_table, rims_mm
 from optics.lens.system import LensSystem
 from optics.lens.tables import BREAK, Prescription
@@ -186,8 +186,10 @@ def _of_toml(path: Path, where: str, environment: Environment | None) -> LensFil
 
 
 def _open(lens: LensSystem) -> list[int]:
-    """Surfaces without any clear aperture."""
-    return [i for i, s in enumerate(lens.surfaces) if np.isinf(s.semi_diameter_mm) and not s.apertures]
+    """Surfaces of glass and mirrors without any clear aperture; planes that only help to count have no rim."""
+    return [
+        i for i, s in enumerate(lens.surfaces) if np.isinf(s.semi_diameter_mm) and not s.apertures and acts(lens, i)
+    ]
 
 
 def _places(lens: LensSystem, tables: Mapping[str, Any]) -> list[int]:

@@ -152,7 +152,13 @@ def sequence(file: LensFile) -> Sequence:
         What design programs cannot hold: measured surface errors.
     """
     prescription = Prescription.model_validate(file.tables)
-    items = _with_stop(prescription, _items(prescription))
+    wide = {"semi_diameter_mm": file.lens.surfaces[file.lens.stop_index].semi_diameter_mm}  # [pupil] may have said it
+    items = [
+        Element(one.table.model_copy(update=wide), one.thickness_mm)
+        if isinstance(one, Element) and one.table.stop
+        else one
+        for one in _with_stop(prescription, _items(prescription))
+    ]
     for item in items:
         if isinstance(item, Element) and item.table.error is not None:
             raise ConfigError("a measured surface error cannot be written into this format")

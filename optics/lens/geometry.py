@@ -16,7 +16,7 @@ import numpy as np
 from optics.arrays import FloatArray
 from optics.lens.system import LensSystem, Surface
 
-__all__ = ["Crossing", "axial_ray", "crossings", "geometry_faults", "idle_stop"]
+__all__ = ["Crossing", "acts", "axial_ray", "crossings", "geometry_faults", "idle_stop"]
 
 
 HEIGHTS = 64
@@ -53,7 +53,7 @@ def _name(names: Sequence[str] | None, number: int) -> str:
     return f"surface {number}" if names is None else names[number]
 
 
-def _acts(lens: LensSystem, number: int) -> bool:
+def acts(lens: LensSystem, number: int) -> bool:
     """Whether a surface does more to light than to stop some of it."""
     surface = lens.surfaces[number]
     return surface.mirror or surface.shape.redirects or lens.media[number] != lens.media[number + 1]
@@ -61,7 +61,7 @@ def _acts(lens: LensSystem, number: int) -> bool:
 
 def _image_plane(lens: LensSystem, names: Sequence[str] | None) -> list[str]:
     """The image plane has to lie behind the last surface."""
-    at = max(i for i, s in enumerate(lens.surfaces) if s.is_stop or _acts(lens, i))
+    at = max(i for i, s in enumerate(lens.surfaces) if s.is_stop or acts(lens, i))
     last = lens.surfaces[at]
     behind = float((lens.image_position_mm - last.position_mm) @ lens.axis[-1])
     if behind > 0.0:
@@ -82,7 +82,7 @@ def _on_one_axis(one: Surface, other: Surface) -> float | None:
 
 def crossings(lens: LensSystem, names: Sequence[str] | None = None) -> list[Crossing]:
     """Surfaces that follow each other and meet inside both their rims; parameters as `geometry_faults`."""
-    real = [(i, s) for i, s in enumerate(lens.surfaces) if s.shape.curvature != 0.0 or _acts(lens, i)]
+    real = [(i, s) for i, s in enumerate(lens.surfaces) if s.shape.curvature != 0.0 or acts(lens, i)]
     found = []
     for (i, one), (j, other) in itertools.pairwise(real):
         distance = _on_one_axis(one, other)

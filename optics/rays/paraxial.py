@@ -141,7 +141,7 @@ def axial_paraxial(lens: LensSystem, wavelength_nm: float) -> ParaxialLens:
     # z of points on the axis in front of the lens, and behind its last surfaces
     z_first, z_last, z_end = (float(point[2]) for point in (start, lens.surfaces[last].position_mm, end))
     along_in, along_out = float(lens.axis[0][2]), float(lens.axis[-1][2])
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         entrance_z = z_first + along_in * n_in * np.divide(before[0, 1], before[0, 0])
         exit_z = z_end - along_out * n_out * np.divide(after[0, 1], after[1, 1])
         entrance_radius = np.abs(np.divide(stop.semi_diameter_mm, before[0, 0]))
