@@ -25,7 +25,7 @@ from astropy.utils.exceptions import AstropyUserWarning, AstropyWarning
 
 from optics.errors import ConfigError, StarbenchError
 
-__all__ = ["image_header", "open_fits", "unpacked"]
+__all__ = ["image_header", "located", "open_fits", "unpacked"]
 
 _BLOCK, _CARD = 2880, 80
 _PACKED: dict[bytes, Callable[..., Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ": lzma.open}
@@ -50,7 +50,7 @@ def open_fits(path: str | Path, **options: Any) -> Iterator[fits.HDUList]:
     Parameters
     ----------
     path : str or pathlib.Path
-        The file.
+        The file, or a URL as fsspec reads it.
     **options
         For `astropy.io.fits.open`.
 
@@ -65,7 +65,7 @@ def open_fits(path: str | Path, **options: Any) -> Iterator[fits.HDUList]:
     ConfigError
         Missing, no FITS file, cut off, damaged, or of claims that its size does not bear out.
     """
-    path = Path(path)
+    path = located(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AstropyWarning)
@@ -101,6 +101,11 @@ def image_header(path: str | Path, hdu: int | str | None = None) -> fits.Header:
         return header
 
 
+def located(path: str | Path) -> Path | str:
+    """A path, or the text of a URL, which a path would not keep."""
+    return str(path) if "://" in str(path) else Path(path)
+
+
 def unpacked(path: Path) -> bytes | None:
     """Content of a file that is packed by gzip, bzip2 or xz; None of one that is not.
 
@@ -133,7 +138,13 @@ def unpacked(path: Path) -> bytes | None:
 
 
 @contextmanager
-def _stream(path: Path) -> Iterator[BinaryIO]:
+def _stream(path: Path | str) -> Iterator[BinaryIO]:
+    if isinstance(path, str):
+        import fsspec
+
+        with fsspec.open(path, "rb") as stream:
+            yield stream
+        return
     if not os.path.isfile(path):
         raise ConfigError(f"{path}: no such file")
     content = unpacked(path)

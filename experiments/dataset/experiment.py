@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +13,7 @@ import click
 
 from experiments.dataset.production.folder import DatasetFolder
 from experiments.dataset.production.identity import for_workers, identity, software
+from experiments.dataset.production.remote import RemoteDataset, is_url, working_copy
 from experiments.dataset.settings import Config
 from experiments.harness.cli import command
 from experiments.harness.experiment import Experiment
@@ -31,7 +34,12 @@ __all__ = ["Config", "experiment", "main", "run"]
 
 
 def output(path: str, config: Config) -> DatasetFolder:
-    """The folder of the dataset, new or begun."""
+    """The folder of the dataset, new or begun, or a URL."""
+    if is_url(path):
+        remote = RemoteDataset(path, config=identity(config), frames=config.frames, truth=config.files.truth)
+        if remote.only_here and (config.workers > 1 or config.scheduler):
+            raise ConfigError(f"{path}: is seen by this process alone; set workers = 1 and no scheduler")
+        return remote
     return DatasetFolder(path, config=identity(config), frames=config.frames, truth=config.files.truth)
 
 
@@ -57,10 +65,11 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
         scene = build_scene(config)
         _check_window(config, scene)
     backend, camera = Engine.active().backend, scene.instrument.camera
-    job = Job(config=for_workers(config).model_dump_json(), folder=str(output.path), backend=backend)
+    job = Job(config=for_workers(config).model_dump_json(), folder=str(output.path), backend=backend, url=output.url)
     output.open(software(backend))
     try:
         there = complete(config, output, job, pixels=camera.width_px * camera.height_px, progress=progress)
+        output.fetch(_needed(config, output, there.records))
         exports = write_exports(scene, output.path, there.records, progress)
         evaluation = _evaluate(config, output, scene, there.records, progress)
         return Result(
@@ -79,6 +88,17 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
     except BaseException:
         output.close()
         raise
+
+
+def _needed(config: Config, output: DatasetFolder, records: Sequence[FrameRecord]) -> list[str]:
+    """Files that are looked at on this machine: every truth, and frames for exports, report and contact sheet."""
+    from experiments.dataset.exports.contact_sheet import chosen
+    from experiments.dataset.exports.write import EXPORTS
+
+    exported = bool(config.exports) or any((output.path / name).is_dir() for name in EXPORTS)
+    seen = max(config.verify.frames, config.verify.resume_frames)
+    some = records if exported else (*records[:seen], *chosen(records))
+    return list(dict.fromkeys([*(one.truth for one in records), *(one.file for one in some)]))
 
 
 def _check_window(config: Config, scene: Scene) -> None:
@@ -116,7 +136,7 @@ def _resume(config: Config, job: Job, records: tuple[FrameRecord, ...], progress
     if len(some) < 2:
         return None
     with progress.stage("kill a run and take it up"):
-        return check_resume(job, some, truth=config.files.truth)
+        return check_resume(replace(job, url=""), some, truth=config.files.truth)
 
 
 def files(result: Result, folder: Path) -> None:
@@ -165,11 +185,12 @@ def check_command(words: Sequence[str]) -> int:
     status: list[int] = []
 
     @click.command(help="Read every file of a dataset and say what is damaged, and what a run would make again.")
-    @click.argument("folder", type=click.Path(path_type=Path))
-    def parse(folder: Path) -> None:
+    @click.argument("folder", metavar="FOLDER_OR_URL")
+    def parse(folder: str) -> None:
         from experiments.dataset.production.check import check
 
-        found = check(folder, terminal_progress())
+        with working_copy(folder) if is_url(folder) else nullcontext(Path(folder)) as held:
+            found = check(held, terminal_progress())
         click.echo("\n".join(found.lines()))
         status.append(EXIT_FAILED if found.damaged or found.missing else EXIT_GOOD)
 

@@ -314,6 +314,8 @@ def output_folder(experiment: Experiment, options: Options, config: ExperimentCo
             raise ConfigError(f"--force: {experiment.name} goes on with its folder and never replaces one; remove it")
         output: Output = experiment.output(options.out, config)
         return output
+    if "://" in options.out:
+        raise ConfigError(f"--out {options.out}: a folder is needed; only datasets are written to URLs")
     folder = OutputFolder(options.out)
     if not options.force:
         from experiments.harness.provenance import without_paths
@@ -402,4 +404,4 @@ def _show(run: Run, shown: str) -> None:
         if one.advice and not one.passed:
             console.print(f"{one.name}: {one.advice}", style="red", highlight=False, markup=False, soft_wrap=True)
     console.print(verdict_line(run.criteria, run.experiment.judged), style="bold", highlight=False)
-    console.print(f"report: {Path(shown) / 'report.html'}", highlight=False, soft_wrap=True)
+    console.print(f"report: {shown.rstrip('/') or ''}/report.html", highlight=False, soft_wrap=True)

@@ -28,7 +28,7 @@ from astropy.io import fits
 from numpy.typing import NDArray
 
 from optics.errors import ConfigError, DomainError, unknown_name
-from optics.fits import open_fits
+from optics.fits import located, open_fits
 from render.fits.headers import BLOCK, SUMS, Card, block, checked_cards, summed
 from render.records import ExpectedImage, Frame
 
@@ -217,7 +217,8 @@ def read_frame(
     Parameters
     ----------
     path : str or pathlib.Path
-        File; the first image in it is read, a third axis of length 1 dropped; `read_frames` reads all.
+        File, or a URL as fsspec reads it; the first image in it is read, a third axis of length 1 dropped;
+        `read_frames` reads all.
     gain_dn_per_e, offset_dn, read_noise_e, exposure_s, band : optional
         Take the place of the cards ``GAIN`` (reciprocal), ``OFFSET``, ``RDNOISE``, ``EXPTIME``, ``FILTER``.
 
@@ -232,7 +233,7 @@ def read_frame(
         Missing, broken or truncated file, no image, an image that is not of whole numbers from 0 to 65535, a card that
         is missing and not given here.
     """
-    path = Path(path)
+    path = located(path)
     header, image, mask = next(_images(path))
     if image.ndim == 3 and len(image) > 1:
         raise ConfigError(f"{path}: image has 3 axes, {len(image)} planes; one frame is needed here")
@@ -271,7 +272,7 @@ def read_frames(path: str | Path, *, gain_dn_per_e: float, offset_dn: float, rea
     ConfigError
         As `read_frame`.
     """
-    path, index = Path(path), 0
+    path, index = located(path), 0
     for header, image, mask in _images(path):
         planes = image.reshape(-1, *image.shape[-2:])
         flags = _mask_planes(path, image.shape, mask)
@@ -296,7 +297,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _frame(
-    path: Path,
+    path: Path | str,
     header: fits.Header,
     image: NDArray[Any],
     flags: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None,
@@ -405,7 +406,7 @@ def _umask() -> int:
     return mask
 
 
-def _images(path: Path) -> Iterator[tuple[fits.Header, NDArray[Any], fits.ImageHDU | None]]:
+def _images(path: Path | str) -> Iterator[tuple[fits.Header, NDArray[Any], fits.ImageHDU | None]]:
     """Header, data of two or three axes, and MASK or None of every frame or cube in a file."""
     with open_fits(path) as content:
         pictures = [hdu for hdu in content if hdu.is_image and hdu.header.get("NAXIS", 0)]
@@ -432,7 +433,7 @@ def _images(path: Path) -> Iterator[tuple[fits.Header, NDArray[Any], fits.ImageH
 
 
 def _mask_planes(
-    path: Path, shape: tuple[int, ...], mask: fits.ImageHDU | None
+    path: Path | str, shape: tuple[int, ...], mask: fits.ImageHDU | None
 ) -> list[tuple[NDArray[np.bool_], NDArray[np.bool_]]] | None:
     """(saturated, defective) pixels of every plane, or of all planes together, by a MASK."""
     if mask is None:
@@ -457,7 +458,7 @@ def _mask_planes(
     return [((plane & bits.get("SATURATE", 0)) != 0, (plane & bits.get("DEFECT", 0)) != 0) for plane in planes]
 
 
-def _check_whole(path: Path, image: NDArray[Any]) -> None:
+def _check_whole(path: Path | str, image: NDArray[Any]) -> None:
     """Refuse what is no raw frame of up to 16 bits, and say why."""
     if image.dtype.kind == "f" and not np.isfinite(image).all():
         fault = (

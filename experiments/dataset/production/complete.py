@@ -8,9 +8,8 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 
-from experiments.dataset.production.folder import DatasetFolder, StorageError, checked_frame, numbers
+from experiments.dataset.production.folder import DatasetFolder, StorageError, numbers
 from experiments.dataset.production.job import Job
 from experiments.dataset.production.schedule import make_frames
 from experiments.dataset.settings import Config
@@ -72,7 +71,7 @@ def complete(config: Config, output: DatasetFolder, job: Job, *, pixels: int, pr
     StarbenchError
         See `experiments.dataset.production.schedule.make_frames`; or less room on the disk than the frames need.
     """
-    records = _whole_frames(config, output, progress)
+    records = _whole_frames(output, progress)
     damaged = tuple(frame for frame in numbers(output.path) if frame not in records)
     missing = [frame for frame in range(config.frames) if frame not in records]
     if missing:
@@ -88,7 +87,9 @@ def complete(config: Config, output: DatasetFolder, job: Job, *, pixels: int, pr
             stage.advance(len(some))
 
         try:
-            workers = make_frames(job, missing, workers=config.workers, scheduler=config.scheduler, done=done)
+            workers = make_frames(
+                job, missing, workers=1 if output.only_here else config.workers, scheduler=config.scheduler, done=done
+            )
         except StorageError as error:
             raise StorageError(
                 f"{output.shown}: {error}; {output.count()} of {config.frames} frames are whole and kept: make room "
@@ -119,12 +120,11 @@ def prompt_pool() -> Iterator[ThreadPoolExecutor]:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _whole_frames(config: Config, output: DatasetFolder, progress: Progress) -> dict[int, FrameRecord]:
+def _whole_frames(output: DatasetFolder, progress: Progress) -> dict[int, FrameRecord]:
     """Frames that are there and whole, by number."""
     there = numbers(output.path)
     if not there:
         return {}
-    check = partial(checked_frame, output.path, truth=config.files.truth)
     with prompt_pool() as pool:
-        found = progress.track(pool.map(check, there), "look at the frames there are", total=len(there))
+        found = progress.track(pool.map(output.checked, there), "look at the frames there are", total=len(there))
         return {one.frame: one for one in found if one is not None}

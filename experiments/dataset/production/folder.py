@@ -19,7 +19,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,7 @@ __all__ = [
     "file_digest",
     "frame_files",
     "held_identity",
+    "numbered",
     "numbers",
     "sum_lines",
     "write_whole",
@@ -109,6 +110,12 @@ def numbers(folder: Path) -> list[int]:
     return sorted(int(found.group(1)) for found in map(_NUMBERED.fullmatch, names) if found)
 
 
+def numbered(name: str) -> bool:
+    """Whether a name, relative to the dataset, is that of a truth file."""
+    folder, _, file = name.rpartition("/")
+    return folder == TRUTH and bool(_NUMBERED.fullmatch(file))
+
+
 def held_identity(folder: Path) -> dict[str, Any] | None:
     """Format, software and configuration of a dataset: from its first whole truth, which vouches for itself.
 
@@ -146,7 +153,7 @@ def sum_lines(folder: Path, known: Mapping[str, str]) -> str:
         for file in (part.rglob("*") if part != folder else part.iterdir())
         if file.is_file() and not file.name.startswith(".")
     )
-    names = [name for name in names if name != SUMS]
+    names = sorted({*names, *known} - {SUMS})
     with ThreadPoolExecutor() as pool:
         digests = pool.map(lambda name: known.get(name) or file_digest(folder / name), names)
         return "".join(f"{digest}  {name}\n" for digest, name in zip(digests, names, strict=True))
@@ -182,6 +189,8 @@ class DatasetFolder:
         Frames asked for.
     truth : str
         Format of the truth.
+    shown : str, optional
+        What to call it; the path if left out.
 
     Attributes
     ----------
@@ -195,8 +204,15 @@ class DatasetFolder:
         or folders that are links to elsewhere.
     """
 
-    def __init__(self, path: str | Path, *, config: Mapping[str, Any], frames: int, truth: str) -> None:
-        self.shown = str(path)
+    url = ""
+    """Where it is, if that is no folder (`experiments.dataset.production.remote`)."""
+    only_here = False
+    """Whether other processes cannot write it."""
+
+    def __init__(
+        self, path: str | Path, *, config: Mapping[str, Any], frames: int, truth: str, shown: str = ""
+    ) -> None:
+        self.shown = shown or str(path)
         self.path = Path(os.path.realpath(path))
         self.frames, self.truth = frames, truth
         self.digests: dict[str, str] = {}
@@ -215,6 +231,13 @@ class DatasetFolder:
     def count(self) -> int:
         """Frames there are, as their truth files say; they are not looked into."""
         return len(numbers(self.path))
+
+    def checked(self, frame: int) -> FrameRecord | None:
+        """Record of a frame if it is there and whole, otherwise None."""
+        return checked_frame(self.path, frame, self.truth)
+
+    def fetch(self, names: Iterable[str]) -> None:
+        """See to it that files of the dataset are in its folder: here they are."""
 
     def open(self, software: Mapping[str, str]) -> None:
         """Make the folder, or take it up again; from here on it is this process's.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import tempfile
 import threading
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +16,16 @@ from numpy.typing import NDArray
 from experiments.dataset.frames.header import header_cards
 from experiments.dataset.frames.maker import FrameMaker, MadeFrame
 from experiments.dataset.frames.scene import Scene, build_scene
-from experiments.dataset.production.folder import checked_frame, frame_files, storage_error, write_whole
+from experiments.dataset.production.folder import (
+    FRAMES,
+    TRUTH,
+    checked_frame,
+    frame_files,
+    storage_error,
+    write_whole,
+)
 from experiments.dataset.production.identity import origin
+from experiments.dataset.production.remote import Store
 from experiments.dataset.settings import Config
 from experiments.dataset.truth.disk_truth import disk_truth
 from experiments.dataset.truth.files import truth_bytes
@@ -46,11 +55,14 @@ class Job:
         The dataset's folder, the same for all workers.
     backend : str
         "llvm" or "cuda".
+    url : str
+        Where files go, if that is no folder; every process then works in one of its own.
     """
 
     config: str
     folder: str
     backend: str
+    url: str = ""
 
 
 def prepare(job: Job, threads: int | None = None) -> tuple[FrameMaker, str]:
@@ -95,9 +107,24 @@ def make_frame(job: Job, frame: int, threads: int | None = None) -> FrameRecord:
     """
     with _LOCK:
         maker, of_dataset = prepare(job, threads)
+        if job.url:
+            return _write_to_url(maker, of_dataset, job.url, frame)
         folder, truth = Path(job.folder), maker.scene.config.files.truth
         there = checked_frame(folder, frame, truth)
         return there if there is not None else _write(maker, of_dataset, folder, frame)
+
+
+def _write_to_url(maker: FrameMaker, of_dataset: str, url: str, frame: int) -> FrameRecord:
+    """Make a frame in a folder of this process, and write it where it belongs: the truth last."""
+    store = Store(url)
+    with tempfile.TemporaryDirectory(prefix="starbench-") as held:
+        folder = Path(held)
+        for name in (FRAMES, TRUTH):
+            (folder / name).mkdir()
+        record = _write(maker, of_dataset, folder, frame)
+        for name in (record.file, record.truth):
+            store.write(name, (folder / name).read_bytes())
+    return record
 
 
 def _write(maker: FrameMaker, of_dataset: str, folder: Path, frame: int) -> FrameRecord:

@@ -20,6 +20,7 @@ from typing import Any
 
 from experiments.dataset.production.identity import software
 from experiments.dataset.production.job import Job, make_frame
+from experiments.dataset.production.remote import Store
 from experiments.dataset.truth.frame_record import FrameRecord
 from experiments.harness.provenance import count_memory_of_workers, peak_memory_mb
 from experiments.harness.system import processors, signals_held
@@ -159,24 +160,32 @@ async def _greet(distributed: Any, address: str) -> None:
 
 def _check_workers(client: Any, job: Job, address: str) -> None:
     """Refuse workers that do not see the folder, or have other software."""
-    token = Path(job.folder) / f".token-{secrets.token_hex(8)}.partial"
+    token = f".token-{secrets.token_hex(8)}.partial"
     try:
-        token.touch()
+        Store(job.url).write(token, b"") if job.url else (Path(job.folder) / token).touch()
         try:
-            answers = client.run(probe, str(token), job.backend)
+            answers = client.run(probe, job, token)
         except Exception as error:  # whatever hinders a worker from running our function
             raise ConfigError(
                 f"scheduler {address}: its workers cannot run starbench ({_said(error)}); install the same version "
                 "there"
             ) from None
     finally:
-        token.unlink(missing_ok=True)
+        if job.url:
+            with contextlib.suppress(ConfigError):
+                Store(job.url).remove(token)
+        else:
+            (Path(job.folder) / token).unlink(missing_ok=True)
     ours = software(job.backend)
     for worker, (sees, theirs) in sorted(answers.items()):
         if not sees:
             raise ConfigError(
-                f"scheduler {address}: worker {worker} does not see the folder of the dataset; it must be on a file "
-                "system that all machines share, under the same path"
+                f"scheduler {address}: worker {worker} does not see {job.url or 'the folder of the dataset'}; "
+                + (
+                    "it must reach it"
+                    if job.url
+                    else "it must be on a file system that all machines share, under the same path"
+                )
             )
         for package, version in ours.items():
             if theirs.get(package) != version:
@@ -186,9 +195,10 @@ def _check_workers(client: Any, job: Job, address: str) -> None:
                 )
 
 
-def probe(token: str, backend: str) -> tuple[bool, dict[str, str]]:
-    """What a worker sees: whether a file is there, and its software."""
-    return Path(token).exists(), software(backend)
+def probe(job: Job, token: str) -> tuple[bool, dict[str, str]]:
+    """What a worker sees: whether a file of the dataset is there, and its software."""
+    sees = token in Store(job.url).names() if job.url else (Path(job.folder) / token).exists()
+    return sees, software(job.backend)
 
 
 class _Watch:

@@ -1,0 +1,240 @@
+"""A dataset at a URL (``s3://``, ``gs://``, ``memory://``, whatever fsspec knows): a protocol without renames.
+
+Stores of objects have neither renames nor locks. What makes a dataset whole there: every frame is written as one object
+before its truth, which holds the frame's size and digest and its own; so whatever was cut short is noticed and made
+again. ``SHA256SUMS`` is written last. Two runs at once are no danger, only twice the work: they write the same bytes.
+
+The work is done in a folder of this machine, which holds truth and index of all frames and, of the frames, those that
+are looked at or exported; workers of a cluster need no common file system.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import shutil
+import tempfile
+import weakref
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from experiments.dataset.production.folder import (
+    FRAMES,
+    IDENTITY,
+    OWN_FOLDERS,
+    SUMS,
+    TRUTH,
+    DatasetFolder,
+    StorageError,
+    frame_files,
+    numbered,
+)
+from experiments.dataset.truth.files import read_record
+from experiments.dataset.truth.frame_record import FrameRecord
+from optics.errors import ConfigError
+
+__all__ = ["RemoteDataset", "Store", "is_url", "working_copy"]
+
+AT_ONCE = 8
+
+
+def is_url(name: str) -> bool:
+    """Whether an output is named by a URL."""
+    return "://" in name
+
+
+class Store:
+    """Objects below a URL.
+
+    Parameters
+    ----------
+    url : str
+        As fsspec reads it.
+
+    Raises
+    ------
+    ConfigError
+        An unknown protocol, a library that is missing.
+    """
+
+    def __init__(self, url: str) -> None:
+        import fsspec
+
+        self.url = url.rstrip("/")
+        try:
+            self._system, root = fsspec.core.url_to_fs(self.url)
+        except (ImportError, ValueError) as error:
+            raise ConfigError(f"{url}: {_said(error)}") from None
+        self._root = str(root).rstrip("/")
+
+    @property
+    def of_this_process(self) -> bool:
+        """Whether no other process sees what is written."""
+        return self.url.startswith("memory:")
+
+    def names(self) -> set[str]:
+        """Names of all objects, relative."""
+        self._system.invalidate_cache()
+        with self._told(self.url):
+            try:
+                found = self._system.find(self._root)
+            except FileNotFoundError:
+                return set()
+            names = {str(name)[len(self._root) :].lstrip("/") for name in found} - {""}
+            return {name for name in names if ".." not in name.split("/")}  # such names would leave a folder
+
+    def read(self, name: str) -> bytes:
+        """Content of an object."""
+        with self._told(f"{self.url}/{name}"):
+            return bytes(self._system.cat_file(f"{self._root}/{name}"))
+
+    def write(self, name: str, content: bytes) -> None:
+        """Write an object, whole."""
+        with self._told(f"{self.url}/{name}"):
+            path = f"{self._root}/{name}"
+            self._system.makedirs(path.rpartition("/")[0], exist_ok=True)
+            self._system.pipe_file(path, content)
+
+    def remove(self, name: str) -> None:
+        """Remove an object."""
+        with self._told(f"{self.url}/{name}"):
+            self._system.rm_file(f"{self._root}/{name}")
+
+    @contextlib.contextmanager
+    def _told(self, what: str) -> Iterator[None]:
+        """Whatever a store raises, in one line."""
+        try:
+            yield
+        except Exception as error:  # every store has kinds of its own
+            raise StorageError(f"{what}: {_said(error)}") from None
+
+
+def _said(error: BaseException) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+def _fetch(store: Store, names: Iterable[str], folder: Path) -> None:
+    """Copies of objects in a folder."""
+
+    def one(name: str) -> None:
+        place = folder / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_bytes(store.read(name))
+
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        list(pool.map(one, names))
+
+
+@contextlib.contextmanager
+def working_copy(url: str) -> Iterator[Path]:
+    """All of a dataset in a folder of this machine, for as long as it is looked at.
+
+    Raises
+    ------
+    ConfigError
+        Nothing is there, or it cannot be read.
+    """
+    store = Store(url)
+    names = store.names()
+    if not names:
+        raise ConfigError(f"{url}: nothing is there")
+    with tempfile.TemporaryDirectory(prefix="starbench-") as folder:
+        _fetch(store, names, Path(folder))
+        yield Path(folder)
+
+
+class RemoteDataset(DatasetFolder):
+    """A dataset at a URL, new or begun; as `DatasetFolder`, whose ``path`` is a folder of this run.
+
+    Parameters
+    ----------
+    url : str
+        Where it is.
+    config, frames, truth
+        As of `DatasetFolder`.
+
+    Raises
+    ------
+    ConfigError
+        As `DatasetFolder`; a URL that cannot be read.
+    """
+
+    def __init__(self, url: str, *, config: Mapping[str, Any], frames: int, truth: str) -> None:
+        self.store = Store(url)
+        self._there = self.store.names()
+        foreign = {name for name in self._there if name.partition("/")[0] not in (*OWN_FOLDERS, IDENTITY)}
+        if foreign and IDENTITY not in self._there and not any(numbered(name) for name in self._there):
+            raise ConfigError(
+                f"{url}: holds {min(foreign)} but no {IDENTITY}, so it is no dataset; name another place or empty it"
+            )
+        folder = Path(tempfile.mkdtemp(prefix="starbench-"))
+        self._clean_up = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        parts = (f"{FRAMES}/", SUMS)  # frames are large, and looked at only where they are needed
+        _fetch(self.store, (name for name in self._there if not name.startswith(parts)), folder)
+        super().__init__(folder, config=config, frames=frames, truth=truth, shown=url)
+        self._stale: set[str] = set()
+        self.url, self.only_here = self.store.url, self.store.of_this_process
+
+    def count(self) -> int:
+        """Frames there are, as their truth files say; they are not looked into."""
+        try:
+            return sum(numbered(name) for name in self.store.names())
+        except StorageError:
+            return super().count()
+
+    def open(self, software: Mapping[str, str]) -> None:
+        """As `DatasetFolder.open`."""
+        super().open(software)
+        self._push(IDENTITY)
+
+    def close(self) -> None:
+        """Leave nothing behind where no frame was made."""
+        if not self._there and not self.count():
+            with contextlib.suppress(StorageError):
+                self.store.remove(IDENTITY)
+        super().close()
+
+    def check_room(self, needed_bytes: float) -> None:
+        """Nobody knows how much a store takes."""
+
+    def checked(self, frame: int) -> FrameRecord | None:
+        """Record of a frame if it is there and whole, otherwise None; the frame is read, and not kept."""
+        record = self._checked(frame)
+        if record is None:
+            self._stale |= set(frame_files(frame, self.truth))  # it will be made again
+        return record
+
+    def _checked(self, frame: int) -> FrameRecord | None:
+        frame_name, truth_name = frame_files(frame, self.truth)
+        try:
+            record = read_record(self.path / truth_name)
+            if (record.frame, record.file, record.truth) != (frame, frame_name, truth_name):
+                return None
+            content = self.store.read(frame_name)
+        except ConfigError:
+            return None
+        whole = len(content) == record.frame_bytes and hashlib.sha256(content).hexdigest() == record.sha256
+        return record if whole else None
+
+    def fetch(self, names: Iterable[str]) -> None:
+        """Copies of files of the dataset, where they are not in the folder yet."""
+        wanted = [name for name in names if name in self._stale or not (self.path / name).is_file()]
+        _fetch(self.store, wanted, self.path)
+        self._stale -= set(wanted)
+
+    @contextlib.contextmanager
+    def writing(self) -> Iterator[Path]:
+        """As `DatasetFolder.writing`; at the end all that is not frame or truth goes to the URL, the digests last."""
+        with super().writing() as staging:
+            yield staging
+        files = [file.relative_to(self.path).as_posix() for file in self.path.rglob("*") if file.is_file()]
+        mine = [name for name in files if not name.startswith((f"{FRAMES}/", f"{TRUTH}/", ".")) and name != SUMS]
+        with ThreadPoolExecutor(AT_ONCE) as pool:
+            list(pool.map(self._push, mine))
+        self._push(SUMS)
+        self._clean_up()
+
+    def _push(self, name: str) -> None:
+        self.store.write(name, (self.path / name).read_bytes())

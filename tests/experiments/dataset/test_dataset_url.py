@@ -1,0 +1,119 @@
+"""Datasets at URLs, by fsspec's memory and local file systems: the same bytes as in a folder, resumed and checked."""
+
+from __future__ import annotations
+
+import uuid
+
+import fsspec
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from astropy.io import fits
+
+from experiments.dataset.experiment import main
+from experiments.dataset.production.remote import Store, working_copy
+from optics.errors import ConfigError
+from render.fits.files import read_frame
+
+SETTINGS = {
+    "verify.frames": 0,
+    "calibration_frames": 3,
+    "instrument.width_px": 96,
+    "instrument.height_px": 64,
+    "pupil_tolerance": 1e-3,
+}
+RUN = ["--quick", "--frames", "3", *(part for key, value in SETTINGS.items() for part in ("--set", f"{key}={value}"))]
+OF_THE_RUN = {"provenance.json", "summary.json", "results.nc", "report.html", "SHA256SUMS"}
+"""Files that hold times of the run, or digests of those."""
+
+
+@pytest.fixture(params=["memory", "file"])
+def url(request, tmp_path):
+    return f"memory://{uuid.uuid4().hex}/sky" if request.param == "memory" else f"file://{tmp_path}/far/sky"
+
+
+def test_a_store_keeps_what_is_written(url):
+    store = Store(url)
+    assert store.names() == set()
+    store.write("a/b.fits", b"one")
+    store.write("c.json", b"two")
+    store.write("c.json", b"three")
+    assert store.names() == {"a/b.fits", "c.json"}
+    assert store.read("c.json") == b"three"
+    store.remove("c.json")
+    assert Store(url).names() == {"a/b.fits"}
+    with working_copy(url) as folder:
+        assert (folder / "a" / "b.fits").read_bytes() == b"one"
+    store.write("../outside", b"four")
+    assert store.names() == {"a/b.fits"}, "no copy of it may leave the folder"
+    with pytest.raises(ConfigError) as error:
+        store.read("nothing")
+    assert "nothing" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("out", "more", "said"),
+    [
+        ("nosuch://bucket/sky", [], "Protocol not known"),
+        ("memory://elsewhere/sky", ["--workers", "2"], "seen by this process alone"),
+    ],
+)
+def test_what_cannot_be_written_is_one_line(out, more, said, capsys):
+    assert main([*RUN, *more, "--out", out], own_process=False) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+
+
+def test_only_datasets_go_to_urls(capsys):
+    from experiments.temporal.experiment import main as temporal
+
+    assert temporal(["--quick", "--out", "memory://x/y"], own_process=False) == 2
+    assert "only datasets are written to URLs" in capsys.readouterr().err
+
+
+def objects(url):
+    store = Store(url)
+    return {name: store.read(name) for name in store.names()}
+
+
+@pytest.mark.slow
+def test_at_a_url_as_in_a_folder(url, engine, tmp_path, capsys):
+    """Oracle: the dataset in a folder. Then two files are damaged, and the same command mends them."""
+    folder, workers = tmp_path / "here", ["--workers", "1" if url.startswith("memory") else "2"]
+    assert main([*RUN, "--workers", "1", "--out", str(folder)], own_process=False) == 0
+    assert main([*RUN, *workers, "--out", url], own_process=False) == 0
+    here = {file.relative_to(folder).as_posix(): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+    there = objects(url)
+    assert set(there) == set(here)
+    same = set(here) - OF_THE_RUN
+    assert {name for name in same if there[name] != here[name]} == set()
+    assert main(["check", url]) == 0
+
+    store = Store(url)
+    store.remove("frames/frame_000001.fits")
+    store.write("truth/frame_000002.parquet", there["truth/frame_000002.parquet"][:-3])
+    capsys.readouterr()
+    assert main(["check", url]) == 1
+    assert "the same command makes again: frames 1, 2" in capsys.readouterr().out
+    assert main([*RUN, *workers, "--out", url], own_process=False) == 0
+    again = objects(url)
+    assert {name for name in same if again.get(name) != here[name]} == set()
+    assert main(["check", url]) == 0
+    assert main([*RUN, "--seed", "9", "--out", url], own_process=False) == 2
+    assert "seed = 1" in capsys.readouterr().err
+    assert objects(url) == again
+
+    with fsspec.open(f"{url}/index.parquet") as stream:
+        first = pq.read_table(stream).to_pylist()[0]
+    frame = read_frame(f"{url}/{first['file']}")
+    np.testing.assert_array_equal(frame.dn, fits.getdata(folder / first["file"]))
+
+
+@pytest.mark.slow
+def test_what_others_hold_there_is_left(engine, capsys):
+    store = Store(f"memory://{uuid.uuid4().hex}")
+    store.write("letters.txt", b"mine")
+    assert main([*RUN, "--out", store.url], own_process=False) == 2
+    assert "is no dataset" in capsys.readouterr().err
+    assert objects(store.url) == {"letters.txt": b"mine"}
