@@ -195,7 +195,8 @@ class SplitsConfig(StrictModel):
     by: Literal["auto", "sky", "arc", "frame"] = Field(
         default="auto",
         description="sky: regions of the sky with gaps between them; arc: parts of the circle of a scan; frame: at "
-        "random, whatever they show; auto: sky for attitudes over all the sky, arc for scans, otherwise frame",
+        "random, whatever they show; auto: sky for attitudes over all the sky, arc for scans, sky for cones and lists "
+        "where the gaps leave half of the frames, otherwise frame",
     )
     gap_deg: float | None = Field(
         default=None, ge=0, le=180, description="least angle between boresights of two splits; left out: the diagonal"

@@ -164,7 +164,7 @@ def build_plan(config: Config, height_px: int | None = None, diagonal_deg: float
         path=path,
         to_sun=to_sun,
         jitter=jitter,
-        splits=build_splits(config, streams, diagonal_deg),
+        splits=build_splits(config, streams, diagonal_deg, None if attitudes is None else attitudes.as_matrix()[:, 2]),
     )
 
 

@@ -2,8 +2,10 @@
 
 Random attitudes over the sky: a cap about a random pole is for the test, the cap opposite to it for validation, the
 rest for training; between them lie gaps as wide as the field's diagonal, so that no star is in two splits. A turning
-scan runs along a circle, once or many times over: it is cut into arcs, with the same gaps. Frames in gaps belong to no
-split; they count as ``gap``. Everything else is shared out at random, and the leakage is what it is (`leakage`).
+scan runs along a circle, once or many times over: it is cut into arcs, with the same gaps. A cone, or the attitudes of
+a list, are cut across: one side is for the test, the other for validation, what lies between the gaps for training.
+Frames in gaps belong to no split; they count as ``gap``. Where gaps would leave less than half of the frames, and
+everywhere else, frames are shared out at random, and the leakage is what it is (`leakage`).
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 
-from experiments.dataset.settings import Config, ScanPointing, SkyPointing, SplitsConfig
+from experiments.dataset.settings import ConePointing, Config, ScanPointing, SkyPointing, SplitsConfig
 from optics.arrays import FloatArray
 from optics.attitude import attitude_from_angles
 from optics.errors import DomainError
@@ -32,6 +34,8 @@ SPLITS = ("train", "validation", "test")
 GAP = "gap"
 BLOCK = 100
 WIDEST_GAP_RAD = 0.5 * math.pi
+CONE_POINTS = 20_000
+LEAST_USED = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +57,7 @@ class Splits:
     of: Callable[[int, FloatArray], str]
 
 
-def build_splits(config: Config, streams: Streams, diagonal_deg: float) -> Splits:
+def build_splits(config: Config, streams: Streams, diagonal_deg: float, listed: FloatArray | None = None) -> Splits:
     """The splits of a dataset; which one a frame is in follows from configuration, number and boresight.
 
     Parameters
@@ -64,6 +68,8 @@ def build_splits(config: Config, streams: Streams, diagonal_deg: float) -> Split
         Root of the dataset's randomness.
     diagonal_deg : float
         Diagonal of the field, the gap unless one is given.
+    listed : (n, 3), optional
+        Boresights of a list of attitudes.
 
     Raises
     ------
@@ -72,15 +78,15 @@ def build_splits(config: Config, streams: Streams, diagonal_deg: float) -> Split
     """
     splits = config.splits
     gap_rad = (diagonal_deg if splits.gap_deg is None else splits.gap_deg) * DEG_RAD
-    circle = _circle(config)
+    circle, looks = _circle(config), listed if listed is not None else _cone(config)
     if splits.by == "auto":
         with suppress(DomainError):  # a field too wide, a scan about the boresight
-            if isinstance(config.pointing, SkyPointing):
-                return _by_sky(splits, streams, gap_rad)
             if circle is not None:
                 return _by_arc(splits, *circle, gap_rad)
+            if looks is not None or isinstance(config.pointing, SkyPointing):
+                return _by_sky(splits, streams, gap_rad, looks)
     if splits.by == "sky":
-        return _by_sky(splits, streams, gap_rad)
+        return _by_sky(splits, streams, gap_rad, looks)
     if splits.by == "arc":
         if circle is None:
             raise DomainError("splits.by = arc needs a scan at a constant rate across the sky; take sky or frame")
@@ -88,7 +94,12 @@ def build_splits(config: Config, streams: Streams, diagonal_deg: float) -> Split
     return Splits(by="frame", gap_deg=0.0, of=lambda frame, _: _of_block(splits, streams, frame))
 
 
-def _by_sky(splits: SplitsConfig, streams: Streams, gap_rad: float) -> Splits:
+def _by_sky(splits: SplitsConfig, streams: Streams, gap_rad: float, looks: FloatArray | None) -> Splits:
+    """Regions of all the sky, or of the part that boresights ``looks`` (n, 3) fill."""
+    return _by_caps(splits, streams, gap_rad) if looks is None else _by_side(splits, streams, looks, gap_rad)
+
+
+def _by_caps(splits: SplitsConfig, streams: Streams, gap_rad: float) -> Splits:
     """Caps about a random pole and its opposite, as large as makes the shares right among the frames that count."""
     if gap_rad >= WIDEST_GAP_RAD:
         raise DomainError(f"splits.gap_deg = {gap_rad * RAD_DEG:g} deg; caps on the sky need less than 90 deg")
@@ -116,6 +127,53 @@ def _by_sky(splits: SplitsConfig, streams: Streams, gap_rad: float) -> Splits:
         if math.pi - angle < validation:
             return "validation"
         return "train" if angle >= beyond_test and math.pi - angle >= beyond_validation else GAP
+
+    return Splits(by="sky", gap_deg=gap_rad * RAD_DEG, of=of)
+
+
+def _cone(config: Config) -> FloatArray | None:
+    """Boresights (n, 3) that fill the cone of a configuration evenly; None without one."""
+    pointing = config.pointing
+    if not isinstance(pointing, ConePointing):
+        return None
+    order = np.arange(CONE_POINTS)
+    z = 1.0 - (1.0 - math.cos(pointing.radius_deg * DEG_RAD)) * (order + 0.5) / CONE_POINTS
+    turn, out = order * math.pi * (3.0 - math.sqrt(5.0)), np.sqrt(np.maximum(1.0 - z**2, 0.0))
+    axes = attitude_from_angles(pointing.ra_deg, pointing.dec_deg, 0.0).as_matrix()
+    return np.asarray(np.stack([out * np.cos(turn), out * np.sin(turn), z], axis=1) @ axes)
+
+
+def _by_side(splits: SplitsConfig, streams: Streams, looks: FloatArray, gap_rad: float) -> Splits:
+    """One side of where frames look for the test, the other for validation, the middle for training.
+
+    The sides are told by the latitude above a great circle through the middle, across which the boresights spread
+    farthest (for a cone: a random one); two boresights are at least as far apart as their latitudes.
+    """
+    middle = looks.mean(0) / max(float(np.linalg.norm(looks.mean(0))), 1e-9)
+    aside = looks - np.outer(looks @ middle, middle) + 1e-3 * streams.generator("split pole", 0).standard_normal(3)
+    pole = np.linalg.svd(aside - aside.mean(0), full_matrices=False)[2][0]
+    latitude = np.arcsin(np.clip(looks @ pole, -1.0, 1.0))
+    gaps = [gap_rad if share > 0 else 0.0 for share in (splits.validation_fraction, splits.test_fraction)]
+    for used in np.linspace(1.0, LEAST_USED, 51):
+        low = float(np.quantile(latitude, splits.validation_fraction * used)) if gaps[0] else -math.inf
+        high = float(np.quantile(latitude, 1.0 - splits.test_fraction * used)) if gaps[1] else math.inf
+        inner = low + gaps[0], high - gaps[1]
+        if np.mean((latitude >= inner[0]) & (latitude <= inner[1])) >= splits.train_fraction * used - 1e-9:
+            break
+    else:
+        raise DomainError(
+            f"splits.gap_deg = {gap_rad * RAD_DEG:g} deg: the boresights lie within "
+            f"{np.ptp(latitude) * RAD_DEG:.3g} deg, such gaps leave less than half of the frames; take a smaller one, "
+            "or splits.by = frame"
+        )
+
+    def of(_: int, boresight: FloatArray) -> str:
+        here = math.asin(float(np.clip(boresight @ pole, -1.0, 1.0)))
+        if here > high:
+            return "test"
+        if here < low:
+            return "validation"
+        return "train" if inner[0] <= here <= inner[1] else GAP
 
     return Splits(by="sky", gap_deg=gap_rad * RAD_DEG, of=of)
 

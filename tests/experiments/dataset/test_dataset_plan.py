@@ -132,6 +132,34 @@ def test_arcs_of_a_scan_do_not_meet(rate):
     assert 5 < names.count("train") / names.count("test") < 11
 
 
+def listed(tmp_path, radius_deg=40.0):
+    """Attitudes of an oblong patch, in a file."""
+    ra, dec = np.random.default_rng(5).uniform(-1.0, 1.0, (2, N)) * np.array([[radius_deg], [radius_deg / 4]])
+    Table({"ra_deg": ra % 360.0, "dec_deg": dec, "roll_deg": np.zeros(N)}).write(tmp_path / "list.csv")
+    return ListPointing(file=str(tmp_path / "list.csv"))
+
+
+@pytest.mark.parametrize("kind", ["cone", "list"])
+def test_cones_and_lists_are_cut_across(kind, tmp_path):
+    """Expected behaviour: no test frame shows what a training frame shows; the shares hold among frames that count."""
+    pointing = ConePointing(ra_deg=350.0, dec_deg=80.0, radius_deg=40.0) if kind == "cone" else listed(tmp_path)
+    frames = planned(N, 8.0, pointing=pointing)
+    for one, other in (("train", "test"), ("train", "validation"), ("validation", "test")):
+        assert nearest_deg(frames, one, other) >= 8.0
+    names = [one.split for one in frames]
+    count = N - names.count("gap")
+    assert count > 0.5 * N
+    for name, share in (("train", 0.8), ("validation", 0.1), ("test", 0.1)):
+        assert names.count(name) / count == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) / count))
+    assert names[:50] == [one.split for one in planned(50, 8.0, pointing=pointing)]
+
+
+def test_a_cone_that_gaps_would_eat_is_shared_out_at_random():
+    assert {one.split for one in planned(100, 17.7, pointing=ConePointing())} == {"train", "validation", "test"}
+    with pytest.raises(DomainError, match="leave less than half"):
+        planned(1, 17.7, pointing=ConePointing(), splits=SplitsConfig(by="sky"))
+
+
 def test_splits_that_cannot_be():
     with pytest.raises(DomainError, match="no room"):
         planned(1, 60.0, pointing=ScanPointing(rate_deg_per_s=(0.0, 0.1, 0.5)), splits=SplitsConfig(by="arc"))
