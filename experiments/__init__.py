@@ -4,14 +4,13 @@ Commands (``python -m experiments.NAME``) run them; `run_experiment` does the sa
 tables and figures.
 """
 
+import contextlib
 import os
 import signal
 import sys
 import threading
 from importlib.util import find_spec
 from pathlib import Path
-
-import lazy_loader
 
 
 def _leave(number: int, frame: object) -> None:
@@ -33,4 +32,7 @@ for _name in ("optics", "render", "calib"):  # a user's module of that name make
             raise SystemExit(2)
         raise ImportError(_said)
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+with contextlib.suppress(ImportError):  # of a broken installation: ``starbench doctor`` says what it lacks
+    import lazy_loader
+
+    __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -11,7 +11,6 @@ import base64
 import html
 import io
 import json
-import os
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.records import freeze
+from optics.textfile import write_text
 
 __all__ = ["Marks", "differences", "frame_page", "save_frame_page"]
 
@@ -243,16 +243,7 @@ def save_frame_page(path: str | Path, values: ArrayLike, layers: Sequence[Marks]
     DomainError
         As `frame_page`.
     """
-    text, path = frame_page(values, layers, **settings), Path(path)
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        beside.write_text(text, encoding="utf-8")
-        os.replace(beside, path)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from None
-    finally:
-        beside.unlink(missing_ok=True)
-    return path
+    return write_text(path, frame_page(values, layers, **settings))
 
 
 def _enlargement(layers: Sequence[Marks], width_px: int) -> float:

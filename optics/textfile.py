@@ -1,14 +1,16 @@
-"""Text of files that other programs wrote: whatever encoding they use, and one clear line where it is no text."""
+"""Text of files that other programs wrote, in whatever encoding they use, and of our own; a fault is one clear line."""
 
 from __future__ import annotations
 
 import codecs
+import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from optics.errors import ConfigError
 
-__all__ = ["LARGEST_BYTES", "TextFile", "read_text"]
+__all__ = ["LARGEST_BYTES", "TextFile", "read_text", "write_text"]
 
 LARGEST_BYTES = 32 * 2**20
 """Lens files have kilobytes, the largest glass catalogues some megabytes."""
@@ -88,3 +90,36 @@ def _encoding(data: bytes) -> str:
     except UnicodeDecodeError:
         return "iso-8859-1"
     return "utf-8"
+
+
+def write_text(path: str | Path, text: str) -> Path:
+    """Write a text file in UTF-8, on every system the same bytes; it appears whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        File to write; one that is there is replaced.
+    text : str
+        What it is to hold.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be written.
+    """
+    path = Path(path)
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        beside.write_text(text, encoding="utf-8", newline="\n")
+        os.replace(beside, path)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from None
+    finally:
+        with suppress(OSError):
+            beside.unlink()
+    return path

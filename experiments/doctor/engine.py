@@ -93,7 +93,7 @@ def _backend(found: dict[str, Any], status: int, said: str) -> Finding:
     facts = {name: found.get(name) for name in ("variant", "variants", "mitsuba", "drjit", "compiled_s")}
     if "variants" in found and found["computed"]:
         variants = ", ".join(name for name in found["variants"] if name.endswith("_ad_mono"))
-        text = f"{found['variant']}; a kernel was compiled and run in {1e3 * found['compiled_s']:.0f} ms"
+        text = f"{found['variant']}; a first kernel took {1e3 * found['compiled_s']:.0f} ms"
         return Finding(name="backend", text=f"{text}; variants {variants}", facts=facts)
     what = found.get("error") or said or "it gave no result"
     if what == found.get("llvm_error"):

@@ -39,7 +39,7 @@ def declared() -> dict[str, list[str]]:
     for line in metadata.requires(PROGRAM) or ():
         text, _, marker = line.partition(";")
         extra = _EXTRA.search(marker)
-        found.setdefault(extra[1] if extra else "", []).append(text.strip())
+        found.setdefault(extra[1] if extra else "", []).append(text.strip() if extra else line)
     return found
 
 

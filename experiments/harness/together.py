@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -16,6 +15,7 @@ import click
 
 from experiments.harness.interrupts import EXIT_BAD_INPUT, EXIT_BROKEN, EXIT_FAILED, EXIT_GOOD, EXIT_INTERRUPTED
 from optics.errors import ConfigError, unknown_name
+from optics.textfile import write_text
 
 __all__ = ["Entry", "read_entry", "run_all", "write_index"]
 
@@ -185,12 +185,4 @@ def write_index(entries: Sequence[Entry], folder: Path) -> None:
         loader=PackageLoader("experiments.harness"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     text = environment.get_template("index.html").render(entries=entries, good=EXIT_GOOD, failed=EXIT_FAILED)
-    handle, name = tempfile.mkstemp(dir=folder, prefix=f".{INDEX}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(name, 0o644)
-        os.replace(name, folder / INDEX)
-    except BaseException:
-        os.unlink(name)
-        raise
+    write_text(folder / INDEX, text)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import click
 from experiments.harness.completion import files
 from experiments.harness.groups import run_group
 from optics.errors import ConfigError
+from optics.textfile import write_text
 
 __all__ = ["lens", "main"]
 
@@ -77,13 +77,7 @@ def show(file: str, out: str | None, strict: bool, glass: tuple[str, ...], catal
     _tell(read)
     from experiments.lens.page import page_of
 
-    text = page_of(read, Path(file).name)
-    beside = page.with_name(f".{page.name}.{os.getpid()}")
-    try:
-        beside.write_text(text, encoding="utf-8")
-        beside.replace(page)
-    except OSError as error:
-        raise ConfigError(f"{page}: cannot be written ({error.strerror or error})") from None
+    write_text(page, page_of(read, Path(file).name))
     click.echo(f"page: {page}")
 
 

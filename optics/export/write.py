@@ -13,6 +13,7 @@ from optics.export.sequence import agf_text, sequence
 from optics.export.zmx import zmx_text
 from optics.lens_file import LensFile
 from optics.rays.paraxial import axial_paraxial
+from optics.textfile import write_text
 
 __all__ = ["toml_lens", "write_lens"]
 
@@ -54,12 +55,7 @@ def write_lens(file: LensFile, path: str | Path) -> tuple[Path, ...]:
             texts[place] = seq_text(file, made, catalogue, _entrance_pupil(file))
     else:
         raise ConfigError(f"{path}: lenses are written as .toml, .zmx or .seq")
-    for target, text in texts.items():
-        try:
-            target.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"{target}: cannot be written ({error.strerror or error})") from None
-    return tuple(texts)
+    return tuple(write_text(target, text) for target, text in texts.items())
 
 
 def _entrance_pupil(file: LensFile) -> float:

@@ -80,6 +80,7 @@ def test_versions_and_missing_packages(monkeypatch):
 
 def test_requirements_of_the_tree_are_those_of_an_installed_package(monkeypatch, tmp_path):
     tree = packages.declared()
+    assert any("sys_platform" in one for one in tree[""])  # markers of their own are kept
     lines = [f"{one}; extra == '{extra}'" if extra else one for extra, group in tree.items() for one in group]
     monkeypatch.setattr(packages.metadata, "requires", lambda name: lines)
     monkeypatch.setattr(packages, "__file__", str(tmp_path / "a" / "b" / "c.py"))

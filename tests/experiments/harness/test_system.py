@@ -14,6 +14,8 @@ import pytest
 
 from experiments.harness import outputs, system
 from experiments.harness.outputs import RECORD, OutputFolder
+from optics.errors import ConfigError
+from optics.textfile import write_text
 
 
 def windows_locks():
@@ -130,3 +132,12 @@ def test_signs_that_a_code_page_lacks(monkeypatch):
     print("0.3\N{DOUBLE PRIME} \N{PLUS-MINUS SIGN} 1")
     terminal.flush()
     assert written.getvalue().decode("cp1252").split() == ["0.3?", "±", "1"]
+
+
+def test_texts_have_the_same_bytes_everywhere_and_leave_nothing_behind(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "linesep", "\r\n")
+    assert write_text(tmp_path / "a.txt", "one\ntwo µ\n").read_bytes() == "one\ntwo µ\n".encode()
+    (tmp_path / "b").mkdir()
+    with pytest.raises(ConfigError, match="cannot be written"):
+        write_text(tmp_path / "b", "no file")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "b"]
