@@ -15,7 +15,7 @@ from calib.flags import describe_flags
 from calib.measure.image import as_image
 from calib.records import SensorImage, StarTable
 from optics.figures import draw_image
-from optics.frame_page import Marks
+from optics.page import Marks
 from render.records import Frame
 
 __all__ = ["draw_residuals", "mark_stars", "show_image", "star_marks"]
@@ -90,7 +90,7 @@ def star_marks(stars: StarTable, identified: Identification | StarAttitude | Non
     Returns
     -------
     list of Marks
-        For ``Observation.save_page`` or `optics.frame_page.frame_page`; only layers that hold something.
+        For ``Observation.save_page`` or `optics.page.frame_page`; only layers that hold something.
     """
     names = np.full(len(stars), "", object)
     if identified is not None:

@@ -37,7 +37,7 @@ optics.response             `Response`
 optics.waves                `trace_pupil`, `wavefront`, `zernikes`, `zernike_map`, `strehl`, `strehl_through_focus`,
                             `encircled_energy`, `transfer_function`, `with_wavefront`
 optics.figures              `draw_lens`, `draw_spots`, `draw_distortion`
-optics.frame_page           `frame_page`, `save_frame_page`, `Marks`: any frame as an HTML page to zoom into
+optics.page                 `frame_page`, `save_frame_page`, `Marks`: any frame as an HTML page to zoom into
 optics.frames               `field_direction`
 optics.attitude             `attitude_from_angles`, `angles_from_attitude`, `attitude_error_arcsec`
 optics.errors               `StarbenchError`

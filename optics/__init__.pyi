@@ -6,9 +6,6 @@ from .errors import StarbenchError as StarbenchError
 from .figures import draw_distortion as draw_distortion
 from .figures import draw_lens as draw_lens
 from .figures import draw_spots as draw_spots
-from .frame_page import Marks as Marks
-from .frame_page import frame_page as frame_page
-from .frame_page import save_frame_page as save_frame_page
 from .frames import field_direction as field_direction
 from .glass.catalogue import Glass as Glass
 from .glass.catalogue import get_glass as get_glass
@@ -49,6 +46,9 @@ from .light.spectrum import TabulatedSed as TabulatedSed
 from .light.transmission import QuarterWave as QuarterWave
 from .light.transmission import TabulatedCoating as TabulatedCoating
 from .light.transmission import lens_transmission as lens_transmission
+from .page import Marks as Marks
+from .page import frame_page as frame_page
+from .page import save_frame_page as save_frame_page
 from .rays.chief import chief_ray_points as chief_ray_points
 from .rays.chief import distortion_map as distortion_map
 from .rays.chief import plate_scale_mm as plate_scale_mm

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from optics.attitude import angles_from_attitude
 from optics.errors import ConfigError
-from optics.frame_page import Marks, differences, save_frame_page
 from optics.light.band import Band
+from optics.page import Marks, differences, save_frame_page
 from render.detector.readout import expose
 from render.engine.random import Streams
 from render.fits.wcs import lens_wcs, sky_grid

@@ -17,7 +17,7 @@ from calib.records import SensorImage
 from experiments.laboratory.truth_marks import truth_marks
 from optics.errors import ConfigError
 from optics.fits import image_header
-from optics.frame_page import Marks, differences, save_frame_page
+from optics.page import Marks, differences, save_frame_page
 from render.fits.wcs import sky_grid
 
 __all__ = ["Asked", "write_page"]

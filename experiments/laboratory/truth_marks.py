@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from optics.errors import ConfigError
-from optics.frame_page import Marks
+from optics.page import Marks
 
 __all__ = ["truth_marks"]
 

@@ -206,7 +206,7 @@ def lens_wcs(camera: Camera, *, wavelength_nm: float | None = None, tolerance_px
 
 
 def sky_grid(header: fits.Header | Iterable[Card], shape: tuple[int, int], *, nodes: int = 65) -> FloatArray | None:
-    """Directions over a frame, for `optics.frame_page.frame_page`.
+    """Directions over a frame, for `optics.page.frame_page`.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from optics.errors import ConfigError, DomainError
-from optics.frame_page import Marks, differences, frame_page, save_frame_page
+from optics.page import Marks, differences, frame_page, save_frame_page
 
 
 class Parts(HTMLParser):

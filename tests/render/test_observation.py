@@ -11,9 +11,9 @@ from astropy.coordinates import SkyCoord
 
 from optics.attitude import attitude_from_angles
 from optics.errors import ConfigError, DomainError
-from optics.frame_page import Marks
 from optics.light.photometry import photon_rate
 from optics.light.spectrum import Blackbody
+from optics.page import Marks
 from optics.rays.spots import collecting_area_mm2
 from render.catalogue.motion import earth_observer
 from render.observation import SkySimulator, observe

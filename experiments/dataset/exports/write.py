@@ -89,7 +89,7 @@ def _write_frame_page(result: Result, example: Example, folder: Path) -> None:
     from calib.figures import star_marks
     from experiments.laboratory.truth_marks import truth_marks
     from optics.fits import image_header
-    from optics.frame_page import differences, save_frame_page
+    from optics.page import differences, save_frame_page
     from render.fits.files import read_frame
     from render.fits.wcs import sky_grid
 
