@@ -1,0 +1,102 @@
+"""Every built-in lens: focal length, spots, lateral colour, and what `chromatic` and `dataset` make of it, as a table.
+
+Focal length, F-number, half field, RMS spots and lateral colour are of the lens alone (light from 500 to 800 nm at 0,
+0.7 and 1 of the half field, about its own mean; shift of the mean from 500 to 800 nm at 0.7 of the field, outwards).
+The chromatic LSFE is that of `python -m experiments.chromatic --quick` on 1024 x 1024 pixels of 5.5 um, rays, without
+absorption in the glass: shifts between stars of 3000 and 30000 K over the field of the window, 3 sigma. The last
+column is the exit status of `python -m experiments.dataset --quick` with the same lens and detector.
+
+    python benchmarks/lenses.py [--lenses petzval_100mm ...] [--alone]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+WAVELENGTHS_NM = np.linspace(500.0, 800.0, 7)
+SETTINGS = ("instrument.detector=cmv4000", "instrument.absorption=false", "instrument.diffraction=rays")
+OWN = {  # spots that a window of the centroider holds
+    "double_gauss_50mm": ("instrument.f_number=4", "instrument.defocus_mm=0.07"),
+    "star_camera_206mm": ("instrument.defocus_mm=0.01",),
+}
+LIMIT_S = 300
+
+
+def of_the_lens(name: str) -> list[str]:
+    """Columns that rays of the lens alone give."""
+    from optics.lens_file import load_lens
+    from optics.rays.paraxial import paraxial
+    from optics.rays.spots import spot_moments
+
+    lens = load_lens(name)
+    p = paraxial(lens)
+    field = lens.max_field_deg * np.array([0.0, 0.7, 1.0])
+    spots = spot_moments(lens, field, np.zeros(3), WAVELENGTHS_NM, order=(12, 32))
+    light = spots.transmitted_mm2 / spots.transmitted_mm2.sum(1, keepdims=True)
+    mean = (light * spots.x_mm).sum(1, keepdims=True)
+    variance = (light * (spots.rms_radius_mm**2 + (spots.x_mm - mean) ** 2)).sum(1)
+    colour_mm = (spots.x_mm[1, -1] - spots.x_mm[1, 0]) * np.sign(spots.x_mm[1, 0])
+    arcsec = np.degrees(colour_mm / p.efl_mm) * 3600.0
+    numbers = (p.efl_mm, p.f_number, lens.max_field_deg, *(1e3 * np.sqrt(variance)))
+    return [f"{v:.5g}" if k == 0 else f"{v:.3g}" for k, v in enumerate(numbers)] + [
+        f"{1e3 * colour_mm:+.2g}",
+        f"{arcsec:+.2g}",
+    ]
+
+
+def run(experiment: str, name: str, folder: Path) -> tuple[int, str, dict[str, Any]]:
+    """Exit status, last line of what went wrong, and results of a quick run."""
+    out = folder / f"{experiment}_{name}"
+    settings = (f"instrument.lens={name}", "instrument.width_px=1024", "instrument.height_px=1024", *SETTINGS)
+    words = [word for one in (*settings, *OWN.get(name, ("instrument.defocus_mm=0",))) for word in ("--set", one)]
+    command = [sys.executable, "-m", f"experiments.{experiment}", "--quick", "--out", str(out), *words]
+    try:
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=LIMIT_S)
+    except subprocess.TimeoutExpired:
+        return 124, f"not done within {LIMIT_S} s", {}
+    summary = out / "summary.json"
+    results = json.loads(summary.read_text(encoding="utf-8"))["results"] if summary.exists() else {}
+    return done.returncode, (done.stderr.strip().splitlines() or [""])[-1], results
+
+
+def main() -> None:
+    """Print the table as Markdown, and below it what stopped a run."""
+    from optics.lens_file import list_lenses
+
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--lenses", nargs="+", default=list(list_lenses()))
+    parser.add_argument("--alone", action="store_true", help="without experiments")
+    options = parser.parse_args()
+    head = ["lens", "focal length [mm]", "F/", "half field [deg]", "RMS spot 0 [um]", "0.7", "1", "lateral colour [um]"]
+    head += ["[arcsec]"] if options.alone else ["[arcsec]", "chromatic LSFE [arcsec, 3 sigma]", "dataset"]
+    print("| " + " | ".join(head) + " |")
+    print("|---" * len(head) + "|", flush=True)
+    stopped = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name in options.lenses:
+            row = [f"`{name}`", *of_the_lens(name)]
+            if not options.alone:
+                status, last, found = run("chromatic", name, Path(folder))
+                shift = found["stellar"]["most_different_rms_px"] * found["pixel_arcsec"] if found else np.nan
+                row.append(f"{3.0 * shift:.2g}" if found else "-")
+                other, said, _ = run("dataset", name, Path(folder))
+                row.append(str(other))
+                stopped += [f"{name}, chromatic ({status}): {last}"] if status else []
+                stopped += [f"{name}, dataset ({other}): {said}"] if other else []
+            print("| " + " | ".join(row) + " |", flush=True)
+    print(*stopped, sep="\n")
+
+
+if __name__ == "__main__":
+    main()
