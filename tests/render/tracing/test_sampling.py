@@ -227,6 +227,19 @@ def test_sobol_agrees_with_quadrature_on_the_same_clear_pupil(engine, bench):
     assert np.abs(exact.electrons - sampled.electrons).max() < 1e-4 * light
 
 
+@pytest.mark.slow
+def test_no_quadrature_takes_more_rays_than_it_is_worth(engine, bench):
+    """A wide band needs 4512 rays a wavelength: taken at six wavelengths, Sobol points in their place at 64."""
+    camera = bench.camera_of(film=False)
+    rays = {}
+    for nodes in (6, 64):
+        stars = bench.stars_at(camera, [2047.5], [1023.5], bands=((625.0, 450.0),), nodes=nodes)
+        sampling = Tracer(camera).render(stars, exposure_s=1.0).sampling
+        rays |= {(nodes, mode): number for mode, (_, number) in sampling.items()}
+    assert set(rays) == {(6, "quadrature"), (64, "sobol")}
+    assert max(rays.values()) <= 1 << 18
+
+
 def test_plan_does_not_depend_on_earlier_fields(engine, bench):
     camera = bench.camera_of()
     wide = bench.stars_at(camera, [100, 2000], [100, 1000])
