@@ -136,7 +136,7 @@ class StarRenderer:
         self._scene: Any = None
         self._params: Any = None
         self._field: Any = None
-        self._last: tuple[Camera, StarField, ExposureMotion | None] | None = None
+        self._last: tuple[NDArray[np.float64], StarField, ExposureMotion | None] | None = None
 
     def render(
         self,
@@ -182,17 +182,15 @@ class StarRenderer:
         """
         if rotation_cam_from_world is not None and motion is not None:
             raise ConfigError("an attitude and a motion are given; leave one of them out")
-        camera = self.camera
-        if rotation_cam_from_world is not None:
-            camera = replace(camera, rotation_cam_from_world=rotation_cam_from_world)
+        rotation = self.camera.rotation_cam_from_world if rotation_cam_from_world is None else rotation_cam_from_world
         try:
-            self._update(camera, stars, motion)
-            image = self._mi.render(self._scene, seed=self.seed)
+            self._update(rotation, stars, motion)
+            image = self._mi.render(self._scene, seed=self.seed, seed_grad=self.seed + 1)  # else drawn by a kernel
         except RuntimeError as error:  # Mitsuba wraps what a plugin raises, Ctrl-C too
             if isinstance(error.__cause__, (StarbenchError, KeyboardInterrupt)):
                 raise error.__cause__ from None
             raise
-        self._last = (camera, stars, motion)
+        self._last = (rotation, stars, motion)
         if folder := os.environ.get(SCENES):
             Path(folder).mkdir(parents=True, exist_ok=True)
             self.save(Path(folder) / f"{self.label or f'stars_{os.getpid()}_{next(_number):06d}'}.xml")
@@ -209,10 +207,11 @@ class StarRenderer:
         """
         if self._last is None:
             raise ConfigError("nothing was rendered yet; the scene of an image is saved after it")
-        camera, stars, motion = self._last
+        rotation, stars, motion = self._last
+        camera = replace(self.camera, rotation_cam_from_world=rotation)
         return save_scene(path, star_scene(camera, stars, motion=motion, **self._settings))
 
-    def _update(self, camera: Camera, stars: StarField, motion: ExposureMotion | None) -> None:
+    def _update(self, rotation: NDArray[np.float64], stars: StarField, motion: ExposureMotion | None) -> None:
         """Load the scene, or bring it up to date."""
         mi = self._mi
         if self._scene is None:
@@ -224,7 +223,7 @@ class StarRenderer:
         self._field.collimation = stars.collimation
         for name in STARS:
             self._params[f"stars.{name}"] = mi.TensorXf64(np.ascontiguousarray(getattr(stars, name)))
-        self._params["camera.rotation"] = mi.TensorXf64(np.ascontiguousarray(camera.rotation_cam_from_world))
+        self._params["camera.rotation"] = mi.TensorXf64(np.ascontiguousarray(rotation))
         self._params.update()
 
 

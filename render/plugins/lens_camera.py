@@ -75,6 +75,7 @@ from render.engine.arrays import DrJitArrays
 from render.engine.jit import dr
 from render.plugins.camera_numbers import ALUMINIUM_PER_K, CameraNumbers
 from render.plugins.camera_properties import camera_of, exposure_motion_of, motion_of, moved
+from render.plugins.handles import Kept
 from render.tracing.motion import ExposureMotion
 from render.tracing.sampling import probe_fields
 
@@ -182,8 +183,8 @@ def define(mi: Any) -> type:
             if not dr.is_jit_v(mi.Float):
                 raise BackendError(f"lens_camera runs in llvm and cuda variants, not in {mi.variant()}")
             size = self.film().size()
-            self.optics = camera_of(props, int(size.x), int(size.y))
-            self.camera = self.optics
+            optics = camera_of(props, int(size.x), int(size.y))
+            self._kept = Kept(optics=optics, camera=optics)
             self.numbers = CameraNumbers(mi, self.optics, float(props.get("housing_cte_per_k", ALUMINIUM_PER_K)))
             self.m_needs_sample_3 = True
             self.scene_unit_mm = float(props.get("scene_unit_mm", 1.0))
@@ -210,11 +211,21 @@ def define(mi: Any) -> type:
 
         def parameters_changed(self, keys: list[str]) -> None:
             """Take over numbers; ``optics`` stays the same record as long as only the attitude changes."""
-            optics, turn = self.numbers.optics(), self.numbers.rotation()
+            optics, turn = self.optics if keys == ["rotation"] else self.numbers.optics(), self.numbers.rotation()
             if optics is not self.optics or not np.array_equal(turn, self.camera.rotation_cam_from_world):
-                self.optics, self.camera = optics, replace(optics, rotation_cam_from_world=turn)
+                self._kept.optics, self._kept.camera = optics, replace(optics, rotation_cam_from_world=turn)
                 self._backward = self._forward = None
             self._turning = None
+
+        @property
+        def optics(self) -> Camera:
+            """The camera as it is now, with its first attitude."""
+            return self._kept.optics
+
+        @property
+        def camera(self) -> Camera:
+            """The camera as it is now."""
+            return self._kept.camera
 
         @property
         def star_motion(self) -> ExposureMotion | None:

@@ -37,6 +37,7 @@ from optics.arrays import FloatArray
 from optics.errors import BackendError, ConfigError
 from render.detector.diffusion import diffuse
 from render.engine.jit import dr
+from render.plugins.handles import Kept
 from render.plugins.occlusion import SceneShade
 from render.plugins.star_gradient import attached_image
 from render.tracing.convergence import TOLERANCE
@@ -101,8 +102,7 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
                     f"star_tracer: bodies in the variant {mi.variant()}; bands are rendered one by one in llvm_ad_mono "
                     "or cuda_ad_mono"
                 )
-            self.traced: TracedStars | None = None
-            self._traced_by: dict[int, tuple[Any, TracedStars]] = {}
+            self._kept = Kept(traced=None, by={})
             self._number = 0
             self._tracers: dict[tuple[int, int], Tracer] = {}
 
@@ -118,11 +118,11 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
             camera, field = self._seen(scene, sensor)
             number = int(np.asarray(seed).item())  # a number, or a Dr.Jit array of one
             self._number = number
-            self.traced = self._trace(scene, camera, field, number)
-            self._traced_by[id(camera)] = (camera, self.traced)
+            traced = self._kept.traced = self._trace(scene, camera, field, number)
+            self._kept.by[id(camera)] = (camera, traced)
             film = camera.film()
             (left, top), (width, height) = film.crop_offset(), film.crop_size()
-            electrons = self.traced.electrons[top : top + height, left : left + width]
+            electrons = traced.electrons[top : top + height, left : left + width]
             if self.bodies is not None:
                 electrons = electrons + self._bodies(scene, camera, field.stars.wavelength_nm, number, spp)
             image = mi.TensorXf(np.ascontiguousarray(electrons))
@@ -159,14 +159,21 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
             if self.bodies is not None or (motion is not None and motion.path is not None):
                 what = "bodies" if self.bodies is not None else "stars under a rolling shutter"
                 raise ConfigError(f"star_tracer: derivatives of {what} are not known; leave them out")
-            traced = self._traced_by.get(id(camera))
+            traced = self._kept.by.get(id(camera))
             if traced is not None and traced[1].truth.electrons_hidden.any():
                 raise ConfigError("star_tracer: derivatives of stars that bodies hide in part are not known")
             return attached_image(mi, self.tracer(camera, self._number), camera, field)
 
         def traced_by(self, sensor: Any) -> TracedStars:
             """What the last image of a sensor was made of."""
-            return self._traced_by[id(sensor)][1]
+            found: TracedStars = self._kept.by[id(sensor)][1]
+            return found
+
+        @property
+        def traced(self) -> TracedStars | None:
+            """What the last image was made of."""
+            kept: TracedStars | None = self._kept.traced
+            return kept
 
         def _seen(self, scene: Any, sensor: Any) -> tuple[Any, Any]:
             """Camera and star field of a scene."""
