@@ -10,7 +10,7 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, unknown_name
 from optics.record_files import read_record
 
-__all__ = ["Handles", "Kept", "resolved", "rotation_of"]
+__all__ = ["Handles", "resolved", "rotation_of"]
 
 _Record = TypeVar("_Record")
 KEPT = 64
@@ -62,16 +62,6 @@ class Handles(Generic[_Record]):
             If there is none, or it is another kind of record.
         """
         return read_record(resolved(mi, name), self.kind) if name.endswith(".json") else self.find(name)
-
-
-class Kept:
-    """Holds a plugin's records.
-
-    Dr.Jit walks through those that are attributes of it at every ``mi.render``, a millisecond for a lens.
-    """
-
-    def __init__(self, **values: Any) -> None:
-        self.__dict__.update(values)
 
 
 def resolved(mi: Any, name: str) -> str:

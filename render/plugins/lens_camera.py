@@ -60,6 +60,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, replace
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -75,7 +76,6 @@ from render.engine.arrays import DrJitArrays
 from render.engine.jit import dr
 from render.plugins.camera_numbers import ALUMINIUM_PER_K, CameraNumbers
 from render.plugins.camera_properties import camera_of, exposure_motion_of, motion_of, moved
-from render.plugins.handles import Kept
 from render.tracing.motion import ExposureMotion
 from render.tracing.sampling import probe_fields
 
@@ -184,7 +184,8 @@ def define(mi: Any) -> type:
                 raise BackendError(f"lens_camera runs in llvm and cuda variants, not in {mi.variant()}")
             size = self.film().size()
             optics = camera_of(props, int(size.x), int(size.y))
-            self._kept = Kept(optics=optics, camera=optics)
+            # out of sight of Dr.Jit: records that are attributes it walks through at every mi.render, 1 ms for a lens
+            self._kept = SimpleNamespace(optics=optics, camera=optics)
             self.numbers = CameraNumbers(mi, self.optics, float(props.get("housing_cte_per_k", ALUMINIUM_PER_K)))
             self.m_needs_sample_3 = True
             self.scene_unit_mm = float(props.get("scene_unit_mm", 1.0))
@@ -220,12 +221,14 @@ def define(mi: Any) -> type:
         @property
         def optics(self) -> Camera:
             """The camera as it is now, with its first attitude."""
-            return self._kept.optics
+            optics: Camera = self._kept.optics
+            return optics
 
         @property
         def camera(self) -> Camera:
             """The camera as it is now."""
-            return self._kept.camera
+            camera: Camera = self._kept.camera
+            return camera
 
         @property
         def star_motion(self) -> ExposureMotion | None:

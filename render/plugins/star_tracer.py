@@ -28,6 +28,7 @@ and the camera's response are applied as to the stars.
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,6 @@ from optics.arrays import FloatArray
 from optics.errors import BackendError, ConfigError
 from render.detector.diffusion import diffuse
 from render.engine.jit import dr
-from render.plugins.handles import Kept
 from render.plugins.occlusion import SceneShade
 from render.plugins.star_gradient import attached_image
 from render.tracing.convergence import TOLERANCE
@@ -102,7 +102,8 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
                     f"star_tracer: bodies in the variant {mi.variant()}; bands are rendered one by one in llvm_ad_mono "
                     "or cuda_ad_mono"
                 )
-            self._kept = Kept(traced=None, by={})
+            # out of sight of Dr.Jit: records that are attributes it walks through at every mi.render, 1 ms for a lens
+            self._kept = SimpleNamespace(traced=None, by={})
             self._number = 0
             self._tracers: dict[tuple[int, int], Tracer] = {}
 

@@ -178,10 +178,10 @@ def test_lens_with_its_stop_inside(mi):
 
 @pytest.mark.slow
 def test_trails(mi):
-    """Stars that move by some four pixels: rate, attitude and directions; a stop in front, and one inside."""
+    """Stars that move by some two pixels: rate, focus and attitude; a stop in front, and one inside."""
     cases = {
-        "star_camera_206mm": ((1e-4, -2e-4, 5e-4), 3e-7, ("camera.defocus_mm", 0, 2e-5)),
-        "star_tracker_26mm": ((-2e-3, 3e-3, 0.0), 4e-6, ("stars.direction", (0, 0), 4e-6)),
+        "star_camera_206mm": ((5e-5, -1e-4, 3e-4), 3e-7, ("camera.defocus_mm", 0, 2e-5)),
+        "star_tracker_26mm": ((-1e-3, 2e-3, 0.0), 4e-6, ("camera.attitude_rad", 1, 4e-6)),
     }
     for lens, (rate, step, other) in cases.items():
         scene = scene_of(mi, lens)
@@ -189,8 +189,8 @@ def test_trails(mi):
         params["camera.rate_rad_per_s"] = mi.TensorXf64(np.array(rate))
         params.update()
         mi.render(scene)
-        assert 2.0 < scene.sensors()[0].star_motion.length_px < 6.0
-        check(mi, scene, [("camera.rate_rad_per_s", 0, step), ("camera.attitude_rad", 1, step), other])
+        assert 1.0 < scene.sensors()[0].star_motion.length_px < 3.5
+        check(mi, scene, [("camera.rate_rad_per_s", 0, step), other])
 
 
 def test_what_has_no_derivative_is_refused(mi):
