@@ -1,25 +1,31 @@
 """Diffraction: what it changes for a star of the 206 mm lens, and what it costs, beside other codes in the same run.
 
 python benchmarks/waves.py             # tables of docs/diffraction.md
-python benchmarks/waves.py --speed     # terms per second, frames per second; batoid if it is there
+python benchmarks/waves.py --speed     # frames per second, terms per second, beside batoid, optiland, prysm and GalSim
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from dataclasses import replace
 
 import numpy as np
 
 from optics.frames import field_direction
+from optics.lens.perturb import decentre
 from optics.lens_file import load_lens
 from optics.waves.pupil_field import trace_pupil
 from render.camera import Camera
 from render.records import StarField
+from render.tracing.paths import at_rest
+from render.tracing.plane_waves import trace_waves
 from render.tracing.psf import render_epsf
+from render.tracing.sampling import staggered
 from render.tracing.tracer import Tracer
 from render.tracing.wave_grid_build import build_grid
+from render.tracing.wave_windows import FieldSampling, window_light, window_samples
 
 LENS, PITCH_MM, SIGMA_PX = "star_camera_206mm", 5.5e-3, 0.18
 FOCAL_MM = 206.237
@@ -109,50 +115,121 @@ def timed(call, repeat=3):
     return min(wall), min(used)
 
 
-def speed():
-    """Terms per second of the sum; a frame of 240 stars; the same sum by batoid."""
+def sums():
+    """Time of one image of one wavelength by several codes, and terms (samples of pupil x image) per second.
+
+    Each code does what it does by itself: ours, batoid's and optiland's trace a lens; prysm is handed a pupil's field
+    on a regular grid, whose sum is two matrix products; GalSim transforms an analytic pupil. Numbers of rays and
+    samples are each code's own: terms per second compare, where a code has them, and times where samples are alike.
+    """
+    rows = []
+
+    def add(name, terms, call, repeat=3):
+        wall, used = timed(call, repeat)
+        rows.append((name, terms, wall, used))
+
     pupil = trace_pupil(load_lens(LENS), 3.0, 0.0, 600.0, order=(40, 144))
     x, y = (float(v[0, 0]) for v in pupil.mean_mm)
     grid = (np.arange(200) - 99.5) * PITCH_MM / 10
-    wall, used = timed(lambda: pupil.intensity(x + grid, y + grid, dtype=np.complex64))
-    terms = 40 * 144 * 200**2 / 1e9
-    print(f"sum of plane waves, complex64: {terms / wall:.2f}e9 terms/s, {terms / used:.2f}e9 per second of a core")
-    camera = camera_of(1024, diffraction="waves")
+    add("starbench, matrix product", 40 * 144 * 200**2, lambda: pupil.intensity(x + grid, y + grid, dtype=np.complex64))
+    waves, field = _plane_waves()
+    side = len(window_samples(field, 19.0, 1.5))
+    corner = waves.mean[0, 0, 0] - 9.5
+    add("starbench, grid of frequencies", waves.x.size * side**2,
+        lambda: window_light(waves, (0, 0), np.ones(1), corner, 19.0, field, pad_px=1.5))  # fmt: skip
+    for peer in (_batoid, _optiland, _prysm, _galsim):
+        try:
+            add(*peer())
+        except ImportError:
+            rows.append((peer.__name__[1:], None, math.nan, math.nan))
+    print("\n| code | terms | time of an image [ms] | terms/s of a core | of ours |\n|---|---|---|---|---|")
+    best = rows[1][1] / rows[1][3]
+    for name, terms, _, used in rows:
+        if math.isnan(used):
+            print(f"| {name} | not installed | | | |")
+            continue
+        rate = "" if terms is None else f"{terms / used / 1e9:.3f}e9"
+        ratio = "" if terms is None else f"1/{best * used / terms:.0f}"
+        print(f"| {name} | {'' if terms is None else f'{terms / 1e6:.0f}e6'} | {1e3 * used:.1f} | {rate} | {ratio} |")
+
+
+def _plane_waves():
+    """Traced waves of one star at 3 deg, and how its image is sampled."""
+    kernel_of = Tracer(camera_of(64, diffraction="exact_waves")).planner
+    seen = kernel_of.seen(at_rest(field_direction(3.0, 0.0)[None]), np.array([[600.0]]))
+    index = np.asarray(kernel_of.camera.focused_lens.indices(np.array([[600.0]]))[-1])
+    waves = trace_waves(seen.mid, staggered((36, 140), 1), np.array([[600.0]]), index, np.zeros(1, np.uint32))
+    return waves, FieldSampling(3.85)
+
+
+def _batoid():
+    import batoid
+
+    optic = batoid.Optic.fromYaml("LSST_r.yaml")
+    return ("batoid huygensPSF", round(np.pi / 4 * 0.63 * 128**2) * 64**2,
+            lambda: batoid.huygensPSF(optic, np.deg2rad(1.0), 0.0, 620e-9, nx=128, nxOut=64))  # fmt: skip
+
+
+def _optiland():
+    from optiland.psf import HuygensPSF
+    from optiland.samples.objectives import CookeTriplet
+
+    lens = CookeTriplet()
+    return ("optiland HuygensPSF", round(np.pi / 4 * 64**2) * 64**2,
+            lambda: HuygensPSF(lens, (0.0, 0.7), 0.55, num_rays=64, image_size=64), 1)  # fmt: skip
+
+
+def _prysm():
+    from prysm.fttools import mdft
+
+    pupil = np.ones((256, 256), np.complex64)
+    return "prysm, matrix DFT of a pupil", None, lambda: np.abs(mdft.dft2(pupil, 8.0, 200)) ** 2
+
+
+def _galsim():
+    import galsim
+
+    def image():
+        psf = galsim.OpticalPSF(lam=600.0, diam=0.07, aberrations=[0.0] * 4 + [0.1, 0.05, 0.0, 0.05], oversampling=2.0)
+        psf.drawImage(nx=200, ny=200, scale=0.2, method="no_pixel")
+
+    return "GalSim OpticalPSF, FFT", None, image
+
+
+def frames():
+    """Grids over the field, frames of stars, one star."""
     rng = np.random.default_rng(1)
     wave = np.linspace(500.0, 800.0, 8)[None]
-    direction = camera.nominal_direction(*rng.uniform(0.0, 1023.0, (2, 240)), FOCAL_MM)
-    rate = rng.uniform(0.2, 1.0, (240, 1, 8))
-    stars = StarField(direction=direction, wavelength_nm=wave, photon_rate=rate, band=("b",))
-    tracer = Tracer(camera)
-    start = time.perf_counter(), time.process_time()
-    grid_of = build_grid(tracer.planner, wave)
-    error = "none" if grid_of is None else f"errors {grid_of.error:.1e} of the light, {grid_of.error_px:.1e} px"
-    wall, used = time.perf_counter() - start[0], time.process_time() - start[1]
-    print(f"grid over the field: {wall:.1f} s, {used:.1f} s of a core; {error}")
-    for how in ("waves", "rays"):
-        one = Tracer(replace(camera, diffraction=how))
-        wall, used = timed(lambda t=one: t.render(stars, exposure_s=1.0))
-        print(f"240 stars, 1024 x 1024 px, by {how}: {1.0 / wall:.1f} frames/s, {1e3 * used:.0f} ms of a core each")
+    for name, width, height, count in (("240 stars", 1024, 1024, 240), ("100 stars", 4096, 2048, 100)):
+        camera = replace(camera_of(1024, diffraction="waves"), width_px=width, height_px=height)
+        camera = replace(camera, centre_px=np.array([0.5 * (width - 1), 0.5 * (height - 1)]))
+        place = rng.uniform(0.0, 1.0, (2, count)) * np.array([[width - 1.0], [height - 1.0]])
+        stars = StarField(direction=camera.nominal_direction(*place, FOCAL_MM), wavelength_nm=wave,
+                          photon_rate=rng.uniform(0.2, 1.0, (count, 1, 8)), band=("b",))  # fmt: skip
+        for state, lens in (("as designed", camera.lens), ("L2 decentred", decentre(camera.lens, "L2", 0.1, 0.05))):
+            tracer = Tracer(replace(camera, lens=lens))
+            start = time.perf_counter(), time.process_time()
+            grid = build_grid(tracer.planner, wave)
+            wall, used = time.perf_counter() - start[0], time.process_time() - start[1]
+            error = "none is good enough"
+            if grid is not None:
+                error = f"{len(grid.points)}^2 places, errors {grid.error:.1e} of the light, {grid.error_px:.1e} px"
+            print(f"grid over {width} x {height} px, {state}: {wall:.1f} s, {used:.1f} s of a core; {error}")
+        for how in ("waves", "rays"):
+            one = Tracer(replace(camera, diffraction=how))
+            wall, used = timed(lambda t=one, s=stars: t.render(s, exposure_s=1.0))
+            print(f"{name}, {width} x {height} px, by {how}: {1.0 / wall:.1f} frames/s, {1e3 * used:.0f} ms of a core")
     exact = Tracer(camera_of(64, diffraction="exact_waves"))
     wall, used = timed(lambda: exact.render(star(wave[0]), exposure_s=1.0))
     print(f"one star by itself, 8 wavelengths: {1e3 * wall:.0f} ms, {1e3 * used:.0f} ms of a core")
-    try:
-        import batoid
-    except ImportError:
-        print("batoid: not installed")
-        return
-    place, slope = rng.uniform(-1e-4, 1e-4, (3, 5760)), 0.05 * rng.uniform(-1, 1, (2, 5760))
-    rays = batoid.RayVector(*place, *slope, np.ones(5760), t=np.zeros(5760), wavelength=np.full(5760, 6e-7))
-    points = rng.uniform(-1e-5, 1e-5, (200, 3))
-    wall, used = timed(lambda: [rays.sumAmplitude(p, 0.0) for p in points])
-    print(f"batoid sumAmplitude: {5760 * 200 / wall / 1e9:.3f}e9 terms/s, {5760 * 200 / used / 1e9:.3f}e9 per core")
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--speed", action="store_true", help="time it instead")
     if parser.parse_args().speed:
-        speed()
+        frames()
+        sums()
     else:
         changes()
         colour()

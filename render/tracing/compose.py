@@ -136,7 +136,8 @@ class TruthSums:
         if (rays := stamps.moments) is not None:
             self.bundle_x[stars], self.bundle_y[stars] = rays.mean_px[..., 0], rays.mean_px[..., 1]
             self.variance_x[stars], self.variance_y[stars] = rays.variance_px2[..., 0], rays.variance_px2[..., 1]
-            self.entrance[stars], self.hidden[stars] = rays.entrance, 0.0
+            if rays.entrance is not None:
+                self.entrance[stars], self.hidden[stars] = rays.entrance, 0.0
         self.photon_x[stars], self.photon_y[stars] = stamps.mean_px[..., 0], stamps.mean_px[..., 1]
         self.image[stars] = on_image * electrons_in
         self.off_edge[stars] = (landed - on_image) * electrons_in

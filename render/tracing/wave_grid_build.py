@@ -32,7 +32,7 @@ __all__ = ["TOLERANCE", "WING_PX", "build_grid", "worth_a_grid"]
 
 TOLERANCE = 1e-4
 """Largest error of a pixel [share of the light], and of the centroid in a window of 13 x 13 px [px]."""
-SIZES = (5, 7, 9, 11, 13)
+SIZES = (5, 7, 9, 11, 13, 15)
 """Points along either side that are tried."""
 GAIN = 4.0
 """By how much the next size lowers the error, at least; sizes that would not do are passed over."""
@@ -40,11 +40,12 @@ LEAST_STARS = 12
 """Stars on the detector, of wavelengths as many as a grid needs, from which it costs less over a few frames."""
 CENTROID_PX = 6
 """Half the side of the window whose centroid is compared."""
-PROBES = 5
+PROBES = 6
+"""Places where a grid is judged, the last in a corner."""
 COMPONENT = 5e-6
 """Error that principal components may leave in images of the coarsest grid, as a share of the light; finer grids weigh
 their images with larger numbers of both signs."""
-MOST_IMAGES = 1500
+MOST_IMAGES = 1900
 """Images of a band that a grid is made of, whose matrix of products is still cheap."""
 WING_PX = 30.0
 """How far beside the detector a star may be for its image to be rendered; so far the grid reaches."""
@@ -80,16 +81,15 @@ def build_grid(
     """
     field = _FieldImages(planner, wavelength_nm, collimation, least_radius_px)
     mirrored = field.symmetric()
-    at = 0
-    while at < len(SIZES):
+    at, last = 0, len(SIZES) - 1
+    while True:
         grid = field.grid(SIZES[at], mirrored)
         if grid is None:
             return None
         error = max(grid.error, grid.error_px) / TOLERANCE
-        if error < 1.0:
-            return grid
-        at += math.ceil(math.log(max(error, 1.01)) / math.log(GAIN) * 0.999)
-    return None
+        if error < 1.0 or at == last:
+            return grid if error < 1.0 else None
+        at = min(last, at + math.ceil(math.log(max(error, 1.01)) / math.log(GAIN)))
 
 
 class _FieldImages:
@@ -233,8 +233,9 @@ class _FieldImages:
     def _judged(self, grid: WaveGrid, judges: list[IntArray]) -> WaveGrid | None:
         """The grid with its errors at places between its points, of single wavelengths."""
         golden = 0.6180339887498949
-        steps = np.arange(1, PROBES + 1)
-        place = np.stack([2.0 * ((0.5 + golden * steps) % 1.0) - 1.0, 2.0 * (steps - 0.45) / PROBES - 1.0], axis=-1)
+        steps = np.arange(1, PROBES)
+        place = np.stack([2.0 * ((0.5 + golden * steps) % 1.0) - 1.0, 2.0 * (steps - 0.45) / (PROBES - 1) - 1.0], -1)
+        place = np.concatenate([place, [[0.97, 0.96]]])
         kinds = max(len(one) for one in judges)
         share = np.zeros((kinds, *self.wavelength_nm.shape))
         for b, one in enumerate(judges):

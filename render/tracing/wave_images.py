@@ -94,13 +94,13 @@ class RayMoments:
     ----------
     mean_px, variance_px2 : (s, b, 2)
         Mean and variance of the landing points along columns and rows.
-    entrance : (s, b)
-        Light that the stop alone would let through in that of the launch disk.
+    entrance : (s, b) or None
+        Light that the stop alone would let through in that of the launch disk; None where others know it.
     """
 
     mean_px: FloatArray
     variance_px2: FloatArray
-    entrance: FloatArray
+    entrance: FloatArray | None = None
 
     def along(self, trail: Trail, stars: IntArray) -> RayMoments:
         """The same over an exposure."""
@@ -130,7 +130,7 @@ class WaveStamps:
     mode : str
         How the pupils were sampled.
     moments : RayMoments or None
-        Of the stars' rays, where these need no other trace.
+        Of the stars' rays, where no others tell more: those of cells, of which some are covered in part, do not.
     """
 
     stars: IntArray
@@ -288,6 +288,15 @@ class WaveImages:
             mean = (through[..., None] * np.nan_to_num(waves.mean)).sum(2) / light[..., None]
         return mean, light
 
+    def _variance(self, stars: IntArray, waves: PlaneWaves, mean: FloatArray) -> FloatArray:
+        """Variance (s, b, 2) of the landing points of all wavelengths about their mean."""
+        weight = self.share[stars][..., None] * waves.weight
+        with np.errstate(invalid="ignore"):
+            sums = [
+                (weight * (v - mean[:, :, None, None, i]) ** 2).sum((2, 3)) for i, v in enumerate((waves.x, waves.y))
+            ]
+            return np.asarray(np.stack(sums, axis=-1) / weight.sum((2, 3))[..., None])
+
     def _matrix(
         self, field: FieldSampling, window_px: float, centres: FloatArray, box_px: float
     ) -> tuple[FloatArray, float]:
@@ -310,13 +319,16 @@ class WaveImages:
             first = np.floor(offset.min(2))
             corner = window + first
             stamp_px = size + int((np.ceil(offset.max(2)) - first).max(initial=0.0))
-            mean = mean + self.trail.mean_px[stars]
         pixels = np.zeros((*light.shape, stamp_px, stamp_px))
         for s, star in enumerate(stars):
             for b in np.flatnonzero(light[s] > 0.0):
                 at = waves, (s, int(b)), self.share[star, b], window[s, b], float(size), field
                 pixels[s, b] = self._still(*at) if self.trail is None else self._moving(*at, int(star), stamp_px)
-        return WaveStamps(stars, np.maximum(pixels, 0.0), corner, mean, light, waves.x.shape[-1], mode)
+        rays = RayMoments(mean, self._variance(stars, waves, mean))
+        if self.trail is not None:
+            rays = rays.along(self.trail, stars)
+        kept = None if mode == "cells" else rays
+        return WaveStamps(stars, np.maximum(pixels, 0.0), corner, rays.mean_px, light, waves.x.shape[-1], mode, kept)
 
     def _still(
         self,
