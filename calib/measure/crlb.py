@@ -85,7 +85,7 @@ def cramer_rao(
     noise : NoiseModel
         Noise of a pixel.
     steps : (k,), optional
-        Steps of the differences; 1e-4 max(1, |parameter|) without it.
+        Steps of the differences; 1e-4 of each parameter, or of 1 where it is smaller, without it.
     valid : bool array, optional
         Pixels to use, shaped as the model's result.
     exact : bool
