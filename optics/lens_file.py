@@ -144,6 +144,11 @@ def read_lens_file(
     strict : bool
         Refuse whatever is not the same as in the file, and leave surfaces open that have no clear aperture there.
 
+    Returns
+    -------
+    LensFile
+        The lens, with the report of every line that was read, approximated or left out.
+
     Raises
     ------
     ConfigError

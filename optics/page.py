@@ -182,6 +182,11 @@ def frame_page(
         Standard deviation of the background, which values that are no whole numbers are rounded with; measured if
         left out.
 
+    Returns
+    -------
+    str
+        The page.
+
     Raises
     ------
     DomainError
@@ -235,6 +240,22 @@ def frame_page(
 
 def save_frame_page(path: str | Path, values: ArrayLike, layers: Sequence[Marks] = (), **settings: Any) -> Path:
     """Write what `frame_page` gives; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        File to write.
+    values : (h, w)
+        Pixels.
+    layers : sequence of Marks
+        Drawn in this order.
+    **settings
+        As in `frame_page`.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
 
     Raises
     ------
