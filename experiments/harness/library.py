@@ -40,7 +40,7 @@ class ExperimentRun:
 
     def __repr__(self) -> str:
         failed = [one.name for one in self.criteria if not one.passed]
-        verdict = f"not met: {', '.join(failed)}" if failed else f"all {len(self.criteria)} criteria met"
+        verdict = f"not met: {', '.join(failed)}" if failed else f"{len(self.criteria)} criteria met"
         return f"<{self.run.experiment.name}: tables {', '.join(self.run.tables)}; {verdict}>"
 
     @property
