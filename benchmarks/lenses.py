@@ -30,9 +30,13 @@ SETTINGS = (
     "instrument.absorption=false",
     "instrument.diffraction=rays",
 )
+WIDE = ("instrument.defocus_mm=0", "window_px=25")
 OWN = {  # spots that a window of the centroider holds
     "double_gauss_50mm": ("instrument.f_number=4", "instrument.defocus_mm=0.07"),
+    "maksutov_1300mm": WIDE,
+    "petzval_100mm": WIDE,
     "star_camera_206mm": ("instrument.defocus_mm=0.01",),
+    "werfel_40mm": WIDE,
 }
 LIMIT_S = 300
 
