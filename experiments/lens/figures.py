@@ -127,11 +127,12 @@ def images(outcome: Outcome) -> Figure:
     made = _made(outcome)
     assert made.waves is not None
     assert made.waves.images is not None
+    shot = made.waves.images
     figure, axes = new_figure(1, 3, aspect_ratio=0.36, sharex=True, sharey=True)
-    half = 1e3 * made.waves.half_mm
+    half = 1e3 * shot.half_mm
     shown: Any = None
-    for panel, at, image in zip(axes, SHOWN, made.waves.images, strict=True):
-        decibel = np.log10(np.maximum(image / made.waves.images.max(), 1e-12))
+    for panel, at, image in zip(axes, SHOWN, shot.intensity, strict=True):
+        decibel = np.log10(np.maximum(image / shot.intensity.max(), 1e-12))
         shown = panel.imshow(decibel, extent=(-half, half, -half, half), origin="lower", vmin=-4.0, vmax=0.0,
                              interpolation="nearest")  # fmt: skip
         panel.set(title=f"{made.field_deg[at]:.3g}°", xlabel="along the field [µm]")
@@ -146,16 +147,17 @@ def encircled(outcome: Outcome) -> Figure:
     made = _made(outcome)
     assert made.waves is not None
     assert made.spots is not None
+    assert made.waves.images is not None
+    shot = made.waves.images
     figure, axes = new_figure(width="half", aspect_ratio=0.8)
     weight = made.weight / made.weight.sum()
     for row, at in enumerate(SHOWN):
         light = made.spots.area_mm2[at] * weight[:, None]
         x, y = (np.where(light > 0, v[at], 0.0) for v in (made.spots.rays.x, made.spots.rays.y))
         radius = np.hypot(x - (light * x).sum() / light.sum(), y - (light * y).sum() / light.sum())
-        within = [float(light[radius <= r].sum() / light.sum()) for r in made.waves.radius_mm]
-        axes.plot(1e3 * made.waves.radius_mm, within, "--", color=PALETTE[row], linewidth=0.9)
-        if made.waves.encircled is not None:
-            axes.plot(1e3 * made.waves.radius_mm, made.waves.encircled[row], "-", color=PALETTE[row])
+        within = [float(light[radius <= r].sum() / light.sum()) for r in shot.radius_mm]
+        axes.plot(1e3 * shot.radius_mm, within, "--", color=PALETTE[row], linewidth=0.9)
+        axes.plot(1e3 * shot.radius_mm, shot.encircled[row], "-", color=PALETTE[row])
         axes.plot([], [], color=PALETTE[row], label=f"{made.field_deg[at]:.3g}°")
     axes.set(xlabel="radius [µm]", ylabel="encircled light", ylim=(0.0, 1.02), xlim=(0.0, None))
     axes.legend(frameon=False)
@@ -167,13 +169,15 @@ def through_focus(outcome: Outcome) -> Figure:
     made = _made(outcome)
     assert made.waves is not None
     assert made.spots is not None
+    assert made.waves.images is not None
+    shot = made.waves.images
     figure, (upper, lower) = new_figure(2, 1, width="half", aspect_ratio=1.0, sharex=True)
     curve = white_focus(made.spots, made.weight / made.weight.sum())
-    shift = np.linspace(made.waves.focus_mm[0], made.waves.focus_mm[-1], 101)
+    shift = np.linspace(shot.focus_mm[0], shot.focus_mm[-1], 101)
     spot = 1e3 * curve.rms_mm(shift[:, None])
     for row, at in enumerate(SHOWN):
         label = f"{made.field_deg[at]:.3g}°"
-        upper.plot(1e3 * made.waves.focus_mm, made.waves.strehl_through_focus[row], "o-", markersize=2.5,
+        upper.plot(1e3 * shot.focus_mm, shot.strehl_through_focus[row], "o-", markersize=2.5,
                    color=PALETTE[row], label=label)  # fmt: skip
         lower.plot(1e3 * shift, spot[:, at], color=PALETTE[row])
     upper.set(ylabel="Strehl ratio", ylim=(0.0, None))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from optics.arrays import FloatArray
-from optics.errors import StarbenchError
+from optics.errors import DomainError, StarbenchError
 from optics.lens.system import LensSystem
 from optics.lens_file import LensFile
 from optics.rays.chief import chief_ray_points
@@ -17,10 +17,10 @@ from optics.rays.paraxial import ParaxialLens, axial_paraxial
 from optics.rays.performance import LensPerformance, lens_performance, white_focus
 from optics.rays.spots import Spots, trace_spots
 from optics.waves.image_quality import perfect_peak, strehl, transfer_function
-from optics.waves.pupil_field import PupilField, trace_pupil
+from optics.waves.pupil_field import PupilField, needed_order, trace_pupil
 from optics.waves.wavefront import Wavefront, wavefront
 
-__all__ = ["Study", "Waves", "study"]
+__all__ = ["Images", "Study", "Waves", "study"]
 
 FIELD_SHARES = (0.0, 0.35, 0.5, 0.7, 0.85, 1.0)
 SHOWN = (0, 3, 5)
@@ -30,9 +30,13 @@ PUPIL_ORDER = (16, 48)
 """Rays whose phase a polynomial of the twelfth degree follows."""
 ZERNIKES = 15
 """Noll coefficients, up to the fourth order."""
+MOST_RAYS = 6000
+"""Rays of a pupil that a page waits for."""
 FOCUS_STEPS, DEPTHS = 11, 3.0
 """Image planes on both sides, to so many times the depth of focus 2 wavelength F^2 (a quarter wave at the rim)."""
 SIDE, CIRCLES = 121, 33
+COARSE, FINE = (5.0, 0.25), (0.25, 0.05)
+"""Half side and step of grids that look for the brightest point, in wavelengths over the numerical aperture."""
 AIRY_RADII, SPOT_RADII = 3.0, 2.5
 """Images reach so many Airy radii and so many RMS radii of the largest spot from their middle."""
 BAND_SHARES = (0.85, 1.0, 1.2)
@@ -50,8 +54,35 @@ class Mtf:
 
 
 @dataclass(frozen=True, slots=True)
+class Images:
+    """Diffraction images at the design wavelength for the shown fields.
+
+    Attributes
+    ----------
+    strehl : tuple of float
+        Strehl ratios in the plane of the file.
+    focus_mm, strehl_through_focus : (z,), (fields, z)
+        Shifts of the image plane, and Strehl ratios there.
+    half_mm : float
+        Half the side of the images, about the mean of the light.
+    intensity : (fields, side, side)
+        Images over the brightest point of the same pupil without wavefront error.
+    radius_mm, encircled : (r,), (fields, r)
+        Share of the light within circles about the mean of the light.
+    """
+
+    strehl: tuple[float, ...]
+    focus_mm: FloatArray
+    strehl_through_focus: FloatArray
+    half_mm: float
+    intensity: FloatArray
+    radius_mm: FloatArray
+    encircled: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
 class Waves:
-    """Diffraction at the design wavelength for the shown fields.
+    """Wavefronts at the design wavelength for the shown fields.
 
     Attributes
     ----------
@@ -59,28 +90,13 @@ class Waves:
         Wavefront errors about the reference point of the smallest.
     zernike_waves : (fields, ZERNIKES)
         Their Noll coefficients, in wavelengths.
-    strehl : tuple of float
-        Strehl ratios in the plane of the file.
-    focus_mm, strehl_through_focus : (z,), (fields, z)
-        Shifts of the image plane, and Strehl ratios there.
-    half_mm : float
-        Half the side of the images, about the mean of the light.
-    images : (fields, side, side)
-        Intensities over the brightest point of the same pupil without wavefront error; None where they need too many
-        rays, as ``note`` says.
-    radius_mm, encircled : (r,), (fields, r)
-        Share of the light within circles about the mean of the light; None like the images.
+    images : Images or None
+        None where images need too many rays, as ``note`` says.
     """
 
     wavefront: tuple[Wavefront, ...]
     zernike_waves: FloatArray
-    strehl: tuple[float, ...]
-    focus_mm: FloatArray
-    strehl_through_focus: FloatArray
-    half_mm: float
-    images: FloatArray | None
-    radius_mm: FloatArray
-    encircled: FloatArray | None
+    images: Images | None
     note: str
 
 
@@ -163,38 +179,65 @@ def _diffraction(lens: LensSystem, fields: FloatArray, rms_mm: FloatArray, f_num
     errors = tuple(wavefront(pupil, at=(row, 0)) for row in all_fields)
     wave_mm = 1e-6 * lens.design_wavelength_nm
     focus_mm = DEPTHS * 2.0 * wave_mm * f_number**2 * np.linspace(-1.0, 1.0, FOCUS_STEPS)
-    perfect = [perfect_peak(pupil, at=(row, 0)) for row in all_fields]
-    through = np.array([[_highest(pupil.shifted(float(z)), row) for z in focus_mm] for row in all_fields])
     half_mm = AIRY_RADII * 1.22 * wave_mm * f_number + SPOT_RADII * float(np.nanmax(rms_mm[list(SHOWN)]))
-    radius_mm, images, encircled, note = half_mm * np.linspace(0.0, 1.0, CIRCLES), None, None, ""
+    images, note = None, ""
     try:
-        fine = trace_pupil(lens, *chosen, half_width_mm=half_mm)
-        grid = half_mm * np.linspace(-1.0, 1.0, SIDE)
-        means = [[float(v[row, 0]) for v in fine.mean_mm] for row in all_fields]
-        light = np.array([fine.intensity(x + grid, y + grid, at=(row, 0)) for row, (x, y) in enumerate(means)])
-        images, encircled = light / np.array(perfect)[:, None, None], _within(light, grid, radius_mm)
+        images = _images(lens, chosen, pupil, focus_mm, half_mm)
     except StarbenchError as error:
         note = str(error)
     return Waves(
         wavefront=errors,
         zernike_waves=np.array([one.zernike_nm(ZERNIKES) / one.wavelength_nm for one in errors]),
-        strehl=tuple(strehl(pupil, at=(row, 0)) for row in all_fields),
-        focus_mm=focus_mm,
-        strehl_through_focus=through / np.array(perfect)[:, None],
-        half_mm=half_mm,
         images=images,
-        radius_mm=radius_mm,
-        encircled=encircled,
         note=note,
     )
 
 
+def _images(
+    lens: LensSystem,
+    chosen: tuple[FloatArray, FloatArray, list[float]],
+    pupil: PupilField,
+    focus_mm: FloatArray,
+    half_mm: float,
+) -> Images:
+    """Images of the shown fields; ``pupil`` is a coarse one that tells how many rays they need."""
+    peaks_mm = (COARSE[0] + 2.0 * FINE[0]) * _airy_unit_mm(pupil)
+    needs = [needed_order(pupil.shifted(float(z)), peaks_mm) for z in focus_mm[[0, -1]]]
+    order = np.max([needed_order(pupil, half_mm), *needs], axis=0)
+    if order.prod() > MOST_RAYS:
+        raise DomainError(
+            f"they need {order[0]} x {order[1]} rays, {MOST_RAYS} in all are traced here; rays are right for them"
+        )
+    fine, all_fields = trace_pupil(lens, *chosen, order=(int(order[0]), int(order[1]))), range(len(SHOWN))
+    grid = half_mm * np.linspace(-1.0, 1.0, SIDE)
+    means = [[float(v[row, 0]) for v in fine.mean_mm] for row in all_fields]
+    light = np.array([fine.intensity(x + grid, y + grid, at=(row, 0)) for row, (x, y) in enumerate(means)])
+    perfect = np.array([perfect_peak(fine, at=(row, 0)) for row in all_fields])
+    through = np.array([[_highest(fine.shifted(float(z)), row) for z in focus_mm] for row in all_fields])
+    radius_mm = half_mm * np.linspace(0.0, 1.0, CIRCLES)
+    return Images(
+        strehl=tuple(strehl(fine, at=(row, 0)) for row in all_fields),
+        focus_mm=focus_mm,
+        strehl_through_focus=through / perfect[:, None],
+        half_mm=half_mm,
+        intensity=light / perfect[:, None, None],
+        radius_mm=radius_mm,
+        encircled=_within(light, grid, radius_mm),
+    )
+
+
+def _airy_unit_mm(pupil: PupilField) -> float:
+    """Wavelength over the sine of the steepest ray [mm], of the field where it is largest."""
+    steepest = np.hypot(pupil.l, pupil.m).max(axis=(1, 2, 3))
+    return 1e-6 * float(pupil.wavelength_nm[0]) / float(steepest.min())
+
+
 def _highest(pupil: PupilField, row: int) -> float:
     """Intensity of the brightest point, to a percent: the best of a fine grid about the best of a coarse one."""
-    unit_mm = 1e-6 * float(pupil.wavelength_nm[0]) / float(np.hypot(pupil.l, pupil.m)[row].max())
+    unit_mm = _airy_unit_mm(pupil)
     x, y = (float(v[row, 0]) for v in pupil.mean_mm)
     image = np.zeros((1, 1))
-    for reach, step in ((5.0, 0.25), (0.25, 0.05)):
+    for reach, step in (COARSE, FINE):
         grid = unit_mm * np.arange(-reach, reach + 0.5 * step, step)
         image = pupil.intensity(x + grid, y + grid, at=(row, 0))
         at_y, at_x = np.unravel_index(int(image.argmax()), image.shape)

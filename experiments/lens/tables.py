@@ -115,7 +115,7 @@ def _wavefront(made: Study) -> dict[str, Table]:
     assert waves is not None
     columns = [Column(name=f"{made.field_deg[at]:.3g}°", format=".4f") for at in SHOWN]
     rows: list[Any] = [
-        ("Strehl ratio", *waves.strehl),
+        ("Strehl ratio", *(waves.images.strehl if waves.images else [None] * len(SHOWN))),
         ("exp(-(2π σ)²) (Maréchal)", *(one.marechal for one in waves.wavefront)),
         ("RMS σ [waves]", *(one.rms_waves for one in waves.wavefront)),
         ("peak to valley [waves]", *(one.peak_to_valley_nm / one.wavelength_nm for one in waves.wavefront)),
