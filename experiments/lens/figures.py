@@ -129,7 +129,7 @@ def images(outcome: Outcome) -> Figure:
     assert made.waves.images is not None
     shot = made.waves.images
     figure, axes = new_figure(1, 3, aspect_ratio=0.36, sharex=True, sharey=True)
-    half = 1e3 * shot.half_mm
+    half = 1e3 * made.waves.half_mm
     shown: Any = None
     for panel, at, image in zip(axes, SHOWN, shot.intensity, strict=True):
         decibel = np.log10(np.maximum(image / shot.intensity.max(), 1e-12))
@@ -147,7 +147,6 @@ def encircled(outcome: Outcome) -> Figure:
     made = _made(outcome)
     assert made.waves is not None
     assert made.spots is not None
-    assert made.waves.images is not None
     shot = made.waves.images
     figure, axes = new_figure(width="half", aspect_ratio=0.8)
     weight = made.weight / made.weight.sum()
@@ -155,9 +154,10 @@ def encircled(outcome: Outcome) -> Figure:
         light = made.spots.area_mm2[at] * weight[:, None]
         x, y = (np.where(light > 0, v[at], 0.0) for v in (made.spots.rays.x, made.spots.rays.y))
         radius = np.hypot(x - (light * x).sum() / light.sum(), y - (light * y).sum() / light.sum())
-        within = [float(light[radius <= r].sum() / light.sum()) for r in shot.radius_mm]
-        axes.plot(1e3 * shot.radius_mm, within, "--", color=PALETTE[row], linewidth=0.9)
-        axes.plot(1e3 * shot.radius_mm, shot.encircled[row], "-", color=PALETTE[row])
+        within = [float(light[radius <= r].sum() / light.sum()) for r in made.waves.radius_mm]
+        axes.plot(1e3 * made.waves.radius_mm, within, "--", color=PALETTE[row], linewidth=0.9)
+        if shot is not None:
+            axes.plot(1e3 * made.waves.radius_mm, shot.encircled[row], "-", color=PALETTE[row])
         axes.plot([], [], color=PALETTE[row], label=f"{made.field_deg[at]:.3g}°")
     axes.set(xlabel="radius [µm]", ylabel="encircled light", ylim=(0.0, 1.02), xlim=(0.0, None))
     axes.legend(frameon=False)
@@ -165,24 +165,24 @@ def encircled(outcome: Outcome) -> Figure:
 
 
 def through_focus(outcome: Outcome) -> Figure:
-    """Strehl ratio through focus; below it the RMS spot of all wavelengths."""
+    """RMS spot of all wavelengths through focus; above it the Strehl ratio where there is one."""
     made = _made(outcome)
     assert made.waves is not None
     assert made.spots is not None
-    assert made.waves.images is not None
     shot = made.waves.images
-    figure, (upper, lower) = new_figure(2, 1, width="half", aspect_ratio=1.0, sharex=True)
+    figure, panels = new_figure(1 if shot is None else 2, 1, width="half", aspect_ratio=1.0, sharex=True, squeeze=False)
     curve = white_focus(made.spots, made.weight / made.weight.sum())
-    shift = np.linspace(shot.focus_mm[0], shot.focus_mm[-1], 101)
+    shift = np.linspace(made.waves.focus_mm[0], made.waves.focus_mm[-1], 101)
     spot = 1e3 * curve.rms_mm(shift[:, None])
+    upper, lower = panels[0, 0], panels[-1, 0]
     for row, at in enumerate(SHOWN):
-        label = f"{made.field_deg[at]:.3g}°"
-        upper.plot(1e3 * shot.focus_mm, shot.strehl_through_focus[row], "o-", markersize=2.5,
-                   color=PALETTE[row], label=label)  # fmt: skip
-        lower.plot(1e3 * shift, spot[:, at], color=PALETTE[row])
-    upper.set(ylabel="Strehl ratio", ylim=(0.0, None))
+        lower.plot(1e3 * shift, spot[:, at], color=PALETTE[row], label=f"{made.field_deg[at]:.3g}°")
+        if shot is not None:
+            upper.plot(1e3 * made.waves.focus_mm, shot.strehl_through_focus[row], "o-", markersize=2.5,
+                       color=PALETTE[row])  # fmt: skip
+            upper.set(ylabel="Strehl ratio", ylim=(0.0, None))
     lower.set(xlabel="shift of the image plane [µm]", ylabel="RMS spot [µm]", ylim=(0.0, None))
-    upper.legend(frameon=False)
+    lower.legend(frameon=False)
     return figure
 
 

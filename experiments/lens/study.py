@@ -61,22 +61,17 @@ class Images:
     ----------
     strehl : tuple of float
         Strehl ratios in the plane of the file.
-    focus_mm, strehl_through_focus : (z,), (fields, z)
-        Shifts of the image plane, and Strehl ratios there.
-    half_mm : float
-        Half the side of the images, about the mean of the light.
+    strehl_through_focus : (fields, z)
+        The same at `Waves.focus_mm`.
     intensity : (fields, side, side)
         Images over the brightest point of the same pupil without wavefront error.
-    radius_mm, encircled : (r,), (fields, r)
-        Share of the light within circles about the mean of the light.
+    encircled : (fields, r)
+        Share of the light within circles of `Waves.radius_mm`.
     """
 
     strehl: tuple[float, ...]
-    focus_mm: FloatArray
     strehl_through_focus: FloatArray
-    half_mm: float
     intensity: FloatArray
-    radius_mm: FloatArray
     encircled: FloatArray
 
 
@@ -90,12 +85,21 @@ class Waves:
         Wavefront errors about the reference point of the smallest.
     zernike_waves : (fields, ZERNIKES)
         Their Noll coefficients, in wavelengths.
+    focus_mm : (z,)
+        Shifts of the image plane.
+    half_mm : float
+        Half the side of images, about the mean of the light.
+    radius_mm : (r,)
+        Circles about it.
     images : Images or None
         None where images need too many rays, as ``note`` says.
     """
 
     wavefront: tuple[Wavefront, ...]
     zernike_waves: FloatArray
+    focus_mm: FloatArray
+    half_mm: float
+    radius_mm: FloatArray
     images: Images | None
     note: str
 
@@ -180,14 +184,17 @@ def _diffraction(lens: LensSystem, fields: FloatArray, rms_mm: FloatArray, f_num
     wave_mm = 1e-6 * lens.design_wavelength_nm
     focus_mm = DEPTHS * 2.0 * wave_mm * f_number**2 * np.linspace(-1.0, 1.0, FOCUS_STEPS)
     half_mm = AIRY_RADII * 1.22 * wave_mm * f_number + SPOT_RADII * float(np.nanmax(rms_mm[list(SHOWN)]))
-    images, note = None, ""
+    radius_mm, images, note = half_mm * np.linspace(0.0, 1.0, CIRCLES), None, ""
     try:
-        images = _images(lens, chosen, pupil, focus_mm, half_mm)
+        images = _images(lens, chosen, pupil, focus_mm, radius_mm)
     except StarbenchError as error:
         note = str(error)
     return Waves(
         wavefront=errors,
         zernike_waves=np.array([one.zernike_nm(ZERNIKES) / one.wavelength_nm for one in errors]),
+        focus_mm=focus_mm,
+        half_mm=half_mm,
+        radius_mm=radius_mm,
         images=images,
         note=note,
     )
@@ -198,9 +205,10 @@ def _images(
     chosen: tuple[FloatArray, FloatArray, list[float]],
     pupil: PupilField,
     focus_mm: FloatArray,
-    half_mm: float,
+    radius_mm: FloatArray,
 ) -> Images:
     """Images of the shown fields; ``pupil`` is a coarse one that tells how many rays they need."""
+    half_mm = float(radius_mm[-1])
     peaks_mm = (COARSE[0] + 2.0 * FINE[0]) * _airy_unit_mm(pupil)
     needs = [needed_order(pupil.shifted(float(z)), peaks_mm) for z in focus_mm[[0, -1]]]
     order = np.max([needed_order(pupil, half_mm), *needs], axis=0)
@@ -214,14 +222,10 @@ def _images(
     light = np.array([fine.intensity(x + grid, y + grid, at=(row, 0)) for row, (x, y) in enumerate(means)])
     perfect = np.array([perfect_peak(fine, at=(row, 0)) for row in all_fields])
     through = np.array([[_highest(fine.shifted(float(z)), row) for z in focus_mm] for row in all_fields])
-    radius_mm = half_mm * np.linspace(0.0, 1.0, CIRCLES)
     return Images(
         strehl=tuple(strehl(fine, at=(row, 0)) for row in all_fields),
-        focus_mm=focus_mm,
         strehl_through_focus=through / perfect[:, None],
-        half_mm=half_mm,
         intensity=light / perfect[:, None, None],
-        radius_mm=radius_mm,
         encircled=_within(light, grid, radius_mm),
     )
 

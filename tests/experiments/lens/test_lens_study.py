@@ -41,6 +41,6 @@ def test_an_ideal_lens_is_shown_as_one(tmp_path: Path) -> None:
     assert shot.intensity.max(axis=(1, 2)) == pytest.approx([1.0] * 3, abs=1e-3)
     unit_mm = 500e-6 * 5.0
     for ring, share in ((1.21967, 0.8378), (2.23313, 0.9099)):
-        assert np.interp(ring * unit_mm, shot.radius_mm, shot.encircled[0]) == pytest.approx(share, abs=4e-3)
-    defocus_waves = shot.focus_mm / (8.0 * 5.0**2) / 500e-6
+        assert np.interp(ring * unit_mm, waves.radius_mm, shot.encircled[0]) == pytest.approx(share, abs=4e-3)
+    defocus_waves = waves.focus_mm / (8.0 * 5.0**2) / 500e-6
     assert shot.strehl_through_focus[0] == pytest.approx(np.sinc(defocus_waves) ** 2, abs=0.02)
