@@ -55,6 +55,7 @@ COLUMNS = (
     ),
     Column("electrons_off_edge", "float64", "electron", "expected electrons beside the detector or between chips"),
     Column("electrons_hidden", "float64", "electron", "those that a body in front of the star takes away"),
+    Column("electrons_beyond", "float64", "electron", "those in the wings of the diffraction image that are left out"),
     Column("variance_x_px2", "float64", "pix2", "second central moment of the ray bundle along the columns"),
     Column("variance_y_px2", "float64", "pix2", "along the rows"),
     Column("snr", "float64", "", "signal-to-noise ratio of the flux by optimal weights, a Gaussian spot"),

@@ -112,7 +112,7 @@ def test_built_lenses_scatter_as_their_sensitivities_add_up(engine):
         (["--set", "detector.prnu=nan"], "finite"),
         (["--set", "moved.element=L9"], "unknown element 'L9'"),
         (["--set", "instrument.detector=acc19_mosaic"], "acc18_mosaic"),
-        (["--set", "attitude.counts=[1, 5]"], "at least 2 stars"),
+        (["--set", "attitude.counts=[1, 5]"], "at least 2"),
         (["--set", "source.signal_e=1e6"], "saturates"),
         (["--set", "instrument.defocus_mm=0.5"], "window_px"),
         (["--set", "target.pitch_px=900"], "does not fit"),
