@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from experiments.harness.config import FileName, StrictModel
+from experiments.harness.config import AngleDeg, FileName, StrictModel
 from experiments.laboratory.centroid_methods import CentroiderName
 from experiments.laboratory.sensor_file import SensorExperimentConfig
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, PassbandConfig
@@ -33,6 +33,7 @@ __all__ = [
     "VerifyConfig",
 ]
 
+DeclinationDeg = Annotated[float, Field(ge=-90, le=90)]
 RateDegPerS = Annotated[float, Field(ge=-360, le=360)]
 SpectralDensity = Annotated[float, Field(ge=0, le=1e12)]
 Vector = tuple[RateDegPerS, RateDegPerS, RateDegPerS]
@@ -166,7 +167,7 @@ class BackgroundConfig(StrictModel):
     moon_planets: bool = Field(
         default=False, description="Moon and planets where they stand; needs catalogue.observer = earth"
     )
-    earth_direction_deg: tuple[float, float] = Field(
+    earth_direction_deg: tuple[AngleDeg, DeclinationDeg] = Field(
         default=(0.0, 0.0), description="right ascension and declination at which the Earth's centre is seen"
     )
     earth_distance_km: float | None = Field(

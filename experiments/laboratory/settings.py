@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -61,7 +61,7 @@ class InstrumentConfig(StrictModel):
         description="material of the housing, or its linear expansion in 1e-6/K, with lens_temperature_c; materials: "
         + ", ".join(EXPANSION_PPM_PER_K),
     )
-    wavefront_zernike_nm: tuple[float, ...] = Field(
+    wavefront_zernike_nm: tuple[Annotated[float, Field(ge=-1e5, le=1e5)], ...] = Field(
         default=(),
         max_length=66,
         description="measured error of the wavefront on the axis: standard Zernike coefficients by Noll's index, "
