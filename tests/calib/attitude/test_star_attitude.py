@@ -52,6 +52,7 @@ def solved(sky, stars, near):
     return solve_attitude(stars, identify_stars(stars, MODEL, sky, near=near), MODEL, sky)
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_predicted_with_and_without_a_common_error():
     sky = random_sky()
     near = Rotation.from_rotvec(np.radians([0.2, -0.3, 0.5])) * TRUTH
