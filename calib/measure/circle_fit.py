@@ -1,14 +1,13 @@
-"""Circle and ellipse through edge points: orthogonal distances, weights, outliers, covariance.
+"""Circle through edge points: orthogonal distances, weights, outliers, covariance.
 
 The sum of squared orthogonal distances is what is made smallest (Gander, Golub & Strebel 1994, BIT 34, 558), by
-Gauss-Newton from an algebraic start: Taubin's circle fit (1991, IEEE PAMI 13, 1115) in the form of Chernov (2010,
-*Circular and Linear Regression*, sec. 5.9), and scikit-image's direct ellipse fit (Halir & Flusser 1998). Distances to
-an ellipse come from its foot points, found by Newton's method on the angle.
+Gauss-Newton from an algebraic start: Taubin's fit (1991, IEEE PAMI 13, 1115) in the form of Chernov (2010,
+*Circular and Linear Regression*, sec. 5.9).
 
-Wrong points. Curves through few points each, an even selection of all such sets and no random draw, are judged by
+Wrong points. Circles through three points each, an even selection of all such sets and no random draw, are judged by
 the distance within which most points lie (least median of squares, Rousseeuw 1984, JASA 79, 871); the points that fit
 the best of them are the start of a fit that lets points in and out until they stay. Up to 40 % of the points may lie
-elsewhere, on another curve even; with more the fit is refused.
+elsewhere, on another circle even; with more the fit is refused.
 
 The covariance of the parameters is ``(J^T W J)^-1`` with the stated errors of the points, scaled up by the reduced
 chi-square where the points scatter more than they say, and by the variance of the estimated scatter where it was
@@ -18,8 +17,6 @@ by three of its sigmas, r > 3 sigma_r, else the status is "singular" and the sig
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -35,28 +32,32 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
 from optics.records import freeze
 
-__all__ = ["CircleFit", "CurveFit", "EllipseFit", "fit_circle", "fit_ellipse"]
+__all__ = ["CircleFit", "fit_circle"]
 
 
 STEPS = 50
 CLIP_SIGMA = 4.0
 CLIP_ROUNDS = 20
-SETS = {"circle": 150, "ellipse": 60}
-"""Curves tried: at 40 % wrong points a fifth of all triples and a twentieth of all sixes hold none."""
+SETS = 150
+"""Circles tried: at 40 % wrong points a fifth of all triples hold none."""
+LEAST = 4
+"""Points of a fit."""
 CURVED_SIGMA = 3.0
 """Sigmas by which a curvature must differ from zero for its circle to be told from a line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CurveFit:
-    """What every fit of a closed curve tells.
+class CircleFit:
+    """A circle, and how well it fits.
 
     Attributes
     ----------
     centre : (2,)
         Its centre, in the unit of the points.
-    covariance : (k, k)
-        Of the parameters; infinite on the diagonal for what the points do not determine.
+    radius : float
+        Its radius.
+    covariance : (3, 3)
+        Of x, y and radius; infinite on the diagonal for what the points do not determine.
     rms : float
         Of the orthogonal distances of the points used.
     misfit : ChiSquare
@@ -64,13 +65,14 @@ class CurveFit:
     used : (n,) bool
         Points that were not rejected.
     status : str
-        "converged"; "singular": the points do not determine the curve, or cannot tell it from a line; "refused": more
+        "converged"; "singular": the points do not determine the circle, or cannot tell it from a line; "refused": more
         than 40 % of the points do not fit, or they scatter by more than 10 times their sigma; "iteration_limit".
     message : str
         One line on the status, on points left out, and on a stated noise that the points contradict.
     """
 
     centre: FloatArray
+    radius: float
     covariance: FloatArray
     rms: float
     misfit: ChiSquare
@@ -82,53 +84,18 @@ class CurveFit:
         if self.status not in STATUSES:
             raise unknown_name("status", self.status, STATUSES)
         freeze(self, "centre", shape=(2,))
-        freeze(self, "covariance", shape=("k", "k"), finite=False, sizes={})
+        freeze(self, "covariance", shape=(3, 3), finite=False)
         freeze(self, "used", shape=("n",), dtype=np.bool_)
 
     @property
     def converged(self) -> bool:
-        """Whether the curve may be used."""
+        """Whether the circle may be used."""
         return self.status == "converged"
 
     @property
     def sigma(self) -> FloatArray:
         """Standard deviations of the parameters, in the order of the covariance."""
         return np.sqrt(np.diag(self.covariance))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CircleFit(CurveFit):
-    """A circle; parameters x, y, radius, and the attributes of `CurveFit`.
-
-    Attributes
-    ----------
-    radius : float
-        Its radius.
-    """
-
-    radius: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EllipseFit(CurveFit):
-    """An ellipse; parameters x, y, a, b, angle, and the attributes of `CurveFit`.
-
-    Of a circle the angle means nothing and its variance is huge.
-
-    Attributes
-    ----------
-    semi_axes : (2,)
-        The longer and the shorter half axis, a and b.
-    angle_rad : float
-        Direction of the longer one from +x towards +y, -pi/2 to pi/2.
-    """
-
-    semi_axes: FloatArray
-    angle_rad: float
-
-    def __post_init__(self) -> None:
-        CurveFit.__post_init__(self)
-        freeze(self, "semi_axes", shape=(2,))
 
 
 def fit_circle(points: ArrayLike, *, sigma: ArrayLike | None = None, clip_sigma: float = CLIP_SIGMA) -> CircleFit:
@@ -162,95 +129,39 @@ def fit_circle(points: ArrayLike, *, sigma: ArrayLike | None = None, clip_sigma:
     >>> line.status, line.sigma
     ('singular', array([inf, inf, inf]))
     """
-    (x, y, radius), fit = _robust_fit(points, sigma, clip_sigma, _CIRCLE)
+    (x, y, radius), fit = _robust_fit(points, sigma, clip_sigma)
     return CircleFit(centre=np.array([x, y]), radius=float(radius), **fit)
 
 
-def fit_ellipse(points: ArrayLike, *, sigma: ArrayLike | None = None, clip_sigma: float = CLIP_SIGMA) -> EllipseFit:
-    """Ellipse of least squared orthogonal distance.
-
-    Parameters
-    ----------
-    points : (n, 2)
-        Edge points, at least 6, that show more than a short arc.
-    sigma, clip_sigma
-        As in `fit_circle`.
-
-    Returns
-    -------
-    EllipseFit
-
-    Raises
-    ------
-    DomainError
-        As `fit_circle`.
-    """
-    value, fit = _robust_fit(points, sigma, clip_sigma, _ELLIPSE)
-    x, y, a, b, angle = value
-    if b > a:
-        a, b, angle = b, a, angle + np.pi / 2
-        swapped = [0, 1, 3, 2, 4]  # x, y, the other half axis, this one, angle
-        fit["covariance"] = fit["covariance"][np.ix_(swapped, swapped)]
-    return EllipseFit(
-        centre=np.array([x, y]),
-        semi_axes=np.array([a, b]),
-        angle_rad=float((angle + np.pi / 2) % np.pi - np.pi / 2),
-        **fit,
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Curve:
-    """A kind of curve: its name and those of its parameters, the fewest points of a fit, the points of a trial curve.
-
-    ``start`` is an algebraic fit (k,) to points (n, 2); ``distance`` gives signed distances (n,) of points from a curve
-    and their derivatives (n, k); ``trials`` curves (m, k) through sets of points (m, j, 2); ``spread`` the distances
-    (m, n) of all points from all of them.
-    """
-
-    name: str
-    parameters: tuple[str, ...]
-    least: int
-    through: int
-    start: Callable[[FloatArray], FloatArray]
-    distance: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
-    trials: Callable[[FloatArray], FloatArray]
-    spread: Callable[[FloatArray, FloatArray], FloatArray]
-
-
-def _robust_fit(
-    points: ArrayLike, sigma: ArrayLike | None, clip_sigma: float, curve: _Curve
-) -> tuple[FloatArray, dict[str, Any]]:
-    """Parameters of a curve, points far off it rejected, and the fields of `CurveFit` but the centre."""
-    point, error, stated = _checked(points, sigma, least=curve.least)
+def _robust_fit(points: ArrayLike, sigma: ArrayLike | None, clip_sigma: float) -> tuple[FloatArray, dict[str, Any]]:
+    """Centre and radius, points far off rejected, and the other fields of `CircleFit`."""
+    point, error, stated = _checked(points, sigma)
     used = np.ones(len(point), bool)
     if np.isfinite(clip_sigma):
-        used = _consensus(point, error, clip_sigma, stated, curve)
+        used = _consensus(point, error, clip_sigma, stated)
     settled = True
     for _ in range(CLIP_ROUNDS):
-        value, settled = _gauss_newton(point[used], error[used], curve.start(point[used]), curve)
-        pull = np.abs(curve.distance(point, value)[0]) / error
+        value, settled = _gauss_newton(point[used], error[used], _taubin(point[used]))
+        pull = np.abs(_distance(point, value)[0]) / error
         kept = _inliers(pull, pull[used], len(value), clip_sigma, stated)
-        if np.array_equal(kept, used) or kept.sum() < curve.least:
+        if np.array_equal(kept, used) or kept.sum() < LEAST:
             break
         used = kept
-    return value, _judged(point, error, value, used, settled, stated, curve)
+    return value, _judged(point, error, value, used, settled, stated)
 
 
-def _consensus(
-    point: FloatArray, error: FloatArray, clip_sigma: float, stated: bool, curve: _Curve
-) -> NDArray[np.bool_]:
-    """Points (n,) that fit the curve which most of them fit best; see the module."""
-    n, size = len(point), len(curve.parameters)
-    value = curve.trials(point[_even_sets(n, curve.through, SETS[curve.name])])
+def _consensus(point: FloatArray, error: FloatArray, clip_sigma: float, stated: bool) -> NDArray[np.bool_]:
+    """Points (n,) that fit the circle which most of them fit best; see the module."""
+    n, size = len(point), 3
+    value = _circles(point[_even_sets(n, size, SETS)])
     rank = (n + size + 1) // 2
-    pull = curve.spread(value, point) / error
+    pull = _spread(value, point) / error
     score = np.partition(pull, rank - 1, axis=1)[:, rank - 1]
     best = pull[int(np.nanargmin(score))] if np.isfinite(score).any() else np.zeros(n)
-    # the rank-th of n distances, corrected for the few points that made the curve (Rousseeuw & Leroy 1987, ch. 5)
+    # the rank-th of n distances, corrected for the few points that made the circle (Rousseeuw & Leroy 1987, ch. 5)
     nearest = np.sort(best)[:rank] * (1.0 + 5.0 / max(n - size, 1))
     kept = _inliers(best, np.concatenate([nearest, np.full(n - rank, nearest[-1])]), 0, clip_sigma, stated)
-    return kept if kept.sum() >= curve.least else np.ones(n, bool)
+    return kept if kept.sum() >= LEAST else np.ones(n, bool)
 
 
 @lru_cache(maxsize=16)
@@ -264,10 +175,10 @@ def _even_sets(n: int, size: int, count: int) -> NDArray[np.int64]:
     return sets[(np.diff(np.sort(sets, axis=1), axis=1) > 0).all(axis=1)]
 
 
-def _checked(points: ArrayLike, sigma: ArrayLike | None, *, least: int) -> tuple[FloatArray, FloatArray, bool]:
+def _checked(points: ArrayLike, sigma: ArrayLike | None) -> tuple[FloatArray, FloatArray, bool]:
     point = np.asarray(points, np.float64)
-    if point.ndim != 2 or point.shape[1] != 2 or len(point) < least:
-        raise DomainError(f"edge points of shape {point.shape}; at least {least} points (n, 2) are needed for the fit")
+    if point.ndim != 2 or point.shape[1] != 2 or len(point) < LEAST:
+        raise DomainError(f"edge points of shape {point.shape}; at least {LEAST} points (n, 2) are needed for the fit")
     error = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, np.float64), (len(point),))
     if not (np.all(np.isfinite(point)) and np.all(np.isfinite(error))):
         raise DomainError("an edge point or its sigma is not finite; drop such points before the fit")
@@ -296,19 +207,7 @@ def _taubin(point: FloatArray) -> FloatArray:
     return np.array([*(centre + middle), radius])
 
 
-def _direct_ellipse(point: FloatArray) -> FloatArray:
-    from skimage.measure import EllipseModel
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        model = EllipseModel.from_estimate(point) if hasattr(EllipseModel, "from_estimate") else None
-    if not model:
-        circle = _taubin(point)
-        return np.array([*circle[:2], circle[2] * 1.001, circle[2] * 0.999, 0.0])
-    return np.array([*model.center, *model.axis_lengths, model.theta], dtype=float)
-
-
-def _circle_distance(point: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _distance(point: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Signed distances (n,) outwards and their derivatives (n, 3)."""
     away = point - value[:2]
     length = np.maximum(np.hypot(*away.T), 1e-300)
@@ -316,43 +215,10 @@ def _circle_distance(point: FloatArray, value: FloatArray) -> tuple[FloatArray, 
     return length - value[2], np.column_stack([-outward, -np.ones(len(point))])
 
 
-def _ellipse_distance(point: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Signed distances (n,) outwards from the foot points and their derivatives (n, 5)."""
-    x, y, a, b, angle = value
-    cosine, sine = np.cos(angle), np.sin(angle)
-    u = cosine * (point[:, 0] - x) + sine * (point[:, 1] - y)
-    v = -sine * (point[:, 0] - x) + cosine * (point[:, 1] - y)
-    t = np.arctan2(v * a, u * b)
-    for _ in range(25):  # foot point: (b^2 - a^2) cos t sin t + a u sin t - b v cos t = 0
-        c, s = np.cos(t), np.sin(t)
-        function = (b * b - a * a) * c * s + a * u * s - b * v * c
-        slope = (b * b - a * a) * (c * c - s * s) + a * u * c + b * v * s
-        step = np.where(np.abs(slope) > 1e-12, function / np.where(np.abs(slope) > 1e-12, slope, 1.0), 0.0)
-        t = t - np.clip(step, -0.5, 0.5)
-        if np.max(np.abs(step)) < 1e-14:
-            break
-    c, s = np.cos(t), np.sin(t)
-    normal = np.column_stack([b * c, a * s])
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
-    distance = normal[:, 0] * (u - a * c) + normal[:, 1] * (v - b * s)
-    # d(distance) = -n . d(foot point) at fixed foot parameter; the point itself turns with the frame
-    by_angle = normal[:, 0] * v - normal[:, 1] * u
-    jacobian = np.column_stack(
-        [
-            -(normal[:, 0] * cosine - normal[:, 1] * sine),
-            -(normal[:, 0] * sine + normal[:, 1] * cosine),
-            -normal[:, 0] * c,
-            -normal[:, 1] * s,
-            by_angle,
-        ]
-    )
-    return distance, jacobian
-
-
-def _gauss_newton(point: FloatArray, error: FloatArray, start: FloatArray, curve: _Curve) -> tuple[FloatArray, bool]:
+def _gauss_newton(point: FloatArray, error: FloatArray, start: FloatArray) -> tuple[FloatArray, bool]:
     """Levenberg's damped iteration on the weighted distances, and whether it came to rest."""
     value, damping = start.copy(), 1e-6
-    distance, jacobian = curve.distance(point, value)
+    distance, jacobian = _distance(point, value)
     cost = float(np.sum((distance / error) ** 2))
     size = max(float(np.ptp(point)), 1e-300)
     for _ in range(STEPS):
@@ -362,7 +228,7 @@ def _gauss_newton(point: FloatArray, error: FloatArray, start: FloatArray, curve
         lifted = normal + damping * np.diag(np.maximum(np.diag(normal), 1e-12 * np.trace(normal)))
         step = -np.linalg.lstsq(lifted, gradient, rcond=None)[0]
         trial = value + step
-        new_distance, new_jacobian = curve.distance(point, trial)
+        new_distance, new_jacobian = _distance(point, trial)
         new_cost = float(np.sum((new_distance / error) ** 2))
         if new_cost <= cost * (1 + 1e-12):
             value, distance, jacobian = trial, new_distance, new_jacobian
@@ -392,10 +258,9 @@ def _judged(
     used: NDArray[np.bool_],
     settled: bool,
     stated: bool,
-    curve: _Curve,
 ) -> dict[str, Any]:
     """Covariance, statistics and status of a fit, by field name."""
-    distance, jacobian = curve.distance(point[used], value)
+    distance, jacobian = _distance(point[used], value)
     pull = distance / error[used]
     freedom = len(pull) - len(value)
     sum2 = float(pull @ pull)
@@ -403,9 +268,9 @@ def _judged(
     # a scatter that was estimated follows Student's law: two sigmas hold 95 %
     student = (float(stdtrit(max(freedom, 1), 0.975)) / 1.959964) ** 2
     factor = max(variance, 1.0) if stated else variance * student
-    found = covariance_of_jacobian(jacobian / error[used][:, None], curve.parameters, factor=factor)
+    found = covariance_of_jacobian(jacobian / error[used][:, None], ("x", "y", "radius"), factor=factor)
     covariance, undetermined = found.covariance, found.message
-    size, spread = float(np.max(np.abs(value[2:4]))), float(np.sqrt(np.max(np.diagonal(covariance)[2:4])))
+    size, spread = float(abs(value[2])), float(np.sqrt(covariance[2, 2]))
     if not size > CURVED_SIGMA * spread and sum2 > 0:
         covariance = np.diag(np.full(len(value), np.inf))
         line = f"the points cannot be told from a line: radius {size:.3g} +- {spread:.2g}"
@@ -424,7 +289,7 @@ def _judged(
         "message": joined(
             undetermined,
             "" if settled else f"not at rest after {STEPS} steps",
-            f"{left_out} of {len(used)} points do not lie on the {curve.name}" if left_out else "",
+            f"{left_out} of {len(used)} points do not lie on the circle" if left_out else "",
             f"more than {100 * LARGEST_WRONG_PART:g} % of them" if many else "",
             misfit.note,
         ),
@@ -441,40 +306,10 @@ def _circles(sets: FloatArray) -> FloatArray:
     return np.column_stack([x + sets[:, 0, 0], y + sets[:, 0, 1], np.hypot(x, y)])
 
 
-def _circle_spread(value: FloatArray, point: FloatArray) -> FloatArray:
+def _spread(value: FloatArray, point: FloatArray) -> FloatArray:
+    """Distances (m, n) of all points from all circles; infinite where there is none."""
     out = np.full((len(value), len(point)), np.inf)
     known: NDArray[np.bool_] = np.asarray(np.isfinite(value).all(axis=1))
     x, y, radius = (column[:, None] for column in value[known].T)
     out[known] = np.abs(np.sqrt((point[:, 0] - x) ** 2 + (point[:, 1] - y) ** 2) - radius)
     return out
-
-
-def _ellipses(sets: FloatArray) -> FloatArray:
-    """Ellipses (m, 5) through sets of points (m, j, 2)."""
-    return np.array([_direct_ellipse(one) for one in sets])
-
-
-def _ellipse_spread(value: FloatArray, point: FloatArray) -> FloatArray:
-    return np.array([np.abs(_ellipse_distance(point, one)[0]) for one in value])
-
-
-_CIRCLE = _Curve(
-    name="circle",
-    parameters=("x", "y", "radius"),
-    least=4,
-    through=3,
-    start=_taubin,
-    distance=_circle_distance,
-    trials=_circles,
-    spread=_circle_spread,
-)
-_ELLIPSE = _Curve(
-    name="ellipse",
-    parameters=("x", "y", "a", "b", "angle"),
-    least=6,
-    through=6,
-    start=_direct_ellipse,
-    distance=_ellipse_distance,
-    trials=_ellipses,
-    spread=_ellipse_spread,
-)

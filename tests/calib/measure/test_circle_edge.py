@@ -5,7 +5,7 @@ import pytest
 from scipy.special import erf
 
 from calib.measure.circle_edge import edge_crossings, sample_spokes
-from calib.measure.circle_fit import fit_circle, fit_ellipse
+from calib.measure.circle_fit import fit_circle
 from optics.errors import DomainError
 
 
@@ -42,7 +42,7 @@ def test_hole_by_its_rising_edge():
 
 
 def test_seen_at_an_angle():
-    """A circle on a plane in perspective: measured in the plane it keeps its centre, its image's ellipse does not."""
+    """A circle on a plane in perspective: measured in the plane it keeps its centre."""
     homography = np.array([[20.0, 0.0, 60.0], [0.0, 21.0, 60.0], [0.12, 0.0, 1.0]])
     homography[0] += 60 * homography[2]
     homography[1] += 60 * homography[2]
@@ -58,8 +58,6 @@ def test_seen_at_an_angle():
     spokes = sample_spokes(image, [0.0, 0.0], np.arange(0.8, 2.4, 0.02), to_pixel=lambda p: project(homography, p))
     edge = edge_crossings(spokes, 0.5, rising=False, half_width=0.07)
     assert fit_circle(edge.point).centre == pytest.approx(centre, abs=4e-4)
-    ellipse = fit_ellipse(project(homography, edge.point))
-    assert np.hypot(*(project(back, ellipse.centre[None])[0] - centre)) > 0.1
 
 
 def test_stated_errors_are_the_scatter():
