@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 
 from optics.errors import ConfigError, unknown_name
 
-__all__ = ["MOST_LEVELS", "allowed_range", "parse_model", "parse_toml", "read_toml", "refuse_values", "without_lax"]
+__all__ = ["MOST_LEVELS", "allowed_range", "parse_model", "read_toml", "refuse_values", "without_lax"]
 
 Model = TypeVar("Model", bound=BaseModel)
 Location = tuple[int | str, ...]
@@ -120,29 +120,6 @@ def _type_at(model_class: type[BaseModel], location: Location) -> int | None:
 
 def _refusal(model_class: type[BaseModel], faults: list[dict[str, Any]], where: str) -> ConfigError:
     return ConfigError("\n".join(dict.fromkeys(f"{where}: {_sentence(model_class, fault)}" for fault in faults)))
-
-
-def parse_toml(model_class: type[Model], path: str | Path) -> Model:
-    """Read a TOML file and validate it.
-
-    Parameters
-    ----------
-    model_class : type
-        Pydantic model of the whole file.
-    path : str or pathlib.Path
-        File to read.
-
-    Returns
-    -------
-    model_class
-        The validated model.
-
-    Raises
-    ------
-    ConfigError
-        File missing or unreadable, not TOML (with the line), or not valid (see `parse_model`).
-    """
-    return parse_model(model_class, read_toml(path), str(path))
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Attitude by integration of gyro rates, and how uncertain it becomes.
+"""Attitude by integration of gyro rates.
 
 A gyro gives the mean rate of each interval in body axes. With the rotation vector p of an interval, the body at its end
 seen from its start is ``exp(-p)`` (a body that turns forward sees the world turn back), and the attitudes are the exact
@@ -26,15 +26,11 @@ from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.units import DEG_RAD
 
-__all__ = ["integrate_rates", "integrate_rates_many", "integrated_covariance_rad2"]
+__all__ = ["integrate_rates", "integrate_rates_many"]
 
 HOUR_S = 3600.0
 SLACK_S = 1e-9
-# Gauss-Legendre on [0, 1], for the white noise of unequal axes in a turning body.
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
-NODES, NODE_WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
 
 
 class _Quaternions(NamedTuple):
@@ -220,88 +216,3 @@ def integrate_rates_many(
 def _skew(v: FloatArray) -> FloatArray:
     x, y, z = v
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def _mean_turn(turn: FloatArray) -> FloatArray:
-    """``int_0^1 exp(-turn s) ds`` (3, 3): the left Jacobian of SO(3) at ``-turn``."""
-    angle = float(np.linalg.norm(turn))
-    k = -_skew(turn)
-    if angle < 1e-4:
-        return np.asarray(np.eye(3) + 0.5 * k + k @ k / 6.0)
-    return np.asarray(np.eye(3) + (1 - np.cos(angle)) / angle**2 * k + (angle - np.sin(angle)) / angle**3 * k @ k)
-
-
-def _per_axis(name: str, value: ArrayLike) -> FloatArray:
-    array = np.asarray(value, float)
-    if array.shape not in ((), (3,)) or not (np.isfinite(array) & (array >= 0)).all():
-        raise DomainError(f"{name} = {array.tolist()}; one number or three, finite and not negative, are needed")
-    return np.full(3, array) if array.ndim == 0 else array
-
-
-def integrated_covariance_rad2(
-    time_s: ArrayLike,
-    rotation: Rotation,
-    *,
-    angle_random_walk_deg_per_sqrt_h: ArrayLike,
-    bias_sigma_deg_per_h: ArrayLike = 0.0,
-    rate_random_walk_deg_per_h_per_sqrt_h: ArrayLike = 0.0,
-) -> FloatArray:
-    """Covariance of an integrated attitude's error, in body axes at each time.
-
-    The error e, ``estimated = exp(e) truth``, grows by ``de/dt = -w x e - b - n`` with the white noise n and the bias's
-    error b. For a body at rest this gives ``N^2 t + B^2 t^2 + K^2 t^3 / 3`` per axis; in a turning body the part of a
-    constant bias across the axis of rotation comes round again and stays bounded.
-
-    Parameters
-    ----------
-    time_s : (f,)
-        Increasing times [s]; the error is zero at the first.
-    rotation : Rotation
-        f rotations, body at these times from any common frame, as `integrate_rates` gives them; between neighbours the
-        body is taken to turn at a constant rate by less than 180 deg.
-    angle_random_walk_deg_per_sqrt_h : float or (3,)
-        N, density of the white rate noise [deg/sqrt(h)].
-    bias_sigma_deg_per_h : float or (3,)
-        B, standard deviation of what is left of the bias at the first time [deg/h].
-    rate_random_walk_deg_per_h_per_sqrt_h : float or (3,)
-        K, density of the bias's random walk [deg/h/sqrt(h)]; within one step of ``time_s`` the turn of the body is
-        neglected for it.
-
-    Returns
-    -------
-    (f, 3, 3)
-        Covariances [rad^2].
-
-    Raises
-    ------
-    DomainError
-        On shapes that do not agree, times that do not increase, or negative densities.
-    """
-    time = np.asarray(time_s, float)
-    if time.ndim != 1 or len(time) < 1 or rotation.single or len(rotation) != len(time):
-        raise DomainError(f"time_s has shape {time.shape}; (f,) times and as many rotations are needed")
-    if not (np.isfinite(time).all() and (np.diff(time) > 0).all()):
-        raise DomainError("time_s must be finite and increasing [s]")
-    white = _per_axis("angle_random_walk_deg_per_sqrt_h", angle_random_walk_deg_per_sqrt_h) * DEG_RAD / HOUR_S**0.5
-    bias = _per_axis("bias_sigma_deg_per_h", bias_sigma_deg_per_h) * DEG_RAD / HOUR_S
-    name = "rate_random_walk_deg_per_h_per_sqrt_h"
-    walk = np.diag(_per_axis(name, rate_random_walk_deg_per_h_per_sqrt_h) * DEG_RAD / HOUR_S**1.5) ** 2
-
-    turns = -(rotation[1:] * rotation[:-1].inv()).as_rotvec() if len(time) > 1 else np.empty((0, 3))
-    # State: error and bias. The noise of a step in the turned axes is averaged over the step by quadrature.
-    p = np.zeros((6, 6))
-    p[3:, 3:] = np.diag(bias**2)
-    out = np.zeros((len(time), 3, 3))
-    for k, (turn, step) in enumerate(zip(turns, np.diff(time), strict=True), start=1):
-        phi = np.eye(6)
-        phi[:3, :3] = Rotation.from_rotvec(-turn).as_matrix()
-        phi[:3, 3:] = -step * _mean_turn(turn)
-        p = phi @ p @ phi.T
-        parts = Rotation.from_rotvec(-NODES[:, None] * turn).as_matrix()
-        p[:3, :3] += step * np.einsum("q,qij,j,qkj->ik", NODE_WEIGHTS, parts, white**2, parts)
-        p[:3, :3] += walk * step**3 / 3.0
-        p[:3, 3:] -= walk * step**2 / 2.0
-        p[3:, :3] -= walk * step**2 / 2.0
-        p[3:, 3:] += walk * step
-        out[k] = p[:3, :3]
-    return out

@@ -4,8 +4,8 @@ For normal errors of known covariance the Fisher information is J^T J of the whi
 its inverse bounds the covariance of every unbiased estimator. Frames' own unknowns are eliminated exactly. The truth is
 the camera and what the attitude family holds (attitudes, installation); the family's gyro or table errors are zero.
 
-Two of the families do not reach the bound of what they are given, by construction. What they should scatter by is also
-here: `scatter_of_perfect_gyro` for a gyro taken as perfect that is not, and ``NoAttitude(weighting="none")``.
+``NoAttitude(weighting="none")`` does not reach the bound of what it is given, by construction; what it should scatter
+by is told instead.
 """
 
 from __future__ import annotations
@@ -17,10 +17,8 @@ from typing import Any
 import numpy as np
 
 from calib.calibration.attitude_family import AttitudeFamily
-from calib.calibration.gyro_linked import GyroLinked
 from calib.calibration.observations import Observations
 from calib.calibration.stages import free_mask
-from calib.calibration.star_problem import StarState
 from calib.cameras.base import CameraModel
 from calib.fitting.determined import transformed_covariance
 from calib.fitting.least_squares import Problem, covariance_of
@@ -28,7 +26,7 @@ from optics.arrays import BoolArray, FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
-__all__ = ["Bound", "bound", "scatter_of_perfect_gyro"]
+__all__ = ["Bound", "bound"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,42 +102,6 @@ def bound(
     _, derivative = problem.reported(state)
     covariance = attitude_family.scatter(problem, evaluation, transformed_covariance(covariance, derivative))
     return _bound(problem.names, covariance, condition, mask)
-
-
-def scatter_of_perfect_gyro(
-    observations: Observations, model: CameraModel, gyro: GyroLinked, *, free: Sequence[str] | None = None
-) -> Bound:
-    """Covariance of ACC, which takes the gyro as perfect, when it has noise and bias.
-
-    The estimate is linear in the errors e of stars and z of the gyro: H^-1 (J^T e + B z), so that its covariance is
-    H^-1 + H^-1 B P B^T H^-1, with the walk P_kl = N^2 min(t_k, t_l) + sigma_b^2 L_k L_l^T. A bias counts with its prior
-    sigma: for a gyro with one fixed bias that is the mean over its directions.
-
-    Parameters
-    ----------
-    observations, model, free
-        As in `bound`.
-    gyro : GyroLinked
-        The gyro as it is, with the true first attitude and installation.
-    """
-    mask = free_mask(model, free)
-    stars = _enough(observations, gyro)
-    state = gyro.start(stars, model)
-    bare, bare_state = gyro.link.problem(stars, model, mask), StarState(state.camera, state.pose.link)
-    _, inverse, condition = _inverse_information(bare, bare_state)
-    problem = gyro.problem(stars, model, mask)
-    border = problem.system(problem.evaluate(state), np.ones(len(stars))).border
-    assert border is not None
-    size = len(bare.names)
-    elapsed = gyro.time_s - np.min(gyro.time_s)
-    walk = gyro.noise.angle_random_walk_rad_per_sqrt_s**2 * np.minimum.outer(elapsed, elapsed)
-    lever = gyro.lever_s.reshape(-1, 3)
-    error = np.kron(walk, np.eye(3)) + gyro.noise.bias_sigma_rad_per_s**2 * lever @ lever.T
-    finite = np.where(np.isfinite(inverse), inverse, 0.0)
-    gain = finite @ border[:, :size].transpose(1, 0, 2).reshape(size, -1)
-    _, derivative = bare.reported(bare_state)
-    covariance = transformed_covariance(inverse + gain @ error @ gain.T, derivative)
-    return _bound(bare.names, covariance, condition, mask)
 
 
 def _enough(observations: Observations, family: AttitudeFamily) -> Observations:

@@ -10,7 +10,7 @@ light into its own aperture has that normal along s, whichever face it is (eq. 7
 Which angle is which. The text of CUBE09 (section 2, steps 2 and 3, the sentence after Table 1) gives X' to the outer
 axis and the large angles, 180 and 90 deg, to the inner one; eq. 7 and the heads of Table 1 give the large angles to
 X'. Both cannot be: with X' outer at 90 deg the inner axis points along the light, so that turning it moves no spot,
-and the published trims of theta4 (20.2 to 0.4 px) could not have happened (`trim_leverage`). Here the large angle is
+and the published trims of theta4 (20.2 to 0.4 px) could not have happened. Here the large angle is
 the inner one, Y', and the second face is the one with normal X, which the paper calls YZ: n2 = (1, 0, 0).
 
 Cube frame (ECSS): Z is the normal of the first face, X the part of the second normal that is square to Z, Y completes.
@@ -52,7 +52,6 @@ __all__ = [
     "sensor_to_cube",
     "table_matrix",
     "triad",
-    "trim_leverage",
 ]
 
 SUN_LAB = (0.0, 0.0, 1.0)
@@ -104,21 +103,6 @@ def normal_in_table(outer_rad: float, inner_rad: float, lab: ArrayLike = SUN_LAB
         Unit vector in the laboratory; by default the Sun's, which is the normal of a face that is trimmed.
     """
     return np.asarray(table_matrix(outer_rad, inner_rad).T @ np.asarray(lab, float))
-
-
-def trim_leverage(outer_rad: float, inner_rad: float) -> FloatArray:
-    """How a face that looks at the Sun tilts in the laboratory per radian of outer and inner angle.
-
-    Returns
-    -------
-    (2, 2)
-        Columns: outer, inner; rows: change of the normal's x and y. A face can be trimmed where the matrix is regular;
-        at an outer angle of 90 deg the second column vanishes.
-    """
-    normal = np.array(SUN_LAB)
-    outer_axis = np.array([1.0, 0.0, 0.0])
-    inner_axis = table_matrix(outer_rad, inner_rad) @ np.array([0.0, 1.0, 0.0])
-    return np.column_stack([np.cross(outer_axis, normal)[:2], np.cross(inner_axis, normal)[:2]])
 
 
 def normal_of_offset(offset_mm: ArrayLike, distance_mm: float) -> FloatArray:

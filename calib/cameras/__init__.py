@@ -6,10 +6,8 @@ from calib.cameras.base import CameraModel, Projection, SensorGeometry, Unprojec
 from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.per_band import PerBand
 from calib.cameras.polynomial import Polynomial
-from optics.errors import unknown_name
 
 __all__ = [
-    "CAMERA_MODELS",
     "BrownConrady",
     "CameraModel",
     "PerBand",
@@ -17,25 +15,5 @@ __all__ = [
     "Projection",
     "SensorGeometry",
     "Unprojection",
-    "get_camera_model",
     "unproject_jacobian",
 ]
-
-CAMERA_MODELS: dict[str, type[CameraModel]] = {
-    "brown_conrady": BrownConrady,
-    "per_band": PerBand,
-    "polynomial": Polynomial,
-}
-
-
-def get_camera_model(name: str) -> type[CameraModel]:
-    """Class of a camera model by its name.
-
-    Raises
-    ------
-    ConfigError
-        On an unknown name; the message lists the nearest ones.
-    """
-    if name not in CAMERA_MODELS:
-        raise unknown_name("camera model", name, CAMERA_MODELS)
-    return CAMERA_MODELS[name]

@@ -67,11 +67,6 @@ class LineOfSightMap:
         return float(np.sqrt(np.mean(np.sum(self.error_arcsec**2, axis=1))))
 
     @property
-    def rms_axis_arcsec(self) -> FloatArray:
-        """Root mean square error towards increasing column and row (2,)."""
-        return np.asarray(np.sqrt(np.mean(self.error_arcsec**2, axis=0)))
-
-    @property
     def max_arcsec(self) -> float:
         """Largest length of the error; NaN if a pixel has no direction."""
         return float(np.max(np.hypot(self.error_arcsec[:, 0], self.error_arcsec[:, 1])))

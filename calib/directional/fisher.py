@@ -85,11 +85,6 @@ class FisherFit:
         freeze(self, "mean", shape=(3,))
 
     @property
-    def resultant_length(self) -> float:
-        """R = 1 - d (eq. 9)."""
-        return 1.0 - self.deficit
-
-    @property
     def chord_sum_rad2(self) -> float:
         """S = 2 n d, the sum of squared chords from the mean."""
         return 2.0 * self.count * self.deficit

@@ -87,11 +87,6 @@ class CaseResult:
         return np.asarray(np.sqrt(np.mean([one.sensor_error_arcsec**2 for one in self.bench], axis=0)))
 
     @property
-    def cube_rms_arcsec(self) -> FloatArray:
-        """What R_pr contributes (3,)."""
-        return np.asarray(np.sqrt(np.mean([one.cube_error_arcsec**2 for one in self.bench], axis=0)))
-
-    @property
     def trims(self) -> FloatArray:
         """Settings of the table per face, all benches."""
         return np.array([len(trim.rows) for one in self.bench for trim in one.trims])

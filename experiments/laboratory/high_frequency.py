@@ -22,7 +22,6 @@ from experiments.laboratory.point_scene import PointLight, PointScene, scene_of
 from experiments.laboratory.readout.centroids import centroiders, common_motion_px2, motion_method, noiseless_positions
 from experiments.laboratory.readout.noise_model import nominal_noise
 from experiments.laboratory.step_statistics import (
-    common_removed,
     document_rms_px,
     halved_px,
     jackknife_px,
@@ -222,11 +221,6 @@ class HighFrequencyMeasurement:
     def step_px(self) -> FloatArray:
         """Mean step over the stars (m - 1, 2), by the truth."""
         return np.asarray(np.diff(self.photon_px, axis=0).mean(1))
-
-    @property
-    def residual_light_px(self) -> FloatArray:
-        """True positions (m, j, 2) without the common motion."""
-        return common_removed(self.photon_px)
 
 
 def switched(detector: Detector, keep: Collection[str]) -> Detector:

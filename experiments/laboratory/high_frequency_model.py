@@ -115,10 +115,6 @@ class HighFrequencyPrediction:
         """HSFE as printed (2,), 3 sigma."""
         return 3.0 * self.pixel_arcsec * self.method[method].document_px
 
-    def scatter_arcsec(self, method: str) -> FloatArray:
-        """Standard deviation of that over chips and noise (2,)."""
-        return 3.0 * self.pixel_arcsec * self.method[method].scatter_px
-
 
 def predict_high_frequency(
     bench: Bench,

@@ -20,7 +20,6 @@ __all__ = [
     "acf_camera_px",
     "acf_matrix",
     "acf_rays",
-    "best_turn",
     "matrix_of_quaternion",
     "small_turn_rad",
     "star_vector",
@@ -129,12 +128,6 @@ def table_matrices(axes: str, angle_rad: ArrayLike, lean_arcsec: Sequence[float]
         axis = nominal[i] * np.cos(lean) + nominal[i - 1] * np.sin(lean)
         total = total @ turn_matrix(axis, angle[:, i])
     return np.asarray(total)
-
-
-def best_turn(of: ArrayLike, onto: ArrayLike) -> FloatArray:
-    """Matrix (3, 3) of the rotation that takes unit vectors ``of`` (n, 3) onto others best (Kabsch 1976)."""
-    u, _, vt = np.linalg.svd(np.asarray(onto, float).T @ np.asarray(of, float))
-    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
 
 
 def small_turn_rad(matrix: ArrayLike) -> FloatArray:

@@ -23,7 +23,7 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.response import checked_wavelength
 
-__all__ = ["AirFormula", "air_index", "air_wavelength", "vacuum_wavelength"]
+__all__ = ["AirFormula", "air_index"]
 
 AirFormula = Literal["kohlrausch", "ciddor"]
 
@@ -95,23 +95,6 @@ def kohlrausch_refractivity(wavelength_nm: Any) -> Any:
 def kohlrausch_density(temperature_c: float, pressure_hpa: float) -> float:
     """Density of air relative to 15 C and 1013.25 hPa, by which `kohlrausch_refractivity` is multiplied."""
     return pressure_hpa / STANDARD_PRESSURE_HPA / (1.0 + 3.4785e-3 * (temperature_c - 15.0))
-
-
-def air_wavelength(vacuum_nm: ArrayLike, **conditions: float) -> FloatArray:
-    """Wavelength in air [nm] of light whose wavelength in vacuum is given (Ciddor); ``conditions`` as in `air_index`.
-
-    Catalogue formulas for glass take wavelengths in air; the difference is 0.15 nm in the green.
-    """
-    return np.asarray(vacuum_nm, dtype=np.float64) / air_index(vacuum_nm, formula="ciddor", **conditions)
-
-
-def vacuum_wavelength(air_nm: ArrayLike, **conditions: float) -> FloatArray:
-    """Inverse of `air_wavelength`; three fixed-point steps reach rounding error, since n changes by 1e-9 per step."""
-    air = np.asarray(air_nm, dtype=np.float64)
-    vacuum = air
-    for _ in range(3):
-        vacuum = air * air_index(vacuum, formula="ciddor", **conditions)
-    return vacuum
 
 
 def _compressibility(t: float, p: float, xw: float) -> float:

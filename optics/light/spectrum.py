@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
+from typing import ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +18,7 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.response import Curve, checked_wavelength
 
-__all__ = ["PHOTON_J_NM", "Blackbody", "Sed", "TabulatedSed", "sed_from_astropy", "sed_from_colour"]
+__all__ = ["PHOTON_J_NM", "Blackbody", "Sed", "TabulatedSed"]
 
 
 PHOTON_J_NM = constants.h * constants.c * 1e9
@@ -163,70 +163,3 @@ class TabulatedSed(Curve):
         """
         value = self.interpolate(wavelength_nm)
         return value if self.quantity == "photon" else value * np.asarray(wavelength_nm, float) / PHOTON_J_NM
-
-
-def sed_from_colour(distribution: Any, *, quantity: Literal["photon", "power"] = "power") -> TabulatedSed:
-    """Spectrum from a ``colour.SpectralDistribution``, for example an illuminant.
-
-    Parameters
-    ----------
-    distribution : colour.SpectralDistribution
-        Wavelengths [nm] and values; colour-science tabulates relative power.
-    quantity : {"power", "photon"}
-        What its values stand for.
-
-    Returns
-    -------
-    TabulatedSed
-        Its table.
-
-    Raises
-    ------
-    ConfigError
-        Not a spectral distribution.
-    DomainError
-        Values that make no spectrum.
-    """
-    try:
-        wave, value, name = distribution.wavelengths, distribution.values, str(distribution.name)
-    except AttributeError:
-        raise ConfigError(f"a colour.SpectralDistribution is needed, got {type(distribution).__name__}") from None
-    return TabulatedSed(name=name, source=f"colour-science: {name}", wavelength_nm=wave, value=value, quantity=quantity)
-
-
-def sed_from_astropy(wavelength: Any, flux: Any, *, name: str, source: str) -> TabulatedSed:
-    """Spectrum from astropy quantities in any unit of spectral flux density.
-
-    Parameters
-    ----------
-    wavelength : astropy.units.Quantity, (n,)
-        Wavelength, frequency or photon energy, in any order.
-    flux : astropy.units.Quantity, (n,)
-        Power or photons per wavelength or frequency and area.
-    name, source : str
-        What it is and where it comes from.
-
-    Returns
-    -------
-    TabulatedSed
-        Photons s^-1 mm^-2 nm^-1, ordered by wavelength.
-
-    Raises
-    ------
-    ConfigError
-        Units that do not fit.
-    DomainError
-        Values that make no spectrum.
-    """
-    from astropy import units
-
-    photons = units.photon / (units.s * units.mm**2 * units.nm)
-    try:
-        wave = wavelength.to_value(units.nm, units.spectral())
-        value = flux.to_value(photons, units.spectral_density(wavelength))
-    except (AttributeError, units.UnitConversionError) as error:
-        raise ConfigError(
-            f"spectrum {name!r}: wavelength and spectral flux density with units are needed ({error})"
-        ) from None
-    order = np.argsort(wave)
-    return TabulatedSed(name=name, source=source, wavelength_nm=wave[order], value=value[order], quantity="photon")

@@ -27,12 +27,12 @@ import numpy as np
 from astropy.io import fits
 from numpy.typing import NDArray
 
-from optics.errors import ConfigError, DomainError, unknown_name
+from optics.errors import ConfigError, unknown_name
 from optics.fits import located, open_fits
 from render.fits.headers import BLOCK, SUMS, Card, block, checked_cards, summed
-from render.records import ExpectedImage, Frame
+from render.records import Frame
 
-__all__ = ["read_expected", "read_frame", "read_frames", "write_expected", "write_frame"]
+__all__ = ["read_frame", "read_frames", "write_frame"]
 
 _SATURATED, _DEFECT = 1, 2
 _BESIDE = ("MASK", "DQ", "BPM", "ERR", "UNCERT", "WEIGHT")  # extensions that go with a frame and are none
@@ -334,52 +334,6 @@ def _frame(
         band=str(header.get("FILTER", "")) if band is None else band,
         index=index if isinstance(index, int) else 0,
     )
-
-
-def write_expected(expected: ExpectedImage, path: str | Path) -> Path:
-    """Write an expected image as a float32 cube (band, row, column); the truth table is not part of it.
-
-    Parameters, returns and errors as in `write_frame`.
-    """
-    image = fits.PrimaryHDU(np.ascontiguousarray(np.moveaxis(expected.electrons, 2, 0)))
-    cards: list[tuple[str, Any, str]] = [
-        ("BUNIT", "electron", "expected photo-electrons per pixel"),
-        ("EXPTIME", expected.exposure_s, "[s] exposure time"),
-        ("DIFFUSED", expected.diffused, "charge diffusion applied"),
-        ("NBAND", len(expected.band), "filter bands along axis 3"),
-    ]
-    cards += [(f"BAND{i + 1}", name, f"filter band of plane {i + 1}") for i, name in enumerate(expected.band)]
-    for card, value, comment in [*cards, _PIXEL_OFFSET, _COMMENT]:
-        image.header[card] = (value, comment) if comment else value
-    return _write(fits.HDUList([image]).writeto, Path(path))
-
-
-def read_expected(path: str | Path) -> ExpectedImage:
-    """Read what `write_expected` wrote.
-
-    Returns
-    -------
-    ExpectedImage
-        With ``truth = None``.
-
-    Raises
-    ------
-    ConfigError
-        Missing or broken file, or one of another kind.
-    """
-    path = Path(path)
-    header, image, _ = next(_images(path))
-    if image.ndim != 3 or any(card not in header for card in ("EXPTIME", "DIFFUSED", "NBAND")):
-        raise ConfigError(f"{path}: not an expected image; a cube with EXPTIME, DIFFUSED and NBAND is needed")
-    try:
-        return ExpectedImage(
-            electrons=np.moveaxis(image, 0, 2),
-            band=tuple(str(header.get(f"BAND{i + 1}", "")) for i in range(int(header["NBAND"]))),
-            exposure_s=float(header["EXPTIME"]),
-            diffused=bool(header["DIFFUSED"]),
-        )
-    except (DomainError, TypeError, ValueError) as error:
-        raise ConfigError(f"{path}: {error}") from None
 
 
 def _write(content: Callable[[BinaryIO], None], path: Path) -> Path:

@@ -9,7 +9,7 @@ import pytest
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from optics.errors import ConfigError
-from optics.validate import parse_model, parse_toml
+from optics.validate import parse_model, read_toml
 
 
 class Filter(BaseModel):
@@ -74,18 +74,18 @@ def test_one_line_per_fault() -> None:
 
 def test_toml_faults(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no such file"):
-        parse_toml(Camera, tmp_path / "missing.toml")
+        read_toml(tmp_path / "missing.toml")
     broken = tmp_path / "broken.toml"
     broken.write_text("exposure_s = = 1\n")
     with pytest.raises(ConfigError, match=r"not valid TOML .*line 1"):
-        parse_toml(Camera, broken)
+        read_toml(broken)
     broken.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ConfigError, match="not valid TOML"):
-        parse_toml(Camera, broken)
+        read_toml(broken)
     with pytest.raises(ConfigError, match="cannot be read"):
-        parse_toml(Camera, tmp_path)
+        read_toml(tmp_path)
     broken.write_text("exposure_s = 3\n")
-    assert parse_toml(Camera, broken).exposure_s == 3.0
+    assert read_toml(broken) == {"exposure_s": 3}
 
 
 class Sky(BaseModel):

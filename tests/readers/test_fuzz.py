@@ -38,8 +38,8 @@ from optics.lens_file import load_lens, read_lens_file
 from optics.light.band_file import load_band
 from render.catalogue.read import read_catalog
 from render.detector.spec import load_detector
-from render.fits.files import read_expected, read_frame, read_frames, write_expected, write_frame
-from render.records import ExpectedImage, Frame
+from render.fits.files import read_frame, read_frames, write_frame
+from render.records import Frame
 
 ROOT = Path(__file__).parents[2]
 INPUTS = 2000
@@ -135,9 +135,6 @@ def seeds(folder):
         add(name, frame_of, image_of, frames_of)
     (folder / "packed.fits.gz").write_bytes(gzip.compress((folder / "a.fits").read_bytes(), mtime=0))
     add("packed.fits.gz", frame_of, image_of)
-    cube = ExpectedImage(electrons=np.ones((5, 6, 2), np.float32), band=("a", "b"), exposure_s=0.1, diffused=True)
-    write_expected(cube, folder / "cube.fits")
-    add("cube.fits", read_expected)
     for name, form in {"s.fits": "fits", "s.vot": "votable", "s.ecsv": "ascii.ecsv", "s.csv": "ascii.csv"}.items():
         stars().write(folder / name, format=form)
         add(name, catalogue_of)

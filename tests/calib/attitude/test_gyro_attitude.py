@@ -1,10 +1,10 @@
-"""Integration of rates: exact where it must be, of fourth order under coning, with the right growth of its error."""
+"""Integration of rates: exact where it must be, of fourth order under coning."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.gyro_attitude import integrate_rates, integrate_rates_many, integrated_covariance_rad2
+from calib.attitude.gyro_attitude import integrate_rates, integrate_rates_many
 from optics.errors import DomainError
 
 ARCSEC = np.pi / 648000
@@ -138,54 +138,6 @@ def test_many_records_are_each_alone():
         assert (many * integrate_rates(time, rate, at).inv()).magnitude().max() < 1e-15
 
 
-def rest(frames):
-    return Rotation.identity(frames)
-
-
-def test_covariance_of_a_body_at_rest():
-    time = np.array([0.0, 1.0, 4.0, 3600.0])
-    p = integrated_covariance_rad2(
-        time,
-        rest(4),
-        angle_random_walk_deg_per_sqrt_h=[0.005, 0.01, 0.0],
-        bias_sigma_deg_per_h=[0.03, 0.0, 0.0],
-        rate_random_walk_deg_per_h_per_sqrt_h=[0.0, 0.0, 0.6],
-    )
-    assert not p[0].any()
-    sigma_deg = np.degrees(np.sqrt(np.einsum("fii->fi", p)))
-    assert sigma_deg[-1] == pytest.approx([np.hypot(0.005, 0.03), 0.01, 0.6 / np.sqrt(3)], rel=1e-9)
-    assert sigma_deg[2, 1] == pytest.approx(0.01 * np.sqrt(4 / 3600), rel=1e-9)
-
-
-def test_bias_across_a_spin_averages_out():
-    """Spin about z: along it B t, across it 2 B sin(W t / 2) / W, in whatever steps it is propagated."""
-    spin, bias = 0.1, np.radians(1 / 3600)
-    for time in (np.array([0.0, 10.0]), np.linspace(0, 10, 101)):
-        body = Rotation.from_rotvec(-spin * time[:, None] * [0, 0, 1.0])
-        p = integrated_covariance_rad2(time, body, angle_random_walk_deg_per_sqrt_h=0.0, bias_sigma_deg_per_h=1.0)
-        across = 2 * bias * np.sin(spin * 10 / 2) / spin
-        assert np.sqrt(np.diag(p[-1])) == pytest.approx([across, across, bias * 10], rel=1e-9)
-
-
-def test_integrated_noise_follows_the_covariance():
-    """Unequal axes in a turning body, N = 1500 records: whitened errors have variance 1 +- 4 sqrt(2 / N)."""
-    runs, steps, step = 1500, 200, 0.05
-    rng = np.random.default_rng(6)
-    time = np.arange(steps + 1) * step
-    density, bias = np.array([0.05, 0.2, 0.1]), np.array([2.0, 0.5, 1.0])  # deg/sqrt(h), deg/h
-    white = np.radians(density) / 60
-    offset = np.radians(bias) / 3600 * rng.standard_normal((runs, 1, 3))
-    rate = np.array([0.05, -0.1, 0.2])
-    noisy = rate + offset + white / np.sqrt(step) * rng.standard_normal((runs, steps, 3))
-    truth = integrate_rates(time, np.tile(rate, (steps, 1)))
-    errors = np.array([(r[-1] * truth[-1].inv()).as_rotvec() for r in integrate_rates_many(time, noisy)])
-    p = integrated_covariance_rad2(
-        time[::50], truth[::50], angle_random_walk_deg_per_sqrt_h=density, bias_sigma_deg_per_h=bias
-    )[-1]
-    pulls = np.linalg.solve(np.linalg.cholesky(p), errors.T)
-    assert np.cov(pulls, bias=True) == pytest.approx(np.eye(3), abs=4 * np.sqrt(2 / runs))
-
-
 @pytest.mark.parametrize(
     ("time", "rate", "at", "line"),
     [
@@ -204,12 +156,3 @@ def test_integrated_noise_follows_the_covariance():
 def test_bad_records(time, rate, at, line):
     with pytest.raises(DomainError, match=line):
         integrate_rates(time, rate, at)
-
-
-def test_bad_covariance_input():
-    with pytest.raises(DomainError, match="angle_random_walk_deg_per_sqrt_h = -1"):
-        integrated_covariance_rad2([0, 1], rest(2), angle_random_walk_deg_per_sqrt_h=-1.0)
-    with pytest.raises(DomainError, match="as many rotations"):
-        integrated_covariance_rad2([0, 1], rest(3), angle_random_walk_deg_per_sqrt_h=1.0)
-    with pytest.raises(DomainError, match="increasing"):
-        integrated_covariance_rad2([1, 0], rest(2), angle_random_walk_deg_per_sqrt_h=1.0)

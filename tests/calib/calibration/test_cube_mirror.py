@@ -14,7 +14,6 @@ from calib.calibration.cube_mirror import (
     sensor_to_cube,
     table_matrix,
     triad,
-    trim_leverage,
 )
 from experiments.laboratory.turntable import build_turntable
 from optics.errors import DomainError
@@ -44,22 +43,6 @@ def test_table_of_the_laboratory_and_of_the_reduction_are_one():
     rotations = build_turntable("xy").rotation(angles).as_matrix()
     for pair, matrix in zip(angles, rotations, strict=True):
         assert table_matrix(*pair) == pytest.approx(matrix, abs=1e-14)
-
-
-def test_inner_axis_is_powerless_at_an_outer_angle_of_90_deg():
-    """Which is why the large angles belong to the inner axis."""
-    assert trim_leverage(np.pi / 2, 0.0)[:, 1] == pytest.approx([0, 0], abs=1e-15)
-    for inner in (np.pi, np.pi / 2):
-        assert abs(np.linalg.det(trim_leverage(0.0, inner))) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize(("outer", "inner"), [(0.01, np.pi - 0.02), (-0.02, np.pi / 2 + 0.01)])
-def test_leverage_is_what_the_table_does(outer, inner):
-    normal = normal_in_table(outer, inner)
-    step = 1e-6
-    table = build_turntable("xy")
-    moved = table.rotation([[outer + step, inner], [outer, inner + step]]).apply(normal)
-    assert pytest.approx(moved[:, :2] / step, abs=1e-5) == trim_leverage(outer, inner).T
 
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0), (0.3, -0.2), (-5.0, 8.0)])

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from calib.cameras import (
-    CAMERA_MODELS,
     BrownConrady,
     PerBand,
     Polynomial,
     SensorGeometry,
-    get_camera_model,
     unproject_jacobian,
 )
 from optics.errors import ConfigError, DomainError
@@ -335,13 +333,6 @@ def test_names_end_in_units_and_cover_the_parameters(model):
     assert set(model.pinhole_names) <= set(model.parameter_names)
     with pytest.raises(ConfigError, match="did you mean"):
         model.value("focal_lenght_mm")
-
-
-def test_the_registry_knows_its_models():
-    assert get_camera_model("brown_conrady") is BrownConrady
-    assert set(CAMERA_MODELS) == {"brown_conrady", "per_band", "polynomial"}
-    with pytest.raises(ConfigError, match="did you mean brown_conrady"):
-        get_camera_model("brown-conrady")
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.cameras import get_camera_model
+from calib.cameras import BrownConrady
 from calib.cameras.base import SensorGeometry
 from experiments.laboratory.distortion_statistics import (
     camera_terms,
@@ -43,7 +43,7 @@ def test_shift_roll_and_scale_change_what_is_found_but_not_what_is_left():
 
 def test_the_camera_follows_a_brown_conrady_lens():
     geometry = SensorGeometry(width_px=4096, height_px=2048, pixel_pitch_mm=0.0055)
-    model = get_camera_model("brown_conrady").create(
+    model = BrownConrady.create(
         geometry, focal_length_mm=206.0, q1_per_mm2=2e-6, q2_per_mm4=1e-9, p1_per_mm=1e-6, p2_per_mm=-2e-6
     )
     half = 0.5 * np.hypot(4096, 2048)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from optics.errors import ConfigError, DomainError
-from optics.glass.air import air_index, air_wavelength, vacuum_wavelength
+from optics.glass.air import air_index
 
 # NIST Engineering Metrology Toolbox (Stone and Zimmerman), Ciddor equation, 450 ppm; printed to 1e-9:
 # wavelength [nm], temperature [C], pressure [hPa], humidity, index
@@ -60,14 +60,6 @@ def test_air_thins_out_to_vacuum() -> None:
         assert float(air_index(550.0, 20.0, 0.0, formula=formula)) == 1.0  # type: ignore[arg-type]
         thin, thick = (float(air_index(550.0, 20.0, p, formula=formula)) - 1.0 for p in (1.0, 2.0))  # type: ignore[arg-type]
         assert thick == pytest.approx(2.0 * thin, rel=1e-5)
-
-
-def test_wavelength_in_air_and_back() -> None:
-    """Wavelengths printed by the NIST calculator (to 1e-6 nm) for 20 C, 1013.25 hPa, 50 % humidity."""
-    printed = (321.364879, 499.863147, 632.828268, 1500.397608)
-    assert air_wavelength((321.456, 500.0, 633.0, 1500.8), humidity=0.5) == pytest.approx(printed, abs=1e-6)
-    wave = np.linspace(300.0, 1600.0, 14)
-    assert vacuum_wavelength(air_wavelength(wave)) == pytest.approx(wave, rel=1e-15)
 
 
 @pytest.mark.parametrize(

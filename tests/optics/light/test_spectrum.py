@@ -10,7 +10,7 @@ from scipy import constants
 from scipy.special import zeta
 
 from optics.errors import ConfigError, DomainError
-from optics.light.spectrum import PHOTON_J_NM, Blackbody, Sed, TabulatedSed, sed_from_astropy, sed_from_colour
+from optics.light.spectrum import PHOTON_J_NM, Blackbody, Sed, TabulatedSed
 
 
 def all_wavelengths(temperature_k: float) -> tuple[np.ndarray, np.ndarray]:
@@ -74,28 +74,6 @@ def test_power_and_photon_tables_of_one_source_agree() -> None:
     assert isinstance(Blackbody(temperature_k=4000.0), Sed)
 
 
-def test_colour_science_illuminant() -> None:
-    """CIE 15: illuminant A is Planck's law at 2848 K with c2 = 1.435e-2 m K, 2855.5 K with today's constant."""
-    colour = pytest.importorskip("colour")
-    sed = sed_from_colour(colour.SDS_ILLUMINANTS["A"])
-    wave = np.arange(400.0, 751.0, 50.0)
-    ratio = sed.photon_density(wave) / Blackbody(temperature_k=2848.0 * 1.438777 / 1.4350).photon_density(wave)
-    assert ratio / ratio[0] == pytest.approx(np.ones_like(ratio), abs=2e-4)
-    assert "colour" in sed.source
-
-
-def test_astropy_units_in_any_order_and_kind() -> None:
-    """The same flat f_nu spectrum as frequency in Jy and as wavelength in photons."""
-    wave = np.array([400.0, 500.0, 800.0])
-    from_jy = sed_from_astropy(
-        (constants.c / (wave * 1e-9))[::-1] * units.Hz, np.full(3, 3640.0) * units.Jy, name="flat", source="test"
-    )
-    # photons s^-1 mm^-2 nm^-1 of f_nu: f_nu / (h lambda), 1 Jy = 1e-26 W m^-2 Hz^-1
-    expected = 3640e-26 / constants.h / (wave * 1e-9) * 1e-15
-    assert from_jy.wavelength_nm == pytest.approx(wave, rel=1e-12)
-    assert from_jy.photon_density(wave) == pytest.approx(expected, rel=1e-9)
-
-
 def one_line(error: pytest.ExceptionInfo[ValueError], part: str) -> None:
     assert "\n" not in str(error.value)
     assert part in str(error.value)
@@ -137,9 +115,3 @@ def test_other_mistakes() -> None:
         TabulatedSed(source="test", quantity="power", **table).photon_density(600.0)  # type: ignore[arg-type]
     with pytest.raises(DomainError, match="nan nm"):
         Blackbody(temperature_k=5000.0).photon_density(float("nan"))
-    with pytest.raises(ConfigError, match="SpectralDistribution"):
-        sed_from_colour([1, 2, 3])
-    with pytest.raises(ConfigError, match="units"):
-        sed_from_astropy(np.array([400.0]), np.array([1.0]), name="x", source="test")
-    with pytest.raises(ConfigError, match="units"):
-        sed_from_astropy([400.0, 500.0] * units.nm, [1.0, 2.0] * units.K, name="x", source="test")

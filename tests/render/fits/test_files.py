@@ -14,8 +14,8 @@ from astropy.io import fits
 from astropy.nddata import CCDData
 
 from optics.errors import ConfigError
-from render.fits.files import read_expected, read_frame, read_frames, write_expected, write_frame
-from render.records import ExpectedImage, Frame
+from render.fits.files import read_frame, read_frames, write_frame
+from render.records import Frame
 
 
 def frame() -> Frame:
@@ -217,20 +217,6 @@ def test_bad_file_is_one_clear_line(tmp_path: Path, kind: str, words: str) -> No
         read_frame(bad_file(tmp_path, kind))
     assert "\n" not in str(caught.value)
     assert "bad.fits" in str(caught.value)
-
-
-def test_expected_image_comes_back(tmp_path: Path) -> None:
-    before = ExpectedImage(
-        electrons=np.random.default_rng(2).random((5, 6, 2)), band=("500 nm", "600 nm"), exposure_s=0.2, diffused=True
-    )
-    after = read_expected(write_expected(before, tmp_path / "e.fits"))
-    assert np.array_equal(before.electrons, after.electrons)
-    assert (after.band, after.exposure_s, after.diffused, after.truth) == (before.band, 0.2, True, None)
-
-
-def test_frame_is_no_expected_image(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="not an expected image"):
-        read_expected(write_frame(frame(), tmp_path / "a.fits"))
 
 
 def test_cube_and_extensions_are_frames(tmp_path: Path) -> None:
