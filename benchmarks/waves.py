@@ -10,6 +10,7 @@ import argparse
 import math
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -136,7 +137,7 @@ def sums():
     side = len(window_samples(field, 19.0, 1.5))
     corner = waves.mean[0, 0, 0] - 9.5
     add("starbench, grid of frequencies", waves.x.size * side**2,
-        lambda: window_light(waves, (0, 0), np.ones(1), corner, 19.0, field, pad_px=1.5))  # fmt: skip
+        lambda: window_light(partial(waves.rays, (0, 0)), np.ones(1), corner, 19.0, field, pad_px=1.5))  # fmt: skip
     for peer in (_batoid, _optiland, _prysm, _galsim):
         try:
             add(*peer())

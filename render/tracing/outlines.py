@@ -197,8 +197,8 @@ class Outlines:
     def points(self, order: tuple[int, int], stars: IntArray) -> OutlinePoints:
         """Quadrature points of so many rings and azimuths inside smooth outlines."""
         count, arms = order
-        turn = node_turns(self.picks.colours.shape[1], self.picks.times.shape[1])[:, None] + np.repeat([0.0, 0.5], arms)
-        azimuth = 2.0 * np.pi / arms * (np.tile(np.arange(arms), 2) + turn % 1.0)
+        turn = np.repeat(self.turns(2), arms, axis=1)
+        azimuth = np.asarray(2.0 * np.pi / arms * (np.tile(np.arange(arms), 2) + turn), np.float64)
         matrix = outline_series(azimuth)
         radius = self._at(matrix, self.radius, stars)
         shadow = None if self.shadow is None else self._at(matrix, self.shadow, stars)
@@ -214,6 +214,11 @@ class Outlines:
             ring_weight=np.repeat(weight, arms),
             shadow=shadow,
         )
+
+    def turns(self, count: int) -> FloatArray:
+        """First azimuths (k, rings) on so many rings, in parts of their distance."""
+        turn = node_turns(self.picks.colours.shape[1], self.picks.times.shape[1])[:, None]
+        return np.asarray((turn + 0.5 * (np.arange(count) % 2)) % 1.0)
 
     def entrance(self) -> FloatArray:
         """Light (n, b, k) that the stop alone would let through, in that of the launch disk; NaN where unknown."""

@@ -10,13 +10,13 @@ spatial frequency [cycles/px] of the wave that the ray from there is, the field 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from optics.arrays import BoolArray, FloatArray
+from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.rays.trace import OK, VIGNETTED, trace_program
 from render.engine.jit import dr
 from render.tracing.kernel import Shade, StarKernel
@@ -24,6 +24,7 @@ from render.tracing.pupil_points import PupilPoints
 
 __all__ = [
     "PlaneWaves",
+    "RayArrays",
     "hidden_points",
     "phase_changes",
     "trace_waves",
@@ -32,6 +33,9 @@ __all__ = [
 
 DIFFERENCE = 1e-6
 """Distance of the rays whose directions give the Jacobian, in radii of the launch disk."""
+
+RayArrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+"""x, y, fx, fy, turns and amplitude of rays (p,) as in `PlaneWaves`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +73,18 @@ class PlaneWaves:
         with np.errstate(invalid="ignore"):
             light = self.weight.sum(-1)
             return np.stack([(self.weight * v).sum(-1) / light for v in (self.x, self.y)], axis=-1)
+
+    def take(self, stars: IntArray | BoolArray) -> PlaneWaves:
+        """The same of some of the stars."""
+        return PlaneWaves(*(getattr(self, one.name)[stars] for one in fields(self)))
+
+    def rays(self, at: tuple[int, int], colour: int) -> RayArrays:
+        """Rays of one star and band at one wavelength that get through."""
+        lit = self.amplitude[*at, colour] > 0.0
+        x, y, fx, fy, turns, amplitude = (
+            v[*at, colour][lit] for v in (self.x, self.y, self.fx, self.fy, self.turns, self.amplitude)
+        )
+        return x, y, fx, fy, turns, amplitude
 
     @property
     def highest(self) -> FloatArray:

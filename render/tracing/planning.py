@@ -24,7 +24,7 @@ from render.tracing.aimed_pupil import Chiefs, aimed_lens, find_chiefs
 from render.tracing.convergence import HIGHEST_FREQUENCY, MOTION_TOLERANCE, TOLERANCE
 from render.tracing.ideal_lens import IdealLens
 from render.tracing.kernel import Geometry, StarKernel, reach_px
-from render.tracing.outlines import NodePicks, Outlines, every_node, find_outlines, node_picks
+from render.tracing.outlines import NodePicks, Outlines, every_node, find_outlines, node_picks, node_turns
 from render.tracing.passes import Bounds, Group, find_bounds
 from render.tracing.paths import StarPaths, pick_times, uniform_paths
 from render.tracing.pupil_arcs import ARC_LADDER, Arcs, find_arcs
@@ -343,13 +343,18 @@ class PupilPlanner:
         nodes = wavelength_nm.shape[1]
         disks, cut = partial(self.disks, seen, wavelength_nm), None
         if self.pupil.exact:
+
+            def turns(count: int) -> FloatArray:
+                return np.repeat(0.5 + node_turns(nodes)[:, None], count, axis=1)
+
             bounds = Bounds.empty(seen.mid.count, len(wavelength_nm))
             ends = np.stack([wavelength_nm.min(1), np.median(wavelength_nm, 1), wavelength_nm.max(1)], axis=1)
             find_bounds(seen.mid, bounds, stars, ends, lambda part: DiskPoints(bounding_disk(), *disks(part)))
             clear, cut = stars[bounds.clear[stars]], stars[~bounds.clear[stars]]
-            groups.append(WaveGroup("quadrature", clear, lambda order, _: staggered(order, nodes), disks))
+            groups.append(WaveGroup("quadrature", clear, lambda order, _: staggered(order, nodes), disks, turns))
         for mode, members, shapes in self.shapes(seen, chiefs, cut).parts if cut is None or len(cut) else ():
-            groups.append(WaveGroup(mode, np.intersect1d(members, stars), shapes.points, disks))
+            smooth = shapes.turns if isinstance(shapes, Outlines) else None
+            groups.append(WaveGroup(mode, np.intersect1d(members, stars), shapes.points, disks, smooth))
         left = everyone
         for group in groups:
             left = np.setdiff1d(left, group.members)

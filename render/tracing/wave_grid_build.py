@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from render.tracing.pupil_points import TablePoints
 from render.tracing.wave_grid import WaveGrid, chebyshev
 from render.tracing.wave_images import LARGEST_RADIUS_PX, WaveGroup, WaveImages
 from render.tracing.wave_spectrum import picked_wavelengths
-from render.tracing.wave_windows import COARSE_REACH_PX, coarser, window_light, window_samples
+from render.tracing.wave_windows import COARSE_REACH_PX, coarser, window_samples
 
 __all__ = ["TOLERANCE", "WING_PX", "build_grid", "worth_a_grid"]
 
@@ -161,9 +162,10 @@ class _FieldImages:
         place = self.middle + self.half * np.stack(np.meshgrid(points[first:], points[first:]), axis=-1).reshape(-1, 2)
         bands, colours = self.wavelength_nm.shape
         images, groups, chief, entrance = self.exact(place, np.full((len(place), bands, colours), 1.0 / colours))
-        needs = images.common_needs(groups)
-        if needs is None or not np.isfinite(chief).all():
-            return None
+        probes = [probe for group in groups for probe in images.probes(group)]
+        if any(probe.group.points is None for probe in probes) or not np.isfinite(chief).all():
+            return None  # some beams have no smooth outline, or no light
+        needs = images.common_needs(probes)
         radius, fine = max(needs[0], math.ceil(self.least_radius_px)), needs[1]
         field = fine.seen(self.camera.charge_diffusion_px)
         if radius > LARGEST_RADIUS_PX:
@@ -179,18 +181,18 @@ class _FieldImages:
         count = len(samples)
         light = np.zeros((bands, len(place), most, count, count), np.float32)
         moment, origin = np.zeros((len(place), bands, most, 6)), np.zeros((len(place), bands, 2))
-        for star, waves in images.each(groups, radius):
-            if not (waves.weight.sum(-1) > 0.0).all():
+        for own in (one for probe in probes for one in images.summands(probe, radius)):
+            if not (own.waves.weight.sum(-1) > 0.0).all():
                 return None
-            every = _ray_moments(waves, chief[star], entrance[star])
-            for b, (which, _, _) in enumerate(picked):
-                moment[star, b, : len(which)] = every[b, which]
-                mean = waves.mean[0, b, which[len(which) // 2]]
+            every = _ray_moments(own.waves, chief[own.stars], entrance[own.stars])
+            for (s, star), (b, (which, _, _)) in product(enumerate(own.stars), enumerate(picked)):
+                moment[star, b, : len(which)] = every[s, b, which]
+                mean = own.waves.mean[s, b, which[len(which) // 2]]
                 origin[star, b] = mean - chief[star, b]
                 for q, k in enumerate(which):
                     one = np.zeros(colours)
                     one[k] = 1.0
-                    image = window_light(waves, (0, b), one, mean - 0.5 * window, window, fine, pad_px=margin)
+                    image = replace(own, field=fine).light((s, b), one, mean - 0.5 * window, window, margin)
                     light[b, star, q] = (down @ image @ down.T) * near
         if mirrored:
             light, moment, origin = _unfolded(light, moment, origin, size)
@@ -260,11 +262,10 @@ class _FieldImages:
 
 
 def _ray_moments(waves: PlaneWaves, chief_px: FloatArray, entrance: FloatArray) -> FloatArray:
-    """`render.tracing.wave_grid.MOMENTS` (b, k, 6) of the first star of some waves."""
-    weight = waves.weight[0]
-    x, y = (v[0] - chief_px[:, None, None, i] for i, v in enumerate((waves.x, waves.y)))
-    sums = [(weight * v).sum(-1) for v in (x, y, x**2, y**2)]
-    return np.stack([weight.sum(-1), entrance, *sums], axis=-1)
+    """`render.tracing.wave_grid.MOMENTS` (s, b, k, 6) of some waves."""
+    x, y = (v - chief_px[:, :, None, None, i] for i, v in enumerate((waves.x, waves.y)))
+    sums = [(waves.weight * v).sum(-1) for v in (x, y, x**2, y**2)]
+    return np.stack([waves.weight.sum(-1), entrance, *sums], axis=-1)
 
 
 def _unfolded(

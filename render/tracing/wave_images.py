@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from render.camera import Camera
 from render.tracing.kernel import Shade, StarKernel
 from render.tracing.plane_waves import PlaneWaves, hidden_points, phase_changes, trace_waves
 from render.tracing.pupil_points import DiskPoints, PupilPoints, TablePoints
+from render.tracing.wave_series import WaveSeries, azimuths
 from render.tracing.wave_windows import FieldSampling, window_light, window_samples
 
 __all__ = ["WING", "RayMoments", "Trail", "WaveGroup", "WaveImages", "WaveStamps", "covered_points"]
@@ -51,13 +53,62 @@ Points = Callable[[tuple[int, int], IntArray], PupilPoints]
 class WaveGroup:
     """Stars whose pupils are sampled alike: quadrature points of an order, or None where cells are covered in part.
 
-    Those cells divide the disks that hold the beams of stars (`render.tracing.planning.PupilPlanner.disks`).
+    Those cells divide the disks that hold the beams of stars (`render.tracing.planning.PupilPlanner.disks`). Where
+    outlines are smooth, ``turns`` are the first azimuths (k, rings) on so many rings, in parts of their distance.
     """
 
     mode: str
     members: IntArray
     points: Points | None
     disks: Callable[[IntArray], tuple[FloatArray, FloatArray]]
+    turns: Callable[[int], FloatArray] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """Few rays of some stars of a group, which tell how many are needed."""
+
+    group: WaveGroup
+    stars: IntArray
+    waves: PlaneWaves
+
+
+@dataclass(frozen=True, slots=True)
+class Summands:
+    """Waves of some stars that are summed alike: traced ones, or series from which as many follow as are needed.
+
+    Attributes
+    ----------
+    stars : (s,)
+        Which.
+    waves : PlaneWaves
+        Traced; the stars' mean, light and variance are theirs.
+    radius_px : float
+        Of the stamps.
+    field : FieldSampling
+        How light is sampled.
+    order : (int, int)
+        Rings and azimuths of the sum.
+    mode : str
+        How the pupils were sampled.
+    series : WaveSeries or None
+        Of the same waves.
+    """
+
+    stars: IntArray
+    waves: PlaneWaves
+    radius_px: float
+    field: FieldSampling
+    order: tuple[int, int]
+    mode: str
+    series: WaveSeries | None
+
+    def light(
+        self, at: tuple[int, int], shares: FloatArray, corner_px: FloatArray, window_px: float, pad_px: float
+    ) -> NDArray[np.float32]:
+        """Light of one star and band on samples of a window (`render.tracing.wave_windows.window_light`)."""
+        rays = partial(self.waves.rays, at) if self.series is None else partial(self.series.rays, at, self.order)
+        return window_light(rays, shares, corner_px, window_px, self.field, pad_px=pad_px)
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,92 +231,88 @@ class WaveImages:
 
         Each has a radius of its own if none is given.
         """
-        group, pierced = self._sorted(group)
-        if pierced is not None:
-            yield from self.stamps(pierced, radius_px)
-        radius, field, order = self._needs(group, radius_px)
-        for key in sorted(set(zip(radius.tolist(), field.tolist(), map(tuple, order.tolist()), strict=True))):
-            alike = (radius == key[0]) & (field == key[1]) & (order == key[2]).all(1)
-            members = group.members[alike]
-            step = max(1, BATCH_LANES // (3 * math.prod(key[2]) * self.wavelength_nm.size))
-            for part in (members[i : i + step] for i in range(0, len(members), step)):
-                waves = self._traced(group, key[2], part)
-                yield self._stamps(part, waves, key[0], FieldSampling(key[1]), group.mode)
+        for probe in self.probes(group):
+            for summands in self.summands(probe, radius_px):
+                yield self._stamps(summands)
 
     def cells(
         self, group: WaveGroup, half_size_px: int, cells_per_px: int
     ) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
         """Stars, their light per cell (s, b, m, m) of a square about the centroid, in shares of what gets through."""
-        group, pierced = self._sorted(group)
-        if pierced is not None:
-            yield from self.cells(pierced, half_size_px, cells_per_px)
         window = 2.0 * half_size_px + 1.0
-        _, field, order = self._needs(group, math.sqrt(0.5) * window)
         count = (2 * half_size_px + 1) * cells_per_px
         edges = (np.arange(count) + 0.5) / cells_per_px
-        for key in sorted(set(zip(field.tolist(), map(tuple, order.tolist()), strict=True))):
-            for star in group.members[(field == key[0]) & (order == key[1]).all(1)]:
-                part, sampling = np.array([star]), FieldSampling(key[0])
-                waves = self._traced(group, key[1], part)
-                mean, light = self._means(part, waves)
-                matrix, pad = self._matrix(sampling, window, edges, 1.0 / cells_per_px)
-                result = np.empty((1, *mean.shape[1:2], count, count))
-                for b in range(mean.shape[1]):
-                    corner = mean[0, b] - 0.5 * window
-                    image = window_light(waves, (0, b), self.share[star, b], corner, window, sampling, pad_px=pad)
+        for probe in self.probes(group):
+            for summands in self.summands(probe, math.sqrt(0.5) * window):
+                mean, light = self._means(summands.stars, summands.waves)
+                matrix, pad = self._matrix(summands.field, window, edges, 1.0 / cells_per_px)
+                result = np.empty((*mean.shape[:2], count, count))
+                for at in np.ndindex(*mean.shape[:2]):
+                    share = self.share[summands.stars[at[0]], at[1]]
+                    image = summands.light(at, share, mean[at] - 0.5 * window, window, pad)
                     with np.errstate(invalid="ignore"):
-                        result[0, b] = (matrix @ image @ matrix.T) / light[0, b]
-                yield part, result, mean
+                        result[at] = (matrix @ image @ matrix.T) / light[at]
+                yield summands.stars, result, mean
 
-    def common_needs(self, groups: list[WaveGroup]) -> tuple[int, FieldSampling] | None:
-        """Radius [px] and sampling that serve all stars of groups; None if some have no smooth outline."""
-        radius = highest = 0.0
-        for group in groups:
-            if group.points is None or self._sorted(group)[1] is not None:
-                return None
-            radii, fields, _ = self._needs(group)
-            radius, highest = max(radius, float(radii.max())), max(highest, float(fields.max()))
+    def probes(self, group: WaveGroup) -> Iterator[Probe]:
+        """Few rays of the stars of a group, in batches; last those of stars whose outlines hold darkness.
+
+        Such as that of a hole or a spider; they go by cells.
+        """
+        pierced = []
+        for stars in self._batches(group.members, PROBE_ORDER):
+            waves = self._traced(group, PROBE_ORDER, stars)
+            clear = np.ones(len(stars), np.bool_) if group.points is None else waves.lost.max((1, 2)) <= LIGHT
+            if clear.any():
+                yield Probe(group, stars[clear], waves if clear.all() else waves.take(clear))
+            pierced.append(stars[~clear])
+        left = np.concatenate(pierced) if pierced else group.members[:0]
+        if len(left):
+            yield from self.probes(WaveGroup("cells", left, None, group.disks))
+
+    def summands(self, probe: Probe, radius_px: float | None = None) -> Iterator[Summands]:
+        """Waves of the stars of a probe as sums need them, those together that are alike."""
+        group, waves = probe.group, probe.waves
+        radius, field, order = self._needs(probe, radius_px)
+        series = None if group.turns is None else WaveSeries.of(waves, PROBE_ORDER, group.turns(PROBE_ORDER[0]))
+        resolved = np.zeros(len(radius), np.bool_) if series is None else series.resolved
+        keys = list(zip(radius.tolist(), field.tolist(), map(tuple, order.tolist()), resolved.tolist(), strict=True))
+        for key in sorted(set(keys)):
+            alike = np.array([one == key for one in keys])
+            needs = key[0], FieldSampling(key[1]), key[2], group.mode
+            if key[3]:
+                assert series is not None
+                yield Summands(probe.stars[alike], waves.take(alike), *needs, series.take(alike))
+                continue
+            for stars in self._batches(probe.stars[alike], key[2]):
+                yield Summands(stars, self._traced(group, key[2], stars), *needs, None)
+
+    def common_needs(self, probes: list[Probe]) -> tuple[int, FieldSampling]:
+        """Radius [px] and sampling that serve all stars of probes."""
+        needs = [self._needs(probe) for probe in probes]
+        radius, highest = (max(float(one[i].max()) for one in needs) for i in (0, 1))
         return int(radius), FieldSampling(highest)
 
-    def each(self, groups: list[WaveGroup], radius_px: float) -> Iterator[tuple[int, PlaneWaves]]:
-        """Every star and its waves, for windows of a radius."""
-        for group in groups:
-            _, _, order = self._needs(group, radius_px)
-            for star, own in zip(group.members.tolist(), order.tolist(), strict=True):
-                yield star, self._traced(group, (own[0], own[1]), np.array([star]))
+    def _batches(self, stars: IntArray, order: tuple[int, int]) -> Iterator[IntArray]:
+        """Stars, as many at a time as may be traced together."""
+        step = max(1, BATCH_LANES // (3 * math.prod(order) * self.wavelength_nm.size))
+        return (stars[i : i + step] for i in range(0, len(stars), step))
 
-    def _sorted(self, group: WaveGroup) -> tuple[WaveGroup, WaveGroup | None]:
-        """Stars whose outlines hold nothing but light, and the others, such as those behind a hole or a spider."""
-        if group.points is None:
-            return group, None
-        lost = self._traced(group, PROBE_ORDER, group.members).lost.max((1, 2)) > LIGHT
-        clear = replace(group, members=group.members[~lost])
-        return clear, WaveGroup("cells", group.members[lost], None, group.disks) if lost.any() else None
-
-    def _needs(self, group: WaveGroup, radius_px: float | None = None) -> tuple[FloatArray, FloatArray, IntArray]:
+    def _needs(self, probe: Probe, radius_px: float | None = None) -> tuple[FloatArray, FloatArray, IntArray]:
         """Radius of the stamp [px], highest frequency [cycles/px] and order of the quadrature of every star."""
-        found: list[tuple[FloatArray, FloatArray, IntArray]] = []
-        step = max(1, BATCH_LANES // (3 * math.prod(PROBE_ORDER) * self.wavelength_nm.size))
-        for part in (group.members[i : i + step] for i in range(0, len(group.members), step)):
-            probe = self._traced(group, PROBE_ORDER, part)
-            self._check_aperture(probe)
-            spot, highest = probe.spot_px, probe.highest
-            rings = (1.0 / (probe.lowest_cutoff * math.pi**3 * WING)) ** (1.0 / 3.0)
-            radius = (
-                np.ceil(np.maximum(rings, spot + NEAREST_PX)) if radius_px is None else np.full(len(part), radius_px)
-            )
-            self._check_size(part, spot, radius)
-            radial, around = phase_changes(probe, PROBE_ORDER, radius + 1.5)
-            order = np.stack([radial / 4.0 + 5.0, around + 2.5 * np.cbrt(around) + 3.0], axis=1)
-            rounded: IntArray = 4 * np.ceil(order / 4.0).astype(np.int64)
-            if group.points is None:
-                rounded = np.maximum(rounded, COVERED_ORDER)
-            self._check_order(part, rounded, spot)
-            found.append((radius.astype(np.float64), ROUNDING * np.ceil(1.03 * highest / ROUNDING), rounded))
-        if not found:
-            return np.empty(0), np.empty(0), np.empty((0, 2), np.int64)
-        radii, fields, orders = zip(*found, strict=True)
-        return np.concatenate(radii), np.concatenate(fields), np.concatenate(orders)
+        waves, stars = probe.waves, probe.stars
+        self._check_aperture(waves)
+        spot = waves.spot_px
+        rings = (1.0 / (waves.lowest_cutoff * math.pi**3 * WING)) ** (1.0 / 3.0)
+        radius = np.ceil(np.maximum(rings, spot + NEAREST_PX)) if radius_px is None else np.full(len(stars), radius_px)
+        self._check_size(stars, spot, radius)
+        radial, around = phase_changes(waves, PROBE_ORDER, radius + 1.5)
+        order = np.stack([radial / 4.0 + 5.0, azimuths(around)], axis=1)
+        rounded: IntArray = 4 * np.ceil(order / 4.0).astype(np.int64)
+        if probe.group.points is None:
+            rounded = np.maximum(rounded, COVERED_ORDER)
+        self._check_order(stars, rounded, spot)
+        return radius.astype(np.float64), ROUNDING * np.ceil(1.03 * waves.highest / ROUNDING), rounded
 
     def _traced(self, group: WaveGroup, order: tuple[int, int], stars: IntArray) -> PlaneWaves:
         which = stars.astype(np.uint32)
@@ -306,11 +353,10 @@ class WaveImages:
         samples = window_samples(field, window_px, pad)
         return kernel(centres[:, None] - samples) * field.light_step, pad
 
-    def _stamps(
-        self, stars: IntArray, waves: PlaneWaves, radius_px: float, field: FieldSampling, mode: str
-    ) -> WaveStamps:
+    def _stamps(self, summands: Summands) -> WaveStamps:
+        stars, waves, mode = summands.stars, summands.waves, summands.mode
         mean, light = self._means(stars, waves)
-        size = 2 * int(radius_px) + 1
+        size = 2 * int(summands.radius_px) + 1
         window = np.rint(np.nan_to_num(mean)) - 0.5 * size
         if self.trail is None:
             corner, stamp_px = window, size
@@ -320,49 +366,36 @@ class WaveImages:
             corner = window + first
             stamp_px = size + int((np.ceil(offset.max(2)) - first).max(initial=0.0))
         pixels = np.zeros((*light.shape, stamp_px, stamp_px))
-        for s, star in enumerate(stars):
-            for b in np.flatnonzero(light[s] > 0.0):
-                at = waves, (s, int(b)), self.share[star, b], window[s, b], float(size), field
-                pixels[s, b] = self._still(*at) if self.trail is None else self._moving(*at, int(star), stamp_px)
+        for s, b in np.argwhere(light > 0.0).tolist():
+            if self.trail is None:
+                pixels[s, b] = self._still(summands, (s, b), window[s, b], size)
+            else:
+                pixels[s, b] = self._moving(summands, (s, b), window[s, b], size, stamp_px)
         rays = RayMoments(mean, self._variance(stars, waves, mean))
         if self.trail is not None:
             rays = rays.along(self.trail, stars)
         kept = None if mode == "cells" else rays
-        return WaveStamps(stars, np.maximum(pixels, 0.0), corner, rays.mean_px, light, waves.x.shape[-1], mode, kept)
+        count = math.prod(summands.order)
+        return WaveStamps(stars, np.maximum(pixels, 0.0), corner, rays.mean_px, light, count, mode, kept)
 
-    def _still(
-        self,
-        waves: PlaneWaves,
-        at: tuple[int, int],
-        share: FloatArray,
-        corner_px: FloatArray,
-        window_px: float,
-        field: FieldSampling,
-    ) -> FloatArray:
+    def _still(self, summands: Summands, at: tuple[int, int], corner_px: FloatArray, size: int) -> FloatArray:
         """Pixels of a disk in a window."""
-        count = int(window_px)
-        matrix, pad = self._matrix(field, window_px, np.arange(0.5, count), 1.0)
-        image = window_light(waves, at, share, corner_px, window_px, field, pad_px=pad)
-        offset = np.arange(0.5, count) - 0.5 * count
-        disk = np.hypot(offset, offset[:, None]) <= 0.5 * (count - 1)
+        matrix, pad = self._matrix(summands.field, float(size), np.arange(0.5, size), 1.0)
+        share = self.share[summands.stars[at[0]], at[1]]
+        image = summands.light(at, share, corner_px, float(size), pad)
+        offset = np.arange(0.5, size) - 0.5 * size
+        disk = np.hypot(offset, offset[:, None]) <= 0.5 * (size - 1)
         return np.asarray((matrix.astype(np.float32) @ image @ matrix.T.astype(np.float32)) * disk, np.float64)
 
     def _moving(
-        self,
-        waves: PlaneWaves,
-        at: tuple[int, int],
-        share: FloatArray,
-        corner_px: FloatArray,
-        window_px: float,
-        field: FieldSampling,
-        star: int,
-        stamp_px: int,
+        self, summands: Summands, at: tuple[int, int], corner_px: FloatArray, size: int, stamp_px: int
     ) -> FloatArray:
         """Pixels of the same disk along a trail."""
         assert self.trail is not None
+        field, star, window_px = summands.field, int(summands.stars[at[0]]), float(size)
         kernel = field.pixel(1.0, self.camera.charge_diffusion_px)
         pad = kernel.reach_px - 0.5
-        image = window_light(waves, at, share, corner_px, window_px, field, pad_px=pad)
+        image = summands.light(at, self.share[star, at[1]], corner_px, window_px, pad)
         samples = window_samples(field, window_px, pad)
         offset = samples - 0.5 * window_px
         image *= np.hypot(offset, offset[:, None]) <= 0.5 * window_px

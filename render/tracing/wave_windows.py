@@ -10,6 +10,7 @@ SIAM J. Sci. Comput. 14, 1368; kernel of Barnett, Magland & af Klinteberg 2019, 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, lru_cache
 
@@ -17,11 +18,11 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array
 from scipy.special import i0e
 
 from optics.arrays import FloatArray
-from render.tracing.plane_waves import PlaneWaves
+from render.tracing.plane_waves import RayArrays
 
 __all__ = ["COARSE_REACH_PX", "BandLimited", "FieldSampling", "PixelTable", "coarser", "window_light", "window_samples"]
 
@@ -228,16 +229,36 @@ def _bell(t: NDArray[np.floating]) -> NDArray[np.floating]:
     return np.asarray(np.exp(beta * (np.sqrt(np.maximum(1.0 - t * t, 0.0)) - 1.0)))
 
 
-def _spread(frequency: FloatArray, step: float, count: int, weight: NDArray[np.complex64] | None = None) -> csr_array:
-    """Weights (p, count) of p frequencies at points of a grid that is centred on 0."""
-    place = frequency / step + count // 2
-    first = np.ceil(place - 0.5 * SPREAD).astype(np.int32)
-    index = first[:, None] + np.arange(SPREAD, dtype=np.int32)
-    value = _bell(((index - place[:, None]) / (0.5 * SPREAD)).astype(np.float32)).astype(np.complex64)
-    if weight is not None:
-        value *= weight[:, None]
-    rows = np.arange(0, index.size + 1, SPREAD, dtype=np.int32)
-    return csr_array((value.ravel(), index.ravel(), rows), shape=(len(place), count))
+class _Spreader:
+    """Spreads rays over a grid of frequencies; keeps the room that this takes from wavelength to wavelength."""
+
+    def __init__(self, step: float) -> None:
+        self.step = step
+        self.value = np.empty((0, SPREAD, SPREAD), np.float32)
+        self.index = np.empty((0, SPREAD, SPREAD), np.int32)
+        self.columns = np.empty(0, np.int32)
+
+    def __call__(self, fx: FloatArray, fy: FloatArray, coefficient: NDArray[np.complex128]) -> NDArray[np.complex64]:
+        """Coefficients (p,) of p frequencies about 0, on as many points (c, c) of the grid as they need."""
+        reach = math.ceil(max(np.abs(fx).max(), np.abs(fy).max()) / self.step + 0.5 * SPREAD + 1.0)
+        count = 2 * reach + 1
+        if len(self.value) != len(fx):
+            self.value = np.empty((len(fx), SPREAD, SPREAD), np.float32)
+            self.index = np.empty((len(fx), SPREAD, SPREAD), np.int32)
+            self.columns = np.arange(0, self.index.size + 1, SPREAD**2, dtype=np.int32)
+        first, weight = [], []
+        for frequency in (fx, fy):
+            place = frequency / self.step + reach
+            one = np.ceil(place - 0.5 * SPREAD).astype(np.int32)
+            distance = (one - place).astype(np.float32)[:, None] + np.arange(SPREAD, dtype=np.float32)
+            first.append(one)
+            weight.append(_bell(distance * np.float32(2.0 / SPREAD)))
+        steps = np.arange(SPREAD, dtype=np.int32)
+        np.add((first[1] * count + first[0])[:, None, None], steps[:, None] * count + steps, out=self.index)
+        np.multiply(weight[1][:, :, None], weight[0][:, None, :], out=self.value)
+        spread = csc_array((self.value.ravel(), self.index.ravel(), self.columns), shape=(count**2, len(fx)))
+        parts = spread @ np.stack([coefficient.real, coefficient.imag], axis=-1).astype(np.float32)
+        return np.asarray(np.ascontiguousarray(parts).view(np.complex64).reshape(count, count))
 
 
 def coarser(fine: FieldSampling, coarse: FieldSampling, window_px: float, pad_px: float) -> NDArray[np.float32]:
@@ -250,8 +271,7 @@ def coarser(fine: FieldSampling, coarse: FieldSampling, window_px: float, pad_px
 
 
 def window_light(
-    waves: PlaneWaves,
-    at: tuple[int, int],
+    rays: Callable[[int], RayArrays],
     shares: FloatArray,
     corner_px: FloatArray,
     window_px: float,
@@ -263,10 +283,8 @@ def window_light(
 
     Parameters
     ----------
-    waves : PlaneWaves
-        Traced.
-    at : (int, int)
-        Star and band.
+    rays : callable
+        Rays of a wavelength, by its number.
     shares : (k,)
         Share of each wavelength.
     corner_px : (2,)
@@ -278,22 +296,19 @@ def window_light(
     """
     samples = _samples(field, window_px, pad_px)
     count = len(samples)
-    step, to_samples = _grid(field, count)
-    middle = corner_px + 0.5 * window_px
+    step, waves = _grid(field, count)
+    spreader, middle = _Spreader(step), corner_px + 0.5 * window_px
     light = np.zeros((count, count), np.float32)
-    for k, share in enumerate(shares):
-        lit = waves.amplitude[*at, k] > 0.0
-        if share == 0.0 or not lit.any():
+    for k in np.flatnonzero(shares):
+        x, y, fx, fy, turns, amplitude = rays(int(k))
+        if not len(x):
             continue
-        x, y, fx, fy, turns, amplitude = (
-            v[*at, k][lit] for v in (waves.x, waves.y, waves.fx, waves.fy, waves.turns, waves.amplitude)
-        )
         fx, fy, phase = _untilted(fx, fy, x, y, turns, middle)
-        coefficient = (amplitude * math.sqrt(math.pi)) * np.exp(2j * np.pi * phase)
-        nodes = to_samples.shape[1]
-        spread = _spread(fy, step, nodes).T @ _spread(fx, step, nodes, coefficient.astype(np.complex64))
-        u = to_samples @ spread.toarray() @ to_samples.T
-        light += np.float32(share) * (u.real**2 + u.imag**2)
+        grid = spreader(fx, fy, (amplitude * math.sqrt(math.pi)) * np.exp(2j * np.pi * phase))
+        unused = (waves.shape[1] - len(grid)) // 2
+        to_samples = waves[:, unused : waves.shape[1] - unused]
+        u = to_samples @ grid @ to_samples.T
+        light += np.float32(shares[k]) * (u.real**2 + u.imag**2)
     return light
 
 
