@@ -4,17 +4,19 @@ Planets: A. Mallama and J. L. Hilton, "Computing apparent planetary magnitudes f
 and Computing 25, 10 (2018), eq. 2-17, :math:`V = V_1(\alpha) + 5 \log_{10} (r \Delta)` with r and :math:`\Delta` in au.
 What depends on the turn and the season of Mars (their tables of 0.06 and 0.09 mag at most) is left out. Where no
 equation holds V is NaN: Mercury and Venus beyond 179 deg, Mars beyond 120, Jupiter beyond 130, Saturn (with its rings)
-beyond 6.5, Neptune beyond 133 or, before 2000, beyond 1.9 deg; nobody has seen them from there. The Earth's curve and
-its geometric albedo of 0.434 make a Bond albedo of 0.57 in V; earthshine measures 0.297 (P. R. Goode et al., Geophys.
-Res. Lett. 28, 1671 (2001)): the light of a half Earth may be too bright by 0.7 mag.
+beyond 6.5, Neptune beyond 133 or, before 2000, beyond 1.9 deg; nobody has seen them from there.
 
-Moon: C. W. Allen, Astrophysical Quantities, 3rd ed. (1973), sec. 66, -12.73 at the mean distance of 384 400 km and the
-phase law 0.026 mag/deg + 4e-9 mag/deg^4, here up to 150 deg; no opposition surge below 6 deg (some 0.2 mag), no
-difference of waxing and waning.
+Earth: T. D. Robinson, Planet. Sci. J. 7, 12 (2026; arXiv:2507.22258), eq. 14: 0.23 as geometric albedo and a
+Henyey-Greenstein function of -0.33, fitted to what was seen from ground and spacecraft at 5 to 144 deg (0.4 to 0.7 um,
+here taken for V). Up to 90 deg it is 0.6 to 0.9 mag fainter than eq. 5 of Mallama and Hilton, whose Bond albedo would be
+0.57; it makes 0.31, earthshine measures 0.297 (P. R. Goode et al., Geophys. Res. Lett. 28, 1671 (2001)). Clouds move it
+by some tenths of a magnitude.
+
+Moon: `render.bodies.lunar_irradiance`.
 
 Colours: geometric albedos of A. Mallama, B. Krobusek and H. Pavlov, Icarus 282, 19 (2017), table 7, Johnson-Cousins;
-the Moon's from the disk reflectance at 30 deg of H. H. Kieffer and T. C. Stone, AJ 129, 2887 (2005), table 4, as a
-parabola through its logarithms (4 % scatter). They are taken at the effective wavelengths of the bands, linear between.
+the Moon's as a point from the disk reflectance at 30 deg of H. H. Kieffer and T. C. Stone, AJ 129, 2887 (2005), table
+4, as a parabola through its logarithms. They are taken at the effective wavelengths of the bands, linear between.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from scipy import constants
 from optics.arrays import FloatArray
 from optics.errors import unknown_name
 from optics.light.spectrum import TabulatedSed
+from render.bodies.lunar_irradiance import moon_reflectance
 from render.sky.sunlight import sun_spectrum
 
 __all__ = ["ALBEDO", "ALBEDO_NM", "planet_spectrum", "planet_v"]
@@ -47,7 +50,9 @@ ALBEDO = {
 }
 """Geometric albedo of each body at `ALBEDO_NM`; only the shape counts where a magnitude sets the scale."""
 
-_MOON_DISTANCE_AU = 384400e3 / constants.au
+_SUN_V = -26.76  # C. N. A. Willmer, ApJS 236, 47 (2018), table 3
+_V_NM = 549.0
+_EARTH_AU, _MOON_AU = 6371.0084e3 / constants.au, 1737.4e3 / constants.au  # radii
 # north poles in icrs (right ascension, declination [deg]) and flattening: B. A. Archinal et al., Celestial Mechanics
 # and Dynamical Astronomy 130, 22 (2018), tables 1 and 4
 _SATURN_POLE_DEG = (40.589, 83.537)
@@ -69,13 +74,16 @@ def _venus(a: float) -> float:
 
 
 def _earth(a: float) -> float:
-    return math.nan if a > 170.0 else _polynomial(a, -3.99, -1.060e-03, 2.054e-04)
-
-
-def _moon(a: float) -> float:
-    if a > 150.0:
+    if a > 144.0:
         return math.nan
-    return -12.73 - 5.0 * math.log10(_MOON_DISTANCE_AU) + 0.026 * a + 4e-9 * a**4
+    g = -0.33
+    phase = ((1.0 + g) ** 2 / (1.0 + g**2 + 2.0 * g * math.cos(math.radians(a)))) ** 1.5
+    return _SUN_V - 2.5 * math.log10(0.23 * phase * _EARTH_AU**2)
+
+
+def _moon(to_sun: FloatArray, to_observer: FloatArray, epoch_year: float) -> float:
+    reflectance = moon_reflectance(_V_NM, to_sun=to_sun, to_observer=to_observer, epoch_year=epoch_year)
+    return _SUN_V - 2.5 * float(np.log10(reflectance * _MOON_AU**2))
 
 
 def _mars(a: float) -> float:
@@ -142,7 +150,7 @@ def planet_v(name: str, *, to_sun_au: FloatArray, to_observer_au: FloatArray, ep
     to_sun_au, to_observer_au : (3,)
         From the body to Sun and observer, along icrs [au].
     epoch_year : float
-        Julian year; counts for Neptune.
+        Julian year; counts for Neptune and for the Moon's libration.
 
     Returns
     -------
@@ -166,7 +174,9 @@ def planet_v(name: str, *, to_sun_au: FloatArray, to_observer_au: FloatArray, ep
         return _uranus(a, to_sun, to_observer) + distances
     if name == "neptune":
         return _neptune(a, epoch_year) + distances
-    simple = {"mercury": _mercury, "venus": _venus, "earth": _earth, "moon": _moon, "mars": _mars, "jupiter": _jupiter}
+    if name == "moon":
+        return _moon(to_sun, to_observer, epoch_year) + distances
+    simple = {"mercury": _mercury, "venus": _venus, "earth": _earth, "mars": _mars, "jupiter": _jupiter}
     return simple[name](a) + distances
 
 

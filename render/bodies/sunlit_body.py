@@ -23,6 +23,7 @@ from optics.light.photometry import photon_rate
 from optics.records import freeze
 from render.bodies.brightness import ALBEDO, ALBEDO_NM, planet_spectrum, planet_v
 from render.bodies.earth_air import BOND_ALBEDO, Air, earth_air
+from render.bodies.lunar_irradiance import KNOWN_DEG, moon_reflectance
 from render.bodies.lunar_map import HIGHLAND, MARE, lunar_map, moon_rotation
 from render.bodies.solar_system import SolarSystem
 from render.bodies.sphere_image import Light
@@ -212,7 +213,7 @@ def sphere_photons(body: SunlitBody, wavelength_nm: ArrayLike) -> FloatArray:
 
 
 def planet_body(system: SolarSystem, name: str, *, law: Literal["lambert", "lunar"] | None = None) -> SunlitBody:
-    """The Moon or a planet as a smooth sphere that has its published magnitude and colour.
+    """The Moon or a planet as a smooth sphere that has its published brightness and colour.
 
     The Moon has its map (`render.bodies.lunar_map`), turned as the observer sees it, and the light of the Earth on it.
     The Earth, which is seen from nearby, is Lambertian of its Bond albedo in V, without clouds, with lit air above its
@@ -230,8 +231,10 @@ def planet_body(system: SolarSystem, name: str, *, law: Literal["lambert", "luna
     Returns
     -------
     SunlitBody
-        Its albedo is scaled so that the whole sphere has the magnitude of ``system``; where that is NaN, the geometric
-        albedo stands with the phase function of the law. The Earth's is not scaled.
+        Its albedo is scaled so that the whole sphere has the magnitude of ``system``, the Moon's so that it has the
+        measured reflectance at every wavelength (`render.bodies.lunar_irradiance`, whose albedo at 150 deg stands
+        beyond). Where the magnitude is NaN, the geometric albedo stands with the phase function of the law. The
+        Earth's is not scaled.
 
     Raises
     ------
@@ -257,14 +260,13 @@ def planet_body(system: SolarSystem, name: str, *, law: Literal["lambert", "luna
     if name == "moon":
         factor = lunar_map() / np.float32(0.5 * (MARE + HIGHLAND))
         body = replace(body, albedo_map=factor, rotation_icrs_from_body=moon_rotation(system.epoch_year))
+        body = replace(body, albedo=_lunar_albedo(body, body.albedo_nm, system.epoch_year))
+        return replace(body, second_light=_earthlight(system.select([i]), body))
     if name == "earth":
         return replace(
             body, albedo=BOND_ALBEDO * shape / np.interp(SCALED_AT_NM, ALBEDO_NM, ALBEDO[name]), air=earth_air()
         )
-    scale = _scale(body, name, float(system.magnitude_v[i]))
-    if name == "moon":
-        body = replace(body, second_light=_earthlight(system.select([i]), body, scale))
-    return replace(body, albedo=body.albedo * scale)
+    return replace(body, albedo=body.albedo * _scale(body, name, float(system.magnitude_v[i])))
 
 
 def _scale(body: SunlitBody, name: str, magnitude_v: float) -> float:
@@ -276,13 +278,26 @@ def _scale(body: SunlitBody, name: str, magnitude_v: float) -> float:
     return float((wanted / sphere_photons(body, at))[0])
 
 
-def _earthlight(moon: SolarSystem, body: SunlitBody, scale: float) -> Light | None:
+def _lunar_albedo(body: SunlitBody, wavelength_nm: ArrayLike, epoch_year: float) -> FloatArray:
+    """Albedo at which the Moon's map, lit as ``body`` is, reflects what was measured; beyond that phase it stays."""
+    observer = -body.direction
+    aside = body.to_sun - (body.to_sun @ observer) * observer
+    if body.phase_rad > math.radians(KNOWN_DEG) and np.linalg.norm(aside) > 0.0:
+        angle = math.radians(KNOWN_DEG - 1e-6)
+        to_sun = math.cos(angle) * observer + math.sin(angle) * aside / np.linalg.norm(aside)
+        return _lunar_albedo(replace(body, to_sun=to_sun), wavelength_nm, epoch_year)
+    measured = moon_reflectance(wavelength_nm, to_sun=body.to_sun, to_observer=observer, epoch_year=epoch_year)
+    return np.asarray(measured / _disk_factor(body))
+
+
+def _earthlight(moon: SolarSystem, body: SunlitBody) -> Light | None:
     """Light of the Earth on the Moon, in units of sunlight there; None where the Earth shows it its night side.
 
-    A surface is brighter the smaller the angle between its light and the observer: the albedo that the magnitude at
-    the Sun's phase angle gives is taken to that at the Earth's.
+    A surface is brighter the smaller the angle between its light and the observer: the albedo at the Sun's phase angle
+    is taken to that at the Earth's. It has the colour of sunlight; earthshine was measured 0.15 mag bluer in B-V than
+    the sunlit side (P. Thejll et al., A&A 563, A38 (2014)).
     """
-    to_earth, to_sun, to_observer = moon.to_earth_au[0], moon.to_sun_au[0], moon.to_observer_au[0]
+    to_earth, to_sun = moon.to_earth_au[0], moon.to_sun_au[0]
     if not np.linalg.norm(to_earth) > 0.0:
         return None
     v = planet_v("earth", to_sun_au=to_sun - to_earth, to_observer_au=-to_earth, epoch_year=moon.epoch_year)
@@ -292,9 +307,8 @@ def _earthlight(moon: SolarSystem, body: SunlitBody, scale: float) -> Light | No
     share = float((photon_rate(planet_spectrum("earth"), v, wavelength_nm=at) / sunlight(at))[0])
     share *= float(moon.sun_distance_au[0]) ** 2
     towards = to_earth / np.linalg.norm(to_earth)
-    lit_so = towards * moon.sun_distance_au[0]
-    there = planet_v("moon", to_sun_au=lit_so, to_observer_au=to_observer, epoch_year=moon.epoch_year)
-    return Light(towards, share * _scale(replace(body, to_sun=towards), "moon", there) / scale)
+    lit_so = _lunar_albedo(replace(body, to_sun=towards), at, moon.epoch_year)
+    return Light(towards, share * float((lit_so / body.albedo_at(at))[0]))
 
 
 def covers(body: SunlitBody, direction: ArrayLike) -> NDArray[np.bool_]:
