@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,8 @@ from optics.attitude import angles_from_attitude
 from optics.errors import ConfigError
 from optics.light.band import Band
 from optics.page import Marks, differences, save_frame_page
+from render.bodies.solar_system import SolarSystem, hiding_spheres, planet_field, solar_system
+from render.bodies.sunlit_body import added
 from render.detector.readout import expose
 from render.engine.random import Streams
 from render.fits.wcs import lens_wcs, sky_grid
@@ -55,6 +57,8 @@ class Observation:
         Camera and detector.
     sky : Sky
         All stars that there are; what a star identifier may know.
+    bodies : dict of str to (float, float, float)
+        Column and row [px] of the middle of its light and electrons, of each of the simulator's bodies in the frame.
     """
 
     frame: Frame
@@ -63,6 +67,7 @@ class Observation:
     attitude: Rotation
     sensor: StarSensor
     sky: Sky
+    bodies: dict[str, tuple[float, float, float]]
 
     def __repr__(self) -> str:
         ra, dec, roll = angles_from_attitude(self.attitude)
@@ -220,12 +225,16 @@ class SkySimulator:
         Other light of the sky.
     seed : int
         Of the noise.
+    bodies : sequence of str
+        Which of Moon, Earth and planets are there (`render.bodies.solar_system.BODIES`, ``"earth"``), as the observer
+        of the sky sees them: the Earth needs one above it (`Observer.moved`). Those larger than a pixel are disks that
+        hide stars and one another, the others points of light, left out where no magnitude is published.
 
     Raises
     ------
     StarbenchError
         A detector that sees beyond the lens's field, a pass band beyond what is known, exposure not positive, an engine
-        that is missing.
+        that is missing; bodies for a sky without observer, an observer inside one.
 
     Examples
     --------
@@ -246,6 +255,7 @@ class SkySimulator:
         zodiacal: bool = False,
         uniform: UniformSky | None = None,
         seed: int = 0,
+        bodies: Sequence[str] = (),
     ) -> None:
         sensor.check_field()
         self.sensor, self.sky = sensor, load_sky() if sky is None else sky
@@ -259,7 +269,24 @@ class SkySimulator:
             self.diffuse = background_map(sensor.camera, [band])
         self.temperature_c, self.background_e_per_s = temperature_c, background_e_per_s
         self.exposure_s, self._streams = exposure_s, Streams(seed)
-        self._renderer = StarRenderer(sensor.camera, exposure_s=exposure_s)
+        self._disks: SolarSystem | None = None
+        self._points: SolarSystem | None = None
+        hidden = None
+        if bodies:
+            if self.sky.observer is None:
+                raise ConfigError(
+                    f"bodies = {', '.join(bodies)}: the sky needs an observer, load_sky(observer='earth')"
+                )
+            from render.bodies.body_image import BodyRenderer
+
+            there = solar_system(self.sky.epoch_year, observer=self.sky.observer, bodies=bodies)
+            large = there.angular_diameter_rad > np.radians(sensor.pixel_arcsec / 3600.0)
+            self._disks = there.select(large)
+            self._points = there.select(~large & np.isfinite(there.magnitude_v))
+            self._point_light = planet_field(self._points, [band], nodes=nodes)
+            self._bodies = BodyRenderer(sensor.camera, [band], view=self.view)
+            hidden = hiding_spheres(self._disks)
+        self._renderer = StarRenderer(sensor.camera, exposure_s=exposure_s, contents=hidden)
 
     def observe(self, attitude: Rotation, *, frame: int = 0) -> Observation:
         """Expose one frame.
@@ -295,6 +322,9 @@ class SkySimulator:
                 uniform=self.uniform,
             )
             expected = replace(expected, electrons=expected.electrons + rate * np.float32(expected.exposure_s))
+        bodies: dict[str, tuple[float, float, float]] = {}
+        for name, image, place in self._seen(attitude):
+            expected, bodies[name] = added(expected, image), place
         return Observation(
             frame=expose(
                 expected,
@@ -309,7 +339,30 @@ class SkySimulator:
             attitude=attitude,
             sensor=self.sensor,
             sky=self.sky,
+            bodies=bodies,
         )
+
+    def _seen(self, attitude: Rotation) -> Iterator[tuple[str, ExpectedImage, tuple[float, float, float]]]:
+        """Bodies that a frame shows: name, light, place and sum of that light."""
+        if self._disks is None or self._points is None:
+            return
+        matrix, full_well_e = attitude.as_matrix(), self.sensor.detector.full_well_e
+        for row, body in self._bodies.render_system(
+            self._disks, matrix, exposure_s=self.exposure_s, ceiling_e=full_well_e
+        ):
+            if body.electrons[0] > 0.0:
+                x, y = body.photon_px[0]
+                yield self._disks.name[row], body.image, (float(x), float(y), float(body.electrons[0]))
+        near = np.flatnonzero(self._points.direction @ matrix[2] > np.cos(self.view.radius_rad))
+        for index in near:
+            light = self._point_light
+            one = replace(light, direction=light.direction[[index]], photon_rate=light.photon_rate[[index]])
+            image = self._renderer.render(one, rotation_cam_from_world=matrix)
+            truth = image.truth
+            assert truth is not None
+            if truth.electrons_image[0, 0] > 0.0:
+                x, y, electrons = truth.photon_x_px[0, 0], truth.photon_y_px[0, 0], truth.electrons_image[0, 0]
+                yield self._points.name[index], image, (float(x), float(y), float(electrons))
 
     def dark_dn(self, *, frames: int = 20) -> NDArray[np.float32]:
         """Mean (h, w) [DN] of so many frames without light, exposed like the others: a master dark.
@@ -354,7 +407,7 @@ def observe(
     seed : int
         Of the noise.
     **settings
-        Any other setting of `SkySimulator`: ``passband=``, ``temperature_c=``, ``zodiacal=`` ...
+        Any other setting of `SkySimulator`: ``passband=``, ``temperature_c=``, ``zodiacal=``, ``bodies=`` ...
 
     Returns
     -------

@@ -18,8 +18,9 @@ from optics.light.photometry import band_integral
 from optics.records import freeze
 from render.bodies.earth_air import rayleigh_thickness
 from render.bodies.pixel_maps import PixelMaps
+from render.bodies.solar_system import SolarSystem
 from render.bodies.sphere_image import Cover, Exposed, Light, Sphere, sphere_image
-from render.bodies.sunlit_body import SunlitBody
+from render.bodies.sunlit_body import SunlitBody, planet_body
 from render.camera import Camera
 from render.detector.diffusion import diffuse
 from render.engine.random import Streams
@@ -177,6 +178,37 @@ class BodyRenderer:
             if camera.sensitive_columns is not None:
                 electrons[:, ~camera.sensitive_columns] = 0.0
         return _finished(electrons, self.rule.name, exposure_s, share)
+
+    def render_system(
+        self, system: SolarSystem, rotation_cam_from_icrs: FloatArray, *, turn_rad: float = 0.0, **settings: Any
+    ) -> list[tuple[int, BodyImage]]:
+        """The Moon, planets and Earth that an attitude sees, the nearest first; nearer ones hide what is behind them.
+
+        Parameters
+        ----------
+        system : SolarSystem
+            Bodies, wherever they stand.
+        rotation_cam_from_icrs : (3, 3)
+            Attitude.
+        turn_rad : float
+            How far the camera turns during the exposure, at most.
+        **settings
+            Of `render`.
+
+        Returns
+        -------
+        list of (int, BodyImage)
+            Row of the body, its image.
+        """
+        reach = self.view.radius_rad + 0.5 * system.angular_diameter_rad + turn_rad
+        seen = np.flatnonzero(system.direction @ rotation_cam_from_icrs[2] > np.cos(np.minimum(reach, np.pi)))
+        order = seen[np.argsort(system.distance_au[seen])]
+        bodies = [planet_body(system, system.name[i]) for i in order]
+        settings["rotation_cam_from_icrs"] = rotation_cam_from_icrs
+        return [
+            (int(i), self.render(body, in_front=bodies[:k], **settings))
+            for k, (i, body) in enumerate(zip(order, bodies, strict=True))
+        ]
 
     def _path_px(self, body: SunlitBody, attitudes: FloatArray) -> float:
         """About how far the body moves over the detector in the table of attitudes."""

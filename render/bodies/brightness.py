@@ -7,10 +7,9 @@ equation holds V is NaN: Mercury and Venus beyond 179 deg, Mars beyond 120, Jupi
 beyond 6.5, Neptune beyond 133 or, before 2000, beyond 1.9 deg; nobody has seen them from there.
 
 Earth: T. D. Robinson, Planet. Sci. J. 7, 12 (2026; arXiv:2507.22258), eq. 14: 0.23 as geometric albedo and a
-Henyey-Greenstein function of -0.33, fitted to what was seen from ground and spacecraft at 5 to 144 deg (0.4 to 0.7 um,
-here taken for V). Up to 90 deg it is 0.6 to 0.9 mag fainter than eq. 5 of Mallama and Hilton, whose Bond albedo would be
-0.57; it makes 0.31, earthshine measures 0.297 (P. R. Goode et al., Geophys. Res. Lett. 28, 1671 (2001)). Clouds move it
-by some tenths of a magnitude.
+Henyey-Greenstein function of -0.33, fitted to what was seen from ground and spacecraft at 5 to 144 deg (400 to
+700 nm, here taken for V). Up to 90 deg it is 0.6 to 0.9 mag fainter than eq. 5 of Mallama and Hilton, whose Bond albedo
+is 0.57; here it is 0.31, and earthshine measures 0.297 (P. R. Goode et al., Geophys. Res. Lett. 28, 1671 (2001)).
 
 Moon: `render.bodies.lunar_irradiance`.
 

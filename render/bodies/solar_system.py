@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,7 +29,7 @@ from render.bodies.brightness import planet_spectrum, planet_v
 from render.catalogue.motion import Observer, aberrated, earth_observer
 from render.records import StarField
 
-__all__ = ["BODIES", "RADIUS_KM", "SolarSystem", "joined", "planet_field", "solar_system"]
+__all__ = ["BODIES", "RADIUS_KM", "SolarSystem", "hiding_spheres", "joined", "planet_field", "solar_system"]
 
 
 RADIUS_KM = {
@@ -40,6 +41,7 @@ RADIUS_KM = {
 BODIES = ("mercury", "venus", "moon", "mars", "jupiter", "saturn", "uranus", "neptune")
 """What is looked up if nothing else is asked for; an observer off the Earth may add ``"earth"``."""
 
+HIDING_MM = 2.0**30
 _LIGHT_DAYS_PER_AU = constants.au / constants.c / 86400.0
 _LIGHT_STEPS = 3
 
@@ -198,6 +200,18 @@ def _seen_from(name: str, epoch_year: float, observer_au: FloatArray) -> FloatAr
         place = _place(name, epoch_year, days)
         days = float(np.linalg.norm(place - observer_au)) * _LIGHT_DAYS_PER_AU
     return _place(name, epoch_year, days)
+
+
+def hiding_spheres(system: SolarSystem) -> dict[str, Any]:
+    """Spheres, for the scene of the stars (mm, icrs, the camera at the origin), that hide what stands behind them.
+
+    All are of one radius, at distances that give them their size: Mitsuba warns of spheres that float32 makes uneven.
+    """
+    sine = np.sin(0.5 * system.angular_diameter_rad)
+    return {
+        str(name): {"type": "sphere", "center": (way * HIDING_MM / s).tolist(), "radius": HIDING_MM}
+        for name, way, s in zip(system.name, system.direction, sine, strict=True)
+    }
 
 
 def planet_field(system: SolarSystem, bands: Sequence[Band], *, nodes: int = 5) -> StarField:

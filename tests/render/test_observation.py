@@ -7,7 +7,8 @@ import zlib
 
 import numpy as np
 import pytest
-from astropy.coordinates import SkyCoord
+from astropy.coordinates import SkyCoord, get_body
+from astropy.time import Time
 
 from optics.attitude import attitude_from_angles
 from optics.errors import ConfigError, DomainError
@@ -15,6 +16,8 @@ from optics.light.photometry import photon_rate
 from optics.light.spectrum import Blackbody
 from optics.page import Marks
 from optics.rays.spots import collecting_area_mm2
+from render.bodies.solar_system import solar_system
+from render.bodies.sunlit_body import planet_body, sphere_photons
 from render.catalogue.motion import earth_observer
 from render.observation import SkySimulator, observe
 from render.sensor import load_star_sensor
@@ -113,7 +116,31 @@ def test_axes_show_the_frame_without_pyplot(observation):
     assert observation.show(axes) is axes
 
 
+@pytest.mark.slow
+def test_moon_and_planets_are_where_astropy_puts_them(sensor):
+    """Venus stands behind the Moon and is hidden; Jupiter is a point; the Moon's light is that of its spectrum."""
+    epoch = 2019.0834474
+    sky = load_sky(faintest_mag=4.0, epoch_year=epoch, observer="earth")
+    simulator = SkySimulator(sensor, sky, exposure_s=2e-4, bodies=["moon", "venus", "jupiter"])
+    time = Time(epoch, format="jyear", scale="tdb")
+    for target, shown in (("moon", {"moon"}), ("jupiter", {"jupiter"})):
+        seen = get_body(target, time, ephemeris="builtin")
+        observation = simulator.observe(attitude_from_angles(seen.ra.deg, seen.dec.deg))
+        assert set(observation.bodies) == shown
+        x, y, electrons = observation.bodies[target]
+        assert np.hypot(x - 255.5, y - 255.5) < (25.0 if target == "moon" else 0.7)  # half a crescent; focus
+        assert observation.expected.electrons.sum() == pytest.approx(electrons, rel=1e-3)
+        if target == "moon":
+            wavelength = np.arange(400.5, 1000.0)
+            through = sensor.passband().transmission(wavelength) * sensor.camera.response_at(wavelength)
+            moon = planet_body(solar_system(epoch, observer=sky.observer, bodies=["moon"]), "moon")
+            light = (sphere_photons(moon, wavelength) * through).sum()
+            assert electrons == pytest.approx(light * collecting_area_mm2(sensor.camera.focused_lens) * 2e-4, rel=0.01)
+
+
 def test_what_cannot_be_observed_is_refused(sensor, sky):
+    with pytest.raises(ConfigError, match="needs an observer"):
+        SkySimulator(sensor, sky, bodies=["moon"])
     with pytest.raises(DomainError, match="made for"):
         SkySimulator(load_star_sensor("star_tracker_26mm", "cmv4000"), sky)
     with pytest.raises(ConfigError, match="one scipy Rotation"):

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from experiments.dataset.frames.plan import FramePlan, plan_frame
 from experiments.dataset.frames.point_sources import PointSources, point_sources, smear_px
 from experiments.dataset.frames.scene import Scene
-from experiments.dataset.frames.sky_light import Disk, diffuse_light, hiding_bodies, resolved_light
+from experiments.dataset.frames.sky_light import Disk, diffuse_light, resolved_light
 from experiments.dataset.truth.star_truth import FLAGS, StarLightOnChip, pixel_flags, star_rows
+from render.bodies.solar_system import hiding_spheres
 from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
 from render.detector.cosmic_rays import CosmicRayHits, cosmic_ray_hits
 from render.detector.readout import expose
@@ -101,14 +102,15 @@ class FrameMaker:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
+        disks = scene.sky_light.disks
         self._renderer = StarRenderer(
             scene.instrument.camera,
             exposure_s=scene.config.instrument.exposure_s,
             tolerance=scene.config.pupil_tolerance,
-            contents=hiding_bodies(scene.sky_light),
+            contents=None if disks is None else hiding_spheres(disks),
         )
         self._bodies = None
-        if scene.sky_light.disks is not None:
+        if disks is not None:
             from render.bodies.body_image import BodyRenderer
 
             self._bodies = BodyRenderer(scene.instrument.camera, scene.sky_light.bands, view=scene.view)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import constants
 from scipy.spatial.transform import Rotation
 
 from experiments.dataset.frames.plan import FramePlan, Plan, plan_frame
@@ -33,7 +32,6 @@ __all__ = [
     "build_sky_light",
     "check_sun",
     "diffuse_light",
-    "hiding_bodies",
     "resolved_light",
 ]
 
@@ -166,44 +164,20 @@ def diffuse_light(sky: SkyLight, attitude: Rotation, config: Config) -> NDArray[
     )[:, :, 0]
 
 
-def hiding_bodies(sky: SkyLight) -> dict[str, Any]:
-    """Spheres, for the scene of the stars (mm, icrs, the camera at the origin), that hide what stands behind them."""
-    if sky.disks is None:
-        return {}
-    distance_mm = sky.disks.distance_au * constants.au * 1e3
-    return {
-        str(name): {"type": "sphere", "center": (way * far).tolist(), "radius": float(far * np.sin(0.5 * diameter))}
-        for name, way, far, diameter in zip(
-            sky.disks.name, sky.disks.direction, distance_mm, sky.disks.angular_diameter_rad, strict=True
-        )
-    }
-
-
 def resolved_light(
     sky: SkyLight, renderer: BodyRenderer, plan: FramePlan, config: Config, *, duration_s: float, full_well_e: float
 ) -> list[Disk]:
     """The disks that a frame sees, the nearest first; nearer ones hide what is behind them."""
     if sky.disks is None:
         return []
-    from render.bodies.sunlit_body import planet_body
-
-    matrix = plan.attitude.as_matrix()
-    turn = float(np.linalg.norm(plan.rate_rad_per_s)) * duration_s
-    reach = renderer.view.radius_rad + 0.5 * sky.disks.angular_diameter_rad + turn
-    seen = np.flatnonzero(sky.disks.direction @ matrix[2] > np.cos(np.minimum(reach, np.pi)))
-    order = seen[np.argsort(sky.disks.distance_au[seen])]
-    bodies = [planet_body(sky.disks, sky.disks.name[i]) for i in order]
-    images = [
-        renderer.render(
-            body,
-            exposure_s=config.instrument.exposure_s,
-            rotation_cam_from_icrs=matrix,
-            trajectory=plan.trajectory,
-            start_s=plan.start_s,
-            line_time_s=config.instrument.line_time_us * 1e-6,
-            in_front=bodies[:k],
-            ceiling_e=full_well_e,
-        )
-        for k, body in enumerate(bodies)
-    ]
-    return [Disk(name=body.name, row=int(i), image=image) for body, i, image in zip(bodies, order, images, strict=True)]
+    images = renderer.render_system(
+        sky.disks,
+        plan.attitude.as_matrix(),
+        turn_rad=float(np.linalg.norm(plan.rate_rad_per_s)) * duration_s,
+        exposure_s=config.instrument.exposure_s,
+        trajectory=plan.trajectory,
+        start_s=plan.start_s,
+        line_time_s=config.instrument.line_time_us * 1e-6,
+        ceiling_e=full_well_e,
+    )
+    return [Disk(name=sky.disks.name[row], row=row, image=image) for row, image in images]
