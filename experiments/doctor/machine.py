@@ -58,16 +58,34 @@ def check_caches() -> Iterator[Finding]:
         )
     else:
         yield Finding(name="kernels", text=text, facts=facts)
-    try:
-        solver: str | None = metadata.version("tetra3rs")
-        text = f"tetra3rs {solver}: made in memory for each field of view, half a second, nothing kept on disk"
-    except metadata.PackageNotFoundError:
-        solver, text = None, "no tetra3rs, so blind identification is missing (extra 'solve')"
-    yield Finding(name="patterns", text=text, facts={"tetra3rs": solver})
+    yield _patterns()
     downloads = _astropy_cache()
     size, files = _content(downloads)
     text = f"{files} files in {downloads} ({size:.0f} MB)" if files else "nothing downloaded; offline works"
     yield Finding(name="astropy", text=text, facts={"folder": str(downloads), "files": files, "size_mb": size})
+
+
+def _patterns() -> Finding:
+    """Star patterns for lost-in-space identification, kept by `calib.attitude.patterns`."""
+    try:
+        from calib.attitude.patterns import MOST_KEPT, cache_folder
+    except ImportError as error:
+        return Finding(name="patterns", state="note", text=f"not looked at: {error}", facts={"tetra3rs": None})
+    folder = cache_folder()
+    size, files = _content(folder)
+    facts: dict[str, object] = {"tetra3rs": None, "folder": str(folder), "files": files, "size_mb": size}
+    advice = f"{folder} may be deleted at any time (STARBENCH_CACHE names another place)" if files else ""
+    text = f"{files} in {folder} ({size:.0f} MB, {MOST_KEPT} are kept)" if files else f"none yet in {folder}"
+    try:
+        facts["tetra3rs"] = solver = metadata.version("tetra3rs")
+        text += f", for tetra3rs {solver}"
+    except metadata.PackageNotFoundError:
+        text += "; no tetra3rs, so blind identification is missing (extra 'solve')"
+    writable = next(path for path in (folder, *folder.parents) if path.exists())
+    if os.access(writable, os.W_OK):
+        return Finding(name="patterns", text=text, advice=advice, facts=facts)
+    advice = "set STARBENCH_CACHE to a folder that can be written, else patterns are made anew every time"
+    return Finding(name="patterns", state="note", text=f"{folder} cannot be written", advice=advice, facts=facts)
 
 
 def _astropy_cache() -> Path:

@@ -112,12 +112,15 @@ def guarded(work: Callable[[], None], interrupts: Interrupts) -> int:
 
 
 def leave(status: int) -> None:
-    """End an interrupted command with our exit code, whatever Python makes of an interrupt on its way out."""
-    if "multiprocessing.synchronize" not in sys.modules:  # its semaphores want Python's clean-up
-        _leave_at_once(status)
-    # Python ends by the signal if it remembers that a KeyboardInterrupt passed through code made from a string; running
-    # such code once more, without an interrupt, makes it forget, and our exit code stands.
-    exec("")
+    """End an interrupted command with our exit code, whatever Python makes of an interrupt on its way out.
+
+    Python's own clean-up of a process with a renderer and its kernels takes up to a second; of it only that of
+    multiprocessing matters, which tells the system that its semaphores are gone.
+    """
+    if "multiprocessing.util" in sys.modules:
+        with contextlib.suppress(Exception):
+            sys.modules["multiprocessing.util"]._exit_function()
+    _leave_at_once(status)
 
 
 def _leave_at_once(status: int) -> None:

@@ -287,6 +287,8 @@ class DatasetFolder:
         """Let others write here. A folder in which no frame was made is left as if it had not been opened."""
         if self._lock is None:
             return
+        with contextlib.suppress(OSError):
+            self._clear()
         if not self.count():
             with contextlib.suppress(OSError):
                 for folder in (self.path / FRAMES, self.path / TRUTH):
@@ -382,7 +384,7 @@ class DatasetFolder:
             raise ConfigError(f"{self.shown}: another run is writing here; wait for it, or end it") from None
 
     def _clear(self) -> None:
-        """Remove temporary files that an earlier run left."""
+        """Remove temporary files of processes that were killed."""
         for folder in (self.path, self.path / FRAMES, self.path / TRUTH):
             for file in folder.iterdir() if folder.exists() else ():
                 if _TEMPORARY.fullmatch(file.name):

@@ -4,27 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
-import os
 import secrets
-import signal
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import CancelledError
 from itertools import islice
-from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
 from experiments.dataset.production.identity import software
 from experiments.dataset.production.job import Job, make_frame
+from experiments.dataset.production.local_cluster import DEATHS, hush, local_cluster
 from experiments.dataset.production.remote import Store
 from experiments.dataset.truth.frame_record import FrameRecord
 from experiments.harness.provenance import count_memory_of_workers, peak_memory_mb
-from experiments.harness.system import processors, signals_held
-from experiments.harness.threads import THREADS
+from experiments.harness.system import processors
 from optics.errors import BackendError, ConfigError
 
 __all__ = ["Done", "make_frames"]
@@ -36,15 +31,11 @@ AHEAD = 3
 """Batches per worker that are handed out before the first is back."""
 LARGEST_BATCH = 8
 """Frames that are handed out together: sending them one by one costs the scheduler some milliseconds each."""
-DEATHS = 3
-"""Workers that a frame may cost before it is given up."""
 FEW_FRAMES = 8
 """With so few frames, starting workers takes longer than making them."""
 LOOK_S, POLL_S = 1.0, 0.003
 ALONE_S, GIVE_UP_S = 10.0, 300.0
 GO_ON = "what was made is kept: run the same command again to go on"
-_MEMORY = {"MALLOC_TRIM_THRESHOLD_": str(1 << 30), "MALLOC_MMAP_THRESHOLD_": str(1 << 25)}
-"""Images are allocated and freed all the time: what a worker got from the system it keeps."""
 
 
 def make_frames(job: Job, frames: Sequence[int], *, workers: int, scheduler: str, done: Done) -> int:
@@ -91,33 +82,11 @@ def make_frames(job: Job, frames: Sequence[int], *, workers: int, scheduler: str
 
 def _on_processes(job: Job, frames: Sequence[int], count: int, done: Done) -> int:
     dask, distributed = _dask()
-    settings = {
-        "distributed.scheduler.allowed-failures": DEATHS,
-        "distributed.scheduler.active-memory-manager.start": False,
-        "distributed.worker.daemon": True,
-        "distributed.worker.profile.enabled": False,  # it would look at every worker a hundred times a second
-        "distributed.nanny.pre-spawn-environ": {**dict.fromkeys(THREADS, "1"), **_MEMORY},
-    }
     with contextlib.ExitStack() as stack:
-        stack.enter_context(dask.config.set(settings))
-        scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="starbench-", ignore_cleanup_errors=True))
-        if os.name == "posix":  # it lets interrupts through again when it starts, for the thread it starts from
-            resource_tracker.ensure_running()
-        with signals_held(signal.SIGINT):  # threads and processes that start inherit it: an interrupt is ours to handle
-            try:
-                cluster = distributed.LocalCluster(
-                    n_workers=count,
-                    threads_per_worker=1,
-                    processes=True,
-                    dashboard_address=None,
-                    memory_limit=0,
-                    local_directory=scratch,
-                    silence_logs=logging.CRITICAL,
-                )
-            except (OSError, RuntimeError, TimeoutError) as error:
-                raise BackendError(f"{count} workers cannot be started ({_said(error)}); set workers = 1") from None
-            stack.callback(cluster.close, timeout=CONNECT_S)
-            client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
+        try:
+            client = stack.enter_context(local_cluster(dask, distributed, count))
+        except (OSError, RuntimeError, TimeoutError) as error:
+            raise BackendError(f"{count} workers cannot be started ({_said(error)}); set workers = 1") from None
         watch = _Watch(client, "the scheduler on this machine", most_workers=count + DEATHS)
         _gather(distributed, client, job, frames, watch=watch, threads=max(1, processors() // count), done=done)
         with contextlib.suppress(OSError, TimeoutError, RuntimeError):
@@ -129,8 +98,7 @@ def _on_cluster(job: Job, frames: Sequence[int], address: str, done: Done) -> in
     dask, distributed = _dask()
     if not address.startswith(("tcp://", "tls://", "ws://", "wss://", "ucx://")):
         raise ConfigError(f"scheduler = {address!r}; an address such as tcp://host:8786 is needed")
-    for name in [name for name in logging.root.manager.loggerDict if name.partition(".")[0] == "distributed"]:
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # what is wrong is said below, in one line
+    hush()
     with contextlib.ExitStack() as stack:
         stack.enter_context(dask.config.set({"distributed.comm.timeouts.connect": f"{CONNECT_S:g}s"}))
         try:

@@ -115,7 +115,7 @@ def test_a_worker_killed_in_the_middle(dataset, tmp_path):
 def workers_of(parent):
     """Worker processes below a process: those that Python's multiprocessing spawned with a pipe."""
     found = subprocess.run(
-        ["ps", "-ww", "-o", "pid=,args=", "--ppid", str(parent)], capture_output=True, text=True, check=True
+        ["ps", "-ww", "-o", "pid=,args=", "--ppid", str(parent)], capture_output=True, text=True, check=False
     )
     lines = [line.split(None, 1) for line in found.stdout.splitlines()]
     return [int(pid) for pid, arguments in lines if "spawn_main" in arguments]
@@ -138,18 +138,25 @@ def test_everything_killed_with_workers(dataset, tmp_path):
     assert data(folder) == data(dataset)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_interrupted(tmp_path, workers):
+@pytest.mark.parametrize(("workers", "frames"), [(1, 5), (2, 5), (2, 0)])
+def test_interrupted(tmp_path, workers, frames):
+    """Amid frames, and while the workers start: within a second, everybody gone, nothing half-written."""
     folder = tmp_path / "interrupted"
     process = start(folder, workers=workers)
-    wait_for(folder, 5, process)
+    wait_for(folder, frames, process)
+    while len(others := workers_of(process.pid)) < (workers if workers > 1 else 0):
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.01)
+    begun = time.monotonic()
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
     out, error = process.communicate(timeout=30)
+    assert time.monotonic() - begun < 1.0
     assert process.returncode == 130, out + error
+    assert not any(Path(f"/proc/{pid}").exists() for pid in others)
     found = re.fullmatch(r"interrupted; (\d+) of 60 frames are kept, the same command continues", error.strip())
     assert found, error
-    assert 5 <= int(found[1]) == len(list(folder.glob("truth/frame_*"))) < FRAMES
-    assert not list(folder.rglob("*.partial"))
+    assert frames <= int(found[1]) == len(list(folder.glob("truth/frame_*"))) < FRAMES
+    assert not [file for file in folder.rglob(".*") if file.is_file()]
 
 
 def test_a_disk_that_is_really_full(tmp_path):

@@ -184,8 +184,17 @@ def test_caches(monkeypatch, tmp_path):
     (tmp_path / ".drjit" / "a.bin").write_bytes(bytes(2_000_000))
     found = by_name(machine.check_caches())
     assert found["kernels"].facts == {"folder": str(tmp_path / ".drjit"), "files": 1, "size_mb": 2.0}
+    monkeypatch.setenv("STARBENCH_CACHE", str(tmp_path / "sky"))
+    assert by_name(machine.check_caches())["patterns"].facts["files"] == 0
+    (tmp_path / "sky").mkdir()
+    (tmp_path / "sky" / "patterns-a-b.bin").write_bytes(bytes(3_000_000))
+    told = by_name(machine.check_caches())["patterns"]
+    assert (told.facts["folder"], told.facts["size_mb"]) == (str(tmp_path / "sky"), 3.0)
+    assert f"{tmp_path / 'sky'} may be deleted" in told.advice
     monkeypatch.setattr(machine.os, "access", lambda folder, mode: False)
-    assert by_name(machine.check_caches())["kernels"].state == "note"
+    found = by_name(machine.check_caches())
+    assert found["kernels"].state == found["patterns"].state == "note"
+    assert "STARBENCH_CACHE" in found["patterns"].advice
     monkeypatch.setattr(machine.sys, "platform", "win32")
     monkeypatch.setattr(machine.tempfile, "gettempdir", lambda: "C:/Temp")
     assert machine.kernel_folder().as_posix() == "C:/Temp/drjit"
