@@ -74,6 +74,7 @@ def local_cluster(dask: Any, distributed: Any, count: int) -> Iterator[Any]:
                     threads_per_worker=1,
                     processes=True,
                     dashboard_address=None,
+                    scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # its page is at a port that nobody has
                     memory_limit=0,
                     local_directory=scratch,
                     silence_logs=logging.CRITICAL,

@@ -105,6 +105,22 @@ def test_frames_hold_the_light_where_the_line_of_sight_stands():
         np.testing.assert_allclose(frame, image(place + shift), atol=0.5)
 
 
+def test_a_pinhole_spreads_the_psf_over_its_disk():
+    """A Gaussian, averaged over places all over the disk, none of them by a transform."""
+    sigma, cells, radius_px = 0.7, 8, 0.9
+    pixel_rad = 0.5 * 10.0e-3 / 1000.0 / radius_px
+    at = np.arange(-56, 57) / cells
+    point = EffectivePsf(values=np.exp(-0.5 * (at**2 + at[:, None] ** 2) / sigma**2), oversampling=cells)
+    seen = build_collimator(CollimatorConfig(pinhole_um=10.0)).pinhole_psf(point, pixel_rad).values
+    along = (np.arange(80) + 0.5) / 40 - 1.0
+    inside = np.argwhere(along**2 + along[:, None] ** 2 < 1.0)
+    there = radius_px * along[inside]
+    expected = np.exp(-0.5 * (at[:, None] - there[:, 0]) ** 2 / sigma**2) @ np.exp(
+        -0.5 * (at - there[:, 1, None]) ** 2 / sigma**2
+    )
+    np.testing.assert_allclose(seen, expected / len(there), atol=1e-3)
+
+
 def test_common_motion_of_points():
     rng = np.random.default_rng(4)
     common, own = rng.standard_normal((4000, 1, 2)) * [0.2, 0.1], 0.3 * rng.standard_normal((4000, 9, 2))
