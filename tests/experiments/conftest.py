@@ -6,6 +6,7 @@ import functools
 import importlib.util
 import json
 import sys
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -105,6 +106,26 @@ def failing():
         return [one.name for one in declared.judge(declared.outcome(result.config, result)) if not one.passed]
 
     return judged
+
+
+@pytest.fixture
+def refused_by(tmp_path, monkeypatch, capsys):
+    """``refused_by(name, argument, ...)``: a command in a folder where it must change nothing; the one line it says."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(name, *arguments, within_s=60.0):
+        main = importlib.import_module(f"experiments.{name}.experiment").main
+        present, start = sorted(path.name for path in tmp_path.iterdir()), time.perf_counter()
+        assert main([*arguments]) == 2
+        assert time.perf_counter() - start < within_s
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert said.err.startswith("error: ")
+        assert said.err.count("\n") == 1
+        assert sorted(path.name for path in tmp_path.iterdir()) == present
+        return said.err
+
+    return run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

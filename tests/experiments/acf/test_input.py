@@ -1,66 +1,42 @@
 """Whatever a user can get wrong in the attitude-correlated-frames experiment: one clear line, exit code 2."""
 
 import re
-import time
 
 import pytest
 
-from experiments.acf.experiment import main
-
 
 @pytest.fixture
-def refused(tmp_path, monkeypatch, capsys):
-    """Runs the command in an empty folder; gives the one line it says."""
-    monkeypatch.chdir(tmp_path)
+def refused(refused_by):
+    """Runs the command with settings; gives the one line it says."""
 
     def run(*settings, within_s=5.0):
-        start = time.perf_counter()
-        assert main([word for setting in settings for word in ("--set", setting)]) == 2
-        assert time.perf_counter() - start < within_s
-        said = capsys.readouterr()
-        assert said.out == ""
-        assert said.err.startswith("error: ")
-        assert said.err.count("\n") == 1
-        assert list(tmp_path.iterdir()) == []
-        return said.err
+        return refused_by("acf", *(word for setting in settings for word in ("--set", setting)), within_s=within_s)
 
     return run
 
 
 SETTINGS = [
     # settings, what the line has to say
-    (["rnus=3"], "unknown key 'rnus'; did you mean 'runs'?"),
     (["frames=0"], "frames = 0: .*at least 4"),
-    (["frames=-60"], "frames = -60: .*at least 4"),
     (["runs=1"], "runs = 1: .*at least 4"),
     (["sky.stars_per_frame=1"], "with one star in a frame there is no interstar angle and no free attitude"),
-    (["sky.stars_per_frame=nan"], "finite"),
-    (["sky.stars_per_frame=5000"], "at most 200"),
     (["frames=6", "sky.stars_per_frame=3"], "3 frames calibrate and give 18 equations for 14 unknowns"),
     (["frames=10", "counts=[2,4]"], "counts = 2, frames = 10: .* 20 equations for 14 unknowns"),
     (["frames=14", "sweep.stars=[2,4]"], "sweep.stars = 2, frames = 14: 56 measurements for 50 unknowns"),
     (["sweep.stars=[1,4]"], "1 stars in every frame: 2 to 100"),
     (["sweep.stars=[8,4]"], "increasing values"),
     (["sweep.gyro_factor=[-1,1]"], "-1 times the gyro's noise"),
-    (["noise_px=[-0.1,0.2]"], "-0.1 px of noise: above 0"),
     (["noise_px=[nan]"], r"nan: Input should be a finite number [^;]*$"),
     (["noise_px=[0.2]"], "1 given; at least 2"),
     (["bias_deg_per_h=[]"], "0 given; at least 1"),
     (["noise_px=[0,0.2]"], "0 px of noise: above 0"),
-    (["table_noise_px=-1"], "table_noise_px = -1: .*above 0"),
     (["noise_px=[0.2,0.1]"], "increasing values"),
     (["bias_deg_per_h=[-1]"], "-1: at least 0"),
-    (["gyro.bias_deg_per_h=-0.03"], "at least 0"),
     (["gyro.rate_hz=0.5"], "gyro.rate_hz = 0.5 Hz: at least frame_rate_hz = 1 Hz"),
-    (["gyro.angular_speed_deg_per_s=0"], "above 0"),
-    (["gyro.motion=spin"], "'turning_axis' or 'fixed_axis'"),
     (["gyro.installation_deg=[2,2]"], "gyro.installation_deg"),
     (["camera.focal_length_mm=1"], "the field is 164 deg across the diagonal; at most 120 deg"),
-    (["camera.focal_length_mm=-25"], "above 0"),
     (["camera.pixel_um=1000"], "the field is .* deg across the diagonal"),
     (["camera.x0_px=900"], r"principal point \(900, -10\) px: at most a quarter"),
-    (["start.focal_length_mm=0"], "above 0"),
-    (["workers=-1"], "at least 0"),
 ]
 
 

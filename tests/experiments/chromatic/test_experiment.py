@@ -2,8 +2,6 @@
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +9,7 @@ import pytest
 from astropy.io import fits
 from astropy.table import Table
 
-from experiments.chromatic.experiment import Config, main
+from experiments.chromatic.experiment import Config
 from experiments.harness.provenance import peak_memory_mb
 from experiments.laboratory.chromatic_error import table1
 
@@ -168,36 +166,6 @@ def test_uncertainty_covers_what_frames_and_points_allow(result):
 def test_rendered_image_is_locked(result):
     with pytest.raises(ValueError, match="read-only"):
         result.centred.measurement.example.electrons[0, 0, 0] = 1.0
-
-
-@pytest.mark.slow
-def test_same_seed_same_summary(tmp_path, small_detector):
-    texts = []
-    for name, seed in (("a", "5"), ("b", "5"), ("c", "6")):
-        assert main([*arguments(tmp_path / name, small_detector), "--seed", seed]) in (0, 1)
-        text = (tmp_path / name / "summary.json").read_text(encoding="utf-8")
-        texts.append(re.sub(r'"(runtime_s|peak_memory_mb)": [\d.]+', r'"\1": 0', text))
-    assert texts[0] == texts[1]
-    assert json.loads(texts[0])["results"]["table1_px"] != json.loads(texts[2])["results"]["table1_px"]
-    assert (
-        json.loads(texts[0])["results"]["predicted_table1_px"] == json.loads(texts[2])["results"]["predicted_table1_px"]
-    )
-
-
-@pytest.mark.slow
-def test_command_of_the_readme(tmp_path):
-    """A process of its own, as a user starts it, with the published settings of the quick run."""
-    done = subprocess.run(
-        [sys.executable, "-m", "experiments.chromatic", "--quick", "--out", str(tmp_path / "out")],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    assert "criteria hold" in done.stdout
-    assert (tmp_path / "out" / "report.html").is_file()
 
 
 def test_defaults_are_the_published_run():

@@ -1,11 +1,6 @@
 """Whatever a user can get wrong in the chromatic test: one clear line, exit code 2, nothing written."""
 
-import os
 import re
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -18,39 +13,24 @@ LENS = ROOT / "optics" / "data" / "lenses" / "star_camera_206mm.toml"
 
 
 @pytest.fixture
-def refused(tmp_path, monkeypatch, capsys):
-    """Runs the command in an empty folder; gives the one line it says."""
-    monkeypatch.chdir(tmp_path)
-    before = sorted(path.name for path in tmp_path.iterdir())
+def refused(refused_by):
+    """Runs the command; gives the one line it says."""
 
     def run(*arguments, within_s=5.0):
-        present = sorted(path.name for path in tmp_path.iterdir())
-        start = time.perf_counter()
-        assert main(["--quick", *arguments]) == 2
-        assert time.perf_counter() - start < within_s
-        said = capsys.readouterr()
-        assert said.out == ""
-        assert said.err.startswith("error: ")
-        assert said.err.count("\n") == 1
-        assert sorted(path.name for path in tmp_path.iterdir()) == present
-        return said.err
+        return refused_by("chromatic", "--quick", *arguments, within_s=within_s)
 
-    assert before == []
     return run
 
 
 SETTINGS = [
     # key and value, what the line has to say
     ("framse=3", "unknown key 'framse'; did you mean 'frames'?"),
-    ("instrument.lense=a", "unknown key 'instrument.lense'; did you mean 'lens'?"),
-    ("filters.centre_nm=[500,600]", "did you mean 'centres_nm'?"),
     ("instrument.lens=star_camera_206", "unknown lens 'star_camera_206'; did you mean star_camera_206mm"),
     ("instrument.lens=absent.toml", "absent.toml: no such file"),
     ("instrument.detector=acc18_mosiac", "did you mean acc18_mosaic?"),
     ("instrument.detector=absent.toml", "absent.toml: no such file"),
     ("decentre.element=L9", "unknown element 'L9'; did you mean L"),
     ("decentre.pair=800-500", "unknown decentre.pair '800-500'; did you mean 800-600"),
-    ("centroid=epfs", "did you mean epsf"),
     ('compare=["cogg"]', "compare.0 = 'cogg': .*did you mean cog"),
     ("filters.centres_nm=[350,600,800]", "'350 nm' passes 295 ... 405 nm; .* 400 ... 1000 nm"),
     ("filters.centres_nm=[500,600,1100]", "'1100 nm' passes 1045 ... 1155 nm; .* 400 ... 1000 nm"),
@@ -58,49 +38,24 @@ SETTINGS = [
     ("filters.centres_nm=[600]", "at least 2 items"),
     ("filters.centres_nm=[600,600,800]", "a centre is given twice"),
     ("filters.reference_nm=700", "filters.reference_nm = 700: it is none of centres_nm = .500.0, 600.0, 800.0"),
-    ("filters.width_nm=0", "above 0 and at most 400"),
-    ("filters.edge_nm=101", "at least 0 and at most 100"),
     ("filters.width_nm=4", "edge 10 nm is outside 0 ... 4 nm"),
-    ("frames=0", "frames = 0: .*at least 2"),
     ("frames=1", "frames = 1: .*at least 2"),
-    ("frames=-3", "frames = -3: .*at least 2"),
-    ("frames=2.5", "frames = 2.5: .*integer"),
     ("dark_frames=1", "dark_frames = 1: .*at least 2"),
     ("window_px=5", "window_px = 5: .*at least 7 and at most 63"),
     ("window_px=14", "window_px = 14: an odd number"),
-    ("target.rows=0", "target.rows = 0: .*at least 1"),
     ("target.pitch_px=3", "target.pitch_px = 3 px: at least window_px = 13 px"),
     ("target.pitch_px=1500", "3 x 3 points, 1500 px apart .* does not fit on 4096 x 2048 px"),
-    ("target.pitch_px=nan", "target.pitch_px = nan: .*finite"),
     ("target.edge_px=1200", "1200 px from the edge, does not fit on 4096 x 2048 px"),
     ("target.edge_px=5", "target.edge_px = 5 px: at least 7 px"),
-    ("target.edge_px=-1", "target.edge_px = -1: .*at least 0"),
-    ("signal_e=nan", "signal_e = nan: .*finite"),
-    ("signal_e=-1", "signal_e = -1: .*above 0"),
-    ("signal_e=inf", "signal_e = inf: .*finite"),
-    ("lamp_k=nan", "lamp_k = nan: .*finite"),
-    ("lamp_k=-3000", "lamp_k = -3000: .*at least 1000"),
-    ("instrument.defocus_mm=nan", "instrument.defocus_mm = nan: .*finite"),
-    ("instrument.defocus_mm=5", "instrument.defocus_mm = 5: .*at least -1 and at most 1"),
     ("instrument.defocus_mm=1", "RMS radius of 22.7 px, .*window_px = 13 is too small .*instrument.defocus_mm"),
     ("instrument.defocus_mm=-0.3", "RMS radius of 7.4 px, .*window_px = 13 is too small .*instrument.defocus_mm"),
-    ("instrument.exposure_s=-1", "instrument.exposure_s = -1: .*above 0"),
-    ("instrument.chip_temperature_c=-300", "at least -100 and at most 80"),
-    ("instrument.coating_nm=-5", "at least 0 and at most 2000"),
     ("instrument.coating_nm=1", "MgF2: wavelength 1 nm is outside 200 ... 7000 nm"),
-    ("decentre.wanted_px=nan", "decentre.wanted_px = nan: .*finite"),
-    ("decentre.axis=z", "'x' or 'y'"),
-    ("stars.temperatures_k=[nan,3000]", "stars.temperatures_k.0 = nan: .*finite"),
     ("stars.temperatures_k=[-5,3000]", "-5 K is outside 1000 ... 100000 K"),
-    ("stars.reference_k=nan", "stars.reference_k = nan: .*finite"),
     ("passband.range_nm=[900,450]", "two increasing wavelengths"),
     ("passband.range_nm=[300,900]", "passband.range_nm: .* passes 290 ... 910 nm; .* 400 ... 1000 nm"),
     ("passband.range_nm=[450,1200]", "passes 440 ... 1210 nm; .* 400 ... 1000 nm"),
-    ("passband.edge_nm=-1", "at least 0"),
-    ("passband.edge_nm=1000", "at least 0 and at most 400"),
     ("filters.files=['red.csv']", "1 files for 3 centres_nm"),
     ("passband.file=absent.csv", "absent.csv: no such file"),
-    ("stars.grid=1", "at least 2 and at most 20"),
     ("frames", "key=value"),
 ]
 
@@ -199,35 +154,3 @@ def test_two_filters_are_enough(tmp_path):
     """One pair of bands leaves the report without a witness, not without a report."""
     assert main(["--quick", "--set", "filters.centres_nm=[600,800]", "--out", str(tmp_path / "out")]) == 0
     assert "witness" not in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-
-
-def catches_sigterm(process):
-    """Whether the program has taken over SIGTERM, which it does first of all (Python itself does not)."""
-    status = Path(f"/proc/{process.pid}/status").read_text(encoding="ascii")
-    caught = int(re.search(r"^SigCgt:\s*(\w+)", status, re.MULTILINE)[1], 16)
-    return bool(caught >> (signal.SIGTERM - 1) & 1)
-
-
-@pytest.mark.slow
-@pytest.mark.alone
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc to see when the program is up")
-@pytest.mark.parametrize("after_s", [0.0, 0.5, 3.0, 6.0])
-def test_interruption_leaves_nothing_behind(tmp_path, after_s):
-    """Interrupted at any time after the program took charge; before that an interrupt ends Python, not the program."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "experiments.chromatic", "--set", "frames=200", "--out", str(tmp_path / "deep" / "out")],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    deadline = time.monotonic() + 60
-    while not catches_sigterm(process) and time.monotonic() < deadline:
-        time.sleep(0.01)
-    time.sleep(after_s)
-    process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert said[1].strip() == "interrupted; nothing was written"
-    assert list(tmp_path.iterdir()) == []
