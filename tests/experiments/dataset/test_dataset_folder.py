@@ -8,6 +8,7 @@ import json
 import shutil
 import socket
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -300,15 +301,13 @@ def test_check_names_what_is_damaged_and_what_is_made_again(dataset, tmp_path, c
     assert main(["check", str(tmp_path / "none")]) == 2
 
 
-@pytest.mark.parametrize("damage", ["{", "gone"])
-def test_dataset_json_is_written_anew_from_the_frames(dataset, tmp_path, damage):
+def test_dataset_json_is_written_anew_from_the_frames(dataset, tmp_path):
     folder = tmp_path / "renewed"
     shutil.copytree(dataset, folder)
-    (folder / "dataset.json").write_text(damage)
-    if damage == "gone":
-        (folder / "dataset.json").unlink()
-    assert main(["check", str(folder)]) == 1
-    assert run(folder, "--seed", "2") == 2  # it still knows what it is
+    for damage in (lambda file: file.write_text("{"), Path.unlink):
+        damage(folder / "dataset.json")
+        assert main(["check", str(folder)]) == 1
+        assert run(folder, "--seed", "2") == 2  # it still knows what it is
     assert run(folder) == 0
     assert (folder / "dataset.json").read_bytes() == (dataset / "dataset.json").read_bytes()
 

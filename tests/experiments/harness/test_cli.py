@@ -174,17 +174,17 @@ def test_from_python_the_same_numbers_as_by_command(shot_noise, tmp_path, output
         run_experiment("dataset")
 
 
-def test_failed_criterion_is_exit_1_and_still_written(shot_noise, tmp_path, capsys):
+def test_failed_criterion_is_exit_1_and_still_written(in_words, tmp_path, capsys):
     out = tmp_path / "out"
-    assert shot_noise.main(["--quick", "--out", str(out), "--set", "limit_sigma=1e-6"]) == 1
+    assert command(in_words)(["--quick", "--out", str(out), "--set", "limit_sigma=1e-6"]) == 1
     assert "the criterion does not hold." in capsys.readouterr().out
     assert json.loads((out / "summary.json").read_text())["criteria"][0]["passed"] is False
 
 
-@pytest.mark.slow
-def test_quick_yields_to_the_user(shot_noise, tmp_path):
-    assert shot_noise.main(["--quick", "--out", str(tmp_path / "a")]) in (0, 1)
-    assert shot_noise.main(["--quick", "--out", str(tmp_path / "b"), "--set", "samples=3000"]) in (0, 1)
+def test_quick_yields_to_the_user(in_words, tmp_path):
+    main = command(in_words)
+    assert main(["--quick", "--out", str(tmp_path / "a")]) in (0, 1)
+    assert main(["--quick", "--out", str(tmp_path / "b"), "--set", "samples=3000"]) in (0, 1)
     a, b = (json.loads((tmp_path / name / "summary.json").read_text())["config"] for name in "ab")
     assert a["samples"] == 2000
     assert b["samples"] == 3000
@@ -236,17 +236,17 @@ def test_fault_of_the_program_is_not_mistaken_for_a_failed_criterion(shot_noise,
     assert names(tmp_path) == []
 
 
-def test_criterion_that_is_nan_fails(shot_noise, tmp_path):
+def test_criterion_that_is_nan_fails(in_words, tmp_path):
     def nan(outcome):
         return [Criterion(name="nan", value=float("nan"), limit=1.0)]
 
-    main = command(replace(shot_noise.experiment, criteria=nan))
+    main = command(replace(in_words, criteria=nan))
     assert main(["--out", str(tmp_path / "out"), "--set", "samples=100"]) == 1
 
 
-def test_default_output_folder(shot_noise, tmp_path, monkeypatch):
+def test_default_output_folder(in_words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    shot_noise.main(["--quick"])
+    command(in_words)(["--quick"])
     assert (tmp_path / "out" / "shot_noise" / "report.html").is_file()
 
 

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -19,10 +20,16 @@ ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")
-def earlier(shot_noise, tmp_path_factory):
+def main(in_words):
+    """The command."""
+    return command(in_words)
+
+
+@pytest.fixture(scope="module")
+def earlier(main, tmp_path_factory):
     """A run with seed 3."""
     folder = tmp_path_factory.mktemp("earlier") / "out"
-    assert shot_noise.main(["--quick", "--seed", "3", "--out", str(folder)]) in (0, 1)
+    assert main(["--quick", "--seed", "3", "--out", str(folder)]) in (0, 1)
     return folder
 
 
@@ -37,9 +44,9 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in folder.glob("*.*")}
 
 
-def test_a_run_with_other_settings_is_kept(shot_noise, folder, capsys):
+def test_a_run_with_other_settings_is_kept(main, folder, capsys):
     before = contents(folder)
-    assert shot_noise.main(["--quick", "--seed", "4", "--set", "label=b", "--out", str(folder)]) == 2
+    assert main(["--quick", "--seed", "4", "--set", "label=b", "--out", str(folder)]) == 2
     said = capsys.readouterr().err
     assert "holds a run with label = " in said or "holds a run with seed = 3, this one has 4" in said
     assert "1 more difference" in said
@@ -48,22 +55,20 @@ def test_a_run_with_other_settings_is_kept(shot_noise, folder, capsys):
 
 
 @pytest.mark.parametrize("arguments", [("--seed", "3"), ("--seed", "4", "--force")])
-def test_the_same_settings_replace_and_force_replaces_others(shot_noise, folder, arguments):
+def test_the_same_settings_replace_and_force_replaces_others(main, folder, arguments):
     before = contents(folder)["provenance.json"]
-    assert shot_noise.main(["--quick", *arguments, "--out", str(folder)]) in (0, 1)
+    assert main(["--quick", *arguments, "--out", str(folder)]) in (0, 1)
     assert contents(folder)["provenance.json"] != before
 
 
-def test_a_run_of_another_experiment_is_kept(shot_noise, folder, capsys):
-    from dataclasses import replace
-
-    other = command(replace(shot_noise.experiment, name="photon_noise"))
+def test_a_run_of_another_experiment_is_kept(in_words, folder, capsys):
+    other = command(replace(in_words, name="photon_noise"))
     assert other(["--quick", "--seed", "3", "--out", str(folder)]) == 2
     assert "holds a run of shot_noise" in capsys.readouterr().err
 
 
-def test_an_empty_name_is_no_folder(shot_noise, capsys):
-    assert shot_noise.main(["--out", ""]) == 2
+def test_an_empty_name_is_no_folder(main, capsys):
+    assert main(["--out", ""]) == 2
     assert "--out is empty" in capsys.readouterr().err
 
 
