@@ -11,9 +11,6 @@ from optics.rays.trace import Rays, trace
 
 pytestmark = [pytest.mark.reference, pytest.mark.slow]
 
-optic_module = pytest.importorskip("optiland.optic")
-materials = pytest.importorskip("optiland.materials")
-
 HEAD = {"name": "test", "source": "made for this test", "design_wavelength_nm": 600.0, "max_field_deg": 1.0}
 STOP = {"kind": "plane", "thickness_mm": 20.0, "medium": "air", "stop": True, "semi_diameter_mm": 40.0}
 MENISCUS = [
@@ -45,6 +42,8 @@ def ours(surfaces, start, direction):
 
 def theirs(lens, surfaces, poses, start, direction):
     """The same rays through optiland, in its global frame; lengths in mm."""
+    optic_module = pytest.importorskip("optiland.optic")  # three seconds, which no collection should take
+    materials = pytest.importorskip("optiland.materials")
     n_air = float(air_index(600.0, 20.0, 1013.25))
     optic = optic_module.Optic()
     optic.surfaces.add(index=0, radius=np.inf, thickness=np.inf)
