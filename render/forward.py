@@ -22,7 +22,7 @@ from render.plugins.star_field import share_collimation
 from render.records import ExpectedImage, StarField, checked_exposure
 from render.tracing.convergence import TOLERANCE
 from render.tracing.motion import ExposureMotion
-from render.tracing.tracer import TracedStars
+from render.tracing.tracer import TracedStars, Tracer
 
 __all__ = ["StarRenderer", "render_stars", "star_scene"]
 
@@ -196,6 +196,14 @@ class StarRenderer:
             self.save(Path(folder) / f"{self.label or f'stars_{os.getpid()}_{next(_number):06d}'}.xml")
         self.traced = replace(self._scene.integrator().traced, electrons=image.numpy())
         return self.traced
+
+    @property
+    def tracer(self) -> Tracer | None:
+        """What made the last image; by waves it knows the light of its stars (`render.tracing.psf.render_epsf`)."""
+        if self._scene is None:
+            return None
+        found: Tracer = self._scene.integrator().tracer(self._scene.sensors()[0], self.seed)
+        return found
 
     def save(self, path: str | Path) -> list[Path]:
         """Write the scene of the last image (`render.plugins.scene_files.save_scene`), for ``mi.load_file``.

@@ -17,6 +17,7 @@ from experiments.budget.chromatic import ChromaticTerm
 from experiments.budget.combine import Budget, Value
 from experiments.budget.laboratory import Laboratory
 from experiments.laboratory.bench import Bench
+from experiments.laboratory.centroid_methods import has_own_epsf
 from experiments.laboratory.hexapod import Hexapod
 from experiments.laboratory.high_frequency import StepPlan
 from experiments.laboratory.point_scene import point_scene
@@ -127,7 +128,8 @@ class Psfs:
         )
         scale = {"signal_e": None, "magnitude_mag": None}
         light = [part.model_copy(update=scale) if part is config.source else part for part in keys]
-        key = repr((what, light, config.detector.diffusion_sigma_um, bench.window_px, bench.methods))
+        own = all(has_own_epsf(method) for method in bench.methods)  # PSFs of a target may not be needed
+        key = repr((what, light, config.detector.diffusion_sigma_um, bench.window_px, own))
         if key not in self._known:
             self._known[key] = make()
         return self._known[key]

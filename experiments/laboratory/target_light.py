@@ -51,7 +51,8 @@ class TargetLight:
     def psfs(self, direction: FloatArray, half_size_px: int) -> list[list[EffectivePsf]]:
         """PSF of each of the points (j, 3) behind each filter."""
         stars, collimator = point_field(self.bench, self.instrument, direction), self.bench.collimator
-        found = render_epsf(self.tracer, stars, half_size_px=half_size_px)
+        by_rays = self.instrument.camera.diffraction == "rays"
+        found = render_epsf((not by_rays and self.renderer.tracer) or self.tracer, stars, half_size_px=half_size_px)
         if collimator is None:
             return found
         pixel_rad = self.instrument.pixel_arcsec * ARCSEC_RAD

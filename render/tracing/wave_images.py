@@ -26,13 +26,17 @@ from render.tracing.pupil_points import DiskPoints, PupilPoints, TablePoints
 from render.tracing.wave_series import WaveSeries, azimuths
 from render.tracing.wave_windows import FieldSampling, window_light, window_samples
 
-__all__ = ["WING", "RayMoments", "Trail", "WaveGroup", "WaveImages", "WaveStamps", "covered_points"]
+__all__ = ["WING", "KeptLight", "RayMoments", "Trail", "WaveGroup", "WaveImages", "WaveStamps", "covered_points"]
 
 
 WING = 2e-5
 """Share of a star's light in a pixel below which a stamp ends."""
 NEAREST_PX = 4.0
 """Least distance of a stamp's edge from the rays."""
+MARGIN_PX = 1.7
+"""How far beyond it light has to be right for pixels at the edge, and for the corners of usual PSFs."""
+MOST_KEPT = 256
+"""Images whose light is kept."""
 PROBE_ORDER = (12, 40)
 MOST_RAYS = 1 << 17
 """Rays of one star, band and wavelength."""
@@ -109,6 +113,32 @@ class Summands:
         """Light of one star and band on samples of a window (`render.tracing.wave_windows.window_light`)."""
         rays = partial(self.waves.rays, at) if self.series is None else partial(self.series.rays, at, self.order)
         return window_light(rays, shares, corner_px, window_px, self.field, pad_px=pad_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StarLight:
+    """Light of one star in a band about the mean of all of it.
+
+    Attributes
+    ----------
+    values : (i, i) float32
+        Light per px^2, rows first.
+    place_px : (i,)
+        Columns and rows from the mean.
+    field : FieldSampling
+        How it is sampled.
+    reach_px : float
+        As far from the mean it is what the pupil makes.
+    """
+
+    values: NDArray[np.float32]
+    place_px: FloatArray
+    field: FieldSampling
+    reach_px: float
+
+
+KeptLight = dict[tuple[bytes, bytes, int], StarLight]
+"""By direction, shares of wavelengths and band."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,6 +241,11 @@ class WaveImages:
         How the images move during the exposure.
     shade : Shade, optional
         What stands between the sky and the lens.
+
+    Attributes
+    ----------
+    kept : dict
+        Light of stars of these wavelengths that is known, to which `stamps` add and from which `cells` take.
     """
 
     def __init__(
@@ -223,6 +258,7 @@ class WaveImages:
         shade: Shade | None = None,
     ) -> None:
         self.camera, self.kernel, self.trail, self.shade = camera, kernel, trail, shade
+        self.kept: KeptLight = {}
         self.wavelength_nm, self.share = wavelength_nm, share
         self.index = np.asarray(camera.focused_lens.indices(wavelength_nm)[-1])
 
@@ -241,17 +277,20 @@ class WaveImages:
         """Stars, their light per cell (s, b, m, m) of a square about the centroid, in shares of what gets through."""
         window = 2.0 * half_size_px + 1.0
         count = (2 * half_size_px + 1) * cells_per_px
-        edges = (np.arange(count) + 0.5) / cells_per_px
+        edges = (np.arange(count) + 0.5) / cells_per_px - 0.5 * window
         for probe in self.probes(group):
             for summands in self.summands(probe, math.sqrt(0.5) * window):
                 mean, light = self._means(summands.stars, summands.waves)
-                matrix, pad = self._matrix(summands.field, window, edges, 1.0 / cells_per_px)
                 result = np.empty((*mean.shape[:2], count, count))
                 for at in np.ndindex(*mean.shape[:2]):
-                    share = self.share[summands.stars[at[0]], at[1]]
-                    image = summands.light(at, share, mean[at] - 0.5 * window, window, pad)
+                    star = int(summands.stars[at[0]])
+                    image = self.kept.get(self._key(star, at[1]))
+                    if image is None or image.reach_px < math.sqrt(0.5) * window:
+                        image = self._window_light(summands, at, mean[at], window, 1.0 / cells_per_px)
+                    kernel = image.field.pixel(1.0 / cells_per_px, self.camera.charge_diffusion_px)
+                    matrix = kernel(edges[:, None] - image.place_px) * image.field.light_step
                     with np.errstate(invalid="ignore"):
-                        result[at] = (matrix @ image @ matrix.T) / light[at]
+                        result[at] = (matrix @ image.values @ matrix.T) / light[at]
                 yield summands.stars, result, mean
 
     def probes(self, group: WaveGroup) -> Iterator[Probe]:
@@ -306,7 +345,7 @@ class WaveImages:
         rings = (1.0 / (waves.lowest_cutoff * math.pi**3 * WING)) ** (1.0 / 3.0)
         radius = np.ceil(np.maximum(rings, spot + NEAREST_PX)) if radius_px is None else np.full(len(stars), radius_px)
         self._check_size(stars, spot, radius)
-        radial, around = phase_changes(waves, PROBE_ORDER, radius + 1.5)
+        radial, around = phase_changes(waves, PROBE_ORDER, radius + MARGIN_PX)
         order = np.stack([radial / 4.0 + 5.0, azimuths(around)], axis=1)
         rounded: IntArray = 4 * np.ceil(order / 4.0).astype(np.int64)
         if probe.group.points is None:
@@ -344,15 +383,6 @@ class WaveImages:
             ]
             return np.asarray(np.stack(sums, axis=-1) / weight.sum((2, 3))[..., None])
 
-    def _matrix(
-        self, field: FieldSampling, window_px: float, centres: FloatArray, box_px: float
-    ) -> tuple[FloatArray, float]:
-        """What makes pixels or cells about some centres of samples along one axis, and the margin that this needs."""
-        kernel = field.pixel(box_px, self.camera.charge_diffusion_px)
-        pad = kernel.reach_px - 0.5 * box_px
-        samples = window_samples(field, window_px, pad)
-        return kernel(centres[:, None] - samples) * field.light_step, pad
-
     def _stamps(self, summands: Summands) -> WaveStamps:
         stars, waves, mode = summands.stars, summands.waves, summands.mode
         mean, light = self._means(stars, waves)
@@ -367,10 +397,15 @@ class WaveImages:
             stamp_px = size + int((np.ceil(offset.max(2)) - first).max(initial=0.0))
         pixels = np.zeros((*light.shape, stamp_px, stamp_px))
         for s, b in np.argwhere(light > 0.0).tolist():
+            image = self._window_light(summands, (s, b), mean[s, b], float(size), 1.0)
+            if len(self.kept) < MOST_KEPT:
+                self.kept[self._key(int(stars[s]), b)] = image
+            shift = mean[s, b] - window[s, b] - 0.5 * size
             if self.trail is None:
-                pixels[s, b] = self._still(summands, (s, b), window[s, b], size)
+                pixels[s, b] = self._still(image, shift, size)
             else:
-                pixels[s, b] = self._moving(summands, (s, b), window[s, b], size, stamp_px)
+                way = self.trail.offset_px[stars[s], b], self.trail.weight[stars[s], b]
+                pixels[s, b] = self._moving(image, shift, size, *way, stamp_px)
         rays = RayMoments(mean, self._variance(stars, waves, mean))
         if self.trail is not None:
             rays = rays.along(self.trail, stars)
@@ -378,32 +413,43 @@ class WaveImages:
         count = math.prod(summands.order)
         return WaveStamps(stars, np.maximum(pixels, 0.0), corner, rays.mean_px, light, count, mode, kept)
 
-    def _still(self, summands: Summands, at: tuple[int, int], corner_px: FloatArray, size: int) -> FloatArray:
-        """Pixels of a disk in a window."""
-        matrix, pad = self._matrix(summands.field, float(size), np.arange(0.5, size), 1.0)
+    def _window_light(
+        self, summands: Summands, at: tuple[int, int], mean_px: FloatArray, window_px: float, box_px: float
+    ) -> StarLight:
+        """Light of a window about the mean of all of it, with a margin for boxes anywhere in it."""
+        field = summands.field
+        pad = field.pixel(box_px, self.camera.charge_diffusion_px).reach_px
         share = self.share[summands.stars[at[0]], at[1]]
-        image = summands.light(at, share, corner_px, float(size), pad)
-        offset = np.arange(0.5, size) - 0.5 * size
-        disk = np.hypot(offset, offset[:, None]) <= 0.5 * (size - 1)
-        return np.asarray((matrix.astype(np.float32) @ image @ matrix.T.astype(np.float32)) * disk, np.float64)
+        image = summands.light(at, share, mean_px - 0.5 * window_px, window_px, pad)
+        place = window_samples(field, window_px, pad) - 0.5 * window_px
+        return StarLight(image, place, field, summands.radius_px + MARGIN_PX)
+
+    def _key(self, star: int, band: int) -> tuple[bytes, bytes, int]:
+        """What tells a star's light in a band from that of others, but for rounding."""
+        return self.kernel.direction[star].round(13).tobytes(), self.share[star, band].round(10).tobytes(), band
+
+    def _still(self, light: StarLight, shift_px: FloatArray, size: int) -> FloatArray:
+        """Pixels of a disk in a window whose middle the mean of the light lies beside."""
+        kernel = light.field.pixel(1.0, self.camera.charge_diffusion_px)
+        centres = np.arange(0.5, size) - 0.5 * size
+        column, row = (
+            (kernel((centres - d)[:, None] - light.place_px) * light.field.light_step).astype(np.float32)
+            for d in shift_px
+        )
+        disk = np.hypot(centres, centres[:, None]) <= 0.5 * (size - 1)
+        return np.asarray((row @ light.values @ column.T) * disk, np.float64)
 
     def _moving(
-        self, summands: Summands, at: tuple[int, int], corner_px: FloatArray, size: int, stamp_px: int
+        self, light: StarLight, shift_px: FloatArray, size: int, moves_px: FloatArray, weight: FloatArray, stamp_px: int
     ) -> FloatArray:
         """Pixels of the same disk along a trail."""
-        assert self.trail is not None
-        field, star, window_px = summands.field, int(summands.stars[at[0]]), float(size)
-        kernel = field.pixel(1.0, self.camera.charge_diffusion_px)
-        pad = kernel.reach_px - 0.5
-        image = summands.light(at, self.share[star, at[1]], corner_px, window_px, pad)
-        samples = window_samples(field, window_px, pad)
-        offset = samples - 0.5 * window_px
-        image *= np.hypot(offset, offset[:, None]) <= 0.5 * window_px
-        moves, weight = self.trail.offset_px[star, at[1]], self.trail.weight[star, at[1]]
-        centres = np.arange(stamp_px) + 0.5 + np.floor(moves.min(0))[:, None]
+        kernel = light.field.pixel(1.0, self.camera.charge_diffusion_px)
+        column_px, row_px = (light.place_px + d for d in shift_px)
+        image = light.values * (np.hypot(column_px, row_px[:, None]) <= 0.5 * size)
+        centres = np.arange(0.5, stamp_px) - 0.5 * size + np.floor(moves_px.min(0))[:, None]
         column, row = (
-            (kernel(centres[axis][:, None] - samples - moves[:, axis, None, None]) * field.light_step)
-            for axis in (0, 1)
+            kernel(centres[axis][:, None] - place - moves_px[:, axis, None, None]) * light.field.light_step
+            for axis, place in enumerate((column_px, row_px))
         )
         column, row = column.astype(np.float32), (row * weight[:, None, None]).astype(np.float32)
         return np.asarray(((row @ image) @ np.swapaxes(column, 1, 2)).sum(0), np.float64)

@@ -22,7 +22,7 @@ from render.tracing.pupil_points import OutlinePoints
 from render.tracing.sampling import whole_disk
 from render.tracing.wave_grid import WaveGrid
 from render.tracing.wave_grid_build import WING_PX, build_grid, worth_a_grid
-from render.tracing.wave_images import Trail, WaveImages, WaveStamps
+from render.tracing.wave_images import KeptLight, Trail, WaveImages, WaveStamps
 from render.tracing.wave_spectrum import condensed_light
 
 __all__ = ["WaveStars", "check_lit"]
@@ -40,8 +40,15 @@ def check_lit(place: FloatArray) -> None:
         raise DomainError(f"star {np.argwhere(np.isnan(place))[0][0]}: none of its light reaches the detector")
 
 
+def _state(wavelength_nm: FloatArray, collimation: Collimation | None) -> tuple[bytes, bytes]:
+    """What images at some places depend on, besides the camera and the shares of wavelengths."""
+    return wavelength_nm.tobytes(), b"" if collimation is None else collimation.at(wavelength_nm).tobytes()
+
+
 class WaveStars:
-    """Adds diffraction images of stars to images of one camera, and keeps grids of images between star fields.
+    """Adds diffraction images of stars to images of one camera.
+
+    Grids of images are kept between star fields, and the light of the stars of the last one for their PSFs.
 
     Parameters
     ----------
@@ -52,6 +59,7 @@ class WaveStars:
     def __init__(self, planner: PupilPlanner) -> None:
         self.planner, self.camera = planner, planner.camera
         self._grids: dict[tuple[bytes, bytes, float], WaveGrid | None] = {}
+        self._known: tuple[tuple[bytes, bytes], KeptLight] = (b"", b""), {}
 
     def add_by_grid(
         self,
@@ -105,6 +113,7 @@ class WaveStars:
             rest = replace(at_rest(seen.paths.mid), collimation=seen.paths.collimation)
             still = self.planner.seen(rest, few.wavelength_nm)
         images = self._images(few, still, seen, chiefs, shades[0])
+        self._known = _state(few.wavelength_nm, seen.paths.collimation), images.kept if shades[0] is None else {}
         for group in self.planner.wave_groups(still, few.wavelength_nm, chiefs, near, shades[1]):
             for stamps in images.stamps(group):
                 self._add_stamps(stamps, light, image, sums, sampling)
@@ -121,6 +130,8 @@ class WaveStars:
         light = self._condensed(light, seen)
         seen = self.planner.seen(seen.paths, light.wavelength_nm)
         images = self._images(light, seen, seen, chiefs)
+        if self._known[0] == _state(light.wavelength_nm, seen.paths.collimation):
+            images.kept = self._known[1]
         side = (2 * half_size_px + 1) * cells_per_px
         result = np.empty((*light.electrons.shape, side, side))
         for group in self.planner.wave_groups(seen, light.wavelength_nm, chiefs, np.arange(len(result))):
@@ -137,8 +148,7 @@ class WaveStars:
 
     def _grid(self, wavelength_nm: FloatArray, collimation: Collimation | None, radius_px: float) -> WaveGrid | None:
         """The grid of images at these wavelengths, at least as large as a radius; None if there is none."""
-        bent = b"" if collimation is None else collimation.at(wavelength_nm).tobytes()
-        key = wavelength_nm.tobytes(), bent, radius_px
+        key = *_state(wavelength_nm, collimation), radius_px
         if key not in self._grids:
             while len(self._grids) >= GRIDS:
                 self._grids.pop(next(iter(self._grids)))
