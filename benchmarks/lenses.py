@@ -38,6 +38,14 @@ OWN = {  # spots that a window of the centroider holds
     "star_camera_206mm": ("instrument.defocus_mm=0.01",),
     "werfel_40mm": WIDE,
 }
+LARGE = ("instrument.width_px=2048", "instrument.height_px=2048")
+PLEIADES = ("pointing.kind=cone", "pointing.ra_deg=56.75", "pointing.dec_deg=24.12", "pointing.radius_deg=0.1")
+CHROMATIC = {"hubble_57m": ("decentre.wanted_px=0",)}  # mirrors have no colour, however they move
+DATASET = {  # enough stars
+    "catadioptric_425mm": (*LARGE, *PLEIADES),
+    "maksutov_1300mm": PLEIADES,
+    "star_camera_206mm": LARGE,
+}
 LIMIT_S = 300
 
 
@@ -88,7 +96,8 @@ def chromatic_lsfe_arcsec(name: str) -> float:
 def run(experiment: str, name: str, folder: Path) -> tuple[int, str]:
     """Exit status and last line of what went wrong of a quick run."""
     out = folder / f"{experiment}_{name}"
-    words = [word for one in settings_of(name) for word in ("--set", one)]
+    more = {"chromatic": CHROMATIC, "dataset": DATASET}[experiment].get(name, ())
+    words = [word for one in (*settings_of(name), *more) for word in ("--set", one)]
     command = [sys.executable, "-m", f"experiments.{experiment}", "--quick", "--out", str(out), *words]
     try:
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=LIMIT_S)

@@ -15,7 +15,7 @@ from calib.measure.centroid import Centroider
 from calib.records import NoiseModel, Stamps
 from optics.arrays import FloatArray
 
-__all__ = ["centroid_covariance", "centroid_variance", "linear_response"]
+__all__ = ["centroid_covariance", "centroid_variance", "linear_response", "tight"]
 
 
 def linear_response(centroider: Centroider, stamps: Stamps, noise: NoiseModel, light_e: FloatArray) -> FloatArray:
@@ -58,3 +58,8 @@ def centroid_covariance(gain_px_per_e: FloatArray, variance_e2: FloatArray) -> F
 def centroid_variance(gain_px_per_e: FloatArray, variance_e2: FloatArray) -> FloatArray:
     """Its diagonal (n, 2)."""
     return np.asarray(np.einsum("nahw,nhw->na", gain_px_per_e**2, variance_e2))
+
+
+def tight(centroider: Centroider) -> Centroider:
+    """The centroider with its iterations carried on, where it has a tolerance: differences need more digits."""
+    return replace(centroider, tolerance=1e-6) if hasattr(centroider, "tolerance") else centroider  # type: ignore[type-var]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from experiments.budget.combine import Value
 from experiments.budget.laboratory import Laboratory
 from experiments.laboratory.centroid_methods import has_own_epsf
-from experiments.laboratory.chromatic_error import measure_chromatic, rms, shifts, table1, uncertainties
+from experiments.laboratory.chromatic_error import measure_chromatic, rms, shifts, table1, table1_sigma
 from experiments.laboratory.epsf_session import variance_of_another
 from experiments.laboratory.point_noise import drawn_positions, expected_windows, window_positions
 from experiments.laboratory.ray_prediction import bundle_prediction
@@ -209,7 +209,7 @@ def measured_terms(
         shift = shifts(measured.mean_px[method], bench.pairs)
         found[method] = ChromaticTerm(
             table1_px={name: table1(v) for name, v in shift.items()},
-            sigma_px=uncertainties(measured, bench.pairs, method)[1],
+            sigma_px=table1_sigma(measured, bench.pairs, method),
             rms_px={name: rms(v) for name, v in shift.items()},
             pixel_arcsec=lab.instrument.pixel_arcsec,
             n=bench.frames * int(np.prod(measured.nominal_px.shape[:2])),

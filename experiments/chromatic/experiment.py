@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from experiments.chromatic.result import Result
     from experiments.laboratory.bench import Bench
     from experiments.laboratory.instrument import Instrument
+    from optics.lens.system import LensSystem
 
 __all__ = ["Config", "experiment", "main", "run"]
 
@@ -52,7 +53,7 @@ def run(config: Config, *, progress: Progress) -> Result:
     bench, direction = _prepare(config, instrument, signal.signal_e)
     paraxial_px = paraxial_prediction(bench, instrument, direction)
     solutions = _solve(config, bench, instrument, direction, progress)
-    chosen = _choose(config, bench, solutions)
+    chosen = _choose(config, bench, instrument.camera.lens, solutions)
     moved = _moved(config, instrument, chosen)
     streams = Streams(config.seed).child("chromatic")
     found = {}
@@ -158,7 +159,7 @@ def _moved(config: Config, instrument: Instrument, chosen: Solution) -> Instrume
     return build_instrument(config.instrument, chosen.apply(instrument.camera.lens, "xy".index(config.decentre.axis)))
 
 
-def _choose(config: Config, bench: Bench, solutions: Sequence[Solution]) -> Solution:
+def _choose(config: Config, bench: Bench, lens: LensSystem, solutions: Sequence[Solution]) -> Solution:
     """The configured element, or the one whose movement of the wanted kind is smallest."""
     from experiments.chromatic.perturbation import check_motion
     from optics.errors import ConvergenceError
@@ -172,6 +173,11 @@ def _choose(config: Config, bench: Bench, solutions: Sequence[Solution]) -> Solu
     if not able:
         who = "any element" if wanted.element == "auto" else f"element {wanted.element}"
         reach = "3 mm" if wanted.kind == "decentre" else "3 deg"
+        if not lens.glasses:
+            raise ConvergenceError(
+                f"lens {lens.name!r} has no glass, and mirrors no colour: no movement gives a mean shift of "
+                f"decentre.wanted_px = {wanted.wanted_px:g} px; set decentre.wanted_px = 0"
+            )
         raise ConvergenceError(
             f"no {wanted.kind} of {who} up to {reach} gives a mean shift of decentre.wanted_px = "
             f"{wanted.wanted_px:g} px in {config.pair}, {wanted.axis}; lower it, or choose another "

@@ -74,6 +74,8 @@ class Solution:
         return perturbed(lens, self.element, self.kind, axis, self.amount / _UNIT[self.kind])
 
 
+REACHED_PX = 1e-12
+"""A mean shift that differs by no more from the wanted one needs no movement; mirrors have no other."""
 _LIMIT = {"decentre": 3.0, "tilt": 3.0}
 _UNIT = {"decentre": 1e3, "tilt": 60.0}
 """um per mm, arcmin per deg: `Solution.amount` against the argument of `perturbed`."""
@@ -140,9 +142,12 @@ def _root(excess: Callable[[float], float], limit: float) -> float:
 
     The statistic is nearly linear in the movement, so its slope at zero tells where to look.
     """
+    rest = excess(0.0)
+    if abs(rest) < REACHED_PX:
+        return 0.0
     step = limit * 1e-2
     slope = (excess(step) - excess(-step)) / (2 * step)
-    guess = -excess(0.0) / slope if slope != 0.0 else np.inf
+    guess = -rest / slope if slope != 0.0 else np.inf
     if not abs(guess) < 1.5 * limit:
         return float("nan")
     for margin in (0.3 * abs(guess) + 0.1 * step, limit):

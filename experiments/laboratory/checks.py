@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from experiments.laboratory.bench import Bench
@@ -13,6 +15,10 @@ from optics.frames import field_angles_deg
 from optics.rays.spots import best_focus_shift_mm
 
 __all__ = ["check_light"]
+
+
+RADII = 4.0
+"""Least width of a window in RMS radii of the spot."""
 
 
 def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> None:
@@ -40,12 +46,14 @@ def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
             f"{instrument.camera.lens.name!r}; look at its clear apertures or raise target.edge_px"
         )
     widest = float(radius_px.max())
-    if 4.0 * widest > bench.window_px:
+    if RADII * widest > bench.window_px:
+        window = 2 * math.ceil((RADII * widest - 1.0) / 2.0) + 1
         field_x, field_y = field_angles_deg(direction.reshape(-1, 3))
         waves = [band.centre_nm for band in bench.filters]
         best = best_focus_shift_mm(instrument.camera.lens, field_x, field_y, waves)
         raise DomainError(
             f"the image of a target point has an RMS radius of {widest:.1f} px, for which window_px = "
             f"{bench.window_px} is too small (at least four RMS radii); best focus for these filters is at "
-            f"instrument.defocus_mm = {best:.3f} mm (it is {instrument.config.defocus_mm:g} mm), or enlarge the window"
+            f"instrument.defocus_mm = {best:.3f} mm (it is {instrument.config.defocus_mm:g} mm), or set "
+            f"window_px = {window}"
         )

@@ -25,9 +25,10 @@ __all__ = [
     "measure_chromatic",
     "reduce_chromatic",
     "rms",
+    "shift_sigma",
     "shifts",
     "table1",
-    "uncertainties",
+    "table1_sigma",
 ]
 
 
@@ -91,6 +92,8 @@ class ChromaticMeasurement:
         Mean centroid over the frames, by method.
     sigma_px : dict of str to (p, j, b, 2)
         Standard deviation of a single frame's centroid.
+    noise_px : (p, j, b, 2)
+        The same as predicted, first method; without what moves all points of a position.
     pattern_px : dict of str to (q, p, j, b, 2)
         Predicted effect of q fixed patterns on the centroids, common to the filters, by method.
     frames_used : (p, j, b)
@@ -112,6 +115,7 @@ class ChromaticMeasurement:
     photon_px: FloatArray
     mean_px: Mapping[str, FloatArray]
     sigma_px: Mapping[str, FloatArray]
+    noise_px: FloatArray
     pattern_px: Mapping[str, FloatArray]
     frames_used: NDArray[np.int64]
     rms_spot_um: FloatArray
@@ -173,6 +177,7 @@ def measure_chromatic(
         photon_px=np.stack([part.photon_px for part in parts]),
         mean_px={m: np.stack([part.mean_px[m] for part in parts]) for m in bench.methods},
         sigma_px={m: np.stack([part.sigma_px[m] for part in parts]) for m in bench.methods},
+        noise_px=np.stack([part.noise_px for part in parts]),
         pattern_px={m: np.stack([part.pattern_px[m] for part in parts], axis=1) for m in parts[0].pattern_px},
         frames_used=np.stack([part.frames_used for part in parts]),
         rms_spot_um=np.stack([part.spot_um for part in parts]).mean((0, 1)),
@@ -229,33 +234,49 @@ class ChromaticReduction:
     truth_bias_px: tuple[float, float]
 
 
-def uncertainties(
+def shift_sigma(
     measured: ChromaticMeasurement, pairs: Sequence[tuple[str, int, int]], method: str
-) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    """Standard deviations by pair of bands: of every shift (p, j, 2), and of the mean of eq. 16 (2,).
+) -> dict[str, FloatArray]:
+    """Standard deviation (p, j, 2) of every shift, by pair of bands.
+
+    The scatter of the frames, pooled over the points of a position (one point's own estimate from 30 frames would have
+    pulls of Student's law), and shared out among them as predicted: where a small spot lies on the pixels decides by a
+    factor of three how well it is centred.
 
     Parameters
     ----------
     measured : ChromaticMeasurement
-        With the effect of fixed patterns on this method.
+        With the effect of fixed patterns on the method.
     pairs : sequence of (str, int, int)
         `Bench.pairs`.
     method : str
-        The centroider.
+        The first of the bench.
     """
     pattern = shifts(measured.pattern_px[method], pairs)
-    # pooled over the points of a position: one point's own estimate from 30 frames would have pulls of Student's law
+    share = measured.noise_px**2 + measured.common_px**2
+    of_frame = share * (measured.sigma_px[method] ** 2 / share).mean(1, keepdims=True)
+    of_mean = of_frame / measured.frames_used[..., None]
+    return {
+        name: np.sqrt(of_mean[..., high, :] + of_mean[..., low, :] + (pattern[name] ** 2).mean(0))
+        for name, high, low in pairs
+    }
+
+
+def table1_sigma(
+    measured: ChromaticMeasurement, pairs: Sequence[tuple[str, int, int]], method: str
+) -> dict[str, FloatArray]:
+    """Standard deviation (2,) of the mean of eq. 16, by pair of bands; any method with its effect of fixed patterns."""
+    pattern = shifts(measured.pattern_px[method], pairs)
     of_mean = (measured.sigma_px[method] ** 2).mean(1, keepdims=True) / measured.frames_used[..., None]
-    sigma, sigma_table = {}, {}
+    sigma = {}
     for name, high, low in pairs:
         temporal = of_mean[..., high, :] + of_mean[..., low, :]
-        sigma[name] = np.sqrt(temporal + (pattern[name] ** 2).mean(0))
         count = temporal.shape[0] * temporal.shape[1]
         # what the points of a position have in common does not average over them
         common = 2.0 * measured.common_mean_px**2 * (1.0 / temporal.shape[0] - 1.0 / count) / 4.0
         own = temporal.sum((0, 1)) / (2 * count) ** 2
-        sigma_table[name] = np.sqrt(own + common + (table1(pattern[name]) ** 2).mean(0))
-    return sigma, sigma_table
+        sigma[name] = np.sqrt(own + common + (table1(pattern[name]) ** 2).mean(0))
+    return sigma
 
 
 def reduce_chromatic(bench: Bench, instrument: Instrument, measured: ChromaticMeasurement) -> ChromaticReduction:
@@ -273,7 +294,7 @@ def reduce_chromatic(bench: Bench, instrument: Instrument, measured: ChromaticMe
     found = shifts(mean, pairs)
     photon, bundle = shifts(measured.photon_px, pairs), shifts(measured.bundle_px, pairs)
     predicted = shifts(bundle_prediction(bench, instrument, measured.direction), pairs)
-    sigma, sigma_table = uncertainties(measured, pairs, method)
+    sigma = shift_sigma(measured, pairs, method)
     place = measured.nominal_px - instrument.camera.centre_px
     pulls = np.stack([(found[n] - photon[n]) / sigma[n] for n, _, _ in pairs])
     distance = np.linalg.norm(mean - measured.photon_px, axis=-1)
@@ -285,7 +306,7 @@ def reduce_chromatic(bench: Bench, instrument: Instrument, measured: ChromaticMe
         predicted_shift_px=predicted,
         shift_sigma_px=sigma,
         table1_px={n: table1(v) for n, v in found.items()},
-        table1_sigma_px=sigma_table,
+        table1_sigma_px=table1_sigma(measured, pairs, method),
         photon_table1_px={n: table1(v) for n, v in photon.items()},
         bundle_table1_px={n: table1(v) for n, v in bundle.items()},
         predicted_table1_px={n: table1(v) for n, v in predicted.items()},

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from calib.measure.centroid import Centroider
 from calib.measure.crlb import fisher_information
 from calib.measure.epsf import EpsfBank, EpsfModel
-from calib.measure.linear_response import centroid_variance, linear_response
+from calib.measure.linear_response import centroid_variance, linear_response, tight
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.instrument import Instrument
@@ -193,13 +193,8 @@ def influence(centroider: Centroider, instrument: Instrument, windows: ExpectedW
     noise = nominal_noise(instrument)
     position, stamps = window_positions(centroider, instrument, windows)
     return Influence(
-        position_px=position, gain_px_per_e=linear_response(_tight(centroider), stamps, noise, windows.light_e)
+        position_px=position, gain_px_per_e=linear_response(tight(centroider), stamps, noise, windows.light_e)
     )
-
-
-def _tight(centroider: Centroider) -> Centroider:
-    """The centroider with its iterations carried on, where it has a tolerance: differences need more digits."""
-    return replace(centroider, tolerance=1e-6) if hasattr(centroider, "tolerance") else centroider  # type: ignore[type-var]
 
 
 def bound_px(windows: ExpectedWindows, noise: PixelNoise) -> FloatArray:

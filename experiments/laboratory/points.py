@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.measure.centroid import Centroider
+from calib.measure.linear_response import centroid_variance, linear_response, tight
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.centroid_methods import method_centroiders
@@ -46,6 +47,8 @@ class PointMeasurement:
         Mean centroid over the frames, by method.
     sigma_px : dict of str to (j, b, 2)
         Standard deviation of a single frame's centroid.
+    noise_px : (j, b, 2)
+        The same as predicted by linear response, first method; without what moves all points alike.
     pattern_px : dict of str to (q, j, b, 2)
         Predicted effect of q fixed patterns on the centroids, common to the filters, by method.
     frames_used : (j, b)
@@ -63,6 +66,7 @@ class PointMeasurement:
     photon_px: FloatArray
     mean_px: Mapping[str, FloatArray]
     sigma_px: Mapping[str, FloatArray]
+    noise_px: FloatArray
     pattern_px: Mapping[str, FloatArray]
     frames_used: NDArray[np.int64]
     spot_um: FloatArray
@@ -163,6 +167,7 @@ class PointReadout:
             sigma_px={m: np.stack([one[1][m] for one in results], axis=1) for m in bench.methods},
             frames_used=np.stack([one[2] for one in results], axis=1),
             pattern_px={m: np.stack([one[3][m] for one in results], axis=2) for m in results[0][3]},
+            noise_px=np.stack([one[4] for one in results], axis=1),
             spot_um=np.sqrt(truth.variance_x_px2 + truth.variance_y_px2) * camera.pixel_pitch_mm * 1e3,
             windows=tuple(stacks),
         )
@@ -170,8 +175,8 @@ class PointReadout:
 
     def _centroids(
         self, stamps: Stamps, noise: NoiseModel, light_e: FloatArray, centroiders: Mapping[str, Centroider]
-    ) -> tuple[dict[str, FloatArray], dict[str, FloatArray], NDArray[np.int64], dict[str, FloatArray]]:
-        """Mean and scatter by method; usable frames of the first method; effect of fixed patterns by method."""
+    ) -> tuple[dict[str, FloatArray], dict[str, FloatArray], NDArray[np.int64], dict[str, FloatArray], FloatArray]:
+        """Mean and scatter by method; usable frames of the first; effect of patterns by method; noise of the first."""
         bench, first = self.bench, self.bench.methods[0]
         position = {m: measured_positions(c, stamps, noise, bench.frames) for m, c in centroiders.items()}
         refuse_few_frames(position[first], first, where=f"{self.place} position")
@@ -191,7 +196,9 @@ class PointReadout:
             for m in self.patterns or (first,)
         }
         mean, sigma = {m: one[0] for m, one in statistics.items()}, {m: one[1] for m, one in statistics.items()}
-        return mean, sigma, statistics[first][2], pattern
+        gain = linear_response(tight(centroiders[first]), stamps.select(slice(0, len(light_e))), noise, light_e)
+        spread = np.sqrt(centroid_variance(gain, pixel.temporal_e2(light_e)))
+        return mean, sigma, statistics[first][2], pattern, spread
 
 
 def nominal_px(instrument: Instrument, direction: FloatArray) -> FloatArray:

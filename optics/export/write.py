@@ -11,6 +11,7 @@ from optics.errors import ConfigError
 from optics.export.seq import seq_text
 from optics.export.sequence import agf_text, sequence
 from optics.export.zmx import zmx_text
+from optics.lens.geometry import geometry_faults
 from optics.lens_file import LensFile
 from optics.rays.paraxial import axial_paraxial
 from optics.textfile import write_text
@@ -43,6 +44,8 @@ def write_lens(file: LensFile, path: str | Path) -> tuple[Path, ...]:
     suffix = place.suffix.lower()
     texts: dict[Path, str] = {}
     if suffix == ".toml":
+        for fault in geometry_faults(file.lens):
+            raise ConfigError(f"{path}: {fault} (borne in a design program's file, not in .toml: write .zmx or .seq)")
         texts[place] = toml_lens(file.tables)
     elif suffix in (".zmx", ".seq"):
         made = sequence(file)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from calib.measure.centroid import Centroider, get_centroider
-from calib.measure.linear_response import centroid_covariance, linear_response
+from calib.measure.centroid import get_centroider
+from calib.measure.linear_response import centroid_covariance, linear_response, tight
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.own_frames.folder import FrameFolder, FrameSeries
 from experiments.laboratory.own_frames.settings import SeriesSettings
@@ -110,7 +110,7 @@ def reduce_series(
     temporal_e2, fixed_e2 = _variances(folder, series, mean, light, noise)
     one = stamps.select(slice(0, len(mean)))
     modelled = methods if every_model else methods[:1]
-    gain = {m: linear_response(_tight(m), one, noise, mean) for m in modelled}
+    gain = {m: linear_response(tight(get_centroider(m)), one, noise, mean) for m in modelled}
     return SeriesFrames(
         settings=series.settings,
         frames=frames,
@@ -144,9 +144,3 @@ def _variances(
     if series.response_error is not None:
         fixed = fixed + (light_e * series.response_error / response) ** 2
     return temporal, fixed
-
-
-def _tight(method: str) -> Centroider:
-    """The centroider with its iterations carried on, where it has a tolerance: differences need more digits."""
-    centroider = get_centroider(method)
-    return replace(centroider, tolerance=1e-6) if hasattr(centroider, "tolerance") else centroider  # type: ignore[type-var]

@@ -14,6 +14,7 @@ from experiments.laboratory.chromatic_error import (
     measure_chromatic,
     reduce_chromatic,
     rms,
+    shift_sigma,
     shifts,
     table1,
 )
@@ -203,17 +204,20 @@ def test_effect_of_the_fixed_pattern_is_predicted(engine, bench_of, small_camera
     count, the pattern is common to them. The temporal part is taken off.
     """
     bench = bench_of(frames=40, dark_frames=100)
-    place, temporal, predicted = [], [], []
+    place, temporal, predicted, noise = [], [], [], []
     for seed in range(SENSORS):
         camera = with_sensor(small_camera, 2000 + seed, prnu=0.05)
         measured = quick_measure(bench, camera, seed)
         place.append(measured.mean_px["epsf"] - measured.photon_px)
         temporal.append((measured.sigma_px["epsf"] ** 2 / measured.frames_used[..., None]).mean())
         predicted.append((measured.pattern_px["epsf"] ** 2).mean((0, 1, 2)))
+        noise.append(measured.sigma_px["epsf"] ** 2 / measured.noise_px**2)
     found = np.var(place, axis=0, ddof=1).mean((0, 1)) - np.mean(temporal)  # (b, 2)
     spread = np.sqrt(2 / (32 * SENSORS) + 2 / (32 * 48 * SENSORS))
     assert found.mean() > 10 * np.mean(temporal)
     assert abs(found.mean() / np.mean(predicted) - 1) < 4 * spread
+    # the noise of every point, of 40 x 39 differences
+    assert np.abs(np.mean(noise, axis=0) - 1.0).max() < 4.5 * np.sqrt(2.0 / (SENSORS * 39))
 
 
 @pytest.mark.slow
@@ -224,6 +228,28 @@ def test_pattern_that_filters_share_cancels_in_part(engine, bench_of, small_came
     single = np.sqrt((measured.pattern_px["epsf"] ** 2).mean())
     for shift in pattern.values():
         assert np.sqrt((shift**2).mean()) < 1.2 * single
+
+
+def test_sigma_of_a_shift_is_that_of_its_own_point(measured):
+    """Points whose noise differs by three: every one has pulls of variance 1, whatever the scatter of the others."""
+    rng = np.random.default_rng(5)
+    noise = rng.uniform(0.5, 1.5, (4, 9, 3, 2))
+    frames = 1.1e-3 * noise * rng.standard_normal((400, 30, *noise.shape))  # 10 % more than was foreseen
+    pulls = []
+    for run in frames:
+        found = replace(
+            measured,
+            mean_px={"epsf": run.mean(0)},
+            sigma_px={"epsf": run.std(0, ddof=1)},
+            noise_px=1e-3 * noise,
+            pattern_px={"epsf": np.zeros((1, *noise.shape))},
+            frames_used=np.full(noise.shape[:3], 30),
+        )
+        pairs = [("800-600", 2, 1)]
+        sigma = shift_sigma(found, pairs, "epsf")["800-600"]
+        pulls.append(shifts(run.mean(0), pairs)["800-600"] / sigma)
+    # 400 pulls of 72 points: the largest and least of their variances
+    assert np.abs(np.var(pulls, axis=0) - 1.0).max() < 4.5 * np.sqrt(2.0 / 400)
 
 
 def test_pattern_effect_on_a_centre_of_gravity(measured):

@@ -93,3 +93,18 @@ def test_what_a_format_cannot_hold_is_refused(tmp_path: Path) -> None:
     for suffix in ("zmx", "seq"):
         with pytest.raises(ConfigError, match="qbfs"):
             write_lens(file, tmp_path / f"lens.{suffix}")
+
+
+def test_a_toml_file_that_would_be_refused_is_not_written(tmp_path: Path) -> None:
+    """Rims that cross are borne where the object is near; a .toml with such a lens could not be read again."""
+    rows = [
+        "MODE SEQ", "UNIT MM", "ENPD 4", "FTYP 0 0 1 1 0 0 0", "XFLN 0", "YFLN 0", "WAVM 1 0.55 1", "SURF 0",
+        "  DISZ 100", "SURF 1", "  STOP", "  DISZ 1", "SURF 2", "  CURV 0.02", "  DISZ 2", "  GLAS N-BK7 0 0 1.5 40",
+        "  DIAM 20 1 0 0 1", "SURF 3", "  CURV -0.02", "  DISZ 90", "  DIAM 20 1 0 0 1", "SURF 4", "  DISZ 0",
+    ]  # fmt: skip
+    (tmp_path / "near.zmx").write_text("\n".join(rows))
+    file = read_lens_file(tmp_path / "near.zmx")
+    with pytest.raises(ConfigError, match=r"cross.*write \.zmx"):
+        write_lens(file, tmp_path / "again.toml")
+    assert not (tmp_path / "again.toml").exists()
+    assert largest_difference(file.lens, read_lens_file(*write_lens(file, tmp_path / "again.zmx")).lens) < 1e-12
