@@ -1,6 +1,8 @@
-"""Two lenses as .zmx files against OpticStudio's own numbers, to the digits that were printed.
+"""Three lenses as .zmx files against OpticStudio's own numbers, to the digits that were printed.
 
-Ansys Zemax OpticStudio 2025 R2.02, reported by D. Reed (singlet) and "RayPragma" (double Gauss) in optiland issue 710.
+Ansys Zemax OpticStudio 2025 R2.02, reported by D. Reed (singlet) and "RayPragma" (double Gauss) in optiland issue 710;
+2023 R1.02 by "RayPragma" (Hubble Space Telescope; optiland pull request 714). The fourth system of the issue, a Cooke
+triplet, has no column of OpticStudio's yet.
 """
 
 import numpy as np
@@ -17,6 +19,19 @@ DOUBLE_GAUSS = (
     (24.23130, 16.369445, ""), (0.0, 13.747957, "STOP"), (-28.37731, 3.8, "F5"), (0.0, 11.0, "N-SK16"),
     (-37.92546, 0.5, ""), (177.41176, 7.0, "N-SK16"), (-79.41143, 61.487536, ""),
 )  # fmt: skip
+# M. Laikin, Lens Design, 4th ed. (2007), p. 200: curvature, thickness, glass, conic
+HUBBLE = (
+    (0.0, 4910.01016, "", 0.0), (1 / -11040.02286, -4910.01016, "MIRROR", -1.001152),
+    (1 / -1349.31166, 6365.20955, "MIRROR", -1.483014),
+)  # fmt: skip
+HUBBLE_RAYS = (  # as RAYS; the image is a sphere
+    ((0.0, 0.0), (0.0, 1.0), (0.0, 0.000292798, 0.0, -0.020832193)),
+    ((0.0, 0.0), (0.0, 0.7), (0.0, 0.000224337, 0.0, -0.014582932)),
+    ((0.0, 1.0), (0.0, 0.0), (0.0, 150.423380108, 0.0, 0.021668821)),
+    ((0.0, 1.0), (0.0, 1.0), (0.0, 150.415481283, 0.0, 0.000731952)),
+    ((0.0, 1.0), (0.0, -1.0), (0.0, 150.483684128, 0.0, 0.042499115)),
+    ((0.0, 0.7), (0.7, 0.0), (0.011252785, 105.43303112, -0.014598926, 0.015153183)),
+)
 # HOYA LAC9: n^2 = A0 + A1 l^2 + A2 l^-2 + ... as in the maker's catalogue
 HOYA = """CC HOYA
 NM LAC9 1 691547 1.690996 54.698047 0 3 5
@@ -70,3 +85,37 @@ def test_real_rays_of_a_double_gauss(tmp_path):
         ray = trace(lens, Rays.create(x_mm=start[0], y_mm=start[1], z_mm=p.entrance_pupil_z_mm,
                                       direction=[0.0, slope, 1.0], wavelength_nm=587.6))  # fmt: skip
         assert [float(v) for v in (ray.x, ray.y, ray.dx, ray.dy)] == pytest.approx(printed, rel=0, abs=5.05e-10)
+
+
+def test_first_order_and_real_rays_of_the_hubble_telescope(tmp_path):
+    """Mirrors, conics, a curved image (rays go on from its vertex plane to the sphere). Rays: one of the ninth decimal.
+
+    The focal length was printed from a file of nine digits, which moves it by 1e-3 mm.
+    """
+    lines = [
+        "MODE SEQ\nUNIT MM X W X CM MR CPMM\nENPD 2400\nFTYP 0 0 2 1 0 0 0\nXFLN 0 0\nYFLN 0 0.15\nWAVM 1 0.55 1",
+        "SURF 0\n  DISZ INFINITY",
+    ]
+    for i, (curvature, thickness, glass, conic) in enumerate(HUBBLE, 1):
+        lines += [f"SURF {i}", f"  CURV {curvature!r}", f"  CONI {conic}", f"  DISZ {thickness}"]
+        lines += [f"  GLAS {glass} 0 0 1.5 40"] if glass else []
+        lines += ["  STOP", "  CLAP 177.80035 1200 0"] if i == 2 else []
+    radius = -635.38227
+    (tmp_path / "hubble.zmx").write_text("\n".join([*lines, "SURF 4", f"  CURV {1.0 / radius!r}", "  DISZ 0"]))
+    lens = read_lens_file(tmp_path / "hubble.zmx").lens
+    p, image_z = axial_paraxial(lens, 550.0), float(lens.image_position_mm[2])
+    assert p.efl_mm == pytest.approx(57600.079948, abs=2e-3)
+    assert p.f_number == pytest.approx(24.00003, abs=5e-6)
+    assert p.entrance_pupil_z_mm == pytest.approx(4910.01, abs=5e-3)
+    assert 2.0 * p.exit_pupil_radius_mm == pytest.approx(289.9321, abs=5e-5)
+    assert p.exit_pupil_z_mm - image_z == pytest.approx(-6958.364, abs=5e-4)
+    assert p.rear_focus_z_mm - image_z == pytest.approx(0.01686423, abs=1e-6)
+    for (_, field), (px, py), printed in HUBBLE_RAYS:
+        ray = trace(lens, Rays.create(x_mm=1200.0 * px, y_mm=1200.0 * py, z_mm=p.entrance_pupil_z_mm,
+                                      direction=[0.0, np.tan(np.radians(0.15 * field)), 1.0],
+                                      wavelength_nm=550.0))  # fmt: skip
+        along = float(ray.x * ray.dx + ray.y * ray.dy - radius * ray.dz)
+        height2 = float(ray.x**2 + ray.y**2)
+        way = -height2 / (along + np.copysign(np.sqrt(along**2 - height2), along))
+        found = [ray.x + way * ray.dx, ray.y + way * ray.dy, ray.dx, ray.dy]
+        assert [float(v) for v in found] == pytest.approx(printed, rel=0, abs=1e-9)
