@@ -144,7 +144,11 @@ def new_figure(
     """
     inches = WIDTH_IN[width]
     figure = Figure(figsize=(inches, inches * aspect_ratio), layout="constrained")
-    return figure, figure.subplots(rows, columns, **subplots)
+    axes = figure.subplots(rows, columns, **subplots)
+    if columns == 2:  # on narrow screens the right one stands below the left one
+        for axis in np.reshape(axes, (rows, columns))[:, 1]:
+            axis.tick_params(labelleft=True)
+    return figure, axes
 
 
 def log_ticks(axes: Any, which: Literal["x", "y"], ticks: Iterable[float] | None = None) -> None:

@@ -111,7 +111,7 @@ def test_no_colour_for_no_wavelength(wavelength):
 
 @pytest.mark.parametrize(
     ("columns", "options", "halves"),
-    [(2, {}, 2), (2, {"sharey": True}, 0), (3, {}, 0)],
+    [(2, {}, 2), (2, {"sharey": True}, 2), (3, {}, 0)],
     ids=["two", "one scale", "three"],
 )
 def test_two_panels_may_stand_one_above_the_other(columns, options, halves):
