@@ -1,6 +1,6 @@
 """What it costs that star frames go through ``mi.render`` of a scene: beside the bare tracer on the same stars.
 
-Run from the repository root: ``python benchmarks/scene.py`` (about a minute); ``--repeat N`` for more pairs of frames.
+Run from the repository root: ``python benchmarks/scene.py`` (two minutes); ``--repeat N`` for more pairs of frames.
 
 Scene: `render.forward.StarRenderer.trace`, one scene kept, stars and attitude handed over through ``mi.traverse`` and
 rendered by ``mi.render``. Tracer: `render.tracing.tracer.Tracer.render`, plain records, no Mitsuba. Both make the same
