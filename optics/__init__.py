@@ -17,7 +17,7 @@ optics.lens_file            `load_lens`, `list_lenses`; `read_lens_file`, `LensF
 optics.lens.system          `LensSystem`, `Surface`
 optics.lens.shapes          `Shape` and its kinds `Plane`, `Sphere`, `Conic`, `EvenAsphere`
 optics.lens.perturb         `tilt`, `decentre`, `despace`, `refocus`, `tilt_image`, `change_temperature`,
-                            `change_index`, `change_radius`, `change_conic`, `change_shape`; what moves: an element,
+                            `change_index`, `change_shape` (radius, conic, ...); what moves: an element,
                             surfaces, `ALL_SURFACES`, `EVERYTHING`
 optics.glass.catalogue      `get_glass`, `list_glasses`, `Glass`
 optics.glass.media          `Environment`, `CATALOGUE_AIR`, `VACUUM`

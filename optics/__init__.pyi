@@ -15,9 +15,7 @@ from .glass.media import VACUUM as VACUUM
 from .glass.media import Environment as Environment
 from .lens.perturb import ALL_SURFACES as ALL_SURFACES
 from .lens.perturb import EVERYTHING as EVERYTHING
-from .lens.perturb import change_conic as change_conic
 from .lens.perturb import change_index as change_index
-from .lens.perturb import change_radius as change_radius
 from .lens.perturb import change_shape as change_shape
 from .lens.perturb import change_temperature as change_temperature
 from .lens.perturb import decentre as decentre

@@ -24,9 +24,7 @@ from optics.lens.system import AMBIENT, LensSystem, Surface
 __all__ = [
     "ALL_SURFACES",
     "EVERYTHING",
-    "change_conic",
     "change_index",
-    "change_radius",
     "change_shape",
     "change_temperature",
     "decentre",
@@ -198,56 +196,6 @@ def change_shape(lens: LensSystem, surface: int, name: str, by: float) -> LensSy
     except DomainError as error:
         raise DomainError(f"surface {surface} of lens {lens.name!r}: {error}") from None
     return lens.with_surfaces({index: replace(lens.surfaces[index], shape=shape)})
-
-
-def change_radius(lens: LensSystem, surface: int, by_mm: float) -> LensSystem:
-    """Add to the radius of curvature of one surface.
-
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens.
-    surface : int
-        Index of the surface.
-    by_mm : float
-        What is added [mm].
-
-    Returns
-    -------
-    LensSystem
-        A new lens.
-
-    Raises
-    ------
-    DomainError
-        If the surface is a plane, or the radius would become 0 or change its sign.
-    """
-    return change_shape(lens, surface, "radius_mm", by_mm)
-
-
-def change_conic(lens: LensSystem, surface: int, by: float) -> LensSystem:
-    """Add to the conic constant of one surface; a sphere becomes a conic.
-
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens.
-    surface : int
-        Index of the surface.
-    by : float
-        What is added.
-
-    Returns
-    -------
-    LensSystem
-        A new lens.
-
-    Raises
-    ------
-    DomainError
-        If the surface is a plane.
-    """
-    return change_shape(lens, surface, "conic", by)
 
 
 def change_index(lens: LensSystem, what: What, by: float) -> LensSystem:

@@ -14,9 +14,8 @@ from optics.glass.dispersion import Dispersion
 from optics.lens.perturb import (
     ALL_SURFACES,
     EVERYTHING,
-    change_conic,
     change_index,
-    change_radius,
+    change_shape,
     change_temperature,
     decentre,
     despace,
@@ -54,9 +53,9 @@ PAIRS = {
     "tilt about a point": (lambda s: lambda lens: tilt(lens, "L6", s * 0.3, s * 0.2, pivot_mm=(0.0, 1.0, 20.0))),
     "despace": (lambda s: lambda lens: despace(lens, "L6", s * 0.05)),
     "despace with what follows": (lambda s: lambda lens: despace(lens, "L23", s * 0.05, following=True)),
-    "radius": (lambda s: lambda lens: change_radius(lens, 4, s * 0.01)),
-    "conic": (lambda s: lambda lens: change_conic(lens, 0, s * 0.2)),
-    "conic of a sphere": (lambda s: lambda lens: change_conic(lens, 2, s * 0.2)),
+    "radius": (lambda s: lambda lens: change_shape(lens, 4, "radius_mm", s * 0.01)),
+    "conic": (lambda s: lambda lens: change_shape(lens, 0, "conic", s * 0.2)),
+    "conic of a sphere": (lambda s: lambda lens: change_shape(lens, 2, "conic", s * 0.2)),
     "index": (lambda s: lambda lens: change_index(lens, "L45", s * 1e-3)),
     "focus": (lambda s: lambda lens: refocus(lens, s * 0.05)),
     "image tilt": (lambda s: lambda lens: tilt_image(lens, s * 0.5, s * -0.3)),
@@ -207,9 +206,9 @@ def test_perturbations_that_cannot_be():
     with pytest.raises(ConfigError, match="surfaces 0"):
         tilt(LENS, 99, 0.1)
     with pytest.raises(DomainError, match="plane"):
-        change_radius(LENS, LENS.stop_index, 1.0)
+        change_shape(LENS, LENS.stop_index, "radius_mm", 1.0)
     with pytest.raises(DomainError, match="other side"):
-        change_radius(LENS, 0, -30.0)
+        change_shape(LENS, 0, "radius_mm", -30.0)
     with pytest.raises(DomainError, match="no glass follows"):
         change_index(LENS, 1, 1e-4)
     with pytest.raises(DomainError, match="finite"):
