@@ -88,8 +88,8 @@ class PlaneWaves:
 
     @property
     def highest(self) -> FloatArray:
-        """Highest spatial frequency (s,) along an axis of the images' intensity [cycles/px]."""
-        return self._spans().max((1, 2))
+        """Highest spatial frequency (s, b) along an axis of the images' intensity [cycles/px]."""
+        return self._spans().max(2)
 
     @property
     def lowest_cutoff(self) -> FloatArray:
@@ -206,7 +206,7 @@ def hidden_points(kernel: StarKernel, shade: Shade, pupil: PupilPoints, stars: N
 def phase_changes(
     waves: PlaneWaves, order: tuple[int, int], radius_px: FloatArray | float
 ) -> tuple[FloatArray, FloatArray]:
-    """Largest change of phase along a radius of the pupil [rad], and per radian around it, (s,), over a circle.
+    """Largest change of phase along a radius of the pupil [rad], and per radian around it, (s, b, k), over a circle.
 
     Parameters
     ----------
@@ -219,7 +219,7 @@ def phase_changes(
     """
     mean = np.nan_to_num(waves.mean)[..., None, :]
     lit = (waves.weight > 0.0).reshape(*waves.weight.shape[:3], *order)
-    radial, around = np.zeros(len(lit)), np.zeros(len(lit))
+    radial, around = (np.zeros(lit.shape[:3]) for _ in range(2))
     radius = np.reshape(radius_px, (-1, 1, 1, 1))
     for angle in np.arange(8) * (np.pi / 4.0):
         dx, dy = (radius * f(angle) for f in (math.cos, math.sin))
@@ -227,6 +227,6 @@ def phase_changes(
         phase = 2.0 * np.pi * turns.reshape(lit.shape)
         along = np.where(lit[..., 1:, :] & lit[..., :-1, :], np.abs(np.diff(phase, axis=-2)), 0.0).sum(-2)
         turn = np.where(lit & np.roll(lit, -1, -1), np.abs(np.roll(phase, -1, -1) - phase), 0.0)
-        radial = np.maximum(radial, along.max((1, 2, 3)))
-        around = np.maximum(around, turn.max((1, 2, 3, 4)) * (order[1] / (2.0 * np.pi)))
+        radial = np.maximum(radial, along.max(3))
+        around = np.maximum(around, turn.max((3, 4)) * (order[1] / (2.0 * np.pi)))
     return radial, around

@@ -63,6 +63,8 @@ UNBLURRED_MORE = 2
 misses falls as their number to the power -3/4 (4e-4 of the light by 2^16, below 1e-4 by 2^18)."""
 RIM_BEYOND = 0.25
 """How far the rim of a spot is looked for beyond the rays of the lowest order, in terms of their extent."""
+MEANS_RUNG = 4
+"""Order, counted from the lowest, by which means of bundles whose images are made by waves are found."""
 WIDEST_TRIAL_PX = 200
 """Size of the stamps of a trial; wider spots are left to Sobol points."""
 SHORTEST_PX = 0.25
@@ -395,6 +397,10 @@ class PupilPlanner:
         still: PupilPlan | None,
     ) -> PupilPlan | None:
         """Lowest order that is converged for probe stars; under motion at most that of a camera at rest."""
+        if self.camera.diffraction != "rays":  # rays make no image then
+            fitting = LADDER if self.pupil.exact and mode == "quadrature" else OUTLINE_LADDER
+            order = (ARC_LADDER if mode == "arcs" else fitting)[MEANS_RUNG]
+            return self._planned(mode, order, math.nan, wavelength_nm.shape[1], times)
         if times > 1 and still is None:
             return None
         few = np.ascontiguousarray(wavelength_nm[:, probe_nodes(wavelength_nm.shape[1])])
@@ -428,9 +434,12 @@ class PupilPlanner:
             found = self._converged(seen, few, points, probes, fewer)
         if found is None:
             return None
-        order, error = found
+        return self._planned(mode, *found, wavelength_nm.shape[1], times)
+
+    def _planned(self, mode: str, order: tuple[int, int], error: float, nodes: int, times: int) -> PupilPlan:
+        """A plan of an order."""
         fixed = self.pupil.exact and mode == "quadrature"
-        pupil = staggered(order, wavelength_nm.shape[1], times) if fixed else None
+        pupil = staggered(order, nodes, times) if fixed else None
         return PupilPlan(mode, order[0] * order[1], error, pupil, order)
 
     def _converged(

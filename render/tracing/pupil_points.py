@@ -18,7 +18,15 @@ from numpy.typing import NDArray
 from optics.arrays import FloatArray, IntArray
 from render.engine.jit import dr
 
-__all__ = ["DiskPoints", "OutlinePoints", "PupilPoints", "SobolPoints", "TablePoints", "bounding_outline"]
+__all__ = [
+    "DiskPoints",
+    "OutlinePoints",
+    "PupilPoints",
+    "SobolPoints",
+    "TablePoints",
+    "bounding_outline",
+    "covered_points",
+]
 
 
 BOUNDING_RINGS = (1.0 - 1e-6, 0.8, 0.5, 0.2)
@@ -163,6 +171,17 @@ def bounding_outline(
     weight = np.full(len(ring), 1.0 / len(ring))
     arm = np.concatenate(arms).astype(np.uint32)
     return OutlinePoints(centre, azimuth, radius, radius**2, arm, ring, weight, shadow)
+
+
+def covered_points(order: tuple[int, int], nodes: int, parts: int) -> TablePoints:
+    """Middles of polar cells of equal area, rings x azimuths, or of parts x parts of each, the parts last."""
+    rings, arms = order
+    part = (np.arange(parts) + 0.5) / parts
+    r2 = (np.arange(rings)[:, None, None, None] + part[:, None]) / rings
+    angle = 2.0 * np.pi * (np.arange(arms)[:, None, None] + part) / arms
+    r, angle = np.broadcast_arrays(np.sqrt(r2), angle)
+    points = np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1).reshape(-1, 2)
+    return TablePoints(np.broadcast_to(points, (nodes, *points.shape)), np.full(len(points), 1.0 / len(points)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -192,7 +192,7 @@ class _FieldImages:
                 for q, k in enumerate(which):
                     one = np.zeros(colours)
                     one[k] = 1.0
-                    image = replace(own, field=fine).light((s, b), one, mean - 0.5 * window, window, margin)
+                    image = replace(own, fields=(fine,) * bands).light((s, b), one, mean - 0.5 * window, window, margin)
                     light[b, star, q] = (down @ image @ down.T) * near
         if mirrored:
             light, moment, origin = _unfolded(light, moment, origin, size)

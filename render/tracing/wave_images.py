@@ -21,12 +21,12 @@ from optics.errors import DomainError
 from optics.waves.pupil_field import LARGEST_APERTURE
 from render.camera import Camera
 from render.tracing.kernel import Shade, StarKernel
-from render.tracing.plane_waves import PlaneWaves, hidden_points, phase_changes, trace_waves
-from render.tracing.pupil_points import DiskPoints, PupilPoints, TablePoints
+from render.tracing.plane_waves import PlaneWaves, RayArrays, hidden_points, phase_changes, trace_waves
+from render.tracing.pupil_points import DiskPoints, PupilPoints, covered_points
 from render.tracing.wave_series import WaveSeries, azimuths
 from render.tracing.wave_windows import FieldSampling, window_light, window_samples
 
-__all__ = ["WING", "KeptLight", "RayMoments", "Trail", "WaveGroup", "WaveImages", "WaveStamps", "covered_points"]
+__all__ = ["WING", "KeptLight", "RayMoments", "Trail", "WaveGroup", "WaveImages", "WaveStamps"]
 
 
 WING = 2e-5
@@ -89,9 +89,9 @@ class Summands:
         Traced; the stars' mean, light and variance are theirs.
     radius_px : float
         Of the stamps.
-    field : FieldSampling
-        How light is sampled.
-    order : (int, int)
+    fields : tuple of FieldSampling
+        How light is sampled, in every band.
+    order : (s, b, k, 2)
         Rings and azimuths of the sum.
     mode : str
         How the pupils were sampled.
@@ -102,8 +102,8 @@ class Summands:
     stars: IntArray
     waves: PlaneWaves
     radius_px: float
-    field: FieldSampling
-    order: tuple[int, int]
+    fields: tuple[FieldSampling, ...]
+    order: IntArray
     mode: str
     series: WaveSeries | None
 
@@ -111,8 +111,14 @@ class Summands:
         self, at: tuple[int, int], shares: FloatArray, corner_px: FloatArray, window_px: float, pad_px: float
     ) -> NDArray[np.float32]:
         """Light of one star and band on samples of a window (`render.tracing.wave_windows.window_light`)."""
-        rays = partial(self.waves.rays, at) if self.series is None else partial(self.series.rays, at, self.order)
-        return window_light(rays, shares, corner_px, window_px, self.field, pad_px=pad_px)
+        return window_light(partial(self._rays, at), shares, corner_px, window_px, self.fields[at[1]], pad_px=pad_px)
+
+    def _rays(self, at: tuple[int, int], colour: int) -> RayArrays:
+        """Rays of one star, band and wavelength."""
+        if self.series is None:
+            return self.waves.rays(at, colour)
+        count, arms = self.order[*at, colour].tolist()
+        return self.series.rays(at, (count, arms), colour)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -315,16 +321,23 @@ class WaveImages:
         radius, field, order = self._needs(probe, radius_px)
         series = None if group.turns is None else WaveSeries.of(waves, PROBE_ORDER, group.turns(PROBE_ORDER[0]))
         resolved = np.zeros(len(radius), np.bool_) if series is None else series.resolved
-        keys = list(zip(radius.tolist(), field.tolist(), map(tuple, order.tolist()), resolved.tolist(), strict=True))
+        keys = list(zip(radius.tolist(), map(tuple, field.tolist()), resolved.tolist(), strict=True))
         for key in sorted(set(keys)):
             alike = np.array([one == key for one in keys])
-            needs = key[0], FieldSampling(key[1]), key[2], group.mode
-            if key[3]:
+            fields, few = tuple(FieldSampling(one) for one in key[1]), order[alike]
+            if key[2]:
                 assert series is not None
-                yield Summands(probe.stars[alike], waves.take(alike), *needs, series.take(alike))
+                yield Summands(
+                    probe.stars[alike], waves.take(alike), key[0], fields, few, group.mode, series.take(alike)
+                )
                 continue
-            for stars in self._batches(probe.stars[alike], key[2]):
-                yield Summands(stars, self._traced(group, key[2], stars), *needs, None)
+            for most in np.unique(few.max((1, 2)), axis=0):
+                stars = probe.stars[alike][(few.max((1, 2)) == most).all(1)]
+                count, arms = most.tolist()
+                for part in self._batches(stars, (count, arms)):
+                    traced = self._traced(group, (count, arms), part)
+                    every = np.broadcast_to(most, (len(part), *few.shape[1:]))
+                    yield Summands(part, traced, key[0], fields, every, group.mode, None)
 
     def common_needs(self, probes: list[Probe]) -> tuple[int, FieldSampling]:
         """Radius [px] and sampling that serve all stars of probes."""
@@ -338,7 +351,7 @@ class WaveImages:
         return (stars[i : i + step] for i in range(0, len(stars), step))
 
     def _needs(self, probe: Probe, radius_px: float | None = None) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Radius of the stamp [px], highest frequency [cycles/px] and order of the quadrature of every star."""
+        """Radius of the stamp (s,) [px], highest frequency (s, b) [cycles/px], order of the quadrature (s, b, k, 2)."""
         waves, stars = probe.waves, probe.stars
         self._check_aperture(waves)
         spot = waves.spot_px
@@ -346,11 +359,11 @@ class WaveImages:
         radius = np.ceil(np.maximum(rings, spot + NEAREST_PX)) if radius_px is None else np.full(len(stars), radius_px)
         self._check_size(stars, spot, radius)
         radial, around = phase_changes(waves, PROBE_ORDER, radius + MARGIN_PX)
-        order = np.stack([radial / 4.0 + 5.0, azimuths(around)], axis=1)
+        order = np.stack([radial / 4.0 + 5.0, azimuths(around)], axis=-1)
         rounded: IntArray = 4 * np.ceil(order / 4.0).astype(np.int64)
         if probe.group.points is None:
             rounded = np.maximum(rounded, COVERED_ORDER)
-        self._check_order(stars, rounded, spot)
+        self._check_order(stars, rounded.max((1, 2)), spot)
         return radius.astype(np.float64), ROUNDING * np.ceil(1.03 * waves.highest / ROUNDING), rounded
 
     def _traced(self, group: WaveGroup, order: tuple[int, int], stars: IntArray) -> PlaneWaves:
@@ -410,14 +423,14 @@ class WaveImages:
         if self.trail is not None:
             rays = rays.along(self.trail, stars)
         kept = None if mode == "cells" else rays
-        count = math.prod(summands.order)
+        count = int(summands.order.prod(-1).max())
         return WaveStamps(stars, np.maximum(pixels, 0.0), corner, rays.mean_px, light, count, mode, kept)
 
     def _window_light(
         self, summands: Summands, at: tuple[int, int], mean_px: FloatArray, window_px: float, box_px: float
     ) -> StarLight:
         """Light of a window about the mean of all of it, with a margin for boxes anywhere in it."""
-        field = summands.field
+        field = summands.fields[at[1]]
         pad = field.pixel(box_px, self.camera.charge_diffusion_px).reach_px
         share = self.share[summands.stars[at[0]], at[1]]
         image = summands.light(at, share, mean_px - 0.5 * window_px, window_px, pad)
@@ -482,14 +495,3 @@ class WaveImages:
                 f"(defocus_mm = {self.camera.defocus_mm:g} mm), or set diffraction = 'rays', which is right for such "
                 "images"
             )
-
-
-def covered_points(order: tuple[int, int], nodes: int, parts: int) -> TablePoints:
-    """Middles of polar cells of equal area, rings x azimuths, or of parts x parts of each, the parts last."""
-    rings, arms = order
-    part = (np.arange(parts) + 0.5) / parts
-    r2 = (np.arange(rings)[:, None, None, None] + part[:, None]) / rings
-    angle = 2.0 * np.pi * (np.arange(arms)[:, None, None] + part) / arms
-    r, angle = np.broadcast_arrays(np.sqrt(r2), angle)
-    points = np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1).reshape(-1, 2)
-    return TablePoints(np.broadcast_to(points, (nodes, *points.shape)), np.full(len(points), 1.0 / len(points)))
