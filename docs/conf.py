@@ -23,6 +23,7 @@ extensions = [
     "api_pages",
     "code_links",
     "mathml",
+    "site_check",
 ]
 exclude_patterns = ["gallery/README.rst", "examples", "**.ipynb_checkpoints"]
 nitpicky = False

@@ -1,7 +1,12 @@
-"""Pictures of the gallery: every matplotlib figure that a script leaves behind, made with pyplot or without."""
+"""Pictures of the gallery: every matplotlib figure that a script leaves behind, made with pyplot or without.
+
+HTML files that it leaves behind (values that are their paths) are shown too, in a frame.
+"""
 
 from __future__ import annotations
 
+from html import escape
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,7 +41,14 @@ def figure_scraper(block: Any, block_vars: dict[str, Any], gallery_conf: dict[st
         paths.append(block_vars["image_path_iterator"].next())
         figure.savefig(paths[-1], dpi=110)
     pyplot.close("all")
-    return figure_rst(paths, gallery_conf["src_dir"])
+    files = [one for one in block_vars["example_globals"].values() if isinstance(one, Path) and one.suffix == ".html"]
+    return figure_rst(paths, gallery_conf["src_dir"]) + "".join(map(_frame, files))
+
+
+def _frame(file: Path) -> str:
+    """The text that shows an HTML file."""
+    content = escape(file.read_text(encoding="utf-8")).replace("\n", "&#10;")
+    return f'\n\n.. raw:: html\n\n    <iframe class="page" title="{file.stem}" srcdoc="{content}"></iframe>\n\n'
 
 
 def _get_sg_image_scraper() -> Any:
