@@ -4,6 +4,7 @@ import ast
 import doctest
 import os
 import re
+import runpy
 import subprocess
 import sys
 from importlib import import_module
@@ -28,6 +29,30 @@ def test_relative_links_lead_to_files(page):
 def test_scripts_and_tests_that_a_page_names_are_there(page):
     named = re.findall(r"\b(?:tests|benchmarks)/[\w/]+\.py", page.read_text(encoding="utf-8"))
     assert [path for path in named if not (ROOT / path).exists()] == []
+
+
+def test_pictures_have_a_text_instead():
+    """Of pages and notebooks; the build looks at those of the gallery and of finished pages."""
+    sources = [*PAGES, *(ROOT / "docs" / "notebooks").glob("*.ipynb"), *(ROOT / "experiments").rglob("*.md")]
+    assert [page.name for page in sources if re.search(r"!\[\s*\]", page.read_text(encoding="utf-8"))] == []
+
+
+def test_faults_of_finished_pages_are_found(tmp_path):
+    """Every fault once, and nothing that is no fault."""
+    (tmp_path / "sub").mkdir()
+    good = '<h1 id="top"></h1><img src="a.png" alt="a"><a href="../index.html#here"></a><a href="https://a.org/b"></a>'
+    (tmp_path / "sub" / "good.html").write_text(good)
+    (tmp_path / "sub" / "a.png").touch()
+    bad = '<p id="here"><img src="sub/a.png" alt=" "><a href="sub/good.html#gone"></a><a href="lost.html"></a>'
+    (tmp_path / "index.html").write_text(f'{bad}<a href="http://a.org"></a><a href="#here"></a><a href="#no"></a>')
+    faults = runpy.run_path(str(ROOT / "docs" / "_ext" / "site_check.py"))["faults"]
+    assert faults(tmp_path.resolve()) == [
+        "index.html: no text instead of the picture sub/a.png",
+        "index.html: #no leads to no place in that page",
+        "index.html: http://a.org is no https address",
+        "index.html: lost.html leads to no file",
+        "index.html: sub/good.html#gone leads to no place in that page",
+    ]
 
 
 def scripts(page):

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
-from docutils import nodes
-from sphinx.application import Sphinx
-from sphinx.util import logging
+if TYPE_CHECKING:  # the pages can be judged without Sphinx
+    from docutils import nodes
+    from sphinx.application import Sphinx
 
-LOGGER = logging.getLogger(__name__)
 SKIPPED = ("_static", "_modules")
 
 
@@ -74,6 +74,8 @@ def _fault(path: Path, link: str, pages: dict[Path, Page]) -> str:
 
 def name_thumbnails(app: Sphinx, doctree: nodes.document) -> None:
     """Say of a picture of the gallery's index what it is a picture of: the title of its script."""
+    from docutils import nodes
+
     for picture in doctree.findall(nodes.image):
         if not picture.get("alt") and "_thumb" in picture["uri"]:
             words = " ".join(Path(picture["uri"]).stem.removeprefix("sphx_glr_plot_").split("_")[1:-1])
@@ -82,9 +84,11 @@ def name_thumbnails(app: Sphinx, doctree: nodes.document) -> None:
 
 def check(app: Sphinx, exception: Exception | None) -> None:
     """Warn of every fault of the finished pages."""
+    from sphinx.util import logging
+
     if exception is None and app.builder.format == "html":
         for fault in faults(Path(app.outdir).resolve()):
-            LOGGER.warning("%s", fault)
+            logging.getLogger(__name__).warning("%s", fault)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
