@@ -9,7 +9,7 @@ field) there is none, and every star is summed by itself.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -25,8 +25,9 @@ from render.tracing.planning import PupilPlanner
 from render.tracing.pupil_points import TablePoints
 from render.tracing.wave_grid import WaveGrid, chebyshev
 from render.tracing.wave_images import LARGEST_RADIUS_PX, WaveGroup, WaveImages
+from render.tracing.wave_polar import turning_shapes
 from render.tracing.wave_spectrum import picked_wavelengths
-from render.tracing.wave_windows import COARSE_REACH_PX, coarser, window_samples
+from render.tracing.wave_windows import COARSE_REACH_PX, FieldSampling, coarser, window_samples
 
 __all__ = ["TOLERANCE", "WING_PX", "build_grid", "worth_a_grid"]
 
@@ -35,6 +36,10 @@ TOLERANCE = 1e-4
 """Largest error of a pixel [share of the light], and of the centroid in a window of 13 x 13 px [px]."""
 SIZES = (5, 7, 9, 11, 13, 15)
 """Points along either side that are tried."""
+RADIAL_SIZES = (10, 14, 18, 22, 26, 32, 40)
+"""The same along a diameter of the field of a lens of revolution, and on what apertures leave of a radius beyond."""
+FIRST_KINKED, CUT_STEPS = 2, 32
+"""Which of them is the first where apertures cut beams; steps of the search for where they begin, twice."""
 GAIN = 4.0
 """By how much the next size lowers the error, at least; sizes that would not do are passed over."""
 LEAST_STARS = 12
@@ -46,10 +51,14 @@ PROBES = 6
 COMPONENT = 5e-6
 """Error that principal components may leave in images of the coarsest grid, as a share of the light; finer grids weigh
 their images with larger numbers of both signs."""
+PIXEL_BLUR_PX = 0.14
+"""Standard deviation of a Gaussian that leaves at least as much of fine structure as a pixel does."""
 MOST_IMAGES = 1900
 """Images of a band that a grid is made of, whose matrix of products is still cheap."""
 WING_PX = 30.0
 """How far beside the detector a star may be for its image to be rendered; so far the grid reaches."""
+CENTRED = 0.05
+"""How far beside the axis the middle of the field may lie, in terms of its size, to be taken to be there."""
 SYMMETRIC_PX = 1e-6
 """Difference of rays from mirrored ones below which a quarter of the field tells the rest."""
 
@@ -81,16 +90,58 @@ def build_grid(
         Of the images.
     """
     field = _FieldImages(planner, wavelength_nm, collimation, least_radius_px)
-    mirrored = field.symmetric()
-    at, last = 0, len(SIZES) - 1
+    sizes: tuple[int, ...] = SIZES
+    made, at = field.grid, 0
+    if field.kink < 1.0:
+        sizes, made, at = RADIAL_SIZES, field.radial, FIRST_KINKED
     while True:
-        grid = field.grid(SIZES[at], mirrored)
+        grid = made(sizes[at])
         if grid is None:
             return None
         error = max(grid.error, grid.error_px) / TOLERANCE
-        if error < 1.0 or at == last:
+        if error < 1.0 or at == len(sizes) - 1:
             return grid if error < 1.0 else None
-        at = min(last, at + math.ceil(math.log(max(error, 1.01)) / math.log(GAIN)))
+        if field.turned and sizes is SIZES:
+            sizes, made, at = RADIAL_SIZES, field.radial, -1
+        at = min(len(sizes) - 1, at + math.ceil(math.log(max(error, 1.01)) / math.log(GAIN)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Summed:
+    """Images at f places, of q wavelengths in b bands.
+
+    Attributes
+    ----------
+    light : (b, f, q, i, i) float32
+        On samples.
+    moment, origin : (f, b, q, 6), (f, b, 2)
+        As `WaveGrid.moment` and `WaveGrid.origin_px`.
+    radius_px : int
+        Of the stamps.
+    field : FieldSampling
+        Sampling.
+    samples_px : (i,)
+        Samples about the middle.
+    spectral : (b, k, q)
+        As `WaveGrid.spectral`.
+    judges : list of (j,)
+        Wavelengths of each band by which a grid is judged.
+    """
+
+    light: NDArray[np.float32]
+    moment: FloatArray
+    origin: FloatArray
+    radius_px: int
+    field: FieldSampling
+    samples_px: FloatArray
+    spectral: FloatArray
+    judges: list[IntArray]
+
+    def seen(self, diffusion_px: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """What makes pixels about the samples of them (i, i), and which of them lie on the stamp."""
+        kernel, samples = self.field.pixel(1.0, diffusion_px), self.samples_px
+        smoothing = (kernel(samples[:, None] - samples) * self.field.light_step).astype(np.float32)
+        return smoothing, np.hypot(samples, samples[:, None]) <= self.radius_px
 
 
 class _FieldImages:
@@ -103,6 +154,9 @@ class _FieldImages:
         self.wavelength_nm, self.least_radius_px = wavelength_nm, least_radius_px
         self.focal_px = IdealLens.of(self.camera).focal_px
         self.middle, self.half = self._extent()
+        self.reach = float(np.hypot(*(np.abs(self.middle) + self.half)))
+        self.mirrored, self.turned = self._symmetry()
+        self.kink = self._first_cut() if self.turned else 1.0
 
     def _direction(self, place: FloatArray) -> FloatArray:
         direction = np.column_stack([place, np.ones(len(place))])
@@ -121,28 +175,43 @@ class _FieldImages:
             landed = np.stack([chiefs.x_px.mean(1), chiefs.y_px.mean(1)], axis=-1)
             place = place + np.nan_to_num((edge - landed) / self.focal_px)
         low, high = place.min(0), place.max(0)
-        middle = np.where(np.abs(low + high) * self.focal_px < 0.1, 0.0, 0.5 * (low + high))
+        middle = np.where(np.abs(low + high) < CENTRED * (high - low), 0.0, 0.5 * (low + high))
         return middle, np.maximum(high - middle, middle - low) * (1.0 + 1e-3)
 
-    def symmetric(self) -> bool:
-        """Whether rays of mirrored fields are mirrored ones."""
-        if np.abs(self.middle).max() > 0.0 or self.collimation is not None:
-            return False
-        place = self.half * np.array([(0.8, 0.55), (-0.8, 0.55), (0.8, -0.55), (-0.8, -0.55)])
+    def _symmetry(self) -> tuple[bool, bool]:
+        """Whether rays of mirrored fields are mirrored ones, and whether those of turned fields are turned ones."""
+        if self.collimation is not None:
+            return False, False
+        angle = np.pi / 8.0 * np.array([1, 7, -1, -7, 0, 4])  # by which the points of the disk are turned onto others
+        place = 0.8 * self.half.max() * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         ends = self.wavelength_nm[:, [0, -1]]
         disk = gauss_disk(4, 16)
         points = np.broadcast_to(np.column_stack([disk.x, disk.y]), (2, len(disk.x), 2))
         kernel = self.planner.kernel(self._direction(place))
         x, y, arrived = kernel.land(TablePoints(points, disk.weight), ends)
-        centre = self.camera.centre_px
         weight = np.where(arrived, disk.weight, 0.0)
-        offset = [np.where(arrived, v - c, 0.0) for v, c in zip((x, y), centre, strict=True)]
-        sums = [(weight * offset[0] ** i * offset[1] ** j).sum(-1) for i, j in ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2))]
-        reach = [1.0, 1.0, 1.0, *(2.0 * np.abs(v).max() + 1.0 for v in offset)]
-        for one, scale in zip(sums, reach, strict=True):
-            if np.abs(np.abs(one) - np.abs(one[:1])).max() > SYMMETRIC_PX * scale:
-                return False
-        return True
+        x, y = (np.where(arrived, v - c, 0.0) for v, c in zip((x, y), self.camera.centre_px, strict=True))
+        cos, sin = (f(angle)[:, None, None, None] for f in (np.cos, np.sin))
+        mirrored = not np.abs(self.middle).max() > 0.0 and _alike(weight[:4], x[:4], y[:4])
+        return mirrored, _alike(weight, cos * x + sin * y, cos * y - sin * x)
+
+    def _first_cut(self) -> float:
+        """Part of the radius of the farthest corner beyond which apertures cut the beams of stars; 1 if none do."""
+        low, high = 0.0, 1.0
+        for _ in range(2):
+            steps = np.linspace(low, high, CUT_STEPS + 1)
+            paths = at_rest(self._direction(self.reach * np.stack([steps, np.zeros_like(steps)], axis=-1)))
+            seen = self.planner.seen(paths, self.wavelength_nm)
+            chiefs = self.planner.chiefs(seen.mid, self.wavelength_nm)
+            cut = np.ones(len(steps), np.bool_)
+            for group in self.planner.wave_groups(seen, self.wavelength_nm, chiefs, np.arange(len(steps))):
+                if group.mode == "quadrature":
+                    cut[group.members] = False
+            first = int(np.argmax(cut))
+            if not cut.any() or first == 0:
+                return 1.0
+            low, high = float(steps[first - 1]), float(steps[first])
+        return low if low > 0.0 else 1.0
 
     def exact(self, place: FloatArray, share: FloatArray) -> tuple[WaveImages, list[WaveGroup], FloatArray, FloatArray]:
         """Images of stars whose directions have these tangents (n, 2), their groups, chief rays and entrances."""
@@ -155,12 +224,65 @@ class _FieldImages:
         chief = np.where(chiefs.blocked[..., None], np.nan, np.stack([chiefs.x_px, chiefs.y_px], axis=-1))
         return images, groups, chief, np.where(np.isnan(entrance), 1.0, entrance)
 
-    def grid(self, size: int, mirrored: bool) -> WaveGrid | None:
+    def grid(self, size: int) -> WaveGrid | None:
         """A grid with its errors; None for a lens or field without one. Mirrored: from a quarter of the field."""
         points = chebyshev(size)
-        first = size // 2 if mirrored else 0
+        first = size // 2 if self.mirrored else 0
         place = self.middle + self.half * np.stack(np.meshgrid(points[first:], points[first:]), axis=-1).reshape(-1, 2)
+        found = self._summed(place, size / SIZES[0], size**2)
+        if found is None:
+            return None
+        light, moment, origin = found.light, found.moment, found.origin
+        if self.mirrored:
+            light, moment, origin = _unfolded(light, moment, origin, size)
+        smoothing, disk = found.seen(self.camera.charge_diffusion_px)
+        limit = COMPONENT * (SIZES[0] / size) ** 2
+        step, side = found.field.light_step, light.shape[-1]
+        parts = [_components(one.reshape(-1, side, side), smoothing, disk, step, limit) for one in light]
+        return self._judged(self._made(found, points, moment, origin, parts), found.judges)
+
+    def radial(self, size: int) -> WaveGrid | None:
+        """The same for a lens of revolution, from half as many points along a radius."""
+        half = size // 2
+        inner = self.kink * chebyshev(size)
+        outer = self.kink + (1.0 - self.kink) * 0.5 * (1.0 + chebyshev(size))
+        points = np.concatenate([inner, outer]) if self.kink < 1.0 else inner
+        place = np.stack([self.reach * points[half:], np.zeros(len(points) - half)], axis=-1)
+        found = self._summed(place, 1.0, len(place))
+        if found is None:
+            return None
+        bands, _, most, side, _ = found.light.shape
+        blur_px = math.hypot(PIXEL_BLUR_PX, self.camera.charge_diffusion_px)
+        parts: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
+        orders: list[IntArray] = []
+        for light in found.light:
+            shapes = turning_shapes(
+                light.reshape(-1, side, side), found.samples_px, found.field, blur_px, 2.0 * COMPONENT
+            )
+            near_by = shapes.value.reshape(len(place), most, -1)
+            every = np.concatenate([near_by[:half][::-1] * (-1.0) ** shapes.order, near_by]).astype(np.float32)
+            parts.append((every.reshape(len(points) * most, -1), shapes.shape))
+            orders.append(shapes.order)
+        kept = max(len(order) for order in orders)
+        order = np.zeros((bands, kept), np.int64)
+        for b, (value, shape) in enumerate(parts):
+            count = len(orders[b])
+            order[b, :count] = orders[b]
+            both = np.zeros((2, kept, side, side), np.float32)
+            both[:, :count] = shape
+            parts[b] = value, both.reshape(2 * kept, side, side)
+        moment, origin = (np.concatenate([v[:half][::-1], v]) for v in (found.moment, found.origin))
+        moment[:half, ..., 2] *= -1.0
+        origin[:half, ..., 0] *= -1.0
+        return self._judged(self._made(found, points, moment, origin, parts, order), found.judges)
+
+    def _summed(self, place: FloatArray, finer: float, points: int) -> _Summed | None:
+        """Images at places of the field; None for a lens or field without a grid of so many points."""
         bands, colours = self.wavelength_nm.shape
+        picked = [picked_wavelengths(band, finer) for band in self.wavelength_nm]
+        most = max(len(which) for which, _, _ in picked)
+        if most * points > MOST_IMAGES:
+            return None
         images, groups, chief, entrance = self.exact(place, np.full((len(place), bands, colours), 1.0 / colours))
         probes = [probe for group in groups for probe in images.probes(group)]
         if any(probe.group.points is None for probe in probes) or not np.isfinite(chief).all():
@@ -174,12 +296,7 @@ class _FieldImages:
         samples = window_samples(field, window, pad) - 0.5 * window
         near = np.hypot(samples, samples[:, None]) <= radius + pad + 0.5
         down, margin = coarser(fine, field, window, pad), pad + COARSE_REACH_PX
-        picked = [picked_wavelengths(band, size / SIZES[0]) for band in self.wavelength_nm]
-        most = max(len(which) for which, _, _ in picked)
-        if most * size**2 > MOST_IMAGES:
-            return None
-        count = len(samples)
-        light = np.zeros((bands, len(place), most, count, count), np.float32)
+        light = np.zeros((bands, len(place), most, len(samples), len(samples)), np.float32)
         moment, origin = np.zeros((len(place), bands, most, 6)), np.zeros((len(place), bands, 2))
         for own in (one for probe in probes for one in images.summands(probe, radius)):
             if not (own.waves.weight.sum(-1) > 0.0).all():
@@ -194,43 +311,42 @@ class _FieldImages:
                     one[k] = 1.0
                     image = replace(own, fields=(fine,) * bands).light((s, b), one, mean - 0.5 * window, window, margin)
                     light[b, star, q] = (down @ image @ down.T) * near
-        if mirrored:
-            light, moment, origin = _unfolded(light, moment, origin, size)
-        kernel = field.pixel(1.0, self.camera.charge_diffusion_px)
-        smoothing = (kernel(samples[:, None] - samples) * field.light_step).astype(np.float32)
-        disk = np.hypot(samples, samples[:, None]) <= radius
-        parts = [
-            _components(
-                light[b].reshape(-1, count, count),
-                smoothing,
-                disk,
-                field.light_step,
-                COMPONENT * (SIZES[0] / size) ** 2,
-            )
-            for b in range(bands)
-        ]
-        kept = max(len(component) for _, component in parts)
-        coefficient = np.zeros((bands, size**2, most, kept), np.float32)
-        component = np.zeros((bands, kept, count, count), np.float32)
         spectral = np.zeros((bands, colours, most))
+        for b, (which, _, weight) in enumerate(picked):
+            spectral[b, :, : len(which)] = weight
+        return _Summed(light, moment, origin, radius, field, samples, spectral, [judges for _, judges, _ in picked])
+
+    def _made(
+        self,
+        found: _Summed,
+        points: FloatArray,
+        moment: FloatArray,
+        origin: FloatArray,
+        parts: list[tuple[NDArray[np.float32], NDArray[np.float32]]],
+        order: IntArray | None = None,
+    ) -> WaveGrid:
+        """The grid of moments and origins at all points, of coefficients and components of every band."""
+        (_, bands, most, _), side = moment.shape, found.light.shape[-1]
+        coefficient = np.zeros((bands, len(moment), most, max(value.shape[1] for value, _ in parts)), np.float32)
+        component = np.zeros((bands, max(len(shapes) for _, shapes in parts), side, side), np.float32)
         for b, (values, shapes) in enumerate(parts):
-            coefficient[b, ..., : len(shapes)] = values.reshape(size**2, most, -1)
+            coefficient[b, ..., : values.shape[1]] = values.reshape(len(moment), most, -1)
             component[b, : len(shapes)] = shapes
-            spectral[b, :, : len(picked[b][0])] = picked[b][2]
-        grid = WaveGrid(
+        return WaveGrid(
             camera=self.camera,
             points=points,
             middle=self.middle,
             half=self.half,
-            radius_px=radius,
-            field=field,
-            spectral=spectral,
+            radius_px=found.radius_px,
+            field=found.field,
+            spectral=found.spectral,
             origin_px=origin,
             moment=moment,
             coefficient=coefficient,
             component=component,
+            order=order,
+            kink=self.kink,
         )
-        return self._judged(grid, [judges for _, judges, _ in picked])
 
     def _judged(self, grid: WaveGrid, judges: list[IntArray]) -> WaveGrid | None:
         """The grid with its errors at places between its points, of single wavelengths."""
@@ -259,6 +375,17 @@ class _FieldImages:
             mean = float(np.abs(ours.mean_px - exact.mean_px).max(initial=0.0))
             worst_px = max(worst_px, float(np.abs(first).max(initial=0.0)), mean)
         return replace(grid, error=worst, error_px=worst_px)
+
+
+def _alike(weight: FloatArray, x_px: FloatArray, y_px: FloatArray) -> bool:
+    """Whether moments of the rays (n, b, k, p) of n stars differ by no more than their signs."""
+    reach = [2.0 * float(np.abs(v).max()) + 1.0 for v in (x_px, y_px)]
+    scales = ((0, 0), 1.0), ((1, 0), 1.0), ((0, 1), 1.0), ((2, 0), reach[0]), ((0, 2), reach[1])
+    for (i, j), scale in scales:
+        sums = np.abs((weight * x_px**i * y_px**j).sum(-1))
+        if np.abs(sums - sums[:1]).max() > SYMMETRIC_PX * scale:
+            return False
+    return True
 
 
 def _ray_moments(waves: PlaneWaves, chief_px: FloatArray, entrance: FloatArray) -> FloatArray:

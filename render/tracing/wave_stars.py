@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -29,9 +30,11 @@ __all__ = ["WaveStars", "check_lit"]
 
 
 GRIDS, GRID_BATCH = 4, 256
-"""Grids of images (of other wavelengths) that are kept; stars that are interpolated at a time."""
+"""Grids of images (of other cameras or wavelengths) that are kept; stars that are interpolated at a time."""
 SPREAD = 0.25
 """Part of the detector that stars must spread over for a grid over all of it."""
+
+_grids: dict[tuple[bytes, bytes, bytes, float], WaveGrid | None] = {}
 
 
 def check_lit(place: FloatArray) -> None:
@@ -48,7 +51,8 @@ def _state(wavelength_nm: FloatArray, collimation: Collimation | None) -> tuple[
 class WaveStars:
     """Adds diffraction images of stars to images of one camera.
 
-    Grids of images are kept between star fields, and the light of the stars of the last one for their PSFs.
+    Grids of images are kept between star fields, and shared by all tracers of equal cameras: those that render, and
+    those that make PSFs. The light of the stars of the last field is kept for their PSFs.
 
     Parameters
     ----------
@@ -58,7 +62,7 @@ class WaveStars:
 
     def __init__(self, planner: PupilPlanner) -> None:
         self.planner, self.camera = planner, planner.camera
-        self._grids: dict[tuple[bytes, bytes, float], WaveGrid | None] = {}
+        self._camera_state = pickle.dumps(replace(self.camera, rotation_cam_from_world=np.eye(3), response=None))
         self._known: tuple[tuple[bytes, bytes], KeptLight] = (b"", b""), {}
 
     def add_by_grid(
@@ -124,7 +128,10 @@ class WaveStars:
         radius_px = float(math.ceil(math.sqrt(0.5) * (2 * half_size_px + 1)))
         if self.camera.diffraction == "waves" and worth_a_grid(light.wavelength_nm, len(light.electrons)):
             chief = np.stack([chiefs.x_px, chiefs.y_px], axis=-1)
-            grid = self._grid(light.wavelength_nm, seen.paths.collimation, radius_px) if self._spread(chief) else None
+            by = light.wavelength_nm, seen.paths.collimation
+            grid = self._grid(*by, 0.0) if self._spread(chief) else None  # that of the images serves, if it is as large
+            if grid is not None and grid.radius_px < radius_px:
+                grid = self._grid(*by, radius_px)
             if grid is not None and grid.holds(seen.paths.mid).all() and not chiefs.blocked.any():
                 return grid.cells(seen.paths.mid, light.share, chief, half_size_px, cells_per_px)
         light = self._condensed(light, seen)
@@ -148,12 +155,12 @@ class WaveStars:
 
     def _grid(self, wavelength_nm: FloatArray, collimation: Collimation | None, radius_px: float) -> WaveGrid | None:
         """The grid of images at these wavelengths, at least as large as a radius; None if there is none."""
-        key = *_state(wavelength_nm, collimation), radius_px
-        if key not in self._grids:
-            while len(self._grids) >= GRIDS:
-                self._grids.pop(next(iter(self._grids)))
-            self._grids[key] = build_grid(self.planner, wavelength_nm, collimation, radius_px)
-        return self._grids[key]
+        key = self._camera_state, *_state(wavelength_nm, collimation), radius_px
+        if key not in _grids:
+            while len(_grids) >= GRIDS:
+                _grids.pop(next(iter(_grids)))
+            _grids[key] = build_grid(self.planner, wavelength_nm, collimation, radius_px)
+        return _grids[key]
 
     def _condensed(self, light: Light, seen: Seen) -> Light:
         """Light of as few wavelengths as tell the images of all, unless none may be interpolated."""

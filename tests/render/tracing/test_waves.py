@@ -182,19 +182,21 @@ def test_effective_psf_is_what_the_renderer_puts_into_pixels(engine):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "focal_mm", "change"),
+    ("name", "focal_mm", "change", "size_px"),
     [
-        ("star_camera_206mm", 206.2, lambda lens: lens),
-        ("star_camera_206mm", 206.2, lambda lens: decentre(lens, "L2", 0.15, -0.1)),
-        ("star_tracker_26mm", 26.0, lambda lens: lens),
+        ("star_camera_206mm", 206.2, lambda lens: lens, (900, 700)),
+        ("star_camera_206mm", 206.2, lambda lens: lens, (4096, 2048)),
+        ("star_camera_206mm", 206.2, lambda lens: decentre(lens, "L2", 0.15, -0.1), (900, 700)),
+        ("star_tracker_26mm", 26.0, lambda lens: lens, (900, 700)),
     ],
 )
-def test_images_interpolated_over_the_field_are_those_of_every_star(engine, name, focal_mm, change):
-    """Also those of a lens that is not one of revolution, for which mirrored images would be wrong."""
+def test_images_interpolated_over_the_field_are_those_of_every_star(engine, name, focal_mm, change, size_px):
+    """Also those of a lens that is not one of revolution, for which mirrored or turned images would be wrong."""
     lens = change(load_lens(name))
-    camera = camera_of(lens, 900, 700)
+    camera = camera_of(lens, *size_px)
+    camera = replace(camera, centre_px=camera.centre_px + np.array([1.7, -2.4]))
     rng = np.random.default_rng(5)
-    x, y = rng.uniform(60.0, 840.0, 16), rng.uniform(60.0, 640.0, 16)
+    x, y = (rng.uniform(60.0, size - 60.0, 16) for size in size_px)
     wave = np.array([560.0, 680.0])
     direction = camera.nominal_direction(x, y, focal_mm)
     stars = StarField(
