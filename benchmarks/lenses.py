@@ -40,13 +40,16 @@ OWN = {  # spots that a window of the centroider holds
 }
 LARGE = ("instrument.width_px=2048", "instrument.height_px=2048")
 PLEIADES = ("pointing.kind=cone", "pointing.ra_deg=56.75", "pointing.dec_deg=24.12", "pointing.radius_deg=0.1")
-CHROMATIC = {"hubble_57m": ("decentre.wanted_px=0",)}  # mirrors have no colour, however they move
+CHROMATIC = {  # mirrors have no colour, however they move, and nearly afocal menisci little
+    "hubble_57m": ("decentre.wanted_px=0",),
+    "maksutov_1300mm": ("decentre.wanted_px=0.02",),
+}
 DATASET = {  # enough stars
     "catadioptric_425mm": (*LARGE, *PLEIADES),
     "maksutov_1300mm": PLEIADES,
     "star_camera_206mm": LARGE,
 }
-LIMIT_S = 300
+LIMIT_S = 900
 
 
 def of_the_lens(name: str) -> list[str]:

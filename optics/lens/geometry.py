@@ -65,11 +65,30 @@ def _image_plane(lens: LensSystem, names: Sequence[str] | None) -> list[str]:
     last = lens.surfaces[at]
     behind = float((lens.image_position_mm - last.position_mm) @ lens.axis[-1])
     if behind > 0.0:
-        return []
+        return _past_the_image(lens, at, behind, _name(names, at))
     what = "the stop" if last.is_stop else f"{_name(names, at)}, the last,"
     return [
         f"the image plane lies {-behind:g} mm in front of {what}; it must lie behind it: check stop.z_mm and the "
         "thicknesses"
+    ]
+
+
+def _past_the_image(lens: LensSystem, number: int, behind_mm: float, name: str) -> list[str]:
+    """The last surface has to end before the image plane where the light of the axis meets it."""
+    last, stop, height = lens.surfaces[number], lens.surfaces[lens.stop_index], axial_ray(lens)[0]
+    upright = last.shape.rotational and np.array_equal(last.rotation, lens.image_rotation)
+    if not upright or height[lens.stop_index] == 0.0 or not math.isfinite(stop.semi_diameter_mm):
+        return []
+    light_mm = abs(stop.semi_diameter_mm * height[number] / height[lens.stop_index])
+    x = np.linspace(0.0, min(light_mm, last.semi_diameter_mm), HEIGHTS)
+    with np.errstate(all="ignore"):
+        sag = last.shape.sag(x, 0.0 * x) * float(lens.axis[-1] @ last.rotation[:, 2])
+    past = ~(sag < behind_mm)
+    if not past.any():
+        return []
+    return [
+        f"{name}, the last, reaches the image plane, {behind_mm:g} mm behind its vertex, {x[past][0]:.4g} mm from the "
+        "axis already, within the light: check its radius and the coefficients of its asphere"
     ]
 
 
@@ -90,7 +109,8 @@ def crossings(lens: LensSystem, names: Sequence[str] | None = None) -> list[Cros
         if distance is None or not math.isfinite(radius):
             continue
         height = np.linspace(0.0, radius, HEIGHTS)
-        gap = distance + other.shape.sag(height, 0.0 * height) - one.shape.sag(height, 0.0 * height)
+        with np.errstate(all="ignore"):  # powers of an absurd asphere
+            gap = distance + other.shape.sag(height, 0.0 * height) - one.shape.sag(height, 0.0 * height)
         if not np.isfinite(gap).all():
             words = f"{_name(names, i)} or {_name(names, j)} does not reach its rim at {radius:g} mm"
         elif gap.min() < -TOUCHING_MM:

@@ -84,6 +84,7 @@ def loaded(tmp_path, text):
         ("= 7.5", "= 15.0", r"surfaces 5 and 6 cross: at 15 mm .* N-SK16 between them would be -6\.2"),
         ("= 3.9", "= 100.0", r"surface 4, has semi_diameter_mm = 100 mm, .* surface 2 leaves only 4\.9"),
         ("= 22.0", "= 22.0\nasphere = [1.0]", r"surfaces 0 and 1 cross"),
+        ("= -18.4", "= -18.4\nasphere = [1.0]", r"surface 6, the last, reaches the image plane, 42\.2 mm"),
         ("= 3.26", "= true", r"surface\.0\.thickness_mm = True: a number is needed"),
         ("= 22.0", "= '22.0'", r"surface\.0\.radius_mm = '22\.0': a number is needed"),
         ("stop = true", "stop = 'yes'", r"surface\.4\.stop = 'yes': true or false is needed"),
