@@ -17,7 +17,7 @@ import numpy as np
 from optics.errors import ConfigError, StarbenchError, unknown_name
 from optics.files.assemble import FileDefaults, Imported
 from optics.files.draft import Row
-from optics.files.read import SUFFIXES, Reading, import_lens, split_configuration
+from optics.files.read import FOREIGN, Reading, import_lens, split_configuration
 from optics.files.report import ImportReport, ReportLine, Status
 from optics.glass.catalogue import list_glasses
 from optics.glass.media import CATALOGUE_AIR, Environment
@@ -88,7 +88,7 @@ def lens_path(name_or_path: str | Path) -> Path:
     builtin, text = _builtin(), str(name_or_path)
     if text in builtin:
         return builtin[text]
-    if "/" in text or text.lower().endswith((".toml", *SUFFIXES)):
+    if "/" in text or text.lower().endswith((".toml", *FOREIGN)):
         return Path(text)
     raise unknown_name("lens", text, builtin)
 
@@ -164,7 +164,7 @@ def read_lens_file(
         glasses=glasses or {},
         strict=strict,
     )
-    if path.suffix.lower() in SUFFIXES:
+    if path.suffix.lower() in FOREIGN:
         return _of_program(import_lens(path, reading), path, environment, strict)
     if reading != Reading(strict=strict):
         raise ConfigError(f"{name}: configurations, catalogues and glasses to replace belong to .zmx and .seq files")

@@ -227,5 +227,6 @@ def _attitudes(q: Quantities, evaluation: Evaluation) -> None:
         values = [getattr(one, f"{name}_arcsec") for one in frames]
         key = f"{name}_{{axis}}_arcsec"
         q.add(f"frame_{name}_arcsec", values, label, unit="arcsec", dims="tried axis", key=key, json="")
-    common = float(np.nanmedian([one.common_px for one in frames])) if found.solved else float("nan")
+    judged = [one.common_px for one in frames if np.isfinite(one.common_px)]
+    common = float(np.median(judged)) if judged else float("nan")
     q.add("common_px", common, "Common centroid error, median", unit="px", format=".3f", json="")

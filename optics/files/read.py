@@ -15,7 +15,7 @@ from optics.files.seq import read_seq
 from optics.files.zmx import read_zmx
 from optics.textfile import TextFile, read_text
 
-__all__ = ["SUFFIXES", "Reading", "import_lens", "split_configuration"]
+__all__ = ["FOREIGN", "SUFFIXES", "Reading", "import_lens", "split_configuration"]
 
 SUFFIXES = (".zmx", ".seq")
 """Endings of the lens files of other programs that are read."""
@@ -24,6 +24,9 @@ _CLOSED = {
     ".len": "a binary lens file of CODE V; save it as .seq", ".zos": "a binary file; save it as .zmx",
     ".otx": "a lens file of another program", ".osl": "a lens file of another program",
 }  # fmt: skip
+FOREIGN = (*SUFFIXES, *_CLOSED)
+"""Those, and the endings of files that are refused by what they are."""
+MOST_LINES = 200_000
 
 
 def split_configuration(name: str) -> tuple[str, int | None]:
@@ -55,6 +58,10 @@ def import_lens(path: Path, reading: Reading = Reading()) -> Imported:
     if path.suffix.lower() in _CLOSED:
         raise ConfigError(f"{path}: {_CLOSED[path.suffix.lower()]}; .zmx, .seq and .toml are read")
     text = read_text(path, "a lens file")
+    if len(text.lines) > MOST_LINES:
+        raise ConfigError(
+            f"{path}: {len(text.lines)} lines are too many for a lens file; at most {MOST_LINES} are read"
+        )
     try:
         imported = assemble(_draft(path, text, reading.configuration), reading.catalogues, reading.glasses)
     except StarbenchError as error:

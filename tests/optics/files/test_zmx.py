@@ -9,7 +9,6 @@ import pytest
 
 from optics import load_lens, paraxial, read_lens_file
 from optics.errors import ConfigError
-from optics.files.read import import_lens
 from optics.files.report import Status
 from optics.lens.shapes.even_asphere import EvenAsphere
 from optics.rays.trace import Rays, trace
@@ -336,7 +335,12 @@ def test_files_of_other_kinds_are_told(tmp_path: Path) -> None:
         ("no.zmx", "no such file"),
     ):
         with pytest.raises(ConfigError, match=part):
-            import_lens(tmp_path / name)
+            load_lens(tmp_path / name)
+        with pytest.raises(ConfigError, match=part):
+            load_lens(name)
+    (tmp_path / "long.zmx").write_text("SURF 0\n" * 200_001)
+    with pytest.raises(ConfigError, match="lines are too many"):
+        load_lens(tmp_path / "long.zmx")
     (tmp_path / "folder.zmx").mkdir()
     (tmp_path / "empty.zmx").touch()
     (tmp_path / "noise.zmx").write_bytes(bytes(range(256)) * 64)
