@@ -55,6 +55,14 @@ def test_faults_of_finished_pages_are_found(tmp_path):
     ]
 
 
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "theory").glob("*.md")), ids=lambda page: page.stem)
+def test_every_equation_has_its_source_and_its_function(page):
+    """In the section that it stands in."""
+    sections = re.split(r"^#+ ", page.read_text(encoding="utf-8"), flags=re.M)
+    bare = [text for text in sections if "$$" in text and not ("`" in text and re.search(r"\*Source:|\beq\. \d", text))]
+    assert [text.splitlines()[0] for text in bare] == []
+
+
 def scripts(page):
     """Python blocks of a page."""
     return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.S)
