@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import pickle
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +63,6 @@ class WaveStars:
 
     def __init__(self, planner: PupilPlanner) -> None:
         self.planner, self.camera = planner, planner.camera
-        self._camera_state = pickle.dumps(replace(self.camera, rotation_cam_from_world=np.eye(3), response=None))
         self._known: tuple[tuple[bytes, bytes], KeptLight] = (b"", b""), {}
 
     def add_by_grid(
@@ -161,6 +161,11 @@ class WaveStars:
                 _grids.pop(next(iter(_grids)))
             _grids[key] = build_grid(self.planner, wavelength_nm, collimation, radius_px)
         return _grids[key]
+
+    @cached_property
+    def _camera_state(self) -> bytes:
+        """What images depend on of a camera."""
+        return pickle.dumps(replace(self.camera, rotation_cam_from_world=np.eye(3), response=None))
 
     def _condensed(self, light: Light, seen: Seen) -> Light:
         """Light of as few wavelengths as tell the images of all, unless none may be interpolated."""
