@@ -27,6 +27,8 @@ FINER = 2
 """How much finer than the samples those are between which points of rings are interpolated."""
 ROOM = 1.6
 """How much more rings and azimuths there are than the highest frequency that samples of images are left with needs."""
+BATCH = 32
+"""Images that are taken to rings at a time."""
 TAPS = 6
 """Samples on either side that such a point takes."""
 
@@ -107,16 +109,16 @@ def _to_rings(
     near = BandLimited(field.highest, 1.0 / step - field.highest, (TAPS + 0.5) * step)
     x, y = (ring[:, None] * f(angle) for f in (np.cos, np.sin))
     index, weight = [], []
-    taps = np.arange(-TAPS, TAPS + 1)
+    taps = np.arange(-TAPS, TAPS + 1, dtype=np.int32)
     for place in (x.ravel(), y.ravel()):
-        at = np.rint((place - fine[0]) / step).astype(np.int64)[:, None] + taps
+        at = np.rint((place - fine[0]) / step).astype(np.int32)[:, None] + taps
         index.append(at)
         one = near(at * step + fine[0] - place[:, None])
-        weight.append(one / one.sum(1, keepdims=True))
-    flat = index[1][:, :, None] * len(fine) + index[0][:, None, :]
+        weight.append((one / one.sum(1, keepdims=True)).astype(np.float32))
+    flat = index[1][:, :, None] * np.int32(len(fine)) + index[0][:, None, :]
     value = weight[1][:, :, None] * weight[0][:, None, :]
-    rows = np.arange(0, flat.size + 1, len(taps) ** 2)
-    matrix = csr_array((value.ravel().astype(np.float32), flat.ravel(), rows), shape=(x.size, len(fine) ** 2))
+    rows = np.arange(0, flat.size + 1, len(taps) ** 2, dtype=np.int32)
+    matrix = csr_array((value.ravel(), flat.ravel(), rows), shape=(x.size, len(fine) ** 2))
     return finer, matrix
 
 
@@ -127,8 +129,9 @@ def _series(to_rings: tuple[NDArray[np.float32], csr_array], images: NDArray[np.
     cosine = np.cos(np.outer(angle, np.arange(count))) * (2.0 / count)
     cosine[:, 0] *= 0.5
     result = np.empty((len(images), count, count))
-    for number, image in enumerate(images):
-        result[number] = (matrix @ (finer @ image @ finer.T).ravel()).reshape(count, count) @ cosine
+    for part in (slice(i, i + BATCH) for i in range(0, len(images), BATCH)):
+        fine = np.stack([(finer @ image @ finer.T).ravel() for image in images[part]], axis=1)
+        result[part] = (matrix @ fine).T.reshape(-1, count, count) @ cosine
     return result
 
 
