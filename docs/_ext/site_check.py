@@ -6,6 +6,7 @@ the gallery's index are named after the script that they lead to.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -43,16 +44,16 @@ class Page(HTMLParser):
             self.unnamed.append(given.get("src") or "")
 
 
-def faults(root: Path) -> list[str]:
-    """What is wrong with the pages below a folder, a line each."""
+def faults(root: Path, gone: Callable[[str], bool] = lambda name: False) -> list[str]:
+    """What is wrong with the pages below a folder, a line each; files of pages that are ``gone`` are left alone."""
     pages = {path: Page(path.read_text(encoding="utf-8")) for path in sorted(root.rglob("*.html"))}
     pages = {path: page for path, page in pages.items() if path.relative_to(root).parts[0] != "_static"}
     found = []
     for path, page in pages.items():
         name = path.relative_to(root).as_posix()
-        found += [f"{name}: no text instead of the picture {source}" for source in page.unnamed]
-        if name.startswith(SKIPPED):
+        if name.startswith(SKIPPED) or gone(name.removesuffix(".html")):
             continue
+        found += [f"{name}: no text instead of the picture {source}" for source in page.unnamed]
         found += [f"{name}: {link} {fault}" for link in sorted(page.links) if (fault := _fault(path, link, pages))]
     return found
 
@@ -87,7 +88,7 @@ def check(app: Sphinx, exception: Exception | None) -> None:
     from sphinx.util import logging
 
     if exception is None and app.builder.format == "html":
-        for fault in faults(Path(app.outdir).resolve()):
+        for fault in faults(Path(app.outdir).resolve(), lambda name: name not in app.env.found_docs):
             logging.getLogger(__name__).warning("%s", fault)
 
 
