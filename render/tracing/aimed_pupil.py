@@ -294,7 +294,7 @@ class _Beams:
         """What becomes of rays at these radii in the whole lens; heights on some surfaces, or the largest of them."""
         lens = self.lens
         rays, heights = self.heights(radius * (1.0 - INSIDE), lens.full, numbers)
-        heights = [_largest(heights)] if largest else heights
+        heights = [_largest(heights)] if largest and heights else heights  # a stop may be the only aperture
         good = found & (rays.status == OK)
         dr.eval(radius, found, good, *heights)
         height = np.stack([h.numpy().reshape(self.shape) for h in heights]) if heights else np.zeros((1, *self.shape))

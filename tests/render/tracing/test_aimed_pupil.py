@@ -95,6 +95,30 @@ def two_apertures(distance_mm, tangent):
     return aimed_lens(lens, program, theta), kernel
 
 
+def test_a_stop_that_is_the_only_aperture(engine):
+    """In the plane of the launch disk it is seen as it is: a circle of 0.9 mm in a disk of 1.5 mm."""
+    stop = Surface(shape=Plane(), position_mm=np.zeros(3), semi_diameter_mm=0.9, is_stop=True)
+    lens = LensSystem(
+        name="stop",
+        source="one stop",
+        surfaces=(stop,),
+        glasses={},
+        image_position_mm=np.array([0.0, 0.0, 1.0]),
+        design_wavelength_nm=600.0,
+        max_field_deg=60.0,
+    )
+    program, theta = compile_lens(lens)
+    direction = np.array([[0.6, 0.0, 0.8]])
+    kernel = StarKernel(program, theta, Geometry(0.01, np.zeros(2), (0.0, 0.0, 0.0), 1.5, 0.3), direction)
+    aim = aimed_lens(lens, program, theta)
+    chiefs = find_chiefs(aim, kernel, WAVELENGTH_NM.mean(1))
+    azimuth = np.tile(np.linspace(0.0, 6.0, 8), (3, 1))
+    rims = find_stop_rims(aim, kernel, chiefs.points, WAVELENGTH_NM, azimuth)
+    assert rims.good.all()
+    assert rims.radius == pytest.approx(0.6, rel=1e-6)
+    assert (rims.height == 0.0).all()
+
+
 @pytest.mark.parametrize("tangent", [0.02, 0.06, 0.2, 0.4])
 def test_area_of_two_apertures(engine, tangent):
     """The overlap of two discs a distance d apart (textbook lens area); one inside the other, touching, cut in half."""
