@@ -13,6 +13,7 @@ from render.plugins.camera_numbers import plain
 from render.tracing.gradient import AttachedPaths, lens_numbers, star_image
 from render.tracing.paths import at_rest, star_paths
 from render.tracing.tracer import Tracer
+from render.tracing.wave_gradient import wave_image
 
 __all__ = ["attached_image"]
 
@@ -40,7 +41,8 @@ def attached_image(mi: Any, tracer: Tracer, camera: Any, field: Any) -> Any:
         moves |= slope != 0.0
         number = dr.gather(F, numbers.tensors[name].array, mi.UInt32(at))
         vector = vector + F(np.ascontiguousarray(slope)) * (number - dr.detach(number))
-    image = star_image(
+    render = star_image if tracer.camera.diffraction == "rays" else wave_image
+    image = render(
         mi,
         tracer,
         stars,

@@ -16,8 +16,8 @@ bands as its luminance, and where there are several, each as a channel of its na
 pixels count on the whole film. ``seed`` scrambles the Sobol points and is the seed of ``bodies``.
 
 Derivatives (`dr.backward`, `dr.forward` of what ``mi.render(scene, params)`` returns) are those of
-`render.tracing.gradient`, with respect to directions, rates and ``rotation`` of the stars, and all numbers of the
-camera.
+`render.tracing.gradient` and `render.tracing.wave_gradient`, with respect to directions, rates and ``rotation`` of the
+stars, and all numbers of the camera.
 
 Shapes that stand between the sky and the lens hide stars, ray by ray (`render.plugins.occlusion`).
 

@@ -33,7 +33,18 @@ from render.tracing.paths import StarPaths, pick_times
 from render.tracing.pupil_points import OutlinePoints, TablePoints
 from render.tracing.tracer import Tracer
 
-__all__ = ["AttachedPaths", "LensNumbers", "lens_numbers", "star_image"]
+__all__ = [
+    "AttachedPaths",
+    "LensNumbers",
+    "Sample",
+    "Scene",
+    "attached_chiefs",
+    "lens_numbers",
+    "outline_points",
+    "refused",
+    "star_image",
+    "table_points",
+]
 
 AIM, RIM = 1e-4, 1e-5
 """Differences by which the slopes of Newton's last step are taken, in radii of the launch disk."""
@@ -109,7 +120,7 @@ class _Numbers:
     Elements that nothing moves are single numbers.
     """
 
-    def __init__(self, scene: _Scene, width: int, start: int = 0) -> None:
+    def __init__(self, scene: Scene, width: int, start: int = 0) -> None:
         self.scene, self.start = scene, start
         self.base = dr.arange(scene.U, width) * dr.opaque(scene.U, 0)
 
@@ -124,14 +135,14 @@ class _Numbers:
 
 @dataclass(frozen=True, slots=True)
 class _Bundle:
-    """What one bundle of lanes needs; see `_Scene.bundle`."""
+    """What one bundle of lanes needs; see `Scene.bundle`."""
 
     theta: _Numbers
     disk: list[Any]
     stop: Any
 
 
-class _Scene:
+class Scene:
     """Arrays with derivatives that all passes share."""
 
     def __init__(
@@ -173,7 +184,7 @@ class _Scene:
         return found[0]
 
 
-def _picked(scene: _Scene, plain: StarPaths) -> tuple[list[Any], list[Any]]:
+def _picked(scene: Scene, plain: StarPaths) -> tuple[list[Any], list[Any]]:
     """What `render.tracing.paths.pick_times` picks, with derivatives: light of (n p,) rays, p factors (n t,)."""
     F, U, times = scene.F, scene.U, scene.times
     count = pick_times(plain)[1].shape[2]
@@ -241,15 +252,13 @@ def star_image(
     ConfigError
         Stars whose beam is cut, light behind a collimator.
     """
-    if tracer.camera.diffraction != "rays":
-        raise ConfigError("derivatives of diffraction images are not known; set diffraction to rays")
     if stars.collimation is not None:
         raise ConfigError("derivatives of stars behind a collimator are not known; leave collimation out")
     F = mi.Float64
     camera, planner = tracer.camera, tracer.planner
     seen = planner.seen(paths.plain, stars.wavelength_nm, paths.length_px)
     chiefs = planner.chiefs(seen.mid, stars.wavelength_nm)
-    scene = _Scene(mi, tracer, numbers, vector, moves, paths)
+    scene = Scene(mi, tracer, numbers, vector, moves, paths)
     response = F(np.ascontiguousarray(camera.response_at(stars.wavelength_nm).ravel()))
     bands, nodes = stars.wavelength_nm.shape
     image = dr.zeros(F, camera.height_px * camera.width_px * bands)
@@ -259,28 +268,33 @@ def star_image(
         if not len(group.members):
             continue
         if group.plan.mode != "quadrature" or (outlines is not None and outlines.shadow is not None):
-            raise ConfigError(
-                f"star {group.members[0]} has no derivative: its beam is sampled by {group.plan.mode}, as the lens or "
-                "the charge diffusion leaves no smooth outline; stars whose beam only the stop limits have one"
-            )
+            raise refused(group.members[0], group.plan.mode)
         step = max(1, PASS_RAYS // (bands * nodes * scene.times * group.plan.rays_per_node))
         for part in (group.members[i : i + step] for i in range(0, len(group.members), step)):
             points = group.points(part)
             if isinstance(points, OutlinePoints):
                 assert outlines is not None
-                sample = _outline_points(scene, outlines, part, points, stars.wavelength_nm)
+                sample = outline_points(scene, outlines, part, points, stars.wavelength_nm)
             else:
                 assert isinstance(points, TablePoints)
-                sample = _table_points(scene, points)
+                sample = table_points(scene, points)
             _splat(mi, scene, image, part, points.count, stars.wavelength_nm, sample, rate, response, exposure_s)
     return image
+
+
+def refused(star: int, mode: str) -> ConfigError:
+    """The error for a star whose pupil has no smooth outline."""
+    return ConfigError(
+        f"star {star} has no derivative: its beam is sampled by {mode}, as the lens or the charge diffusion leaves no "
+        "smooth outline; stars whose beam only the stop limits have one"
+    )
 
 
 Sample = Callable[[Any, Any, Any], tuple[Any, Any, Any]]
 """(slot, node, point) -> coordinates in radii of the launch disk, and share of its area."""
 
 
-def _table_points(scene: _Scene, points: TablePoints) -> Sample:
+def table_points(scene: Scene, points: TablePoints) -> Sample:
     types = scene  # offers Float64 and UInt32 as the engine's module of types does
 
     class Types:
@@ -289,12 +303,12 @@ def _table_points(scene: _Scene, points: TablePoints) -> Sample:
     return lambda slot, node, point: points.sample(Types, slot, node, point)
 
 
-def _outline_points(
-    scene: _Scene, outlines: Outlines, part: IntArray, points: OutlinePoints, wavelength_nm: FloatArray
+def outline_points(
+    scene: Scene, outlines: Outlines, part: IntArray, points: OutlinePoints, wavelength_nm: FloatArray
 ) -> Sample:
     """Points inside outlines that move with lens and direction."""
     F, U = scene.F, scene.U
-    centre = _chiefs(scene, outlines.chief, part, wavelength_nm.mean(1))
+    centre = attached_chiefs(scene, outlines.chief, part, wavelength_nm.mean(1))
     few = _rims(scene, outlines, part, centre)
     bands, colours, picked = outlines.picks.colours.shape
     nodes, arms = points.radius.shape[-2:]  # nodes are all colours of the first time, then all of the second
@@ -327,7 +341,7 @@ def _outline_points(
     return sample
 
 
-def _chiefs(scene: _Scene, chief: FloatArray, part: IntArray, wavelength_nm: FloatArray) -> list[Any]:
+def attached_chiefs(scene: Scene, chief: FloatArray, part: IntArray, wavelength_nm: FloatArray) -> list[Any]:
     """Launch points of chief rays (s b,), in radii of the launch disk, with derivatives."""
     F, U = scene.F, scene.U
     bands = len(wavelength_nm)
@@ -353,7 +367,7 @@ def _chiefs(scene: _Scene, chief: FloatArray, part: IntArray, wavelength_nm: Flo
     return [start[0] - (d * u - b * v) * scale, start[1] - (a * v - c * u) * scale]
 
 
-def _rims(scene: _Scene, outlines: Outlines, part: IntArray, centre: list[Any]) -> Any:
+def _rims(scene: Scene, outlines: Outlines, part: IntArray, centre: list[Any]) -> Any:
     """Radii of outlines (s b picked `ARMS`,), at few times and wavelengths, with derivatives."""
     F, U = scene.F, scene.U
     picks = outlines.picks
@@ -381,7 +395,7 @@ def _rims(scene: _Scene, outlines: Outlines, part: IntArray, centre: list[Any]) 
 
 def _splat(
     mi: Any,
-    scene: _Scene,
+    scene: Scene,
     image: Any,
     part: NDArray[Any],
     count: int,
@@ -425,7 +439,7 @@ def _splat(
             dr.scatter_add(image, light * along_y * along_x, index, inside)
 
 
-def _shares(scene: _Scene, position: Any, sigma: float) -> tuple[Any, list[Any]]:
+def _shares(scene: Scene, position: Any, sigma: float) -> tuple[Any, list[Any]]:
     """First pixel and shares of a Gaussian around a position counted from the image's edge."""
     F = scene.F
     width = int(np.ceil(2.0 * PIXEL_REACH * sigma))

@@ -138,7 +138,7 @@ class Tracer:
             if rotation_cam_from_world is not None:
                 raise ConfigError("an attitude and a motion are given; leave one of them out")
             paths, length_px = self._moving(stars, motion, exposure_s), motion.length_px
-        light = self._light(stars, paths, exposure_s)
+        light = self.light(stars, paths, exposure_s)
         image = np.zeros((self.camera.height_px, self.camera.width_px, len(stars.band)), np.float32)
         sums, sampling = self._trace(light, paths, image, length_px, shade)
         return TracedStars(image, sums.truth(light.electrons), sampling)
@@ -222,7 +222,7 @@ class Tracer:
             Wavelength outside a glass's range, star behind the camera.
         """
         paths = self._in_cam(stars, None)
-        light = self._light(stars, paths, 1.0)
+        light = self.light(stars, paths, 1.0)
         seen = self.planner.seen(paths, light.wavelength_nm)
         means = np.full((len(paths.mid), len(light.share[0]), 2), np.nan)
         if self.pupil.exact:
@@ -289,7 +289,7 @@ class Tracer:
             Wavelength outside a glass's range, star behind the camera or without a way to the detector.
         """
         paths = self._in_cam(stars, None)
-        light = self._light(stars, paths, 1.0)
+        light = self.light(stars, paths, 1.0)
         seen = self.planner.seen(paths, light.wavelength_nm)
         chiefs = self.planner.chiefs(seen.mid, light.wavelength_nm)
         if self.camera.diffraction != "rays":
@@ -344,7 +344,8 @@ class Tracer:
         moves = np.abs(ideal_way) > SHORTEST_PX
         return y[0], np.where(moves, way / np.where(moves, ideal_way, 1.0), 1.0)
 
-    def _light(self, stars: StarField, paths: StarPaths, exposure_s: float) -> Light:
+    def light(self, stars: StarField, paths: StarPaths, exposure_s: float) -> Light:
+        """Light of stars as it is shared out over the nodes of an exposure."""
         rate = stars.photon_rate * self.camera.response_at(stars.wavelength_nm)
         received = (paths.nodes[..., 2] * paths.weight)[:, None, :, None]
         per_node = (rate * (self.pupil.area_mm2 * exposure_s))[:, :, None] * received

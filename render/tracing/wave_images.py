@@ -286,7 +286,7 @@ class WaveImages:
         edges = (np.arange(count) + 0.5) / cells_per_px - 0.5 * window
         for probe in self.probes(group):
             for summands in self.summands(probe, math.sqrt(0.5) * window):
-                mean, light = self._means(summands.stars, summands.waves)
+                mean, light = self.means(summands.stars, summands.waves)
                 result = np.empty((*mean.shape[:2], count, count))
                 for at in np.ndindex(*mean.shape[:2]):
                     star = int(summands.stars[at[0]])
@@ -318,7 +318,7 @@ class WaveImages:
     def summands(self, probe: Probe, radius_px: float | None = None) -> Iterator[Summands]:
         """Waves of the stars of a probe as sums need them, those together that are alike."""
         group, waves = probe.group, probe.waves
-        radius, field, order = self._needs(probe, radius_px)
+        radius, field, order = self.needs(probe, radius_px)
         series = None if group.turns is None else WaveSeries.of(waves, PROBE_ORDER, group.turns(PROBE_ORDER[0]))
         resolved = np.zeros(len(radius), np.bool_) if series is None else series.resolved
         keys = list(zip(radius.tolist(), map(tuple, field.tolist()), resolved.tolist(), strict=True))
@@ -341,7 +341,7 @@ class WaveImages:
 
     def common_needs(self, probes: list[Probe]) -> tuple[int, FieldSampling]:
         """Radius [px] and sampling that serve all stars of probes."""
-        needs = [self._needs(probe) for probe in probes]
+        needs = [self.needs(probe) for probe in probes]
         radius, highest = (max(float(one[i].max()) for one in needs) for i in (0, 1))
         return int(radius), FieldSampling(highest)
 
@@ -350,7 +350,7 @@ class WaveImages:
         step = max(1, BATCH_LANES // (3 * math.prod(order) * self.wavelength_nm.size))
         return (stars[i : i + step] for i in range(0, len(stars), step))
 
-    def _needs(self, probe: Probe, radius_px: float | None = None) -> tuple[FloatArray, FloatArray, IntArray]:
+    def needs(self, probe: Probe, radius_px: float | None = None) -> tuple[FloatArray, FloatArray, IntArray]:
         """Radius of the stamp (s,) [px], highest frequency (s, b) [cycles/px], order of the quadrature (s, b, k, 2)."""
         waves, stars = probe.waves, probe.stars
         self._check_aperture(waves)
@@ -379,7 +379,7 @@ class WaveImages:
         coverage = arrived.reshape(*arrived.shape[:3], cells.count, -1).mean(-1)
         return trace_waves(self.kernel, cells, self.wavelength_nm, self.index, which, coverage)
 
-    def _means(self, stars: IntArray, waves: PlaneWaves) -> tuple[FloatArray, FloatArray]:
+    def means(self, stars: IntArray, waves: PlaneWaves) -> tuple[FloatArray, FloatArray]:
         """Centroid (s, b, 2) of all light, and the share that gets through (s, b)."""
         through = self.share[stars] * waves.weight.sum(-1)
         light = through.sum(2)
@@ -398,7 +398,7 @@ class WaveImages:
 
     def _stamps(self, summands: Summands) -> WaveStamps:
         stars, waves, mode = summands.stars, summands.waves, summands.mode
-        mean, light = self._means(stars, waves)
+        mean, light = self.means(stars, waves)
         size = 2 * int(summands.radius_px) + 1
         window = np.rint(np.nan_to_num(mean)) - 0.5 * size
         if self.trail is None:
@@ -446,7 +446,7 @@ class WaveImages:
         kernel = light.field.pixel(1.0, self.camera.charge_diffusion_px)
         centres = np.arange(0.5, size) - 0.5 * size
         column, row = (
-            (kernel((centres - d)[:, None] - light.place_px) * light.field.light_step).astype(np.float32)
+            (kernel((centres - d)[:, None] - light.place_px) * light.field.light_step).astype(light.values.dtype)
             for d in shift_px
         )
         disk = np.hypot(centres, centres[:, None]) <= 0.5 * (size - 1)
@@ -464,7 +464,7 @@ class WaveImages:
             kernel(centres[axis][:, None] - place - moves_px[:, axis, None, None]) * light.field.light_step
             for axis, place in enumerate((column_px, row_px))
         )
-        column, row = column.astype(np.float32), (row * weight[:, None, None]).astype(np.float32)
+        column, row = column.astype(image.dtype), (row * weight[:, None, None]).astype(image.dtype)
         return np.asarray(((row @ image) @ np.swapaxes(column, 1, 2)).sum(0), np.float64)
 
     def _check_aperture(self, waves: PlaneWaves) -> None:

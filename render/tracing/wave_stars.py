@@ -105,23 +105,32 @@ class WaveStars:
         shades: tuple[Shade | None, BoolArray | None],
     ) -> dict[str, tuple[int, int]]:
         """Add diffraction images of all stars whose light may meet the detector; how their pupils were sampled."""
-        camera, sampling = self.camera, dict[str, tuple[int, int]]()
-        edge = np.array([camera.width_px, camera.height_px]) - 0.5 + WING_PX
-        inside = np.all((bounds.high > -0.5 - WING_PX) & (bounds.low < edge), axis=2)
-        near = np.flatnonzero(np.any(inside, axis=1))
+        sampling = dict[str, tuple[int, int]]()
+        near = self.near(bounds)
         if not len(near):
             return sampling
-        few = self._condensed(light, seen)
-        still = seen
-        if seen.nodes is not seen.mid or few.wavelength_nm is not light.wavelength_nm:
-            rest = replace(at_rest(seen.paths.mid), collimation=seen.paths.collimation)
-            still = self.planner.seen(rest, few.wavelength_nm)
-        images = self._images(few, still, seen, chiefs, shades[0])
+        few, still, images = self.summed(light, seen, chiefs, shades[0])
         self._known = _state(few.wavelength_nm, seen.paths.collimation), images.kept if shades[0] is None else {}
         for group in self.planner.wave_groups(still, few.wavelength_nm, chiefs, near, shades[1]):
             for stamps in images.stamps(group):
                 self._add_stamps(stamps, light, image, sums, sampling)
         return sampling
+
+    def near(self, bounds: Bounds) -> IntArray:
+        """Stars whose images may reach the detector."""
+        edge = np.array([self.camera.width_px, self.camera.height_px]) - 0.5 + WING_PX
+        inside = np.all((bounds.high > -0.5 - WING_PX) & (bounds.low < edge), axis=2)
+        return np.flatnonzero(np.any(inside, axis=1))
+
+    def summed(
+        self, light: Light, seen: Seen, chiefs: Chiefs, shade: Shade | None = None
+    ) -> tuple[Light, Seen, WaveImages]:
+        """Light of the wavelengths that have images, the stars at rest in these, and their images."""
+        few, still = self.condensed(light, seen), seen
+        if seen.nodes is not seen.mid or few.wavelength_nm is not light.wavelength_nm:
+            rest = replace(at_rest(seen.paths.mid), collimation=seen.paths.collimation)
+            still = self.planner.seen(rest, few.wavelength_nm)
+        return few, still, self._images(few, still, seen, chiefs, shade)
 
     def cells(self, light: Light, seen: Seen, chiefs: Chiefs, half_size_px: int, cells_per_px: int) -> FloatArray:
         """The same by waves."""
@@ -134,7 +143,7 @@ class WaveStars:
                 grid = self._grid(*by, radius_px)
             if grid is not None and grid.holds(seen.paths.mid).all() and not chiefs.blocked.any():
                 return grid.cells(seen.paths.mid, light.share, chief, half_size_px, cells_per_px)
-        light = self._condensed(light, seen)
+        light = self.condensed(light, seen)
         seen = self.planner.seen(seen.paths, light.wavelength_nm)
         images = self._images(light, seen, seen, chiefs)
         if self._known[0] == _state(light.wavelength_nm, seen.paths.collimation):
@@ -167,7 +176,7 @@ class WaveStars:
         """What images depend on of a camera."""
         return pickle.dumps(replace(self.camera, rotation_cam_from_world=np.eye(3), response=None))
 
-    def _condensed(self, light: Light, seen: Seen) -> Light:
+    def condensed(self, light: Light, seen: Seen) -> Light:
         """Light of as few wavelengths as tell the images of all, unless none may be interpolated."""
         if self.camera.diffraction == "exact_waves":
             return light

@@ -94,6 +94,12 @@ class BandLimited:
         values = _spline(self)(np.minimum(distance, self.reach_px))
         return np.where(distance < self.reach_px, values, 0.0)
 
+    def slope(self, distance_px: FloatArray) -> FloatArray:
+        """Derivatives of the values."""
+        distance = np.abs(distance_px)
+        slopes = np.sign(distance_px) * _spline(self)(np.minimum(distance, self.reach_px), 1)
+        return np.where(distance < self.reach_px, slopes, 0.0)
+
 
 @lru_cache(maxsize=64)
 def _spline(kernel: BandLimited) -> CubicSpline:

@@ -12,6 +12,7 @@ from optics.lens_file import load_lens
 from render.camera import Camera
 from render.forward import star_scene
 from render.records import StarField
+from render.tracing.wave_windows import window_samples
 
 WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
 """Sixth-order central difference (Fornberg 1988, Math. Comp. 51, 699)."""
@@ -19,8 +20,8 @@ WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 /
 BENCHES = {"star_camera_206mm": (206.2, 5.5e-3, 0.03), "star_tracker_26mm": (26.0, 10e-3, 0.02)}
 
 
-def scene_of(mi, lens, **camera):
-    """Two stars on a small film, some hundred pixels from the axis.
+def scene_of(mi, lens, stars=2, colours=3, **camera):
+    """One star or two, of one to three wavelengths, on a small film, some hundred pixels from the axis.
 
     Diffusion of 0.16 px is spread over 6.2 standard deviations: what is cut there would else be a step in differences.
     """
@@ -28,13 +29,32 @@ def scene_of(mi, lens, **camera):
     settings = {"width_px": 40, "height_px": 36, "defocus_mm": focus_mm, "charge_diffusion_px": 0.16}
     settings |= {"diffraction": "rays"} | camera
     record = Camera(lens=load_lens(lens), pixel_pitch_mm=pitch_mm, centre_px=np.array([-100.0, -80.0]), **settings)
-    stars = StarField(
-        direction=record.nominal_direction(np.array([18.3, 26.8]), np.array([17.7, 12.1]), focal_mm),
-        wavelength_nm=np.array([[500.0, 600.0, 700.0]]),
-        photon_rate=np.array([[[10.0, 12.0, 9.0]], [[5.0, 4.0, 7.0]]]),
+    field = StarField(
+        direction=record.nominal_direction(np.array([18.3, 26.8]), np.array([17.7, 12.1]), focal_mm)[:stars],
+        wavelength_nm=np.array([[500.0, 600.0, 700.0]])[:, :colours],
+        photon_rate=np.array([[[10.0, 12.0, 9.0]], [[5.0, 4.0, 7.0]]])[:stars, :, :colours],
         band=("band",),
     )
-    return mi.load_dict(star_scene(record, stars, exposure_s=0.5, tolerance=1e-6))
+    return mi.load_dict(star_scene(record, field, exposure_s=0.5, tolerance=1e-6))
+
+
+def direct_sum(rays, shares, corner_px, window_px, field, *, pad_px):
+    """Light of plane waves in a window, in double precision, in place of `render.tracing.wave_windows.window_light`."""
+    at = window_samples(field, window_px, pad_px)
+    light = np.zeros((len(at), len(at)))
+    for colour, share in enumerate(shares):
+        x, y, fx, fy, turns, amplitude = rays(colour)
+        columns = np.exp(2j * np.pi * fx[:, None] * (corner_px[0] + at - x[:, None]))
+        rows = np.exp(2j * np.pi * (turns[:, None] + fy[:, None] * (corner_px[1] + at - y[:, None])))
+        light += share * np.pi * np.abs((rows * amplitude[:, None]).T @ columns) ** 2
+    return light
+
+
+@pytest.fixture
+def by_direct_sums(monkeypatch):
+    """Diffraction images of the forward engine ray by ray in double precision, none interpolated."""
+    monkeypatch.setattr("render.tracing.wave_images.window_light", direct_sum)
+    monkeypatch.setattr("render.tracing.wave_series.TAIL", 0.0)
 
 
 def exact_image(scene):
@@ -46,7 +66,7 @@ def exact_image(scene):
         paths = tracer._in_cam(field.stars, camera.camera.rotation_cam_from_world)
     else:
         paths = tracer._moving(field.stars, motion, camera.exposure_s)
-    light = tracer._light(field.stars, paths, camera.exposure_s)
+    light = tracer.light(field.stars, paths, camera.exposure_s)
     image = np.zeros((camera.optics.height_px, camera.optics.width_px, 1))
     tracer._trace(light, paths, image, 0.0 if motion is None else motion.length_px)
     return image
@@ -174,6 +194,40 @@ def test_lens_with_its_stop_inside(mi):
         ("camera.attitude_rad", 0, 4e-6),
     ]
     check(mi, scene_of(mi, "star_tracker_26mm"), steps)
+
+
+WAVES = {
+    "star_camera_206mm": [
+        ("camera.curvature_per_mm", 2, 2e-8),
+        ("camera.thickness_mm", 2, 3e-4),
+        ("camera.decentre_mm", (1, 0), 1e-4),
+        ("camera.tilt_deg", (1, 1), 3e-5),
+        ("camera.temperature_c", 0, 0.1),
+        ("camera.defocus_mm", 0, 1e-3),
+        ("camera.attitude_rad", 1, 1e-6),
+        ("stars.direction", (0, 0), 1e-6),
+        ("stars.photon_rate", (0, 0, 0), 1.0),
+    ],
+    "star_tracker_26mm": [("camera.asphere", (10, 0), 5e-7), ("camera.curvature_per_mm", 1, 1.5e-6)],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lens", WAVES)
+def test_diffraction_images(mi, by_direct_sums, lens):
+    """Every kind of parameter by waves: a stop in front, and one inside, whose outlines move."""
+    check(mi, scene_of(mi, lens, stars=1, colours=1, diffraction="exact_waves"), WAVES[lens])
+
+
+@pytest.mark.slow
+def test_trails_by_waves(mi, by_direct_sums):
+    """A whole diffraction image moves: rate and focus."""
+    scene = scene_of(mi, "star_camera_206mm", stars=1, colours=1, diffraction="exact_waves")
+    params = mi.traverse(scene)
+    params["camera.rate_rad_per_s"] = mi.TensorXf64(np.array([5e-5, -1e-4, 3e-4]))
+    params.update()
+    mi.render(scene)
+    check(mi, scene, [("camera.rate_rad_per_s", 0, 3e-7), ("camera.defocus_mm", 0, 1e-3)])
 
 
 @pytest.mark.slow

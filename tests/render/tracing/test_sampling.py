@@ -70,7 +70,7 @@ def test_sobol_points_fill_the_disk_evenly(engine):
 def stamps(tracer, stars, pupil, size=14):
     """Pixels of stars on the image through a given set of pupil points."""
     paths = tracer._in_cam(stars, None)
-    light = tracer._light(stars, paths, 1.0)
+    light = tracer.light(stars, paths, 1.0)
     corner = np.floor(tracer.bundle_means(stars)) - size // 2 - 0.5
     return tracer.planner.kernel(paths.mid).splat(
         stars=np.arange(len(stars), dtype=np.uint32),
