@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from optics.lens_file import load_lens
 from render.camera import Camera
 from render.forward import star_scene
 from render.records import StarField
-from render.tracing.wave_windows import window_samples
+from render.tracing.wave_windows import FieldSampling, window_samples
 
 WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
 """Sixth-order central difference (Fornberg 1988, Math. Comp. 51, 699)."""
@@ -50,9 +51,24 @@ def direct_sum(rays, shares, corner_px, window_px, field, *, pad_px):
     return light
 
 
+def farther(pixel):
+    """The kernel of a pixel, ended later."""
+
+    def made(field, box_px, sigma_px):
+        kernel = pixel(field, box_px, sigma_px)
+        return replace(kernel, reach_px=kernel.reach_px + 3.0)
+
+    return made
+
+
 @pytest.fixture
 def by_direct_sums(monkeypatch):
-    """Diffraction images of the forward engine ray by ray in double precision, none interpolated."""
+    """Diffraction images of the forward engine ray by ray in double precision, none interpolated.
+
+    Pixels draw on samples 3 px farther away: samples lie about the mean of the rays, and where the kernel of a pixel
+    ends they would else make steps in differences.
+    """
+    monkeypatch.setattr(FieldSampling, "pixel", farther(FieldSampling.pixel))
     monkeypatch.setattr("render.tracing.wave_images.window_light", direct_sum)
     monkeypatch.setattr("render.tracing.wave_series.TAIL", 0.0)
 
@@ -208,7 +224,7 @@ WAVES = {
         ("stars.direction", (0, 0), 1e-6),
         ("stars.photon_rate", (0, 0, 0), 1.0),
     ],
-    "star_tracker_26mm": [("camera.asphere", (10, 0), 5e-7), ("camera.curvature_per_mm", 1, 1.5e-6)],
+    "star_tracker_26mm": [("camera.asphere", (10, 0), 5e-7)],
 }
 
 
@@ -217,17 +233,6 @@ WAVES = {
 def test_diffraction_images(mi, by_direct_sums, lens):
     """Every kind of parameter by waves: a stop in front, and one inside, whose outlines move."""
     check(mi, scene_of(mi, lens, stars=1, colours=1, diffraction="exact_waves"), WAVES[lens])
-
-
-@pytest.mark.slow
-def test_trails_by_waves(mi, by_direct_sums):
-    """A whole diffraction image moves: rate and focus."""
-    scene = scene_of(mi, "star_camera_206mm", stars=1, colours=1, diffraction="exact_waves")
-    params = mi.traverse(scene)
-    params["camera.rate_rad_per_s"] = mi.TensorXf64(np.array([5e-5, -1e-4, 3e-4]))
-    params.update()
-    mi.render(scene)
-    check(mi, scene, [("camera.rate_rad_per_s", 0, 3e-7), ("camera.defocus_mm", 0, 1e-3)])
 
 
 @pytest.mark.slow
