@@ -212,8 +212,10 @@ def test_lens_with_its_stop_inside(mi):
     check(mi, scene_of(mi, "star_tracker_26mm"), steps)
 
 
-WAVES = {
-    "star_camera_206mm": [
+@pytest.mark.slow
+def test_diffraction_images(mi, by_direct_sums):
+    """Every kind of parameter by waves, for a stop in front of the lens."""
+    steps = [
         ("camera.curvature_per_mm", 2, 2e-8),
         ("camera.thickness_mm", 2, 3e-4),
         ("camera.decentre_mm", (1, 0), 1e-4),
@@ -223,16 +225,8 @@ WAVES = {
         ("camera.attitude_rad", 1, 1e-6),
         ("stars.direction", (0, 0), 1e-6),
         ("stars.photon_rate", (0, 0, 0), 1.0),
-    ],
-    "star_tracker_26mm": [("camera.asphere", (10, 0), 5e-7)],
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("lens", WAVES)
-def test_diffraction_images(mi, by_direct_sums, lens):
-    """Every kind of parameter by waves: a stop in front, and one inside, whose outlines move."""
-    check(mi, scene_of(mi, lens, stars=1, colours=1, diffraction="exact_waves"), WAVES[lens])
+    ]
+    check(mi, scene_of(mi, "star_camera_206mm", stars=1, colours=1, diffraction="exact_waves"), steps)
 
 
 @pytest.mark.slow
