@@ -236,7 +236,8 @@ def thermal(outcome: Outcome) -> Figure:
         panel.set(xlabel="temperature [°C]", title=words)
     axes[0].axhspan(-depth, depth, color="0.93", zorder=0)
     for panel, name in zip(axes[2:], ("thermal_spot_px", "thermal_nea_arcsec"), strict=True):
-        panel.set_ylim(0, 1.15 * float(outcome.values(name).max()))
+        known = outcome.values(name)[np.isfinite(outcome.values(name))]
+        panel.set_ylim(0, 1.15 * float(known.max()) if len(known) else 1.0)
     return figure
 
 

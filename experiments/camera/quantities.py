@@ -78,10 +78,12 @@ def _magnitudes(q: Quantities, result: Result) -> None:
         found.append(float(stars.found_at(e, radius).mean()))
         for name, curve in curves.items():
             values[name].append(state.pixel_arcsec * float(np.sqrt((stars.sigma_at(curve, e, radius) ** 2).mean())))
+    saturated = magnitude < prediction.value("saturation_mag")
     colour = np.nan_to_num(prediction.value("colour_arcsec"))
     values["single"] = np.hypot(values["single"], colour).tolist()
     for name, label in (("nea", "NEA"), ("bound", "Bound of the NEA"), ("single", "Single-star accuracy")):
-        q.add(f"magnitude_{name}_arcsec", values[name], label, unit="arcsec", dims="magnitude", format=".3f")
+        shown = np.where(saturated, np.nan, values[name])
+        q.add(f"magnitude_{name}_arcsec", shown, label, unit="arcsec", dims="magnitude", format=".3f")
     q.add("magnitude_found", np.array(found), "Share of stars that are found", dims="magnitude", format=".3f")
 
 

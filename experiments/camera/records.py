@@ -212,6 +212,17 @@ class CameraPrediction:
         return self.scalars[name].value
 
     @property
+    def saturated(self) -> bool:
+        """Whether the star that the accuracy is quoted for saturates: there is no accuracy then."""
+        return self.config.star.magnitude_mag < self.value("saturation_mag")
+
+    @property
+    def adc_top_e(self) -> float:
+        """Electrons at which the converter overruns."""
+        chip = self.processing.detector
+        return (chip.largest_dn - chip.offset_dn) / chip.gain_dn_per_e
+
+    @property
     def catalogue_ends(self) -> bool:
         """Whether the sensor finds stars that the catalogue does not hold."""
         return self.view.depth_mag < self.value("limiting_magnitude_mag")

@@ -108,7 +108,9 @@ def _star_scalars(prediction: CameraPrediction, limits: Mapping[float, float]) -
     axis = float(prediction.electrons(np.array([star.magnitude_mag]), star.temperature_k)[0])
     full = float(stars.centroid.peak.max()) * axis / max(processing.top_e, 1e-9)
     windows = phase_windows(state.psfs[:1], config.window_px)
-    snr = float(
+    quoted = 1.0 if full <= 1.0 else float("nan")  # centroids of clipped spots are not predicted
+    noise, pattern, phase = quoted * noise, quoted * pattern, quoted * phase
+    snr = quoted * float(
         matched_snr(windows.light, np.full(len(windows.light), axis), processing.background_e, processing.noise).mean()
     )
     what = f"of a star of {star.magnitude_mag:g} mag"

@@ -33,7 +33,7 @@ _NO_SENSOR = frozenset({"requirements", "filters", "sky", "thermal", "frames", "
 class StarConfig(StrictModel):
     """The stars that numbers are quoted for."""
 
-    magnitude_mag: float = Field(default=5.0, ge=-2, le=20, description="star that the accuracy is quoted for")
+    magnitude_mag: float = Field(default=6.0, ge=-2, le=20, description="star that the accuracy is quoted for")
     temperature_k: float = Field(default=5800.0, ge=1000, le=60000, description="its colour, that of a black body")
     colours_k: tuple[float, ...] = Field(
         default=(3500.0, 5800.0, 10000.0), min_length=1, max_length=6, description="colours of the curves"

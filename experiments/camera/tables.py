@@ -55,8 +55,17 @@ def tables(outcome: Outcome) -> dict[str, Table | Pivot]:
     return made
 
 
+SATURABLE = frozenset({"snr", "nea_arcsec", "pattern_arcsec", "phase_arcsec", "single_star_arcsec"})
+
+
 def _number(value: float, form: str) -> Any:
     return cell_text(value, form) if math.isfinite(value) else "–"
+
+
+def _scalar(outcome: Outcome, name: str, value: float, form: str) -> Any:
+    """A scalar as text; of a star that saturates there is no accuracy."""
+    lost = name in SATURABLE and outcome.result.prediction.saturated
+    return "saturated" if lost else _number(value, form)
 
 
 def _requirements(outcome: Outcome) -> Table:
@@ -65,7 +74,7 @@ def _requirements(outcome: Outcome) -> Table:
             one.label,
             one.key,
             f"{'≥' if one.at_least else '≤'} {one.required:g}",
-            _number(one.predicted, one.format),
+            _scalar(outcome, one.key, one.predicted, one.format),
             shown_unit(one.unit),
             one.margin_words,
             "met" if one.met else "MISSED",
@@ -87,7 +96,7 @@ def _requirements(outcome: Outcome) -> Table:
 def _scalars(outcome: Outcome, names: tuple[str, ...], caption: str) -> Table:
     scalars = outcome.result.scalars
     rows = [
-        (one.label, _number(one.value, one.format), shown_unit(one.unit), name)
+        (one.label, _scalar(outcome, name, one.value, one.format), shown_unit(one.unit), name)
         for name, one in ((name, scalars[name]) for name in names)
     ]
     return Table(columns=("Quantity", "Value", "Unit", "Name"), rows=rows, caption=caption)

@@ -36,7 +36,7 @@ class ThermalStudy:
     colour_px : (t,)
         Largest separation of wavelengths over the field.
     nea_arcsec : (t,)
-        Of the star that is quoted.
+        Of the star that is quoted; NaN where it saturates.
     attitude_arcsec : (t,)
         Across the boresight, median over the sky; infinite where too few stars are seen.
     refusal : str
@@ -55,7 +55,7 @@ class ThermalStudy:
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
         for name in _COLUMNS:
-            freeze(self, name, shape=("t",), sizes=sizes, finite=name != "attitude_arcsec")
+            freeze(self, name, shape=("t",), sizes=sizes, finite=name not in {"nea_arcsec", "attitude_arcsec"})
 
     @property
     def focus_shift_um(self) -> float:

@@ -46,16 +46,26 @@ def test_first_order_by_hand(tracker):
 
 
 def test_electrons_by_hand(tracker):
-    """Photons of a 5th magnitude star through the band, times throughput at its middle, pupil area and exposure.
+    """Photons of a 6th magnitude star through the band, times throughput at its middle, pupil area and exposure.
 
     The throughput changes by some 10 % about its value at the middle: 6 % is what this sum can promise.
     """
     sensor, band = tracker.state.instrument, tracker.state.band
-    photons = float(band_photon_rate(Blackbody(temperature_k=5800.0), 5.0, [band], system="G")[0])
+    photons = float(band_photon_rate(Blackbody(temperature_k=5800.0), 6.0, [band], system="G")[0])
     wave = np.linspace(500.0, 800.0, 61)
     throughput = float(sensor.camera.response_at(wave).mean())
     area = np.pi / 4.0 * tracker.value("pupil_mm") ** 2
     assert tracker.value("electrons_e") == pytest.approx(photons * throughput * area * 0.2, rel=0.06)
+
+
+def test_a_star_that_saturates_has_no_accuracy_and_meets_no_requirement(config):
+    """The brightest pixel of the star of [star] holds more than the full well: nothing is quoted."""
+    long = predict(with_value(config, "instrument.exposure_s", 20.0))
+    assert long.value("electrons_e") * float(long.stars.centroid.peak.max()) > long.processing.detector.full_well_e
+    assert long.saturated
+    for name in ("nea_arcsec", "single_star_arcsec", "snr"):
+        assert np.isnan(long.value(name)), name
+    assert not judge(RequirementsConfig(nea_arcsec=100.0), long.scalars)[0].met
 
 
 def test_nea_lies_between_its_limits(tracker):
