@@ -215,6 +215,9 @@ def _attitude(
     electrons = state.electrons_per_s(view.magnitude, view.temperature_k, r) * exposed_s(config)
     shown = stars.effective(electrons, view.temperature_k, r, config.star.temperature_k)
     share = seen = stars.found_at(shown, r)
+    # two equal Gaussians, filtered with their own width, have one maximum up to two standard deviations of the sum
+    merged = view.brighter_px < 2.0 * np.sqrt(2.0) * processing.fwhm_px / 2.3548
+    seen = np.where(merged, 0.0, seen)
     peak = np.interp(r, stars.radius_px, stars.centroid.peak)
     share = np.where(peak * electrons > processing.top_e, 0.0, share)
     chip = processing.detector

@@ -46,6 +46,8 @@ class SkyView:
         From the middle of the detector.
     neighbour_mag : (m,)
         Brightest star within the window; infinite where there is none.
+    brighter_px : (m,)
+        Distance of the nearest brighter star within the window; infinite where there is none.
     attitudes : Rotation
         cam from icrs.
     depth_mag : float
@@ -57,6 +59,7 @@ class SkyView:
     temperature_k: FloatArray
     radius_px: FloatArray
     neighbour_mag: FloatArray
+    brighter_px: FloatArray
     attitudes: Rotation
     depth_mag: float
 
@@ -104,9 +107,12 @@ def _sky_view(
     pixel_rad = 2.0 * float(np.arctan(view.half_width[0])) / view.width_px
     reach = window_px * np.sqrt(1.0 / np.pi) * pixel_rad  # a circle of the area of the window
     pairs = cKDTree(stars.direction).query_pairs(reach, output_type="ndarray")
-    neighbour = np.full(len(stars), np.inf)
+    neighbour, brighter = np.full(len(stars), np.inf), np.full(len(stars), np.inf)
+    apart_px = np.linalg.norm(np.subtract(*(stars.direction[k] for k in pairs.T)), axis=1) / pixel_rad
     for a, b in (pairs.T, pairs[:, ::-1].T):
         np.minimum.at(neighbour, a, stars.magnitude[b])
+        outshone = stars.magnitude[b] < stars.magnitude[a]
+        np.minimum.at(brighter, a[outshone], apart_px[outshone])
     row: NDArray[np.int64] = sample.row
     middle = np.array([view.width_px - 1, view.height_px - 1]) / 2.0
     return SkyView(
@@ -115,6 +121,7 @@ def _sky_view(
         temperature_k=star_temperature(stars, catalogue.temperature)[row],
         radius_px=np.hypot(*(sample.pixel_px - middle).T),
         neighbour_mag=neighbour[row],
+        brighter_px=brighter[row],
         attitudes=turned,
         depth_mag=depth,
     )

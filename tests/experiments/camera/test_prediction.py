@@ -68,6 +68,22 @@ def test_a_star_that_saturates_has_no_accuracy_and_meets_no_requirement(config):
     assert not judge(RequirementsConfig(nea_arcsec=100.0), long.scalars)[0].met
 
 
+def test_pairs_that_merge_are_found_once(tracker):
+    """In pixels, frame by frame: the fainter star of a pair nearer than 1.2 FWHM has no detection of its own."""
+    view, sample = tracker.view, tracker.view.sample
+    shown = tracker.state.electrons_per_s(view.magnitude, view.temperature_k, view.radius_px) * 0.2
+    shown = tracker.stars.effective(shown, view.temperature_k, view.radius_px, 5800.0)
+    found = tracker.stars.found_at(shown, view.radius_px)
+    lost = 0.0
+    for frame in range(sample.frames):
+        here = np.flatnonzero(sample.frame == frame)
+        apart = np.linalg.norm(sample.pixel_px[here, None] - sample.pixel_px[here], axis=2)
+        brighter = view.magnitude[here] < view.magnitude[here, None]
+        lost += found[here][((apart < 1.2 * tracker.state.fwhm_px) & brighter).any(axis=1)].sum()
+    assert lost > 5.0
+    assert found.sum() - tracker.attitude.found.sum() == pytest.approx(lost, rel=0.1)
+
+
 def test_nea_lies_between_its_limits(tracker):
     """At least sigma / SNR of a spot as wide as the pixelated one, at most twice that for a matched fit."""
     spot_px = tracker.state.fwhm_px / 2.3548
