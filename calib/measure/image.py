@@ -224,7 +224,8 @@ def read_image(
     if data.ndim > 2:
         data = data.reshape(-1, *data.shape[-2:])
         if plane is None and len(data) > 1:
-            raise ConfigError(f"{path}: holds a cube of {len(data)} images; choose one with plane=0..{len(data) - 1}")
+            last = len(data) - 1
+            raise ConfigError(f"{path}: holds a cube of {len(data)} images; choose a plane, 0 to {last} (--plane 0)")
         if plane is not None and not 0 <= plane < len(data):
             raise ConfigError(f"{path}: plane {plane} of {len(data)}; choose 0 to {len(data) - 1}")
         data = data[plane or 0]
