@@ -68,7 +68,7 @@ class Camera:
     rotation_cam_from_world: FloatArray = field(default_factory=lambda: np.eye(3))
     response: Response | None = None
     blind_columns_px: tuple[tuple[int, int], ...] = ()
-    diffraction: Diffraction = "rays"
+    diffraction: Diffraction = "waves"
 
     def __post_init__(self) -> None:
         if self.diffraction not in get_args(Diffraction):
@@ -160,7 +160,7 @@ def build_camera(
     coating: Coating | None = None,
     absorption: bool = True,
     rotation_cam_from_world: FloatArray | None = None,
-    diffraction: Diffraction = "rays",
+    diffraction: Diffraction = "waves",
 ) -> Camera:
     """Camera of a lens and a detector: geometry, diffusion and response taken from both.
 

@@ -238,7 +238,7 @@ def load_star_sensor(
     defocus_mm: float = 0.0,
     coating_nm: float = 550.0,
     absorption: bool = True,
-    diffraction: Diffraction = "rays",
+    diffraction: Diffraction = "waves",
 ) -> StarSensor:
     """Star sensor of a lens and a detector.
 

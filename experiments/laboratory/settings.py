@@ -75,7 +75,7 @@ class InstrumentConfig(StrictModel):
         default=True, description="count absorption in the glass; needs the internal transmittance of every glass"
     )
     diffraction: Literal["rays", "waves", "exact_waves"] = Field(
-        default="rays", description="how stars are rendered: as rays land, or as diffraction images of the wavefront"
+        default="waves", description="how stars are rendered: as rays land, or as diffraction images of the wavefront"
     )
     coating_nm: float = Field(
         default=550.0, ge=0, le=2000, description="design wavelength of the MgF2 quarter-wave coatings; 0: bare glass"
