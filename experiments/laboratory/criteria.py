@@ -18,12 +18,11 @@ __all__ = ["MOTION_RATIO", "as_the_paper", "centroids_on_the_light", "pixel_angl
 
 FALSE_ALARM = 1e-3
 """Chance that a criterion of this module fails by noise alone; that of 3.29 standard deviations of one number."""
-WHOLE_LIGHT = ("cog", "epsf")
-"""Centroiders whose mean is that of all the light; the others follow the core of a spot with a tail."""
+WINDOW_PX = {"cog": 0.05, "epsf": 0.001}
+"""Centroiders whose mean is that of all the light, with what may part them from it besides noise: a window that cuts
+the wings of a spot shifts its centre of gravity. The others follow the core of a spot with a tail."""
 MOTION_RATIO = 0.01
 """What a known motion may be off besides noise: it is that of some sixty rays of each bundle."""
-WINDOW_PX = 0.05
-"""What a window that cuts the wings of a spot may shift their centre of gravity by."""
 
 
 def two_sided_limit(count: int, false_alarm: float = FALSE_ALARM) -> float:
@@ -78,7 +77,7 @@ def centroids_on_the_light(
         Standard deviation per axis of what a moving line of sight leaves in the mean.
     """
     found = []
-    for method in (one for one in WHOLE_LIGHT if one in position_px):
+    for method in (one for one in WINDOW_PX if one in position_px):
         apart = (position_px[method] - light_px).reshape(-1, 2)
         count = len(apart)
         # of the mean, from the scatter over the points: noise, fixed pattern and S-curve of each are in it
@@ -87,7 +86,7 @@ def centroids_on_the_light(
             Criterion(
                 name=f"{label}{method}: centroid minus noiseless light, mean of {count}, larger of x and y",
                 value=float(np.abs(apart.mean(0)).max()),
-                limit=WINDOW_PX + float(t.isf(FALSE_ALARM / 4, count - 1) * error.max()),
+                limit=WINDOW_PX[method] + float(t.isf(FALSE_ALARM / 4, count - 1) * error.max()),
                 unit="px",
             )
         )
