@@ -114,12 +114,18 @@ def _coarse_azimuth() -> FloatArray:
 
 
 @cache
-def _gauss_tables(most: int) -> tuple[FloatArray, FloatArray]:
-    """Nodes and weights on (0, 1) of Gauss-Legendre rules of 0 ... ``most`` points, one per row."""
-    nodes, weights = np.zeros((most + 1, most)), np.zeros((most + 1, most))
-    for n in range(1, most + 1):
-        x, w = np.polynomial.legendre.leggauss(n)
-        nodes[n, :n], weights[n, :n] = 0.5 * (1.0 + x), 0.5 * w
+def _gauss_rule(count: int) -> tuple[FloatArray, FloatArray]:
+    """Nodes and weights of Gauss and Legendre on (0, 1)."""
+    x, w = np.polynomial.legendre.leggauss(count)
+    return 0.5 * (1.0 + x), 0.5 * w
+
+
+def _gauss_tables(sizes: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Nodes and weights of rules of so many points, each in the row of its number; the other rows are empty."""
+    most = int(sizes.max())
+    nodes, weights = np.zeros((2, most + 1, most))
+    for n in np.unique(sizes[sizes > 0]).tolist():
+        nodes[n, :n], weights[n, :n] = _gauss_rule(n)
     return nodes, weights
 
 
@@ -138,7 +144,7 @@ def _rule(start: FloatArray, length: FloatArray, arms: int, alike: bool) -> tupl
     number = np.arange(arms)
     arc = (number[:, None] >= end[..., None, :]).sum(-1)
     inside = number - np.take_along_axis(end - count, arc, -1)
-    nodes, weights = _gauss_tables(arms)
+    nodes, weights = _gauss_tables(count)
     size, first, span = (np.take_along_axis(v, arc, -1) for v in (count, start, length))
     azimuth = first + span * nodes[size, inside]
     share = span / (2.0 * np.pi) * weights[size, inside]
