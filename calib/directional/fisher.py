@@ -17,8 +17,8 @@ it, and none at 0.01 arcsec. It is not subtracted here. With the unit mean m,
 exactly, and the differences of nearly equal vectors lose nothing.
 
 Estimators. Maximum likelihood solves coth k - 1/k = R (eq. 10); for high k that is the document's k = 1/(1 - R) = 1/d
-(eq. 11), whose scatter is that about the estimated mean and therefore too small. In that limit (Mardia & Jupp,
-*Directional Statistics*, 2000, sec. 10.3) the sum of squared chords S = 2 n d obeys
+(eq. 11), whose scatter is that about the estimated mean and therefore too small. In that limit (Watson,
+Mon. Not. R. Astr. Soc. Geophys. Suppl. 7, 153, 1956) the sum of squared chords S = 2 n d obeys
 
 .. math:: k S \sim \chi^2_\nu, \qquad \nu = 2 (n - 1)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -96,8 +97,16 @@ def _values(image: SensorImage) -> Any:
 
 
 def _facts(header: fits.Header) -> dict[str, str]:
-    known = {card: str(header[card]).strip() for card in CARDS if header.get(card) not in (None, "")}
-    return {name: f"{text} s" if name == "EXPTIME" else text for name, text in known.items()}
+    """What cards say, with the unit that FITS puts in brackets at the begin of a comment (seconds are EXPTIME's)."""
+    facts = {}
+    for name in CARDS:
+        value = header.get(name)
+        if value in (None, ""):
+            continue
+        unit = re.match(r"\[([^\]]+)\]", header.comments[name])
+        text = f"{value:.6g}" if isinstance(value, float) else str(value).strip()
+        facts[name] = f"{text} {unit[1] if unit else 's' if name == 'EXPTIME' else ''}".strip()
+    return facts
 
 
 def _truth_beside(file: Path) -> Path | None:

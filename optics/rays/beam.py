@@ -3,7 +3,7 @@
 About an inner point, the chief ray's if that gets through, the outline is one radius per azimuth: the one at which a
 ray touches the rim of an aperture, the stop's or another's. It is found by false position within a bracket; a ray that
 misses a surface counts as outside. Inside the outline points lie by Gauss-Legendre in the square of the relative radius
-and evenly in azimuth (Stroud 1971, *Approximate Calculation of Multiple Integrals*, sec. 2.6). Where the stop alone
+and evenly in azimuth (Peirce 1957, J. Soc. Indust. Appl. Math. 5, 66). Where the stop alone
 limits the beam the outline is smooth and this converges as fast as `optics.rays.pupil.gauss_disk`; a kink, where
 another aperture takes over, costs its change of slope times the square of the step in azimuth.
 """

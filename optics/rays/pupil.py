@@ -122,8 +122,8 @@ class LaunchDisks:
 def gauss_disk(rings: int, arms: int) -> PupilSamples:
     """Gauss-Legendre in r^2 times trapezoid in phi.
 
-    Exact for polynomials in (x, y) of degree min(4 rings - 1, arms - 1) (Stroud 1971, *Approximate Calculation of
-    Multiple Integrals*, sec. 2.6): the trapezoid removes every angular order below ``arms``, what is left is a
+    Exact for polynomials in (x, y) of degree min(4 rings - 1, arms - 1) (Peirce 1957, J. Soc. Indust. Appl. Math. 5,
+    66): the trapezoid removes every angular order below ``arms``, what is left is a
     polynomial in r^2 that Gauss-Legendre integrates up to degree 2 rings - 1. For ``arms`` divisible by 4 the points
     are symmetric about both axes.
 

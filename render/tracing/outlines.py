@@ -1,8 +1,8 @@
 """Quadrature inside the outlines of beams (`render.tracing.aimed_pupil`).
 
-A point is launched at ``centre + rho B(azimuth) (cos, sin)``, with Gauss-Legendre nodes in rho^2 (Stroud 1971,
-*Approximate Calculation of Multiple Integrals*, sec. 2.6) and weight B^2 d(azimuth) / 2. Where the stop alone limits
-the beam, B is smooth: it is found at a few azimuths and interpolated by its Fourier series, and equidistant azimuths
+A point is launched at ``centre + rho B(azimuth) (cos, sin)``, with Gauss-Legendre nodes in rho^2 (Peirce 1957,
+J. Soc. Indust. Appl. Math. 5, 66) and weight B^2 d(azimuth) / 2. Where the stop alone limits the beam, B is smooth: it
+is found at a few azimuths and interpolated by its Fourier series, and equidistant azimuths
 are the best there are. Those of every other ring lie in the gaps of its neighbours', which halves their number. The
 axes' odd powers of rho, which a rule in rho^2 does not take exactly, come with the odd harmonics of B and are small.
 Where something round stands in the middle of the beam its shadow has an outline of the same kind, and the nodes lie

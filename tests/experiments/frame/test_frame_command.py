@@ -49,7 +49,8 @@ def test_stars_are_found_and_compared_with_a_table(tmp_path, capsys):
 def test_a_frame_of_a_dataset_has_its_truth_beside_it(tmp_path):
     (tmp_path / "frames").mkdir()
     (tmp_path / "truth").mkdir()
-    fits.writeto(tmp_path / "frames" / "frame_000003.fits", image().astype(np.float32))
+    cards = fits.Header([("EXPTIME", 0.2), ("GAIN", 10.0 / 3.0, "[e-/DN] of the system"), ("FILTER", "", "none")])
+    fits.writeto(tmp_path / "frames" / "frame_000003.fits", image().astype(np.float32), cards)
     truth = {"photon_x_px": [20.3, 5.0], "photon_y_px": [40.6, 5.0], "electrons": [5e4, 0.0], "magnitude": [4.0, 9.0]}
     Table(truth).write(tmp_path / "truth" / "frame_000003.ecsv")
     page = tmp_path / "b.html"
@@ -58,6 +59,7 @@ def test_a_frame_of_a_dataset_has_its_truth_beside_it(tmp_path):
     )
     (layer,) = content(page)["layers"]
     assert (layer["x"], layer["label"]) == ([20.3], ["4.0"])  # what gives no light is nowhere
+    assert "EXPTIME 0.2 s · GAIN 3.33333 e-/DN" in page.read_text(encoding="utf-8")
 
 
 def test_catalogue_and_directions_by_the_coordinates_of_the_file(tmp_path):
