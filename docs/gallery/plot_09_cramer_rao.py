@@ -28,7 +28,7 @@ for axes, (name, lens) in zip(panels, lenses.items(), strict=True):
     errors = predict_centroids("epsf", psfs, [5000.0], noise=NoiseModel(read_noise_e=13.0))
     bound = sensor.pixel_arcsec * errors.bound_px[:, 0].reshape(7, 7)
     print(f"{name}: {bound.min():.3f} to {bound.max():.3f} arcsec")
-    mesh = axes.pcolormesh(place, place, bound, vmin=0.03, vmax=0.08)
+    mesh = axes.pcolormesh(place, place, bound, vmin=0.07, vmax=0.085)
     axes.set(xlabel="column [px]", ylabel="row [px]", aspect="equal", title=name)
     axes.invert_yaxis()
 figure.colorbar(mesh, ax=panels, label="bound for 5000 electrons, one axis [arcsec]")

@@ -24,8 +24,9 @@ figure, panels = plt.subplots(1, 2, figsize=(9, 4.6), layout="constrained", shar
 for axes, line_time_s, name in zip(panels, (0.0, 5e-4), ("global shutter", "rolling, 0.5 ms a row"), strict=True):
     motion = exposure_motion(turning, start_s=0.0, exposure_s=0.1, camera=sensor.camera, line_time_s=line_time_s)
     image = StarRenderer(sensor.camera, exposure_s=0.1).render(stars, motion=motion)
-    axes.imshow(np.arcsinh(image.electrons[:, :, 0] / 20.0), cmap="magma")
+    shown = axes.imshow(np.arcsinh(image.electrons[:, :, 0] / 20.0), cmap="magma")
     axes.plot(x, y, "+", color="white", markersize=5, label="at rest")
     axes.set(xlabel="column [px]", title=name)
 panels[0].set_ylabel("row [px]")
+figure.colorbar(shown, ax=panels, label="arsinh of electrons / 20")
 panels[0].legend(loc="lower left", facecolor="black", labelcolor="white")

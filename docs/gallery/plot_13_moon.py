@@ -26,4 +26,4 @@ light = observation.expected.electrons[:, :, 0]
 figure, axes = plt.subplots(figsize=(6.4, 5.2), layout="constrained")
 shown = axes.imshow(np.log10(light + 3.0), cmap="afmhot", vmax=8.5)
 axes.set(xlabel="column [px]", ylabel="row [px]", title="expected electrons in 0.2 s")
-figure.colorbar(shown, ax=axes, label="decimal logarithm")
+figure.colorbar(shown, ax=axes, label="log10 (electrons + 3)")

@@ -31,5 +31,5 @@ print(f"star off by {off.round(0)} arcsec, sigma of its azimuth {known['star_azi
 left = pixel - found.model.project((found.installation * table.inv()).apply(star_direction(found)))
 figure, axes = plt.subplots(figsize=(5.6, 5.2), layout="constrained")
 arrows = axes.quiver(*pixel.T, *left.T, angles="xy")
-axes.quiverkey(arrows, 0.85, 1.03, 0.1, "0.1 px")
+axes.quiverkey(arrows, 0.85, 1.03, 0.1, "0.1 px", labelpos="W")
 axes.set(xlabel="column [px]", ylabel="row [px]", aspect="equal", xlim=(0, 1023), ylim=(1023, 0), title="residuals")

@@ -3,7 +3,8 @@ Sun sensor and cube mirror
 ==========================
 
 The bench of CUBE09, path traced: an aperture throws a beam of sunlight on a face of a cube mirror, and what the face
-sends back lands on the screen around the aperture. Its displacement tells how the face is turned.
+sends back lands on the screen around the aperture. Its displacement tells how the face is turned. Brightness is
+arsinh of the electrons of a pixel.
 """
 
 import numpy as np

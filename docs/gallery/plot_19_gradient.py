@@ -16,8 +16,7 @@ from render.forward import star_scene
 
 mi = Engine.start("auto").mitsuba
 camera = Camera(lens=load_lens("star_camera_206mm"), pixel_pitch_mm=5.5e-3, width_px=36, height_px=28,
-                centre_px=np.array([-400.0, -300.0]), defocus_mm=0.08, charge_diffusion_px=0.3,
-                diffraction="rays")  # fmt: skip
+                centre_px=np.array([-400.0, -300.0]), defocus_mm=0.08, charge_diffusion_px=0.3)  # fmt: skip
 direction = camera.nominal_direction(np.array([11.3, 25.8]), np.array([12.1, 16.6]), 206.2)
 stars = StarField(direction=direction, wavelength_nm=np.array([[550.0, 650.0]]),
                   photon_rate=np.array([[[9.0, 9.0]], [[5.0, 5.0]]]), band=("band",))  # fmt: skip
@@ -33,6 +32,7 @@ figure, panels = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
 for axes, values, name in zip(
     panels, (np.array(image)[:, :, 0], change), ("electrons", "change per arcsec"), strict=True
 ):
-    shown = axes.imshow(values, cmap="magma" if values.min() >= 0 else "RdBu")
+    signed = name != "electrons"
+    shown = axes.imshow(values, cmap="RdBu" if signed else "magma", vmin=-values.max() if signed else 0.0)
     axes.set(xlabel="column [px]", ylabel="row [px]", title=name)
     figure.colorbar(shown, ax=axes)
