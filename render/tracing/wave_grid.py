@@ -149,7 +149,7 @@ class WaveGrid:
     ) -> FloatArray:
         """Light per cell (s, b, m, m) of a square about the centroid, in shares of what gets through the lens.
 
-        Parameters as `stamps`; the square has to lie within the radius of the grid.
+        Parameters as `stamps`; light that lies beyond the radius of the grid is left out.
         """
         weight, shares, turn = self._weights(direction, share)
         light, moments, origin = self._rays(weight, shares, turn, chief_px)

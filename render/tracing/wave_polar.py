@@ -29,6 +29,8 @@ ROOM = 1.6
 """How much more rings and azimuths there are than the highest frequency that samples of images are left with needs."""
 BATCH = 32
 """Images that are taken to rings at a time."""
+NOTHING = 0.3
+"""Part of what may be left out that azimuthal orders without components may hold together."""
 TAPS = 6
 """Samples on either side that such a point takes."""
 
@@ -83,16 +85,19 @@ def turning_shapes(
     area = 0.5 * np.pi * ring * (np.pi / (2 * count)) * reach * np.sqrt(1.0 - node**2) * 2.0
     blurred = blurred * np.sqrt(area)[:, None]
     blurred[..., 0] *= math.sqrt(2.0)
-    parts = [np.linalg.svd(blurred[..., m], full_matrices=False) for m in range(count)]
-    size = np.stack([s for _, s, _ in parts], axis=-1)  # (j, m)
-    left = np.stack([u for u, _, _ in parts], axis=-1)  # (n, j, m)
-    energy = (left * size) ** 2
+    bright = (blurred**2).sum(1).max(0)
+    weak = np.argsort(bright)
+    weak = weak[np.cumsum(bright[weak]) < (NOTHING * limit) ** 2]
+    orders = np.setdiff1d(np.arange(count), weak)
+    part = np.stack([_principal(blurred[..., m]) for m in orders], axis=-1)  # (n, j, m)
+    energy = part**2
     order = np.argsort(energy.max(0), axis=None)
-    lost = np.cumsum(energy.reshape(len(images), -1)[:, order], axis=1).max(0)
-    j, m = np.unravel_index(order[lost > limit**2], size.shape)
+    lost = np.cumsum(energy.reshape(len(images), -1)[:, order], axis=1).max(0) + bright[weak].sum()
+    j, m = np.unravel_index(order[lost > limit**2], part.shape[1:])
     by_order = np.argsort(m, kind="stable")
     j, m = j[by_order], m[by_order]
-    value = left[:, j, m].astype(np.float32)
+    value = (part[:, j, m] / np.linalg.norm(part[:, j, m], axis=0)).astype(np.float32)
+    m = orders[m]
     radial = np.einsum("nc,nrc->rc", value, series[..., m])
     return TurningShapes(m, value, _on_samples(samples_px, reach, node, radial, m))
 
@@ -133,6 +138,14 @@ def _series(to_rings: tuple[NDArray[np.float32], csr_array], images: NDArray[np.
         fine = np.stack([(finer @ image @ finer.T).ravel() for image in images[part]], axis=1)
         result[part] = (matrix @ fine).T.reshape(-1, count, count) @ cosine
     return result
+
+
+def _principal(values: FloatArray) -> FloatArray:
+    """Left singular vectors times singular values (n, j) of values (n, r): what of each is in principal components."""
+    if len(values) > values.shape[1]:
+        return np.asarray(values @ np.linalg.eigh(values.T @ values)[1])
+    square, left = np.linalg.eigh(values @ values.T)
+    return np.asarray(left * np.sqrt(np.maximum(square, 0.0)))
 
 
 def _on_samples(

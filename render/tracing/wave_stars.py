@@ -133,14 +133,14 @@ class WaveStars:
         return few, still, self._images(few, still, seen, chiefs, shade)
 
     def cells(self, light: Light, seen: Seen, chiefs: Chiefs, half_size_px: int, cells_per_px: int) -> FloatArray:
-        """The same by waves."""
-        radius_px = float(math.ceil(math.sqrt(0.5) * (2 * half_size_px + 1)))
+        """Light of `Tracer.centred_cells`; by a grid, corners of the square are dark where its stamps have ended."""
+        radius_px = math.ceil(half_size_px + 0.5)
         if self.camera.diffraction == "waves" and worth_a_grid(light.wavelength_nm, len(light.electrons)):
             chief = np.stack([chiefs.x_px, chiefs.y_px], axis=-1)
             by = light.wavelength_nm, seen.paths.collimation
             grid = self._grid(*by, 0.0) if self._spread(chief) else None  # that of the images serves, if it is as large
             if grid is not None and grid.radius_px < radius_px:
-                grid = self._grid(*by, radius_px)
+                grid = self._grid(*by, float(radius_px))
             if grid is not None and grid.holds(seen.paths.mid).all() and not chiefs.blocked.any():
                 return grid.cells(seen.paths.mid, light.share, chief, half_size_px, cells_per_px)
         light = self.condensed(light, seen)

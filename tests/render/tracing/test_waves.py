@@ -182,16 +182,21 @@ def test_effective_psf_is_what_the_renderer_puts_into_pixels(engine):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "focal_mm", "change", "size_px"),
+    ("name", "focal_mm", "change", "size_px", "cut"),
     [
-        ("star_camera_206mm", 206.2, lambda lens: lens, (900, 700)),
-        ("star_camera_206mm", 206.2, lambda lens: lens, (4096, 2048)),
-        ("star_camera_206mm", 206.2, lambda lens: decentre(lens, "L2", 0.15, -0.1), (900, 700)),
-        ("star_tracker_26mm", 26.0, lambda lens: lens, (900, 700)),
+        ("star_camera_206mm", 206.2, lambda lens: lens, (900, 700), False),
+        ("star_camera_206mm", 206.2, lambda lens: lens, (4096, 2048), False),
+        ("star_camera_206mm", 206.2, lambda lens: decentre(lens, "L2", 0.15, -0.1), (900, 700), False),
+        ("star_tracker_26mm", 26.0, lambda lens: lens, (1862, 1862), True),
     ],
 )
-def test_images_interpolated_over_the_field_are_those_of_every_star(engine, name, focal_mm, change, size_px):
-    """Also those of a lens that is not one of revolution, for which mirrored or turned images would be wrong."""
+def test_images_interpolated_over_the_field_are_those_of_every_star(engine, name, focal_mm, change, size_px, cut):
+    """Also those of a lens that is not one of revolution, for which mirrored or turned images would be wrong.
+
+    Of the 26 mm lens apertures cut the beams of 7 stars, with kinks over the field that no polynomial follows: there
+    the errors are what docs/diffraction.md states.
+    """
+    tolerance, ray_tolerance, parts = (2e-4, 2e-4, 3e-4) if cut else (1e-4, 1e-5, 1e-4)
     lens = change(load_lens(name))
     camera = camera_of(lens, *size_px)
     camera = replace(camera, centre_px=camera.centre_px + np.array([1.7, -2.4]))
@@ -208,21 +213,21 @@ def test_images_interpolated_over_the_field_are_those_of_every_star(engine, name
     fast = Tracer(camera).render(stars, exposure_s=1.0)
     exact = Tracer(replace(camera, diffraction="exact_waves")).render(stars, exposure_s=1.0)
     assert list(fast.sampling) == ["grid"]
-    assert list(exact.sampling) == ["quadrature"]
+    assert sorted(exact.sampling) == (["arcs", "quadrature"] if cut else ["quadrature"])
     column, row = (np.rint(v[:, 0]).astype(int) for v in (exact.truth.photon_x_px, exact.truth.photon_y_px))
     for i, light in enumerate(exact.truth.electrons_in[:, 0]):
         part = slice(max(row[i] - 6, 0), row[i] + 7), slice(max(column[i] - 6, 0), column[i] + 7)
         ours, theirs = (r.electrons[..., 0][part].astype(float) for r in (fast, exact))
-        assert np.abs(ours - theirs).max() < 1e-4 * light
+        assert np.abs(ours - theirs).max() < tolerance * light
         grid = np.arange(theirs.shape[1])
-        assert (ours.sum(0) @ grid) / ours.sum() == pytest.approx((theirs.sum(0) @ grid) / theirs.sum(), abs=1e-4)
-    assert fast.truth.photon_x_px == pytest.approx(exact.truth.photon_x_px, abs=1e-6)
+        assert (ours.sum(0) @ grid) / ours.sum() == pytest.approx((theirs.sum(0) @ grid) / theirs.sum(), abs=tolerance)
+    assert fast.truth.photon_x_px == pytest.approx(exact.truth.photon_x_px, abs=tolerance if cut else 1e-6)
     assert fast.truth.electrons_beyond == pytest.approx(exact.truth.electrons_beyond, rel=0.2)
     rays = Tracer(replace(camera, diffraction="rays")).render(stars, exposure_s=1.0).truth  # the grid traces none
     for key in ("chief_x_px", "chief_y_px", "bundle_x_px", "bundle_y_px"):
-        assert getattr(fast.truth, key) == pytest.approx(getattr(rays, key), abs=1e-5)
+        assert getattr(fast.truth, key) == pytest.approx(getattr(rays, key), abs=ray_tolerance)
     for key in ("variance_x_px2", "variance_y_px2", "electrons_in"):
-        assert getattr(fast.truth, key) == pytest.approx(getattr(rays, key), rel=1e-4)
+        assert getattr(fast.truth, key) == pytest.approx(getattr(rays, key), rel=parts)
 
 
 @pytest.mark.slow
