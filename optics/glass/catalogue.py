@@ -101,9 +101,15 @@ class Glass:
                     f"glass {self.name}: C = {resonance:g} um^2 is a resonance at {1e3 * resonance**0.5:g} nm, inside "
                     f"its range {low:g} ... {high:g} nm"
                 )
-        total = self.dispersion.total(np.geomspace(low, high, 64))
+        what = "n^2" if self.dispersion.form.squared else "n"
+        with np.errstate(all="ignore"):  # powers of the wavelength may overflow or divide by zero: said below
+            total = self.dispersion.total(np.geomspace(low, high, 64))
+        if not (total < _LARGEST_INDEX ** (2 if self.dispersion.form.squared else 1)).all():  # or not a number
+            raise DomainError(
+                f"glass {self.name}: its coefficients {str(self.dispersion.coefficients)[:200]} make {what} larger "
+                f"than that of any glass inside {low:g} ... {high:g} nm"
+            )
         if not (total >= _LEAST_INDEX).all():
-            what = "n^2" if self.dispersion.form.squared else "n"
             raise DomainError(f"glass {self.name}: {what} falls to {total.min():g} inside {low:g} ... {high:g} nm")
         if (self.transmittance is None) != (self.transmittance_mm is None):
             raise ConfigError(f"glass {self.name}: transmittance and transmittance_mm belong together")
@@ -261,6 +267,8 @@ def _floats(values: Any, what: str) -> tuple[float, ...]:
 
 _LEAST_INDEX = 0.999
 """Vacuum has 0.99973 against air; what is below is no glass."""
+_LARGEST_INDEX = 10.0
+"""Lead telluride, the highest of what is transparent, has 6."""
 
 _KEYS = (
     "B",

@@ -25,6 +25,9 @@ from optics.errors import ConfigError, DomainError, unknown_name
 
 __all__ = ["AGF_FORMULAS", "FORMULAS", "Dispersion", "Form", "ThermalDispersion", "thermal_change"]
 
+LARGEST_EXPONENT = 24
+"""Of a wavelength; published formulas go to 12. Powers are products of as many factors."""
+
 _Numbers = Sequence[float]
 
 
@@ -116,11 +119,15 @@ class Dispersion:
         if not np.isfinite(self.coefficients).all():
             raise DomainError(f"dispersion coefficients {self.coefficients} hold a value that is not finite")
         try:
-            _ = self.form
-        except (IndexError, ValueError, ZeroDivisionError):
+            form, numbers = FORMULAS[self.formula](self.coefficients)
+            if not np.isfinite(np.asarray(numbers, float)).all():  # TypeError: a root of a negative number
+                raise ValueError
+            if any(abs(p) > LARGEST_EXPONENT for p in (*form.powers, *(p for p, _ in form.poles))):
+                raise ValueError
+        except (IndexError, OverflowError, TypeError, ValueError, ZeroDivisionError):
             raise ConfigError(
                 f"dispersion formula {self.formula!r} cannot have the {len(self.coefficients)} coefficients "
-                f"{self.coefficients}"
+                f"{str(self.coefficients)[:200]}"
             ) from None
 
     @staticmethod

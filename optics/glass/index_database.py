@@ -115,8 +115,10 @@ def _formula(number: int, c: list[float]) -> Dispersion:
 def _table(text: Any) -> FloatArray:
     rows = [[float(x) for x in line.split()] for line in str(text).splitlines() if line.strip()]
     table = np.array(rows, float)
-    if table.ndim != 2 or table.shape[1] < 2 or not np.isfinite(table).all():
-        raise ConfigError("a table of data has rows of unequal length, or no numbers")
+    if table.ndim != 2 or table.shape[1] < 2 or not (np.abs(table) < 1e6).all():
+        raise ConfigError("a table of data has rows of unequal length, no numbers, or numbers beyond a million")
+    if not (table[:, 0] > 0.0).all():
+        raise DomainError(f"a table of data has the wavelength {table[:, 0].min():g} um; they must be positive")
     _, first = np.unique(table[:, 0], return_index=True)
     return np.asarray(table[first])
 

@@ -103,6 +103,32 @@ def test_materials_of_refractiveindex_info(tmp_path: Path) -> None:
             read_material(path)
 
 
+@pytest.mark.parametrize(
+    ("kind", "numbers", "said"),
+    [
+        ("tabulated k", ("0.3 3e-6", "-0.0 1e-6", "0.5 1e-6"), "the wavelength -?0 um"),
+        ("tabulated nk", ("0.3 1.5 0", "0.4 1.5 0", "-0.5 1.5 0"), "the wavelength -0.5 um"),
+        ("tabulated nk", ("0.3 1e300 0", "0.4 1.5 0"), "beyond a million"),
+        ("formula 3", "2 1 -9999", r"\(2.0, 1.0, -9999.0\)"),
+        ("formula 3", "2 1 2147483648", r"\(2.0, 1.0, 2147483648.0\)"),
+        ("formula 4", "2 1 0 -1 0.5", r"\(2.0, 1.0, 0.0, -1.0, 0.5\)"),
+        ("formula 4", "2 1 0 1e300 2", r"1e\+300, 2.0\)"),
+        ("formula 6", "0 1 0", r"\(0.0, 1.0, 0.0\)"),
+        ("formula 6", "0 1 1e-320", "cannot have"),
+        ("formula 7", "1 2 3", "larger than that of any glass"),
+    ],
+)
+def test_materials_that_cannot_be(tmp_path: Path, kind: str, numbers: tuple[str, ...] | str, said: str) -> None:
+    """Divisions by zero, overflows and powers that take gigabytes are a line that names the number."""
+    path = tmp_path / "a.yml"
+    data = numbers if isinstance(numbers, str) else "|\n" + "".join(f"        {row}\n" for row in numbers)
+    key = "wavelength_range: 0.3 2.5\n    coefficients" if isinstance(numbers, str) else "data"
+    path.write_text(f"DATA:\n  - type: {kind}\n    {key}: {data}", encoding="utf-8")
+    with pytest.raises(StarbenchError, match=said) as error:
+        read_material(path)
+    assert "\n" not in str(error.value)
+
+
 def test_a_model_glass_meets_its_two_numbers_and_lies_near_real_glasses() -> None:
     d, f, c = model_glass("m", 1.6204, 36.37).dispersion.index(LINES)
     assert d == pytest.approx(1.6204, abs=1e-12)
