@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from operator import ne
 from pathlib import Path
 
 from experiments.dataset.production.complete import in_words, prompt_pool
@@ -25,7 +26,7 @@ from optics.errors import ConfigError
 
 __all__ = ["Checked", "check"]
 
-_LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")
+_LINE = re.compile(r"([0-9a-f]{64})  ((?!.*[0-9a-f]{64})[^\s\x00-\x1f][^\x00-\x1f]*)")  # one line each, not two
 _FRAME = re.compile(r"(?:frames|truth)/frame_(\d{6,10})\.\w+")
 
 
@@ -42,7 +43,7 @@ class Checked:
     unlisted : tuple of str
         Frames that no list covers, as after an interrupted run; they vouch for themselves.
     foreign : tuple of str
-        Files that no run wrote.
+        Files that no run wrote; not told where the list is damaged.
     frames : tuple of int
         Frames that a run would make again.
     """
@@ -95,7 +96,9 @@ def check(folder: Path, progress: Progress) -> Checked:
         whole = {one.frame for one in records if one is not None}
         names = sorted(there & set(listed))
         digests = progress.track(pool.map(lambda name: file_digest(folder / name), names), "files", total=len(names))
-        bad = {name for name, digest in zip(names, digests, strict=True) if digest != listed[name]}
+        off = {name: digest for name, digest in zip(names, digests, strict=True) if digest != listed[name]}
+    # digests of different content are far apart: a single other digit is a fault of the list
+    bad = {SUMS if _near(digest, listed[name]) else name for name, digest in off.items()}
     sound = {name for frame in whole for name in frame_files(frame, truth)}
     for frame in set(frames) - whole:
         pair = set(frame_files(frame, truth))
@@ -104,8 +107,9 @@ def check(folder: Path, progress: Progress) -> Checked:
         bad = (bad - sound) | {SUMS}
     if IDENTITY in there and not _agrees(folder, origin):
         bad.add(IDENTITY)
-    missing = {name for name in listed if name not in there} | (bad - there)
-    if SUMS in there and not _all_lines(folder):
+    misspelt = {name for name in set(listed) - there if _misspelt(folder, name, listed[name], there - set(listed))}
+    missing = ({name for name in listed if name not in there} | (bad - there)) - misspelt
+    if SUMS in there and (misspelt or not _all_lines(folder)):
         bad.add(SUMS)
     again = {int(found[1]) for found in map(_FRAME.fullmatch, bad | missing) if found}
     return Checked(
@@ -113,7 +117,9 @@ def check(folder: Path, progress: Progress) -> Checked:
         damaged=tuple(sorted(bad - missing)),
         missing=tuple(sorted(missing)),
         unlisted=tuple(sorted(sound - set(listed))),
-        foreign=tuple(sorted(there - set(listed) - sound - bad - {SUMS, IDENTITY})) if listed else (),
+        foreign=tuple(sorted(there - set(listed) - sound - bad - {SUMS, IDENTITY}))
+        if listed and SUMS not in bad
+        else (),
         frames=tuple(sorted(again)),
     )
 
@@ -124,13 +130,22 @@ def _listed(folder: Path) -> dict[str, str]:
         text = (folder / SUMS).read_text(encoding="utf-8", errors="replace")
     except OSError:
         return {}
-    found = map(_LINE.fullmatch, text.splitlines())
+    found = map(_LINE.fullmatch, text.split("\n")[:-1])
     return {one[2]: one[1] for one in found if one and not one[2].startswith("/") and ".." not in one[2].split("/")}
 
 
 def _all_lines(folder: Path) -> bool:
-    lines = (folder / SUMS).read_text(encoding="utf-8", errors="replace").splitlines()
-    return bool(lines) and all(map(_LINE.fullmatch, lines))
+    *lines, rest = (folder / SUMS).read_bytes().decode(errors="replace").split("\n")
+    return bool(lines) and not rest and all(map(_LINE.fullmatch, lines))
+
+
+def _misspelt(folder: Path, name: str, digest: str, others: set[str]) -> bool:
+    """Whether a file that is gone is there under a name of one other character: then it is the list that is wrong."""
+    return any(_near(name, other) and file_digest(folder / other) == digest for other in others)
+
+
+def _near(one: str, other: str) -> bool:
+    return len(one) == len(other) and sum(map(ne, one, other)) == 1
 
 
 def _truth_format(folder: Path) -> str:

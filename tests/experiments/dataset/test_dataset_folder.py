@@ -17,10 +17,12 @@ from astropy.table import Table
 
 from experiments.dataset.experiment import main
 from experiments.dataset.production import folder as storage
+from experiments.dataset.production.check import check
 from experiments.dataset.production.folder import DatasetFolder
 from experiments.dataset.production.job import Job, make_frame
 from experiments.dataset.settings import Config
 from experiments.dataset.truth.files import read_record, truth_bytes
+from experiments.harness.progress import Progress
 from optics.errors import ConfigError
 
 SMALL = [
@@ -299,6 +301,17 @@ def test_check_names_what_is_damaged_and_what_is_made_again(dataset, tmp_path, c
     assert data(folder) == data(dataset)
     assert (folder / "notes.txt").read_text() == "mine"
     assert main(["check", str(tmp_path / "none")]) == 2
+
+
+@pytest.mark.parametrize(("part", "bit"), [(b"  README.md", 25), (b"\n", 0), (b"\n", 6), (b"", 1), (b"", 5)])
+def test_a_bit_of_the_list_is_a_fault_of_the_list(dataset, tmp_path, part, bit):
+    """Digits, names and line ends of SHA256SUMS; no other file is called damaged or missing."""
+    folder = tmp_path / "listed"
+    shutil.copytree(dataset, folder)
+    content = (folder / "SHA256SUMS").read_bytes()
+    flip(folder / "SHA256SUMS", 8 * content.index(part) + bit)
+    found = check(folder, Progress())
+    assert (found.damaged, found.missing, found.foreign, found.frames) == (("SHA256SUMS",), (), (), ())
 
 
 def test_dataset_json_is_written_anew_from_the_frames(dataset, tmp_path):
