@@ -40,7 +40,8 @@ class ExperimentRun:
 
     def __repr__(self) -> str:
         failed = [one.name for one in self.criteria if not one.passed]
-        verdict = f"not met: {', '.join(failed)}" if failed else f"{len(self.criteria)} criteria met"
+        met = f"{len(self.criteria)} criteria met" if self.criteria else "no criteria"
+        verdict = f"not met: {', '.join(failed)}" if failed else met
         return f"<{self.run.experiment.name}: tables {', '.join(self.run.tables)}; {verdict}>"
 
     @property
