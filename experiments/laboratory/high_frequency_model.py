@@ -32,6 +32,7 @@ from experiments.laboratory.point_noise import (
     drawn_positions,
     expected_windows,
     influence,
+    window_positions,
 )
 from experiments.laboratory.point_scene import one_filter
 from experiments.laboratory.ray_prediction import bundle_prediction
@@ -47,6 +48,9 @@ from render.records import EffectivePsf
 
 __all__ = ["HighFrequencyPrediction", "MethodPrediction", "predict_high_frequency"]
 
+
+FIT_NOISE_PX = 0.03
+"""Noise of a fit from which on its bias is drawn: below, it is less than some (0.03 px)^2 = 1e-3 px."""
 
 PATHS = 24
 """Drawn paths of a hexapod with errors, for the S-curve; roll is small enough to leave that as it is."""
@@ -149,7 +153,8 @@ def predict_high_frequency(
         Drawn chips.
     noise_draws : int
         Noisy copies of each window from which the mean centroid is taken; 0 takes the noiseless window's, which is the
-        same but for methods with a threshold at little light. Fits of a PSF take none.
+        same but for methods with a threshold at little light. Fits of a PSF, whose bias goes with the square of their
+        noise, take draws where that noise is at least `FIT_NOISE_PX`, and at the places of an ideal hexapod alone.
     seed : int
         Of the draws; they have nothing in common with the frames.
     """
@@ -181,9 +186,8 @@ def predict_high_frequency(
         pixel_arcsec=instrument.pixel_arcsec,
         place_px=windows.place_px.reshape(plan.positions, -1, 2),
         method={
-            # a fit of a PSF has no bias that noise could change
             name: replace(model, noise_draws=0 if needs_epsf(name) else noise_draws).method(
-                one, session_centroiders(bench, psf, name), rng
+                one, session_centroiders(bench, psf, name), rng, fit_draws=noise_draws if needs_epsf(name) else 0
             )
             for name, one in centroiders(bench, psf).items()
         },
@@ -206,7 +210,7 @@ class _Model:
     roll_rad: float
 
     def method(
-        self, centroider: Centroider, sessions: Sequence[Centroider], rng: np.random.Generator
+        self, centroider: Centroider, sessions: Sequence[Centroider], rng: np.random.Generator, *, fit_draws: int
     ) -> MethodPrediction:
         """Everything about one centroider, and the same with the PSF of each session."""
         windows, m = self.windows, self.positions
@@ -215,6 +219,12 @@ class _Model:
         # the ideal path is not one of those that an erring hexapod takes
         runs = [(each[i % len(each)], one) for i, one in enumerate(self.others or [windows] * len(each))]
         curves, masked = ([of(*one) for one in runs] for of in (self._curve, self._masked))
+        sigma = gain.sigma_px(self.noise.temporal_e2(windows.light_e, frames=self.bench.frames)).reshape(m, -1, 2)
+        one_frame, left = gain.sigma_px(self.noise.temporal_e2(windows.light_e)), sigma
+        if fit_draws and np.sqrt(np.mean(one_frame**2)) >= FIT_NOISE_PX:
+            bias, scatter = self._bias(centroider, fit_draws)
+            curves = [one + bias for one in curves]
+            left = np.sqrt(np.maximum(sigma**2 - scatter**2, 0.0))  # beside the noise that the drawn bias brings along
         g, stars = gain.gain_px_per_e, curves[0].shape[1]
         prnu = self._fixed(g * windows.light_e[:, None], self.noise.prnu)
         offsets, dark = self._offsets(g)
@@ -231,14 +241,13 @@ class _Model:
             "pattern": np.sqrt(sum((_mean2(part) for part in offsets), np.zeros(2))),
             "defects": _rms([single_rms_px(one) for one in masked]),
         }
-        sigma = gain.sigma_px(self.noise.temporal_e2(windows.light_e, frames=self.bench.frames)).reshape(m, stars, 2)
         document, error, lever = [], [], self._lever()
         for draw in range(self.draws):
             fixed = curves[draw % len(curves)] + masked[draw % len(curves)]
             for part in (prnu, *offsets, *dark):
                 fixed = fixed + np.einsum("jmayx,jyx->mja", part, rng.standard_normal((stars, *part.shape[3:])))
             rolled = self.roll_rad * rng.standard_normal((m, 1, 1)) * lever
-            document.append(document_rms_px(fixed + rolled + sigma * rng.standard_normal(sigma.shape)))
+            document.append(document_rms_px(fixed + rolled + left * rng.standard_normal(left.shape)))
             error.append(single_rms_px(fixed))
         return MethodPrediction(
             s_curve_px=curves[0],
@@ -266,6 +275,15 @@ class _Model:
             column = self._fixed(gain, self.noise.column_e).sum(3, keepdims=True)
             return [self._fixed(gain, self.noise.offset_e), column], []
         return [], [self._fixed(gain, float(np.sqrt(self.noise.floor_e2 / self.bench.dark_frames)))]
+
+    def _bias(self, centroider: Centroider, draws: int) -> tuple[FloatArray, FloatArray]:
+        """What noise adds to the mean of a fit, of second order in it, and its standard error: (m, j, 2)."""
+        rng = Streams(self.seed).generator("high-frequency bias")
+        given = (centroider, self.instrument, self.windows)
+        drawn = drawn_positions(*given, self.noise, draws=2 * draws, rng=rng, mirrored=True)
+        pair = drawn.reshape(draws, 2, -1, 2).mean(1) - window_positions(*given)[0]  # NaN where a fit failed
+        mean, scatter = np.nanmean(pair, axis=0), np.nanstd(pair, axis=0, ddof=1) / np.sqrt(draws)
+        return mean.reshape(self.positions, -1, 2), scatter.reshape(self.positions, -1, 2)
 
     def _curve(self, centroider: Centroider, windows: ExpectedWindows) -> FloatArray:
         """Error (m, j, 2) of the noiseless centroids, or of their mean over drawn noise."""

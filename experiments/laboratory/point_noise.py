@@ -232,6 +232,7 @@ def drawn_positions(
     *,
     draws: int,
     rng: np.random.Generator,
+    mirrored: bool = False,
 ) -> FloatArray:
     """Positions (draws, n, 2) with noise drawn on the windows with NumPy: Poisson, normal, rounded.
 
@@ -252,12 +253,18 @@ def drawn_positions(
         Noisy copies of each window.
     rng : numpy.random.Generator
         Source of the draws.
+    mirrored : bool
+        Whether every second draw has the noise of the one before it with the other sign: what is linear in the noise
+        then cancels in the mean, which keeps the bias alone. Not for thresholds, which see the skewness of the noise.
     """
     stated = nominal_noise(instrument)
     _, stamps = window_positions(centroider, instrument, windows)
     shape = (draws, *windows.light_e.shape)
-    electrons = rng.poisson(windows.light_e + noise.dark_e, shape) - noise.dark_e
-    electrons = electrons + np.sqrt(noise.read_e2) * rng.standard_normal(shape)
+    drawn = (draws // 2, *shape[1:]) if mirrored else shape
+    electrons = rng.poisson(windows.light_e + noise.dark_e, drawn) - noise.dark_e
+    electrons = electrons + np.sqrt(noise.read_e2) * rng.standard_normal(drawn)
+    if mirrored:
+        electrons = np.stack([electrons, 2.0 * windows.light_e - electrons], axis=1).reshape(shape)
     electrons = windows.valid * np.rint(electrons * stated.gain_dn_per_e) / stated.gain_dn_per_e
     many = stamps.select(np.tile(np.arange(len(stamps)), draws))
     noisy: Stamps = replace(many, electrons=electrons.reshape(-1, *shape[2:]))

@@ -109,6 +109,21 @@ def test_the_s_curve_is_that_of_the_sampled_psf(steps, bench, small_camera, psf)
     assert np.abs(steps.effect_px("epsf", "s_curve", alone=True)).max() < 5e-4
 
 
+@pytest.mark.slow
+def test_faint_fits_are_biased_by_noise_as_predicted(bench, small_camera, psf):
+    """On frames of a chip without patterns: to first order in the noise such a fit is right to 5e-4 px."""
+    clean = replace(small_camera, detector=switched(small_camera.detector, ()))
+    faint, plan = replace(bench, frames=1000, signal_e=400.0, methods=("epsf",)), StepPlan(positions=3, step_px=0.25)
+    of = predict_high_frequency(faint, clean, plan, psf=psf, place_px=PLACE, draws=2, noise_draws=200).method["epsf"]
+    seen = measure_high_frequency(
+        faint, clean, IDEAL, plan, place_px=PLACE, split=False, subtraction="raw", streams=Streams(4)
+    )
+    error = seen.mean_px["all"]["epsf"] - seen.photon_px
+    assert np.sqrt((of.s_curve_px**2).mean()) > 3e-3
+    # sizes agree; the noise of the frames and of the draws, 2e-3 px each, makes 0.1 of it
+    assert (error * of.s_curve_px).sum() / (of.s_curve_px**2).sum() == pytest.approx(1.0, abs=0.3)
+
+
 def test_a_cause_alone_and_switched_off_agree(steps):
     alone, off = (steps.effect_px("epsf", "prnu", alone=which) for which in (True, False))
     assert 5e-4 < np.sqrt((alone**2).mean()) < 0.02
