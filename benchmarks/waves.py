@@ -104,6 +104,26 @@ def colour():
         print(f"| {name} | {shift['rays'][i]:.4f} | {shift['waves'][i]:.4f} |")
 
 
+def windows():
+    """Light and centroid in windows about the mean of all light, of all positions within a pixel."""
+    plain = camera_of(diffraction="exact_waves")
+    cases = {
+        "206 mm, 3.5 deg": (plain, 3.5, 9),
+        "206 mm, L2 decentred, axis": (replace(plain, lens=decentre(plain.lens, "L2", 0.1164, 0.0)), 0.0, 9),
+        "26 mm, 8 deg": (replace(plain, lens=load_lens("star_tracker_26mm")), 8.0, 8),
+    }
+    print("\n| lens | window [px] | light | centroid from the mean of all light [mpx] |\n|---|---|---|---|")
+    for name, (camera, field_deg, radius_px) in cases.items():
+        stars = star(np.linspace(600.0, 700.0, 3), field_deg)
+        cells = Tracer(camera).centred_cells(stars, half_size_px=24, cells_per_px=4)[0, 0]
+        at = (np.arange(len(cells)) + 0.5) / 4.0 - 24.5
+        seen = {f"{n} x {n}": np.maximum(np.abs(at), np.abs(at)[:, None]) < 0.5 * n for n in (5, 9, 13, 21, 41)}
+        seen[f"disk, radius {radius_px}"] = np.hypot(at, at[:, None]) <= radius_px
+        for window, inside in seen.items():
+            light = cells * inside
+            print(f"| {name} | {window} | {light.sum():.4f} | {1e3 * (light.sum(0) @ at) / light.sum():.1f} |")
+
+
 def timed(call, repeat=3):
     """Shortest of some runs on the clock, and of its processor time [s], after one that does not count."""
     call()
@@ -214,7 +234,8 @@ def frames():
             wall, used = time.perf_counter() - start[0], time.process_time() - start[1]
             error = "none is good enough"
             if grid is not None:
-                error = f"{len(grid.points)}^2 places, errors {grid.error:.1e} of the light, {grid.error_px:.1e} px"
+                places = f"{len(grid.points)}" + ("^2 places" if grid.order is None else " places along a diameter")
+                error = f"{places}, errors {grid.error:.1e} of the light, {grid.error_px:.1e} px"
             print(f"grid over {width} x {height} px, {state}: {wall:.1f} s, {used:.1f} s of a core; {error}")
         for how in ("waves", "rays"):
             one = Tracer(replace(camera, diffraction=how))
@@ -234,3 +255,4 @@ if __name__ == "__main__":
     else:
         changes()
         colour()
+        windows()
