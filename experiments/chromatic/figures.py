@@ -124,12 +124,12 @@ def arrow_panels(outcome: Outcome, panels: Sequence[tuple[str, str, str]]) -> Fi
 
 
 def _field_frame(outcome: Outcome, axis: Any, key_px: float, scale: float) -> None:
-    """Outline of the detector, its seam, and an arrow of known length in the middle."""
+    """Outline of the detector, its seams, and an arrow of known length between the target's places."""
     camera, chips = outcome.result.instrument.camera, outcome.result.instrument.detector.chips
     width, height = camera.width_px, camera.height_px
-    middle = (width - 1) / 2, (height - 1) / 2
-    axis.quiver(*middle, key_px, 0, angles="xy", scale_units="xy", scale=1 / scale, color=INK, width=0.0045)
-    axis.text(middle[0], middle[1] - 110, f"{key_px:g} px", fontsize=8)
+    place = 0.62 * width if chips == 2 else 0.5 * width - 0.5, (height - 1) / 2  # not on the seam of two chips
+    axis.quiver(*place, key_px, 0, angles="xy", scale_units="xy", scale=1 / scale, color=INK, width=0.0045)
+    axis.text(place[0], place[1] - 110, f"{key_px:g} px", fontsize=8)
     left, right, upper, lower = -0.5, width - 0.5, -0.5, height - 0.5
     axis.plot([left, right, right, left, left], [upper, upper, lower, lower, upper], color="#8a9099", linewidth=0.8)
     for seam in range(1, chips):
