@@ -32,6 +32,27 @@ for _name in ("optics", "render", "calib"):  # a user's module of that name make
             raise SystemExit(2)
         raise ImportError(_said)
 
+
+def _no_such_module() -> None:
+    """Python says of ``-m experiments.camra`` that there is no such module; say which one is near."""
+    words = [word.removeprefix("-m") for word in sys.orig_argv[1:] if word != "-m" and "experiments." in word]
+    asked = next((word.removeprefix("experiments.") for word in words if word.startswith("experiments.")), "")
+    if not asked or "." in asked or find_spec(f"experiments.{asked}"):
+        return
+    from experiments.__main__ import COMMANDS
+    from experiments.harness.registry import package_of
+    from optics.errors import ConfigError
+
+    try:
+        package_of(asked, COMMANDS)
+    except ConfigError as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+if sys.argv[:1] == ["-m"]:
+    _no_such_module()
+
 with contextlib.suppress(ImportError):  # of a broken installation: ``starbench doctor`` says what it lacks
     import lazy_loader
 

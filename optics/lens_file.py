@@ -83,13 +83,15 @@ def lens_path(name_or_path: str | Path) -> Path:
     Raises
     ------
     ConfigError
-        A name that is neither, with the nearest built-in one.
+        A name that is neither, with the nearest built-in one; a file of another kind.
     """
     builtin, text = _builtin(), str(name_or_path)
     if text in builtin:
         return builtin[text]
     if "/" in text or text.lower().endswith((".toml", *FOREIGN)):
         return Path(text)
+    if Path(text).is_file():
+        raise ConfigError(f"{text}: a lens file ends in .toml, {' or '.join(FOREIGN)}")
     raise unknown_name("lens", text, builtin)
 
 

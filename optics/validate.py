@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import tomllib
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,13 +14,28 @@ from pydantic.fields import FieldInfo
 
 from optics.errors import ConfigError, unknown_name
 
-__all__ = ["MOST_LEVELS", "allowed_range", "parse_model", "read_toml", "refuse_values", "without_lax"]
+__all__ = ["MOST_LEVELS", "MOST_MISSING", "allowed_range", "parse_model", "read_toml", "refuse_values", "without_lax"]
 
 Model = TypeVar("Model", bound=BaseModel)
 Location = tuple[int | str, ...]
 
 MOST_LEVELS = 16
 """How deep tables and lists of a file may stand within one another."""
+MOST_MISSING = 3
+"""Of more missing keys the names are said, not what each is."""
+_NEEDED = {
+    "finite_number": "a finite number is needed",
+    "float_type": "a number is needed",
+    "float_parsing": "a number is needed",
+    "int_type": "a whole number is needed",
+    "int_parsing": "a whole number is needed",
+    "int_from_float": "a whole number is needed",
+    "bool_type": "true or false is needed",
+    "bool_parsing": "true or false is needed",
+    "string_type": "text is needed, in quotation marks",
+}
+"""What pydantic finds wrong, in our words; of the rest it says it itself."""
+_OUT_OF_BOUNDS = frozenset(("greater_than", "greater_than_equal", "less_than", "less_than_equal"))
 _BOUNDS = (("gt", "above {}"), ("ge", "at least {}"), ("lt", "below {}"), ("le", "at most {}"))
 
 
@@ -119,7 +134,13 @@ def _type_at(model_class: type[BaseModel], location: Location) -> int | None:
 
 
 def _refusal(model_class: type[BaseModel], faults: list[dict[str, Any]], where: str) -> ConfigError:
-    return ConfigError("\n".join(dict.fromkeys(f"{where}: {_sentence(model_class, fault)}" for fault in faults)))
+    sentences = [_sentence(model_class, fault) for fault in faults]
+    missing = [fault for fault in faults if fault["type"] == "missing"]
+    if len(missing) > MOST_MISSING:
+        keys = [".".join(map(str, _without_tags(model_class, fault["loc"]))) for fault in missing]
+        others = [_sentence(model_class, fault) for fault in faults if fault not in missing]
+        sentences = [*others, f"{len(keys)} keys are missing: {', '.join(keys)}"]
+    return ConfigError("\n".join(dict.fromkeys(f"{where}: {sentence}" for sentence in sentences)))
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
@@ -246,15 +267,15 @@ def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
                 if location[-1] in other.model_fields:
                     chosen = key.removesuffix(f".{location[-1]}")
                     return f"key {key!r} goes with {chosen}.kind = {other.model_fields['kind'].default!r}; set that too"
-        near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
+        near = _nearest(str(location[-1]), known, _dotted(model_class))
+        hint = f"did you mean {near!r}?" if near else f"known keys: {', '.join(known)}"
         return f"unknown key {key!r}; {hint}"
     if kind == "union_tag_invalid":
         known_kinds = [owner.model_fields["kind"].default for owner in _owners(model_class, location)]
         return str(unknown_name(f"{key}.kind", str(fault["ctx"]["tag"]), known_kinds))
     if kind == "missing":
         return f"key {key!r} is missing{_allowed(model_class, location)}"
-    reason = str(fault["msg"]).removeprefix("Value error, ").replace("\n", " ")
+    reason = _reason(fault)
     if kind in ("model_type", "model_attributes_type", "dict_type"):
         keys = sorted({name for owner in _owners(model_class, location) for name in owner.model_fields})
         reason = "a table is needed" + (f" with the keys {', '.join(keys)}" if keys else "")
@@ -267,8 +288,47 @@ def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
         return reason
     given = fault.get("input")
     is_table = isinstance(given, Mapping) and bool(_owners(model_class, location))
-    shown = key if is_table else f"{key} = {_shown(given)}"
-    return f"{shown}: {reason}{_allowed(model_class, location)}"
+    shown, allowed = key if is_table else f"{key} = {_shown(given)}", _allowed(model_class, location)
+    if kind in _OUT_OF_BOUNDS and "allowed:" in allowed:
+        reason = "out of range"
+    return f"{shown}: {reason}{allowed}"
+
+
+def _reason(fault: Mapping[str, Any]) -> str:
+    """What is wrong with a value, in words for who wrote it."""
+    if fault["type"] in _NEEDED:
+        return _NEEDED[fault["type"]]
+    limits = fault.get("ctx", {})
+    for kind, least, words in (("too_short", "min_length", "at least"), ("too_long", "max_length", "at most")):
+        if fault["type"] == kind and "actual_length" in limits:
+            return f"{words} {limits[least]} values are needed, not {limits['actual_length']}"
+    said = str(fault["msg"]).removeprefix("Value error, ").replace("\n", " ")
+    return said.replace("Input should be ", "it must be ")
+
+
+def _dotted(model_class: type[BaseModel], prefix: str = "", levels: int = MOST_LEVELS) -> Iterator[str]:
+    """Dotted keys of a model; what stands in lists is left out."""
+    for name, field in model_class.model_fields.items():
+        yield prefix + name
+        listed = typing.get_origin(field.annotation) in (list, tuple)
+        for inner in () if listed or levels == 0 else _models_in(field.annotation):
+            yield from _dotted(inner, f"{prefix}{name}.", levels - 1)
+
+
+def _nearest(name: str, beside: Iterable[str], everywhere: Iterable[str]) -> str:
+    """The key that was meant: of the same table, or with its table where another one has a nearer; "" for none."""
+
+    def likeness(key: str) -> float:
+        last = key.rpartition(".")[2]
+        return max(
+            difflib.SequenceMatcher(None, name, last).ratio(),
+            0.98 * difflib.SequenceMatcher(None, name, last.rpartition("_")[0]).ratio(),  # its unit was left out
+        )
+
+    here = max(beside, key=likeness, default="")
+    there = max(everywhere, key=likeness, default="")
+    best = there if there and likeness(there) > max(likeness(here) + 0.05, 0.75) else here
+    return best if best and likeness(best) >= 0.5 else ""
 
 
 def _shown(value: Any) -> str:

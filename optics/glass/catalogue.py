@@ -247,7 +247,8 @@ class Glass:
         """
         if self.transmittance is None or self.transmittance_mm is None:
             raise DomainError(
-                f"glass {self.name} has no internal transmittance table; set absorption = false or take another"
+                f"glass {self.name} has no internal transmittance table: take another, or leave absorption out "
+                "(instrument.absorption = false)"
             )
         path = np.asarray(path_mm, dtype=np.float64)
         if not (path >= 0.0).all():

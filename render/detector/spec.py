@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.response import Response
 from optics.units import UM_MM
-from optics.validate import parse_model, read_toml
+from optics.validate import MOST_MISSING, parse_model, read_toml
 
 __all__ = ["Detector", "DetectorFile", "list_detectors", "load_detector"]
 
@@ -344,7 +344,14 @@ def load_detector(name_or_path: str | Path) -> Detector:
     """
     path = _resolve(name_or_path)
     mapping = _read(path, ())
-    checked = parse_model(DetectorFile, mapping, path.name)
+    needed = {key for key, field in DetectorFile.model_fields.items() if field.is_required()}
+    if len(needed - mapping.keys()) > MOST_MISSING:
+        names = " or ".join(f'"{name}"' for name in list_detectors())
+        raise ConfigError(
+            f"{path}: most of what describes a detector is missing; base = {names} at its head takes from that one "
+            "what the file does not say"
+        )
+    checked = parse_model(DetectorFile, mapping, str(path))
     values = checked.model_dump(exclude={"base", "quantum_efficiency"} | set(_LENGTHS))
     lengths = {held: getattr(checked, key) * UM_MM for key, held in _LENGTHS.items()}
     table = checked.quantum_efficiency
@@ -357,7 +364,7 @@ def load_detector(name_or_path: str | Path) -> Detector:
         )
         return Detector(**values, **lengths, quantum_efficiency=curve)
     except DomainError as error:
-        raise ConfigError(f"{path.name}: {error}") from None
+        raise ConfigError(f"{path}: {str(error).removeprefix('Detector.')}") from None
 
 
 def _resolve(name_or_path: str | Path) -> Path:
@@ -373,7 +380,7 @@ def _resolve(name_or_path: str | Path) -> Path:
 def _read(path: Path, above: tuple[Path, ...]) -> Mapping[str, Any]:
     """Mapping of the file with those of its bases underneath."""
     if path.resolve() in above:
-        raise ConfigError(f"{path.name}: base = {above[0].name!r} leads back to itself")
+        raise ConfigError(f"{path}: base = {above[0].name!r} leads back to itself")
     if not os.path.exists(path):
         raise ConfigError(f"{path}: no such file; known detectors: {', '.join(list_detectors())}")
     mapping = read_toml(path)
@@ -381,7 +388,10 @@ def _read(path: Path, above: tuple[Path, ...]) -> Mapping[str, Any]:
     if base is None:
         return mapping
     if not isinstance(base, str):
-        raise ConfigError(f"{path.name}: base = {base!r}; the name of a detector is needed")
-    below = _resolve(base)
+        raise ConfigError(f"{path}: base = {base!r}; the name of a detector is needed")
+    try:
+        below = _resolve(base)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: base: {error}") from None
     below = below if below.is_absolute() else path.parent / below
     return {**_read(below, (*above, path.resolve())), **mapping}

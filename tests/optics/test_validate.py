@@ -18,8 +18,14 @@ class Filter(BaseModel):
     kind: Literal["top_hat", "table"] = "top_hat"
 
 
+class Site(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    altitude_m: float = 0.0
+
+
 class Camera(BaseModel):
     model_config = ConfigDict(extra="forbid")
+    site: Site = Site()
     exposure_s: Annotated[float, Field(gt=0)] = 1.0
     filters: list[Filter] = []
     low: float = 0.0
@@ -47,12 +53,19 @@ def test_valid_mapping_becomes_model() -> None:
 @pytest.mark.parametrize(
     ("mapping", "words"),
     [
+        (
+            {"filters": [{}] * 4},
+            ["4 keys are missing: filters.0.centre_nm, filters.1.centre_nm, filters.2.centre_nm, filters.3.centre_nm"],
+        ),
+        ({"site": {"exposure": 1.0}}, ["unknown key 'site.exposure'", "did you mean 'exposure_s'"]),
+        ({"hight": 1.0}, ["unknown key 'hight'", "did you mean 'high'"]),
+        ({"altitude": 1.0}, ["unknown key 'altitude'", "did you mean 'site.altitude_m'"]),
         ({"exposure": 1.0}, ["unknown key 'exposure'", "did you mean 'exposure_s'"]),
-        ({"zzz": 1.0}, ["unknown key 'zzz'", "known keys: exposure_s, filters"]),
+        ({"zzz": 1.0}, ["unknown key 'zzz'", "known keys: exposure_s, filters, high, low, site"]),
         ({"filters": [{"center_nm": 1.0, "centre_nm": 1.0}]}, ["'filters.0.center_nm'", "did you mean 'centre_nm'"]),
         ({"filters": [{}]}, ["'filters.0.centre_nm' is missing", "above 0 and below 2000"]),
-        ({"exposure_s": -1.0}, ["exposure_s = -1.0", "allowed: above 0"]),
-        ({"exposure_s": "long"}, ["exposure_s = 'long'", "valid number"]),
+        ({"exposure_s": -1.0}, ["exposure_s = -1.0: out of range (allowed: above 0)"]),
+        ({"exposure_s": "long"}, ["exposure_s = 'long': a number is needed"]),
         ({"filters": [{"centre_nm": float("nan")}]}, ["filters.0.centre_nm = nan"]),
         ({"filters": [{"centre_nm": 1, "kind": "tophat"}]}, ["'tophat'", "'top_hat'"]),
         ({"low": 2.0}, ["low = 2.0 must be below high = 1.0"]),

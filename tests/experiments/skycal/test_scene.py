@@ -116,7 +116,7 @@ def test_model_names():
         ("wide.instrument.width_px=4096", "wide.instrument.width_px = 4096 px; detector 'CMV4000' has 2048 px"),
         ("narrow.instrument.width_px=1000", "windows are cut from one chip only"),
         ("narrow.instrument.lens=nothing", "unknown lens 'nothing'"),
-        ("narrow.instrument.lens=double_gauss_50mm", "set absorption = false"),
+        ("narrow.instrument.lens=double_gauss_50mm", "absorption = false"),
         ("narrow.faintest_mag=2", "stars per frame to G = 2"),
         ("narrow.faintest_mag=12", "ends at G = 10"),
         ("passband.range_nm=[300, 900]", "passband.range_nm: 'full pass band' passes 290 ... 910 nm"),

@@ -110,12 +110,20 @@ def test_faults_in_a_file(tmp_path: Path, text: str, words: list[str]) -> None:
         assert word in str(caught.value)
 
 
-def test_empty_file_names_every_missing_key(tmp_path: Path) -> None:
+def test_files_that_say_little_are_told_of_a_base(tmp_path: Path) -> None:
+    path = written(tmp_path, 'name = "mine"\n')
     with pytest.raises(ConfigError) as caught:
-        load_detector(written(tmp_path, ""))
-    lines = str(caught.value).splitlines()
-    assert any("'full_well_e' is missing" in line for line in lines)
-    assert all(line.startswith("mine.toml: ") for line in lines)
+        load_detector(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert '"cmv4000"' in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unknown_base_is_said_with_the_file_that_names_it(tmp_path: Path) -> None:
+    path = written(tmp_path, 'base = "cmv400"\n')
+    with pytest.raises(ConfigError, match=r"unknown detector 'cmv400'; did you mean cmv4000") as caught:
+        load_detector(path)
+    assert str(caught.value).startswith(f"{path}: base: ")
 
 
 def test_unknown_name_and_missing_file(tmp_path: Path) -> None:
