@@ -70,7 +70,7 @@ def frame_criteria(prediction: CameraPrediction, rendered: Rendered, *, looks: i
     for name, words in (("false_alarms", "false alarms"), ("stars", "stars found in the sky")):
         found.append(
             Criterion(
-                name=f"{words}, counted against predicted",
+                name=f"{words}: {compared[name].measured:.0f} counted, {compared[name].predicted:.1f} predicted",
                 value=abs(compared[name].pull),
                 limit=round(limit, 2),
                 unit="sigma",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -31,6 +31,8 @@ __all__ = [
     "what_to_change",
 ]
 
+SMALLEST_PERCENT, SMALLEST_PX = 1e-3, 1e-3
+"""Axes of distortion and colour show no less: below is what rounding makes of a lens that has none."""
 STAR_COLOURS = ("#c8501e", "#b58a00", "#2f6fb5", "#7a4fa3", "#2a8c4a", "#555555")
 
 
@@ -111,9 +113,18 @@ def distortion_and_vignetting(outcome: Outcome) -> Figure:
     left.plot(outcome.values("field_distortion_percent"), angle, color=PALETTE[0], marker="o")
     left.axvline(0.0, color="0.6", linewidth=0.8)
     left.set(xlabel="distortion [%]", ylabel="field angle [°]", ylim=(0, None))
+    left.locator_params(axis="x", nbins=5)
+    _span(left, "x", SMALLEST_PERCENT)
     right.plot(angle, 100.0 - outcome.values("field_vignetting_percent"), color=PALETTE[2], marker="o")
     right.set(xlabel="field angle [°]", ylabel="light of a star [% of the axis]", ylim=(0, 105), xlim=(0, None))
     return figure
+
+
+def _span(panel: Any, which: Literal["x", "y"], least: float) -> None:
+    """Show at least ``least`` to both sides of nothing where all that is drawn is smaller."""
+    low, high = panel.get_xlim() if which == "x" else panel.get_ylim()
+    if max(-low, high) < least:
+        panel.set(**{f"{which}lim": (-least, least)})
 
 
 def lateral_colour(outcome: Outcome) -> Figure:
@@ -130,6 +141,8 @@ def lateral_colour(outcome: Outcome) -> Figure:
         values = state.colour_shift_px(np.full(len(state.radius_px), t), state.radius_px)
         right.plot(angle, values, color=colour, label=f"{t:g} K")
     right.set(xlabel="field angle [°]", ylabel="radial shift of stars [px]", xlim=(0, None))
+    for panel in (left, right):
+        _span(panel, "y", SMALLEST_PX)
     right.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3)
     return figure
 
@@ -210,6 +223,7 @@ def sky_distributions(outcome: Outcome) -> Figure:
         if known.size:
             top = float(np.quantile(known, 0.995)) * 1.1
             panel.hist(np.clip(known, None, top), bins=28, color=colour, alpha=0.7)
+            panel.margins(y=0.3)  # room for the words above the bars
         if np.isfinite(at):
             panel.axvline(at, color=INK, linewidth=0.9, dashes=(4, 3))
             panel.annotate("worst 1 %", (at, 0.97), xycoords=("data", "axes fraction"), xytext=(3, 0),
@@ -242,7 +256,7 @@ def thermal(outcome: Outcome) -> Figure:
 
 
 def what_to_change(outcome: Outcome) -> Figure:
-    """Tornado: change of the attitude error and of the single star when keys move."""
+    """Tornado: change of the attitude error and of the limiting magnitude when keys move."""
     swings = outcome.result.swings
     figure, axes = new_figure(1, 2, aspect_ratio=0.1 + 0.045 * len(swings), sharey=True)
     for panel, name, words in (
@@ -261,7 +275,7 @@ def what_to_change(outcome: Outcome) -> Figure:
     axes[0].invert_yaxis()
     for colour, words in ((PALETTE[5], "lower value"), (PALETTE[1], "upper value")):
         axes[1].barh([0], [0], color=colour, label=words)
-    axes[1].legend(loc="lower right")
+    axes[1].legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)
     return figure
 
 

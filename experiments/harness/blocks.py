@@ -10,7 +10,15 @@ from typing import Any
 
 from matplotlib.figure import Figure as Drawing
 
-from experiments.harness.plotting import WIDTH_IN, equation_svg, figure_png, figure_svg, house_style, side_by_side
+from experiments.harness.plotting import (
+    WIDTH_IN,
+    equation_svg,
+    figure_png,
+    figure_svg,
+    house_style,
+    narrow,
+    side_by_side,
+)
 from experiments.harness.summary import Measured
 from experiments.harness.tables import Table
 from optics.errors import DomainError
@@ -116,8 +124,12 @@ class Artist:
         if isinstance(drawing, Drawing) and not figure.raster:
             with house_style():
                 text = figure_svg(drawing, prefix=f"fig{number}")
-                halves = side_by_side(drawing)
-            drawing = text + _stacked(text, halves) if halves else text
+                if parts := side_by_side(drawing):
+                    text += _in_parts(text, parts)
+                elif narrow(drawing):
+                    again = figure_svg(drawing, prefix=f"fig{number}n")
+                    text += again.replace("<svg", '<svg class="narrow" aria-hidden="true"', 1)
+            drawing = text
         if isinstance(drawing, str):
             if not drawing.lstrip().startswith("<svg"):
                 raise DomainError(f"figure {number}: text that is not an <svg> element")
@@ -145,16 +157,16 @@ class Artist:
         return isinstance(drawing, Drawing) and drawing.get_figwidth() <= 1.1 * WIDTH_IN["half"]
 
 
-def _stacked(svg: str, halves: Sequence[tuple[float, float]]) -> str:
-    """The halves of a figure one above the other, for narrow screens: the same drawing through two windows."""
+def _in_parts(svg: str, parts: Sequence[tuple[float, float]]) -> str:
+    """The parts of a figure in rows of their own, for narrow screens: the same drawing through several windows."""
     box = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg)
     drawn = re.search(r'<g id="([^"]+)"', svg)
     if box is None or drawn is None:
         return ""
     width, height = float(box[1]), float(box[2])
     windows = (
-        f'<svg class="half" viewBox="{left * width:.1f} 0 {(right - left) * width:.1f} {height:g}" aria-hidden="true">'
+        f'<svg class="part" viewBox="{left * width:.1f} 0 {(right - left) * width:.1f} {height:g}" aria-hidden="true">'
         f'<use href="#{drawn[1]}"/></svg>'
-        for left, right in halves
+        for left, right in parts
     )
     return "".join(windows)

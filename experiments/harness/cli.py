@@ -396,10 +396,12 @@ def _show(run: Run, shown: str) -> None:
 
     console = Console()
     for name in run.experiment.show:
-        console.print(to_rich(run.tables[name]))
+        if run.tables[name].rows:
+            console.print(to_rich(run.tables[name]))
     rows = [(one.name, one.value, one.demand, one.unit, "yes" if one.passed else "NO") for one in run.criteria]
     heads = ("criterion", "value", "limit", "unit", "holds")
-    console.print(to_rich(Table(columns=heads, rows=rows, caption="Criteria")))
+    if rows:
+        console.print(to_rich(Table(columns=heads, rows=rows, caption="Criteria")))
     for one in run.criteria:
         if one.advice and not one.passed:
             console.print(f"{one.name}: {one.advice}", style="red", highlight=False, markup=False, soft_wrap=True)

@@ -38,6 +38,7 @@ __all__ = [
     "figure_svg",
     "house_style",
     "log_ticks",
+    "narrow",
     "new_figure",
     "scale_bar",
     "side_by_side",
@@ -52,6 +53,7 @@ _FAINT = "#8a9099"
 _GRID = "#e3e5e8"
 
 WIDTH_IN = {"full": 7.6, "half": 3.7}
+_NARROW_IN = 4.4
 
 _RC = {
     "figure.dpi": 100,
@@ -213,9 +215,9 @@ def scale_bar(axes: Any, *, size_px: int = 5) -> None:
 
 
 def side_by_side(figure: Figure) -> list[tuple[float, float]]:
-    """Left and right ends (parts of the width) of the two halves of a figure that may stand one above the other.
+    """Left and right ends (parts of the width) of the parts of a figure that need not stand in one row.
 
-    Empty where there are not two, or where the right one takes its scale from the left one.
+    Empty where there are not two to four, or where one takes its scale from the one at its left.
     """
     renderer = FigureCanvasAgg(figure).get_renderer()
     to_figure = figure.transFigure.inverted()
@@ -229,13 +231,37 @@ def side_by_side(figure: Figure) -> list[tuple[float, float]]:
             parts[-1] = [parts[-1][0], max(right, parts[-1][1]), [*parts[-1][2], axis]]
         else:
             parts.append([left, right, [axis]])
-    if len(parts) != 2 or figure.legends or figure.texts:
+    if not 2 <= len(parts) <= 4 or figure.legends or figure.texts:
         return []
-    panels = [axis for axis in parts[1][2] if axis.get_label() != "<colorbar>"]
+    panels = [axis for part in parts[1:] for axis in part[2] if axis.get_label() != "<colorbar>"]
     scaled = [axis for axis in panels if axis.axison and len(axis.get_yticks())]
     if any(not axis.yaxis.get_tick_params().get("labelleft", True) for axis in scaled):
         return []
     return [(max(left - 0.005, 0.0), min(right + 0.005, 1.0)) for left, right, _ in parts]
+
+
+def narrow(figure: Figure) -> bool:
+    """Make a figure of one plot as wide as a telephone shows it in a legible size; call when it is drawn elsewhere.
+
+    Returns
+    -------
+    bool
+        Whether it was: drawings to scale, several panels, and figures that are no wider stay as they are.
+    """
+    plots = [axis for axis in figure.axes if axis.get_label() != "<colorbar>"]
+    width, height = figure.get_size_inches()
+    if len(plots) != 1 or not plots[0].axison or plots[0].get_aspect() != "auto" or width <= _NARROW_IN:
+        return False
+    figure.set_size_inches(_NARROW_IN, max(0.85 * height, 0.6 * _NARROW_IN))
+    legend = plots[0].get_legend()
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    columns = 0 if legend is None else len(legend.get_texts())
+    while legend is not None and legend.get_window_extent(renderer).width > 0.98 * figure.bbox.width and columns > 1:
+        columns = (columns + 1) // 2
+        words = [text.get_text() for text in legend.get_texts()]
+        below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.22), "ncols": columns}
+        legend = plots[0].legend(legend.legend_handles, words, title=legend.get_title().get_text(), **below)
+    return True
 
 
 def figure_png(figure: Figure, *, dpi: float = 200.0) -> bytes:

@@ -39,6 +39,8 @@ _UNIT_NAMES = {
     "sigma": "",
     "%": "percent",
 }
+_TELEPHONE_LETTERS = 50
+"""In a line of a table, 354 px wide."""
 _MINUS = "\N{MINUS SIGN}"
 _NOTHING = "\N{EN DASH}"
 
@@ -106,6 +108,19 @@ class Table:
     def heads(self) -> tuple[Column, ...]:
         """The columns, all as `Column`."""
         return tuple(column for column in self.columns if isinstance(column, Column))
+
+    @property
+    def wide(self) -> bool:
+        """Whether a telephone cannot show all columns: there each row folds, every value with the head of its column.
+
+        Words break, so that of each text only the longest word counts.
+        """
+        letters = 0
+        for index, head in enumerate(self.heads):
+            shown = [cell_text(row[index], head.format) for row in self.rows]
+            texts = shown if self.numeric(index) else [word for text in shown for word in text.split()]
+            letters += max(map(len, [*head.name.split(), head.unit, *texts]), default=0) + 2
+        return letters > _TELEPHONE_LETTERS
 
     def numeric(self, index: int) -> bool:
         """Whether column ``index`` holds numbers only, and is set flush right."""
@@ -202,7 +217,14 @@ def to_rich(table: Table) -> rich.table.Table:
     from rich.text import Text
 
     made = RichTable(
-        title=Text(table.caption), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False
+        title=Text(table.caption),
+        title_justify="left",
+        title_style="bold",
+        caption=Text(table.note.replace("`", "")) if table.note else None,
+        caption_justify="left",
+        caption_style="dim",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
     )
     for index, column in enumerate(table.heads):
         head = f"{column.name} [{column.unit}]" if column.unit else column.name

@@ -187,6 +187,18 @@ class SweepStudy:
         return tuple(key for key, value in asked.items() if value is not None and key not in self.required)
 
     @property
+    def saturated(self) -> int:
+        """At how many points the star that accuracies are quoted for saturates, and has none."""
+        names = [axis.key for axis in self.axes]
+        swept = names.index(STAR) if STAR in names else None
+        return sum(
+            bool(point.scalars)
+            and point.scalars["saturation_mag"].value
+            > (self.config.star.magnitude_mag if swept is None else point.at[swept])
+            for point in self.points
+        )
+
+    @property
     def shown(self) -> tuple[str, ...]:
         """The main quantities, and what is required besides."""
         return tuple(dict.fromkeys((*MAIN, *self.required)))
@@ -252,6 +264,7 @@ class SweepStudy:
 
 
 BEST_OF = "attitude_cross_arcsec"
+STAR = "star.magnitude_mag"
 
 
 def sweep_study(config: Config, *, advance: Callable[[], None] = lambda: None) -> SweepStudy:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from experiments.camera.sweep.quantities import PLACES
-from experiments.camera.sweep.study import MEASURED, SweepStudy
+from experiments.camera.sweep.study import MEASURED, STAR, SweepStudy
 from experiments.camera.verdicts import AT_LEAST
 from experiments.harness.pivot import Pivot
 from experiments.harness.quantities import Outcome, shown_unit
@@ -37,6 +37,7 @@ def tables(outcome: Outcome) -> dict[str, Table | Pivot]:
             heads={name: _short(outcome, name) for name in SHORT} | {"meets": Column(name="Meets", key="meets")},
             caption="Limiting magnitude, single-star accuracy, attitude across and roll (medians over the sky), stars "
             "per frame in the worst 1 % of the sky.",
+            note=_why_empty(result),
         ),
         "all": _pivot((*at, *result.described, *measured, "meets", "refusal"), "Everything that is predicted."),
     }
@@ -45,6 +46,17 @@ def tables(outcome: Outcome) -> dict[str, Table | Pivot]:
     if result.required:
         made["crossings"] = _crossings(outcome)
     return made
+
+
+def _why_empty(result: SweepStudy) -> str:
+    """Why accuracies of the star are missing; "" where they are not."""
+    if not result.saturated:
+        return ""
+    return (
+        f"– below Star: a star of `{STAR}` = {result.config.star.magnitude_mag:g} saturates there, at "
+        f"{result.saturated} of {len(result.points)} points; column saturation_mag of all.ecsv has the brightest that "
+        "does not."
+    )
 
 
 def _short(outcome: Outcome, name: str) -> Column:

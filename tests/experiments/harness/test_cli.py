@@ -138,7 +138,7 @@ def test_report_stands_alone_and_is_escaped(output):
     assert "the criterion holds." in words
     assert "Figure 3." in words
     assert "Table 1." in words
-    assert text.count("<svg") == 3  # two drawings and an equation
+    assert text.count("<svg") == 4  # two drawings, one of them for narrow screens too, and an equation
     assert text.count("data:image/png;base64,") == 1
 
 

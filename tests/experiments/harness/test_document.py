@@ -11,7 +11,7 @@ from experiments.harness.document import render_document
 from experiments.harness.plotting import figure_png, figure_svg, house_style, new_figure
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.summary import Criterion, verdict_line
-from experiments.harness.tables import Table
+from experiments.harness.tables import Column, Table
 from optics.errors import ConfigError, DomainError
 
 PROVENANCE = {
@@ -58,6 +58,9 @@ def page(tmp_path):
         path.write_text(title + body, encoding="utf-8")
         outcome = Outcome(config=SimpleNamespace(label=label), result=None, data=q.dataset)
         tables = {"t": Table(columns=["<x>"], rows=[("<y>",)], caption="A *table* of <b>.")}
+        tables["wide"] = Table(
+            columns=["Axis", *(Column(name=f"Number {n}", unit="px") for n in range(9))], rows=[range(10)]
+        )
         tables["long"] = Table(columns=["Kind"], rows=[("a",), ("b",), ("c",)])
         return render_document(
             path, outcome, tables=tables, draw=lambda name: DRAWINGS[name](), criteria=criteria, provenance=PROVENANCE
@@ -149,6 +152,14 @@ def test_figures_of_every_source_are_numbered_in_order(page):
     ]
     assert "<b>Table 1.</b> A <em>table</em> of &lt;b&gt;." in html
     assert "&lt;x&gt;" in html
+
+
+def test_rows_of_a_wide_table_fold_with_the_heads_of_their_columns(page):
+    html = page("{{ table('wide') }}\n\n{{ table('long') }}")
+    assert html.count('class="fold"') == 1
+    folded = re.findall(r'<td[^>]*data-of="Number (\d)" data-unit="px">(\d)</td>', html)
+    assert folded == [(str(n), str(n + 1)) for n in range(9)]
+    assert "<td>a</td>" in html
 
 
 def test_some_rows_of_a_table(page):

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from experiments.harness.plotting import (
+    WIDTH_IN,
     band_colours,
     equation_svg,
     figure_png,
     figure_svg,
     house_style,
     log_ticks,
+    narrow,
     new_figure,
     side_by_side,
     wavelength_colour,
@@ -110,11 +114,11 @@ def test_no_colour_for_no_wavelength(wavelength):
 
 
 @pytest.mark.parametrize(
-    ("columns", "options", "halves"),
-    [(2, {}, 2), (2, {"sharey": True}, 2), (3, {}, 0)],
-    ids=["two", "one scale", "three"],
+    ("columns", "options", "parts"),
+    [(2, {}, 2), (2, {"sharey": True}, 2), (3, {}, 3), (3, {"sharey": True}, 0)],
+    ids=["two", "one scale", "three", "scale of the first"],
 )
-def test_two_panels_may_stand_one_above_the_other(columns, options, halves):
+def test_panels_may_stand_one_above_the_other(columns, options, parts):
     with house_style():
         figure, axes = new_figure(1, columns, squeeze=False, **options)
         for axis in axes.ravel():
@@ -122,7 +126,28 @@ def test_two_panels_may_stand_one_above_the_other(columns, options, halves):
         figure.colorbar(shown, ax=axes[0, -1])  # belongs to its panel
         figure_svg(figure)
         found = side_by_side(figure)
-    assert len(found) == halves
-    if found:
+    assert len(found) == parts
+    if columns == 2:
         (left, middle), (after, right) = found
         assert 0 <= left < 0.3 < middle < after + 0.02 < 0.7 < right <= 1
+    for (_, end), (start, _) in pairwise(found):
+        assert end < start + 0.02
+
+
+def test_one_plot_is_drawn_again_for_narrow_screens():
+    with house_style():
+        figure, axes = new_figure(aspect_ratio=0.4)
+        for number in range(6):
+            axes.plot([0, 1], [0, number], label=f"a long name, number {number}")
+        axes.legend(ncols=6, loc="upper center", bbox_to_anchor=(0.5, -0.2))
+        assert narrow(figure)
+        figure_svg(figure)
+        legend = axes.get_legend().get_window_extent(FigureCanvasAgg(figure).get_renderer())
+    assert figure.get_figwidth() < 5 < WIDTH_IN["full"]
+    assert legend.width <= figure.bbox.width
+    with house_style():
+        image, axes = new_figure()
+        axes.imshow(np.eye(3))
+        assert not narrow(image)
+        assert not narrow(new_figure(1, 3)[0])
+        assert not narrow(new_figure(width="half")[0])

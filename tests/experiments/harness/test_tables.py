@@ -101,3 +101,11 @@ def test_terminal_table_shows_brackets_and_markup_as_they_are():
     text = console.export_text()
     assert "x [px]" in text
     assert "[red]5[/red]" in text
+
+
+def test_a_table_of_more_than_a_telephone_shows_folds_and_no_other():
+    few = Table(columns=["Axis", Column(name="Error", unit="px")], rows=[("x", 0.12), ("y", 0.34)])
+    words = Table(columns=["What", "Why"], rows=[("several short words " * 9, "and others " * 9)])
+    numbers = [Column(name=f"Number {n}", unit="px", format=".5f") for n in range(6)]
+    many = Table(columns=["Axis", *numbers], rows=[("x", *[0.1] * 6)])
+    assert [few.wide, words.wide, many.wide] == [False, False, True]
