@@ -260,7 +260,12 @@ def narrow(figure: Figure) -> bool:
         columns = (columns + 1) // 2
         words = [text.get_text() for text in legend.get_texts()]
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.22), "ncols": columns}
-        legend = plots[0].legend(legend.legend_handles, words, title=legend.get_title().get_text(), **below)
+        legend = plots[0].legend(
+            [one for one in legend.legend_handles if one is not None],
+            words,
+            title=legend.get_title().get_text(),
+            **below,
+        )
     return True
 
 
