@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,10 @@ SHAPES = ("circle", "square", "cross", "arrow")
 FLAG_COLOURS = ("#ff4d6d", "#c77dff", "#4895ef")
 STEPS_PER_SIGMA = 64
 PREVIEW_PX = 700
+SHOWN_PX = 900
+"""About as wide as a page shows a whole frame."""
+WHITE_SIGMA = 40.0
+"""Above the background, in its noise: where white begins, if so few pixels of the frame are brighter."""
 LARGEST_PX = 1 << 27
 
 
@@ -210,8 +215,7 @@ def frame_page(
         "height": image.shape[0],
         "width": image.shape[1],
         "unit": unit,
-        "black": 0.6,
-        "white": 0.9997,
+        **_shades(image),
         "times": _enlargement(layers, image.shape[1]),
         "sky": None if sky is None else _grid(sky),
         "layers": [layer._content() for layer in layers],
@@ -295,6 +299,20 @@ def _packed(image: NDArray[Any], noise: float | None) -> tuple[str, dict[str, An
     return _deflated(data), {"zero": zero if whole else zero * step, "step": 1 if whole else step, "planes": planes}
 
 
+def _shades(image: NDArray[Any]) -> dict[str, float]:
+    """Shares of the pixels that begin as black and are not yet white: noise is dark, and faint stars stand out of it.
+
+    Where the whole frame is shown, each place shows the brightest of some pixels; that of noise alone lies higher.
+    """
+    middle = float(np.median(image))
+    sigma = 1.4826 * float(np.median(np.abs(image - middle)))
+    together = max(1, max(image.shape) // SHOWN_PX) ** 2
+    noise = 0.5 + NormalDist().inv_cdf(together / (together + 1.0))
+    black = float((image < middle + noise * sigma).mean())
+    white = float((image < middle + WHITE_SIGMA * sigma).mean())
+    return {"black": min(max(black, 0.5), 0.995), "white": min(max(white, 0.9997), 1.0 - 1e-6)}
+
+
 def _deflated(data: bytes) -> str:
     return base64.b64encode(zlib.compress(data, 6)).decode("ascii")
 
@@ -307,7 +325,8 @@ def _preview(image: NDArray[Any]) -> str:
     height, width = (side // block * block for side in image.shape)
     coarse = image[:height, :width].astype(np.float64).reshape(height // block, block, width // block, block)
     coarse = coarse.max((1, 3)) if coarse.size else image.astype(np.float64)
-    low, high = np.percentile(coarse, (60.0, 99.97))
+    shades = _shades(coarse)
+    low, high = np.quantile(coarse, (shades["black"], shades["white"]))
     shown = np.arcsinh(20.0 * np.clip((coarse - low) / max(high - low, 1e-12), 0.0, 1.0))
     held = io.BytesIO()
     imsave(held, shown, cmap="gray", format="png")
