@@ -253,20 +253,30 @@ def narrow(figure: Figure) -> bool:
     if len(plots) != 1 or not plots[0].axison or plots[0].get_aspect() != "auto" or width <= _NARROW_IN:
         return False
     figure.set_size_inches(_NARROW_IN, max(0.85 * height, 0.6 * _NARROW_IN))
-    legend = plots[0].get_legend()
+    legend, room_px = plots[0].get_legend(), 0.85 * figure.bbox.width  # the axes stand right of the middle
     renderer = FigureCanvasAgg(figure).get_renderer()
     columns = 0 if legend is None else len(legend.get_texts())
-    while legend is not None and legend.get_window_extent(renderer).width > 0.98 * figure.bbox.width and columns > 1:
+    while legend is not None and legend.get_window_extent(renderer).width > room_px and columns > 1:
         columns = (columns + 1) // 2
         words = [text.get_text() for text in legend.get_texts()]
+        handles = [one for one in legend.legend_handles if one is not None]
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.22), "ncols": columns}
-        legend = plots[0].legend(
-            [one for one in legend.legend_handles if one is not None],
-            words,
-            title=legend.get_title().get_text(),
-            **below,
-        )
+        legend = plots[0].legend(handles, words, title=legend.get_title().get_text(), **below)
+        figure.set_figheight(max(0.85 * height, 0.6 * _NARROW_IN) + 0.17 * math.ceil(len(words) / columns))
+    _thin_out(figure, plots[0])
     return True
+
+
+def _thin_out(figure: Figure, axes: Any) -> None:
+    """Take away labels of the x axis that run into the one before."""
+    FigureCanvasAgg(figure).draw()
+    end = -math.inf
+    for label in sorted(axes.get_xticklabels(), key=lambda one: one.get_window_extent().x0):
+        box = label.get_window_extent()
+        if label.get_text() and box.x0 < end:
+            label.set_visible(False)
+        elif label.get_text():
+            end = box.x1 + 3.0
 
 
 def figure_png(figure: Figure, *, dpi: float = 200.0) -> bytes:
