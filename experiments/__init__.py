@@ -35,19 +35,19 @@ for _name in ("optics", "render", "calib"):  # a user's module of that name make
 
 def _no_such_module() -> None:
     """Python says of ``-m experiments.camra`` that there is no such module; say which one is near."""
-    words = [word.removeprefix("-m") for word in sys.orig_argv[1:] if word != "-m" and "experiments." in word]
-    asked = next((word.removeprefix("experiments.") for word in words if word.startswith("experiments.")), "")
-    if not asked or "." in asked or find_spec(f"experiments.{asked}"):
-        return
-    from experiments.__main__ import COMMANDS
-    from experiments.harness.registry import package_of
-    from optics.errors import ConfigError
+    from optics.errors import unknown_name
 
-    try:
-        package_of(asked, COMMANDS)
-    except ConfigError as error:
-        print(f"error: {error}", file=sys.stderr)
-        raise SystemExit(2) from None
+    words = [word.removeprefix("-m") for word in sys.orig_argv[1:]]
+    asked = next((word.removeprefix("experiments.") for word in words if word.startswith("experiments.")), "")
+    home = Path(__file__).parent
+    if "." in asked or not asked or (home / asked / "__main__.py").exists() or (home / f"{asked}.py").exists():
+        return
+    if (home / asked / "command.py").exists():
+        said = f"{asked} is run by: python -m experiments {asked}"
+    else:
+        said = str(unknown_name("experiment", asked, [path.parent.name for path in home.glob("*/__main__.py")]))
+    print(f"error: {said}", file=sys.stderr)
+    raise SystemExit(2)
 
 
 if sys.argv[:1] == ["-m"]:

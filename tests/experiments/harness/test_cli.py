@@ -346,3 +346,11 @@ def test_listing_imports_nothing_heavy():
     assert done.returncode == 0, done.stderr
     for name in found():
         assert name in done.stdout
+
+
+@pytest.mark.parametrize(("name", "said"), [("camra", "did you mean camera?"), ("lens", "python -m experiments lens")])
+def test_python_m_of_no_experiment_names_what_was_meant(name, said):
+    done = subprocess.run([sys.executable, "-m", f"experiments.{name}"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert done.stderr.count("\n") == 1

@@ -123,7 +123,7 @@ def test_model_names():
         ("wide.models=['cubic']", "a camera model is"),
         ("narrow.model=polynomial_9", "is none of models"),
         ("gyro.rate_hz=0.5", "at least motion.frame_rate_hz = 1 Hz"),
-        ("frames=3", "greater than or equal to 4"),
+        ("frames=3", "frames = 3: out of range (allowed: at least 4"),
         ("window_px=12", "an odd number is needed"),
     ],
 )
