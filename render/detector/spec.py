@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -133,7 +134,7 @@ class Detector:
     Raises
     ------
     DomainError
-        On a value outside its range, a crosstalk that leaves a pixel less than half of its charge, or a non-linearity
+        On a value that is no number or outside its range, a crosstalk that leaves a pixel less than half of its charge, or a non-linearity
         that folds back.
     """
 
@@ -180,12 +181,14 @@ class Detector:
             scale = UM_MM if key in _LENGTHS else 1.0
             held = getattr(self, name)
             for value in held if isinstance(held, tuple) else (held,):
-                if not low * scale <= value <= high * scale:  # NaN fails too
-                    said = f"{unit.replace('um', 'mm')}".strip()
-                    raise DomainError(
-                        f"Detector.{name} = {value:g} {said}".rstrip()
-                        + f"; it must be {low * scale:g} to {high * scale:g} {said}".rstrip()
-                    )
+                number = isinstance(value, Real) and not isinstance(value, bool)
+                if not (number and low * scale <= value <= high * scale):  # NaN fails too
+                    said = unit.replace("um", "mm")
+                    shown = f"{value:g} {said}".rstrip() if number else f"{value!r}"
+                    allowed = f"{low * scale:g} to {high * scale:g} {said}".rstrip()
+                    raise DomainError(f"Detector.{name} = {shown}; it must be {'' if number else 'a number, '}{allowed}")
+        if not isinstance(self.quantum_efficiency, Response):
+            raise DomainError(f"Detector.quantum_efficiency = {self.quantum_efficiency!r}; a Response is needed")
         lost = 2 * (self.crosstalk_horizontal + self.crosstalk_vertical) + 4 * self.crosstalk_diagonal
         if lost > 0.5:
             raise DomainError(

@@ -58,6 +58,9 @@ def test_dark_current_law() -> None:
         ({"adc_bits": 17}, "adc_bits = 17 bit; it must be 1 to 16 bit"),
         ({"pixel_pitch_mm": 0.0}, "pixel_pitch_mm = 0 mm"),
         ({"nonlinearity": (0.0, 3.0)}, "nonlinearity = 3"),
+        ({"blooming": "column"}, "Detector.blooming = 'column'; it must be a number, 0 to 1"),
+        ({"adc_bits": None}, "Detector.adc_bits = None; it must be a number, 1 to 16 bit"),
+        ({"quantum_efficiency": 0.6}, "Detector.quantum_efficiency = 0.6; a Response is needed"),
         # u (1 - u/2 - u^2/2) is highest where 1 - u = 3/2 u^2
         ({"nonlinearity": (-0.5, -0.5)}, "numbers fall again from 0.549 of the full well"),
         ({"crosstalk_horizontal": 0.2, "crosstalk_vertical": 0.2}, "takes 0.8 of a pixel's charge"),
