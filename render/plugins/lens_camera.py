@@ -52,8 +52,9 @@ on the detector, aims at the exit pupil, and traces the lens backwards, so that 
 the integral of L cos(theta) over the exit pupil's solid angle (pi sin^2 for a uniform sky). Charge diffusion, quantum
 efficiency and the transmission of the lens are not in it. ``ptracer`` goes the other way and gives the same image:
 `sample_direction` aims from a point of the scene at the entrance pupil and traces the lens forwards; it needs a camera
-at rest. ``prb_projective`` and ``direct_projective`` move silhouettes by the projection of a pinhole: their derivatives
-are refused, ``prb`` has those of everything but silhouettes.
+at rest. ``prb_projective`` and ``direct_projective`` render the same images and differentiate with respect to what is
+not geometry; they move silhouettes by the projection of a pinhole, so that derivatives with respect to shapes are
+refused (``prb`` has them, but for silhouettes).
 """
 
 from __future__ import annotations

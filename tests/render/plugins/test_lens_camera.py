@@ -242,19 +242,35 @@ def test_rows_of_a_crop_start_when_those_of_the_film_do(mi):
 
 
 @pytest.mark.slow
-def test_silhouettes_are_refused_by_name(mi):
+@pytest.mark.parametrize("kind", ["prb_projective", "direct_projective"])
+def test_projective_integrators(mi, kind):
+    """Images and derivatives of what is not geometry; silhouettes are refused by name."""
     import drjit as dr
 
-    camera = Camera(lens=load_lens("star_tracker_26mm"), width_px=8, height_px=8, pixel_pitch_mm=0.1)
-    cube = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 0, 900.0]).scale(5.0)}
-    contents = {"cube": cube, "sky": {"type": "constant"}, "sensor": lens_camera_properties(camera)}
+    camera = Camera(lens=load_lens("star_tracker_26mm"), width_px=4, height_px=4, pixel_pitch_mm=0.1)
+    wall = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 0, 900.0]).scale([500.0, 500.0, 5.0])}
+    wall |= {"bsdf": {"type": "diffuse", "reflectance": 0.5}}
+    contents = {"wall": wall, "sky": {"type": "constant"}, "sensor": lens_camera_properties(camera)}
     scene = mi.load_dict({"type": "scene", **contents})
     parameters = mi.traverse(scene)
-    dr.enable_grad(parameters["cube.vertex_positions"])
-    parameters.update()
-    image = mi.render(scene, parameters, integrator=mi.load_dict({"type": "prb_projective"}), spp=4)
-    with pytest.raises((ConfigError, RuntimeError), match="lens_camera: prb_projective and direct_projective"):
+    integrator = mi.load_dict({"type": kind} | ({"max_depth": 2} if kind == "prb_projective" else {}))
+
+    def differentiated(key):
+        dr.enable_grad(parameters[key])
+        parameters.update()
+        image = mi.render(scene, parameters, integrator=integrator, spp=256)
+        total = float(np.array(dr.detach(image)).sum())
         dr.backward(dr.sum(image.array))
+        return total, parameters[key]
+
+    total, value = differentiated("wall.bsdf.reflectance.value")
+    stock = mi.render(scene, integrator=mi.load_dict({"type": "path", "max_depth": 2}), spp=256)
+    assert total == pytest.approx(float(np.array(stock).sum()), rel=0.02)
+    # light once scattered is in proportion to the reflectance
+    assert float(np.ravel(dr.grad(value))[0]) == pytest.approx(total / 0.5, rel=0.02)
+    dr.disable_grad(value)
+    with pytest.raises((ConfigError, RuntimeError), match="lens_camera: prb_projective and direct_projective"):
+        differentiated("wall.vertex_positions")
 
 
 @pytest.mark.parametrize(
