@@ -134,8 +134,8 @@ class Detector:
     Raises
     ------
     DomainError
-        On a value that is no number or outside its range, a crosstalk that leaves a pixel less than half of its charge, or a non-linearity
-        that folds back.
+        On a value that is no number or outside its range, a crosstalk that leaves a pixel less than half of its
+        charge, or a non-linearity that folds back.
     """
 
     name: str
@@ -186,7 +186,9 @@ class Detector:
                     said = unit.replace("um", "mm")
                     shown = f"{value:g} {said}".rstrip() if number else f"{value!r}"
                     allowed = f"{low * scale:g} to {high * scale:g} {said}".rstrip()
-                    raise DomainError(f"Detector.{name} = {shown}; it must be {'' if number else 'a number, '}{allowed}")
+                    raise DomainError(
+                        f"Detector.{name} = {shown}; it must be {'' if number else 'a number, '}{allowed}"
+                    )
         if not isinstance(self.quantum_efficiency, Response):
             raise DomainError(f"Detector.quantum_efficiency = {self.quantum_efficiency!r}; a Response is needed")
         lost = 2 * (self.crosstalk_horizontal + self.crosstalk_vertical) + 4 * self.crosstalk_diagonal

@@ -364,7 +364,9 @@ def attached_chiefs(scene: Scene, chief: FloatArray, part: IntArray, wavelength_
         scale = 1.0 / (a * d - b * c)
         dr.eval(a, b, c, d, scale)
     u, v = at_stop(*start)
-    return [start[0] - (d * u - b * v) * scale, start[1] - (a * v - c * u) * scale]
+    centre = [start[0] - (d * u - b * v) * scale, start[1] - (a * v - c * u) * scale]
+    dr.eval(centre)
+    return centre
 
 
 def _rims(scene: Scene, outlines: Outlines, part: IntArray, centre: list[Any]) -> Any:

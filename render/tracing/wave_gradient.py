@@ -38,7 +38,7 @@ from render.tracing.wave_windows import FieldSampling
 
 __all__ = ["wave_image"]
 
-PASS_RAYS = 1 << 20
+PASS_RAYS = 1 << 19
 
 
 def wave_image(
@@ -179,16 +179,27 @@ def _plane_waves(
     F, U, program = scene.F, scene.U, scene.numbers.program
     bands, colours = wavelength_nm.shape
     total = len(part) * bands * colours * points.count
+    members, waves = U(part.astype(np.uint32)), F(np.ascontiguousarray(wavelength_nm.ravel()))
+
+    def numbered(lane: Any) -> tuple[Any, ...]:
+        """Slot, node and point of a lane; its star and wavelength."""
+        point, node, slot = lane % points.count, lane // points.count % colours, lane // (points.count * colours)
+        star = dr.gather(U, members, slot // bands)
+        return slot, node, point, star, dr.gather(F, waves, slot % bands * colours + node)
+
+    # a ray and two beside it are lanes of one trace: three traces would be compiled one by one, with their derivatives
+    every = dr.arange(U, 3 * total)
+    slot, node, point, star, wave = numbered(every // 3)
+    px, py, _ = sample(slot, node, point)
+    dx, dy = (F(dr.select(every % 3 == k, DIFFERENCE, 0.0)) for k in (1, 2))
+    rays = scene.trace(scene.bundle(3 * total), scene.light, star, px + dx, py + dy, wave)
+    dr.eval(rays.x, rays.y, rays.opl_mm, rays.dx, rays.dy)
     lane = dr.arange(U, total)
-    point, node, slot = lane % points.count, lane // points.count % colours, lane // (points.count * colours)
-    star = dr.gather(U, U(part.astype(np.uint32)), slot // bands)
-    wave = dr.gather(F, F(np.ascontiguousarray(wavelength_nm.ravel())), slot % bands * colours + node)
+    x, y, opl_mm = (dr.gather(F, v, 3 * lane) for v in (rays.x, rays.y, rays.opl_mm))
+    (ox, rx, ux), (oy, ry, uy) = ([dr.gather(F, v, 3 * lane + k) for k in range(3)] for v in (rays.dx, rays.dy))
+    slot, node, point, star, wave = numbered(lane)
     bundle = scene.bundle(total)
     px, py, share = sample(slot, node, point)
-    out, right, up = (
-        scene.trace(bundle, scene.light, star, px + dx, py + dy, wave)
-        for dx, dy in ((0.0, 0.0), (DIFFERENCE, 0.0), (0.0, DIFFERENCE))
-    )
     pitch, (cx, cy) = scene.camera.pixel_pitch_mm, scene.camera.centre_px
     theta: Any = bundle.theta
     before, behind = (
@@ -196,14 +207,13 @@ def _plane_waves(
         for medium in (program.steps[0].before, program.steps[-1].before)
     )
     per_px = behind * (pitch * 1e6) / wave
-    ax, ay, bx, by = right.dx - out.dx, right.dy - out.dy, up.dx - out.dx, up.dy - out.dy
-    jacobian = dr.abs(ax * by - bx * ay) * (1.0 / DIFFERENCE**2)
+    jacobian = dr.abs((rx - ox) * (uy - oy) - (ux - ox) * (ry - oy)) * (1.0 / DIFFERENCE**2)
     dx, dy = (dr.gather(F, component, star) for component in scene.light[:2])
-    path = out.opl_mm + before * bundle.disk[3] * (px * dx + py * dy)
+    path = opl_mm + before * bundle.disk[3] * (px * dx + py * dy)
     middle = np.stack([one.mean_px for one in windows])
-    x = float(cx) + out.x * (1.0 / pitch) - dr.gather(F, F(np.ascontiguousarray(middle[:, 0])), slot)
-    y = float(cy) - out.y * (1.0 / pitch) - dr.gather(F, F(np.ascontiguousarray(middle[:, 1])), slot)
-    fx, fy = out.dx * per_px, -out.dy * per_px
+    x = float(cx) + x * (1.0 / pitch) - dr.gather(F, F(np.ascontiguousarray(middle[:, 0])), slot)
+    y = float(cy) - y * (1.0 / pitch) - dr.gather(F, F(np.ascontiguousarray(middle[:, 1])), slot)
+    fx, fy = ox * per_px, -oy * per_px
     return WaveLanes(path * (1e6 / wave) - fx * x - fy * y, fx, fy, share * dr.sqrt(jacobian) * per_px)
 
 
