@@ -30,7 +30,7 @@ dr.traverse(dr.ADMode.Forward)
 change = np.array(dr.grad(image))[:, :, 0]
 figure, panels = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
 for axes, values, name in zip(
-    panels, (np.array(image)[:, :, 0], change), ("electrons", "change per arcsec"), strict=True
+    panels, (np.array(image)[:, :, 0], change), ("electrons", "change of electrons per arcsec"), strict=True
 ):
     signed = name != "electrons"
     shown = axes.imshow(values, cmap="RdBu" if signed else "magma", vmin=-values.max() if signed else 0.0)
