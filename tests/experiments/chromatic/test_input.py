@@ -35,7 +35,7 @@ SETTINGS = [
     ("filters.centres_nm=[350,600,800]", "'350 nm' passes 295 ... 405 nm; .* 400 ... 1000 nm"),
     ("filters.centres_nm=[500,600,1100]", "'1100 nm' passes 1045 ... 1155 nm; .* 400 ... 1000 nm"),
     ("filters.centres_nm=[0,600,800]", "reaches below 0 nm"),
-    ("filters.centres_nm=[600]", "at least 2 items"),
+    ("filters.centres_nm=[600]", "at least 2 values are needed, not 1"),
     ("filters.centres_nm=[600,600,800]", "a centre is given twice"),
     ("filters.reference_nm=700", "filters.reference_nm = 700: it is none of centres_nm = .500.0, 600.0, 800.0"),
     ("filters.width_nm=4", "edge 10 nm is outside 0 ... 4 nm"),
@@ -77,8 +77,9 @@ def test_configuration_files(refused, tmp_path):
 
 def test_lens_and_detector_files_of_another_kind(refused, tmp_path):
     (tmp_path / "other.toml").write_text("frames = 3\n")
-    assert "other.toml: key 'surface' is missing" in refused("--set", "instrument.lens=other.toml")
-    assert "other.toml: key 'quantum_efficiency' is missing" in refused("--set", "instrument.detector=other.toml")
+    assert re.search(r"other.toml: 5 keys are missing: .*surface", refused("--set", "instrument.lens=other.toml"))
+    said = refused("--set", "instrument.detector=other.toml")
+    assert "other.toml: most of what describes a detector is missing; base = " in said
 
 
 def test_lens_whose_rays_all_fail(refused, tmp_path):
