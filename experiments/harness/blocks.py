@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -126,9 +127,8 @@ class Artist:
                 text = figure_svg(drawing, prefix=f"fig{number}")
                 if parts := side_by_side(drawing):
                     text += _in_parts(text, parts)
-                elif narrow(drawing):
-                    again = figure_svg(drawing, prefix=f"fig{number}n")
-                    text += again.replace("<svg", '<svg class="narrow" aria-hidden="true"', 1)
+                else:
+                    text += _narrow_too(drawing, f"fig{number}n")
             drawing = text
         if isinstance(drawing, str):
             if not drawing.lstrip().startswith("<svg"):
@@ -155,6 +155,17 @@ class Artist:
         """Whether a figure was made for half the width of the text."""
         drawing = figure.drawing
         return isinstance(drawing, Drawing) and drawing.get_figwidth() <= 1.1 * WIDTH_IN["half"]
+
+
+def _narrow_too(drawing: Drawing, prefix: str) -> str:
+    """The figure once more for narrow screens; "" where it cannot be so narrow, of which matplotlib warns."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        try:
+            again = figure_svg(drawing, prefix=prefix) if narrow(drawing) else ""
+        except UserWarning:
+            return ""
+    return again.replace("<svg", '<svg class="narrow" aria-hidden="true"', 1)
 
 
 def _in_parts(svg: str, parts: Sequence[tuple[float, float]]) -> str:
