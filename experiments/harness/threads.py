@@ -1,4 +1,4 @@
-"""One thread for linear algebra.
+"""One thread for linear algebra, and threads that an interrupt does not wait for.
 
 The matrices here are small. OpenBLAS hands even them to as many threads as there are processors, whose idle ones spin:
 two processes side by side then wait for each other's threads most of the time (``benchmarks/side_by_side.py``).
@@ -9,8 +9,11 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
-__all__ = ["THREADS", "one_thread"]
+from experiments.harness.system import processors
+
+__all__ = ["THREADS", "one_thread", "prompt_pool"]
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """Environment variables that libraries of linear algebra read when they are loaded."""
@@ -41,3 +44,15 @@ def one_thread(*, unless_told: bool = False) -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+@contextlib.contextmanager
+def prompt_pool(threads: int | None = None) -> Iterator[ThreadPoolExecutor]:
+    """Threads (one per processor if left out) for work that writes nothing: after an exception nobody waits for it."""
+    pool = ThreadPoolExecutor(threads or processors())
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown()

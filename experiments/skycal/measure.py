@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
 from calib.measure.find import find_stamps
 from calib.records import NoiseModel, Stamps, StarTable
+from experiments.harness.threads import prompt_pool
 from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.readout.frames import dark_subtracted_frame, mean_dark_frame
 from experiments.laboratory.readout.noise_model import true_noise
@@ -126,7 +127,7 @@ def record(scene: Scene, config: Config, streams: Streams, *, advance: Callable[
     middle, example = scene.frames // 2, None
     truths: list[_Rendered] = []
     cut: list[Future[Stamps]] = []
-    with ThreadPoolExecutor(max_workers=AHEAD) as pool:
+    with prompt_pool(AHEAD) as pool:
         for number in range(scene.frames):
             rows, direction = scene.in_cam(number)
             expected = renderer.render(scene.stars(rows, direction))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from operator import ne
 from pathlib import Path
 
-from experiments.dataset.production.complete import in_words, prompt_pool
+from experiments.dataset.production.complete import in_words
 from experiments.dataset.production.folder import (
     IDENTITY,
     OWN_FOLDERS,
@@ -22,6 +22,7 @@ from experiments.dataset.production.folder import (
     numbers,
 )
 from experiments.harness.progress import Progress
+from experiments.harness.threads import prompt_pool
 from optics.errors import ConfigError
 
 __all__ = ["Checked", "check"]

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from experiments.dataset.production.folder import DatasetFolder, StorageError, numbers
@@ -15,14 +13,14 @@ from experiments.dataset.production.schedule import make_frames
 from experiments.dataset.settings import Config
 from experiments.dataset.truth.frame_record import FrameRecord
 from experiments.harness.progress import Progress
-from experiments.harness.system import processors
+from experiments.harness.threads import prompt_pool
 
 SMALLEST_SHARE = {"none": 1.0, "rice": 0.1, "gzip": 0.1}
 """No frame with noise is packed smaller than this."""
 FAINTEST_SHARE = 0.5
 """The first one may hold the Moon, or a mask that the others lack."""
 
-__all__ = ["Completed", "complete", "in_words", "prompt_pool"]
+__all__ = ["Completed", "complete", "in_words"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,16 +106,6 @@ def complete(config: Config, output: DatasetFolder, job: Job, *, pixels: int, pr
 def in_words(frames: Sequence[int]) -> str:
     """Numbers of frames, the first twenty."""
     return ", ".join(map(str, frames[:20])) + (f" and {len(frames) - 20} more" if len(frames) > 20 else "")
-
-
-@contextmanager
-def prompt_pool() -> Iterator[ThreadPoolExecutor]:
-    """Threads that do not finish what is waiting when the work is interrupted."""
-    pool = ThreadPoolExecutor(processors())
-    try:
-        yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _whole_frames(output: DatasetFolder, progress: Progress) -> dict[int, FrameRecord]:
