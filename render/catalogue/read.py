@@ -360,6 +360,12 @@ class _Columns:
         if column is None:
             return rows, ("id: row of the file",)
         try:
-            return np.ma.filled(np.ma.asarray(column).astype(np.int64), -1), ()
+            held = np.ma.asarray(column)
+            if held.dtype.kind == "f":  # a gap makes a column of whole numbers one of floats
+                held = np.ma.masked_invalid(held)
+                if not (np.abs(held.compressed()) < 2**63).all() or (held.compressed() % 1 != 0).any():
+                    raise ValueError
+                held = np.ma.array(held.filled(-1.0), mask=np.ma.getmaskarray(held))
+            return np.ma.filled(held.astype(np.int64), -1), ()
         except (TypeError, ValueError, OverflowError):
             return rows, (f"id: row of the file, column {column.name!r} does not hold whole numbers",)

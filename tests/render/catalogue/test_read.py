@@ -260,6 +260,9 @@ def test_ids_that_are_no_numbers():
     table = plain(id=[f"star {i}" for i in range(30)])
     catalog = read_plain(table)
     assert catalog.id.tolist() == list(range(30))
+    assert read_plain(plain(id=[np.nan, *range(7, 36)])).id.tolist() == [-1, *range(7, 36)]
+    for odd in (0.5, 1e19):
+        assert read_plain(plain(id=[odd, *range(7, 36)])).id.tolist() == list(range(30))
     assert any("row of the file" in note for note in catalog.notes)
 
 
