@@ -6,6 +6,7 @@ light of the whole field needs. Then the geometry is looked at: what no lens can
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
@@ -90,7 +91,7 @@ def lens_path(name_or_path: str | Path) -> Path:
         return builtin[text]
     if "/" in text or text.lower().endswith((".toml", *FOREIGN)):
         return Path(text)
-    if Path(text).is_file():
+    if os.path.isfile(text):  # False as well where a name is too long for the system
         raise ConfigError(f"{text}: a lens file ends in .toml, {' or '.join(FOREIGN)}")
     raise unknown_name("lens", text, builtin)
 

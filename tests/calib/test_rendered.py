@@ -43,6 +43,7 @@ def rendered():
     return image, psfs
 
 
+@pytest.mark.slow
 def test_positions_are_the_bundle_means(rendered):
     """Within 2e-4 px: 1e-4 for photon centroid against bundle (renderer), the rest for S-curve and cut wings."""
     image, psfs = rendered

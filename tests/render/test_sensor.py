@@ -54,7 +54,10 @@ def test_what_cannot_be_is_refused(sensor):
         sensor.passband((600.0, 630.0), edge_nm=40.0)
 
 
-@pytest.mark.parametrize(("lens", "window_px"), [("star_tracker_26mm", 1024), ("star_tracker_26mm", 1862)])
+@pytest.mark.parametrize(
+    ("lens", "window_px"),
+    [("star_tracker_26mm", 1024), pytest.param("star_tracker_26mm", 1862, marks=pytest.mark.slow)],
+)
 def test_the_map_of_a_camera_is_where_the_renderer_puts_the_light(lens, window_px):
     """NumPy quadrature at six wavelengths against the renderer's kernel at twelve; the larger window is vignetted."""
     sensor = load_star_sensor(lens, "cmv4000", window_px=window_px, defocus_mm=0.01)

@@ -43,6 +43,7 @@ def study(*sweep, **tables):
     return sweep_study(parse_model(Config, {**TRACKER, "sweep": sweep, **tables}, "test"))
 
 
+@pytest.mark.slow
 def test_limiting_magnitude_follows_the_exposure_as_the_noise_says():
     """Against read noise a star needs so many electrons: 2.5 log10 t; against background light half that."""
     for background, slope in ((0.0, 2.5), (1e5, 1.25)):
@@ -51,6 +52,7 @@ def test_limiting_magnitude_follows_the_exposure_as_the_noise_says():
         assert moved == pytest.approx(slope * np.log10(4.0), abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_stop_takes_light_by_its_square():
     """Closed far enough for the pupil to be paraxial; at F-numbers that the lens has not, the point is refused."""
     found = study("f_number=1:16:4")
@@ -61,6 +63,7 @@ def test_a_stop_takes_light_by_its_square():
     np.testing.assert_allclose(light * stop**2, (light * stop**2)[0], rtol=3e-3)
 
 
+@pytest.mark.slow
 def test_focus_over_temperature_in_an_aluminium_housing():
     """Paraxial trace of the 206 mm lens with warm glasses, gaps and housing: 4.55 um per kelvin."""
     found = sweep_study(Config(sweep=("lens_temperature_c=10:30:2",), sky={"attitudes": 20}))
@@ -91,6 +94,7 @@ def test_two_keys_make_a_map():
     assert found.points[4].at == (0.2, 6.0)
 
 
+@pytest.mark.slow
 def test_stars_that_trail():
     """NEA in white noise rises with the root of the lit area; a trail beyond the window is refused at its point."""
     quiet = {"detector": STILL | {"read_noise_e": 40.0}, "star": {"magnitude_mag": 6.0}, "centroid": "epsf"}

@@ -109,6 +109,7 @@ def test_chromatic_shifts_that_galsim_put_in_come_out(tmp_path, engine):
     assert np.mean(np.square(pulls)) == pytest.approx(1.0, abs=4 * np.sqrt(2.5 / np.size(pulls)))  # a band is shared
 
 
+@pytest.mark.slow
 def test_flats_and_their_noise_are_in_positions_and_covariance(tmp_path):
     """Mean centroids of six cameras lie off the truth as their covariance says, with few flats and few dark frames."""
     pulls, places = [], np.array([[24.3 + 26 * i, 24.1 + 26 * j] for j in range(3) for i in range(3)])

@@ -82,6 +82,7 @@ def visits(engine, camera):
     return star, direction, expected, psfs
 
 
+@pytest.mark.slow
 def test_mean_centroids_of_a_star_that_visits_places(visits, camera):
     _, _, expected, psfs = visits
     truth = np.column_stack([expected.truth.bundle_x_px, expected.truth.bundle_y_px])
@@ -91,6 +92,7 @@ def test_mean_centroids_of_a_star_that_visits_places(visits, camera):
     within((found.position_px - truth) ** 2, np.einsum("nii->ni", found.covariance_px2))
 
 
+@pytest.mark.slow
 def test_centroids_of_single_frames_on_the_turntable(visits, camera):
     from experiments.fisher.acquire import Motion, Places, acquire
 
@@ -120,6 +122,7 @@ def test_centroids_of_single_frames_on_the_turntable(visits, camera):
     within((taken.position_px - taken.bundle_px) ** 2, np.einsum("nii->ni", taken.covariance_px2))
 
 
+@pytest.mark.slow
 def test_fixed_patterns_of_a_point_target(engine, bench_of, camera):
     """Few dark frames, many frames: the mean centroids are off by the noise of the dark frames and by PRNU."""
     bench = bench_of(rows=12, columns=10, frames=50, dark_frames=2, centres_nm=(600.0,), reference=0)
@@ -130,6 +133,7 @@ def test_fixed_patterns_of_a_point_target(engine, bench_of, camera):
     within(off2, found.pattern_px["epsf"] ** 2)
 
 
+@pytest.mark.slow
 def test_temporal_error_of_a_point_target(engine, bench_of, camera):
     bench = bench_of(rows=10, columns=8, frames=30, dark_frames=30, methods=("epsf", "cog"))
     bench = replace(bench, target=bench.target.model_copy(update={"pitch_px": 40.4}))

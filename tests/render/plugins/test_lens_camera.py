@@ -50,7 +50,7 @@ def test_uniform_sky_gives_pi_sine_squared(mi):
     assert image.mean() / 3.0 == pytest.approx(np.pi * marginal_sine(lens) ** 2, rel=2.5e-3)
 
 
-@pytest.mark.parametrize("name", LENSES)
+@pytest.mark.parametrize("name", [LENSES[0], *(pytest.param(name, marks=pytest.mark.slow) for name in LENSES[1:])])
 def test_fall_off_against_the_light_that_goes_forward(mi, bench, name):
     """Conservation of etendue: irradiance = radiance x collecting area(field) x solid angle of sky per area of image.
 
@@ -188,7 +188,7 @@ def moments(image):
     return image.sum(), (image * column).sum() / image.sum(), (image * row).sum() / image.sum()
 
 
-@pytest.mark.parametrize("integrator", ["path", "ptracer"])
+@pytest.mark.parametrize("integrator", ["path", pytest.param("ptracer", marks=pytest.mark.slow)])
 def test_crop_is_a_part_of_the_film(mi, integrator):
     """Pixels of the crop against those of the whole film; light traced forwards against light traced backwards."""
     lens = load_lens("star_tracker_26mm")

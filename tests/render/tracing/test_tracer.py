@@ -122,6 +122,7 @@ def test_chief_rays_go_through_the_centre_of_the_stop(engine, bench):
         assert np.abs(truth.chief_y_px[:, 0] - y).max() < 1e-8
 
 
+@pytest.mark.slow
 def test_every_electron_is_accounted_for(engine, bench):
     """Inside, half off each edge, over a corner, far outside; clear, cut by an aperture, with a decentred stop."""
     lens = load_lens("star_camera_206mm")
