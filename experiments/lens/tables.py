@@ -39,7 +39,11 @@ def _prescription(made: Study) -> Table:
             )
         )
     heads = ("surface", "kind", "radius [mm]", "thickness [mm]", "medium", "semi-diameter [mm]", "conic", "further")
-    return Table(columns=heads, rows=rows, caption="Prescription, in the order of the light.")
+    return Table(
+        columns=heads,
+        rows=rows,
+        caption="Prescription in the order of the light, counted from 0: a .zmx file counts its object as 0.",
+    )
 
 
 def _words(value: Any) -> str:
@@ -58,7 +62,7 @@ def _first_order(made: Study) -> Table:
         ("back focus (BFL)", first.bfl_mm, "mm"),
         ("F-number", first.f_number, ""),
         ("entrance pupil, diameter", 2.0 * first.entrance_pupil_radius_mm, "mm"),
-        ("entrance pupil, z", first.entrance_pupil_z_mm, "mm"),
+        ("entrance pupil, z from the first vertex", first.entrance_pupil_z_mm, "mm"),
         ("exit pupil, diameter", 2.0 * first.exit_pupil_radius_mm, "mm"),
         ("half field", made.file.lens.max_field_deg, "°"),
     ]
