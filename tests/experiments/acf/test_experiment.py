@@ -24,6 +24,8 @@ from experiments.harness.provenance import collect
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.summary import to_json
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[3]
 SMALL = Config(
     frames=16,

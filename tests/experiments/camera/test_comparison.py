@@ -32,6 +32,7 @@ ONE = Config(
 )
 
 
+@pytest.mark.slow
 def test_each_sensor_is_what_it_is_alone_and_differs_in_what_was_changed():
     other = with_value(ONE, "instrument.exposure_s", 0.3)
     found = side_by_side([ONE, other])

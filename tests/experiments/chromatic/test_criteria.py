@@ -22,6 +22,8 @@ from experiments.laboratory.signal import Signal
 from render.engine.random import Streams
 from render.sensor import StarSensor
 
+pytestmark = pytest.mark.slow
+
 PAIR, FRAMES = "800-600", 4
 NOT_HERE = "the wanted"
 """The movement is given here, not found for the published number."""

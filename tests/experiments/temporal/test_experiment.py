@@ -13,6 +13,8 @@ from experiments.laboratory.temporal_error import temporal_error_arcsec
 from experiments.temporal.experiment import experiment
 from render.sensor import StarSensor
 
+pytestmark = pytest.mark.slow
+
 FRAMES, STARS = 40, 6
 
 

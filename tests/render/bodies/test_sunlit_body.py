@@ -89,6 +89,7 @@ def test_thin_crescent(engine, law):
     assert (difference < 0.03 * finer.image.electrons + 1e-6).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("law", "phase_deg"), [("lunar", 40.0), pytest.param("lambert", 80.0, marks=pytest.mark.slow)])
 def test_pixel_by_pixel_against_mitsubas_own_walk(mi, law, phase_deg):
     """A sphere of Mitsuba under a directional light, by its path integrator backwards through `lens_camera`."""

@@ -117,6 +117,7 @@ def test_hardly_any_motion_is_none(engine, bench):
         assert np.abs(moved.electrons - still.electrons).max() < 1e-6 * still.electrons.max()
 
 
+@pytest.mark.slow
 def test_rolling_shutter_row_by_row(engine, bench):
     """Every row is the mean of images at rest over its own time."""
     camera, whole = small(bench, "star_tracker_26mm", size=28)

@@ -94,6 +94,7 @@ def test_truth_against_a_dense_numpy_bundle(engine, bench, name):
         assert arrived / bench.launched(camera, stars)[star, 0] == pytest.approx(light, abs=1e-12 if exact else 5e-4)
 
 
+@pytest.mark.slow
 def test_light_that_enters_is_what_the_stop_alone_would_pass(engine, bench):
     lens = load_lens("double_gauss_50mm")
     hood = {0: replace(lens.surfaces[0], semi_diameter_mm=11.5)}
