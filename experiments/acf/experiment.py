@@ -64,7 +64,7 @@ experiment = Experiment(
     name="acf",
     config=Config,
     run=run,
-    takes="6 min (--quick: 12 s)",
+    takes="6 min (--quick: 25 s)",
     examples={
         "--quick": "a small run, without rendered frames",
         "--set rendered.which=none --set runs=20": "star coordinates only, fewer runs",

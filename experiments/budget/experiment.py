@@ -97,7 +97,7 @@ experiment = Experiment(
     name="budget",
     config=Config,
     run=run,
-    takes="2 minutes (--quick: 30 s)",
+    takes="7 min (--quick: 45 s)",
     examples={
         "--quick": "a small run",
         "--sweep detector.read_noise_e=2:20:10": "the budget against the read noise",

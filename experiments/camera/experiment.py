@@ -57,10 +57,10 @@ experiment = Experiment(
     name="camera",
     config=Config,
     run=run,
-    takes="40 s (--quick: 20 s)",
+    takes="1 min (--quick: 40 s)",
     examples={
         "--sensor my.toml": "your own sensor",
-        "--sensor my.toml --predict-only": "the answer without frames, in 8 s",
+        "--sensor my.toml --predict-only": "the answer without frames, in 17 s",
         "--sensor my.toml --set instrument.exposure_s=0.2": "the same with another exposure",
         "--sensor my.toml --sweep instrument.exposure_s=0.05:0.4:8": "what if: curves over the exposure, in seconds",
         "--sensor my.toml --sweep exposure_s=0.05:0.4:8 --sweep f_number=3:5:5": "a map over two keys",

@@ -209,7 +209,7 @@ rendered = Experiment(
     name="chromatic",
     config=Config,
     run=run,
-    takes="30 s (--quick: 20 s)",
+    takes="45 s (--quick: 20 s)",
     examples={
         "--quick": "a small run",
         "--set decentre.element=L3 --set decentre.kind=tilt": "another element of the lens moved",

@@ -110,7 +110,7 @@ experiment = Experiment(
     name="cube",
     config=Config,
     run=run,
-    takes="3 min (--quick: 17 s)",
+    takes="3 min (--quick: 25 s)",
     examples={
         "--quick": "six benches instead of a hundred",
         "--set camera.mounting_arcsec=0.5 --set trim.stop_px=0.3": "a stiffer mount, a stricter stop rule",

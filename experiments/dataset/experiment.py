@@ -150,7 +150,7 @@ experiment = Experiment(
     name="dataset",
     config=Config,
     run=run,
-    takes="50 s (--quick: 9 s)",
+    takes="50 s (--quick: 12 s)",
     examples={
         "--frames 1000 --out sky": "the real sky, 1024 x 1024 px, random attitudes; the same command goes on",
         "--frames 5000 --workers 8 --out sky": "let it grow, sooner",

@@ -88,7 +88,7 @@ rendered = Experiment(
     name="distortion",
     config=Config,
     run=run,
-    takes="20 s (--quick: 9 s)",
+    takes="50 s (--quick: 23 s)",
     examples={
         "--quick": "a small run",
         "--set target.rows=8 --set target.columns=16 --set order=5": "more points, a higher order",

@@ -119,7 +119,7 @@ rendered = Experiment(
     name="hsfe",
     config=Config,
     run=run,
-    takes="1 min (--quick: 12 s)",
+    takes="1 min (--quick: 15 s)",
     examples={
         "--quick": "a small run",
         "--set steps.step_px=0.5 --set subtraction=raw": "longer steps, fixed patterns left in",

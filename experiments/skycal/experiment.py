@@ -65,7 +65,7 @@ experiment = Experiment(
     name="skycal",
     config=Config,
     run=run,
-    takes="6 min (--quick: 40 s)",
+    takes="3 min (--quick: 1 min)",
     examples={
         "--quick": "six frames, fewer stars",
         "--set which=wide --set frames=20": "the wide lens alone, 20 frames",

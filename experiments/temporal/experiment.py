@@ -97,7 +97,7 @@ rendered = Experiment(
     name="temporal",
     config=Config,
     run=run,
-    takes="30 s (--quick: 9 s)",
+    takes="30 s (--quick: 10 s)",
     examples={
         "--quick": "a small run",
         "--set source.signal_e=2000 --set centroid=gaussian": "fainter stars, another centroider",

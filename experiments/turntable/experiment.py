@@ -111,7 +111,7 @@ rendered = Experiment(
     name="turntable",
     config=Config,
     run=run,
-    takes="2 min (--quick: 15 s)",
+    takes="1 min (--quick: 20 s)",
     examples={
         "--quick": "few places and runs",
         "--set two_axis.non_orthogonality_arcsec=[20] --set two_axis.reading_noise_arcsec=[0.1]": "axes that lean "

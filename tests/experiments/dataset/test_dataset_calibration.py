@@ -60,6 +60,7 @@ def pull(image, error, truth):
     return np.mean(((image - truth)[some] / error[some]) ** 2) * (FRAMES - 3) / (FRAMES - 1)
 
 
+@pytest.mark.slow
 def test_products_are_the_detector_within_their_own_noise(folder):
     chip = build_scene(CONFIG).instrument.detector
     maps = sensor_maps(chip)

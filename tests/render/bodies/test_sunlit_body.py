@@ -69,6 +69,7 @@ def test_total_against_the_closed_form(engine, law, phase_deg):
     assert render_body(camera_of(), body, BAND, exposure_s=2e-3).electrons[0] == pytest.approx(expected, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["lunar", pytest.param("lambert", marks=pytest.mark.slow)])
 def test_thin_crescent(engine, law):
     """0.03 px wide: its light is that of the closed form, and the image's error is below photon noise in every pixel.

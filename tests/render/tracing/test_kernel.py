@@ -90,6 +90,7 @@ def test_tolerance_rules_the_error(engine, bench, tolerance):
     assert error < max(tolerance, 5e-6)  # of the brute force itself
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fine", [pytest.param(1, marks=pytest.mark.slow), 4])
 def test_second_moments_hold_no_hidden_blur(engine, bench, fine):
     """Sheppard: variance over pixels = variance of the bundle + diffusion^2 + 1/12 of a pixel's square.

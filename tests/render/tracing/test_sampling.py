@@ -170,6 +170,7 @@ def test_rule_is_chosen_by_the_pupil(engine, bench):
     assert rule(camera(ring), 2000, 1000) == {"quadrature"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "inner_mm"),
     [("star_tracker_26mm", 2.0), pytest.param("star_camera_206mm", 12.0, marks=pytest.mark.slow)],

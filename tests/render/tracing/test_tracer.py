@@ -53,6 +53,7 @@ def test_photon_centroid_is_the_bundle_mean(engine, bench, name, diffusion_px):
     assert np.hypot(truth.photon_x_px - truth.bundle_x_px, truth.photon_y_px - truth.bundle_y_px).max() < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [LENSES[0], *(pytest.param(name, marks=pytest.mark.slow) for name in LENSES[1:])])
 def test_image_on_finer_pixels_has_the_same_centroid(engine, bench, name):
     """The image itself, not the strips: 4 times finer pixels sample the diffused light without aliasing."""
