@@ -247,7 +247,7 @@ def define(mi: Any) -> type:
         ) -> tuple[Any, Any]:
             """Ray from a disk that covers the scene as a star sees it; the weight is that of ``ptracer``."""
             if not (self._radius > 0.0 or self._said):  # no exception: fields of other scenes are traced with this one
-                mi.Log(mi.LogLevel.Warn, f"star_field adds no light: {NO_RADIUS}")
+                mi.Log(mi.LogLevel.Warn, f"star_field '{self.id()}' adds no light: {NO_RADIUS}")
                 self._said = True
             light = self._as_light()
             star, share = light.pick.sample_pmf(sample3.x, active)
