@@ -31,6 +31,11 @@ class StarFlag(IntFlag):
         The error that depends on where in its pixel the star sits exceeds half the stated standard deviation, which
         does not hold it: the star is too narrow for this centroider, or reaches beyond its window
         (``StarTable.width_px`` and ``phase_error_px``). The star may be used; its error is larger than stated.
+    WIDTH_UNKNOWN
+        Of a Gaussian fit with free widths: so much of the light is in single pixels that they do not tell the width
+        along an axis, and with it the place (`calib.measure.gaussian.WIDTH_PRIOR_PX`). The covariance holds that for
+        stars down to a sigma of a quarter of a pixel, and is too small for narrower ones. The star may be used; it is
+        measured better with the width of the other stars, ``sigma_px=``.
     """
 
     SATURATED = 1
@@ -41,6 +46,7 @@ class StarFlag(IntFlag):
     NOT_CONVERGED = 32
     NO_DATA = 64
     PIXEL_PHASE = 128
+    WIDTH_UNKNOWN = 256
 
 
 UNFIT = (

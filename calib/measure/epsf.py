@@ -119,6 +119,9 @@ class EpsfModel:
         self._cell = np.full((len(psf_index), 2), -1)
         self._table = np.empty((len(psf_index), 16, bank.window[0] * bank.window[1]))
 
+    def prior(self, parameters: FloatArray) -> None:
+        """Nothing is known of place and flux."""
+
     def evaluate(self, parameters: FloatArray, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
         """Signal and derivatives, see `scoring.PixelModel`."""
         cell, fraction = self.bank.locate(parameters[:, X], parameters[:, Y])

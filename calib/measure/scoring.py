@@ -19,7 +19,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,11 @@ class PixelModel(Protocol):
 
     max_step: FloatArray
     """(k,) Largest change of each parameter in one step."""
+
+    def prior(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+        """What is known of ``parameters`` (n, k) beside the pixels: slope (n, k) of the logarithm of its density, and
+        its negative curvature (n, k); None if nothing is."""
+        ...
 
     def evaluate(self, parameters: FloatArray, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
         """Signal (n, p) and its derivatives (n, k, p) for ``parameters`` (n, k) of the stars ``rows`` (n,)."""
@@ -75,6 +80,9 @@ def fit_pixels(
 ) -> PixelFit:
     """Fisher scoring: steps ``(J^T W J)^-1 J^T W (d - m)`` with ``W = 1 / variance(m)`` until they are small.
 
+    A prior of the model adds its slope to the score and its curvature to the information. Where the information of a
+    parameter after the flux changes steeply, steps would jump to and fro; one that turns back goes half way at most.
+
     Parameters
     ----------
     model : PixelModel
@@ -104,8 +112,7 @@ def fit_pixels(
     total = k + int(fit_background)
     theta = np.empty((n, total))
     theta[:, :k] = start
-    limit = np.full(total, np.inf)
-    limit[:k] = model.max_step
+    strides = _Strides(np.append(model.max_step, [np.inf] * fit_background), n, shape=slice(FLUX + 1, k))
     if fit_background:
         theta[:, k] = background
     covariance = np.full((n, total, total), np.nan)
@@ -130,12 +137,12 @@ def fit_pixels(
         weighted = jacobian * weight[:, None, :]
         information = weighted @ jacobian.swapaxes(1, 2)
         score = (weighted @ residual[:, :, None])[:, :, 0]
+        _add_prior(model.prior(now[:, :k]), score, information)
         inverse, good = _inverse(information)
         step = (inverse @ score[:, :, None])[:, :, 0]
         sigma = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
         small = np.all(np.abs(step[:, : FLUX + 1]) <= tolerance * sigma[:, : FLUX + 1], axis=1)
-        no_zero = np.maximum(np.abs(step), 1e-300)  # a step of exactly 0 is no division by 0
-        step *= np.minimum(1.0, np.min(limit / no_zero, axis=1))[:, None]
+        step = strides.shortened(step, active)
         moved = now + step
         moved[:, FLUX] = np.maximum(moved[:, FLUX], 1e-3 * np.abs(now[:, FLUX]) + 1e-6)  # a star has no negative light
         good &= np.all(np.isfinite(moved), axis=1)
@@ -153,6 +160,38 @@ def fit_pixels(
         iterations=iterations,
         converged=converged,
     )
+
+
+def _add_prior(known: tuple[FloatArray, FloatArray] | None, score: FloatArray, information: FloatArray) -> None:
+    """Add what is known beside the pixels, in place."""
+    if known is not None:
+        slope, curvature = known
+        index = np.arange(slope.shape[1])
+        score[:, index] += slope
+        information[:, index, index] += curvature
+
+
+class _Strides:
+    """Lengths of steps of n stars: at most ``longest`` (k,), and half the last one where a shape turns back."""
+
+    def __init__(self, longest: FloatArray, n: int, *, shape: slice) -> None:
+        self.longest, self.shape = longest, shape
+        self.reach = np.tile(longest[shape], (n, 1))
+        self.last = np.zeros_like(self.reach)
+
+    def shortened(self, step: FloatArray, active: NDArray[np.int64]) -> FloatArray:
+        """The steps (m, k) of the stars ``active`` (m,), each made shorter as a whole where it is too long."""
+        no_zero = np.maximum(np.abs(step), 1e-300)  # a step of exactly 0 is no division by 0
+        part = np.min(self.longest / no_zero, axis=1)
+        if self.last.size:
+            last = self.last[active]
+            most = np.minimum(1.3 * self.reach[active], self.longest[self.shape])
+            reach = np.where(step[:, self.shape] * last < 0, 0.5 * np.abs(last), most)
+            self.reach[active] = reach
+            part = np.minimum(part, np.min(reach / no_zero[:, self.shape], axis=1))
+        out = step * np.minimum(1.0, part)[:, None]
+        self.last[active] = out[:, self.shape]
+        return out
 
 
 def _inverse(information: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -243,7 +282,35 @@ class LikelihoodFit:
                 parts = list(pool.map(one, slices))
         else:
             parts = [one(rows) for rows in slices]
-        return _table(stamps, concatenated(parts), self.fit_background, self.max_shift_px)
+        return self._table(stamps, concatenated(parts))
+
+    def shape_columns(self, fit: PixelFit) -> dict[str, Any]:
+        """Columns of the table that follow from parameters after the flux; ``flags`` are added to those of the fit."""
+        del fit
+        return {}
+
+    def _table(self, stamps: Stamps, fit: PixelFit) -> StarTable:
+        theta = fit.parameters
+        flags = np.array(stamps.flags)
+        lost = fit.iterations == 0
+        offset = theta[:, :FLUX] + stamps.corner_px - stamps.start_px
+        told = self.shape_columns(fit)
+        flags |= told.pop("flags", 0)
+        far = np.hypot(offset[:, X], offset[:, Y]) > self.max_shift_px
+        flags[lost] |= int(StarFlag.NO_DATA)
+        flags[~lost & (far | ~fit.converged)] |= int(StarFlag.NOT_CONVERGED)
+        return StarTable(
+            x_px=np.where(lost, np.nan, theta[:, X] + stamps.corner_px[:, X]),
+            y_px=np.where(lost, np.nan, theta[:, Y] + stamps.corner_px[:, Y]),
+            flux_e=np.where(lost, np.nan, theta[:, FLUX]),
+            background_e=theta[:, -1] if self.fit_background else stamps.background_e,
+            covariance=fit.covariance[:, : FLUX + 1, : FLUX + 1],
+            chi2=fit.chi2,
+            freedom=fit.freedom,
+            iterations=fit.iterations,
+            flags=flags,
+            **told,
+        )
 
 
 def _cores() -> int:
@@ -257,24 +324,3 @@ def _start(stamps: Stamps, rows: slice, noise: NoiseModel, shape_start: FloatArr
     flux = np.maximum(light.sum(axis=(1, 2)), 5.0 * np.sqrt(noise.floor_e2 + 1.0))
     position = stamps.start_px[rows] - stamps.corner_px[rows]
     return np.column_stack([position, flux, np.tile(shape_start, (len(flux), 1))])
-
-
-def _table(stamps: Stamps, fit: PixelFit, fit_background: bool, max_shift_px: float) -> StarTable:
-    theta = fit.parameters
-    flags = np.array(stamps.flags)
-    lost = fit.iterations == 0
-    offset = theta[:, :FLUX] + stamps.corner_px - stamps.start_px
-    far = np.hypot(offset[:, X], offset[:, Y]) > max_shift_px
-    flags[lost] |= int(StarFlag.NO_DATA)
-    flags[~lost & (far | ~fit.converged)] |= int(StarFlag.NOT_CONVERGED)
-    return StarTable(
-        x_px=np.where(lost, np.nan, theta[:, X] + stamps.corner_px[:, X]),
-        y_px=np.where(lost, np.nan, theta[:, Y] + stamps.corner_px[:, Y]),
-        flux_e=np.where(lost, np.nan, theta[:, FLUX]),
-        background_e=theta[:, -1] if fit_background else stamps.background_e,
-        covariance=fit.covariance[:, : FLUX + 1, : FLUX + 1],
-        chi2=fit.chi2,
-        freedom=fit.freedom,
-        iterations=fit.iterations,
-        flags=flags,
-    )
