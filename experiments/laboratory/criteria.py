@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,6 +12,9 @@ from scipy.stats import norm, t
 from experiments.harness.summary import Criterion
 from experiments.laboratory.instrument import Instrument
 from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.lens.system import LensSystem
+from optics.rays.paraxial import axial_paraxial, chief_ray
 from optics.rays.pupil import gauss_disk
 from optics.rays.spots import spot_moments
 
@@ -44,20 +48,36 @@ def as_the_paper(name: str, reported: Any, printed: Any, unit: str) -> Criterion
 def pixel_angle(instrument: Instrument) -> Criterion:
     """The angle of a pixel that turns px into arcsec, over that between two traced bundles at both sides of the axis.
 
-    The limit leaves room for a focus that is not the paraxial one, which changes the scale.
+    A detector away from the paraxial focus sees another scale, unless the lens is telecentric: that of the paraxial
+    chief ray, where the lens is centred. The limit leaves room for what aberrations do to the mean of a bundle.
     """
     camera, apart_deg = instrument.camera, 0.02
+    lens = camera.focused_lens
     ends = np.array([-0.5, 0.5]) * apart_deg
-    at, samples = camera.lens.design_wavelength_nm, gauss_disk(5, 12)
-    along_x = spot_moments(camera.focused_lens, ends, 0.0 * ends, at, samples=samples).x_mm
-    along_y = spot_moments(camera.focused_lens, 0.0 * ends, ends, at, samples=samples).y_mm
+    at, samples = lens.design_wavelength_nm, gauss_disk(5, 12)
+    along_x = spot_moments(lens, ends, 0.0 * ends, at, samples=samples).x_mm
+    along_y = spot_moments(lens, 0.0 * ends, ends, at, samples=samples).y_mm
     distance_px = 0.5 * float(np.ptp(along_x) + np.ptp(along_y)) / camera.pixel_pitch_mm
     return Criterion(
         name="angle of a pixel over that of two traced bundles beside the axis",
         value=instrument.pixel_arcsec * distance_px / (3600.0 * apart_deg),
-        limit=0.005 + 2.0 * abs(instrument.config.defocus_mm) / instrument.focal_length_mm,
-        about=1.0,
+        limit=0.005,
+        about=_chief_ray_scale_mm(lens) / instrument.focal_length_mm,
     )
+
+
+def _chief_ray_scale_mm(lens: LensSystem) -> float:
+    """Height of the paraxial chief ray on the detector per tangent of the field angle, next to the axis [mm].
+
+    That is the focal length in the paraxial focus, and taken as that where a lens is tilted or decentred, which leaves
+    no paraxial chief ray, and where the entrance pupil is at infinity.
+    """
+    field_deg = 0.01
+    try:
+        scale = abs(chief_ray(lens, field_deg)[0][-1]) / math.tan(math.radians(field_deg))
+    except DomainError:
+        scale = math.inf
+    return scale if math.isfinite(scale) else abs(axial_paraxial(lens, lens.design_wavelength_nm).efl_mm)
 
 
 def centroids_on_the_light(
