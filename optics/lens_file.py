@@ -25,9 +25,9 @@ from optics.glass.media import CATALOGUE_AIR, Environment
 from optics.lens.geometry import acts, crossings, geometry_faults, idle_stop
 from optics.lens.prescription import lens_from_table, rims_mm
 from optics.lens.system import LensSystem
-from optics.lens.tables import BREAK, Prescription
+from optics.lens.tables import BREAK
 from optics.rays.beam_widths import BeamWidths, beam_widths
-from optics.validate import parse_model, read_toml
+from optics.validate import read_toml
 
 __all__ = ["LensFile", "lens_path", "list_lenses", "load_lens", "read_lens_file"]
 
@@ -54,12 +54,15 @@ class LensFile:
         What became of every line; None for a file of our own format.
     defaults : FileDefaults or None
         Fields, wavelengths, vignetting factors, aperture; None for a file of our own format.
+    labels : tuple of str
+        What the file calls the tables of surfaces, where it does not count them from 0.
     """
 
     lens: LensSystem
     tables: dict[str, Any]
     report: ImportReport | None = None
     defaults: FileDefaults | None = None
+    labels: tuple[str, ...] = ()
 
 
 def _builtin() -> dict[str, Path]:
@@ -236,11 +239,17 @@ def _of_program(imported: Imported, path: Path, environment: Environment | None,
     where, rows, defaults = str(path), imported.rows, imported.defaults
     tables = imported.tables
     notes: list[ReportLine] = []
+    labels = tuple(f"surface {row.number} (line {row.line})" for row in rows)
     if not strict:
-        tables, notes = _within_surfaces(tables, rows, where)
-    lens = lens_from_table(tables, where=where, folder=path.parent, environment=environment or defaults.environment)
+        tables, notes = _within_surfaces(tables, rows, labels, where)
+    lens = lens_from_table(
+        tables,
+        where=where,
+        folder=path.parent,
+        environment=environment or defaults.environment,
+        labels=labels,
+    )
     mine = {i: row for i, row in zip(_places(lens, tables), rows, strict=True) if i >= 0}
-    names = [f"surface {mine[i].number} (line {mine[i].line})" for i in range(len(lens.surfaces))]
     near = not strict and bool(np.isfinite(defaults.object_mm))
     if near:
         lens, tables = _as_drawn(lens, tables, mine, notes)
@@ -254,18 +263,18 @@ def _of_program(imported: Imported, path: Path, environment: Environment | None,
             lens, tables = _closed(lens, tables, found)
             notes += _told(lens, needs, mine, found)
             lens, tables = _uncrossed(lens, tables, mine, found, notes)
-    told = idle_stop(lens, names)
+    told = idle_stop(lens)
     notes += [_note(mine[lens.stop_index].line, "stop", line, mine[lens.stop_index].number) for line in told]
-    for crossing in crossings(lens, names) if near else ():
+    for crossing in crossings(lens) if near else ():
         told.append(crossing.words)
         at = mine[crossing.surfaces[0]]
         notes.append(_note(at.line, "clear aperture", f"{crossing.words}; kept, as the object is near", at.number))
-    faults = [fault for fault in geometry_faults(lens, names) if strict or fault not in told]
+    faults = [fault for fault in geometry_faults(lens) if strict or fault not in told]
     if faults:
         raise ConfigError("\n".join(f"{where}: {fault}" for fault in faults))
     lines = sorted((*imported.report.lines, *notes), key=lambda line: line.line)
     report = replace(imported.report, lines=tuple(lines))
-    return LensFile(lens=lens, tables=tables, report=report, defaults=defaults)
+    return LensFile(lens=lens, tables=tables, report=report, defaults=defaults, labels=labels)
 
 
 def _note(line: int, command: str, message: str, surface: int | None = None) -> ReportLine:
@@ -273,10 +282,10 @@ def _note(line: int, command: str, message: str, surface: int | None = None) -> 
 
 
 def _within_surfaces(
-    tables: dict[str, Any], rows: Sequence[Row], where: str
+    tables: dict[str, Any], rows: Sequence[Row], labels: Sequence[str], where: str
 ) -> tuple[dict[str, Any], list[ReportLine]]:
     """The prescription without clear apertures that reach beyond the rim where their surface ends."""
-    rims, notes, surfaces = rims_mm(parse_model(Prescription, tables, where)), [], []
+    rims, notes, surfaces = rims_mm(tables, where, labels), [], []
     for table, row, rim in zip(tables["surface"], rows, rims, strict=True):
         radius = table.get("semi_diameter_mm", 0.0)
         if radius >= rim and not row.stop:

@@ -23,12 +23,14 @@ def _finite(value: Any) -> Any:
 
 def _prescription(made: Study) -> Table:
     rows = []
-    for number, table in enumerate(made.file.tables["surface"]):
+    tables = made.file.tables["surface"]
+    labels = made.file.labels or [str(number) for number in range(len(tables))]
+    for label, table in zip(labels, tables, strict=True):
         rest = ", ".join(f"{k} {_words(v)}" for k, v in table.items() if k not in _SHOWN_KEYS)
         radius = table.get("radius_mm")
         rows.append(
             (
-                f"{number}{' stop' if table.get('stop') else ''}",
+                f"{label.removeprefix('surface ')}{' stop' if table.get('stop') else ''}",
                 table.get("kind", ""),
                 "" if radius is None else f"{radius:.8g}" if math.isfinite(radius) else "∞",
                 f"{table.get('thickness_mm', 0.0):.8g}",
@@ -42,7 +44,7 @@ def _prescription(made: Study) -> Table:
     return Table(
         columns=heads,
         rows=rows,
-        caption="Prescription in the order of the light, counted from 0: a .zmx file counts its object as 0.",
+        caption=f"Prescription in the order of the light, counted {'by the file' if made.file.labels else 'from 0'}.",
     )
 
 

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from optics.arrays import FloatArray
-from optics.lens.system import LensSystem, Surface
+from optics.lens.system import STOP_ALONE, LensSystem, Surface
 
 __all__ = ["Crossing", "acts", "axial_ray", "crossings", "geometry_faults", "idle_stop"]
 
@@ -35,22 +34,9 @@ class Crossing:
     words: str
 
 
-def geometry_faults(lens: LensSystem, names: Sequence[str] | None = None) -> tuple[str, ...]:
-    """What is impossible about a lens, one line each; nothing for a lens that may be.
-
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens.
-    names : sequence of str, optional
-        What to call its surfaces; ``surface 0`` and so on if left out.
-    """
-    crossing = (one.words for one in crossings(lens, names))
-    return (*_image_plane(lens, names), *crossing, *idle_stop(lens, names))
-
-
-def _name(names: Sequence[str] | None, number: int) -> str:
-    return f"surface {number}" if names is None else names[number]
+def geometry_faults(lens: LensSystem) -> tuple[str, ...]:
+    """What is impossible about a lens, one line each; nothing for a lens that may be."""
+    return (*_image_plane(lens), *(one.words for one in crossings(lens)), *idle_stop(lens))
 
 
 def acts(lens: LensSystem, number: int) -> bool:
@@ -59,14 +45,14 @@ def acts(lens: LensSystem, number: int) -> bool:
     return surface.mirror or surface.shape.redirects or lens.media[number] != lens.media[number + 1]
 
 
-def _image_plane(lens: LensSystem, names: Sequence[str] | None) -> list[str]:
+def _image_plane(lens: LensSystem) -> list[str]:
     """The image plane has to lie behind the last surface."""
     at = max(i for i, s in enumerate(lens.surfaces) if s.is_stop or acts(lens, i))
     last = lens.surfaces[at]
     behind = float((lens.image_position_mm - last.position_mm) @ lens.axis[-1])
     if behind > 0.0:
-        return _past_the_image(lens, at, behind, _name(names, at))
-    what = "the stop" if last.is_stop else f"{_name(names, at)}, the last,"
+        return _past_the_image(lens, at, behind, lens.label(at))
+    what = "the stop" if last.is_stop else f"{lens.label(at)}, the last,"
     return [
         f"the image plane lies {-behind:g} mm in front of {what}; it must lie behind it: check stop.z_mm and the "
         "thicknesses"
@@ -99,8 +85,8 @@ def _on_one_axis(one: Surface, other: Surface) -> float | None:
     return float(shift[2]) if same and one.shape.rotational and other.shape.rotational else None
 
 
-def crossings(lens: LensSystem, names: Sequence[str] | None = None) -> list[Crossing]:
-    """Surfaces that follow each other and meet inside both their rims; parameters as `geometry_faults`."""
+def crossings(lens: LensSystem) -> list[Crossing]:
+    """Surfaces that follow each other and meet inside both their rims."""
     real = [(i, s) for i, s in enumerate(lens.surfaces) if s.shape.curvature != 0.0 or acts(lens, i)]
     found = []
     for (i, one), (j, other) in itertools.pairwise(real):
@@ -112,15 +98,14 @@ def crossings(lens: LensSystem, names: Sequence[str] | None = None) -> list[Cros
         with np.errstate(all="ignore"):  # powers of an absurd asphere
             gap = distance + other.shape.sag(height, 0.0 * height) - one.shape.sag(height, 0.0 * height)
         if not np.isfinite(gap).all():
-            words = f"{_name(names, i)} or {_name(names, j)} does not reach its rim at {radius:g} mm"
+            words = f"{lens.label(i)} or {lens.label(j)} does not reach its rim at {radius:g} mm"
         elif gap.min() < -TOUCHING_MM:
             what = f"{one.medium} between them would be" if one.medium != "air" else "they would overlap by"
             at = height[int(np.argmin(gap))]
             amount = f"{gap.min():.4g}" if one.medium != "air" else f"{-gap.min():.4g}"
-            both = f"surfaces {i} and {j}" if names is None else f"{names[i]} and {names[j]}"
             words = (
-                f"{both} cross: at {at:.4g} mm from the axis {what} {amount} mm; at least 0 mm is needed: check radii, "
-                "thickness_mm and semi_diameter_mm"
+                f"{lens.label(i)} and {lens.label(j)} cross: at {at:.4g} mm from the axis {what} {amount} mm; at least "
+                "0 mm is needed: check radii, thickness_mm and semi_diameter_mm"
             )
         else:
             continue
@@ -129,7 +114,7 @@ def crossings(lens: LensSystem, names: Sequence[str] | None = None) -> list[Cros
     return found
 
 
-def idle_stop(lens: LensSystem, names: Sequence[str] | None = None) -> list[str]:
+def idle_stop(lens: LensSystem) -> list[str]:
     """What keeps the stop from limiting the light on the axis: another rim long before it."""
     stop = lens.surfaces[lens.stop_index]
     if not math.isfinite(stop.semi_diameter_mm):
@@ -144,10 +129,11 @@ def idle_stop(lens: LensSystem, names: Sequence[str] | None = None) -> list[str]
     worst = int(np.argmin(room))
     if room[worst] >= USED_STOP:
         return []
+    what = lens.label(lens.stop_index)
     return [
-        f"the stop, {_name(names, lens.stop_index)}, has semi_diameter_mm = {stop.semi_diameter_mm:g} mm, but on the "
-        f"axis the rim of {_name(names, worst)} leaves only {room[worst] * stop.semi_diameter_mm:.4g} mm of it; a stop "
-        "must limit the light: close it, or open that surface"
+        f"{what if what == STOP_ALONE else f'the stop, {what},'} has semi_diameter_mm = {stop.semi_diameter_mm:g} mm, "
+        f"but on the axis the rim of {lens.label(worst)} leaves only {room[worst] * stop.semi_diameter_mm:.4g} mm of "
+        "it; a stop must limit the light: close it, or open that surface"
     ]
 
 

@@ -8,7 +8,8 @@ same lens with every surface in a frame whose +z light travels along.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from optics.glass.media import CATALOGUE_AIR, Environment
 from optics.lens.geometry import axial_ray
 from optics.lens.sag_map import SagMap, read_map
 from optics.lens.shapes.plane import Plane
-from optics.lens.system import AMBIENT, LensSystem, Surface
+from optics.lens.system import AMBIENT, STOP_ALONE, LensSystem, Surface
 from optics.lens.tables import MIRROR, BreakTable, ErrorTable, MovedTable, Prescription, PupilTable, SurfaceTable
 from optics.validate import parse_model
 
@@ -76,7 +77,7 @@ def _error_map(table: ErrorTable | None, folder: Path) -> SagMap | None:
     return SagMap(values_mm=values * (table.scale * UNIT_MM[table.unit]), width_mm=table.width_mm)
 
 
-def _surface(table: SurfaceTable, frame: _Frame, before: str, folder: Path) -> Surface:
+def _surface(table: SurfaceTable, frame: _Frame, before: str, folder: Path, label: str) -> Surface:
     """The surface that a table describes, in a frame where light travels towards +z."""
     mirror = table.medium == MIRROR
     return Surface(
@@ -92,14 +93,15 @@ def _surface(table: SurfaceTable, frame: _Frame, before: str, folder: Path) -> S
         cte_per_k=table.cte_per_k,
         element=table.element,
         is_stop=table.stop,
+        label=label,
     )
 
 
-def _placed(file: Prescription, folder: Path) -> tuple[list[Surface], _Frame]:
+def _placed(file: Prescription, folder: Path, labels: Sequence[str]) -> tuple[list[Surface], _Frame]:
     """Surfaces at their vertices, and the frame of the image plane."""
     frame, light, medium = _Frame(np.zeros(3), np.eye(3)), np.array([0.0, 0.0, 1.0]), AMBIENT
     surfaces: list[Surface] = []
-    for number, table in enumerate(file.surface):
+    for label, table in zip(labels, file.surface, strict=True):
         if isinstance(table, BreakTable):
             frame = frame.moved(table).after(table.thickness_mm)
             continue
@@ -109,11 +111,11 @@ def _placed(file: Prescription, folder: Path) -> tuple[list[Surface], _Frame]:
         normal = own.axes[:, 2]
         facing = float(light @ normal)
         if abs(facing) < EDGE_ON:
-            raise ConfigError(f"surface {number} is edge-on to the light on the axis; check tilts and breaks before it")
+            raise ConfigError(f"{label} is edge-on to the light on the axis; check tilts and breaks before it")
         try:
-            surface = _surface(table, own, medium, folder)
+            surface = _surface(table, own, medium, folder, label)
         except StarbenchError as error:
-            raise type(error)(f"surface {number}: {error}") from None
+            raise type(error)(f"{label}: {error}") from None
         surfaces.append(surface if facing > 0.0 else surface.from_behind())
         if surface.mirror:
             light = light - 2.0 * facing * normal
@@ -121,7 +123,7 @@ def _placed(file: Prescription, folder: Path) -> tuple[list[Surface], _Frame]:
         along = table.thickness_mm * float(np.sign(light @ frame.axes[:, 2]))
         if medium != AMBIENT and along < 0.0:
             raise ConfigError(
-                f"surface {number}: thickness_mm = {table.thickness_mm:g} mm of {medium} lies against the light; "
+                f"{label}: thickness_mm = {table.thickness_mm:g} mm of {medium} lies against the light; "
                 "behind an odd number of mirrors thicknesses are negative, otherwise positive"
             )
         frame = frame.after(table.thickness_mm)
@@ -150,6 +152,7 @@ def _with_stop(file: Prescription, surfaces: list[Surface]) -> list[Surface]:
         semi_diameter_mm=file.stop.semi_diameter_mm,
         inner_semi_diameter_mm=file.stop.inner_semi_diameter_mm,
         is_stop=True,
+        label=STOP_ALONE,
     )
     return [*surfaces[:place], stop, *surfaces[place:]]
 
@@ -174,31 +177,48 @@ def glasses_of(file: Prescription) -> dict[str, Glass]:
     return _glasses(file, media, file.name)
 
 
-def rims_mm(file: Prescription) -> list[float]:
-    """Radius at which each surface of a prescription ends, infinite where it does not; coordinate breaks count too."""
+def _parsed(mapping: Mapping[str, Any], where: str, labels: Sequence[str] | None) -> Prescription:
+    """A prescription's tables; what is wrong with a surface is told by its label."""
+    try:
+        return parse_model(Prescription, mapping, where)
+    except ConfigError as error:
+        if labels is None:
+            raise
+        named = re.sub(r"\bsurface\.(\d+)\.", lambda found: f"{labels[int(found[1])]}: ", str(error))
+        raise ConfigError(named) from None
+
+
+def rims_mm(mapping: Mapping[str, Any], where: str, labels: Sequence[str]) -> list[float]:
+    """Radius at which each surface ends, infinite where it does not; coordinate breaks too; as `lens_from_table`."""
+    file = _parsed(mapping, where, labels)
     return [math.inf if isinstance(table, BreakTable) else table.shape().rim_mm for table in file.surface]
 
 
-def _check_apertures(file: Prescription, where: str) -> None:
+def _check_apertures(file: Prescription, where: str, labels: Sequence[str]) -> None:
     """Refuse a clear aperture that reaches beyond the rim where a surface ends, or beyond its measured part."""
-    for number, table in enumerate(file.surface):
+    for label, table in zip(labels, file.surface, strict=True):
         if isinstance(table, BreakTable) or np.isinf(table.semi_diameter_mm):
             continue
         if table.error is not None and 2.0 * table.semi_diameter_mm > min(table.error.width_mm):
             raise ConfigError(
-                f"{where}: surface {number}: semi_diameter_mm = {table.semi_diameter_mm:g} mm reaches beyond its "
+                f"{where}: {label}: semi_diameter_mm = {table.semi_diameter_mm:g} mm reaches beyond its "
                 f"measured error, {min(table.error.width_mm):g} mm wide"
             )
         shape = table.shape()
         if table.semi_diameter_mm >= shape.rim_mm:
             raise ConfigError(
-                f"{where}: surface {number}: semi_diameter_mm = {table.semi_diameter_mm:g} mm reaches the rim of the "
+                f"{where}: {label}: semi_diameter_mm = {table.semi_diameter_mm:g} mm reaches the rim of the "
                 f"surface ({shape}); it must be below {shape.rim_mm:.6g} mm"
             )
 
 
 def lens_from_table(
-    mapping: Mapping[str, Any], *, where: str, folder: str | Path = ".", environment: Environment = CATALOGUE_AIR
+    mapping: Mapping[str, Any],
+    *,
+    where: str,
+    folder: str | Path = ".",
+    environment: Environment = CATALOGUE_AIR,
+    labels: Sequence[str] | None = None,
 ) -> LensSystem:
     """Make a lens from the tables of a prescription, whatever file they come from.
 
@@ -212,22 +232,25 @@ def lens_from_table(
         Where the files that it names are.
     environment : Environment
         Temperature and pressure.
+    labels : sequence of str, optional
+        What messages call the tables of surfaces, coordinate breaks included; ``surface 0`` and so on if left out.
 
     Raises
     ------
     ConfigError
         Unknown key (with the nearest), unknown glass, a file that is missing, or a geometry that cannot be.
     """
-    file = parse_model(Prescription, mapping, where)
+    file = _parsed(mapping, where, labels)
+    names = [f"surface {number}" for number in range(len(file.surface))] if labels is None else labels
     try:
-        placed, image = _placed(file, Path(folder))
+        placed, image = _placed(file, Path(folder), names)
         surfaces = _with_stop(file, placed)
     except StarbenchError as error:
         raise ConfigError(f"{where}: {error}") from None
     glasses = _glasses(file, [s.medium for s in surfaces], where)
     if surfaces[-1].medium != AMBIENT:
         raise ConfigError(f"{where}: the last surface is followed by {surfaces[-1].medium!r}; it must be 'air'")
-    _check_apertures(file, where)
+    _check_apertures(file, where, names)
     lens = LensSystem(
         name=file.name,
         source=file.source,

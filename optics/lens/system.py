@@ -29,6 +29,8 @@ AMBIENT = "air"
 """Name of the medium that fills the surroundings, whatever its pressure (vacuum included)."""
 HALF_TURN = np.diag([-1.0, 1.0, -1.0])
 """Half a turn about y; its own inverse."""
+STOP_ALONE = "the stop"
+"""What messages call a stop that is no surface of its file's list."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +65,8 @@ class Surface:
         Whether this is the aperture stop.
     index_offset : float
         Added to the index of what follows (melt tolerance).
+    label : str
+        What messages call it, such as ``"surface 4 (line 27)"`` of a file that counts its own way.
     """
 
     shape: Shape
@@ -78,6 +82,7 @@ class Surface:
     element: str = ""
     is_stop: bool = False
     index_offset: float = 0.0
+    label: str = ""
 
     def __post_init__(self) -> None:
         freeze(self, "position_mm", shape=(3,))
@@ -157,11 +162,11 @@ class LensSystem:
             if surface.medium != AMBIENT and surface.medium not in self.glasses:
                 raise unknown_name("glass", surface.medium, self.glasses)
             if surface.mirror and surface.shape.redirects:
-                raise ConfigError(f"lens {self.name!r}: surface {number} ({surface.shape.kind}) cannot be a mirror")
+                raise ConfigError(f"lens {self.name!r}: {self.label(number)} ({surface.shape.kind}) cannot be a mirror")
             if surface.mirror and (surface.medium, surface.index_offset) != before:
                 raise ConfigError(
-                    f"lens {self.name!r}: surface {number} is a mirror between {before[0]!r} and {surface.medium!r}; "
-                    "what follows a mirror is what lies in front of it"
+                    f"lens {self.name!r}: {self.label(number)} is a mirror between {before[0]!r} and "
+                    f"{surface.medium!r}; what follows a mirror is what lies in front of it"
                 )
         if not 0 < self.max_field_deg < 90:
             raise DomainError(f"lens {self.name!r}: max_field_deg = {self.max_field_deg} deg is outside 0 ... 90 deg")
@@ -256,6 +261,12 @@ class LensSystem:
                     f"wavelength {values[bad].flat[0]:g} nm is outside {low:g} ... {high:g} nm, "
                     f"the range of glass {name} in lens {self.name!r}"
                 )
+
+    def label(self, index: int) -> str:
+        """What messages call a surface, as its file counts it; "the image plane" for what follows the last."""
+        if index == len(self.surfaces):
+            return "the image plane"
+        return self.surfaces[index].label or f"surface {index}"
 
     def indices_of(self, element: str) -> tuple[int, ...]:
         """Indices of the surfaces that belong to an element.

@@ -47,8 +47,7 @@ def check_axial_beam(lens: LensSystem) -> None:
     bad = out.status != OK
     if bad.any():
         at = int(np.argmax(bad))
-        where = int(out.failed_at[at])
-        what = f"surface {where}" if where < len(lens.surfaces) else "the image plane"
+        what = lens.label(int(out.failed_at[at]))
         raise DomainError(
             f"lens {lens.name!r}: rays on the axis from {height[at]:.4g} mm of the pupil's {radius_mm:.4g} mm on are "
             f"lost at {what} ({STATUS_NAMES[int(out.status[at])]}); check its shape, or close the stop"

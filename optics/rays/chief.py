@@ -116,7 +116,7 @@ def chief_ray_points(
         if blocked == "refuse":
             stopped = trace_program(without_holes(program), NUMPY.parameters(theta), start, NUMPY)
             first = int(stopped.failed_at[stopped.status != OK].min(initial=len(lens.surfaces)))
-            complain(stopped.status != OK, f"is stopped by the rim of surface {first}")
+            complain(stopped.status != OK, f"is stopped by the rim of {lens.label(first)}")
     return out.x, out.y
 
 

@@ -75,16 +75,16 @@ class ParaxialLens:
 def _require_centred(lens: LensSystem) -> None:
     axis = lens.axis
     for i, (position, rotation) in enumerate(lens.poses):
-        what = f"surface {i}" if i < len(lens.surfaces) else "image plane"
         if np.any(position[:2] != 0.0) or not np.array_equal(rotation[:, 2], axis[i]) or np.any(axis[i][:2] != 0.0):
             raise DomainError(
-                f"lens {lens.name!r}: {what} is tilted or decentred; paraxial quantities exist for centred lenses only"
+                f"lens {lens.name!r}: {lens.label(i)} is tilted or decentred; paraxial quantities exist for centred "
+                "lenses only"
             )
     for i, surface in enumerate(lens.surfaces):
         if not surface.shape.rotational:
             raise DomainError(
-                f"lens {lens.name!r}: surface {i} ({surface.shape.kind}) is not one of revolution; paraxial quantities "
-                "exist for surfaces of revolution only"
+                f"lens {lens.name!r}: {lens.label(i)} ({surface.shape.kind}) is not one of revolution; paraxial "
+                "quantities exist for surfaces of revolution only"
             )
 
 

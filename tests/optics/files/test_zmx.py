@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from optics import load_lens, paraxial, read_lens_file
-from optics.errors import ConfigError
+from optics.errors import ConfigError, DomainError
 from optics.files.report import Status
+from optics.lens.perturb import tilt
 from optics.lens.shapes.even_asphere import EvenAsphere
 from optics.rays.trace import Rays, trace
 
@@ -325,6 +327,23 @@ def test_numbers_that_make_no_lens_are_one_line(tmp_path: Path) -> None:
         ("YFLN 0 3", "YFLN 0 95", "95 deg"),
     ):
         assert part in refusal(tmp_path, SINGLET.replace(old, new, 1)), new
+
+
+def test_messages_count_surfaces_as_the_file_does(tmp_path: Path) -> None:
+    """The file counts its object as 0, so the lens's first surface is surface 1, wherever what is wrong is found."""
+    for old, new, part in (
+        ("DISZ 5.0", "DISZ -5.0", r"surface 1 \(line 22\): thickness_mm = -5 mm"),
+        ("CURV 0.02", "CURV 0.2", r"surface 1 \(line 22\): semi_diameter_mm = 5 mm reaches the rim"),
+        ("DIAM 7 1", "DIAM 1e300 1", r"surface 2 \(line 29\): semi_diameter_mm = inf"),
+        ("DISZ 60.0", "DISZ -60.0", r"in front of surface 2 \(line 29\)"),
+        ("DISZ 5.0", "DISZ 0.1", r"surface 1 \(line 22\) and surface 2 \(line 29\) cross"),
+    ):
+        text = SINGLET.replace(old, new, 1)
+        assert re.search(part, refusal(tmp_path, text)), (new, refusal(tmp_path, text))
+    lens = load_lens(written(tmp_path, SINGLET))
+    turned = tilt(lens, 1, 0.5)
+    with pytest.raises(DomainError, match=r"surface 2 \(line 29\) is tilted"):
+        paraxial(turned)
 
 
 def test_files_of_other_kinds_are_told(tmp_path: Path) -> None:
