@@ -13,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from optics.errors import ConfigError, unknown_name
+from optics.textfile import read_text
 
 __all__ = ["MOST_LEVELS", "MOST_MISSING", "allowed_range", "parse_model", "read_toml", "refuse_values", "without_lax"]
 
@@ -161,21 +162,10 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     ConfigError
         Missing, unreadable, or not TOML (with line and column).
     """
-    if "\0" in str(path):
-        raise ConfigError(f"{str(path)!r}: a path cannot hold a null character")
+    text = "\n".join(read_text(path, "a TOML file").lines)
     try:
-        odd = Path(path).exists() and not (Path(path).is_file() or Path(path).is_dir())
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
-    if odd:
-        raise ConfigError(f"{path}: a pipe or a device; a file is needed")
-    try:
-        table = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError) as error:  # no UTF-8, a number of thousands of digits, a thousand brackets
+        table = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, a thousand brackets
         raise ConfigError(f"{path}: not valid TOML ({' '.join(str(error).split())[:200]})") from None
     if _deeper(table, MOST_LEVELS):
         raise ConfigError(f"{path}: tables and lists within one another; {MOST_LEVELS} levels are allowed")

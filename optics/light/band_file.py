@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.light.band import TabulatedBand
 from optics.response import check_table
+from optics.textfile import read_text
 
 __all__ = ["load_band"]
 
@@ -48,13 +50,7 @@ def load_band(path: str | Path, name: str = "") -> TabulatedBand:
         Percent or micrometres that are not said to be, wavelengths out of order, values outside 0 ... 1.
     """
     shown = Path(path).name
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or 'no text'})") from None
-    table, scale = _table(text, shown)
+    table, scale = _table(read_text(path, "a table of wavelengths and values").lines, shown)
     wave, value = table[:, 0], table[:, 1] * scale
     if len(wave) > 1 and wave[0] > wave[-1]:
         wave, value = wave[::-1], value[::-1]
@@ -75,11 +71,11 @@ def load_band(path: str | Path, name: str = "") -> TabulatedBand:
     return TabulatedBand(name=name or Path(path).stem, source=shown, wavelength_nm=wave[part], value=value[part])
 
 
-def _table(text: str, shown: str) -> tuple[FloatArray, float]:
+def _table(lines: Sequence[str], shown: str) -> tuple[FloatArray, float]:
     """Rows (n, 2), and what the second column is multiplied with."""
     rows: list[tuple[float, float]] = []
     scale = 1.0
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(lines, start=1):
         cells = [cell for cell in re.split(r"[;,\s]+", line.strip()) if cell]
         if not cells or cells[0].startswith("#"):
             continue
