@@ -18,7 +18,9 @@ def _leave(number: int, frame: object) -> None:
     os._exit(130)
 
 
-if sys.argv[:1] == ["-m"] and threading.current_thread() is threading.main_thread():  # a command is starting
+_command = sys.argv[:1] == ["-m"] or Path(*sys.argv[:1]).stem == "starbench"  # nothing else of ours is imported yet
+
+if _command and threading.current_thread() is threading.main_thread():  # a command is starting
     # imports take a second, and an interrupt amid them would end in a traceback; the command takes over from here
     signal.signal(signal.SIGINT, _leave)
 
@@ -27,7 +29,7 @@ for _name in ("optics", "render", "calib"):  # a user's module of that name make
     _file = None if _found is None else _found.origin
     if _file and Path(_file).resolve().parents[1] != Path(__file__).resolve().parents[1]:
         _said = f"{_file} hides the package {_name!r} of starbench; rename it or start elsewhere"
-        if sys.argv[:1] == ["-m"]:  # a command is starting
+        if _command:
             print(f"error: {_said}", file=sys.stderr)
             raise SystemExit(2)
         raise ImportError(_said)

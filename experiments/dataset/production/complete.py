@@ -69,6 +69,8 @@ def complete(config: Config, output: DatasetFolder, job: Job, *, pixels: int, pr
     StarbenchError
         See `experiments.dataset.production.schedule.make_frames`; or less room on the disk than the frames need.
     """
+    if output.repaired:
+        progress.note(f"{output.shown}: {output.repaired}")
     records = _whole_frames(output, progress)
     damaged = tuple(frame for frame in numbers(output.path) if frame not in records)
     missing = [frame for frame in range(config.frames) if frame not in records]

@@ -194,6 +194,8 @@ class DatasetFolder:
 
     Attributes
     ----------
+    repaired : str
+        What `open` mended, in words; empty if nothing.
     digests : dict
         SHA-256 of files by name, as far as they are known; `writing` reads the others.
 
@@ -215,6 +217,7 @@ class DatasetFolder:
         self.shown = shown or str(path)
         self.path = Path(os.path.realpath(path))
         self.frames, self.truth = frames, truth
+        self.repaired = ""
         self.digests: dict[str, str] = {}
         self._config = dict(config)
         self._lock: int | None = None
@@ -262,6 +265,9 @@ class DatasetFolder:
             if self._holds_frames():
                 self._compare(identity)
             if not self._says(identity):
+                if self.count():
+                    was = "damaged" if (self.path / IDENTITY).exists() else "gone"
+                    self.repaired = f"{IDENTITY} was {was} and is written anew from the truth of the frames"
                 write_whole(self.path / IDENTITY, dumps(identity).encode())
             for name in (FRAMES, TRUTH):
                 (self.path / name).mkdir(exist_ok=True)

@@ -21,7 +21,7 @@ __all__ = ["DEATHS", "hush", "local_cluster"]
 
 DEATHS = 3
 """Workers that a frame may cost before it is given up."""
-CLOSE_S = 5.0
+START_S, CLOSE_S = 120.0, 5.0
 KILL_S = 0.4
 """For the end of a cluster whose processes are killed: what is left of it then dies with this process."""
 LOOK_S = 0.02
@@ -90,8 +90,10 @@ def local_cluster(dask: Any, distributed: Any, count: int) -> Iterator[Any]:
                 resource_tracker.ensure_running()
             with signals_held(signal.SIGINT):  # threads and processes that start inherit it: an interrupt is ours
                 threading.Thread(target=start, daemon=True, name="start of the workers").start()
+            until = time.monotonic() + START_S
             while not started.wait(LOOK_S):
-                pass
+                if time.monotonic() > until:
+                    raise TimeoutError(f"they are not up after {START_S:g} s")
             if failed:
                 raise failed[0]
             yield made[1]

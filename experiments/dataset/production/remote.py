@@ -38,6 +38,8 @@ from optics.errors import ConfigError
 __all__ = ["RemoteDataset", "Store", "is_url", "working_copy"]
 
 AT_ONCE = 8
+BUCKETS = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss"})
+"""Stores without folders: to make one would make a bucket, of whatever name was misspelt."""
 
 
 def is_url(name: str) -> bool:
@@ -86,7 +88,8 @@ class Store:
             return {name for name in names if ".." not in name.split("/")}  # such names would leave a folder
 
     def read(self, name: str) -> bytes:
-        """Content of an object."""
+        """Content of an object, which a worker may have written since the others were listed."""
+        self._system.invalidate_cache()
         with self._told(f"{self.url}/{name}"):
             return bytes(self._system.cat_file(f"{self._root}/{name}"))
 
@@ -94,7 +97,8 @@ class Store:
         """Write an object, whole."""
         with self._told(f"{self.url}/{name}"):
             path = f"{self._root}/{name}"
-            self._system.makedirs(path.rpartition("/")[0], exist_ok=True)
+            if self.url.partition(":")[0] not in BUCKETS:
+                self._system.makedirs(path.rpartition("/")[0], exist_ok=True)
             self._system.pipe_file(path, content)
 
     def remove(self, name: str) -> None:

@@ -106,17 +106,32 @@ def _on_cluster(job: Job, frames: Sequence[int], address: str, done: Done) -> in
             client = stack.enter_context(
                 distributed.Client(address, timeout=f"{CONNECT_S:g}s", set_as_default=False, name="starbench")
             )
+        except TypeError:  # Dask's, of a missing certificate
+            raise ConfigError(
+                f"scheduler {address}: Dask knows no certificates; name them in its configuration "
+                "(distributed.comm.tls.ca-file, client.cert and client.key, see docs/dataset.md)"
+            ) from None
         except (OSError, TimeoutError, ValueError, RuntimeError) as error:
             raise ConfigError(
                 f"scheduler {address} does not answer as one within {CONNECT_S:g} s ({_said(error)}); start one with "
                 "'dask scheduler', or leave scheduler out to use this machine"
             ) from None
-        if not client.scheduler_info(n_workers=-1)["workers"]:
-            raise ConfigError(f"scheduler {address} has no workers; start some with 'dask worker {address}'")
         _check_workers(client, job, address)
         watch = _Watch(client, f"scheduler {address}")
         _gather(distributed, client, job, frames, watch=watch, threads=None, done=done)
     return watch.most
+
+
+def _first_worker(client: Any, address: str) -> Any:
+    """The client, once a cluster that scales itself has started a worker for something to do; it may soon be gone."""
+    try:
+        client.submit(int, pure=False).result(timeout=ALONE_S)
+        return client
+    except TimeoutError:
+        raise ConfigError(
+            f"scheduler {address} has no workers, and starts none within {ALONE_S:g} s; start some with "
+            f"'dask worker {address}'"
+        ) from None
 
 
 async def _greet(distributed: Any, address: str) -> None:
@@ -132,7 +147,12 @@ def _check_workers(client: Any, job: Job, address: str) -> None:
     try:
         Store(job.url).write(token, b"") if job.url else (Path(job.folder) / token).touch()
         try:
-            answers = client.run(probe, job, token)
+            if client.scheduler_info(n_workers=-1)["workers"]:
+                answers = client.run(probe, job, token)
+            else:
+                answers = {"of its own": _first_worker(client, address).submit(probe, job, token, pure=False).result()}
+        except ConfigError:
+            raise
         except Exception as error:  # whatever hinders a worker from running our function
             raise ConfigError(
                 f"scheduler {address}: its workers cannot run starbench ({_said(error)}); install the same version "
@@ -274,7 +294,12 @@ def _gather(
 
 
 def _said(error: BaseException) -> str:
-    return " ".join(str(error).split())[:160] or type(error).__name__
+    """What an error says, and what the first of its causes says: "Nanny failed to start" helps nobody."""
+    first = error
+    while before := first.__cause__ or (None if first.__suppress_context__ else first.__context__):
+        first = before
+    said = [" ".join(str(each).split()).rstrip(".")[:160] or type(each).__name__ for each in (error, first)]
+    return ": ".join(dict.fromkeys(said))
 
 
 def make_batch(job: Job, frames: Sequence[int], threads: int | None) -> list[FrameRecord]:

@@ -314,14 +314,16 @@ def test_a_bit_of_the_list_is_a_fault_of_the_list(dataset, tmp_path, part, bit):
     assert (found.damaged, found.missing, found.foreign, found.frames) == (("SHA256SUMS",), (), (), ())
 
 
-def test_dataset_json_is_written_anew_from_the_frames(dataset, tmp_path):
+def test_dataset_json_is_written_anew_from_the_frames(dataset, tmp_path, capsys):
     folder = tmp_path / "renewed"
     shutil.copytree(dataset, folder)
     for damage in (lambda file: file.write_text("{"), Path.unlink):
         damage(folder / "dataset.json")
         assert main(["check", str(folder)]) == 1
         assert run(folder, "--seed", "2") == 2  # it still knows what it is
+    capsys.readouterr()
     assert run(folder) == 0
+    assert "dataset.json was gone and is written anew from the truth of the frames" in capsys.readouterr().err
     assert (folder / "dataset.json").read_bytes() == (dataset / "dataset.json").read_bytes()
 
 

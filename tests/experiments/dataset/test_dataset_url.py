@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import uuid
+from typing import ClassVar
 
 import fsspec
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from astropy.io import fits
+from fsspec.implementations.memory import MemoryFileSystem
 
 from experiments.dataset.experiment import main
 from experiments.dataset.production.remote import Store, working_copy
@@ -50,6 +52,37 @@ def test_a_store_keeps_what_is_written(url):
         store.read("nothing")
     assert "nothing" in str(error.value)
     assert "\n" not in str(error.value)
+
+
+class Bucket(MemoryFileSystem):
+    """As s3fs: what was listed is all there is until the listing is dropped; a folder that is made is a bucket."""
+
+    protocol = "gs"
+    listed: ClassVar[list[str]] = []
+
+    def find(self, path, **kwargs):
+        Bucket.listed = super().find(path, **kwargs)
+        return Bucket.listed
+
+    def invalidate_cache(self, path=None):
+        Bucket.listed = []
+
+    def cat_file(self, path, **kwargs):
+        if Bucket.listed and path not in Bucket.listed:
+            raise FileNotFoundError(path)
+        return super().cat_file(path, **kwargs)
+
+    def makedirs(self, path, exist_ok=False):
+        pytest.fail(f"a bucket is made for {path}")
+
+
+def test_a_store_of_buckets_that_remembers_what_it_listed():
+    fsspec.register_implementation("gs", Bucket, clobber=True)
+    store = Store("gs://bucket/sky")
+    store.write("truth/one", b"1")
+    assert store.names() == {"truth/one"}
+    store.write("truth/two", b"2")  # as a worker does
+    assert store.read("truth/two") == b"2"
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from experiments.dataset.production import schedule
-from optics.errors import BackendError
+from optics.errors import BackendError, ConfigError
 
 
 @pytest.fixture
@@ -65,3 +65,17 @@ def test_a_scheduler_that_is_gone(cluster):
     cluster.status, cluster.now = "closed", 200.0
     with pytest.raises(BackendError, match=r"^scheduler tcp://head:8786 is gone; what was made is kept"):
         watch.look()
+
+
+def test_a_cluster_that_starts_no_worker_though_there_is_work():
+    future = SimpleNamespace(result=lambda timeout: (_ for _ in ()).throw(TimeoutError))
+    client = SimpleNamespace(submit=lambda work, pure: future)
+    with pytest.raises(ConfigError, match=r"^scheduler tcp://head:8786 has no workers, and starts none within 10 s"):
+        schedule._first_worker(client, "tcp://head:8786")
+
+
+def test_an_error_is_told_with_the_first_of_its_causes():
+    error = RuntimeError("Nanny failed to start.")
+    error.__cause__ = RuntimeError("no worker")
+    error.__cause__.__context__ = OSError(24, "Too many open files")
+    assert schedule._said(error) == "Nanny failed to start: [Errno 24] Too many open files"
