@@ -299,6 +299,11 @@ def thermal_change(wavelength_nm: Any, index: Any, volume: Any, strength: Any, r
     return (index * index - 1.0) / (2.0 * index) * (volume + strength / (l2 - resonance))
 
 
+LARGE_STEP_K = 60.0
+LARGE_CHANGE = 0.1
+"""Of n^2 - 1, and by a resonance of n^2 - 1 times um^2; germanium, the most of all, changes by 0.013."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThermalDispersion:
     """Constants of SCHOTT's dn/dT formula.
@@ -327,6 +332,11 @@ class ThermalDispersion:
         values = (self.D0, self.D1, self.D2, self.E0, self.E1, self.lambda_tk_um, *self.range_c)
         if not all(math.isfinite(value) for value in values):
             raise DomainError(f"dn/dT constants {values} hold a value that is not finite")
+        if max(abs(term) for kelvin in (-LARGE_STEP_K, LARGE_STEP_K) for term in self.terms(kelvin)[:2]) > LARGE_CHANGE:
+            raise DomainError(
+                f"dn/dT constants {values[:6]} change n^2 - 1 by more than a tenth in {LARGE_STEP_K:g} K, which no "
+                "glass does; they are [1/K], [1/K^2], [1/K^3], [um^2/K], [um^2/K^2], [um]"
+            )
 
     def index_change(self, wavelength_nm: ArrayLike, index: ArrayLike, kelvin: float) -> FloatArray:
         """Change of the absolute index when the glass warms by ``kelvin`` [K]; ``index`` is that at the reference."""

@@ -41,6 +41,8 @@ __all__ = [
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Expansion = Annotated[float, Field(ge=-1e-3, le=1e-3)]
+Length = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+"""[mm]; beyond a kilometre it is a slip of the pen."""
 Two = tuple[FiniteFloat, FiniteFloat]
 Three = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
@@ -66,7 +68,7 @@ class MovedTable(_Table):
     along the axes before the turn, ``"tilt"`` along those after it.
     """
 
-    decentre_mm: Two | Three = (0.0, 0.0)
+    decentre_mm: tuple[Length, Length] | tuple[Length, Length, Length] = (0.0, 0.0)
     tilt_deg: Two | Three = (0.0, 0.0)
     axes: Literal["fixed", "moving"] = "fixed"
     first: Literal["decentre", "tilt"] = "decentre"
@@ -76,7 +78,7 @@ class BreakTable(MovedTable):
     """A coordinate break: the frame of everything that follows."""
 
     kind: Literal["coordinate_break"] = BREAK
-    thickness_mm: FiniteFloat = 0.0
+    thickness_mm: Length = 0.0
 
 
 class ImageTable(MovedTable):
@@ -86,7 +88,7 @@ class ImageTable(MovedTable):
 class StopTable(_Table):
     """A stop that stands alone: a plane at ``z_mm`` in the lens frame."""
 
-    z_mm: FiniteFloat
+    z_mm: Length
     semi_diameter_mm: Positive = math.inf
     inner_semi_diameter_mm: NotNegative = 0.0
 
@@ -165,7 +167,7 @@ class SurfaceTable(MovedTable):
     """
 
     kind: str
-    thickness_mm: FiniteFloat
+    thickness_mm: Length
     medium: str
     semi_diameter_mm: Positive = math.inf
     inner_semi_diameter_mm: NotNegative = 0.0

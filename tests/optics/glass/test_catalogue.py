@@ -289,6 +289,8 @@ def test_missing_coefficients_and_paths() -> None:
         get_glass("MgF2").internal_transmittance(500.0, 1.0)
     with pytest.raises(DomainError, match="not finite"):
         ThermalDispersion(D0=float("nan"), D1=0.0, D2=0.0, E0=0.0, E1=0.0, lambda_tk_um=0.2)
+    with pytest.raises(DomainError, match="more than a tenth in 60 K"):  # of BK7, without its exponent
+        ThermalDispersion(D0=1.86, D1=1.31e-8, D2=-1.37e-11, E0=4.34e-7, E1=6.27e-10, lambda_tk_um=0.17)
     with pytest.raises(ConfigError, match="formula"):
         Dispersion("conradi", (1.5,))
     with pytest.raises(ConfigError, match="belong together"):
