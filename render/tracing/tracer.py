@@ -190,10 +190,13 @@ class Tracer:
         rays_to = np.zeros((0, 0, image.shape[2]), np.float32) if by_waves else image
         entering = (light.share * entrance).sum(2)
         passes = Passes(self.camera, seen.nodes, light, bounds, rays_to, sums, entering, shade)
-        left = np.empty(0, np.int64)
+        lost = np.empty(0, np.int64)  # only the last group knows the pupils of stars that are not its own
         for group in groups:
-            plan, members = group.plan, np.sort(np.concatenate([group.members, left]))
+            plan, members = group.plan, group.members
+            if group is groups[-1]:
+                members, lost = np.sort(np.concatenate([members, lost])), lost[:0]
             left = passes.trace(replace(group, members=members)) if len(members) else members
+            lost = np.concatenate([lost, left])
             if len(members) > len(left):
                 sampling[plan.mode] = (len(members) - len(left), plan.rays_per_node * light.share.shape[2])
         if by_waves:

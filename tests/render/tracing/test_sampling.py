@@ -12,6 +12,7 @@ from scipy.stats import qmc
 
 from optics.lens.apertures import Spider
 from optics.lens_file import load_lens
+from render.records import StarField
 from render.tracing import pupil_points
 from render.tracing.convergence import TOLERANCE
 from render.tracing.pupil_points import SobolPoints
@@ -212,6 +213,21 @@ def test_a_sliver_cut_from_the_pupil_is_noticed(engine, bench):
         lost = traced.truth.electrons_vignetted[0, 0] / traced.truth.electrons_in[0, 0]
         assert lost == pytest.approx(1 - weight.sum(), abs=TOLERANCE)
         assert (lost > 5e-4) == (expected == "arcs")
+
+
+@pytest.mark.slow
+def test_a_star_that_loses_light_unforeseen_is_no_matter_of_its_neighbour(engine, bench):
+    """Two cut beams of different outlines; the first loses light within its own and goes on to points that fit any."""
+    camera = bench.camera_of("star_tracker_26mm")
+    wavelength = 675.0 + 230.7588 * np.polynomial.legendre.leggauss(12)[0]
+    direction = np.array([[-0.1771494, 0.1728763, 0.9688818], [-0.1674469, 0.1385589, 0.9760958]])
+    direction = (direction / np.linalg.norm(direction, axis=1, keepdims=True)) @ camera.rotation_cam_from_world
+    images = []
+    for some in (direction, direction[:1], direction[1:]):
+        rate = np.full((len(some), 1, 12), 1e3)
+        stars = StarField(direction=some, wavelength_nm=wavelength[None], photon_rate=rate, band=("wide",))
+        images.append(Tracer(camera).render(stars, exposure_s=1.0).electrons)
+    np.testing.assert_allclose(images[0], images[1] + images[2], atol=1e-4 * images[0].max())
 
 
 def test_sobol_agrees_with_quadrature_on_the_same_clear_pupil(engine, bench):
