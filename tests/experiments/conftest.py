@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 import importlib.util
 import json
+import os
 import sys
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -91,6 +91,27 @@ def small_camera(small_detector):
 
 
 @pytest.fixture
+def traced_once(monkeypatch):
+    """Light of point targets that is asked for again, for another chip or other noise, is not traced again."""
+    from experiments.laboratory.target_light import TargetLight
+
+    def once(trace):
+        kept = {}
+
+        def light(self, direction, *rest):
+            camera, bench = self.instrument.camera, self.bench
+            key = (id(camera), bench.signal_e, *(one.name for one in bench.filters), direction.tobytes(), *rest)
+            if key not in kept:
+                kept[key] = camera, trace(self, direction, *rest)  # the camera lives on, and its id with it
+            return kept[key][1]
+
+        return light
+
+    for name in ("image", "psfs"):
+        monkeypatch.setattr(TargetLight, name, once(getattr(TargetLight, name)))
+
+
+@pytest.fixture
 def broken(monkeypatch):
     """``broken(function, replacement)``: every module that holds a function gets another in its place."""
 
@@ -114,6 +135,11 @@ def failing():
     return judged
 
 
+def processor_s():
+    """Processor time of this process and of its children that have ended: a busy machine does not count."""
+    return sum(os.times()[:4])
+
+
 @pytest.fixture
 def refused_by(tmp_path, monkeypatch, capsys):
     """``refused_by(name, argument, ...)``: a command in a folder where it must change nothing; the one line it says."""
@@ -121,9 +147,9 @@ def refused_by(tmp_path, monkeypatch, capsys):
 
     def run(name, *arguments, within_s=60.0):
         main = importlib.import_module(f"experiments.{name}.experiment").main
-        present, start = sorted(path.name for path in tmp_path.iterdir()), time.perf_counter()
+        present, start = sorted(path.name for path in tmp_path.iterdir()), processor_s()
         assert main([*arguments]) == 2
-        assert time.perf_counter() - start < within_s
+        assert processor_s() - start < within_s
         said = capsys.readouterr()
         assert said.out == ""
         assert said.err.startswith("error: ")

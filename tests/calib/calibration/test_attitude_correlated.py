@@ -128,9 +128,9 @@ def test_two_thousand_stars_take_milliseconds(scenes):
     calibrate(scene.observations, scenes.START, AttitudeCorrelated(gyro_rotation=scene.gyro))
     times = []
     for _ in range(5):
-        start = time.perf_counter()
+        start = time.process_time()
         calibrate(scene.observations, scenes.START, AttitudeCorrelated(gyro_rotation=scene.gyro))
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     assert min(times) < 0.1
 
 

@@ -155,8 +155,7 @@ def test_the_wedge_is_not_hidden_by_the_lens(result, laboratory):
     assert seen == pytest.approx(wedge.motion_px, abs=4.0 * wedge.sigma_px.max())
 
 
-@pytest.mark.slow
-def test_no_false_alarm_in_eight_runs(laboratory, failing):
+def test_no_false_alarm_in_eight_runs(laboratory, failing, traced_once):
     """Criteria of this kind fail by chance once in a thousand times; there are three of them."""
     for seed in range(8):
         found = failing("chromatic", whole(*laboratory, seed))

@@ -298,7 +298,7 @@ def test_interruption_leaves_nothing_behind(tmp_path, number):
     )
     assert process.stderr.readline() == "drawing\n"
     process.send_signal(number)
-    said = process.communicate(timeout=10)
+    said = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "interrupted; nothing was written" in said[1]
     assert "Traceback" not in said[1]

@@ -111,9 +111,13 @@ def test_a_wrong_angle_of_a_pixel_is_noticed(run, failing, monkeypatch):
     assert "angle of a pixel over that of two traced bundles beside the axis" in failing("hsfe", run.result)
 
 
-def test_no_false_alarm_in_twenty_runs(run, failing):
-    """Criteria of this kind fail by chance once in a thousand times; there are two of them for each centroider."""
-    for seed in range(20):
-        config = run.result.config.model_copy(update={"seed": seed})
+def test_no_false_alarm_in_eight_runs(run, failing, monkeypatch):
+    """Criteria of this kind fail by chance once in a thousand times; there are two of them for each centroider.
+
+    By rays, and without the study of the platform's geometry, which no criterion reads: noise is what differs."""
+    monkeypatch.setattr("experiments.hsfe.result.geometry_study", lambda *_: run.result.geometry)
+    instrument = run.result.config.instrument.model_copy(update={"diffraction": "rays"})
+    for seed in range(8):
+        config = run.result.config.model_copy(update={"seed": seed, "instrument": instrument})
         found = failing("hsfe", experiment.run(config, progress=Progress()))
         assert not [name for name in found if any(part in name for part in ("itself", "printed", "minus", "angle"))]

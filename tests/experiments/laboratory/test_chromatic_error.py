@@ -171,7 +171,7 @@ RUNS = 40
 
 
 @pytest.mark.slow
-def test_uncertainties_of_table_1_are_as_stated(engine, bench_of, small_camera):
+def test_uncertainties_of_table_1_are_as_stated(engine, bench_of, small_camera, traced_once):
     """40 cameras (fixed patterns) and noise seeds: the entries scatter about the truth as their sigma says.
 
     Two pairs share the 600 nm band (correlation 1/2, so 1/4 between their squares) and the two axes are independent:
@@ -196,7 +196,7 @@ SENSORS = 40
 
 
 @pytest.mark.slow
-def test_effect_of_the_fixed_pattern_is_predicted(engine, bench_of, small_camera):
+def test_effect_of_the_fixed_pattern_is_predicted(engine, bench_of, small_camera, traced_once):
     """The prediction draws response patterns; here 40 sensors are made, and their mean centroids scatter.
 
     16 points x 2 axes x 40 sensors, against 48 predicted patterns for each of those: the relative standard deviation of

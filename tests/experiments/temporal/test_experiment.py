@@ -151,11 +151,13 @@ def test_a_centroid_that_does_not_follow_is_noticed(run, failing):
     assert name.startswith("cog: temporal error of a target that moves")
 
 
-@pytest.mark.slow
-def test_no_false_alarm_in_twenty_runs(run, failing):
-    """Criteria of this kind fail by chance once in a thousand times; there are three of them for each centroider."""
-    for seed in range(20):
-        config = run.result.config.model_copy(update={"seed": seed})
+def test_no_false_alarm_in_eight_runs(run, failing):
+    """Criteria of this kind fail by chance once in a thousand times; there are three of them for each centroider.
+
+    By rays: noise is what differs."""
+    instrument = run.result.config.instrument.model_copy(update={"diffraction": "rays"})
+    for seed in range(8):
+        config = run.result.config.model_copy(update={"seed": seed, "instrument": instrument})
         found = failing("temporal", experiment.run(config, progress=Progress()))
         assert not [name for name in found if any(part in name for part in ("moves", "printed", "minus", "angle"))], (
             seed

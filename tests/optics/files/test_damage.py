@@ -89,12 +89,12 @@ def test_damaged_files_end_in_one_line_or_in_a_lens(tmp_path: Path, kind: str) -
     told, slowest = [], 0.0
     for data in mutants(seed(kind), rng, FILES // 2):
         path.write_bytes(data)
-        start = time.perf_counter()
+        start = time.process_time()
         try:
             load_lens(path)
         except StarbenchError as error:
             told.append(str(error))
-        slowest = max(slowest, time.perf_counter() - start)
+        slowest = max(slowest, time.process_time() - start)
     assert len(told) > FILES // 10
     for text in told:
         assert all(0 < len(line) < 600 and str(path) in line for line in text.split("\n")), text
@@ -105,11 +105,11 @@ def test_files_that_are_too_big_are_not_read(tmp_path: Path) -> None:
     path = tmp_path / "big.zmx"
     with path.open("wb") as file:
         file.truncate(LARGEST_BYTES + 1)
-    start = time.perf_counter()
+    start = time.process_time()
     for read in (load_lens, read_agf):
         with pytest.raises(StarbenchError, match="MiB"):
             read(path)  # type: ignore[operator]
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 1.0
 
 
 def test_a_pipe_does_not_hang(tmp_path: Path) -> None:
