@@ -16,10 +16,10 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 from scipy.ndimage import grey_dilation
 
-from optics.arrays import FloatArray
+from optics.arrays import NUMPY, FloatArray
 from optics.frames import field_direction, light_direction
 from optics.lens.apertures import Spider
-from optics.lens.system import AMBIENT, LensSystem
+from optics.lens.system import AMBIENT, LensSystem, Surface
 from optics.rays.chief import distortion_map
 from optics.rays.pupil import PupilSamples, entrance_pupil, gauss_disk
 from optics.rays.spots import trace_spots
@@ -62,6 +62,11 @@ def _glass_runs(lens: LensSystem) -> list[tuple[int, int, str]]:
     return [(i, i + 1, lens.surfaces[i].medium) for i in solid]
 
 
+def _local(points: FloatArray, surface: Surface) -> FloatArray:
+    """Points (..., 3) of the lens frame in the frame of a surface."""
+    return np.asarray((points - surface.position_mm) @ surface.rotation)
+
+
 def _reaches(lens: LensSystem, fans: Sequence[FloatArray]) -> list[float]:
     """Half height to which each surface is drawn: its clear aperture, or what the rays need if that is unlimited."""
     heights = []
@@ -69,7 +74,7 @@ def _reaches(lens: LensSystem, fans: Sequence[FloatArray]) -> list[float]:
         if np.isfinite(surface.semi_diameter_mm):
             heights.append(surface.semi_diameter_mm)
             continue
-        reached = [np.linalg.norm((fan[i + 1] - surface.position_mm)[..., :2], axis=-1) for fan in fans]
+        reached = [np.linalg.norm(_local(fan[i + 1], surface)[..., :2], axis=-1) for fan in fans]
         heights.append(1.05 * float(np.nanmax(np.concatenate([np.ravel(r) for r in reached]))))
     return heights
 
@@ -97,11 +102,20 @@ def _without_vanes(lens: LensSystem) -> LensSystem:
     return lens.with_surfaces({i: replace(s, apertures=kept[i]) for i, s in enumerate(lens.surfaces)})
 
 
+def _mirror_face(lens: LensSystem, index: int, half_height_mm: float) -> FloatArray:
+    """`_profile` of a mirror, NaN where its hole or its outlines leave nothing of it."""
+    surface, face = lens.surfaces[index], _profile(lens, index, half_height_mm)
+    y = np.linspace(-half_height_mm, half_height_mm, PROFILE_POINTS)
+    there = np.abs(y) >= surface.inner_semi_diameter_mm
+    for outline in surface.apertures:
+        there &= outline.inside(outline.parameters(), np.zeros_like(y), y, NUMPY) != outline.obscures
+    return np.where(there[:, None], face, np.nan)
+
+
 def _draw_mirrors(axes: Axes, lens: LensSystem, reach: Sequence[float]) -> None:
     for index, surface in enumerate(lens.surfaces):
         if surface.mirror:
-            face = _profile(lens, index, reach[index])
-            face[np.abs(np.linspace(-1.0, 1.0, len(face))) * reach[index] < surface.inner_semi_diameter_mm] = np.nan
+            face = _mirror_face(lens, index, reach[index])
             axes.plot(face[:, 0], face[:, 1], color=GLASS_EDGE, linewidth=2.0, zorder=4)
 
 
@@ -174,9 +188,13 @@ def draw_lens(
     lens = _without_vanes(lens)
     fans = [_fan(lens, field, rays, wave, 0.12 * length - min(along_z)) for field in fields]
     reach = _reaches(lens, fans)
-    image = max([float(np.nanmax(np.abs(fan[-1, :, 1]), initial=0.0)) for fan in fans]) * 1.15
+    landed = np.concatenate([(fan[-1] - lens.image_position_mm) @ lens.image_rotation for fan in fans])
+    image = 1.15 * float(np.nanmax(np.abs(landed[:, 1]), initial=0.0))
     ends = np.array([[0.0, -image, 0.0], [0.0, image, 0.0]]) @ lens.image_rotation.T + lens.image_position_mm
-    low, high = _extent([ends[:, [2, 1]], *(_profile(lens, i, r) for i, r in enumerate(reach))], fans, length)
+    solid = {i for run in _glass_runs(lens) for i in run[:2]}
+    faces = [_profile(lens, i, reach[i]) for i in sorted(solid)]
+    faces += [_mirror_face(lens, i, reach[i]) for i, s in enumerate(lens.surfaces) if s.mirror]
+    low, high = _extent([ends[:, [2, 1]], *faces], fans, length)
     figure = Figure(
         figsize=(10.0, float(np.clip(8.0 * (high[1] - low[1]) / (high[0] - low[0]) + 0.9, 3.0, 7.0))),
         layout="constrained",
@@ -190,7 +208,9 @@ def draw_lens(
         axes.plot([], [], color=colour, linewidth=1.2, label=f"{field:.3g}°")
     _draw_glass(axes, lens, reach)
     _draw_mirrors(axes, lens, reach)
-    _draw_stop(axes, lens, max(1.12 * max(reach), 1.12 * lens.surfaces[lens.stop_index].semi_diameter_mm))
+    stop_mm = lens.surfaces[lens.stop_index].semi_diameter_mm
+    folded = any(s.mirror for s in lens.surfaces)  # other mirrors may be wide and far away
+    _draw_stop(axes, lens, 1.3 * stop_mm if folded else 1.12 * max(*reach, stop_mm))
     axes.plot(ends[:, 2], ends[:, 1], color="black", linewidth=1.4, zorder=4)
     for name in lens.elements:
         middle = np.mean([lens.surfaces[i].position_mm[2] for i in lens.indices_of(name)])

@@ -336,7 +336,8 @@ def _told(lens: LensSystem, needs: Sequence[int], mine: Mapping[int, Row], found
     said = ""
     if apart:
         worst = max(apart, key=lambda i: abs(apart[i]) if np.isfinite(apart[i]) else np.inf)
-        said = f"; within {100 * abs(apart[worst]):.2g} % of what the file's program drew"
+        within = max(100 * abs(apart[worst]), 1e-6)
+        said = f"; within {within:.2g} % of what the file's program drew"
         if not abs(apart[worst]) < DRAWN_APART:
             said = f"; the file's program drew others: surface {mine[worst].number}: {drawn[worst]:.5g} mm"
     notes = [

@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.tri import Triangulation
 
 from experiments.harness.plotting import INK, PALETTE, band_colours, new_figure
 from experiments.harness.quantities import Outcome
-from experiments.lens.study import SHOWN, Study
+from experiments.lens.study import SHOWN, Study, airy_radius_mm
 from optics.figures import draw_lens
 from optics.rays.performance import white_focus
+from optics.waves.wavefront import Wavefront
 
 __all__ = [
     "curvature",
@@ -25,6 +27,9 @@ __all__ = [
     "through_focus",
     "wavefronts",
 ]
+
+LONG_SIDE = 0.2
+"""Side of a triangle between rays of a pupil, in its radii, that spans an obscuration."""
 
 
 def _made(outcome: Outcome) -> Study:
@@ -42,9 +47,10 @@ def drawing(outcome: Outcome) -> Figure:
 
 
 def spots(outcome: Outcome) -> Figure:
-    """Spots of all wavelengths about their common mean, at one scale."""
+    """Spots of all wavelengths about their common mean, at one scale, with the Airy circle."""
     made = _made(outcome)
     assert made.spots is not None
+    airy = 1e3 * airy_radius_mm(made)
     figure, axes = new_figure(1, 3, aspect_ratio=0.4, sharex=True, sharey=True)
     colours, reach = band_colours(made.wavelength_nm.tolist()), 0.0
     for panel, at in zip(axes, SHOWN, strict=True):
@@ -60,6 +66,10 @@ def spots(outcome: Outcome) -> Figure:
             reach = max(reach, float(np.abs([*x, *y, 0.0]).max()))
             panel.plot(x, y, ".", color=colour, markersize=1.6, label=f"{wave:.0f} nm")
         panel.set(title=f"{made.field_deg[at]:.3g}°", xlabel="along the field [µm]", aspect="equal")
+        if np.isfinite(airy):
+            turn = np.linspace(0.0, 2.0 * np.pi, 73)
+            panel.plot(airy * np.cos(turn), airy * np.sin(turn), color=INK, linewidth=1.0, label="Airy", zorder=5)
+            reach = max(reach, airy)
     for panel in axes:
         panel.set(xlim=(-1.1 * reach, 1.1 * reach), ylim=(-1.1 * reach, 1.1 * reach))
     axes[0].set_ylabel("across [µm]")
@@ -113,13 +123,22 @@ def wavefronts(outcome: Outcome) -> Figure:
     for panel, at, error in zip(axes, SHOWN, made.waves.wavefront, strict=True):
         waves = error.error_nm / error.wavelength_nm
         reach = max(float(np.abs(waves).max()), 1e-6)
-        filled = panel.tripcolor(error.x, error.y, waves, shading="gouraud", cmap="RdBu_r", vmin=-reach, vmax=reach,
+        filled = panel.tripcolor(_lit(error), waves, shading="gouraud", cmap="RdBu_r", vmin=-reach, vmax=reach,
                                  rasterized=True)  # fmt: skip
         figure.colorbar(filled, ax=panel, shrink=0.8, format="%.2g")
         panel.set(title=f"{made.field_deg[at]:.3g}°", aspect="equal", xlim=(-1.05, 1.05), ylim=(-1.05, 1.05))
         panel.set(xlabel="pupil, along the field")
     axes[0].set_ylabel("pupil, across")
     return figure
+
+
+def _lit(error: Wavefront) -> Triangulation:
+    """Triangles between rays that arrive, none across an obscuration."""
+    triangles = Triangulation(error.x, error.y)
+    x, y = error.x[triangles.triangles], error.y[triangles.triangles]
+    side = np.hypot(x - np.roll(x, 1, 1), y - np.roll(y, 1, 1)).max(1)
+    triangles.set_mask(side > LONG_SIDE)
+    return triangles
 
 
 def images(outcome: Outcome) -> Figure:
@@ -180,7 +199,8 @@ def through_focus(outcome: Outcome) -> Figure:
         if shot is not None:
             upper.plot(1e3 * made.waves.focus_mm, shot.strehl_through_focus[row], "o-", markersize=2.5,
                        color=PALETTE[row])  # fmt: skip
-            upper.set(ylabel="Strehl ratio", ylim=(0.0, None))
+    if shot is not None:
+        upper.set(ylabel="Strehl ratio", ylim=(0.0, None))
     lower.set(xlabel="shift of the image plane [µm]", ylabel="RMS spot [µm]", ylim=(0.0, None))
     lower.legend(frameon=False)
     return figure
@@ -198,6 +218,9 @@ def mtf(outcome: Outcome) -> Figure:
             if made.mtf.diffraction is not None:
                 panel.plot(made.mtf.frequency, made.mtf.diffraction[row, axis], "-", color=PALETTE[axis],
                            label=f"{name}, waves")  # fmt: skip
+            if made.mtf.limit is not None:
+                panel.plot(made.mtf.frequency, made.mtf.limit[row, axis], ":", color=INK, linewidth=0.9,
+                           label="" if axis else "limit")  # fmt: skip
         panel.set(title=f"{made.field_deg[at]:.3g}°", xlabel="frequency [1/mm]", ylim=(0.0, 1.02))
     axes[0].set_ylabel("modulation")
     axes[-1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)

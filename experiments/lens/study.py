@@ -20,7 +20,7 @@ from optics.waves.image_quality import perfect_peak, strehl, transfer_function
 from optics.waves.pupil_field import PupilField, needed_order, trace_pupil
 from optics.waves.wavefront import Wavefront, wavefront
 
-__all__ = ["Images", "Study", "Waves", "study"]
+__all__ = ["Images", "Study", "Waves", "airy_radius_mm", "study", "white_rms_mm"]
 
 FIELD_SHARES = (0.0, 0.35, 0.5, 0.7, 0.85, 1.0)
 SHOWN = (0, 3, 5)
@@ -45,11 +45,15 @@ BAND_SHARES = (0.85, 1.0, 1.2)
 
 @dataclass(frozen=True, slots=True)
 class Mtf:
-    """Modulation over spatial frequency (f) [1/mm] for the shown fields: along the field (tangential), across it."""
+    """Modulation over spatial frequency (f) [1/mm] for the shown fields: along the field (tangential), across it.
+
+    ``limit`` is that of the same pupils, as wide and as vignetted, without wavefront error.
+    """
 
     frequency: FloatArray
     geometric: FloatArray
     diffraction: FloatArray | None
+    limit: FloatArray | None
     note: str
 
 
@@ -164,16 +168,22 @@ def _mtf(lens: Any, spots: Spots, weight: FloatArray, fields: FloatArray, limit:
             y = np.where(spots.rays.ok[at], height, 0.0)
             turns = np.exp(-2j * np.pi * frequency[:, None, None] * (y - (light[at] * y).sum() / total))
             geometric[row, axis] = np.abs((turns * light[at]).sum(axis=(1, 2)) / total)
-    diffraction, note = None, ""
+    diffraction: FloatArray | None = None
+    perfect: FloatArray | None = None
+    note = ""
     try:
         chosen = fields[list(SHOWN)], np.zeros(len(SHOWN)), [lens.design_wavelength_nm]
         pupil, zero = trace_pupil(lens, *chosen, order=PUPIL_ORDER), np.zeros_like(frequency)
         points = np.concatenate([np.stack([frequency, zero], -1), np.stack([zero, frequency], -1)])
-        values = [transfer_function(pupil, points, at=(row, 0), size=128) for row in range(len(SHOWN))]
-        diffraction = np.abs(np.array(values)).reshape(len(SHOWN), 2, FREQUENCIES)
+
+        def modulation(of: PupilField) -> FloatArray:
+            values = [transfer_function(of, points, at=(row, 0)) for row in range(len(SHOWN))]
+            return np.asarray(np.abs(np.array(values)).reshape(len(SHOWN), 2, FREQUENCIES))
+
+        diffraction, perfect = modulation(pupil), modulation(pupil.with_path(-pupil.path_to(*pupil.mean_mm)))
     except StarbenchError as error:
         note = str(error)
-    return Mtf(frequency, geometric, diffraction, note)
+    return Mtf(frequency, geometric, diffraction, perfect, note)
 
 
 def _diffraction(lens: LensSystem, fields: FloatArray, rms_mm: FloatArray, f_number: float) -> Waves:
@@ -295,6 +305,12 @@ def study(file: LensFile, shown: str) -> Study:
         rms = np.asarray(white_focus(spots, weight / weight.sum()).rms_mm())
         by_waves = tried("images by diffraction", lambda: _diffraction(lens, fields, rms, f_number))
     return Study(shown, file, waves, weight, fields, first, spots, performance, chief, focus, mtf, by_waves, missing)
+
+
+def airy_radius_mm(made: Study) -> float:
+    """First dark ring, 1.22 wavelength F, of a perfect lens of this F-number; not finite for a lens without one."""
+    f_number = np.nan if made.first_order is None else abs(made.first_order.f_number)
+    return 1.22e-6 * made.file.lens.design_wavelength_nm * f_number
 
 
 def white_rms_mm(made: Study) -> FloatArray | None:

@@ -52,6 +52,9 @@ def _words(value: Any) -> str:
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_words(v) for v in value) + "]"
     if isinstance(value, dict):
+        if "kind" in value:
+            size = ", ".join(f"{k} {_words(v)}" for k, v in value.items() if k not in ("kind", "obscures"))
+            return f"{value['kind']}{' that obscures' if value.get('obscures') else ''}, {size}"
         return "{" + ", ".join(f"{k} {_words(v)}" for k, v in value.items()) + "}"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
@@ -68,7 +71,10 @@ def _first_order(made: Study) -> Table:
         ("exit pupil, diameter", 2.0 * first.exit_pupil_radius_mm, "mm"),
         ("half field", made.file.lens.max_field_deg, "°"),
     ]
-    caption = f"First-order data at {first.wavelength_nm:g} nm; tilts and decentres do not count."
+    caption = (
+        f"First-order data at {first.wavelength_nm:g} nm, along the axis as mirrors turn it; other tilts and decentres "
+        "do not count."
+    )
     return Table(
         columns=("quantity", "value", "unit"),
         rows=[(name, f"{value:.6g}" if math.isfinite(value) else "∞", unit) for name, value, unit in rows],
@@ -171,7 +177,9 @@ def _report(made: Study) -> dict[str, Table]:
         "import": Table(columns=heads, rows=lines, caption="Every command of the file."),
         "inexact": Table(columns=heads, rows=inexact, caption="What makes the lens differ from the file, or may."),
         "compared": Table(
-            columns=("quantity", "unit", "computed", "stated", "where"), rows=compared, caption="Computed and stated."
+            columns=("quantity", "unit", "computed", "stated", "where"),
+            rows=compared,
+            caption="Computed and stated, as design programs count: thicknesses in a row, without tilts and decentres.",
         ),
         "glasses": Table(
             columns=("in the file", "taken", "from", "became", "change"),

@@ -201,7 +201,9 @@ class _Reader:
             return
         glass = GlassName(name=name, line=line, command=text, model=mode == 1)
         nd, vd = number(words, 4, 0.0), number(words, 5, 0.0)
-        if (mode in (1, 2) or (nd, vd) != (1.5, 40.0)) and nd > 1.0:  # 1.5 and 40 stand where nothing was entered
+        if (mode in (1, 2) or (nd, vd) != (1.5, 40.0)) and (
+            nd > 1.0 or mode == 1
+        ):  # 1.5 and 40 stand where nothing was entered
             glass.nd, glass.vd, glass.partial = nd, vd, number(words, 6, 0.0)
         if mode == 4:
             glass.offset = (number(words, 10, 0.0), number(words, 11, 0.0))

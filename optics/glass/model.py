@@ -20,6 +20,8 @@ __all__ = ["C_NM", "D_NM", "F_NM", "MODEL_ERROR", "model_glass", "six_digits"]
 D_NM, F_NM, C_NM, G_NM = 587.5618, 486.1327, 656.2725, 435.8343
 MODEL_ERROR = 3.3e-4
 RANGE_NM = (365.0, 1100.0)
+CONSTANT_RANGE_NM = (100.0, 30000.0)
+"""Where a constant index may be asked for: a statement of the file, no fit that could leave its range."""
 
 
 def model_glass(name: str, nd: float, vd: float, *, partial: float = 0.0) -> Glass:
@@ -30,7 +32,8 @@ def model_glass(name: str, nd: float, vd: float, *, partial: float = 0.0) -> Gla
     name : str
         What to call it.
     nd, vd : float
-        Index at 587.5618 nm and Abbe number; ``vd = 0`` means the same index at every wavelength.
+        Index at 587.5618 nm and Abbe number; ``vd = 0`` means the same index at every wavelength, which may be
+        that of a gas thinner than air (0.99971 relative to it).
     partial : float
         Deviation of the partial dispersion P_g,F from the normal line.
 
@@ -39,10 +42,11 @@ def model_glass(name: str, nd: float, vd: float, *, partial: float = 0.0) -> Gla
     DomainError
         Numbers that no glass has.
     """
-    if not (1.0 <= nd <= 4.5 and (vd == 0.0 or 9.0 <= vd <= 120.0) and abs(partial) < 0.2):
+    if not ((1.0 if vd else 0.99) <= nd <= 4.5 and (vd == 0.0 or 9.0 <= vd <= 120.0) and abs(partial) < 0.2):
         raise DomainError(f"n_d = {nd:g}, v_d = {vd:g} (dP_gF = {partial:g}) are those of no glass")
+    wide = RANGE_NM
     if vd == 0.0:
-        dispersion, text = Dispersion.constant(nd), "constant index, as the file states it"
+        dispersion, text, wide = Dispersion.constant(nd), "constant index, as the file states it", CONSTANT_RANGE_NM
     else:
         lines = np.array([D_NM, F_NM, C_NM, G_NM]) * 1e-3
         d, f, c, g = np.stack([np.ones(4), 1.0 / lines, lines**-3.5], axis=1)
@@ -51,7 +55,7 @@ def model_glass(name: str, nd: float, vd: float, *, partial: float = 0.0) -> Gla
         coefficients = np.linalg.solve([d, f - c, g - f], [nd, spread, normal * spread])
         dispersion = Dispersion("conrady", tuple(float(x) for x in coefficients))
         text = "Conrady's formula through n_d, v_d and the normal partial dispersion (SCHOTT TIE-29)"
-    return Glass(name=name, source=text, dispersion=dispersion, range_nm=RANGE_NM, maker="model", nd=nd, vd=vd or None)
+    return Glass(name=name, source=text, dispersion=dispersion, range_nm=wide, maker="model", nd=nd, vd=vd or None)
 
 
 def six_digits(text: str) -> tuple[float, float] | None:

@@ -52,10 +52,10 @@ def _image_plane(lens: LensSystem) -> list[str]:
     behind = float((lens.image_position_mm - last.position_mm) @ lens.axis[-1])
     if behind > 0.0:
         return _past_the_image(lens, at, behind, lens.label(at))
-    what = "the stop" if last.is_stop else f"{lens.label(at)}, the last,"
+    what = "the stop" if last.is_stop else f"{lens.label(at)}, the last that acts on light"
     return [
-        f"the image plane lies {-behind:g} mm in front of {what}; it must lie behind it: check stop.z_mm and the "
-        "thicknesses"
+        f"the image plane lies {-behind:g} mm in front of {what}; it must lie behind it (no detector stands in a "
+        "virtual image): check stop.z_mm and the thicknesses"
     ]
 
 

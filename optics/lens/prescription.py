@@ -249,7 +249,7 @@ def lens_from_table(
         raise ConfigError(f"{where}: {error}") from None
     glasses = _glasses(file, [s.medium for s in surfaces], where)
     if surfaces[-1].medium != AMBIENT:
-        raise ConfigError(f"{where}: the last surface is followed by {surfaces[-1].medium!r}; it must be 'air'")
+        raise ConfigError(f"{where}: {names[-1]}, the last, is followed by {surfaces[-1].medium!r}; it must be 'air'")
     _check_apertures(file, where, names)
     lens = LensSystem(
         name=file.name,

@@ -6,6 +6,7 @@ import pytest
 
 from optics.figures import draw_distortion, draw_lens, draw_spots, wavelength_colour
 from optics.lens.perturb import tilt
+from optics.lens.prescription import lens_from_table
 from optics.lens.system import AMBIENT
 from optics.lens_file import load_lens
 from optics.rays.spots import spot_moments
@@ -29,6 +30,29 @@ def test_rays_of_the_drawing_end_on_the_image_plane():
     for tilted in (lens, tilt(lens, "L45", 2.0)):
         ends = np.concatenate([[s[-1, 0] for s in fan.get_segments()] for fan in draw_lens(tilted).axes[0].collections])
         np.testing.assert_allclose(ends, lens.image_position_mm[2], atol=1e-9)
+
+
+def test_a_mirror_that_is_a_piece_beside_the_axis_is_drawn_as_that_piece():
+    """The piece is a rectangle from y = 30 to 50 mm of a parabola; nothing of it stands on the axis."""
+    piece = {"kind": "rectangle", "half_width_mm": [10.0, 10.0], "centre_mm": [0.0, 40.0]}
+    lens = lens_from_table(
+        {
+            "name": "piece",
+            "source": "a test",
+            "design_wavelength_nm": 600.0,
+            "max_field_deg": 0.1,
+            "surface": [
+                {"kind": "plane", "stop": True, "semi_diameter_mm": 60.0, "thickness_mm": 150.0, "medium": "air"},
+                {"radius_mm": -200.0, "conic": -1.0, "thickness_mm": -100.0, "medium": "mirror", "aperture": [piece]},
+            ],
+        },
+        where="test",
+    )
+    (drawn,) = [line for line in draw_lens(lens).axes[0].lines if len(line.get_ydata()) > 10]
+    height = np.asarray(drawn.get_ydata())
+    height = height[np.isfinite(height)]
+    assert 30.0 <= height.min() < 32.0
+    assert 48.0 < height.max() <= 50.0
 
 
 def test_spot_title_holds_the_white_rms_radius():

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.lens.study import study
+from experiments.lens.study import airy_radius_mm, study
 from optics.lens_file import read_lens_file
 
 IDEAL = """name = "ideal"
@@ -40,6 +40,14 @@ def test_an_ideal_lens_is_shown_as_one(tmp_path: Path) -> None:
     assert np.abs(waves.zernike_waves).max() < 1e-6
     assert shot.intensity.max(axis=(1, 2)) == pytest.approx([1.0] * 3, abs=1e-3)
     unit_mm = 500e-6 * 5.0
+    assert airy_radius_mm(made) == pytest.approx(1.22 * unit_mm)
+    mtf = made.mtf
+    assert mtf is not None
+    assert mtf.limit is not None
+    assert mtf.diffraction is not None
+    part = mtf.frequency * unit_mm  # of the cutoff (Goodman, Introduction to Fourier Optics, sec. 6.4.2)
+    assert mtf.limit[0, 1] == pytest.approx(2 / np.pi * (np.arccos(part) - part * np.sqrt(1 - part**2)), abs=1 / 256)
+    assert mtf.diffraction == pytest.approx(mtf.limit, abs=1e-6)
     for ring, share in ((1.21967, 0.8378), (2.23313, 0.9099)):
         assert np.interp(ring * unit_mm, waves.radius_mm, shot.encircled[0]) == pytest.approx(share, abs=4e-3)
     defocus_waves = waves.focus_mm / (8.0 * 5.0**2) / 500e-6

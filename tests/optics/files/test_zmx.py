@@ -173,6 +173,20 @@ def test_model_glass_meets_its_numbers_and_v_d_of_zero_is_constant(tmp_path: Pat
     assert not [line for line in file.report.inexact if "GLAS" in line.command]
 
 
+def test_an_index_of_the_file_holds_at_any_wavelength_and_for_thin_gases(tmp_path: Path) -> None:
+    """Lithography lenses state fused silica at 193 nm, and helium thinner than air, by one index."""
+    text = SINGLET
+    for number, wave in enumerate(("0.4861", "0.5876", "0.6563"), start=1):
+        text = text.replace(f"WAVM {number} {wave}", f"WAVM {number} 0.193304")
+    for index in (1.56029, 0.99971):
+        stated = text.replace("GLAS N-BK7 0 0 1.5 40", f"GLAS ___BLANK 1 0 {index} 0")
+        report = read_lens_file(written(tmp_path, stated)).report
+        assert report is not None
+        (glass,) = report.glasses
+        assert glass.status is Status.TAKEN
+        assert glass.index == pytest.approx([index] * len(glass.index), abs=1e-12)
+
+
 def test_own_catalogue_in_the_order_of_the_file(tmp_path: Path) -> None:
     """One name in several catalogues: the first that the file lists counts, and the other one is named."""
     for name, b in (("MINE", 1.25), ("YOURS", 1.56)):
