@@ -18,7 +18,8 @@ def _leave(number: int, frame: object) -> None:
     os._exit(130)
 
 
-_command = sys.argv[:1] == ["-m"] or Path(*sys.argv[:1]).stem == "starbench"  # nothing else of ours is imported yet
+_script = Path(*sys.argv[:1]).stem == "starbench" and "--multiprocessing-fork" not in sys.orig_argv  # no worker of it
+_command = sys.argv[:1] == ["-m"] or _script
 
 if _command and threading.current_thread() is threading.main_thread():  # a command is starting
     # imports take a second, and an interrupt amid them would end in a traceback; the command takes over from here

@@ -107,7 +107,7 @@ experiment = Experiment(
     extra="quantities:extra",
     show=("budget",),
     options={
-        "sweep": ("sweep", "The budget against a parameter, e.g. defocus_mm=-0.2:0.2:9."),
+        "sweep": ("sweep", "The budget against a parameter: KEY=LOW:HIGH:POINTS[:log] or KEY=A,B,C."),
         "predict-only": ("predict_only", "No rendered frames: the predicted terms and sums alone."),
     },
     instead=_instead,

@@ -11,7 +11,7 @@ from scipy.stats import norm
 from experiments.budget.combine import TERMS
 from experiments.budget.tables import SWEPT
 from experiments.budget.tolerances import MOVES
-from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure
+from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure, spaced_axis
 from experiments.harness.quantities import Outcome
 from experiments.harness.range import value_at
 
@@ -206,6 +206,7 @@ def sweep_curves(outcome: Outcome) -> Figure:
             panel.axvline(here, color="#8a9099", linewidth=0.8, linestyle=":")
         panel.set(title=axis, xlabel=sweep.key)
         panel.xaxis.set_major_locator(MaxNLocator(5))
+        spaced_axis(panel, "x", x.tolist())
     axes[0].set(ylabel=outcome.heading("sweep_predicted_arcsec"), ylim=(0, None))
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5)

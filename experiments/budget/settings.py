@@ -169,7 +169,9 @@ class Config(SensorExperimentConfig):
     published_within_fraction: float | None = Field(
         default=None, gt=0, le=1, description="if given, the measured terms have to land this near to the published"
     )
-    sweep: str = Field(default="instrument.defocus_mm=-0.04:0.06:9", description="KEY=LOW:HIGH:POINTS; empty: none")
+    sweep: str = Field(
+        default="instrument.defocus_mm=-0.04:0.06:9", description="KEY=LOW:HIGH:POINTS[:log] or KEY=A,B,C; empty: none"
+    )
     sweep_measured: bool = Field(default=False, description="measure every point of the sweep too, not only predict")
     predict_only: bool = Field(default=False, description="no rendered frames: the predicted terms and sums alone")
 

@@ -63,6 +63,7 @@ experiment = Experiment(
         "--sensor my.toml --predict-only": "the answer without frames, in 17 s",
         "--sensor my.toml --set instrument.exposure_s=0.2": "the same with another exposure",
         "--sensor my.toml --sweep instrument.exposure_s=0.05:0.4:8": "what if: curves over the exposure, in seconds",
+        "--sensor my.toml --sweep exposure_s=0.01:1:9:log": "spaced in the logarithm; exposure_s=0.05,0.1,0.4: a list",
         "--sensor my.toml --sweep exposure_s=0.05:0.4:8 --sweep f_number=3:5:5": "a map over two keys",
         "--sensor a.toml --sensor b.toml": "sensors side by side, by prediction",
     },
@@ -71,7 +72,7 @@ experiment = Experiment(
         "predict-only": ("predict_only", "No rendered frames: an answer in seconds."),
         "sweep": (
             "sweep",
-            "KEY=LOW:HIGH:POINTS: predict a range of any number of the sensor; two make a map.",
+            "KEY=LOW:HIGH:POINTS[:log] or KEY=A,B,C: predict a range of any number of the sensor; two make a map.",
         ),
     },
     instead=_instead,

@@ -129,7 +129,9 @@ class Config(SensorExperimentConfig, SensorConfig):
     tornado: TornadoConfig = TornadoConfig()
     predict_only: bool = Field(default=False, description="no rendered frames: an answer in seconds")
     sweep: tuple[str, ...] = Field(
-        default=(), max_length=2, description="KEY=LOW:HIGH:POINTS of a key of the sensor; two of them: a map"
+        default=(),
+        max_length=2,
+        description="KEY=LOW:HIGH:POINTS[:log] or KEY=A,B,C of a key of the sensor; two: a map",
     )
     sweep_measured: bool = Field(default=False, description="render frames at every point of a sweep too")
 

@@ -254,13 +254,14 @@ def asked(declared: Experiment, options: Options) -> tuple[Experiment, Experimen
 
 def _configuration(declared: Experiment, options: Options) -> Any:
     shorts = _shorts(declared)
-    short = [f"{shorts[name][0]}={text}" for name, text in options.short.items()]
+    short = {name: f"{shorts[name][0]}={text}" for name, text in options.short.items()}
     return load_config(
         declared.config,
         quick=declared.quick if options.quick else None,
         sensor=options.sensor[0] if options.sensor else None,
         file=configuration_file(options.file),
-        settings=[*options.settings, *short],
+        settings=options.settings,
+        options=short,
         seed=options.seed,
     )
 

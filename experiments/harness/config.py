@@ -176,6 +176,7 @@ def load_config(
     sensor: str | Path | None = None,
     file: str | Path | None = None,
     settings: Sequence[str] = (),
+    options: Mapping[str, str] | None = None,
     seed: int | None = None,
 ) -> Model:
     """Configuration from its layers; a later layer wins, and only the keys that it names.
@@ -195,6 +196,8 @@ def load_config(
     settings : sequence of str
         ``key=value`` with dotted keys (list items by number: ``bands.0.centre_nm=510``). The value is read as TOML
         where that fits the field, otherwise taken as text.
+    options : mapping, optional
+        Settings that have a command-line option of their own, ``key=value`` by the option's name.
     seed : int, optional
         Last word on ``seed``.
 
@@ -221,15 +224,21 @@ def load_config(
     if file is not None:
         tables.append(read_settings(model_class, file))
         sources.append(str(file))
-    if settings:
-        sources.append(f"--set {settings[0]}" if len(settings) == 1 else "--set")
+    given = [*(("--set", one) for one in settings), *((f"--{name}", one) for name, one in (options or {}).items())]
+    if len(given) == 1:
+        name, setting = given[0]
+        sources.append(f"--set {setting}" if name == "--set" else name)
+    else:
+        sources += dict.fromkeys(name for name, _ in given)
 
     def overlaid(below: dict[str, Any]) -> dict[str, Any]:
         for table in tables:
             below = _merged(model_class, below, table)
         if file is not None:
             refuse_values(model_class, below, tables[-1], str(file))
-        return with_settings(model_class, below, settings)
+        for name, setting in given:
+            below = with_settings(model_class, below, [setting], name)
+        return dict(below)
 
     base, values = values, overlaid(values)
     if issubclass(model_class, ExperimentConfig) and (implied := model_class.implied(values)):
@@ -304,7 +313,9 @@ def _marks(annotation: Any) -> Iterator[_IsFile]:
         yield from _marks(one)
 
 
-def with_settings(model_class: type[BaseModel], values: Mapping[str, Any], settings: Iterable[str]) -> dict[str, Any]:
+def with_settings(
+    model_class: type[BaseModel], values: Mapping[str, Any], settings: Iterable[str], option: str = "--set"
+) -> dict[str, Any]:
     """Apply ``key=value`` settings to a configuration mapping, without validating it.
 
     Parameters
@@ -315,6 +326,8 @@ def with_settings(model_class: type[BaseModel], values: Mapping[str, Any], setti
         Complete configuration mapping.
     settings : iterable of str
         ``key=value``.
+    option : str
+        Option that they were given by, for messages.
 
     Returns
     -------
@@ -335,7 +348,9 @@ def with_settings(model_class: type[BaseModel], values: Mapping[str, Any], setti
         if key.count(".") > MOST_LEVELS:
             raise ConfigError(f"--set {key[:60]}...: no key has more than {MOST_LEVELS} dots")
         value = _typed(_annotation_at(model_class, key.split(".")), text.strip())
-        result = _with_value(model_class, result, key.split("."), value, f"--set {setting}")
+        result = _with_value(
+            model_class, result, key.split("."), value, f"--set {setting}" if option == "--set" else option
+        )
     return result
 
 

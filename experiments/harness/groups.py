@@ -31,7 +31,7 @@ def run_group(group: click.Command, argv: list[str]) -> int:
     except click.exceptions.Exit as end:
         return int(end.exit_code)
     except click.ClickException as error:
-        print(f"error: {error.format_message()}", file=sys.stderr)
+        print(f"error: {' '.join(error.format_message().split())}", file=sys.stderr)
         return 2
     except StarbenchError as error:
         for line in str(error).split("\n"):

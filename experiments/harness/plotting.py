@@ -25,6 +25,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.font_manager import FontProperties  # noqa: E402
 
+from experiments.harness.range import logarithmic  # noqa: E402
 from optics.errors import DomainError  # noqa: E402
 
 __all__ = [
@@ -151,6 +152,16 @@ def new_figure(
         for axis in np.reshape(axes, (rows, columns))[:, 1]:
             axis.tick_params(labelleft=True)
     return figure, axes
+
+
+def spaced_axis(axes: Any, which: Literal["x", "y"], values: Sequence[float]) -> None:
+    """Make an axis logarithmic where its ``values`` are spaced so; call after the limits are set."""
+    if not logarithmic(values):
+        return
+    (axes.set_xscale if which == "x" else axes.set_yscale)("log")
+    low, high = min(values), max(values)
+    ends = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    log_ticks(axes, which, (10.0**end for end in ends) if high > 100.0 * low else None)
 
 
 def log_ticks(axes: Any, which: Literal["x", "y"], ticks: Iterable[float] | None = None) -> None:

@@ -1,4 +1,7 @@
-"""A sweep as text, ``KEY=LOW:HIGH:POINTS``: which number of the configuration, and its values."""
+"""A sweep as text: which number of the configuration, and its values.
+
+``KEY=LOW:HIGH:POINTS`` is evenly spaced, ``KEY=LOW:HIGH:POINTS:log`` evenly in the logarithm, ``KEY=A,B,C`` a list.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +21,20 @@ from pydantic.fields import FieldInfo
 from optics.errors import ConfigError, unknown_name
 from optics.validate import parse_model
 
-__all__ = ["SweepRange", "check_range", "leaf_keys", "parse_sweep", "quantity_of", "value_at", "with_value"]
+__all__ = [
+    "SweepRange",
+    "check_range",
+    "leaf_keys",
+    "logarithmic",
+    "parse_sweep",
+    "quantity_of",
+    "value_at",
+    "with_value",
+]
 
 LARGEST = 200
 """Most points of a sweep."""
-_FORM = "KEY=LOW:HIGH:POINTS is needed, e.g. defocus_mm=-0.2:0.2:9"
+_FORM = "KEY=LOW:HIGH:POINTS is needed, e.g. defocus_mm=-0.2:0.2:9; or KEY=LOW:HIGH:POINTS:log, or KEY=A,B,C"
 _NOT_SWEPT = frozenset({"seed", "trials", "draws", "sensor_seed", "adc_bits"})
 
 
@@ -71,37 +83,71 @@ def parse_sweep(text: str, keys: Mapping[str, FieldInfo]) -> SweepRange:
     Parameters
     ----------
     text : str
-        ``KEY=LOW:HIGH:POINTS``; of a dotted key the last word is enough where that is unique.
+        In one of the forms above; of a dotted key the last word is enough where that is unique.
     keys : mapping
         As of `leaf_keys`.
 
     Raises
     ------
     ConfigError
-        On another form, an unknown or ambiguous key, a range that is empty or not finite, fewer than two points.
+        On another form, an unknown or ambiguous key, a range that is empty or not finite, or not positive where it is
+        logarithmic, fewer than two points.
     """
     name, equals, values = text.partition("=")
-    parts = [part.strip() for part in values.split(":")]
-    if not equals or len(parts) != 3:
+    if not equals or not values.strip():
         raise ConfigError(f"sweep {text!r}: {_FORM}")
     key = _full_key(name.strip(), keys)
-    try:
-        low, high = float(parts[0]), float(parts[1])
-    except ValueError:
-        raise ConfigError(f"sweep {text!r}: {parts[0]!r} and {parts[1]!r} must be numbers; {_FORM}") from None
-    if not (math.isfinite(low) and math.isfinite(high)):
-        raise ConfigError(f"sweep {text!r}: the ends of the range must be finite numbers")
-    if low == high:
-        raise ConfigError(f"sweep {text!r}: the range from {low:g} to {high:g} is empty")
-    if not re.fullmatch(r"\d+", parts[2]) or not 2 <= int(parts[2]) <= LARGEST:
-        raise ConfigError(f"sweep {text!r}: {parts[2]!r} points; a whole number from 2 to {LARGEST} is needed")
-    digits = 12 - int(np.floor(np.log10(max(abs(low), abs(high)))))
-    points: NDArray[Any] = np.round(np.linspace(low, high, int(parts[2])), digits) + 0.0  # 0.15, and no minus zero
+    points: NDArray[Any] = (_listed if "," in values else _spaced)(text, values)
     if _number_of(keys[key].annotation) is int:
         points = np.unique(np.rint(points).astype(int))
         if len(points) < 2:
             raise ConfigError(f"sweep {text!r}: {key} takes whole numbers, and the range holds fewer than two of them")
     return SweepRange(key=key, values=tuple(points.tolist()))
+
+
+def _numbers(text: str, words: Sequence[str]) -> list[float]:
+    try:
+        found = [float(word) for word in words]
+    except ValueError:
+        raise ConfigError(f"sweep {text!r}: {' and '.join(map(repr, words))} must be numbers; {_FORM}") from None
+    if not all(map(math.isfinite, found)):
+        raise ConfigError(f"sweep {text!r}: all values must be finite numbers")
+    return found
+
+
+def _listed(text: str, values: str) -> NDArray[Any]:
+    """Values of a list, in rising order."""
+    points = np.unique(_numbers(text, [word.strip() for word in values.split(",")]))
+    if not 2 <= len(points) <= LARGEST:
+        raise ConfigError(f"sweep {text!r}: {len(points)} different values; 2 to {LARGEST} are needed")
+    return points + 0.0  # no minus zero
+
+
+def _spaced(text: str, values: str) -> NDArray[Any]:
+    """Values of a range."""
+    parts = [part.strip() for part in values.split(":")]
+    even = len(parts) == 3
+    if not even and (len(parts) != 4 or parts[3] != "log"):
+        raise ConfigError(f"sweep {text!r}: {_FORM}")
+    low, high = _numbers(text, parts[:2])
+    if low == high:
+        raise ConfigError(f"sweep {text!r}: the range from {low:g} to {high:g} is empty")
+    if not re.fullmatch(r"\d+", parts[2]) or not 2 <= int(parts[2]) <= LARGEST:
+        raise ConfigError(f"sweep {text!r}: {parts[2]!r} points; a whole number from 2 to {LARGEST} is needed")
+    if even:
+        digits = 12 - int(np.floor(np.log10(max(abs(low), abs(high)))))
+        return np.asarray(np.round(np.linspace(low, high, int(parts[2])), digits) + 0.0)  # 0.15, and no minus zero
+    if min(low, high) <= 0:
+        raise ConfigError(f"sweep {text!r}: a logarithmic range holds positive numbers only")
+    return np.array([float(f"{value:.12g}") for value in np.geomspace(low, high, int(parts[2]))])
+
+
+def logarithmic(values: Sequence[float]) -> bool:
+    """Whether values are spaced more evenly in the logarithm than plainly: how a figure shows them."""
+    if len(values) < 3 or min(values) <= 0:
+        return False
+    plain, logs = np.diff(values), np.diff(np.log(values))
+    return bool(np.std(logs) / abs(np.mean(logs)) < np.std(plain) / abs(np.mean(plain)) - 1e-6)
 
 
 def _full_key(name: str, keys: Mapping[str, FieldInfo]) -> str:
@@ -148,7 +194,7 @@ def check_range(model: type[BaseModel], sweep: SweepRange) -> None:
     for limit in leaf_keys(model)[sweep.key].metadata:
         for name, (holds, words) in tests.items():
             bound = getattr(limit, name, None)
-            for value in (sweep.values[0], sweep.values[-1]):
+            for value in (min(sweep.values), max(sweep.values)):
                 if bound is not None and not holds(value, bound):
                     raise ConfigError(f"sweep: {sweep.key} = {value:g} is not allowed; it must be {words} {bound:g}")
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from experiments.camera.sweep.quantities import PLACES
 from experiments.camera.sweep.study import SweepStudy
 from experiments.camera.verdicts import AT_LEAST
-from experiments.harness.plotting import INK, PALETTE, new_figure
+from experiments.harness.plotting import INK, PALETTE, new_figure, spaced_axis
 from experiments.harness.quantities import Outcome
 from optics.arrays import FloatArray
 
@@ -43,6 +43,7 @@ def curves(outcome: Outcome) -> Figure:
         if np.isfinite(one.values).any() and np.nanmin(one.values) > 0 and name.endswith(("_arcsec", "_px")):
             panel.set_ylim(0, None)
         panel.set_xlabel(outcome.quantity(PLACES[0]).heading)
+        spaced_axis(panel, "x", result.axes[0].values)
     return figure
 
 
@@ -66,6 +67,8 @@ def maps(outcome: Outcome) -> Figure:
         panel.set_title(one.heading)
         panel.set(xlabel=outcome.quantity(PLACES[0]).heading, ylabel=outcome.quantity(PLACES[1]).heading)
         panel.grid(visible=False)
+        spaced_axis(panel, "x", result.axes[0].values)
+        spaced_axis(panel, "y", result.axes[1].values)
     return figure
 
 

@@ -17,7 +17,7 @@ from experiments.camera.records import Scalar
 from experiments.camera.settings import Config
 from experiments.camera.verdicts import Verdict, judge
 from experiments.harness.quantities import shown_unit
-from experiments.harness.range import quantity_of, with_value
+from experiments.harness.range import logarithmic, quantity_of, with_value
 from experiments.harness.summary import Criterion
 from optics.arrays import FloatArray
 from optics.errors import DomainError, StarbenchError
@@ -221,7 +221,8 @@ class SweepStudy:
             margin = [next((v.margin for v in point.verdicts if v.key == name), float("nan")) for point in self.points]
             for (x, a), (y, b) in itertools.pairwise(zip(at, margin, strict=True)):
                 if np.isfinite([a, b]).all() and (a >= 0.0) != (b >= 0.0):
-                    where = x + (y - x) * a / (a - b)
+                    part = a / (a - b)
+                    where = x * (y / x) ** part if logarithmic(at) else x + (y - x) * part
                     found.append(Crossing(name=name, at=float(where), above=bool((b >= 0.0) == (y > x))))
         return tuple(found)
 

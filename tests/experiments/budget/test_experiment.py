@@ -107,6 +107,9 @@ def test_built_lenses_scatter_as_their_sensitivities_add_up(engine):
     [
         (["--sweep", "defocs_mm=-0.2:0.2:9"], "did you mean defocus_mm"),
         (["--sweep", "defocus_mm=0.1:0.1:9"], "is empty"),
+        (["--sweep", "defocus_mm=-0.1:0.1:9:log"], "--sweep: sweep 'defocus_mm=-0.1:0.1:9:log': a logarithmic"),
+        (["--sweep", "defocus_mm=0.1:0.2:9:ln"], "KEY=LOW:HIGH:POINTS:log"),
+        (["--sweep", "defocus_mm=0.1,0.1"], "1 different values"),
         (["--sweep", "defocus_mm=nan:0.1:9"], "finite"),
         (["--set", "detector.read_noize_e=5"], "did you mean 'read_noise_e'"),
         (["--set", "detector.prnu=nan"], "finite"),

@@ -11,7 +11,7 @@ from experiments.budget.tolerances import cubic_basis
 from experiments.budget.tune import as_toml, differences
 from experiments.harness.cli import configuration_file
 from experiments.harness.config import load_config
-from experiments.harness.range import leaf_keys, parse_sweep, value_at, with_value
+from experiments.harness.range import leaf_keys, logarithmic, parse_sweep, value_at, with_value
 from experiments.laboratory.detector_changes import DetectorConfig, overridden
 from experiments.laboratory.published import chromatic_of_table1_arcsec
 from optics.errors import ConfigError
@@ -63,6 +63,11 @@ def test_sweep_text():
     np.testing.assert_allclose(sweep.values, np.arange(-4, 5) * 0.05, atol=1e-15)
     assert sweep.values[4] == 0.0
     assert parse_sweep("frames=10:20:3", keys).values == (10, 15, 20)
+    assert parse_sweep("source.signal_e=1000:1e5:5:log", keys).values == (1e3, 3162.27766017, 1e4, 31622.7766017, 1e5)
+    assert parse_sweep("frames=40,10, 20", keys).values == (10, 20, 40)
+    assert [logarithmic(v) for v in ((1, 2, 4, 8), (1, 2, 3), (1, 2, 5, 10), (-1, 1, 2), (8.0, 4.0, 2.0))] == [
+        True, False, True, False, True,
+    ]  # fmt: skip
     assert value_at(with_value(Config(), "detector.prnu", 0.03), "detector.prnu") == 0.03
 
 
