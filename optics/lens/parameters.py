@@ -104,7 +104,7 @@ def _shape(lens: LensSystem, surface: int, name: str, value: object) -> LensSyst
     """With another number in the shape of a surface."""
     one = lens.surfaces[surface]
     if not hasattr(one.shape, name):
-        raise DomainError(f"surface {surface} of lens {lens.name!r} is a {one.shape.kind}; it has no {name}")
+        raise DomainError(f"{lens.label(surface)} of lens {lens.name!r} is a {one.shape.kind}; it has no {name}")
     return lens.with_surfaces({surface: replace(one, shape=replace(one.shape, **{name: value}))})
 
 
@@ -119,7 +119,7 @@ def _conic(lens: LensSystem, at: tuple[int, ...], values: FloatArray, by: FloatA
 def _asphere(lens: LensSystem, at: tuple[int, ...], values: FloatArray, by: FloatArray) -> LensSystem:
     terms = list(getattr(lens.surfaces[at[0]].shape, "asphere", ()))
     if at[1] >= len(terms):
-        raise DomainError(f"surface {at[0]} of lens {lens.name!r} has no coefficient {at[1]} of an asphere")
+        raise DomainError(f"{lens.label(at[0])} of lens {lens.name!r} has no coefficient {at[1]} of an asphere")
     terms[at[1]] = float(values[at])
     return _shape(lens, at[0], "asphere", tuple(terms))
 
@@ -143,7 +143,7 @@ def _tilt(lens: LensSystem, at: tuple[int, ...], values: FloatArray, by: FloatAr
     before = lens.surfaces[at[0] - 1].medium if at[0] else AMBIENT
     surface = lens.surfaces[at[0]]
     if surface.is_stop and surface.medium == before and not surface.mirror:
-        raise DomainError(f"surface {at[0]} of lens {lens.name!r} is a stop that stands alone; it is not tilted")
+        raise DomainError(f"{lens.label(at[0])} of lens {lens.name!r} is a stop that stands alone; it is not tilted")
     x_deg, y_deg = np.eye(2)[at[1]] * by[at]
     return tilt(lens, at[0], float(x_deg), float(y_deg))
 

@@ -49,7 +49,11 @@ def _selected(lens: LensSystem, what: What) -> tuple[tuple[int, ...], bool]:
     indices = (what,) if isinstance(what, int) else tuple(what)
     for index in indices:
         if not 0 <= index < len(lens.surfaces):
-            raise ConfigError(f"surface {index}; lens {lens.name!r} has surfaces 0 ... {len(lens.surfaces) - 1}")
+            last = len(lens.surfaces) - 1
+            raise ConfigError(
+                f"index {index}; lens {lens.name!r} has surfaces 0 ... {last}: {lens.label(0)} to {lens.label(last)} "
+                "of its file"
+            )
     if not indices:
         raise ConfigError(f"no surface of lens {lens.name!r} is named")
     return tuple(sorted(set(indices))), False
@@ -194,7 +198,7 @@ def change_shape(lens: LensSystem, surface: int, name: str, by: float) -> LensSy
     try:
         shape = lens.surfaces[index].shape.changed(name, by)
     except DomainError as error:
-        raise DomainError(f"surface {surface} of lens {lens.name!r}: {error}") from None
+        raise DomainError(f"{lens.label(index)} of lens {lens.name!r}: {error}") from None
     return lens.with_surfaces({index: replace(lens.surfaces[index], shape=shape)})
 
 

@@ -11,7 +11,7 @@ import pytest
 from optics import load_lens, paraxial, read_lens_file
 from optics.errors import ConfigError, DomainError
 from optics.files.report import Status
-from optics.lens.perturb import tilt
+from optics.lens.perturb import change_shape, tilt
 from optics.lens.shapes.even_asphere import EvenAsphere
 from optics.rays.trace import Rays, trace
 
@@ -355,6 +355,10 @@ def test_messages_count_surfaces_as_the_file_does(tmp_path: Path) -> None:
         text = SINGLET.replace(old, new, 1)
         assert re.search(part, refusal(tmp_path, text)), (new, refusal(tmp_path, text))
     lens = load_lens(written(tmp_path, SINGLET))
+    with pytest.raises(DomainError, match=r"surface 2 \(line 29\) of lens .* bend"):
+        change_shape(lens, 1, "bend", 0.1)
+    with pytest.raises(ConfigError, match=r"index 9; .* 0 \.\.\. 1: surface 1 \(line 22\) to surface 2 \(line 29\)"):
+        tilt(lens, 9, 0.5)
     turned = tilt(lens, 1, 0.5)
     with pytest.raises(DomainError, match=r"surface 2 \(line 29\) is tilted"):
         paraxial(turned)
