@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,11 +19,13 @@ from experiments.acf.published import TABLE2_CALIBRATED, TABLE2_ROUNDING, TABLE2
 from experiments.acf.settings import RenderedConfig, SkyConfig, SweepConfig
 from experiments.acf.statistics import outside_limit, pulls, root_mean_square
 from experiments.acf.trials import Task, work
+from experiments.harness.config import load_config
 from experiments.harness.plotting import house_style
 from experiments.harness.progress import Progress
 from experiments.harness.provenance import collect
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.summary import to_json
+from experiments.skycal import experiment as skycal
 
 pytestmark = pytest.mark.slow
 
@@ -211,8 +214,15 @@ def test_defaults_are_the_published_run():
 
 
 @pytest.mark.slow
-def test_rendered_frames_are_part_of_the_result(tmp_path):
-    """Few frames of the wide camera: the map error stands beside its prediction, in the summary and the report."""
+def test_rendered_frames_are_part_of_the_result(tmp_path, monkeypatch):
+    """Few frames of bright stars: the map error stands beside its prediction, in the summary and the report."""
+    bright = ["dark_frames=2", "wide.faintest_mag=5.8", "wide.psf_spacing_px=400", "wide.instrument.diffraction=rays"]
+
+    def few_stars(**given):
+        return load_config(skycal.Config, settings=[*bright, *(f"{key}={value}" for key, value in given.items())])
+
+    declared = SimpleNamespace(Config=few_stars, experiment=skycal.experiment)
+    monkeypatch.setitem(sys.modules, skycal.__name__, declared)
     few = ["--set", "rendered.which=wide", "--set", "rendered.frames=5", "--set", "runs=4", "--set", "sweep.skies=4"]
     assert main(["--quick", *few, "--out", str(tmp_path / "out")]) in (0, 1)
     written = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))

@@ -142,15 +142,17 @@ def test_unreachable_kind_of_movement(refused):
     assert "no tilt of element L2 up to 3 deg" in said
 
 
+FEW = ["target.rows=2", "target.columns=2", "frames=4", "compare=[]", "instrument.diffraction=rays"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
-    [["decentre.wanted_px=0"], ["target.rows=1", "target.columns=1", "filters.centres_nm=[600,800]"]],
+    [[*FEW, "decentre.wanted_px=0"], ["target.rows=1", "target.columns=1", "filters.centres_nm=[600,800]"]],
     ids=["nothing moves", "one point, two filters"],
 )
 def test_unusual_but_possible(tmp_path, settings):
-    few = ["target.rows=2", "target.columns=2", "frames=4", "compare=[]", "instrument.diffraction=rays"]
-    arguments = [word for setting in [*few, *settings] for word in ("--set", setting)]
+    arguments = [word for setting in settings for word in ("--set", setting)]
     assert main(["--quick", *arguments, "--out", str(tmp_path / "out")]) == 0
     if "filters" in settings[-1]:  # one pair of bands leaves the report without a witness, not without a report
         assert "witness" not in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
