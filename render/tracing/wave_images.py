@@ -23,7 +23,7 @@ from render.camera import Camera
 from render.tracing.kernel import Shade, StarKernel
 from render.tracing.plane_waves import PlaneWaves, RayArrays, hidden_points, phase_changes, trace_waves
 from render.tracing.pupil_points import DiskPoints, PupilPoints, covered_points
-from render.tracing.wave_series import WaveSeries, azimuths
+from render.tracing.wave_series import WaveSeries, azimuths, nodes_along
 from render.tracing.wave_windows import FieldSampling, window_light, window_samples
 
 __all__ = ["WING", "KeptLight", "RayMoments", "Trail", "WaveGroup", "WaveImages", "WaveStamps"]
@@ -305,8 +305,7 @@ class WaveImages:
         Such as that of a hole or a spider; they go by cells.
         """
         pierced = []
-        for stars in self._batches(group.members, PROBE_ORDER):
-            waves = self._traced(group, PROBE_ORDER, stars)
+        for stars, waves in self.traced(group, PROBE_ORDER):
             clear = np.ones(len(stars), np.bool_) if group.points is None else waves.lost.max((1, 2)) <= LIGHT
             if clear.any():
                 yield Probe(group, stars[clear], waves if clear.all() else waves.take(clear))
@@ -314,6 +313,10 @@ class WaveImages:
         left = np.concatenate(pierced) if pierced else group.members[:0]
         if len(left):
             yield from self.probes(WaveGroup("cells", left, None, group.disks))
+
+    def traced(self, group: WaveGroup, order: tuple[int, int]) -> Iterator[tuple[IntArray, PlaneWaves]]:
+        """Stars of a group, in batches, and their rays on so many rings and azimuths."""
+        return ((stars, self._traced(group, order, stars)) for stars in self._batches(group.members, order))
 
     def summands(self, probe: Probe, radius_px: float | None = None) -> Iterator[Summands]:
         """Waves of the stars of a probe as sums need them, those together that are alike."""
@@ -359,7 +362,7 @@ class WaveImages:
         radius = np.ceil(np.maximum(rings, spot + NEAREST_PX)) if radius_px is None else np.full(len(stars), radius_px)
         self._check_size(stars, spot, radius)
         radial, around = phase_changes(waves, PROBE_ORDER, radius + MARGIN_PX)
-        order = np.stack([radial / 4.0 + 5.0, azimuths(around)], axis=-1)
+        order = np.stack([nodes_along(radial), azimuths(around)], axis=-1)
         rounded: IntArray = 4 * np.ceil(order / 4.0).astype(np.int64)
         if probe.group.points is None:
             rounded = np.maximum(rounded, COVERED_ORDER)
@@ -398,8 +401,7 @@ class WaveImages:
 
     def _stamps(self, summands: Summands) -> WaveStamps:
         stars, waves, mode = summands.stars, summands.waves, summands.mode
-        mean, light = self.means(stars, waves)
-        size = 2 * int(summands.radius_px) + 1
+        (mean, light), size = self.means(stars, waves), 2 * int(summands.radius_px) + 1
         window = np.rint(np.nan_to_num(mean)) - 0.5 * size
         if self.trail is None:
             corner, stamp_px = window, size
@@ -420,8 +422,7 @@ class WaveImages:
                 way = self.trail.offset_px[stars[s], b], self.trail.weight[stars[s], b]
                 pixels[s, b] = self._moving(image, shift, size, *way, stamp_px)
         rays = RayMoments(mean, self._variance(stars, waves, mean))
-        if self.trail is not None:
-            rays = rays.along(self.trail, stars)
+        rays = rays if self.trail is None else rays.along(self.trail, stars)
         kept = None if mode == "cells" else rays
         count = int(summands.order.prod(-1).max())
         return WaveStamps(stars, np.maximum(pixels, 0.0), corner, rays.mean_px, light, count, mode, kept)

@@ -25,6 +25,8 @@ PIXEL_SHARE = 1e-4
 """Light is sampled so finely that frequencies folded onto others are let through by the pixel to this part."""
 HIGHEST_PER_PX = 6.0
 """Frequencies that a pixel without diffusion is followed to."""
+SIGMAS = 6.0
+"""Of charge diffusion, beyond which a pixel sees nothing."""
 ROOM = 1.8
 """Repeat distance of the images that an even pupil makes, in widths of the window."""
 
@@ -71,14 +73,16 @@ class WaveImages:
             found.append(EffectivePsf(values=values, oversampling=self.oversampling))
         return tuple(found)
 
-    def _pixel(self, place_px: FloatArray) -> FloatArray:
+    def _pixel(self, place_px: FloatArray) -> NDArray[np.float32]:
         """Weights (p, n) of the samples in the light of pixels at places."""
-        distance = place_px[:, None] - self.offset_px
+        distance = np.abs(place_px[:, None] - self.offset_px)
         step = float(self.offset_px[1] - self.offset_px[0])
         if self.diffusion_px <= 0.0:  # parts of the samples' own cells
-            return np.clip(0.5 * (1.0 + step) - np.abs(distance), 0.0, step)
-        scale = 1.0 / (math.sqrt(2.0) * self.diffusion_px)
-        return np.asarray(0.5 * step * (erf((distance + 0.5) * scale) - erf((distance - 0.5) * scale)))
+            return np.clip(0.5 * (1.0 + step) - distance, 0.0, step).astype(np.float32)
+        weights, scale = np.zeros(distance.shape, np.float32), 1.0 / (math.sqrt(2.0) * self.diffusion_px)
+        near = distance < 0.5 + SIGMAS * self.diffusion_px
+        weights[near] = 0.5 * step * (erf((distance[near] + 0.5) * scale) - erf((distance[near] - 0.5) * scale))
+        return weights
 
 
 def wave_images(
