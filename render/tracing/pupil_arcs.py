@@ -14,6 +14,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import roots_legendre
 
 from optics.arrays import FloatArray, IntArray
 from render.tracing.aimed_pupil import AimedLens, find_rims, find_shadow
@@ -116,7 +117,7 @@ def _coarse_azimuth() -> FloatArray:
 @cache
 def _gauss_rule(count: int) -> tuple[FloatArray, FloatArray]:
     """Nodes and weights of Gauss and Legendre on (0, 1)."""
-    x, w = np.polynomial.legendre.leggauss(count)
+    x, w = roots_legendre(count)
     return 0.5 * (1.0 + x), 0.5 * w
 
 

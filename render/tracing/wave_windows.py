@@ -19,7 +19,7 @@ from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.sparse import csc_array
-from scipy.special import i0e
+from scipy.special import i0e, roots_legendre
 
 from optics.arrays import FloatArray
 from render.tracing.plane_waves import RayArrays
@@ -48,7 +48,7 @@ def _roll_off(nodes: int, low: float, high: float, reach_px: float) -> tuple[Flo
 
     The step is the integral of the Kaiser-Bessel window whose transform has fallen off at the reach.
     """
-    node, weight = np.polynomial.legendre.leggauss(nodes)
+    node, weight = roots_legendre(nodes)
     f = 0.5 * high * (1.0 + node)
     t = np.linspace(-1.0, 1.0, 4001)
     window = _window(t, math.pi * (high - low) * reach_px)
