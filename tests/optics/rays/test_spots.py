@@ -33,6 +33,17 @@ def test_quadrature_converges_to_rounding_and_sobol_to_it():
     assert abs(fine.x_mm - sobol.x_mm).max() < 5e-7
 
 
+def test_shift_between_colours_of_a_lens_with_holes():
+    """By symmetry a lens of revolution shifts a star on the diagonal along it; sixteen times the points agree."""
+    lens, waves = load_lens("maksutov_1300mm"), np.array([500.0, 600.0, 800.0])
+    found, dense = (
+        spot_moments(lens, [0.11], [0.11], waves, samples=samples) for samples in (None, sobol_disk(2**16, seed=3))
+    )
+    x, y, dense_x = (np.diff(v[0]) for v in (found.x_mm, found.y_mm, dense.x_mm))
+    np.testing.assert_allclose(x, -y, atol=5e-4 * 0.0055)
+    np.testing.assert_allclose(x, dense_x, atol=1e-3 * 0.0055)
+
+
 def test_mirrored_fields_have_mirrored_moments():
     spots = spot_moments(CAMERA, [2.0, -2.0, 2.0], [1.0, 1.0, -1.0], [550.0])
     np.testing.assert_allclose(spots.x_mm[:, 0], spots.x_mm[0, 0] * np.array([1, -1, 1]), atol=1e-13)
