@@ -158,15 +158,13 @@ def cell_text(cell: Any, format_spec: str = "") -> str:  # one return per type
     return _typeset(format(value, format_spec)) if format_spec and math.isfinite(value) else significant(value, 4)
 
 
-def to_astropy(table: Table, meta: dict[str, Any] | None = None) -> astropy.table.Table:
+def to_astropy(table: Table) -> astropy.table.Table:
     """The table for machines: full precision, units, one more column ``KEY_error`` where cells carry an uncertainty.
 
     Parameters
     ----------
     table : Table
         Its `Measured` cells are split into value and uncertainty.
-    meta : dict, optional
-        Written into the header.
 
     Returns
     -------
@@ -176,7 +174,7 @@ def to_astropy(table: Table, meta: dict[str, Any] | None = None) -> astropy.tabl
     from astropy.table import Column as AstropyColumn
     from astropy.table import Table as AstropyTable
 
-    result = AstropyTable(meta={"caption": table.caption, "note": table.note, **(meta or {})})
+    result = AstropyTable(meta={"caption": table.caption, "note": table.note})
     for index, column in enumerate(table.heads):
         cells = [row[index] for row in table.rows]
         key = column.key or "_".join(re.findall(r"[a-z0-9]+", f"{column.name} {column.unit}".lower()))

@@ -29,15 +29,13 @@ SHOWN = {
 }
 
 
-def truth_marks(table: Mapping[str, Any], name: str = "true stars") -> Marks:
+def truth_marks(table: Mapping[str, Any]) -> Marks:
     """Rows of a table of stars, brightest first.
 
     Parameters
     ----------
     table : mapping of str to (n,) array
         Columns by name, with ``photon_x_px, photon_y_px`` as the truth of a dataset, or ``x_px, y_px``.
-    name : str
-        Of the layer.
 
     Raises
     ------
@@ -54,5 +52,5 @@ def truth_marks(table: Mapping[str, Any], name: str = "true stars") -> Marks:
     if light is not None:
         order = order[light[order] > 0]
     columns = {shown: known[column][order] for column, shown in SHOWN.items() if column in known}
-    magnitude = columns.get("magnitude", ())
-    return Marks(name=name, x_px=x[order], y_px=y[order], label=[f"{one:.1f}" for one in magnitude], columns=columns)
+    label = [f"{one:.1f}" for one in columns.get("magnitude", ())]
+    return Marks(name="true stars", x_px=x[order], y_px=y[order], label=label, columns=columns)

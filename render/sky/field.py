@@ -8,7 +8,7 @@ along icrs, the camera's world being the sky.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -30,7 +30,7 @@ from render.catalogue.temperature import TYPICAL_TEMPERATURE_K, star_temperature
 from render.records import StarField
 from render.sky.star_light import StarLight, star_light
 
-__all__ = ["FieldOfView", "SkyField", "StarLight", "field_of", "field_of_view", "pointed", "star_field", "star_light"]
+__all__ = ["FieldOfView", "SkyField", "StarLight", "field_of", "field_of_view", "star_field", "star_light"]
 
 
 _DEGREE = 9
@@ -352,8 +352,3 @@ def star_field(
         at = int(np.argmax(np.isnan(kelvin)))
         raise DomainError(f"star {field.stars.id[at]} has no colour, so no temperature; give typical_temperature_k")
     return light.stars(field.direction, field.stars.magnitude, kelvin)
-
-
-def pointed(camera: Camera, field: SkyField) -> Camera:
-    """The camera in the attitude for which the field was looked up."""
-    return replace(camera, rotation_cam_from_world=field.rotation_cam_from_icrs)
