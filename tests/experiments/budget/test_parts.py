@@ -85,7 +85,7 @@ def test_sweep_text():
         ("defocus_mm=0:0.1:2.5", "2 to 200"),
         ("defocus_mm=0:0.1", "KEY=LOW:HIGH:POINTS"),
         ("defocus_mm", "KEY=LOW:HIGH:POINTS"),
-        ("defocus_mm=-3:3:3", "at least -1"),
+        ("defocus_mm=-30:30:3", "at least -10"),
         ("prnu=0:0.9:3", "at most 0.5"),
         ("frames=10.1:10.3:5", "whole numbers"),
     ],
