@@ -27,7 +27,7 @@ def home_with_cache() -> Iterator[None]:
         No temporary folder either.
     """
     before = os.environ.get("HOME")
-    if os.name != "posix" or _holds_cache(Path(before or "/")):
+    if os.name != "posix" or (before and _holds_cache(Path(before))):
         yield
         return
     os.environ["HOME"] = str(_temporary())
