@@ -118,7 +118,9 @@ def test_a_wrong_equation_is_noticed(run, broken, failing, mutant, noticed):
 @pytest.fixture(scope="module")
 def wide(engine):
     """The wide field of a small run."""
-    config = load_config(Config, settings=["frames=8", "dark_frames=30", "draws=20", "compare=[]"])
+    config = load_config(
+        Config, settings=["frames=8", "dark_frames=30", "draws=20", "compare=[]", "wide.instrument.diffraction=rays"]
+    )
     return wide_field(config, Streams(3), progress=Progress())
 
 
