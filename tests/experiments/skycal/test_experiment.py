@@ -163,6 +163,7 @@ def test_report_stands_alone(outcome):
 def test_same_seed_same_numbers(tmp_path):
     """Threads, and how many of them, change nothing."""
     small = {"which": "wide", "frames": 4, "dark_frames": 2, "wide.faintest_mag": 5.8, "wide.psf_spacing_px": 400.0}
+    small |= {"wide.instrument.diffraction": "rays"}
     found = []
     for name in ("a", "b"):
         assert main(arguments(tmp_path / name, **small)) in (0, 1)
