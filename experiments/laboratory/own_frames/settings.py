@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from experiments.harness.config import AngleDeg, StrictModel
 from experiments.laboratory.centroid_methods import CentroiderName
@@ -26,6 +26,9 @@ __all__ = [
     "read_table",
 ]
 
+Patterns = Annotated[tuple[str, ...], BeforeValidator(lambda value: (value,) if isinstance(value, str) else value)]
+"""File names or patterns; a single one needs no list."""
+
 SETTINGS_FILE = "frames.toml"
 """Name of the file that describes a folder."""
 
@@ -33,10 +36,10 @@ SETTINGS_FILE = "frames.toml"
 class SeriesSettings(StrictModel):
     """Frames of a target, or of a star, at rest."""
 
-    files: tuple[str, ...] = Field(min_length=1, description="file names or patterns (*, ?), within the folder")
+    files: Patterns = Field(min_length=1, description="file names or patterns (*, ?), within the folder")
     name: str = Field(default="", description="for messages and tables")
     count: int | None = Field(default=None, ge=1, le=10**6, description="number of frames that must be there")
-    dark: tuple[str, ...] = Field(default=(), description="lamp off, in place of those of the folder")
+    dark: Patterns = Field(default=(), description="lamp off, in place of those of the folder")
     position: int | None = Field(
         default=None, ge=-(10**6), le=10**6, description="hsfe: place in the order of the steps"
     )
@@ -59,11 +62,6 @@ class SeriesSettings(StrictModel):
         default="calibration", description="fisher: frames that calibrate, or whose star vectors are evaluated"
     )
 
-    @field_validator("files", "dark", mode="before")
-    @classmethod
-    def _one_pattern(cls, value: Any) -> Any:
-        return (value,) if isinstance(value, str) else value
-
 
 class TableSettings(StrictModel):
     """Turntable of a single-star bench (turntable, fisher)."""
@@ -75,13 +73,6 @@ class TableSettings(StrictModel):
     star_deg: tuple[AngleDeg, AngleDeg] = Field(
         default=(0.0, 0.0), description="where the star is believed to stand at zero angles, azimuth and elevation"
     )
-
-    @field_validator("reading_noise_arcsec")
-    @classmethod
-    def _not_negative(cls, values: tuple[float, ...]) -> tuple[float, ...]:
-        if any(value < 0 for value in values):
-            raise ValueError(f"{list(values)} arcsec; a reading error cannot be negative")
-        return values
 
 
 class FolderSettings(StrictModel):
@@ -96,9 +87,9 @@ class FolderSettings(StrictModel):
     prnu_fraction: float = Field(
         default=0.0, ge=0, le=0.2, description="response from pixel to pixel that no flat removes, standard deviation"
     )
-    dark: tuple[str, ...] = Field(default=(), description="frames with the lamp off; without them patterns stay")
-    flat: tuple[str, ...] = Field(default=(), description="frames of an even light; without them the response stays")
-    flat_dark: tuple[str, ...] = Field(default=(), description="lamp off, exposed as the flats; else `dark`")
+    dark: Patterns = Field(default=(), description="frames with the lamp off; without them patterns stay")
+    flat: Patterns = Field(default=(), description="frames of an even light; without them the response stays")
+    flat_dark: Patterns = Field(default=(), description="lamp off, exposed as the flats; else `dark`")
     bad_pixels: str | None = Field(default=None, description="FITS image, not 0 where a pixel is not to be used")
     points: int | None = Field(default=None, ge=1, le=10000, description="number of target points: the brightest")
     points_px: tuple[tuple[float, float], ...] = Field(default=(), description="nominal places (column, row)")
@@ -121,11 +112,6 @@ class FolderSettings(StrictModel):
         default=None, description="CSV or ECSV file of series, a row each; columns are keys of [[series]]"
     )
     series: tuple[SeriesSettings, ...] = Field(default=(), description="the frames")
-
-    @field_validator("dark", "flat", "flat_dark", mode="before")
-    @classmethod
-    def _one_pattern(cls, value: Any) -> Any:
-        return (value,) if isinstance(value, str) else value
 
     @model_validator(mode="after")
     def _what_is_there(self) -> FolderSettings:
