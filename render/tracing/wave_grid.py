@@ -65,8 +65,8 @@ class WaveGrid:
         Of a lens of revolution: azimuthal orders of the components, of which there are twice as many
         (`render.tracing.wave_polar`). The f = p points then lie along a radius, in parts of that of the farthest
         corner; images, means and moments are those of stars on the column axis.
-    edges : (e,)
-        Parts of that radius at which apertures begin to cut beams otherwise; no polynomial reaches across one.
+    kink : float
+        Part of that radius from which apertures cut the beam; no polynomial reaches across it.
     error, error_px : float
         Largest error found between the points, of a pixel and of a centroid.
     """
@@ -82,8 +82,8 @@ class WaveGrid:
     moment: FloatArray
     coefficient: NDArray[np.float32]
     component: NDArray[np.float32]
-    edges: FloatArray
     order: IntArray | None = None
+    kink: float = 1.0
     error: float = math.nan
     error_px: float = math.nan
 
@@ -166,10 +166,6 @@ class WaveGrid:
                 result[s, b] = (row @ image @ column.T) / light[s, b]
         return result
 
-    def rays(self, direction: FloatArray, share: FloatArray, chief_px: FloatArray) -> tuple[FloatArray, RayMoments]:
-        """Share of the light of stars that gets through (s, b), and moments of their rays; parameters as `stamps`."""
-        return self._rays(*self._weights(direction, share), chief_px)[:2]
-
     def _weights(
         self, direction: FloatArray, share: FloatArray
     ) -> tuple[FloatArray, FloatArray, NDArray[np.complex128]]:
@@ -182,11 +178,9 @@ class WaveGrid:
             weight = (row[:, :, None] * column[:, None, :]).reshape(len(place), -1)
         else:
             radius = np.hypot(*tangent.T)
-            part = radius / self.reach
+            part, inner = radius / self.reach, self.points < self.kink
             weight = np.zeros((len(part), len(self.points)))
-            of_star, of_point = (np.searchsorted(self.edges, v, side="right") for v in (part, self.points))
-            for segment in range(len(self.edges) + 1):
-                stars, points = of_star == segment, of_point == segment
+            for stars, points in ((part < self.kink, inner), (part >= self.kink, ~inner)):
                 weight[np.ix_(stars, points)] = lagrange(self.points[points], part[stars])
             off = radius > 0.0
             turn[off] = (tangent[off] @ np.array([1.0, 1j])) / radius[off]

@@ -2,9 +2,8 @@
 
 Nothing is taken on trust: a grid is made finer until images and means of rays at places between its points, of light at
 either end of a band and of that which its wavelengths follow worst, differ from exact ones by less than `TOLERANCE`. A
-mixture of wavelengths is nearer still. Where apertures cut beams, light and mean of the rays have kinks over the field:
-they are traced at many places more, which divide a radius (`render.tracing.wave_segments`), and images are judged where
-a grid follows them worst. Where the finest fails there is none, and every star is summed by itself.
+mixture of wavelengths is nearer still. Where the finest fails (apertures that start to cut the beam leave a kink in the
+field) there is none, and every star is summed by itself.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from optics.arrays import FloatArray, IntArray
 from optics.light.collimation import Collimation
 from optics.rays.pupil import gauss_disk
 from render.tracing.ideal_lens import IdealLens
-from render.tracing.outlines import GOLDEN, PLASTIC
 from render.tracing.paths import at_rest
 from render.tracing.plane_waves import PlaneWaves
 from render.tracing.planning import PupilPlanner
@@ -28,7 +26,6 @@ from render.tracing.pupil_points import TablePoints
 from render.tracing.wave_grid import WaveGrid, chebyshev
 from render.tracing.wave_images import LARGEST_RADIUS_PX, WaveGroup, WaveImages
 from render.tracing.wave_polar import turning_shapes
-from render.tracing.wave_segments import CutBeams, radial_edges
 from render.tracing.wave_spectrum import picked_wavelengths
 from render.tracing.wave_windows import COARSE_REACH_PX, FieldSampling, coarser, window_samples
 
@@ -40,11 +37,9 @@ TOLERANCE = 1e-4
 SIZES = (5, 7, 9, 11, 13, 15)
 """Points along either side that are tried."""
 RADIAL_SIZES = (10, 14, 18, 22, 26, 32, 40)
-"""The same along a diameter of the field of a lens of revolution."""
-FIRST_KINKED, OUTER = 2, 3
-"""Which of them is the first where apertures cut beams; as many times fewer points are in a part of a radius beyond."""
-CUT_PLACES, CUT_ORDER = 320, (8, 128)
-"""Places at which light and mean of cut beams are traced, and rings and azimuths of rays: errors of 1e-5."""
+"""The same along a diameter of the field of a lens of revolution, and on what apertures leave of a radius beyond."""
+FIRST_KINKED, CUT_STEPS = 2, 32
+"""Which of them is the first where apertures cut beams; steps of the search for where they begin, twice."""
 GAIN = 4.0
 """By how much the next size lowers the error, at least; sizes that would not do are passed over."""
 LEAST_STARS = 12
@@ -52,7 +47,7 @@ LEAST_STARS = 12
 CENTROID_PX = 6
 """Half the side of the window whose centroid is compared."""
 PROBES = 6
-"""Places where a grid is judged, the last in a corner; where apertures cut beams, as many more."""
+"""Places where a grid is judged, the last in a corner."""
 COMPONENT = 5e-6
 """Error that principal components may leave in images of the coarsest grid, as a share of the light; finer grids weigh
 their images with larger numbers of both signs."""
@@ -97,9 +92,8 @@ def build_grid(
     field = _FieldImages(planner, wavelength_nm, collimation, least_radius_px)
     sizes: tuple[int, ...] = SIZES
     made, at = field.grid, 0
-    if len(field.edges):
+    if field.kink < 1.0:
         sizes, made, at = RADIAL_SIZES, field.radial, FIRST_KINKED
-    before = math.inf
     while True:
         grid = made(sizes[at])
         if grid is None:
@@ -107,9 +101,6 @@ def build_grid(
         error = max(grid.error, grid.error_px) / TOLERANCE
         if error < 1.0 or at == len(sizes) - 1:
             return grid if error < 1.0 else None
-        if len(field.edges) and error > 0.5 * before:
-            return None  # what is left is no matter of the places
-        before = error
         if field.turned and sizes is SIZES:
             sizes, made, at = RADIAL_SIZES, field.radial, -1
         at = min(len(sizes) - 1, at + math.ceil(math.log(max(error, 1.01)) / math.log(GAIN)))
@@ -165,14 +156,7 @@ class _FieldImages:
         self.middle, self.half = self._extent()
         self.reach = float(np.hypot(*(np.abs(self.middle) + self.half)))
         self.mirrored, self.turned = self._symmetry()
-        self.cut = self._cut_beams()
-        self.edges = np.empty(0)
-        if self.turned and self.cut is not None:
-            size, cut = RADIAL_SIZES[FIRST_KINKED], self.cut
-            even, odd = (
-                v.reshape(CUT_PLACES, -1) for v in (cut.light, cut.mean_px[..., 0] - cut.chief_px[..., None, 0])
-            )
-            self.edges = radial_edges(cut.part, even, odd, size // 2, size // OUTER)
+        self.kink = self._first_cut() if self.turned else 1.0
 
     def _direction(self, place: FloatArray) -> FloatArray:
         direction = np.column_stack([place, np.ones(len(place))])
@@ -211,32 +195,23 @@ class _FieldImages:
         mirrored = not np.abs(self.middle).max() > 0.0 and _alike(weight[:4], x[:4], y[:4])
         return mirrored, _alike(weight, cos * x + sin * y, cos * y - sin * x)
 
-    def _cut_beams(self) -> CutBeams | None:
-        """Light and means of beams at many places of the field; None if apertures cut none, or leave no outline."""
-        if self.turned:
-            part = (np.arange(CUT_PLACES) + 0.5) / CUT_PLACES
-            turn = 2.0 * np.pi * GOLDEN * np.arange(CUT_PLACES)
-            place = self.reach * np.stack([part, np.zeros(CUT_PLACES)], axis=-1)
-        else:
-            steps = np.arange(1, CUT_PLACES + 1)[:, None] * PLASTIC ** -np.arange(1.0, 3.0)
-            part, turn = np.zeros(CUT_PLACES), np.zeros(CUT_PLACES)
-            place = self.middle + self.half * (2.0 * (steps % 1.0) - 1.0)
-        colours = self.wavelength_nm.shape[1]
-        which = np.unique([0, colours // 2, colours - 1])
-        few, everyone = np.ascontiguousarray(self.wavelength_nm[:, which]), np.arange(CUT_PLACES)
-        paths = replace(at_rest(self._direction(place)), collimation=self.collimation)
-        seen = self.planner.seen(paths, few)
-        chiefs = self.planner.chiefs(seen.mid, few)
-        groups = self.planner.wave_groups(seen, few, chiefs, everyone)
-        if all(group.mode == "quadrature" for group in groups) or any(group.points is None for group in groups):
-            return None
-        images = WaveImages(self.camera, seen.mid, few, np.full((CUT_PLACES, *few.shape), 1.0 / len(which)))
-        light, mean = np.zeros((CUT_PLACES, *few.shape)), np.zeros((CUT_PLACES, *few.shape, 2))
-        for group in groups:
-            for stars, waves in images.traced(group, CUT_ORDER):
-                light[stars], mean[stars] = waves.weight.sum(-1), waves.mean
-        chief = np.stack([chiefs.x_px, chiefs.y_px], axis=-1)
-        return CutBeams(place, part, np.asarray(turn, np.float64), which, light, mean, chief)
+    def _first_cut(self) -> float:
+        """Part of the radius of the farthest corner beyond which apertures cut the beams of stars; 1 if none do."""
+        low, high = 0.0, 1.0
+        for _ in range(2):
+            steps = np.linspace(low, high, CUT_STEPS + 1)
+            paths = at_rest(self._direction(self.reach * np.stack([steps, np.zeros_like(steps)], axis=-1)))
+            seen = self.planner.seen(paths, self.wavelength_nm)
+            chiefs = self.planner.chiefs(seen.mid, self.wavelength_nm)
+            cut = np.ones(len(steps), np.bool_)
+            for group in self.planner.wave_groups(seen, self.wavelength_nm, chiefs, np.arange(len(steps))):
+                if group.mode == "quadrature":
+                    cut[group.members] = False
+            first = int(np.argmax(cut))
+            if not cut.any() or first == 0:
+                return 1.0
+            low, high = float(steps[first - 1]), float(steps[first])
+        return low if low > 0.0 else 1.0
 
     def exact(self, place: FloatArray, share: FloatArray) -> tuple[WaveImages, list[WaveGroup], FloatArray, FloatArray]:
         """Images of stars whose directions have these tangents (n, 2), their groups, chief rays and entrances."""
@@ -269,9 +244,9 @@ class _FieldImages:
     def radial(self, size: int) -> WaveGrid | None:
         """The same for a lens of revolution, from half as many points along a radius."""
         half = size // 2
-        ends = np.append(self.edges, 1.0)
-        outer = 0.5 * (1.0 + chebyshev(size // OUTER)) * np.diff(ends)[:, None] + ends[:-1, None]
-        points = np.concatenate([ends[0] * chebyshev(size), outer.ravel()])
+        inner = self.kink * chebyshev(size)
+        outer = self.kink + (1.0 - self.kink) * 0.5 * (1.0 + chebyshev(size))
+        points = np.concatenate([inner, outer]) if self.kink < 1.0 else inner
         place = np.stack([self.reach * points[half:], np.zeros(len(points) - half)], axis=-1)
         found = self._summed(place, 1.0, len(place))
         if found is None:
@@ -370,26 +345,23 @@ class _FieldImages:
             coefficient=coefficient,
             component=component,
             order=order,
-            edges=self.edges,
+            kink=self.kink,
         )
 
     def _judged(self, grid: WaveGrid, judges: list[IntArray]) -> WaveGrid | None:
         """The grid with its errors at places between its points, of single wavelengths."""
+        golden = 0.6180339887498949
         steps = np.arange(1, PROBES)
-        place = np.stack([2.0 * ((0.5 + GOLDEN * steps) % 1.0) - 1.0, 2.0 * (steps - 0.45) / (PROBES - 1) - 1.0], -1)
+        place = np.stack([2.0 * ((0.5 + golden * steps) % 1.0) - 1.0, 2.0 * (steps - 0.45) / (PROBES - 1) - 1.0], -1)
         place = np.concatenate([place, [[0.97, 0.96]]])
         kinds = max(len(one) for one in judges)
         share = np.zeros((kinds, *self.wavelength_nm.shape))
         for b, one in enumerate(judges):
             share[np.arange(kinds), b, np.resize(one, kinds)] = 1.0
-        place, worst, worst_px = self.middle + self.half * place, 0.0, 0.0
-        if self.cut is not None:
-            of_light, of_mean = self._cut_errors(grid, self.cut)
-            worst, worst_px = float(of_light.max()), float(of_mean.max())
-            place = np.concatenate([place, self.cut.turned(np.maximum(of_light, of_mean), PROBES)])
-        places, share = np.repeat(place, kinds, axis=0), np.tile(share, (len(place), 1, 1))
+        places, share = np.repeat(self.middle + self.half * place, kinds, axis=0), np.tile(share, (PROBES, 1, 1))
         images, groups, chief, _ = self.exact(places, share)
         direction = self._direction(places)
+        worst = worst_px = 0.0
         for exact in (stamps for group in groups for stamps in images.stamps(group, float(grid.radius_px))):
             at = exact.stars
             if not np.isfinite(exact.mean_px).all():
@@ -403,18 +375,6 @@ class _FieldImages:
             mean = float(np.abs(ours.mean_px - exact.mean_px).max(initial=0.0))
             worst_px = max(worst_px, float(np.abs(first).max(initial=0.0)), mean)
         return replace(grid, error=worst, error_px=worst_px)
-
-    def _cut_errors(self, grid: WaveGrid, cut: CutBeams) -> tuple[FloatArray, FloatArray]:
-        """Largest errors (n,) of light and mean of the rays at every place of cut beams."""
-        light, mean = np.zeros((2, CUT_PLACES))
-        direction = self._direction(cut.place)
-        for i, k in enumerate(cut.which):
-            share = np.zeros((CUT_PLACES, *self.wavelength_nm.shape))
-            share[..., k] = 1.0
-            through, moments = grid.rays(direction, share, cut.chief_px)
-            light = np.maximum(light, np.abs(through - cut.light[..., i]).max(1))
-            mean = np.maximum(mean, np.abs(moments.mean_px - cut.mean_px[..., i, :]).max((1, 2)))
-        return light, mean
 
 
 def _alike(weight: FloatArray, x_px: FloatArray, y_px: FloatArray) -> bool:

@@ -193,9 +193,10 @@ def test_effective_psf_is_what_the_renderer_puts_into_pixels(engine):
 def test_images_interpolated_over_the_field_are_those_of_every_star(engine, name, focal_mm, change, size_px, cut):
     """Also those of a lens that is not one of revolution, for which mirrored or turned images would be wrong.
 
-    Of the 26 mm lens apertures cut the beams of 7 stars, with kinks over the field that no polynomial follows.
+    Of the 26 mm lens apertures cut the beams of 7 stars, with kinks over the field that no polynomial follows: there
+    the errors are what docs/diffraction.md states.
     """
-    tolerance, ray_tolerance, parts = (1e-4, 5e-5, 1e-4) if cut else (1e-4, 1e-5, 1e-4)
+    tolerance, ray_tolerance, parts = (2e-4, 2e-4, 3e-4) if cut else (1e-4, 1e-5, 1e-4)
     lens = change(load_lens(name))
     camera = camera_of(lens, *size_px)
     camera = replace(camera, centre_px=camera.centre_px + np.array([1.7, -2.4]))
@@ -220,7 +221,7 @@ def test_images_interpolated_over_the_field_are_those_of_every_star(engine, name
         assert np.abs(ours - theirs).max() < tolerance * light
         grid = np.arange(theirs.shape[1])
         assert (ours.sum(0) @ grid) / ours.sum() == pytest.approx((theirs.sum(0) @ grid) / theirs.sum(), abs=tolerance)
-    assert fast.truth.photon_x_px == pytest.approx(exact.truth.photon_x_px, abs=5e-5 if cut else 1e-6)
+    assert fast.truth.photon_x_px == pytest.approx(exact.truth.photon_x_px, abs=tolerance if cut else 1e-6)
     assert fast.truth.electrons_beyond == pytest.approx(exact.truth.electrons_beyond, rel=0.2)
     rays = Tracer(replace(camera, diffraction="rays")).render(stars, exposure_s=1.0).truth  # the grid traces none
     for key in ("chief_x_px", "chief_y_px", "bundle_x_px", "bundle_y_px"):
