@@ -31,9 +31,13 @@ def run(config: Config, *, progress: Progress) -> Result:
     from experiments.camera.result import Result
     from experiments.camera.thermal import thermal_study
     from experiments.camera.tornado import predict_tornado, tornado_size
+    from experiments.laboratory.checks import focus_remark
 
     with progress.stage("predict"):
         prediction = predict_camera(config)
+    state = prediction.state
+    if remark := focus_remark(state.instrument.camera, state.light.wavelength_nm.ravel()):
+        progress.note(remark)
     with progress.stage("temperature"):
         thermal = thermal_study(config)
     swings: tuple[Swing, ...] = ()

@@ -58,12 +58,15 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
     from experiments.dataset.production.complete import complete
     from experiments.dataset.production.job import Job
     from experiments.dataset.result import Result
+    from experiments.laboratory.checks import focus_remark
 
     with progress.stage("prepare"):
         if "webdataset" in config.exports:
             check_webdataset()
         scene = build_scene(config)
         _check_window(config, scene)
+    if remark := focus_remark(scene.instrument.camera, scene.light.wavelength_nm.ravel()):
+        progress.note(remark)
     backend, camera = Engine.active().backend, scene.instrument.camera
     job = Job(config=for_workers(config).model_dump_json(), folder=str(output.path), backend=backend, url=output.url)
     output.open(software(backend))

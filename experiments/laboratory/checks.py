@@ -1,4 +1,4 @@
-"""What is refused before long work: target points that the camera cannot see."""
+"""What is said before long work: target points that the camera cannot see, stars far out of focus."""
 
 from __future__ import annotations
 
@@ -12,13 +12,21 @@ from experiments.laboratory.ray_prediction import expected_spots
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.frames import field_angles_deg
-from optics.rays.spots import best_focus_shift_mm
+from optics.rays.paraxial import axial_paraxial
+from optics.rays.performance import white_focus
+from optics.rays.spots import best_focus_shift_mm, trace_spots
+from render.camera import Camera
 
-__all__ = ["check_light"]
+__all__ = ["check_light", "focus_remark"]
 
 
 RADII = 4.0
 """Least width of a window in RMS radii of the spot."""
+WIDE_PX = 2.5
+FAR_OUT = 1.5
+"""Spots of this RMS radius that are that many times those in the best focus are hardly meant."""
+PARTS = (0.0, 0.5, 0.7, 0.9)
+"""Fields, as parts of the distance from the middle to the corner of the detector."""
 
 
 def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> None:
@@ -57,3 +65,33 @@ def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
             f"instrument.defocus_mm = {best:.3f} mm (it is {instrument.config.defocus_mm:g} mm), or set "
             f"window_px = {window}"
         )
+
+
+def focus_remark(camera: Camera, wavelength_nm: FloatArray) -> str:
+    """What to say of a camera whose stars are far out of focus, a lens file's own image plane for one; empty if not.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    wavelength_nm : (w,)
+        Wavelengths that are seen alike.
+
+    Raises
+    ------
+    ConvergenceError
+        If no ray gets through the lens.
+    """
+    lens = camera.focused_lens
+    focal_mm = abs(axial_paraxial(lens, lens.design_wavelength_nm).efl_mm)
+    corner_mm = 0.5 * math.hypot(camera.width_px, camera.height_px) * camera.pixel_pitch_mm
+    field_deg = min(math.degrees(math.atan2(corner_mm, focal_mm)), lens.max_field_deg) * np.array(PARTS)
+    spots = trace_spots(lens, field_deg, 0.0 * field_deg, wavelength_nm)
+    focus = white_focus(spots, np.ones(len(wavelength_nm))).mean
+    radius_px, best_px = (float(focus.rms_mm(z)) / camera.pixel_pitch_mm for z in (0.0, focus.best_mm))
+    if not (radius_px > WIDE_PX and radius_px > FAR_OUT * best_px):
+        return ""
+    return (
+        f"stars are far out of focus: {radius_px:.1f} px RMS radius, {best_px:.1f} px with instrument.defocus_mm = "
+        f"{camera.defocus_mm + float(focus.best_mm):.3f} (it is {camera.defocus_mm:g})"
+    )
