@@ -37,6 +37,9 @@ PARTS = (0.0, 0.45, 0.7, 0.87, 1.0)
 """Fields, as parts of the distance from the middle to the corner of the detector."""
 RAYS = (32, 64)
 """Rings and azimuths of the pupil."""
+AREA_PARTS = np.linspace(0.0, 1.0, 25)
+AREA_RAYS = (16, 32)
+"""Fields and rays for the collecting area, which has a kink where an aperture begins to cut."""
 OVERSAMPLING = 8
 AZIMUTH_DEG = 22.5
 """Direction in which PSFs lie from the middle: halfway between the axes and the diagonals of the pixels."""
@@ -68,6 +71,8 @@ class OpticalState:
         Distance of the fields from the middle of the detector.
     performance : LensPerformance
         Of the focused lens at these fields.
+    area_radius_px, area_mm2 : (a,)
+        Distance from the middle of the detector; collecting area of the lens there for the star that is quoted.
     psfs : tuple of EffectivePsf
         Of these fields, for the star that is quoted.
     cold_psfs, hot_psfs : tuple of EffectivePsf
@@ -89,6 +94,8 @@ class OpticalState:
     share: FloatArray
     radius_px: FloatArray
     performance: LensPerformance
+    area_radius_px: FloatArray
+    area_mm2: FloatArray
     psfs: tuple[EffectivePsf, ...]
     cold_psfs: tuple[EffectivePsf, ...]
     hot_psfs: tuple[EffectivePsf, ...]
@@ -111,8 +118,7 @@ class OpticalState:
     def electrons_per_s(self, magnitude: FloatArray, temperature_k: FloatArray, radius_px: FloatArray) -> FloatArray:
         """Electrons per second of stars (n,), at distances from the middle of the detector."""
         rate = self.light.photon_rate(magnitude, temperature_k)[:, 0] * self.response  # per mm^2
-        area = (np.nan_to_num(self.performance.area_mm2) * self.share).sum(1)
-        return np.asarray(rate.sum(1) * np.interp(radius_px, self.radius_px, area))
+        return np.asarray(rate.sum(1) * np.interp(radius_px, self.area_radius_px, self.area_mm2))
 
     def colour_shift_px(self, temperature_k: FloatArray, radius_px: FloatArray) -> FloatArray:
         """Radial shift (n,) of stars by their colour, against the star that is quoted."""
@@ -179,10 +185,14 @@ def _state(
     response = camera.response_at(wave)
     share = _share(light, response, temperature_k)
     corner_px = 0.5 * float(np.hypot(camera.width_px, camera.height_px))
-    radius_px = corner_px * np.array(PARTS)
-    field_deg = np.degrees(np.arctan(radius_px * camera.pixel_pitch_mm / instrument.focal_length_mm))
+    radius_px, area_radius_px = (corner_px * np.array(parts) for parts in (PARTS, AREA_PARTS))
+    field_deg, area_field_deg = (
+        np.degrees(np.arctan(radius * camera.pixel_pitch_mm / instrument.focal_length_mm))
+        for radius in (radius_px, area_radius_px)
+    )
     spots = trace_spots(lens, field_deg, np.zeros_like(field_deg), wave, order=RAYS)
     performance = lens_performance(lens, field_deg, wave, share, spots=spots)
+    seen = trace_spots(lens, area_field_deg, np.zeros_like(area_field_deg), wave, order=AREA_RAYS)
     pitch, diffusion_px = camera.pixel_pitch_mm, camera.charge_diffusion_px
     rms_px = white_focus(spots, share).rms_mm() / pitch
     trail_px = performance.plate_scale_mm / pitch * turn_rad[0] * np.array([np.cos(turn_rad[1]), np.sin(turn_rad[1])])
@@ -220,6 +230,8 @@ def _state(
         share=share,
         radius_px=radius_px,
         performance=performance,
+        area_radius_px=area_radius_px,
+        area_mm2=(seen.area_mm2.sum(-1) @ share) * np.cos(np.radians(area_field_deg)),
         psfs=psfs(share),
         cold_psfs=psfs(_share(light, response, COLD_K)),
         hot_psfs=psfs(_share(light, response, HOT_K)),
