@@ -94,6 +94,12 @@ class Glass:
             raise ConfigError(f"glass {self.name}: a source is missing; say where its coefficients come from")
         if len(self.range_nm) != 2 or not 0.0 < self.range_nm[0] < self.range_nm[1]:
             raise DomainError(f"glass {self.name}: range_nm {self.range_nm} is not a range of wavelengths [nm]")
+        coldest, hottest = REFERENCE_RANGE_C
+        if not coldest <= self.reference_temperature_c <= hottest:
+            raise DomainError(
+                f"glass {self.name}: reference_temperature_c = {self.reference_temperature_c:g} C is outside "
+                f"{coldest:g} ... {hottest:g} C"
+            )
         low, high = self.range_nm
         for resonance in self.dispersion.resonances_um2:
             if resonance > 0.0 and low <= 1e3 * resonance**0.5 <= high:
@@ -266,6 +272,8 @@ def _floats(values: Any, what: str) -> tuple[float, ...]:
     return numbers
 
 
+REFERENCE_RANGE_C = (-273.15, 1000.0)
+"""Temperatures at which an index may have been measured."""
 _LEAST_INDEX = 0.999
 """Vacuum has 0.99973 against air; what is below is no glass."""
 _LARGEST_INDEX = 10.0
@@ -374,7 +382,10 @@ def _thermal(name: str, table: Mapping[str, Any]) -> ThermalDispersion | None:
     if len(constants) != 6:
         raise ConfigError(f"glass {name}: dndt has {len(constants)} numbers; D0 D1 D2 E0 E1 lambda_TK are needed")
     d0, d1, d2, e0, e1, resonance = constants
-    dndt = ThermalDispersion(D0=d0, D1=d1, D2=d2, E0=e0, E1=e1, lambda_tk_um=resonance)
+    try:
+        dndt = ThermalDispersion(D0=d0, D1=d1, D2=d2, E0=e0, E1=e1, lambda_tk_um=resonance)
+    except DomainError as error:
+        raise DomainError(f"glass {name}: {error}") from None
     if "dndt_range_c" not in table:
         return dndt
     low, high = _floats(table["dndt_range_c"], f"glass {name}: dndt_range_c")

@@ -300,6 +300,8 @@ def thermal_change(wavelength_nm: Any, index: Any, volume: Any, strength: Any, r
 
 
 LARGE_STEP_K = 60.0
+LARGEST_RESONANCE_UM = 1000.0
+"""No glass has a resonance beyond it; catalogues give 0 to some tenths of a micrometre."""
 LARGE_CHANGE = 0.1
 """Of n^2 - 1, and by a resonance of n^2 - 1 times um^2; germanium, the most of all, changes by 0.013."""
 
@@ -332,6 +334,10 @@ class ThermalDispersion:
         values = (self.D0, self.D1, self.D2, self.E0, self.E1, self.lambda_tk_um, *self.range_c)
         if not all(math.isfinite(value) for value in values):
             raise DomainError(f"dn/dT constants {values} hold a value that is not finite")
+        if abs(self.lambda_tk_um) > LARGEST_RESONANCE_UM:
+            raise DomainError(
+                f"dn/dT constant lambda_TK = {self.lambda_tk_um:g} um; at most {LARGEST_RESONANCE_UM:g} um is allowed"
+            )
         if max(abs(term) for kelvin in (-LARGE_STEP_K, LARGE_STEP_K) for term in self.terms(kelvin)[:2]) > LARGE_CHANGE:
             raise DomainError(
                 f"dn/dT constants {values[:6]} change n^2 - 1 by more than a tenth in {LARGE_STEP_K:g} K, which no "

@@ -257,6 +257,8 @@ GOOD = {"B": [1.0, 0.2], "C": [0.01, 90.0], "range_nm": [400, 700], "source": "t
         ({"range_nm": [700, 400]}, DomainError, "range"),
         ({"source": ""}, ConfigError, "source"),
         ({"dndt": [1e-6, 0.0]}, ConfigError, "2 numbers"),
+        ({"reference_temperature_c": 2e301}, DomainError, "-273.15 ... 1000 C"),
+        ({"dndt": [0.0, 0.0, 0.0, 0.0, 0.0, 1e299]}, DomainError, "at most 1000 um"),
         ({"nd": "high"}, DomainError, "nd"),
         ({"transmittance": [0.9]}, ConfigError, "belong together"),
         ({"transmittance": [0.9, 1.2], "transmittance_nm": [400, 700], "transmittance_mm": 10}, DomainError, "1.2"),
