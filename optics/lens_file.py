@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from optics.errors import ConfigError, StarbenchError, unknown_name
-from optics.files.assemble import FileDefaults, Imported
+from optics.files.assemble import FileDefaults, Imported, glass_table
 from optics.files.draft import Row
+from optics.files.glasses import read_glass
 from optics.files.read import FOREIGN, Reading, import_lens, split_configuration
 from optics.files.report import ImportReport, ReportLine, Status
 from optics.glass.catalogue import list_glasses
@@ -181,6 +182,7 @@ def _of_toml(path: Path, where: str, environment: Environment | None) -> LensFil
     """A file of our own format."""
     tables = read_toml(path)
     _check_glasses(tables, where)
+    tables = _with_glass_files(tables, path.parent, where)
     lens = lens_from_table(tables, where=where, folder=path.parent, environment=environment or CATALOGUE_AIR)
     if _open(lens):
         shares = [(0.0, 0.0), *((c * f, s * f) for f in TOML_FIELDS[1:] for c, s in ((0, 1), (1, 0), (0, -1), (-1, 0)))]
@@ -369,6 +371,27 @@ def _uncrossed(
             said = f"{radius:.6g} mm, where it would cross the surface beside it; {closed}"
             notes.append(_note(mine[i].line, "clear aperture", said, mine[i].number))
     return lens, tables
+
+
+def _with_glass_files(tables: dict[str, Any], folder: Path, where: str) -> dict[str, Any]:
+    """The prescription with the numbers of the glasses that name a file: an AGF catalogue or refractiveindex.info's."""
+    own = tables.get("glass")
+    if not isinstance(own, Mapping):
+        return tables  # said elsewhere
+    found = {}
+    for name, table in own.items():
+        if not isinstance(table, Mapping) or "file" not in table:
+            continue
+        for key, value in table.items():
+            if key not in ("file", "name"):
+                raise ConfigError(f"{where}: glass.{name}.{key} beside file: only name may stand there")
+            if not isinstance(value, str):
+                raise ConfigError(f"{where}: glass.{name}.{key} = {value!r}: text is needed, in quotation marks")
+        try:
+            found[name] = glass_table(read_glass(folder / table["file"], table.get("name", name)))
+        except StarbenchError as error:
+            raise ConfigError(f"{where}: glass.{name}.file: {error}") from None
+    return {**tables, "glass": {**own, **found}} if found else tables
 
 
 def _check_glasses(tables: Mapping[str, Any], where: str) -> None:

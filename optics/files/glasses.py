@@ -16,9 +16,10 @@ from optics.files.draft import Draft, GlassName
 from optics.files.report import GlassChoice, Status
 from optics.glass.agf import AgfCatalogue, read_agf
 from optics.glass.catalogue import Glass, get_glass, list_glasses
+from optics.glass.index_database import read_material
 from optics.glass.model import D_NM, MODEL_ERROR, model_glass, six_digits
 
-__all__ = ["Found", "GlassFinder"]
+__all__ = ["Found", "GlassFinder", "read_glass"]
 
 BUILT_IN = {
     "SCHOTT": ("SCHOTT",),
@@ -47,6 +48,22 @@ class Found:
     choice: GlassChoice
     meant: Glass | None
     message: str
+
+
+def read_glass(path: Path, name: str) -> Glass:
+    """Glass ``name`` of an AGF catalogue, or the one of a material file of refractiveindex.info; by the ending.
+
+    Raises
+    ------
+    ConfigError, DomainError
+        Another ending, what `read_agf` and `read_material` raise, or no such glass in the catalogue.
+    """
+    ending = path.suffix.lower()
+    if ending == ".agf":
+        return read_agf(path).glass(name)
+    if ending in (".yml", ".yaml"):
+        return read_material(path, name)
+    raise ConfigError(f"{path}: a catalogue (.agf) or a material of refractiveindex.info (.yml) is needed")
 
 
 def _bare(name: str) -> str:

@@ -5,7 +5,8 @@ import os
 import pytest
 
 from optics.errors import ConfigError, DomainError
-from optics.lens_file import load_lens
+from optics.export.write import write_lens
+from optics.lens_file import load_lens, read_lens_file
 from optics.rays.axial_beam import check_axial_beam
 from optics.rays.paraxial import paraxial
 
@@ -118,6 +119,31 @@ def test_a_pupil_stands_for_the_radius_of_the_stop(tmp_path, pupil):
 def test_an_expansion_that_no_glass_has_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"glass\.NAME\.cte_per_k = 1e\+300"):
         loaded(tmp_path, TRIPLET.replace('"N-F2"', '"NAME"') + GLASS + "cte_per_k = 1e300\n")
+
+
+def test_glasses_of_files(tmp_path):
+    """F2 of SCHOTT's catalogue by its printed coefficients, as AGF and as refractiveindex.info write them."""
+    b, c = (1.34533359, 0.209073176, 0.937357162), (0.00997743871, 0.0470450767, 111.886764)
+    pairs = " ".join(f"{x} {y}" for x, y in zip(b, c, strict=True))
+    (tmp_path / "mine.AGF").write_text(f"NM F2 2 0 1.62004 36.37\nED 8.2 9.2 3.6 0 0\nCD {pairs}\nLD .32 2.5\n")
+    roots = " ".join(f"{x} {y**0.5}" for x, y in zip(b, c, strict=True))
+    data = f"DATA:\n  - type: formula 1\n    wavelength_range: 0.32 2.5\n    coefficients: 0 {roots}\n"
+    (tmp_path / "f2.yml").write_text(data)
+    text = TRIPLET.replace('"N-F2"', '"melt 7"')
+    for table in ('file = "mine.AGF"\nname = "F2"', 'file = "f2.yml"'):
+        lens = loaded(tmp_path, f'{text}\n[glass."melt 7"]\n{table}\n')
+        assert float(lens.glasses["melt 7"].index(587.5618)) == pytest.approx(1.62004, abs=5e-6)
+    written = write_lens(read_lens_file(tmp_path / "lens.toml"), tmp_path / "whole.toml")
+    assert float(load_lens(written[0]).glasses["melt 7"].index(587.5618)) == pytest.approx(1.62004, abs=5e-6)
+    for table, said in (
+        ('file = "mine.AGF"', r"glass\.melt 7\.file: unknown glass of catalogue MINE 'melt 7'"),
+        ('file = "none.agf"', r"glass\.melt 7\.file: .*none\.agf: no such file"),
+        ('file = "f2.txt"', r"f2\.txt: a catalogue \(\.agf\) or a material of refractiveindex\.info"),
+        ('file = "f2.yml"\nnd = 1.6', r"glass\.melt 7\.nd beside file"),
+        ("file = 3", r"glass\.melt 7\.file = 3: text"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            loaded(tmp_path, f'{text}\n[glass."melt 7"]\n{table}\n')
 
 
 def test_an_asphere_beyond_its_range_is_refused_where_light_is_traced(tmp_path):
