@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from optics.errors import ConfigError
 from optics.figures import draw_lens
-from optics.glass.catalogue import get_glass
+from optics.glass.catalogue import get_glass, glass_from_table
 from optics.lens.perturb import EVERYTHING, change_temperature, decentre, despace, tilt
 from optics.lens.prescription import lens_from_table
 from optics.lens.shapes.conic import Conic
@@ -144,12 +144,15 @@ def test_the_ritchey_chretien_of_the_page_has_no_coma(tmp_path):
 
 
 def test_the_tables_of_the_page_are_valid(tmp_path):
-    breaking, error = (tomllib.loads(text) for text in blocks_of_the_page()[1:])
+    breaking, glasses, error = (tomllib.loads(text) for text in blocks_of_the_page()[1:])
     np.save(tmp_path / error["surface"]["error"]["file"], np.zeros((7, 7)))
     surface = {**CASSEGRAIN["surface"][0], "semi_diameter_mm": 29.0, "inner_semi_diameter_mm": 1.0}
     table = {**HEAD, "surface": [*breaking["surface"], {**surface, "error": error["surface"]["error"]}]}
     lens = lens_from_table(table, where="page", folder=tmp_path)
     np.testing.assert_allclose(lens.surfaces[0].rotation, turn("x", 45.0), atol=1e-15)
+    of_file, mine = glasses["glass"].values()
+    assert set(of_file) == {"file", "name"}
+    assert float(glass_from_table("mine", mine).index(587.5618)) == pytest.approx(1.5168, abs=5e-6)  # N-BK7, printed
 
 
 @pytest.mark.parametrize("name", ["gradient_index", "grating", "binary", "hologram"])
