@@ -20,21 +20,7 @@ COMMANDS = {
 
 
 def main(argv: list[str], *, own_process: bool = False) -> int:
-    """List the experiments, or run one of them.
-
-    Parameters
-    ----------
-    argv : list of str
-        ``NAME [options]`` runs an experiment or one of `COMMANDS`; ``--all`` runs all experiments; ``--names`` prints
-        bare names, one per line; ``--version`` the version; nothing or ``--help`` what there is.
-    own_process : bool
-        Whether the process is ours to end, as on a command line.
-
-    Returns
-    -------
-    int
-        Exit code.
-    """
+    """List the experiments, or run one of them."""
     if argv and argv[0] in COMMANDS:  # without the rest, which a broken installation may lack
         return int(import_module(f"experiments.{argv[0]}.command").main(argv[1:]))
     from experiments.harness.registry import found, load

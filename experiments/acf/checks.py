@@ -24,18 +24,7 @@ WORST_DEG = 1.0
 
 
 def check_design(config: Config) -> None:
-    """Refuse a camera of mostly distortion, and a night that cannot determine all 14 unknowns.
-
-    Parameters
-    ----------
-    config : Config
-        Settings.
-
-    Raises
-    ------
-    DomainError
-        Naming what is missing.
-    """
+    """Refuse a camera of mostly distortion, and a night that cannot determine all 14 unknowns."""
     _check_distortion(config)
     if config.gyro.motion == "fixed_axis":
         raise DomainError(

@@ -22,22 +22,12 @@ __all__ = ["Covariances", "ExpectedResults", "StarCount", "expected_results", "s
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Covariances:
-    """Predicted at one noise; angles phi and theta in rad.
+    """Predicted at one noise; angles phi and theta in rad."""
 
-    Attributes
-    ----------
-    perfect, acc : (14, 14)
-        ACC as it sees itself, and with the gyro's error that it does not know of.
-    linked : (14, 14)
-        Cramer-Rao bound with that gyro.
-    free : (8, 8)
-        Cramer-Rao bound with an attitude of its own in every frame.
-    """
-
-    perfect: FloatArray
-    acc: FloatArray
-    linked: FloatArray
-    free: FloatArray
+    perfect: FloatArray  # (14, 14) ACC as it sees itself, and with the gyro's error that it does not know of
+    acc: FloatArray  # (14, 14) ACC as it sees itself, and with the gyro's error that it does not know of
+    linked: FloatArray  # (14, 14) Cramer-Rao bound with that gyro
+    free: FloatArray  # (8, 8) Cramer-Rao bound with an attitude of its own in every frame
 
     def __post_init__(self) -> None:
         for name in ("perfect", "acc", "linked"):
@@ -47,64 +37,30 @@ class Covariances:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarCount:
-    """Stars per frame for which the expected reprojection error is the published one.
+    """Stars per frame for which the expected reprojection error is the published one."""
 
-    Attributes
-    ----------
-    pixel_um : float
-        Pixel.
-    closed_form : float
-        From sigma sqrt(14 / n), a perfect gyro.
-    with_gyro : float
-        With the gyro of Table 1; infinite where the gyro alone gives more than is published.
-    gyro_px : float
-        What that gyro alone gives.
-    stars : (m,)
-        Numbers of stars tried.
-    mean_px, scatter_px : (m,)
-        Expected RMS length of a run with the gyro of Table 1, and its standard deviation.
-    low, high : float
-        Between these the published value lies within one standard deviation of a run; NaN if nowhere.
-    """
-
-    pixel_um: float
-    closed_form: float
-    with_gyro: float
-    gyro_px: float
-    stars: FloatArray
-    mean_px: FloatArray
-    scatter_px: FloatArray
-    low: float
-    high: float
+    pixel_um: float  # Pixel
+    closed_form: float  # From sigma sqrt(14 / n), a perfect gyro
+    with_gyro: float  # With the gyro of Table 1; infinite where the gyro alone gives more than is published
+    gyro_px: float  # What that gyro alone gives
+    stars: FloatArray  # (m,) Numbers of stars tried
+    mean_px: FloatArray  # (m,) Expected RMS length of a run with the gyro of Table 1, and its standard deviation
+    scatter_px: FloatArray  # (m,) Expected RMS length of a run with the gyro of Table 1, and its standard deviation
+    low: float  # Between these the published value lies within one standard deviation of a run; NaN if nowhere
+    high: float  # Between these the published value lies within one standard deviation of a run; NaN if nowhere
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpectedResults:
-    """Expected results.
+    """Expected results."""
 
-    Attributes
-    ----------
-    fig3 : sequence of sequence of Reprojection
-        By noise, by gyro.
-    table2 : Covariances
-        For the frames that calibrate.
-    fig4, inferred : Reprojection
-        With the gyro of Table 1.
-    counts : sequence of sequence of Reprojection
-        By number of stars, by gyro.
-    fig5 : sequence of Covariances
-        By noise.
-    matching : sequence of StarCount
-        For the assumed and the inferred pixel.
-    """
-
-    fig3: Sequence[Sequence[Reprojection]]
-    table2: Covariances
-    fig4: Reprojection
-    inferred: Reprojection
-    counts: Sequence[Sequence[Reprojection]]
-    fig5: Sequence[Covariances]
-    matching: Sequence[StarCount]
+    fig3: Sequence[Sequence[Reprojection]]  # By noise, by gyro
+    table2: Covariances  # For the frames that calibrate
+    fig4: Reprojection  # With the gyro of Table 1
+    inferred: Reprojection  # With the gyro of Table 1
+    counts: Sequence[Sequence[Reprojection]]  # By number of stars, by gyro
+    fig5: Sequence[Covariances]  # By noise
+    matching: Sequence[StarCount]  # For the assumed and the inferred pixel
 
 
 def expected_results(config: Config, plan: Plan, inferred_um: float) -> ExpectedResults:

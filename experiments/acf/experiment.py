@@ -16,13 +16,7 @@ __all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
-    """Simulate, calibrate, compare.
-
-    Raises
-    ------
-    StarbenchError
-        On a camera that folds its image over, a motion that leaves an unknown undetermined, too few stars.
-    """
+    """Simulate, calibrate, compare."""
     from experiments.acf.checks import check_design
     from experiments.acf.expected import expected_results
     from experiments.acf.independent import check_night

@@ -45,21 +45,12 @@ NOISE_PX = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """What came of it.
+    """What came of it."""
 
-    Attributes
-    ----------
-    images_off_px : float
-        Largest distance of a star from where eq. 1 to 6 put it.
-    adjusted_off_sigma : float
-        Largest difference of the estimator's 14 unknowns from those of eq. 11 written out, in its sigmas.
-    moved_part : float
-        Largest difference of what came back from what was moved, as part of it, over three methods.
-    """
-
-    images_off_px: float
+    images_off_px: float  # Largest distance of a star from where eq. 1 to 6 put it
+    # Largest difference of the estimator's 14 unknowns from those of eq. 11 written out, in its sigmas
     adjusted_off_sigma: float
-    moved_part: float
+    moved_part: float  # Largest difference of what came back from what was moved, as part of it, over three methods
 
 
 def _rate(config: Config, time_s: float) -> FloatArray:

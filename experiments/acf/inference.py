@@ -34,42 +34,24 @@ PLACES = 11
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Inference:
-    """Pixel and stars from Table 2, read as one calibration at 0.1 px.
+    """Pixel and stars from Table 2, read as one calibration at 0.1 px."""
 
-    Attributes
-    ----------
-    pixel_um : (m,)
-        Pixels tried, for the reprojection.
-    reprojected_px : (m, 2)
-        RMS difference, x and y, between the printed and the true camera and attitude over the detector.
-    tried_um : (k,)
-        Pixels tried, for the likelihood.
-    tried_stars : (s,)
-        Stars per frame tried.
-    likelihood : (k, s)
-        Logarithm, 0 at its greatest.
-    best_um, sigma_um : float
-        Most likely pixel, and its standard deviation.
-    best_stars, low_stars, high_stars : float
-        Most likely number of stars per frame, and where the likelihood (the pixel at its best) has fallen by 1/2.
-    chi2 : float
-        Of the 11 printed errors at the best place.
-    chi2_assumed : float
-        The same at the pixel that the experiment assumes, with the most likely number of stars there.
-    """
-
-    pixel_um: FloatArray
+    pixel_um: FloatArray  # (m,) Pixels tried, for the reprojection
+    # (m, 2) RMS difference, x and y, between the printed and the true camera and attitude over the detector
     reprojected_px: FloatArray
-    tried_um: FloatArray
-    tried_stars: FloatArray
-    likelihood: FloatArray
-    best_um: float
-    sigma_um: float
+    tried_um: FloatArray  # (k,) Pixels tried, for the likelihood
+    tried_stars: FloatArray  # (s,) Stars per frame tried
+    likelihood: FloatArray  # (k, s) Logarithm, 0 at its greatest
+    best_um: float  # Most likely pixel, and its standard deviation
+    sigma_um: float  # Most likely pixel, and its standard deviation
+    # Most likely number of stars per frame, and where the likelihood (the pixel at its best) has fallen by 1/2
     best_stars: float
+    # Most likely number of stars per frame, and where the likelihood (the pixel at its best) has fallen by 1/2
     low_stars: float
+    # Most likely number of stars per frame, and where the likelihood (the pixel at its best) has fallen by 1/2
     high_stars: float
-    chi2: float
-    chi2_assumed: float
+    chi2: float  # Of the 11 printed errors at the best place
+    chi2_assumed: float  # The same at the pixel that the experiment assumes, with the most likely number of stars there
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -104,15 +86,7 @@ def printed_reprojection(config: Config, pixel_um: float, printed: FloatArray = 
 
 
 def infer(points: int = 29, printed: FloatArray = TABLE2_CALIBRATED) -> Inference:
-    """Pixel and stars per frame from Table 2; a function of the document alone, not of the configuration.
-
-    Parameters
-    ----------
-    points : int
-        Pixels tried for the likelihood.
-    printed : (14,)
-        Calibrated values as Table 2 prints them.
-    """
+    """Pixel and stars per frame from Table 2; a function of the document alone, not of the configuration."""
     config = Config()
     pixel = np.linspace(4.0, 12.0, 161)
     reprojected = np.stack([printed_reprojection(config, um, printed) for um in pixel])

@@ -47,27 +47,13 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Design:
-    """Derivatives at the truth.
+    """Derivatives at the truth."""
 
-    Attributes
-    ----------
-    by_model : (n, 2, p)
-        Of a star's pixel position by the camera's parameters.
-    by_attitude : (n, 2, 3)
-        By the attitude of its frame, a rotation vector in cam [px/rad].
-    frame : (n,)
-        Frame of each star.
-    link : (f, 3, 6)
-        S_k: attitude of a frame by that of the first and by the installation.
-    drift : (f, 3, 3)
-        T_k: attitude of a frame by the gyro's accumulated error.
-    """
-
-    by_model: FloatArray
-    by_attitude: FloatArray
-    frame: IntArray
-    link: FloatArray
-    drift: FloatArray
+    by_model: FloatArray  # (n, 2, p) Of a star's pixel position by the camera's parameters
+    by_attitude: FloatArray  # (n, 2, 3) By the attitude of its frame, a rotation vector in cam [px/rad]
+    frame: IntArray  # (n,) Frame of each star
+    link: FloatArray  # (f, 3, 6) S_k: attitude of a frame by that of the first and by the installation
+    drift: FloatArray  # (f, 3, 3) T_k: attitude of a frame by the gyro's accumulated error
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -81,21 +67,7 @@ class Design:
     def at(
         cls, model: CameraModel, attitude: Rotation, installation: Rotation, direction: FloatArray, frame: IntArray
     ) -> Design:
-        """Design of stars seen by a camera.
-
-        Parameters
-        ----------
-        model : CameraModel
-            Camera.
-        attitude : Rotation of f
-            Cam from reference, per frame.
-        installation : Rotation
-            Cam from gyro body.
-        direction : (n, 3)
-            Stars in the reference frame.
-        frame : (n,)
-            Frame of each.
-        """
+        """Design of stars seen by a camera."""
         matrix = attitude.as_matrix()
         seen = np.einsum("nij,nj->ni", matrix[frame], direction)
         jacobian = model.project_jacobian(seen)
@@ -136,18 +108,10 @@ class Design:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GyroError:
-    """Accumulated error of a gyro at the frames, as what drives it: e = steady s + walk w [rad].
+    """Accumulated error of a gyro at the frames, as what drives it: e = steady s + walk w [rad]."""
 
-    Attributes
-    ----------
-    steady : (3 f, 3)
-        By the signs s (each +1 or -1) of the three axes' bias.
-    walk : (3 f, m)
-        By independent unit normal increments w of the angle random walk.
-    """
-
-    steady: FloatArray
-    walk: FloatArray
+    steady: FloatArray  # (3 f, 3) By the signs s (each +1 or -1) of the three axes' bias
+    walk: FloatArray  # (3 f, m) By independent unit normal increments w of the angle random walk
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -158,17 +122,7 @@ class GyroError:
     def of(
         cls, time_s: FloatArray, swept: FloatArray, *, bias_rad_per_s: float, walk_rad_per_sqrt_s: float
     ) -> GyroError:
-        """Error at frames.
-
-        Parameters
-        ----------
-        time_s : (f,)
-            Time since the first frame [s].
-        swept : (f, 3, 3)
-            P_k: integral over time of the first body from the body at t [s].
-        bias_rad_per_s, walk_rad_per_sqrt_s : float
-            Sizes per axis.
-        """
+        """Error at frames."""
         step = np.sqrt(np.diff(time_s))
         reached = np.tril(np.ones((len(time_s), len(step))), -1) * step
         return cls(
@@ -183,17 +137,7 @@ class GyroError:
 
 
 def correlated(design: Design, sigma_px: float, gyro: GyroError | None = None) -> FloatArray:
-    """Covariance (p + 6, p + 6) of ACC (eq. 11), which takes the gyro as perfect.
-
-    Parameters
-    ----------
-    design : Design
-        Stars used.
-    sigma_px : float
-        Noise of a star's position, per axis.
-    gyro : GyroError, optional
-        What the gyro's error adds, though the estimator does not know of it; perfect gyro if left out.
-    """
+    """Covariance (p + 6, p + 6) of ACC (eq. 11), which takes the gyro as perfect."""
     normal, scale = _scaled_normal(design)
     inverse = np.linalg.inv(normal)
     covariance = sigma_px**2 * inverse
@@ -237,25 +181,14 @@ def free(design: Design, sigma_px: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reprojection:
-    """Expected error of noise-free stars reprojected with a calibration.
+    """Expected error of noise-free stars reprojected with a calibration."""
 
-    Attributes
-    ----------
-    axis_px : (2,)
-        Root of the mean square, x and y.
-    total_px : float
-        The same of the length.
-    mean_px : float
-        Expected value of one run's RMS length, which is what the document averages: the root's curvature is in it, to
-        second order in the scatter of the mean square.
-    scatter_px : float
-        Standard deviation of one run's RMS length.
-    """
-
-    axis_px: FloatArray
-    total_px: float
+    axis_px: FloatArray  # (2,) Root of the mean square, x and y
+    total_px: float  # The same of the length
+    # Expected value of one run's RMS length, which is what the document averages: the root's curvature is in it, to
+    # second order in the scatter of the mean square
     mean_px: float
-    scatter_px: float
+    scatter_px: float  # Standard deviation of one run's RMS length
 
     def __post_init__(self) -> None:
         freeze(self, "axis_px", shape=(2,))
@@ -265,15 +198,6 @@ def reprojection(used: Design, judged: Design, sigma_px: float, gyro: GyroError 
     """Reprojection error of ACC on other frames, where the gyro's error counts a second time.
 
     For a perfect gyro and frames alike this is sigma sqrt(14 / n): the 14 unknowns share the information of n stars.
-
-    Parameters
-    ----------
-    used, judged : Design
-        Stars that calibrate; noise-free stars that are reprojected.
-    sigma_px : float
-        Noise of the former, per axis.
-    gyro : GyroError, optional
-        The gyro's error; perfect if left out.
     """
     return reprojections(used, judged, [sigma_px], gyro)[0]
 

@@ -48,22 +48,7 @@ class Trials:
 
 
 def perform(config: Config, plan: Plan, *, advance: Callable[[int], None]) -> dict[str, Trials]:
-    """Make all runs.
-
-    Parameters
-    ----------
-    config : Config
-        Settings.
-    plan : Plan
-        What to run.
-    advance : callable
-        Called with the number of runs whenever some are done.
-
-    Returns
-    -------
-    dict of str to Trials
-        By the name of the point.
-    """
+    """Make all runs."""
     tasks = [
         Task(config=config, point=point, first=first, last=min(first + CHUNK, runs))
         for point, runs in ((point, plan.runs(config, point)) for point in plan.points)
@@ -87,24 +72,7 @@ def perform(config: Config, plan: Plan, *, advance: Callable[[int], None]) -> di
 def run_tasks(
     work: Callable[[Work], Done], tasks: Sequence[Work], *, workers: int, done: Callable[[int], None]
 ) -> list[Done]:
-    """Results of all tasks, in their order.
-
-    Parameters
-    ----------
-    work : callable
-        A function of a module, of one argument.
-    tasks : sequence
-        Its arguments; all are pickled.
-    workers : int
-        Processes; 0 for one per processor that this process may use.
-    done : callable
-        Called with the index of a task when its result is in, in the order of the tasks.
-
-    Raises
-    ------
-    BackendError
-        When a worker vanished (killed, out of memory).
-    """
+    """Results of all tasks, in their order."""
     count = min(workers or processors(), len(tasks))
     if not tasks:
         return []

@@ -19,67 +19,30 @@ fully weighted."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Point:
-    """A setting that runs are made of.
+    """A setting that runs are made of."""
 
-    Attributes
-    ----------
-    name : str
-        Name of its random streams.
-    noise_px : float
-        Noise of a star's position, per axis.
-    gyro : tuple of (float, float)
-        Gyros tried on the same stars: bias [deg/h] and angle random walk [deg/sqrt(h)].
-    methods : tuple of str
-        "acc" and "linked" run for every gyro, the others once.
-    frames : {"odd", "all"}
-        What calibrates. After "odd", noise-free even frames are reprojected.
-    stars : int or None
-        Stars in every frame; None: the density of the configuration.
-    own_sky : bool
-        Whether each run has a sky of its own; otherwise all runs see sky 0.
-    pixel_um : float or None
-        Pixel in place of the configured one.
-    keep_reprojections : bool
-        Whether each star's reprojection error is kept.
-    """
-
-    name: str
-    noise_px: float
+    name: str  # Name of its random streams
+    noise_px: float  # Noise of a star's position, per axis
+    # (float, float) Gyros tried on the same stars: bias [deg/h] and angle random walk [deg/sqrt(h)]
     gyro: tuple[tuple[float, float], ...]
-    methods: tuple[Method, ...]
-    frames: Literal["odd", "all"] = "odd"
-    stars: int | None = None
-    own_sky: bool = False
-    pixel_um: float | None = None
-    keep_reprojections: bool = False
+    methods: tuple[Method, ...]  # "acc" and "linked" run for every gyro, the others once
+    frames: Literal["odd", "all"] = "odd"  # What calibrates. After "odd", noise-free even frames are reprojected
+    stars: int | None = None  # Stars in every frame; None: the density of the configuration
+    own_sky: bool = False  # Whether each run has a sky of its own; otherwise all runs see sky 0
+    pixel_um: float | None = None  # Pixel in place of the configured one
+    keep_reprojections: bool = False  # Whether each star's reprojection error is kept
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """All points of the experiment.
+    """All points of the experiment."""
 
-    Attributes
-    ----------
-    fig3 : sequence of Point
-        One per noise; gyros: perfect, then the biases, then the random walks.
-    table2 : Point
-        Table 1's gyro, then a perfect one; Fig. 4 too.
-    counts : sequence of Point
-        One per number of stars; a perfect gyro, then Table 1's.
-    inferred : Point
-        Table 1's gyro with the pixel and the number of stars that the document's numbers ask for.
-    fig5 : sequence of Point
-        One per noise, Table 1's gyro, all methods.
-    sweep : sequence of Point
-        One per number of stars; a gyro per factor.
-    """
-
-    fig3: Sequence[Point]
-    table2: Point
-    counts: Sequence[Point]
-    inferred: Point
-    fig5: Sequence[Point]
-    sweep: Sequence[Point]
+    fig3: Sequence[Point]  # One per noise; gyros: perfect, then the biases, then the random walks
+    table2: Point  # Table 1's gyro, then a perfect one; Fig. 4 too
+    counts: Sequence[Point]  # One per number of stars; a perfect gyro, then Table 1's
+    inferred: Point  # Table 1's gyro with the pixel and the number of stars that the document's numbers ask for
+    fig5: Sequence[Point]  # One per noise, Table 1's gyro, all methods
+    sweep: Sequence[Point]  # One per number of stars; a gyro per factor
 
     @property
     def points(self) -> list[Point]:

@@ -22,36 +22,14 @@ __all__ = ["Result"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """Everything the run found.
+    """Everything the run found."""
 
-    Attributes
-    ----------
-    config : Config
-        Settings.
-    scene : Scene
-        Truth.
-    stars : Stars
-        The sky of Fig. 3 to 5 and Table 2.
-    plan : Plan
-        What was run.
-    trials : dict of str to Trials
-        By the name of the point.
-    expected : ExpectedResults
-        From the design alone.
-    inference : Inference
-        Pixel and stars from the document's own numbers.
-    rendered : Outcome or None
-        The calibration on rendered frames, by the experiment ``skycal``.
-    check : Check
-        The same night and adjustment by equations written out.
-    """
-
-    config: Config
-    scene: Scene
-    stars: Stars
-    plan: Plan
-    trials: Mapping[str, Trials]
-    expected: ExpectedResults
-    inference: Inference
-    rendered: Outcome | None
-    check: Check
+    config: Config  # Settings
+    scene: Scene  # Truth
+    stars: Stars  # The sky of Fig. 3 to 5 and Table 2
+    plan: Plan  # What was run
+    trials: Mapping[str, Trials]  # By the name of the point
+    expected: ExpectedResults  # From the design alone
+    inference: Inference  # Pixel and stars from the document's own numbers
+    rendered: Outcome | None  # The calibration on rendered frames, by the experiment ``skycal``
+    check: Check  # The same night and adjustment by equations written out

@@ -22,19 +22,7 @@ POINTS = 15
 
 
 def camera_settings(config: InstrumentConfig) -> dict[str, Any]:
-    """Table ``camera`` of the experiment: focal length and radial distortion fitted to chief rays over the detector.
-
-    Parameters
-    ----------
-    config : InstrumentConfig
-        Lens, detector and how they are operated; a lens of revolution has neither a principal point beside the middle
-        of the detector nor tangential distortion.
-
-    Raises
-    ------
-    StarbenchError
-        What `build_instrument` raises; a detector that sees beyond the field of the lens.
-    """
+    """Table ``camera`` of the experiment: focal length and radial distortion fitted to chief rays over the detector."""
     instrument = build_instrument(config)
     instrument.check_field()
     camera = instrument.camera

@@ -189,11 +189,6 @@ class Config(SensorExperimentConfig):
     def of_sensor(cls, file: Path) -> dict[str, Any]:
         """Settings that a sensor file decides: the camera, by a fit, and where the adjustment starts, as far off as in
         ACF17; nothing is rendered (``skycal --sensor`` renders it).
-
-        Raises
-        ------
-        StarbenchError
-            As `read_sensor`; a camera that cannot be built.
         """
         from experiments.acf.sensor import camera_settings
 

@@ -50,23 +50,12 @@ class TurningAxis:
 
     The rate is speed (cos b cos wt, cos b sin wt, sin b). In axes that go round with it the rate is constant, so that
     with w0 = speed (cos b, 0, sin b) the attitude is exactly R(t) = exp([z]w t) exp(-[w0 + w z]t) R(0).
-
-    Attributes
-    ----------
-    initial : Rotation
-        Body from reference at time 0.
-    speed_rad_per_s : float
-        Size of the rate.
-    turns_rad_per_s : float
-        w: how fast the axis goes round; 0 for a fixed axis.
-    end_s : float
-        Last time.
     """
 
-    initial: Rotation
-    speed_rad_per_s: float
-    turns_rad_per_s: float
-    end_s: float
+    initial: Rotation  # Body from reference at time 0
+    speed_rad_per_s: float  # Size of the rate
+    turns_rad_per_s: float  # w: how fast the axis goes round; 0 for a fixed axis
+    end_s: float  # Last time
 
     @property
     def start_s(self) -> float:
@@ -92,33 +81,15 @@ class TurningAxis:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """What is true in every run.
+    """What is true in every run."""
 
-    Attributes
-    ----------
-    camera : BrownConrady
-        The star sensor.
-    attitude : Rotation of f
-        Cam from icrs.
-    body : Rotation of f
-        Gyro body at a frame from gyro body at the first.
-    installation : Rotation
-        Cam from gyro body.
-    time_s : (f,)
-        Times of the frames.
-    swept : (f, 3, 3)
-        Integral over time of the first body from the body at t [s].
-    motion : TurningAxis
-        Motion of the gyro's body.
-    """
-
-    camera: BrownConrady
-    attitude: Rotation
-    body: Rotation
-    installation: Rotation
-    time_s: FloatArray
-    swept: FloatArray
-    motion: TurningAxis
+    camera: BrownConrady  # The star sensor
+    attitude: Rotation  # Cam from icrs
+    body: Rotation  # Gyro body at a frame from gyro body at the first
+    installation: Rotation  # Cam from gyro body
+    time_s: FloatArray  # (f,) Times of the frames
+    swept: FloatArray  # (f, 3, 3) Integral over time of the first body from the body at t [s]
+    motion: TurningAxis  # Motion of the gyro's body
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -211,21 +182,7 @@ def _swept(trajectory: TurningAxis, time_s: FloatArray, substeps: int = 20) -> F
 def gyro_rotations(
     scene: Scene, config: Config, streams: Streams, runs: range, noise: tuple[float, float]
 ) -> list[Rotation]:
-    """What the gyro says of the body's rotation, frame by frame from the first, for each run.
-
-    Parameters
-    ----------
-    scene : Scene
-        Truth.
-    config : Config
-        Rate of the gyro.
-    streams : Streams
-        Streams of the experiment's part; the bias's sign is drawn per axis and run.
-    runs : range
-        Which runs.
-    noise : (float, float)
-        Bias [deg/h] and angle random walk [deg/sqrt(h)] per axis.
-    """
+    """What the gyro says of the body's rotation, frame by frame from the first, for each run."""
     bias, walk = noise
     if bias == 0.0 and walk == 0.0:
         return [scene.body] * len(runs)
@@ -241,24 +198,12 @@ def gyro_rotations(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stars:
-    """Noise-free stars in frames.
+    """Noise-free stars in frames."""
 
-    Attributes
-    ----------
-    pixel_px : (n, 2)
-        Where they fall.
-    direction : (n, 3)
-        Unit vectors, icrs.
-    frame : (n,)
-        Frame of each.
-    star : (n,)
-        Number in the sky.
-    """
-
-    pixel_px: FloatArray
-    direction: FloatArray
-    frame: IntArray
-    star: IntArray
+    pixel_px: FloatArray  # (n, 2) Where they fall
+    direction: FloatArray  # (n, 3) Unit vectors, icrs
+    frame: IntArray  # (n,) Frame of each
+    star: IntArray  # (n,) Number in the sky
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -272,21 +217,7 @@ class Stars:
 
 
 def draw_stars(scene: Scene, streams: Streams, sky: int, *, mean: float | None = None, exactly: int = 0) -> Stars:
-    """A uniform random sky, as the camera sees it along its way.
-
-    Parameters
-    ----------
-    scene : Scene
-        Camera and attitudes.
-    streams : Streams
-        Streams; the sky is the stream "sky" of the frame ``sky``.
-    sky : int
-        Which sky.
-    mean : float
-        Mean number of stars in a frame: the limiting magnitude is set so; or
-    exactly : int
-        number in every frame: its brightest ones. Stars are brighter or fainter at random.
-    """
+    """A uniform random sky, as the camera sees it along its way."""
     camera, geometry = scene.camera, scene.camera.geometry
     dense = SPARE * (exactly if mean is None else mean) + 20.0
     pitch, focal = geometry.pixel_pitch_mm, camera.value("focal_length_mm")

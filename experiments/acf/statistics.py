@@ -70,23 +70,7 @@ def correlation_of(covariance: FloatArray) -> FloatArray:
 def reprojection_lengths(
     result: Result, points: Sequence[Point], expected: Sequence[Sequence[Reprojection]]
 ) -> dict[str, FloatArray]:
-    """RMS length of the reprojection error, run by run, which the document averages.
-
-    Parameters
-    ----------
-    result : Result
-        Runs.
-    points : sequence of p
-        Points with one number of runs.
-    expected : sequence of p sequences of g
-        Expectations by gyro.
-
-    Returns
-    -------
-    dict
-        (p, g) arrays: mean over the runs and its standard error ``error``; expected mean ``expected`` and standard
-        deviation of one run ``scatter``; ``deviation`` of the mean from the expectation, in expected standard errors.
-    """
+    """RMS length of the reprojection error, run by run, which the document averages."""
     square = np.array(
         [
             [result.trials[point.name].of("acc", "reprojection_px2", k) for k in range(len(row))]
@@ -223,15 +207,7 @@ def outside_limit(rms_pull: FloatArray, runs: int) -> NDArray[np.bool_]:
 
 
 def gains(result: Result) -> dict[str, FloatArray]:
-    """How many times better than free attitudes: ratio of the median line-of-sight errors over the skies.
-
-    Returns
-    -------
-    dict
-        (n, g) arrays by number of stars and gyro: "acc", which trusts the gyro, and "linked", the gyro of stated
-        noise, each with its standard error (resampled runs) "..._error" and expectation "..._bound"; "point" and
-        "point_bound", ACC's gain in the principal point.
-    """
+    """How many times better than free attitudes: ratio of the median line-of-sight errors over the skies."""
     factors, rng = range(len(result.config.sweep.gyro_factor)), np.random.default_rng(result.config.seed)
     names = ("acc", "acc_error", "acc_bound", "linked", "linked_error", "linked_bound", "point", "point_bound")
     found = {name: np.empty((len(result.plan.sweep), len(factors))) for name in names}

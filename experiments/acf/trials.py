@@ -76,18 +76,7 @@ class _Sky:
 
 
 def work(task: Task) -> dict[str, FloatArray]:
-    """Runs of a task.
-
-    Returns
-    -------
-    dict
-        Arrays whose first axis is the run. Keys ``METHOD.WHAT`` or ``METHOD@GYRO.WHAT`` (number of the gyro) with WHAT
-        one of: error (8 camera parameters, and for ACC and the linked adjustment 3 angles phi and 3 theta [rad]),
-        sigma (the estimator's own), converged, iterations, distortion_px (largest residual distortion),
-        sight_arcsec (RMS of the line-of-sight map), reprojection_px2 (mean square, x and y), reprojected_px.
-        With skies of their own also ``bound.free``, ``bound@GYRO.acc`` and ``bound@GYRO.linked``: predicted sigma of
-        the camera's parameters and of the line of sight.
-    """
+    """Runs of a task."""
     point, scene = task.point, build_scene(task.config, task.point.pixel_um)
     grid = field_of(task.config, task.point.pixel_um)
     streams = Streams(task.config.seed).child("acf", point.name)

@@ -41,19 +41,11 @@ DEGREE = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarErrors:
-    """Errors of one star, 3 sigma (2,) [arcsec].
+    """Errors of one star, 3 sigma (2,) [arcsec]."""
 
-    Attributes
-    ----------
-    random_arcsec : (2,)
-        Temporal and pixel error.
-    chromatic_arcsec, distortion_arcsec : (2,)
-        Low-frequency error.
-    """
-
-    random_arcsec: FloatArray
-    chromatic_arcsec: FloatArray
-    distortion_arcsec: FloatArray
+    random_arcsec: FloatArray  # (2,) Temporal and pixel error
+    chromatic_arcsec: FloatArray  # (2,) Low-frequency error
+    distortion_arcsec: FloatArray  # (2,) Low-frequency error
 
     @classmethod
     def of(cls, budget: Budget) -> StarErrors:
@@ -72,42 +64,20 @@ class StarErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttitudeStudy:
-    """Attitude errors, 3 sigma [arcsec]; columns are x, y (displacement of the boresight) and roll.
+    """Attitude errors, 3 sigma [arcsec]; columns are x, y (displacement of the boresight) and roll."""
 
-    Attributes
-    ----------
-    stars : int
-        N of the budget.
-    counts : (c,) int64
-        Numbers of stars of the curves.
-    trials : int
-        Fields per number.
-    curve : dict of str to (c, 3)
-        By reading of the low-frequency error.
-    rule : (c, 3)
-        Total / sqrt(N); for roll divided by the RMS distance of a star from the middle of the field, in radians.
-    bound : (c, 3)
-        Root mean variance that the estimator states for independent errors.
-    at : dict of str to (3,)
-        At N of the budget, by reading.
-    rule_at : (3,)
-        The rule there.
-    layout : dict of str to (3,)
-        At N of the budget, independent errors, stars only in a part of the field, by name.
-    failed : int
-        Trials in which the estimator gave no attitude; left out.
-    """
-
-    stars: int
-    counts: NDArray[np.int64]
-    trials: int
-    curve: Mapping[str, FloatArray]
+    stars: int  # N of the budget
+    counts: NDArray[np.int64]  # (c,) Numbers of stars of the curves
+    trials: int  # Fields per number
+    curve: Mapping[str, FloatArray]  # (c, 3) By reading of the low-frequency error
+    # (c, 3) Total / sqrt(N); for roll divided by the RMS distance of a star from the middle of the field, in radians
     rule: FloatArray
-    bound: FloatArray
-    at: Mapping[str, FloatArray]
-    rule_at: FloatArray
+    bound: FloatArray  # (c, 3) Root mean variance that the estimator states for independent errors
+    at: Mapping[str, FloatArray]  # (3,) At N of the budget, by reading
+    rule_at: FloatArray  # (3,) The rule there
+    # (3,) At N of the budget, independent errors, stars only in a part of the field, by name
     layout: Mapping[str, FloatArray]
-    failed: int
+    failed: int  # Trials in which the estimator gave no attitude; left out
 
     @property
     def relative_uncertainty(self) -> float:
@@ -150,21 +120,7 @@ def attitude_study(
     *,
     advance: Callable[[], None] = lambda: None,
 ) -> AttitudeStudy:
-    """Monte-Carlo of the attitude.
-
-    Parameters
-    ----------
-    instrument : Instrument
-        Sets the field.
-    errors : StarErrors
-        Errors of a star.
-    config : AttitudeConfig
-        Stars, trials.
-    streams : Streams
-        Root of the random numbers.
-    advance : callable
-        Called after each number of stars.
-    """
+    """Monte-Carlo of the attitude."""
     camera = instrument.camera
     half_px = np.array([camera.width_px, camera.height_px]) / 2.0
     field = _Field(half_px * camera.pixel_pitch_mm / instrument.focal_length_mm)

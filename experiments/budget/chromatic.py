@@ -31,38 +31,20 @@ ROUNDING_PX = 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChromaticTerm:
-    """ACC18's Table 1, and what becomes of it in the budget.
+    """ACC18's Table 1, and what becomes of it in the budget."""
 
-    Attributes
-    ----------
-    table1_px, sigma_px : dict of str to (2,)
-        Eq. 16 per pair of bands, signed, and its standard deviation.
-    rms_px : dict of str to (2,)
-        RMS shift of the points.
-    pixel_arcsec : float
-        Angle of a pixel.
-    n : int
-        Frames behind each entry; 0 for a prediction.
-    """
-
-    table1_px: Mapping[str, FloatArray]
-    sigma_px: Mapping[str, FloatArray]
-    rms_px: Mapping[str, FloatArray]
-    pixel_arcsec: float
-    n: int
+    table1_px: Mapping[str, FloatArray]  # (2,) Eq. 16 per pair of bands, signed, and its standard deviation
+    sigma_px: Mapping[str, FloatArray]  # (2,) Eq. 16 per pair of bands, signed, and its standard deviation
+    rms_px: Mapping[str, FloatArray]  # (2,) RMS shift of the points
+    pixel_arcsec: float  # Angle of a pixel
+    n: int  # Frames behind each entry; 0 for a prediction
 
     def largest(self) -> list[str]:
         """The pair with the largest entry, for x and y."""
         return [max((abs(float(v[axis])), name) for name, v in self.table1_px.items())[1] for axis in range(2)]
 
     def value(self, pairs: list[str] | None = None) -> Value:
-        """The term: largest entry, divided by three, times three sigma.
-
-        Parameters
-        ----------
-        pairs : list of str, optional
-            Pair to take for x and y; the largest if left out.
-        """
+        """The term: largest entry, divided by three, times three sigma."""
         names = self.largest() if pairs is None else pairs
         size = [abs(float(self.table1_px[name][axis])) for axis, name in enumerate(names)]
         size = [value if value > ROUNDING_PX else 0.0 for value in size]
@@ -76,31 +58,15 @@ class ChromaticTerm:
 
 @dataclass(frozen=True, slots=True)
 class TracedTarget:
-    """Target points in the four corners: what depends on the light alone.
+    """Target points in the four corners: what depends on the light alone."""
 
-    Attributes
-    ----------
-    direction : (p, j, 3)
-        Points.
-    place_px : (p, j, b, 2)
-        Traced bundle means.
-    psf : list
-        PSFs ``[corner][point][band]``; empty where every centroider knows them.
-    """
-
-    direction: FloatArray
-    place_px: FloatArray
-    psf: list[list[list[EffectivePsf]]]
+    direction: FloatArray  # (p, j, 3) Points
+    place_px: FloatArray  # (p, j, b, 2) Traced bundle means
+    psf: list[list[list[EffectivePsf]]]  # PSFs ``[corner][point][band]``; empty where every centroider knows them
 
 
 def trace_target(lab: Laboratory) -> TracedTarget:
-    """Trace the target behind every filter; PSFs only if a centroider does not know them.
-
-    Parameters
-    ----------
-    lab : Laboratory
-        The laboratory.
-    """
+    """Trace the target behind every filter; PSFs only if a centroider does not know them."""
     bench, instrument = lab.filtered, lab.instrument
     direction = corner_directions(bench.target, instrument)
     psf: list[list[list[EffectivePsf]]] = []
@@ -113,19 +79,7 @@ def trace_target(lab: Laboratory) -> TracedTarget:
 def predicted_terms(
     lab: Laboratory, traced: TracedTarget, *, draws: int, defect: NDArray[np.bool_] | None = None
 ) -> dict[str, ChromaticTerm]:
-    """By centroider: positions by ray trace, or where the centroider puts them on PSFs with noise.
-
-    Parameters
-    ----------
-    lab : Laboratory
-        The laboratory.
-    traced : TracedTarget
-        Of this lens, focus, light and window (`trace_target`).
-    draws : int
-        Noisy copies of each window; a threshold makes the mean centroid depend on the noise.
-    defect : (h, w) bool, optional
-        The camera's list of hot and dead pixels, which the reduction leaves out; none without it.
-    """
+    """By centroider: positions by ray trace, or where the centroider puts them on PSFs with noise."""
     pairs, found = lab.filtered.pairs, {}
     place = dict.fromkeys(lab.filtered.methods, traced.place_px)
     error = {m: np.zeros_like(traced.place_px) for m in lab.filtered.methods}
@@ -192,17 +146,7 @@ def _as_centroided(
 def measured_terms(
     lab: Laboratory, streams: Streams, *, advance: Callable[[], None] = lambda: None
 ) -> dict[str, ChromaticTerm]:
-    """By centroider: the target in the four corners behind every filter, rendered, read out, reduced.
-
-    Parameters
-    ----------
-    lab : Laboratory
-        The laboratory.
-    streams : Streams
-        Root of the noise.
-    advance : callable
-        Called after each corner.
-    """
+    """By centroider: the target in the four corners behind every filter, rendered, read out, reduced."""
     bench, found = lab.filtered, {}
     measured = measure_chromatic(bench, lab.instrument, streams, patterns=bench.methods, advance=advance)
     for method in bench.methods:

@@ -45,21 +45,12 @@ PRINTED = {"LSFE": (0.91, 1.12), "total": (1.76, 1.95), "attitude": (0.56, 0.62)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Value:
-    """A term, 3 sigma, per axis.
+    """A term, 3 sigma, per axis."""
 
-    Attributes
-    ----------
-    arcsec : (2,)
-        x (along a row), y (along a column).
-    uncertainty_arcsec : (2,)
-        One standard deviation of the above.
-    n : int
-        Samples behind it; 0 where it is computed.
-    """
-
-    arcsec: FloatArray
+    arcsec: FloatArray  # (2,) x (along a row), y (along a column)
+    # (2,) One standard deviation of the above
     uncertainty_arcsec: FloatArray = field(default_factory=lambda: np.zeros(2))
-    n: int = 0
+    n: int = 0  # Samples behind it; 0 where it is computed
 
     def __post_init__(self) -> None:
         freeze(self, "arcsec", shape=(2,), finite=False)
@@ -68,23 +59,13 @@ class Value:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Budget:
-    """All terms and what they add up to.
+    """All terms and what they add up to."""
 
-    Attributes
-    ----------
-    term : mapping of str to Value
-        By the names of `TERMS`.
-    lsfe, total, attitude : Value
-        Eq. 31, eq. 32, and divided by the root of the number of stars.
-    stars : int
-        N.
-    """
-
-    term: Mapping[str, Value]
-    lsfe: Value
-    total: Value
-    attitude: Value
-    stars: int
+    term: Mapping[str, Value]  # By the names of `TERMS`
+    lsfe: Value  # Eq. 31, eq. 32, and divided by the root of the number of stars
+    total: Value  # Eq. 31, eq. 32, and divided by the root of the number of stars
+    attitude: Value  # Eq. 31, eq. 32, and divided by the root of the number of stars
+    stars: int  # N
 
     def __getitem__(self, name: str) -> Value:
         """A term or a sum by its name."""
@@ -93,15 +74,7 @@ class Budget:
 
 
 def combine(term: Mapping[str, Value], *, stars: int) -> Budget:
-    """Add up the terms; uncertainties to first order, terms independent.
-
-    Parameters
-    ----------
-    term : mapping of str to Value
-        One per name of `TERMS`.
-    stars : int
-        N.
-    """
+    """Add up the terms; uncertainties to first order, terms independent."""
     te, hsfe, s, c1, c2 = (term[name] for name in TERMS)
     linear = c1.arcsec + c2.arcsec
     lsfe = np.hypot(s.arcsec, linear)

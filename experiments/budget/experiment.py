@@ -17,14 +17,7 @@ __all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
-    """Predict, measure, vary.
-
-    Raises
-    ------
-    StarbenchError
-        On anything the user can mend: unknown lens, detector or element, target off the detector, points not detected
-        or saturated, wavelengths that no data cover.
-    """
+    """Predict, measure, vary."""
 
     from experiments.budget.attitude import StarErrors, attitude_study
     from experiments.budget.combine import published

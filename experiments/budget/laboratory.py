@@ -23,27 +23,13 @@ __all__ = ["Laboratory", "build_laboratory", "moved_lens"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Laboratory:
-    """The instrument, and what stands in front of it.
+    """The instrument, and what stands in front of it."""
 
-    Attributes
-    ----------
-    config : Config
-        What it was built from.
-    instrument : Instrument
-        The camera, its element moved, its detector as overridden.
-    bench : Bench
-        Point target in the whole pass band: temporal, pixel and distortion terms.
-    filtered : Bench
-        The same behind the filters: chromatic term.
-    signal : Signal
-        Of a point, and the star that it means.
-    """
-
-    config: Config
-    instrument: Instrument
-    bench: Bench
-    filtered: Bench
-    signal: Signal
+    config: Config  # What it was built from
+    instrument: Instrument  # The camera, its element moved, its detector as overridden
+    bench: Bench  # Point target in the whole pass band: temporal, pixel and distortion terms
+    filtered: Bench  # The same behind the filters: chromatic term
+    signal: Signal  # Of a point, and the star that it means
 
     def with_epsf(self, epsf: EffectivePsf, sessions: Sequence[EffectivePsf] = ()) -> Laboratory:
         """The same, with a PSF that was built from frames, and what it might have been."""
@@ -52,13 +38,7 @@ class Laboratory:
 
 
 def moved_lens(lens: LensSystem, moved: MovedConfig) -> LensSystem:
-    """The lens with the element where the configuration has it; the lens itself if that is where it belongs.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such element.
-    """
+    """The lens with the element where the configuration has it; the lens itself if that is where it belongs."""
     if moved == MovedConfig():  # an element of the built-in lens, where it belongs
         return lens
     lens.indices_of(moved.element)
@@ -71,20 +51,7 @@ def moved_lens(lens: LensSystem, moved: MovedConfig) -> LensSystem:
 
 
 def build_laboratory(config: Config, lens: LensSystem | None = None) -> Laboratory:
-    """Instrument and benches of a configuration.
-
-    Parameters
-    ----------
-    config : Config
-        The configuration.
-    lens : LensSystem, optional
-        In place of the configured one.
-
-    Raises
-    ------
-    StarbenchError
-        On an unknown lens, detector or element, values that do not go together, wavelengths that no data cover.
-    """
+    """Instrument and benches of a configuration."""
     detector = overridden(configured_detector(config.instrument), config.detector)
     prescription = moved_lens(configured_lens(config.instrument), config.moved) if lens is None else lens
     instrument = build_instrument(config.instrument, prescription, detector)

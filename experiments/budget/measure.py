@@ -30,22 +30,7 @@ def measure_terms(
     advance: Callable[[], None] = lambda: None,
     streams: Streams | None = None,
 ) -> dict[str, Measurement]:
-    """Run the virtual laboratory for every term, and reduce its frames with every centroider.
-
-    Parameters
-    ----------
-    lab : Laboratory
-        The laboratory.
-    advance : callable
-        Called after every piece of work (`steps_of` of them).
-    streams : Streams, optional
-        Root of the noise; from the seed of the configuration if left out.
-
-    Raises
-    ------
-    DomainError
-        On points that are not detected, saturated or off the detector.
-    """
+    """Run the virtual laboratory for every term, and reduce its frames with every centroider."""
     root = streams or Streams(lab.config.seed).child("budget", "measured")
     instrument, grid = lab.instrument, lab.config.grid
     scene = point_scene(lab.bench, instrument)

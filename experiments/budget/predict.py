@@ -50,21 +50,7 @@ def predict_terms(
     step_draws: int = 200,
     coarse: bool = False,
 ) -> dict[str, PredictedTerms]:
-    """Predict every term, by centroider.
-
-    Parameters
-    ----------
-    lab : Laboratory
-        The laboratory.
-    psfs : Psfs, optional
-        Where PSFs are kept between calls.
-    draws : int
-        Noisy copies behind the temporal term, half of those behind the distortion term.
-    step_draws : int
-        Drawn chips behind the pixel term.
-    coarse : bool
-        Whether the step test is predicted for equal steps at one place, and for a chip without bad pixels.
-    """
+    """Predict every term, by centroider."""
     psfs = psfs or Psfs()
     instrument, seed = lab.instrument, lab.config.seed
     psf = psfs.of(lab, lab.bench, "place 0", target_place(lab.bench, instrument))

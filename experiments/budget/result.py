@@ -23,18 +23,10 @@ __all__ = ["Result", "TermPair"]
 
 @dataclass(frozen=True, slots=True)
 class TermPair:
-    """What one centroider should show, and what it shows.
+    """What one centroider should show, and what it shows."""
 
-    Attributes
-    ----------
-    predicted : PredictedTerms
-        Without frames.
-    measured : Measurement
-        From frames.
-    """
-
-    predicted: PredictedTerms
-    measured: Measurement
+    predicted: PredictedTerms  # Without frames
+    measured: Measurement  # From frames
 
     def ratio(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Predicted over measured (2,) and its standard deviation; NaN where nothing was found (`found`)."""
@@ -90,47 +82,21 @@ class TermPair:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """A run.
+    """A run."""
 
-    Attributes
-    ----------
-    config : Config
-        Settings.
-    lab : Laboratory
-        The instrument and its benches.
-    predicted : dict of str to PredictedTerms
-        Without frames, by centroider; the one that counts first.
-    measured : dict of str to Measurement
-        From frames, the same ones for all centroiders.
-    published : Budget or None
-        ACC18's terms, added up by its own equations; None for another sensor than the published one.
-    sweep : Sweep or None
-        The budget against a parameter.
-    tornado : Tornado or None
-        Sensitivities.
-    tolerances : ToleranceStudy
-        Lenses as built.
-    attitude : AttitudeStudy
-        From the measured budget.
-    thermal : ThermalTerm, str or None
-        LSFE-T, apart from the budget; why there is none; None where it is switched off.
-    collimator : ChromaticEffect or None
-        What the collimator adds to Table 1; None for a perfect one.
-    changed : mapping of str to (object, object)
-        Settings that differ from the defaults: default, here.
-    """
-
-    config: Config
-    lab: Laboratory
-    predicted: Mapping[str, PredictedTerms]
-    measured: Mapping[str, Measurement]
+    config: Config  # Settings
+    lab: Laboratory  # The instrument and its benches
+    predicted: Mapping[str, PredictedTerms]  # Without frames, by centroider; the one that counts first
+    measured: Mapping[str, Measurement]  # From frames, the same ones for all centroiders
+    # ACC18's terms, added up by its own equations; None for another sensor than the published one
     published: Budget | None
-    sweep: Sweep | None
-    tornado: Tornado | None
-    tolerances: ToleranceStudy
-    attitude: AttitudeStudy
-    thermal: ThermalTerm | str | None
-    collimator: ChromaticEffect | None
+    sweep: Sweep | None  # The budget against a parameter
+    tornado: Tornado | None  # Sensitivities
+    tolerances: ToleranceStudy  # Lenses as built
+    attitude: AttitudeStudy  # From the measured budget
+    thermal: ThermalTerm | str | None  # LSFE-T, apart from the budget; why there is none; None where it is switched off
+    collimator: ChromaticEffect | None  # What the collimator adds to Table 1; None for a perfect one
+    # (object, object) Settings that differ from the defaults: default, here
     changed: Mapping[str, tuple[object, object]]
 
     def pair(self, method: str) -> TermPair:

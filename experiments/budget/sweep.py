@@ -39,27 +39,13 @@ WIDEST_PX = 63
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """One point of a sweep.
+    """One point of a sweep."""
 
-    Attributes
-    ----------
-    value : float
-        Of the parameter.
-    window_px : int
-        Window that was used.
-    predicted : Budget or None
-        None where the laboratory refuses the setting.
-    measured : Measurement or None
-        None where it was not asked for or is refused.
-    refusal : str
-        Why.
-    """
-
-    value: float
-    window_px: int
-    predicted: Budget | None
-    measured: Measurement | None = None
-    refusal: str = ""
+    value: float  # Of the parameter
+    window_px: int  # Window that was used
+    predicted: Budget | None  # None where the laboratory refuses the setting
+    measured: Measurement | None = None  # None where it was not asked for or is refused
+    refusal: str = ""  # Why
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,25 +63,15 @@ class Sweep:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Swing:
-    """What one parameter does.
+    """What one parameter does."""
 
-    Attributes
-    ----------
-    key, label, unit : str
-        Of the parameter.
-    low, high : float
-        Its two values.
-    at_low, at_high : Budget or None
-        None where the setting is refused.
-    """
-
-    key: str
-    label: str
-    unit: str
-    low: float
-    high: float
-    at_low: Budget | None
-    at_high: Budget | None
+    key: str  # Of the parameter
+    label: str  # Of the parameter
+    unit: str  # Of the parameter
+    low: float  # Its two values
+    high: float  # Its two values
+    at_low: Budget | None  # None where the setting is refused
+    at_high: Budget | None  # None where the setting is refused
 
     def change(self, name: str, base: Budget) -> FloatArray:
         """Change of a term (2, 2): rows low and high, columns x and y; NaN where refused."""
@@ -112,28 +88,14 @@ class Swing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tornado:
-    """Sensitivities.
+    """Sensitivities."""
 
-    Attributes
-    ----------
-    base : Budget
-        At the configuration itself, predicted in the same way.
-    swings : tuple of Swing
-        Largest first.
-    """
-
-    base: Budget
-    swings: tuple[Swing, ...]
+    base: Budget  # At the configuration itself, predicted in the same way
+    swings: tuple[Swing, ...]  # Largest first
 
 
 def widened(config: Config) -> Config:
-    """The configuration with windows that hold the spots of all its tests.
-
-    Raises
-    ------
-    DomainError
-        If the spots are too wide even for 63 px, or no light arrives.
-    """
+    """The configuration with windows that hold the spots of all its tests."""
     lab = build_laboratory(config)
     _, radius, _ = expected_spots(lab.filtered, lab.instrument, corner_directions(config.target, lab.instrument))
     least = int(np.ceil(5.0 * float(np.nanmax(radius))))
@@ -160,13 +122,7 @@ def _coarse(config: Config) -> tuple[Config, float]:
 
 
 def coarse_budget(config: Config, psfs: Psfs) -> Budget:
-    """A budget predicted cheaply (see the module).
-
-    Raises
-    ------
-    StarbenchError
-        Where the laboratory refuses the configuration.
-    """
+    """A budget predicted cheaply (see the module)."""
     from experiments.laboratory.checks import check_light
 
     few, factor = _coarse(counting(config))
@@ -181,13 +137,7 @@ def coarse_budget(config: Config, psfs: Psfs) -> Budget:
 
 
 def check_full_well(lab: Laboratory) -> None:
-    """Refuse points that would be saturated: a peak pixel holds about half of a sharp spot.
-
-    Raises
-    ------
-    DomainError
-        Naming the signal and the full well.
-    """
+    """Refuse points that would be saturated: a peak pixel holds about half of a sharp spot."""
     from optics.errors import DomainError
 
     chip, signal = lab.instrument.detector, lab.signal.signal_e
@@ -208,19 +158,7 @@ def predict_sweep(
     *,
     advance: Callable[[], None] = lambda: None,
 ) -> Sweep:
-    """The budget at every value; measured too if the configuration asks for it.
-
-    Parameters
-    ----------
-    config : Config
-        Everything else.
-    sweep : SweepRange
-        The parameter and its values.
-    psfs : Psfs
-        Where PSFs are kept.
-    advance : callable
-        Called after every value.
-    """
+    """The budget at every value; measured too if the configuration asks for it."""
     found = []
     for number, value in enumerate(sweep.values):
         found.append(_setting(config, sweep.key, value, psfs, number))
@@ -287,17 +225,7 @@ def tornado_size(config: Config) -> int:
 
 
 def predict_tornado(config: Config, psfs: Psfs, *, advance: Callable[[], None] = lambda: None) -> Tornado:
-    """Every parameter moved down and up by its tolerance, the others as they are.
-
-    Parameters
-    ----------
-    config : Config
-        The configuration; ``tornado`` has the tolerances.
-    psfs : Psfs
-        Where PSFs are kept.
-    advance : callable
-        Called after every setting.
-    """
+    """Every parameter moved down and up by its tolerance, the others as they are."""
     base = coarse_budget(config, psfs)
     advance()
     swings = []

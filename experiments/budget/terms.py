@@ -41,72 +41,35 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PredictedTerms:
-    """A budget without frames.
+    """A budget without frames."""
 
-    Attributes
-    ----------
-    budget : Budget
-        The terms.
-    bound_te_arcsec : (2,)
-        Cramer-Rao bound of the temporal error.
-    causes_arcsec : dict of str to (2,)
-        What is in the HSFE, 3 sigma.
-    single_arcsec : (2,)
-        HSFE of one position, without temporal noise.
-    left_arcsec, found_arcsec : (2,)
-        sigma_Dd (left by the polynomial) and sigma_d (found), 3 sigma.
-    marking_alone_arcsec : (2,)
-        sigma_C1 of a perfect camera and frames without noise: what the polynomial takes of the marking errors.
-    chromatic : ChromaticTerm
-        Table 1.
-    window_px : int
-        Window around a point.
-    """
-
-    budget: Budget
-    bound_te_arcsec: FloatArray
-    causes_arcsec: Mapping[str, FloatArray]
-    single_arcsec: FloatArray
-    left_arcsec: FloatArray
-    found_arcsec: FloatArray
+    budget: Budget  # The terms
+    bound_te_arcsec: FloatArray  # (2,) Cramer-Rao bound of the temporal error
+    causes_arcsec: Mapping[str, FloatArray]  # (2,) What is in the HSFE, 3 sigma
+    single_arcsec: FloatArray  # (2,) HSFE of one position, without temporal noise
+    left_arcsec: FloatArray  # (2,) sigma_Dd (left by the polynomial) and sigma_d (found), 3 sigma
+    found_arcsec: FloatArray  # (2,) sigma_Dd (left by the polynomial) and sigma_d (found), 3 sigma
+    # (2,) sigma_C1 of a perfect camera and frames without noise: what the polynomial takes of the marking errors
     marking_alone_arcsec: FloatArray
-    chromatic: ChromaticTerm
-    window_px: int
+    chromatic: ChromaticTerm  # Table 1
+    window_px: int  # Window around a point
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:
-    """A budget from frames.
+    """A budget from frames."""
 
-    Attributes
-    ----------
-    budget : Budget
-        The terms.
-    single_arcsec : (2,)
-        HSFE of one position against the truth, without temporal noise.
-    left_arcsec, found_arcsec : (2,)
-        sigma_Dd and sigma_d, 3 sigma, RMS over the surveys.
-    one_survey_arcsec : (2,)
-        sigma_C1 of the first survey alone: what a laboratory that surveys once would print.
-    survey_scatter_arcsec : (2,)
-        Standard deviation of that from survey to survey.
-    surveyed_arcsec : (2,)
-        Scatter of the surveyed coordinates about the true ones, 3 sigma, over points and surveys.
-    places_arcsec : (q, 2)
-        HSFE of every place.
-    chromatic : ChromaticTerm
-        Table 1.
-    """
-
-    budget: Budget
-    single_arcsec: FloatArray
-    left_arcsec: FloatArray
-    found_arcsec: FloatArray
+    budget: Budget  # The terms
+    single_arcsec: FloatArray  # (2,) HSFE of one position against the truth, without temporal noise
+    left_arcsec: FloatArray  # (2,) sigma_Dd and sigma_d, 3 sigma, RMS over the surveys
+    found_arcsec: FloatArray  # (2,) sigma_Dd and sigma_d, 3 sigma, RMS over the surveys
+    # (2,) sigma_C1 of the first survey alone: what a laboratory that surveys once would print
     one_survey_arcsec: FloatArray
-    survey_scatter_arcsec: FloatArray
+    survey_scatter_arcsec: FloatArray  # (2,) Standard deviation of that from survey to survey
+    # (2,) Scatter of the surveyed coordinates about the true ones, 3 sigma, over points and surveys
     surveyed_arcsec: FloatArray
-    places_arcsec: FloatArray
-    chromatic: ChromaticTerm
+    places_arcsec: FloatArray  # (q, 2) HSFE of every place
+    chromatic: ChromaticTerm  # Table 1
 
 
 class Psfs:

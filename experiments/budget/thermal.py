@@ -45,43 +45,24 @@ STEP_K = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThermalTerm:
-    """LSFE-T of an instrument.
+    """LSFE-T of an instrument."""
 
-    Attributes
-    ----------
-    temperature_c : float
-        At which the camera is calibrated.
-    stability_k : float
-        Temperature about it, 3 sigma.
-    signal_e : float
-        Of a star, per frame.
-    predicted, measured : Value
-        The term.
-    place_px : (n, 2)
-        Stars, as an ideal lens images them.
-    predicted_px, measured_px : (n, 2)
-        Change of the images by ``stability_k``, common shift taken out.
-    scale_ppm_per_k, measured_scale_ppm_per_k, scale_sigma_ppm_per_k : (2,)
-        Growth of the image along x and y: by ray trace, from frames, standard deviation of the latter.
-    paraxial_ppm_per_k : float
-        The same of the paraxial chief ray.
-    focus_um_per_k : float
-        Paraxial focus against the detector, positive behind it.
-    """
-
-    temperature_c: float
-    stability_k: float
-    signal_e: float
-    predicted: Value
-    measured: Value
-    place_px: FloatArray
-    predicted_px: FloatArray
-    measured_px: FloatArray
+    temperature_c: float  # At which the camera is calibrated
+    stability_k: float  # Temperature about it, 3 sigma
+    signal_e: float  # Of a star, per frame
+    predicted: Value  # The term
+    measured: Value  # The term
+    place_px: FloatArray  # (n, 2) Stars, as an ideal lens images them
+    predicted_px: FloatArray  # (n, 2) Change of the images by ``stability_k``, common shift taken out
+    measured_px: FloatArray  # (n, 2) Change of the images by ``stability_k``, common shift taken out
+    # (2,) Growth of the image along x and y: by ray trace, from frames, standard deviation of the latter
     scale_ppm_per_k: FloatArray
+    # (2,) Growth of the image along x and y: by ray trace, from frames, standard deviation of the latter
     measured_scale_ppm_per_k: FloatArray
+    # (2,) Growth of the image along x and y: by ray trace, from frames, standard deviation of the latter
     scale_sigma_ppm_per_k: FloatArray
-    paraxial_ppm_per_k: float
-    focus_um_per_k: float
+    paraxial_ppm_per_k: float  # The same of the paraxial chief ray
+    focus_um_per_k: float  # Paraxial focus against the detector, positive behind it
 
     @property
     def corner_px_per_k(self) -> float:
@@ -90,13 +71,7 @@ class ThermalTerm:
 
 
 def warmed(lab: Laboratory, kelvin: float) -> Laboratory:
-    """The laboratory with lens and housing warmer by so much; everything else as it was, the focus too.
-
-    Raises
-    ------
-    DomainError
-        A glass without thermal data.
-    """
+    """The laboratory with lens and housing warmer by so much; everything else as it was, the focus too."""
     config = lab.config
     temperature = lab.instrument.camera.lens.environment.temperature_c + kelvin
     instrument = config.instrument.model_copy(update={"lens_temperature_c": temperature})
@@ -115,20 +90,7 @@ def field_directions(lab: Laboratory) -> FloatArray:
 
 
 def thermal_term(lab: Laboratory, streams: Streams) -> ThermalTerm | str | None:
-    """Predict and measure the term.
-
-    Parameters
-    ----------
-    lab : Laboratory
-        The laboratory, at the temperature of its calibration.
-    streams : Streams
-        Noise of the frames.
-
-    Returns
-    -------
-    ThermalTerm, str or None
-        Why there is none, for a lens without thermal data; None where it is switched off.
-    """
+    """Predict and measure the term."""
     span = lab.config.thermal.stability_k
     if not span:
         return None

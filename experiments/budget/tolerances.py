@@ -39,48 +39,22 @@ EDGE_PX = 60.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ToleranceStudy:
-    """d lenses; 3 sigma [arcsec], columns x and y.
+    """d lenses; 3 sigma [arcsec], columns x and y."""
 
-    Attributes
-    ----------
-    chromatic_arcsec : (d, 2)
-        ACC18's chromatic term: largest entry of Table 1 over the pairs.
-    signed_arcsec : (d, p, 2)
-        The entries themselves, by pair of bands.
-    distortion_arcsec : (d, 2)
-        Three times the RMS residual of a cubic polynomial fitted to that very lens.
-    uncalibrated_arcsec : (d, 2)
-        Three times the RMS change of the map against the design, mean shift and roll removed.
-    design_arcsec : dict of str to (2,)
-        "chromatic" and "distortion" of the nominal lens.
-    nominal_arcsec : (p, 2)
-        Signed entries of the nominal lens.
-    boresight_px : (d, 2)
-        Motion of the whole image.
-    elements : tuple of str
-        Names of the elements.
-    sensitivity_arcsec : (e, 5, p, 2)
-        Change of the signed entries by one standard deviation of every movement (`MOVES`) of every element.
-    linear_arcsec : (p, 2)
-        Standard deviation of the signed entries by the sum of squares of the above.
-    pairs : tuple of str
-        Names of the pairs of bands.
-    lost : int
-        Lenses left out: no light, or the image moved beyond the limit.
-    """
-
-    chromatic_arcsec: FloatArray
-    signed_arcsec: FloatArray
-    distortion_arcsec: FloatArray
+    chromatic_arcsec: FloatArray  # (d, 2) ACC18's chromatic term: largest entry of Table 1 over the pairs
+    signed_arcsec: FloatArray  # (d, p, 2) The entries themselves, by pair of bands
+    distortion_arcsec: FloatArray  # (d, 2) Three times the RMS residual of a cubic polynomial fitted to that very lens
+    # (d, 2) Three times the RMS change of the map against the design, mean shift and roll removed
     uncalibrated_arcsec: FloatArray
-    design_arcsec: dict[str, FloatArray]
-    nominal_arcsec: FloatArray
-    boresight_px: FloatArray
-    elements: tuple[str, ...]
+    design_arcsec: dict[str, FloatArray]  # (2,) "chromatic" and "distortion" of the nominal lens
+    nominal_arcsec: FloatArray  # (p, 2) Signed entries of the nominal lens
+    boresight_px: FloatArray  # (d, 2) Motion of the whole image
+    elements: tuple[str, ...]  # Names of the elements
+    # (e, 5, p, 2) Change of the signed entries by one standard deviation of every movement (`MOVES`) of every element
     sensitivity_arcsec: FloatArray
-    linear_arcsec: FloatArray
-    pairs: tuple[str, ...]
-    lost: int
+    linear_arcsec: FloatArray  # (p, 2) Standard deviation of the signed entries by the sum of squares of the above
+    pairs: tuple[str, ...]  # Names of the pairs of bands
+    lost: int  # Lenses left out: no light, or the image moved beyond the limit
 
     @property
     def lsfe_arcsec(self) -> FloatArray:
@@ -138,22 +112,7 @@ class _Probe:
 
 
 def tolerance_study(lab: Laboratory, streams: Streams, *, advance: Callable[[], None] = lambda: None) -> ToleranceStudy:
-    """Build lenses with the tolerances of the configuration and trace them.
-
-    Parameters
-    ----------
-    lab : Laboratory
-        The laboratory; its lens is the nominal one.
-    streams : Streams
-        Root of the random numbers.
-    advance : callable
-        Called after every lens.
-
-    Raises
-    ------
-    DomainError
-        If fewer than two lenses could be used.
-    """
+    """Build lenses with the tolerances of the configuration and trace them."""
     config, lens = lab.config.tolerances, lab.instrument.camera.lens
     probe, scale = _Probe(lab), lab.instrument.pixel_arcsec
     design = probe.trace(lens)
@@ -197,17 +156,7 @@ def tolerance_study(lab: Laboratory, streams: Streams, *, advance: Callable[[], 
 
 
 def built(lens: LensSystem, config: ToleranceConfig, amounts: FloatArray) -> LensSystem:
-    """The lens with every element moved.
-
-    Parameters
-    ----------
-    lens : LensSystem
-        The nominal lens.
-    config : ToleranceConfig
-        Standard deviations.
-    amounts : (e, 5)
-        Movements in standard deviations, by element and `MOVES`.
-    """
+    """The lens with every element moved."""
     for element, (dx, dy, tx, ty, dz) in zip(lens.elements, amounts, strict=True):
         size = config.tilt_arcmin / 60.0
         lens = tilt(lens, element, float(tx) * size, float(ty) * size)

@@ -43,24 +43,12 @@ DEFOCUS_STEP_MM = 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tuned:
-    """What was found.
+    """What was found."""
 
-    Attributes
-    ----------
-    config : Config
-        The tuned instrument.
-    budget : Budget
-        Its prediction.
-    evaluations : int
-        Predictions made.
-    cost : float
-        Half the sum of squared logarithms of predicted over published.
-    """
-
-    config: Config
-    budget: Budget
-    evaluations: int
-    cost: float
+    config: Config  # The tuned instrument
+    budget: Budget  # Its prediction
+    evaluations: int  # Predictions made
+    cost: float  # Half the sum of squared logarithms of predicted over published
 
 
 def _apply(config: Config, values: Mapping[str, float]) -> Config:
@@ -87,22 +75,7 @@ def _jacobian(residuals: Callable[[FloatArray], FloatArray], state: FloatArray) 
 
 
 def tune(start: Config, *, prnu: bool = False, report: Callable[[str], None] = lambda line: None) -> Tuned:
-    """Find the parameters.
-
-    Parameters
-    ----------
-    start : Config
-        Everything that is not tuned, and where to begin.
-    prnu : bool
-        Whether PRNU is free.
-    report : callable
-        Given a line per prediction.
-
-    Raises
-    ------
-    StarbenchError
-        If the start cannot be predicted.
-    """
+    """Find the parameters."""
     from scipy.optimize import least_squares
 
     from experiments.budget.laboratory import build_laboratory

@@ -21,27 +21,15 @@ UNFIT_SHARE = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """One quantity, measured in frames and predicted for the same stars and attitudes.
+    """One quantity, measured in frames and predicted for the same stars and attitudes."""
 
-    Attributes
-    ----------
-    name, label, unit : str
-        What it is.
-    measured, predicted : float
-        Values.
-    error : float
-        Standard deviation of their difference.
-    n : int
-        Samples behind the measured value.
-    """
-
-    name: str
-    label: str
-    unit: str
-    measured: float
-    predicted: float
-    error: float
-    n: int
+    name: str  # What it is
+    label: str  # What it is
+    unit: str  # What it is
+    measured: float  # Values
+    predicted: float  # Values
+    error: float  # Standard deviation of their difference
+    n: int  # Samples behind the measured value
 
     @property
     def pull(self) -> float:

@@ -28,17 +28,7 @@ def criteria(outcome: Outcome) -> list[Criterion]:
 
 
 def frame_criteria(prediction: CameraPrediction, rendered: Rendered, *, looks: int = 1) -> list[Criterion]:
-    """Criteria on the frames of one sensor.
-
-    Parameters
-    ----------
-    prediction : CameraPrediction
-        What was predicted.
-    rendered : Rendered
-        The frames.
-    looks : int
-        How many sensors are judged in this run; that one of them fails by chance stays as unlikely as for one.
-    """
+    """Criteria on the frames of one sensor."""
     compared = {one.name: one for one in compare(prediction, rendered)}
     alarm = ALARM / looks
     limit = float(norm.isf(alarm / 2.0))

@@ -19,14 +19,7 @@ __all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
-    """Predict, warm and cool, vary, render.
-
-    Raises
-    ------
-    StarbenchError
-        On anything the user can mend: unknown lens or detector, a pass band beyond what is known, a detector beyond the
-        field of the lens, a sky without a star that the sensor finds.
-    """
+    """Predict, warm and cool, vary, render."""
     from experiments.camera.prediction import predict_camera
     from experiments.camera.result import Result
     from experiments.camera.thermal import thermal_study

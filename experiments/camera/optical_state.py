@@ -53,56 +53,29 @@ _LAYERS = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OpticalState:
-    """Made by `optical_state`.
+    """Made by `optical_state`."""
 
-    Attributes
-    ----------
-    instrument : Instrument
-        Camera and detector.
-    band : Band
-        Pass band.
-    light : StarLight
-        Star light at its w wavelength nodes, in the magnitudes of the catalogue.
-    response : (w,)
-        Electrons per photon at the nodes.
-    share : (w,)
-        Share of each node in the electrons of the star that is quoted.
-    radius_px : (f,)
-        Distance of the fields from the middle of the detector.
-    performance : LensPerformance
-        Of the focused lens at these fields.
-    area_radius_px, area_mm2 : (a,)
-        Distance from the middle of the detector; collecting area of the lens there for the star that is quoted.
-    psfs : tuple of EffectivePsf
-        Of these fields, for the star that is quoted.
-    cold_psfs, hot_psfs : tuple of EffectivePsf
-        The same of stars of 3500 and 10 000 K.
-    fwhm_px : float
-        Width of the mean spot on the pixels, and so of the detection filter; with diffraction that of its core.
-    trail_px : (2,)
-        From the first to the last place of a star in an exposure, in which PSFs are drawn out; columns and rows.
-    colour_px : (c, f)
-        Mean of the light of stars of `temperatures_k` on the detector, radial, from that of the quoted star.
-    temperatures_k : (c,)
-        Increasing.
-    """
-
-    instrument: Instrument
-    band: Band
-    light: StarLight
-    response: FloatArray
-    share: FloatArray
-    radius_px: FloatArray
-    performance: LensPerformance
+    instrument: Instrument  # Camera and detector
+    band: Band  # Pass band
+    light: StarLight  # Star light at its w wavelength nodes, in the magnitudes of the catalogue
+    response: FloatArray  # (w,) Electrons per photon at the nodes
+    share: FloatArray  # (w,) Share of each node in the electrons of the star that is quoted
+    radius_px: FloatArray  # (f,) Distance of the fields from the middle of the detector
+    performance: LensPerformance  # Of the focused lens at these fields
+    # (a,) Distance from the middle of the detector; collecting area of the lens there for the star that is quoted
     area_radius_px: FloatArray
+    # (a,) Distance from the middle of the detector; collecting area of the lens there for the star that is quoted
     area_mm2: FloatArray
-    psfs: tuple[EffectivePsf, ...]
-    cold_psfs: tuple[EffectivePsf, ...]
-    hot_psfs: tuple[EffectivePsf, ...]
+    psfs: tuple[EffectivePsf, ...]  # Of these fields, for the star that is quoted
+    cold_psfs: tuple[EffectivePsf, ...]  # The same of stars of 3500 and 10 000 K
+    hot_psfs: tuple[EffectivePsf, ...]  # The same of stars of 3500 and 10 000 K
+    # Width of the mean spot on the pixels, and so of the detection filter; with diffraction that of its core
     fwhm_px: float
+    # (2,) From the first to the last place of a star in an exposure, in which PSFs are drawn out; columns and rows
     trail_px: FloatArray
+    # (c, f) Mean of the light of stars of `temperatures_k` on the detector, radial, from that of the quoted star
     colour_px: FloatArray
-    temperatures_k: FloatArray
+    temperatures_k: FloatArray  # (c,) Increasing
 
     @property
     def trail_length_px(self) -> float:
@@ -130,13 +103,7 @@ class OpticalState:
 
 
 def optical_state(config: Config) -> OpticalState:
-    """State of a configuration; the last ones are kept.
-
-    Raises
-    ------
-    StarbenchError
-        Unknown lens or detector, a pass band beyond what is known, a detector beyond the field of the lens.
-    """
+    """State of a configuration; the last ones are kept."""
     geometry = config.instrument.model_copy(
         update={
             name: InstrumentConfig.model_fields[name].default

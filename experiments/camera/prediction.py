@@ -65,16 +65,6 @@ def predict_camera(config: Config) -> CameraPrediction:
 
     What lens, pass band and detector do is kept from call to call, so that sweeps over exposure, noise or processing
     cost a fraction of a second per point.
-
-    Parameters
-    ----------
-    config : Config
-        The sensor.
-
-    Raises
-    ------
-    StarbenchError
-        Whatever the configuration does not go together with: see `optical_state`, `sky_view`, `predict_centroids`.
     """
     state = optical_state(config)
     processing = _processing(config, state)

@@ -31,60 +31,28 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scalar:
-    """One number of a prediction.
+    """One number of a prediction."""
 
-    Attributes
-    ----------
-    value : float
-        NaN where there is none.
-    unit, label, format : str
-        For tables.
-    """
-
-    value: float
-    unit: str
-    label: str
-    format: str = ""
+    value: float  # NaN where there is none
+    unit: str  # For tables
+    label: str  # For tables
+    format: str = ""  # For tables
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Processing:
-    """How frames are measured, and the noise that counts there.
+    """How frames are measured, and the noise that counts there."""
 
-    Attributes
-    ----------
-    detector : Detector
-        With the changes of the configuration, cut to the window.
-    pixel : PixelNoise
-        Of a pixel in one exposure.
-    noise : NoiseModel
-        Of a frame minus the mean dark frame, without the even light: what an estimator is told.
-    background_e : float
-        Even light in a pixel.
-    empty_e2 : float
-        Temporal variance of a pixel without star.
-    threshold_sigma : float
-        Detection limit, in the noise that an image is estimated to have.
-    estimated : float
-        That noise over the root mean square one.
-    fwhm_px : float
-        Width of the detection filter.
-    noise_spread : float
-        Standard deviation over the pixels of the variance, relative.
-    top_e : float
-        Electrons at which a pixel saturates.
-    """
-
-    detector: Detector
-    pixel: PixelNoise
-    noise: NoiseModel
-    background_e: float
-    empty_e2: float
-    threshold_sigma: float
-    estimated: float
-    fwhm_px: float
-    noise_spread: float
-    top_e: float
+    detector: Detector  # With the changes of the configuration, cut to the window
+    pixel: PixelNoise  # Of a pixel in one exposure
+    noise: NoiseModel  # Of a frame minus the mean dark frame, without the even light: what an estimator is told
+    background_e: float  # Even light in a pixel
+    empty_e2: float  # Temporal variance of a pixel without star
+    threshold_sigma: float  # Detection limit, in the noise that an image is estimated to have
+    estimated: float  # That noise over the root mean square one
+    fwhm_px: float  # Width of the detection filter
+    noise_spread: float  # Standard deviation over the pixels of the variance, relative
+    top_e: float  # Electrons at which a pixel saturates
 
     @property
     def false_alarms(self) -> float:
@@ -99,31 +67,17 @@ class Processing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarErrors:
-    """Errors and detection against the electrons of a star, at f distances from the middle of the detector.
+    """Errors and detection against the electrons of a star, at f distances from the middle of the detector."""
 
-    Attributes
-    ----------
-    radius_px : (f,)
-        Distances.
-    centroid : CentroidErrors
-        Noise, patterns, pixel phase; k numbers of electrons.
-    colour_px : (f, k)
-        By the spots of stars of another colour than the PSF's, for one of 10 000 K or 3500 K, whichever is more.
-    sharpness : (2, f)
-        How much sharper spots of stars of 3500 and 10 000 K are than that of the quoted star: light that shows as
-        well against the noise, relative.
-    found_electrons : (d,)
-        Electrons about the detection limit.
-    found : (f, d)
-        Probability of a detection.
-    """
-
-    radius_px: FloatArray
-    centroid: CentroidErrors
+    radius_px: FloatArray  # (f,) Distances
+    centroid: CentroidErrors  # Noise, patterns, pixel phase; k numbers of electrons
+    # (f, k) By the spots of stars of another colour than the PSF's, for one of 10 000 K or 3500 K, whichever is more
     colour_px: FloatArray
+    # (2, f) How much sharper spots of stars of 3500 and 10 000 K are than that of the quoted star: light that shows
+    # as well against the noise, relative
     sharpness: FloatArray
-    found_electrons: FloatArray
-    found: FloatArray
+    found_electrons: FloatArray  # (d,) Electrons about the detection limit
+    found: FloatArray  # (f, d) Probability of a detection
 
     def sigma_at(self, sigma_px: FloatArray, electrons: FloatArray, radius_px: FloatArray) -> FloatArray:
         """Errors (f, k) at stars (n,): linear in distance, a power of the electrons between its knots."""
@@ -154,58 +108,32 @@ class StarErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttitudeForecast:
-    """Over f attitudes of the sky.
+    """Over f attitudes of the sky."""
 
-    Attributes
-    ----------
-    found, found_variance : (f,)
-        Expected number of stars that are found, and its variance by noise.
-    stars : (f,)
-        Expected number of those that are fit: not saturated, whole and alone in their window, on good pixels.
-    noise_arcsec, total_arcsec : (f, 3)
-        One standard deviation about x, y (across) and z (roll): by temporal noise; with patterns, pixel phase and star
-        colours. Infinite where too few stars are seen.
-    sigma_px : (m,)
-        Error of each sighting of the view, per axis, all terms.
-    """
-
-    found: FloatArray
-    found_variance: FloatArray
+    found: FloatArray  # (f,) Expected number of stars that are found, and its variance by noise
+    found_variance: FloatArray  # (f,) Expected number of stars that are found, and its variance by noise
+    # (f,) Expected number of those that are fit: not saturated, whole and alone in their window, on good pixels
     stars: FloatArray
+    # (f, 3) One standard deviation about x, y (across) and z (roll): by temporal noise; with patterns, pixel phase
+    # and star colours. Infinite where too few stars are seen
     noise_arcsec: FloatArray
+    # (f, 3) One standard deviation about x, y (across) and z (roll): by temporal noise; with patterns, pixel phase
+    # and star colours. Infinite where too few stars are seen
     total_arcsec: FloatArray
-    sigma_px: FloatArray
+    sigma_px: FloatArray  # (m,) Error of each sighting of the view, per axis, all terms
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraPrediction:
-    """Everything that was predicted.
+    """Everything that was predicted."""
 
-    Attributes
-    ----------
-    config : Config
-        For which sensor.
-    state : OpticalState
-        Lens and light.
-    processing : Processing
-        Detector and noise.
-    stars : StarErrors
-        Errors against electrons.
-    view : SkyView
-        Sky.
-    attitude : AttitudeForecast
-        Attitudes.
-    scalars : mapping of str to Scalar
-        Single numbers by name, the same names for every sensor.
-    """
-
-    config: Config
-    state: OpticalState
-    processing: Processing
-    stars: StarErrors
-    view: SkyView
-    attitude: AttitudeForecast
-    scalars: Mapping[str, Scalar]
+    config: Config  # For which sensor
+    state: OpticalState  # Lens and light
+    processing: Processing  # Detector and noise
+    stars: StarErrors  # Errors against electrons
+    view: SkyView  # Sky
+    attitude: AttitudeForecast  # Attitudes
+    scalars: Mapping[str, Scalar]  # Single numbers by name, the same names for every sensor
 
     def value(self, name: str) -> float:
         """A scalar by name."""

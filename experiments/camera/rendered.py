@@ -51,74 +51,39 @@ LONG_SIDE = 17
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChartFrames:
-    """n artificial stars in k readouts.
+    """n artificial stars in k readouts."""
 
-    Attributes
-    ----------
-    bright_mag : float
-        Magnitude of the stars whose scatter is measured.
-    magnitude, radius_px, electrons : (n,)
-        Of the stars; electrons that reach the detector, those beyond the stamps of diffraction images too.
-    found : (k, n) bool
-        Whether a detection belongs to the star.
-    error_px : (k, n, 2)
-        Centroid minus mean of the noiseless light; NaN where there is none.
-    false_alarms : (k,) int64
-        Detections without a star, those that are flagged as too sharp left out.
-    """
-
-    bright_mag: float
+    bright_mag: float  # Magnitude of the stars whose scatter is measured
+    # (n,) Of the stars; electrons that reach the detector, those beyond the stamps of diffraction images too
     magnitude: FloatArray
+    # (n,) Of the stars; electrons that reach the detector, those beyond the stamps of diffraction images too
     radius_px: FloatArray
+    # (n,) Of the stars; electrons that reach the detector, those beyond the stamps of diffraction images too
     electrons: FloatArray
-    found: NDArray[np.bool_]
-    error_px: FloatArray
-    false_alarms: NDArray[np.int64]
+    found: NDArray[np.bool_]  # (k, n) Whether a detection belongs to the star
+    error_px: FloatArray  # (k, n, 2) Centroid minus mean of the noiseless light; NaN where there is none
+    false_alarms: NDArray[np.int64]  # (k,) Detections without a star, those that are flagged as too sharp left out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SkyFrames:
-    """m frames of the real sky; frame k has attitude k of the prediction.
+    """m frames of the real sky; frame k has attitude k of the prediction."""
 
-    Attributes
-    ----------
-    found, fit : (m,)
-        Stars that are found, and those of them that are fit for an attitude.
-    false_alarms : (m,) int64
-        As for the chart.
-    error_arcsec : (m, 3)
-        Attitude minus truth about x, y (across) and z (roll); NaN where there is none.
-    status : tuple of str
-        Of the identification.
-    """
-
-    found: NDArray[np.int64]
-    fit: NDArray[np.int64]
-    false_alarms: NDArray[np.int64]
-    error_arcsec: FloatArray
-    status: tuple[str, ...]
+    found: NDArray[np.int64]  # (m,) Stars that are found, and those of them that are fit for an attitude
+    fit: NDArray[np.int64]  # (m,) Stars that are found, and those of them that are fit for an attitude
+    false_alarms: NDArray[np.int64]  # (m,) As for the chart
+    error_arcsec: FloatArray  # (m, 3) Attitude minus truth about x, y (across) and z (roll); NaN where there is none
+    status: tuple[str, ...]  # Of the identification
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rendered:
-    """What the frames showed.
+    """What the frames showed."""
 
-    Attributes
-    ----------
-    chart : ChartFrames
-        Artificial stars.
-    sky : SkyFrames
-        Real sky.
-    example_e : (h, w) float32
-        First frame of the sky, electrons above the dark.
-    example_px : (n, 2)
-        Where its stars were measured.
-    """
-
-    chart: ChartFrames
-    sky: SkyFrames
-    example_e: NDArray[np.float32]
-    example_px: FloatArray
+    chart: ChartFrames  # Artificial stars
+    sky: SkyFrames  # Real sky
+    example_e: NDArray[np.float32]  # (h, w) First frame of the sky, electrons above the dark
+    example_px: FloatArray  # (n, 2) Where its stars were measured
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -204,20 +169,7 @@ def _slew(config: Config, camera: Camera) -> ExposureMotion | None:
 
 
 def render_frames(prediction: CameraPrediction, *, advance: Callable[[], None] = lambda: None) -> Rendered:
-    """Render, read out, measure.
-
-    Parameters
-    ----------
-    prediction : CameraPrediction
-        What is to be confirmed.
-    advance : callable
-        Called after every frame, ``frames.readouts + frames.sky`` times.
-
-    Raises
-    ------
-    StarbenchError
-        As of the renderer and the centroider.
-    """
+    """Render, read out, measure."""
     bench = _Bench(prediction)
     chart = _chart(bench, advance)
     found, useful, alarms, errors, status = [], [], [], [], []

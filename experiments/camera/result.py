@@ -20,27 +20,13 @@ __all__ = ["Result", "thermal_scalars"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """Everything.
+    """Everything."""
 
-    Attributes
-    ----------
-    config : Config
-        The sensor.
-    prediction : CameraPrediction
-        As configured.
-    thermal : ThermalStudy
-        Over temperature.
-    swings : tuple of Swing
-        Sensitivities, the largest first.
-    rendered : Rendered or None
-        Frames; None where prediction alone was asked for.
-    """
-
-    config: Config
-    prediction: CameraPrediction
-    thermal: ThermalStudy
-    swings: tuple[Swing, ...]
-    rendered: Rendered | None
+    config: Config  # The sensor
+    prediction: CameraPrediction  # As configured
+    thermal: ThermalStudy  # Over temperature
+    swings: tuple[Swing, ...]  # Sensitivities, the largest first
+    rendered: Rendered | None  # Frames; None where prediction alone was asked for
 
     @property
     def scalars(self) -> Mapping[str, Scalar]:

@@ -21,15 +21,7 @@ WORST = 0.01
 
 
 def scalars_of(prediction: CameraPrediction, limits: Mapping[float, float]) -> dict[str, Scalar]:
-    """Numbers by name.
-
-    Parameters
-    ----------
-    prediction : CameraPrediction
-        Without them.
-    limits : mapping of float to float
-        Share of stars that are found -> magnitude, for 0.9 and 0.5.
-    """
+    """Numbers by name."""
     return _lens_scalars(prediction) | _star_scalars(prediction, limits) | _sky_scalars(prediction)
 
 

@@ -34,44 +34,21 @@ _LAYERS = 32
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SkyView:
-    """Made by `sky_view`; m sightings of stars in f attitudes.
+    """Made by `sky_view`; m sightings of stars in f attitudes."""
 
-    Attributes
-    ----------
-    sample : SkySample
-        Which star where.
-    magnitude, temperature_k : (m,)
-        Of each sighting.
-    radius_px : (m,)
-        From the middle of the detector.
-    neighbour_mag : (m,)
-        Brightest star within the window; infinite where there is none.
-    brighter_px : (m,)
-        Distance of the nearest brighter star within the window; infinite where there is none.
-    attitudes : Rotation
-        cam from icrs.
-    depth_mag : float
-        Faintest stars that were looked up.
-    """
-
-    sample: SkySample
-    magnitude: FloatArray
-    temperature_k: FloatArray
-    radius_px: FloatArray
-    neighbour_mag: FloatArray
+    sample: SkySample  # Which star where
+    magnitude: FloatArray  # (m,) Of each sighting
+    temperature_k: FloatArray  # (m,) Of each sighting
+    radius_px: FloatArray  # (m,) From the middle of the detector
+    neighbour_mag: FloatArray  # (m,) Brightest star within the window; infinite where there is none
+    # (m,) Distance of the nearest brighter star within the window; infinite where there is none
     brighter_px: FloatArray
-    attitudes: Rotation
-    depth_mag: float
+    attitudes: Rotation  # cam from icrs
+    depth_mag: float  # Faintest stars that were looked up
 
 
 def sky_view(config: Config, limit_mag: float) -> SkyView:
-    """Stars to a magnitude or to where the catalogue ends, for the lens as designed; the last views are kept.
-
-    Raises
-    ------
-    StarbenchError
-        As of the catalogue; no star is bright enough.
-    """
+    """Stars to a magnitude or to where the catalogue ends, for the lens as designed; the last views are kept."""
     deep = DEPTH_STEP_MAG * float(np.ceil(limit_mag / DEPTH_STEP_MAG))
     kept = {name: getattr(config.instrument, name) for name in ("lens", "detector", "width_px", "height_px")}
     # coatings and absorption play no part: a lens without transmittance data has a field of view too

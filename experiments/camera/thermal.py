@@ -21,36 +21,16 @@ __all__ = ["ThermalStudy", "thermal_study"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThermalStudy:
-    """t temperatures of lens and housing.
+    """t temperatures of lens and housing."""
 
-    Attributes
-    ----------
-    temperature_c : (t,)
-        Temperatures.
-    focus_um : (t,)
-        Best focus from the detector.
-    scale_ppm : (t,)
-        Change of the plate scale against the prescription's temperature.
-    spot_px : (t,)
-        RMS radius of the white spot, largest over the field, with the detector where it is.
-    colour_px : (t,)
-        Largest separation of wavelengths over the field.
-    nea_arcsec : (t,)
-        Of the star that is quoted; NaN where it saturates.
-    attitude_arcsec : (t,)
-        Across the boresight, median over the sky; infinite where too few stars are seen.
-    refusal : str
-        Why there is nothing; "" where there is.
-    """
-
-    temperature_c: FloatArray
-    focus_um: FloatArray
-    scale_ppm: FloatArray
-    spot_px: FloatArray
-    colour_px: FloatArray
-    nea_arcsec: FloatArray
-    attitude_arcsec: FloatArray
-    refusal: str = ""
+    temperature_c: FloatArray  # (t,) Temperatures
+    focus_um: FloatArray  # (t,) Best focus from the detector
+    scale_ppm: FloatArray  # (t,) Change of the plate scale against the prescription's temperature
+    spot_px: FloatArray  # (t,) RMS radius of the white spot, largest over the field, with the detector where it is
+    colour_px: FloatArray  # (t,) Largest separation of wavelengths over the field
+    nea_arcsec: FloatArray  # (t,) Of the star that is quoted; NaN where it saturates
+    attitude_arcsec: FloatArray  # (t,) Across the boresight, median over the sky; infinite where too few stars are seen
+    refusal: str = ""  # Why there is nothing; "" where there is
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}

@@ -23,25 +23,17 @@ ATTITUDES = 150
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Swing:
-    """What one key does.
+    """What one key does."""
 
-    Attributes
-    ----------
-    key, label, unit : str
-        Of the key.
-    low, value, high : float
-        Its values.
-    at_low, at_high : dict of str to float
-        Of `JUDGED`, relative to the sensor as it is (limiting magnitudes: the difference); empty where refused.
-    """
-
-    key: str
-    label: str
-    unit: str
-    low: float
-    value: float
-    high: float
+    key: str  # Of the key
+    label: str  # Of the key
+    unit: str  # Of the key
+    low: float  # Its values
+    value: float  # Its values
+    high: float  # Its values
+    # Of `JUDGED`, relative to the sensor as it is (limiting magnitudes: the difference); empty where refused
     at_low: dict[str, float]
+    # Of `JUDGED`, relative to the sensor as it is (limiting magnitudes: the difference); empty where refused
     at_high: dict[str, float]
 
     def size(self, name: str) -> float:
@@ -96,17 +88,7 @@ def tornado_size(config: Config, base: CameraPrediction) -> int:
 def predict_tornado(
     config: Config, base: CameraPrediction, *, advance: Callable[[], None] = lambda: None
 ) -> tuple[Swing, ...]:
-    """Swings, the largest first.
-
-    Parameters
-    ----------
-    config : Config
-        The sensor; ``tornado`` says which keys, and how far they move.
-    base : CameraPrediction
-        Its prediction.
-    advance : callable
-        Called after every prediction.
-    """
+    """Swings, the largest first."""
     fewer = config.model_copy(
         update={"sky": config.sky.model_copy(update={"attitudes": min(ATTITUDES, config.sky.attitudes)})}
     )

@@ -27,25 +27,15 @@ AT_LEAST = frozenset(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """One requirement.
+    """One requirement."""
 
-    Attributes
-    ----------
-    key, label, unit, format : str
-        Of the requirement.
-    required, predicted : float
-        Values; NaN where nothing could be predicted.
-    at_least : bool
-        Whether the prediction has to be at least, or at most, what is required.
-    """
-
-    key: str
-    label: str
-    unit: str
-    format: str
-    required: float
-    predicted: float
-    at_least: bool
+    key: str  # Of the requirement
+    label: str  # Of the requirement
+    unit: str  # Of the requirement
+    format: str  # Of the requirement
+    required: float  # Values; NaN where nothing could be predicted
+    predicted: float  # Values; NaN where nothing could be predicted
+    at_least: bool  # Whether the prediction has to be at least, or at most, what is required
 
     @property
     def met(self) -> bool:

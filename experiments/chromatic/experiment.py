@@ -26,14 +26,7 @@ __all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
-    """Render, read out, reduce and compare.
-
-    Raises
-    ------
-    StarbenchError
-        On anything the user can mend: unknown lens or detector, target off the detector, points not detected or
-        saturated, a wavelength outside the range of a glass or of the quantum efficiency.
-    """
+    """Render, read out, reduce and compare."""
 
     from experiments.chromatic.result import Result
     from experiments.chromatic.stars import stellar_shift

@@ -99,15 +99,7 @@ def arrow_map(outcome: Outcome, lens: str) -> Figure:
 
 
 def arrow_panels(outcome: Outcome, panels: Sequence[tuple[str, str, str]]) -> Figure:
-    """Shift of every point over the field, the ray-trace prediction beneath; each panel has its own scale.
-
-    Parameters
-    ----------
-    outcome : Outcome
-        The run.
-    panels : sequence of (str, str, str)
-        What is shown: lens, pair of bands, title.
-    """
+    """Shift of every point over the field, the ray-trace prediction beneath; each panel has its own scale."""
     figure, axes = new_figure(1, len(panels), aspect_ratio=0.33, sharey=True, squeeze=False)
     place = outcome.values("nominal_px")
     for axis, (lens, pair, title), colour in zip(axes[0], panels, PALETTE, strict=False):

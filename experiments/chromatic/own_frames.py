@@ -27,27 +27,14 @@ __all__ = ["FilterFrames", "own_frames", "reduce"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilterFrames:
-    """Positions of j points at p places behind b filters.
+    """Positions of j points at p places behind b filters."""
 
-    Attributes
-    ----------
-    pixel_arcsec : float
-        Angle of a pixel.
-    centre_px : (2,)
-        Middle of the frames, or what the folder says.
-    filters_nm : tuple of float
-        Central wavelengths, rising; ``reference`` indexes the one the others are compared with.
-    reference : int
-        See ``filters_nm``.
-    grid : tuple of tuple of SeriesFrames
-        Place by place, filter by filter.
-    """
-
-    pixel_arcsec: float
-    centre_px: FloatArray
+    pixel_arcsec: float  # Angle of a pixel
+    centre_px: FloatArray  # (2,) Middle of the frames, or what the folder says
+    # Central wavelengths, rising; ``reference`` indexes the one the others are compared with
     filters_nm: tuple[float, ...]
-    reference: int
-    grid: tuple[tuple[SeriesFrames, ...], ...]
+    reference: int  # See ``filters_nm``
+    grid: tuple[tuple[SeriesFrames, ...], ...]  # Place by place, filter by filter
 
     @property
     def series(self) -> tuple[SeriesFrames, ...]:
@@ -87,15 +74,7 @@ class FilterFrames:
 
 
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> FilterFrames:
-    """Chromatic error of a folder in which every place is seen through every filter once.
-
-    Raises
-    ------
-    ConfigError
-        A place without a filter or with one twice, fewer than two filters, an unknown reference filter.
-    DomainError
-        As `reduce_series`.
-    """
+    """Chromatic error of a folder in which every place is seen through every filter once."""
     found: dict[tuple[str, float], SeriesFrames] = {}
     for one in folder.series:
         key = (one.settings.place, float(one.settings.filter_nm or 0.0))

@@ -30,28 +30,14 @@ def perturbed(lens: LensSystem, element: str, kind: str, axis: int, amount: floa
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution:
-    """The movement of one element that gives the published mean shift.
+    """The movement of one element that gives the published mean shift."""
 
-    Attributes
-    ----------
-    element, kind : str
-        Which, and how: ``decentre`` or ``tilt``.
-    amount : float
-        um for a decentre, arcmin for a tilt; NaN, as all below, when none up to the limit does.
-    table1_px : dict of str to (2,)
-        ACC18's statistic at this amount, by ray trace.
-    rms_px : dict of str to (2,)
-        RMS shift per axis.
-    boresight_px : (2,)
-        Motion of the whole image in the reference band.
-    """
-
-    element: str
-    kind: str
-    amount: float
-    table1_px: dict[str, FloatArray]
-    rms_px: dict[str, FloatArray]
-    boresight_px: FloatArray
+    element: str  # Which, and how: ``decentre`` or ``tilt``
+    kind: str  # Which, and how: ``decentre`` or ``tilt``
+    amount: float  # um for a decentre, arcmin for a tilt; NaN, as all below, when none up to the limit does
+    table1_px: dict[str, FloatArray]  # (2,) ACC18's statistic at this amount, by ray trace
+    rms_px: dict[str, FloatArray]  # (2,) RMS shift per axis
+    boresight_px: FloatArray  # (2,) Motion of the whole image in the reference band
 
     @property
     def unit(self) -> str:
@@ -92,27 +78,7 @@ def solve_perturbation(
     axis: int,
     wanted_px: float,
 ) -> Solution:
-    """How far one element has to move for the statistic of one pair of bands to reach a value.
-
-    Parameters
-    ----------
-    bench, instrument
-        The laboratory with the centred lens.
-    direction : (p, j, 3)
-        Target points.
-    element, kind : str
-        What moves: ``decentre`` (up to 3 mm) or ``tilt`` about the element's own first vertex (up to 3 deg).
-    pair, axis : str, int
-        Which entry of Table 1. Amounts count in the lens frame: a decentre along +x (increasing column) or +y
-        (decreasing row); a tilt as rotation vector along +y for axis x, along +x for axis y.
-    wanted_px : float
-        Its value.
-
-    Raises
-    ------
-    ConvergenceError
-        If the root is not found within the tolerance.
-    """
+    """How far one element has to move for the statistic of one pair of bands to reach a value."""
     lens = instrument.camera.lens
     stars = point_field(bench, instrument, direction.reshape(-1, 3))
 
@@ -165,22 +131,7 @@ def _root(excess: Callable[[float], float], limit: float) -> float:
 
 
 def check_motion(bench: Bench, chosen: Solution, wanted_px: float) -> None:
-    """Refuse a moved element that carries the target's image out of the search area or off the detector.
-
-    Parameters
-    ----------
-    bench : Bench
-        The laboratory.
-    chosen : Solution
-        Movement to be rendered.
-    wanted_px : float
-        The mean shift it is to give.
-
-    Raises
-    ------
-    DomainError
-        Naming the movement and the room there is.
-    """
+    """Refuse a moved element that carries the target's image out of the search area or off the detector."""
     moves = float(np.abs(chosen.boresight_px).max())
     room = min(float(SEARCH_MARGIN_PX), bench.target.edge_px - bench.window_px // 2 - 1)
     if moves > room:

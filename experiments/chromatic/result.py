@@ -21,52 +21,24 @@ __all__ = ["Result"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """Everything the run found.
+    """Everything the run found."""
 
-    Attributes
-    ----------
-    config : Config
-        Settings.
-    bench, instrument
-        The laboratory with the centred lens.
-    centred, moved : ChromaticReduction
-        The lens as designed; with the element of ``chosen`` moved.
-    wedged : WedgedFilter
-        The lens as designed with a wedge in one filter.
-    paraxial_px : (p, j, b, 2)
-        Paraxial lateral colour of the centred lens.
-    solutions : sequence of Solution
-        The movement of each element, decentre and tilt, that gives the published number.
-    chosen : Solution
-        The one that was rendered.
-    stellar : StellarShift
-        Stars through the full pass band.
-    field_shift_px : dict of str to (g, 2)
-        Shifts between the filters at the stars' places, by ray trace.
-    moved_stellar : StellarShift
-        The same stars through the lens with the moved element.
-    star_e : float
-        Electrons of a V = 7.5 star of the reference temperature through the full pass band.
-    collimator : ChromaticEffect or None
-        What the collimator adds to Table 1 of the centred lens; None for a perfect one.
-    signal : Signal
-        Of a point behind every filter, and the star that gives as many electrons through the full pass band.
-    """
-
-    config: Config
-    bench: Bench
-    instrument: Instrument
-    centred: ChromaticReduction
-    moved: ChromaticReduction
-    wedged: WedgedFilter
-    paraxial_px: FloatArray
-    solutions: Sequence[Solution]
-    chosen: Solution
-    stellar: StellarShift
-    field_shift_px: Mapping[str, FloatArray]
-    moved_stellar: StellarShift
-    star_e: float
+    config: Config  # Settings
+    bench: Bench  # The laboratory with the centred lens
+    instrument: Instrument  # The laboratory with the centred lens
+    centred: ChromaticReduction  # The lens as designed; with the element of ``chosen`` moved
+    moved: ChromaticReduction  # The lens as designed; with the element of ``chosen`` moved
+    wedged: WedgedFilter  # The lens as designed with a wedge in one filter
+    paraxial_px: FloatArray  # (p, j, b, 2) Paraxial lateral colour of the centred lens
+    solutions: Sequence[Solution]  # The movement of each element, decentre and tilt, that gives the published number
+    chosen: Solution  # The one that was rendered
+    stellar: StellarShift  # Stars through the full pass band
+    field_shift_px: Mapping[str, FloatArray]  # (g, 2) Shifts between the filters at the stars' places, by ray trace
+    moved_stellar: StellarShift  # The same stars through the lens with the moved element
+    star_e: float  # Electrons of a V = 7.5 star of the reference temperature through the full pass band
+    # What the collimator adds to Table 1 of the centred lens; None for a perfect one
     collimator: ChromaticEffect | None
+    # Of a point behind every filter, and the star that gives as many electrons through the full pass band
     signal: Signal
 
     @property

@@ -23,24 +23,12 @@ NODES = 48
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StellarShift:
-    """Chromatic shift of stars.
+    """Chromatic shift of stars."""
 
-    Attributes
-    ----------
-    temperature_k : (t,)
-        Effective temperatures.
-    direction : (g, 3)
-        Field points, unit vectors in cam.
-    position_px : (g, 2)
-        Field points (photon centroid of the reference star).
-    shift_px : (t, g, 2)
-        Photon centroid minus that of the reference star at the same place.
-    """
-
-    temperature_k: FloatArray
-    direction: FloatArray
-    position_px: FloatArray
-    shift_px: FloatArray
+    temperature_k: FloatArray  # (t,) Effective temperatures
+    direction: FloatArray  # (g, 3) Field points, unit vectors in cam
+    position_px: FloatArray  # (g, 2) Field points (photon centroid of the reference star)
+    shift_px: FloatArray  # (t, g, 2) Photon centroid minus that of the reference star at the same place
 
     @property
     def rms_px(self) -> FloatArray:
@@ -65,17 +53,7 @@ class StellarShift:
 
 
 def stellar_shift(config: StarsConfig, band: Band, instrument: Instrument) -> StellarShift:
-    """Render every colour at every field point and compare the truth.
-
-    Parameters
-    ----------
-    config : StarsConfig
-        Colours and field points.
-    band : Band
-        Pass band of the camera.
-    instrument : Instrument
-        The camera.
-    """
+    """Render every colour at every field point and compare the truth."""
     camera = instrument.camera
     fraction = (np.arange(config.grid) + 0.5) / config.grid
     x, y = np.meshgrid(fraction * camera.width_px - 0.5, fraction * camera.height_px - 0.5)

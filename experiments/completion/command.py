@@ -26,16 +26,5 @@ def completion(shell: str) -> None:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command.
-
-    Parameters
-    ----------
-    argv : list of str
-        Name of the shell.
-
-    Returns
-    -------
-    int
-        0, or 2 for bad input.
-    """
+    """Run the command."""
     return run_group(completion, argv)

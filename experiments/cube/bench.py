@@ -89,68 +89,36 @@ class Truth:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """Which errors are switched on, and how the reduction goes.
+    """Which errors are switched on, and how the reduction goes."""
 
-    Attributes
-    ----------
-    name, label : str
-        For machines and for people.
-    aim_px : float
-        1 sigma of what the operator takes for concentric.
-    lean, mounting, reading : bool
-        Axes out of square, camera mount, angle reading.
-    coarse : bool
-        Trim from where the eye left the spot, in steps of the table, with the operator's gain, until the stop rule
-        holds; otherwise the table goes where it is sent, starts trimmed, and one correction is enough.
-    improved : bool
-        Aperture and spot from one picture, what is left of the offset taken into account, and the axes of the table
-        from the joint fit with the sun sensor.
-    pictures_of : str
-        Name of the case whose pictures and readings are reduced once more; "" for its own.
-    """
-
-    name: str
-    label: str
-    aim_px: float = 0.0
-    lean: bool = False
-    mounting: bool = False
-    reading: bool = False
+    name: str  # For machines and for people
+    label: str  # For machines and for people
+    aim_px: float = 0.0  # 1 sigma of what the operator takes for concentric
+    lean: bool = False  # Axes out of square, camera mount, angle reading
+    mounting: bool = False  # Axes out of square, camera mount, angle reading
+    reading: bool = False  # Axes out of square, camera mount, angle reading
+    # Trim from where the eye left the spot, in steps of the table, with the operator's gain, until the stop rule
+    # holds; otherwise the table goes where it is sent, starts trimmed, and one correction is enough
     coarse: bool = False
+    # Aperture and spot from one picture, what is left of the offset taken into account, and the axes of the table
+    # from the joint fit with the sun sensor
     improved: bool = False
-    pictures_of: str = ""
+    pictures_of: str = ""  # Name of the case whose pictures and readings are reduced once more; "" for its own
 
 
 @dataclass(slots=True, kw_only=True)
 class Laboratory:
-    """The rendered bench: one Mitsuba scene whose cube is moved, with the camera and the detectors.
+    """The rendered bench: one Mitsuba scene whose cube is moved, with the camera and the detectors."""
 
-    Attributes
-    ----------
-    config : Config
-        Settings.
-    geometry : BenchGeometry
-        Sizes.
-    camera : BenchCamera
-        The camera as it was aimed.
-    detector, sensor_detector : Detector
-        CCD and sun sensor.
-    scene, sensor : Any
-        Mitsuba objects.
-    aperture_e : (h, w)
-        Expected electrons of the picture of the covered, glowing aperture.
-    streams : Streams
-        Root of the randomness.
-    """
-
-    config: Config
-    geometry: BenchGeometry
-    camera: BenchCamera
-    detector: Detector
-    sensor_detector: Detector
-    scene: Any
-    sensor: Any
-    aperture_e: NDArray[np.float32]
-    streams: Streams
+    config: Config  # Settings
+    geometry: BenchGeometry  # Sizes
+    camera: BenchCamera  # The camera as it was aimed
+    detector: Detector  # CCD and sun sensor
+    sensor_detector: Detector  # CCD and sun sensor
+    scene: Any  # Mitsuba objects
+    sensor: Any  # Mitsuba objects
+    aperture_e: NDArray[np.float32]  # (h, w) Expected electrons of the picture of the covered, glowing aperture
+    streams: Streams  # Root of the randomness
 
     @property
     def pitch_mm(self) -> float:
@@ -198,13 +166,7 @@ def camera_of(config: Config, detector: Detector) -> BenchCamera:
 
 
 def build_laboratory(config: Config) -> Laboratory:
-    """Build the scene once, and take the picture of the covered aperture, which no bench changes.
-
-    Raises
-    ------
-    StarbenchError
-        What `experiments.cube.checks` finds, or a detector file that is wrong.
-    """
+    """Build the scene once, and take the picture of the covered aperture, which no bench changes."""
     from experiments.cube.checks import check_bench, check_light_levels
     from render.bench.trace import trace_screen
     from render.detector.diffusion import diffuse

@@ -82,36 +82,20 @@ STRATIFIED = ("pixel", "square", "mounting")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BudgetRow:
-    """One line of the budget.
+    """One line of the budget."""
 
-    Attributes
-    ----------
-    name, label : str
-        Term.
-    published_arcsec : float or None
-        CUBE09.
-    term_arcsec : (3,)
-        What geometry predicts for the term by itself: x, y, z of the cube frame.
-    predicted_arcsec, predicted_sigma_arcsec : (3,)
-        The same with the noise of pictures and sun sensor, which no case is without; how far it may be off.
-    measured_arcsec, uncertainty_arcsec : (3,)
-        Monte-Carlo, and its standard deviation (`stratified_variance_ratio`).
-    acts : (3,) bool
-        Axes on which the term is at least a third of the prediction.
-    benches : int
-        Number of benches.
-    """
-
-    name: str
-    label: str
-    published_arcsec: float | None
-    term_arcsec: FloatArray
+    name: str  # Term
+    label: str  # Term
+    published_arcsec: float | None  # CUBE09
+    term_arcsec: FloatArray  # (3,) What geometry predicts for the term by itself: x, y, z of the cube frame
+    # (3,) The same with the noise of pictures and sun sensor, which no case is without; how far it may be off
     predicted_arcsec: FloatArray
+    # (3,) The same with the noise of pictures and sun sensor, which no case is without; how far it may be off
     predicted_sigma_arcsec: FloatArray
-    measured_arcsec: FloatArray
-    uncertainty_arcsec: FloatArray
-    acts: NDArray[np.bool_]
-    benches: int
+    measured_arcsec: FloatArray  # (3,) Monte-Carlo, and its standard deviation (`stratified_variance_ratio`)
+    uncertainty_arcsec: FloatArray  # (3,) Monte-Carlo, and its standard deviation (`stratified_variance_ratio`)
+    acts: NDArray[np.bool_]  # (3,) Axes on which the term is at least a third of the prediction
+    benches: int  # Number of benches
 
     @property
     def ratio(self) -> float:
@@ -132,19 +116,7 @@ class BudgetRow:
 
 
 def play_trim(config: Config, tilt_per_px: float, noise_px: float, streams: Streams) -> FloatArray:
-    """RMS of the offset [px] that the stop rule leaves, x and y: the rule played on numbers.
-
-    Parameters
-    ----------
-    config : Config
-        Settings.
-    tilt_per_px : float
-        Tilt of a face for one pixel [rad].
-    noise_px : float
-        Standard deviation of a measured offset.
-    streams : Streams
-        Root of the randomness.
-    """
+    """RMS of the offset [px] that the stop rule leaves, x and y: the rule played on numbers."""
     generator = streams.generator("played trims")
     step_px = config.trim.step_deg * DEG_RAD / tilt_per_px
     where = generator.uniform(-1, 1, (PLAYED, 2)) * config.trim.start_px
@@ -181,19 +153,7 @@ def perfect_bench(config: Config, sensor: MaskSensor) -> BenchTruth:
 def geometric_error(
     config: Config, sensor: MaskSensor, *, lean_arcsec: float = 0.0, beam: tuple[float, float] = (0.0, 0.0)
 ) -> FloatArray:
-    """Error of R_sp (3,) [arcsec] on a perfect bench but for the table's axes and the beam, by geometry alone.
-
-    Parameters
-    ----------
-    config : Config
-        Settings.
-    sensor : MaskSensor
-        The sun sensor.
-    lean_arcsec : float
-        Axes out of square.
-    beam : (float, float)
-        Where the beam comes from: x and y in the laboratory [arcsec] off the Z axis.
-    """
+    """Error of R_sp (3,) [arcsec] on a perfect bench but for the table's axes and the beam, by geometry alone."""
     truth = perfect_bench(config, sensor)
     case = Case(name="", label="", lean=True)
     unit = config.model_copy(update={"table": config.table.model_copy(update={"square_arcsec": 1.0})})
@@ -268,17 +228,7 @@ def reading_term(outer_arcsec: float, inner_arcsec: float) -> FloatArray:
 
 
 def build_budget(laboratory: Laboratory, cases: Mapping[str, CaseResult], pictures: PictureNoise) -> list[BudgetRow]:
-    """All lines of the budget.
-
-    Parameters
-    ----------
-    laboratory : Laboratory
-        The bench.
-    cases : mapping
-        From `experiments.cube.montecarlo.run_cases`.
-    pictures : PictureNoise
-        Predicted noise of the pictures.
-    """
+    """All lines of the budget."""
     played = play_trim(laboratory.config, laboratory.tilt_per_px, pictures.two_px, laboratory.streams)
     single = terms(laboratory, perfect_sensor(laboratory), played)
     rows = []
@@ -323,15 +273,6 @@ def stratified_variance_ratio(even: list[FloatArray], predicted: FloatArray, *, 
     The mean square of a sum of terms holds the mean squares of the terms and their products. Stratified inputs
     (`experiments.cube.bench.draw_truths`) bring the mean square of their own term to its expectation, so its part
     ``term^4 / predicted^4`` of the variance is missing; what it is off by is at most of the order of one bench.
-
-    Parameters
-    ----------
-    even : list of (3,)
-        Terms that are proportional to one stratified input per axis.
-    predicted : (3,)
-        All terms together.
-    benches : int
-        Number of benches.
     """
     missing = sum(((term / predicted) ** 4 for term in even), np.zeros(3))
     return np.maximum(1.0 - missing, 1.0 / benches)

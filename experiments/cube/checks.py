@@ -20,13 +20,7 @@ RIM_PX = 8.0
 
 
 def check_bench(config: Config, geometry: BenchGeometry, camera: BenchCamera) -> None:
-    """Refuse a bench that cannot work.
-
-    Raises
-    ------
-    DomainError
-        Spot not larger than the aperture, beam wider than the face, spot off the screen or out of the picture.
-    """
+    """Refuse a bench that cannot work."""
     hole, face = geometry.aperture_mm, geometry.face_mm
     blur = geometry.blur_mm(geometry.path_mm)
     if face < hole:
@@ -52,13 +46,7 @@ def check_bench(config: Config, geometry: BenchGeometry, camera: BenchCamera) ->
 
 
 def check_light_levels(config: Config, detector: Detector, sensor_detector: Detector) -> None:
-    """Refuse exposures that saturate.
-
-    Raises
-    ------
-    DomainError
-        Full spot brighter than the full well or the end of the converter.
-    """
+    """Refuse exposures that saturate."""
     for key, plateau_e, chip in (
         ("camera.plateau_e", config.camera.plateau_e, detector),
         ("sensor.plateau_e", config.sensor.plateau_e, sensor_detector),
@@ -93,13 +81,7 @@ def _check_spot(config: Config, geometry: BenchGeometry, camera: BenchCamera, sp
 
 
 def check_landing(config: Config, geometry: BenchGeometry, camera: BenchCamera, pose: CubePose, face: str) -> None:
-    """Refuse a pose in which the beam misses the face or the spot is lost.
-
-    Raises
-    ------
-    DomainError
-        Beam beside or partly beside the polished face, spot off the screen or out of the picture.
-    """
+    """Refuse a pose in which the beam misses the face or the spot is lost."""
     centre, normal = pose.face(face, geometry)
     if normal[2] < 0.5:
         raise DomainError(f"face {face} does not look at the light; the table stands wrong")
@@ -132,18 +114,6 @@ def spot_profile(geometry: BenchGeometry, radius_mm: ArrayLike) -> FloatArray:
     A point sees the Sun, in the mirror, through the aperture: the visible part of the Sun's disk is the overlap of two
     circles, the aperture (radius a) and the Sun's image over the whole path (radius b), r apart. The path counts from
     the aperture to the face and back; that the aperture is crossed 20 mm behind the simulator changes nothing.
-
-    Parameters
-    ----------
-    geometry : BenchGeometry
-        The bench, with ``source_arcmin`` above 0.
-    radius_mm : (n,)
-        Distances.
-
-    Returns
-    -------
-    (n,)
-        1 where the whole Sun is seen.
     """
     a, b = geometry.aperture_mm / 2, geometry.blur_mm(geometry.path_mm)
     r = np.maximum(np.asarray(radius_mm, float), 1e-12)

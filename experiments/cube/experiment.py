@@ -25,14 +25,7 @@ VIEW_PX = (760, 440)
 
 
 def run(config: Config, *, progress: Progress) -> Result:
-    """Build the bench, trim, calibrate, and repeat on every misaligned bench.
-
-    Raises
-    ------
-    StarbenchError
-        On anything the user can mend: spot off the screen or not larger than the aperture, beam beside the face,
-        parallel faces, a trim that does not end, a spot off the sun sensor.
-    """
+    """Build the bench, trim, calibrate, and repeat on every misaligned bench."""
 
     from experiments.cube.bench import build_laboratory, draw_truths
     from experiments.cube.budget import beam_rates, build_budget, lean_rates, perfect_sensor

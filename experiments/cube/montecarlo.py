@@ -42,18 +42,10 @@ CASES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaseResult:
-    """All benches in one case.
+    """All benches in one case."""
 
-    Attributes
-    ----------
-    case : Case
-        Which errors were on.
-    bench : tuple of BenchResult
-        Bench by bench.
-    """
-
-    case: Case
-    bench: tuple[BenchResult, ...]
+    case: Case  # Which errors were on
+    bench: tuple[BenchResult, ...]  # Bench by bench
 
     @property
     def error_arcsec(self) -> FloatArray:
@@ -138,21 +130,7 @@ def run_bench(
     keep: bool = False,
     taken: Sequence[FaceTrim] = (),
 ) -> BenchResult:
-    """Step 1 to 5 on one bench.
-
-    Parameters
-    ----------
-    laboratory, truth, case
-        What is measured.
-    known : SensorCache
-        What was measured of this bench's sensor in other cases; filled.
-    log2_particles : int
-        Particles per picture of the screen.
-    keep : bool
-        Keep pictures.
-    taken : sequence of FaceTrim
-        Pictures and readings of the case that ``case.pictures_of`` names.
-    """
+    """Step 1 to 5 on one bench."""
     table = build_table(laboratory.config, truth, case)
     bench = laboratory.streams.child("bench", truth.number)
     sensor = _sensor(laboratory, truth, case, table, known)
@@ -180,13 +158,7 @@ def run_bench(
 def run_cases(
     laboratory: Laboratory, truths: Sequence[Truth], cases: Sequence[Case], progress: Progress
 ) -> dict[str, CaseResult]:
-    """Every bench through every case.
-
-    Returns
-    -------
-    dict
-        Case name -> `CaseResult`.
-    """
+    """Every bench through every case."""
     found: dict[str, list[BenchResult]] = {case.name: [] for case in cases}
     particles = laboratory.config.benches.log2_particles
     for truth in progress.track(truths, "benches"):

@@ -59,35 +59,20 @@ NOMINAL = np.diag([-1.0, 1.0, -1.0])
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureNoise:
-    """Standard deviation per axis of a measured offset [px of the screen].
+    """Standard deviation per axis of a measured offset [px of the screen]."""
 
-    Attributes
-    ----------
-    two_px, own_px : float
-        Aperture and spot from two pictures; both from the picture of the spot.
-    two_detector_px, own_detector_px : float
-        Parts of the detector and of the light's shot noise: all that a laboratory has.
-    """
-
-    two_px: float
-    own_px: float
-    two_detector_px: float
-    own_detector_px: float
+    two_px: float  # Aperture and spot from two pictures; both from the picture of the spot
+    own_px: float  # Aperture and spot from two pictures; both from the picture of the spot
+    two_detector_px: float  # Parts of the detector and of the light's shot noise: all that a laboratory has
+    own_detector_px: float  # Parts of the detector and of the light's shot noise: all that a laboratory has
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorNoise:
-    """What the calibration of the sun sensor scatters by.
+    """What the calibration of the sun sensor scatters by."""
 
-    Attributes
-    ----------
-    spot_px : float
-        Standard deviation of a spot per axis, RMS over the positions.
-    covariance_rad2 : (3, 3)
-        Of what R_sr, and the fitted squareness, do to R_sp: rotation vector in the cube frame.
-    """
-
-    spot_px: float
+    spot_px: float  # Standard deviation of a spot per axis, RMS over the positions
+    # (3, 3) Of what R_sr, and the fitted squareness, do to R_sp: rotation vector in the cube frame
     covariance_rad2: FloatArray
 
 
@@ -270,19 +255,7 @@ def cube_error_per_lean() -> FloatArray:
 def sun_spots_px(
     values: FloatArray, angle_rad: FloatArray, per_rad_px: float, sensor: FloatArray | None = None
 ) -> FloatArray:
-    """Spots (n, 2) of a sun sensor on a table, from the middle of the detector [px], written out.
-
-    Parameters
-    ----------
-    values : (7,)
-        Foot of the hole x, y [px], relative error of the scale, small turn (3,) of the sensor, squareness [rad].
-    angle_rad : (n, 2)
-        Outer and inner angle.
-    per_rad_px : float
-        Scale: mask distance over pixel pitch.
-    sensor : (3, 3), optional
-        Sensor from table, before the small turn.
-    """
+    """Spots (n, 2) of a sun sensor on a table, from the middle of the detector [px], written out."""
     x0, y0, scale, *turn, lean = values
     about = np.eye(3) if sensor is None else sensor
     for axis, part in zip(np.eye(3), turn, strict=True):
@@ -292,17 +265,7 @@ def sun_spots_px(
 
 
 def sensor_noise(laboratory: Laboratory, *, reading: bool, lean: bool) -> SensorNoise:
-    """Of the calibration of the sun sensor at all positions of the field.
-
-    Parameters
-    ----------
-    laboratory : Laboratory
-        The bench.
-    reading : bool
-        Whether angles are read with their noise.
-    lean : bool
-        Whether the squareness of the axes is fitted too.
-    """
+    """Of the calibration of the sun sensor at all positions of the field."""
     config, angle = laboratory.config, field_angles(laboratory.config)
     per_rad = config.sensor.gap_mm / laboratory.sensor_detector.pixel_pitch_mm
     start, step = np.zeros(7), 1e-5

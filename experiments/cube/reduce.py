@@ -28,53 +28,24 @@ __all__ = ["BenchResult", "measured_normal", "reduce_bench"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchResult:
-    """One bench in one case.
+    """One bench in one case."""
 
-    Attributes
-    ----------
-    error_arcsec : (3,)
-        R_sp against the truth: rotation vector in the cube frame.
-    cube_error_arcsec, sensor_error_arcsec : (3,)
-        What R_pr and R_sr contribute, both turned into the cube frame.
-    sigma_arcsec : (3,)
-        Standard deviations that the fits state: pictures and spots, nothing else.
-    sensor_sigma_arcsec : (3,)
-        Part of the sun sensor in that, and of the table's axes where they are fitted with it.
-    face_angle_rad, true_face_angle_rad : float
-        Between the first two faces.
-    trims : tuple of FaceTrim
-        Face by face, repeat by repeat.
-    sensor : SensorCalibration
-        R_sr.
-    """
-
-    error_arcsec: FloatArray
-    cube_error_arcsec: FloatArray
-    sensor_error_arcsec: FloatArray
-    sigma_arcsec: FloatArray
+    error_arcsec: FloatArray  # (3,) R_sp against the truth: rotation vector in the cube frame
+    cube_error_arcsec: FloatArray  # (3,) What R_pr and R_sr contribute, both turned into the cube frame
+    sensor_error_arcsec: FloatArray  # (3,) What R_pr and R_sr contribute, both turned into the cube frame
+    sigma_arcsec: FloatArray  # (3,) Standard deviations that the fits state: pictures and spots, nothing else
+    # (3,) Part of the sun sensor in that, and of the table's axes where they are fitted with it
     sensor_sigma_arcsec: FloatArray
-    face_angle_rad: float
-    true_face_angle_rad: float
-    trims: tuple[FaceTrim, ...]
-    sensor: SensorCalibration
+    face_angle_rad: float  # Between the first two faces
+    true_face_angle_rad: float  # Between the first two faces
+    trims: tuple[FaceTrim, ...]  # Face by face, repeat by repeat
+    sensor: SensorCalibration  # R_sr
 
 
 def measured_normal(
     table: Turntable, reading_rad: FloatArray, offset_mm: FloatArray | None, distance_mm: float
 ) -> FloatArray:
-    """Normal in the table frame (3,) from the angles that were read.
-
-    Parameters
-    ----------
-    table : Turntable
-        As its user knows it.
-    reading_rad : (2,)
-        Outer and inner angle.
-    offset_mm : (2,) or None
-        Spot minus aperture on the screen that is taken into account; None takes the face as concentric, as published.
-    distance_mm : float
-        Aperture to face.
-    """
+    """Normal in the table frame (3,) from the angles that were read."""
     normal = normal_of_offset(np.zeros(2) if offset_mm is None else offset_mm, distance_mm)
     return np.asarray(table.rotation(reading_rad[None])[0].inv().apply(normal))
 
@@ -98,21 +69,7 @@ def reduce_bench(
     *,
     improved: bool,
 ) -> BenchResult:
-    """R_sp of a bench and its error.
-
-    Parameters
-    ----------
-    laboratory, truth
-        The bench.
-    table : Turntable
-        As it is built; its nominal axes are used, with the fitted non-orthogonality if ``improved``.
-    trims : sequence of FaceTrim
-        All faces and repeats.
-    sensor : SensorCalibration
-        Step 1.
-    improved : bool
-        Take what is left of the offsets into account, with the hole in the picture of the spot as the aperture.
-    """
+    """R_sp of a bench and its error."""
     config, geometry = laboratory.config, laboratory.geometry
     known = replace(table.nominal, non_orthogonality_arcsec=np.array([sensor.lean_rad * RAD_ARCSEC]))
     normals, spreads = [], []

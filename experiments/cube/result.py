@@ -28,50 +28,21 @@ __all__ = ["Result", "eq14_arcsec", "offset_errors_px", "sensor_error_arcsec", "
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """A run.
+    """A run."""
 
-    Attributes
-    ----------
-    config : Config
-        Settings.
-    laboratory : Laboratory
-        The rendered bench.
-    truths : sequence of Truth
-        The benches.
-    shown : BenchResult
-        The first bench, as performed, with its pictures, traced with more particles.
-    shown_run : SensorRun
-        Spots of its sun sensor.
-    cases : mapping
-        Case name -> results of all benches.
-    budget : sequence of BudgetRow
-        Prediction beside measurement.
-    lean_rate : (3,)
-        Error of R_sp per unit of the axes' non-orthogonality.
-    beam_rate : (3, 2)
-        Error of R_sp per unit of the beam's direction off the table's Z axis.
-    light : LightCheck
-        Rendered light against closed forms.
-    repeatability : Repeatability
-        Noise of the pictures, measured.
-    picture_noise : PictureNoise
-        The same, predicted.
-    views : sequence of (bodies, beam)
-        Pictures of the bench, radiances (h, w).
-    """
-
-    config: Config
-    laboratory: Laboratory
-    truths: Sequence[Truth]
-    shown: BenchResult
-    shown_run: SensorRun
-    cases: Mapping[str, CaseResult]
-    budget: Sequence[BudgetRow]
-    lean_rate: FloatArray
-    beam_rate: FloatArray
-    light: LightCheck
-    repeatability: Repeatability
-    picture_noise: PictureNoise
+    config: Config  # Settings
+    laboratory: Laboratory  # The rendered bench
+    truths: Sequence[Truth]  # The benches
+    shown: BenchResult  # The first bench, as performed, with its pictures, traced with more particles
+    shown_run: SensorRun  # Spots of its sun sensor
+    cases: Mapping[str, CaseResult]  # Case name -> results of all benches
+    budget: Sequence[BudgetRow]  # Prediction beside measurement
+    lean_rate: FloatArray  # (3,) Error of R_sp per unit of the axes' non-orthogonality
+    beam_rate: FloatArray  # (3, 2) Error of R_sp per unit of the beam's direction off the table's Z axis
+    light: LightCheck  # Rendered light against closed forms
+    repeatability: Repeatability  # Noise of the pictures, measured
+    picture_noise: PictureNoise  # The same, predicted
+    # (bodies, beam) Pictures of the bench, radiances (h, w)
     views: Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
     def row(self, name: str) -> BudgetRow:

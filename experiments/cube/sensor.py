@@ -42,65 +42,31 @@ CENTROID_SIGMA_PX = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorRun:
-    """Spots measured at the positions of the table.
+    """Spots measured at the positions of the table."""
 
-    Attributes
-    ----------
-    angle_rad : (n, 2)
-        True angles of the table.
-    pixel_px : (n, 2)
-        Measured spots.
-    true_px : (n, 2)
-        Where geometry puts them.
-    stamp : (h, w)
-        One window, electrons, for the report.
-    """
-
-    angle_rad: FloatArray
-    pixel_px: FloatArray
-    true_px: FloatArray
-    stamp: FloatArray
+    angle_rad: FloatArray  # (n, 2) True angles of the table
+    pixel_px: FloatArray  # (n, 2) Measured spots
+    true_px: FloatArray  # (n, 2) Where geometry puts them
+    stamp: FloatArray  # (h, w) One window, electrons, for the report
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorCalibration:
-    """R_sr.
+    """R_sr."""
 
-    Attributes
-    ----------
-    rotation : Rotation
-        Sensor from table.
-    covariance_rad2 : (3, 3)
-        Of the error's rotation vector in the sensor frame.
-    free_beam_rad : (2,)
-        Azimuth and elevation of the beam that the fit would find if it were not held: should be zero within its errors.
-    free_beam_sigma_rad : (2,)
-        Their standard deviations.
-    lean_rad : float
-        Fitted non-orthogonality of the axes, 0 where it was not fitted.
-    lean_sigma_rad : float
-        Its standard deviation.
-    lean_cross_rad2 : (3,)
-        Its covariance with the error of R_sr.
-    sigma_px : float
-        Scatter of the spots about the fit, per axis.
-    focal_length_mm, offset_px
-        The sensor itself: mask distance, and the foot of the hole.
-    reading_rad : (n, 2)
-        Readings of the table that it was fitted to.
-    """
-
-    rotation: Rotation
-    covariance_rad2: FloatArray
+    rotation: Rotation  # Sensor from table
+    covariance_rad2: FloatArray  # (3, 3) Of the error's rotation vector in the sensor frame
+    # (2,) Azimuth and elevation of the beam that the fit would find if it were not held: should be zero within its
+    # errors
     free_beam_rad: FloatArray
-    free_beam_sigma_rad: FloatArray
-    lean_rad: float
-    lean_sigma_rad: float
-    lean_cross_rad2: FloatArray
-    sigma_px: float
-    focal_length_mm: float
-    offset_px: FloatArray
-    reading_rad: FloatArray
+    free_beam_sigma_rad: FloatArray  # (2,) Their standard deviations
+    lean_rad: float  # Fitted non-orthogonality of the axes, 0 where it was not fitted
+    lean_sigma_rad: float  # Its standard deviation
+    lean_cross_rad2: FloatArray  # (3,) Its covariance with the error of R_sr
+    sigma_px: float  # Scatter of the spots about the fit, per axis
+    focal_length_mm: float  # The sensor itself: mask distance, and the foot of the hole
+    offset_px: FloatArray  # The sensor itself: mask distance, and the foot of the hole
+    reading_rad: FloatArray  # (n, 2) Readings of the table that it was fitted to
 
 
 def field_angles(config: Config) -> FloatArray:
@@ -111,13 +77,7 @@ def field_angles(config: Config) -> FloatArray:
 
 
 def observe_spots(laboratory: Laboratory, truth: Truth, table: Turntable, streams: Streams) -> SensorRun:
-    """Turn the table over the field and measure the spot at each position.
-
-    Raises
-    ------
-    DomainError
-        A spot leaves the detector.
-    """
+    """Turn the table over the field and measure the spot at each position."""
     from render.detector.readout import expose_windows
 
     config = laboratory.config.sensor
@@ -191,28 +151,7 @@ def centre_of_light(electrons: FloatArray) -> FloatArray:
 def fit_sensor(
     config: Config, pixel_px: FloatArray, reading_rad: FloatArray, table: Turntable, sensor: MaskSensor, *, free: bool
 ) -> SensorCalibration:
-    """Joint fit to spots.
-
-    Parameters
-    ----------
-    config : Config
-        Settings.
-    pixel_px : (n, 2)
-        Spots.
-    reading_rad : (n, 2)
-        Read angles of the table.
-    table : Turntable
-        The table as its user knows it; only its nominal axes count.
-    sensor : MaskSensor
-        Size of the detector.
-    free : bool
-        Fit the non-orthogonality of the axes too; otherwise it is taken as zero.
-
-    Raises
-    ------
-    ConvergenceError
-        The fit failed.
-    """
+    """Joint fit to spots."""
     nominal = table.nominal
     geometry = SensorGeometry(width_px=sensor.width_px, height_px=sensor.height_px, pixel_pitch_mm=sensor.pitch_mm)
     count = len(pixel_px)

@@ -121,13 +121,7 @@ class Config(ExperimentConfig):
 
     @classmethod
     def of_sensor(cls, file: Path) -> dict[str, Any]:
-        """No star sensor stands on this bench.
-
-        Raises
-        ------
-        ConfigError
-            Always.
-        """
+        """No star sensor stands on this bench."""
         raise ConfigError(
             f"--sensor {file}: cube measures a sun sensor, a mask with a hole over a detector, which has no lens; it "
             "is set in the tables [sensor] and [camera] of --config"

@@ -62,87 +62,44 @@ EDGE_HALF_WIDTH_PX = {"aperture": 1.5, "spot": 14.0, "hole": 1.5}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picture:
-    """A read-out picture of the screen.
+    """A read-out picture of the screen."""
 
-    Attributes
-    ----------
-    electrons : (h, w)
-        (DN - offset) / gain.
-    camera : BenchCamera
-        The camera as it is believed to stand.
-    """
-
-    electrons: FloatArray
-    camera: BenchCamera
+    electrons: FloatArray  # (h, w) (DN - offset) / gain
+    camera: BenchCamera  # The camera as it is believed to stand
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Offset:
-    """Spot minus aperture.
+    """Spot minus aperture."""
 
-    Attributes
-    ----------
-    offset_px : (2,)
-        x and y in the laboratory, in pixels of the screen.
-    covariance_px2 : (2, 2)
-        From the two circle fits.
-    spot, aperture : CircleFit
-        In mm on the screen.
-    """
-
-    offset_px: FloatArray
-    covariance_px2: FloatArray
-    spot: CircleFit
-    aperture: CircleFit
+    offset_px: FloatArray  # (2,) x and y in the laboratory, in pixels of the screen
+    covariance_px2: FloatArray  # (2, 2) From the two circle fits
+    spot: CircleFit  # In mm on the screen
+    aperture: CircleFit  # In mm on the screen
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrimRow:
-    """One setting of the table, as in Table 1 of CUBE09.
+    """One setting of the table, as in Table 1 of CUBE09."""
 
-    Attributes
-    ----------
-    outer_deg, inner_deg : float
-        What the table was sent to.
-    offset_px : (2,)
-        What the pictures say.
-    sigma_px : (2,)
-        Standard deviations of that.
-    """
-
-    outer_deg: float
-    inner_deg: float
-    offset_px: FloatArray
-    sigma_px: FloatArray
+    outer_deg: float  # What the table was sent to
+    inner_deg: float  # What the table was sent to
+    offset_px: FloatArray  # (2,) What the pictures say
+    sigma_px: FloatArray  # (2,) Standard deviations of that
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaceTrim:
-    """A trimmed face.
+    """A trimmed face."""
 
-    Attributes
-    ----------
-    face : str
-        Which.
-    rows : tuple of TrimRow
-        The trims.
-    reading_rad : (2,)
-        Outer and inner angle that were read at the end.
-    offset : Offset
-        The last one.
-    own : Offset
-        The same with the aperture seen as the dark hole in the picture of the spot: no give of the mount between two
-        pictures enters. Taken where the spot is trimmed coarsely; otherwise the same as ``offset``.
-    pictures : tuple of Picture
-        Aperture, first spot, last spot, where they were kept.
-    """
-
-    face: str
-    rows: tuple[TrimRow, ...]
-    reading_rad: FloatArray
-    offset: Offset
+    face: str  # Which
+    rows: tuple[TrimRow, ...]  # The trims
+    reading_rad: FloatArray  # (2,) Outer and inner angle that were read at the end
+    offset: Offset  # The last one
+    # The same with the aperture seen as the dark hole in the picture of the spot: no give of the mount between two
+    # pictures enters. Taken where the spot is trimmed coarsely; otherwise the same as ``offset``
     own: Offset
-    pictures: tuple[Picture, ...] = ()
+    pictures: tuple[Picture, ...] = ()  # Aperture, first spot, last spot, where they were kept
 
 
 def exposed(laboratory: Laboratory, electrons: NDArray[np.float32], streams: Streams) -> Picture:
@@ -237,17 +194,7 @@ def fit_aperture(picture: Picture, radius_mm: float) -> CircleFit:
 
 
 def fit_spot(picture: Picture, aperture: CircleFit, reach_mm: float) -> CircleFit:
-    """Circle through a contour low on the rim of the spot, where it shows outside the hole.
-
-    Parameters
-    ----------
-    picture : Picture
-        Of the spot.
-    aperture : CircleFit
-        The hole: contour points nearer than `HOLE_MARGIN_PX` to its edge belong to it.
-    reach_mm : float
-        Radius of the whole spot.
-    """
+    """Circle through a contour low on the rim of the spot, where it shows outside the hole."""
     pitch = picture.camera.pitch_mm
     width = EDGE_HALF_WIDTH_PX["spot"] * pitch
     centre = _brightest(picture, aperture)
@@ -338,38 +285,7 @@ def trim_face(
     log2_particles: int,
     keep: bool = False,
 ) -> FaceTrim:
-    """Turn a face to the light and trim the table until spot and aperture are concentric.
-
-    Parameters
-    ----------
-    laboratory : Laboratory
-        The rendered bench; its cube is moved.
-    truth : Truth
-        The bench.
-    case : Case
-        Which errors act, and how far the trim goes.
-    table : Turntable
-        The table as it is built.
-    face, repeat : int
-        Which face, and which of its measurements.
-    streams : Streams
-        Of this face.
-    log2_particles : int
-        Particles per picture.
-    keep : bool
-        Keep pictures for the report.
-
-    Returns
-    -------
-    FaceTrim
-
-    Raises
-    ------
-    ConvergenceError
-        The stop rule does not hold after ``trim.allowed`` settings, or an edge cannot be seen.
-    DomainError
-        The beam misses the face, or the spot leaves the screen or the picture.
-    """
+    """Turn a face to the light and trim the table until spot and aperture are concentric."""
     config, name = laboratory.config, laboratory.config.cube.faces[face]
     tilt = laboratory.tilt_per_px
     aim = case.aim_px * truth.aim[face, repeat]

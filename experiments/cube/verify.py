@@ -38,27 +38,16 @@ SMOOTH_LOG2 = 21
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LightCheck:
-    """Particles on the screen beside closed forms.
+    """Particles on the screen beside closed forms."""
 
-    Attributes
-    ----------
-    tilt_arcsec : (t,)
-        Tilts of the face.
-    displacement_mm : (t,)
-        Mean landing point of the rendered particles from the aperture, along the tilt.
-    law_mm : (t,)
-        2 x tilt x distance, exactly: distance tan(2 tilt), with the distance to where the tilted face is met.
-    radius_mm : (r,)
-        Distances from the middle of the spot.
-    profile, closed_profile : (r,)
-        Irradiance of the spot over that of the beam: particles counted in rings, and two circles overlapping.
-    """
-
-    tilt_arcsec: FloatArray
-    displacement_mm: FloatArray
+    tilt_arcsec: FloatArray  # (t,) Tilts of the face
+    displacement_mm: FloatArray  # (t,) Mean landing point of the rendered particles from the aperture, along the tilt
+    # (t,) 2 x tilt x distance, exactly: distance tan(2 tilt), with the distance to where the tilted face is met
     law_mm: FloatArray
-    radius_mm: FloatArray
+    radius_mm: FloatArray  # (r,) Distances from the middle of the spot
+    # (r,) Irradiance of the spot over that of the beam: particles counted in rings, and two circles overlapping
     profile: FloatArray
+    # (r,) Irradiance of the spot over that of the beam: particles counted in rings, and two circles overlapping
     closed_profile: FloatArray
 
     @property
@@ -74,26 +63,18 @@ class LightCheck:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Repeatability:
-    """One concentric bench, pictured again and again.
+    """One concentric bench, pictured again and again."""
 
-    Attributes
-    ----------
-    two_px, own_px : float
-        Scatter of the offset per axis: aperture and spot from two pictures, and both from the picture of the spot.
-    two_detector_px, own_detector_px : float
-        The same with one and the same light each time, so that only the noise of light and detector is new.
-    stated_px : float
-        What the covariances of the fits say of the first.
-    pictures : int
-        How many.
-    """
-
+    # Scatter of the offset per axis: aperture and spot from two pictures, and both from the picture of the spot
     two_px: float
+    # Scatter of the offset per axis: aperture and spot from two pictures, and both from the picture of the spot
     own_px: float
+    # The same with one and the same light each time, so that only the noise of light and detector is new
     two_detector_px: float
+    # The same with one and the same light each time, so that only the noise of light and detector is new
     own_detector_px: float
-    stated_px: float
-    pictures: int
+    stated_px: float  # What the covariances of the fits say of the first
+    pictures: int  # How many
 
     @property
     def stated_over_scatter(self) -> float:

@@ -44,14 +44,7 @@ def output(path: str, config: Config) -> DatasetFolder:
 
 
 def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
-    """Make the frames that are missing.
-
-    Raises
-    ------
-    StarbenchError
-        On anything the user can mend; see `build_scene` in `experiments.dataset.frames.scene`, and
-        `experiments.dataset.production`, `folder` and `schedule`.
-    """
+    """Make the frames that are missing."""
     from experiments.dataset.exports.webdataset_shards import check_webdataset
     from experiments.dataset.exports.write import write_exports
     from experiments.dataset.frames.scene import build_scene

@@ -20,42 +20,18 @@ __all__ = ["Result"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """A dataset that is complete.
+    """A dataset that is complete."""
 
-    Attributes
-    ----------
-    config : Config
-        The configuration.
-    folder : pathlib.Path
-        Where it is.
-    scene : Scene
-        What the frames have in common.
-    records : tuple of FrameRecord
-        One per frame, in their order.
-    made : int
-        Frames made by this run; the others were there.
-    damaged : tuple of int
-        Frames that were there and damaged; they were made again.
-    frames_per_s : float
-        Frames per second from the first finished one to the last, all workers together; NaN for fewer than two.
-    workers : int
-        Processes that made them.
-    exports : mapping
-        Name of an export -> what was written, in words.
-    resume : ResumeCheck or None
-        What became of a run that was killed and taken up again; None if it was not tried.
-    evaluation : Evaluation or None
-        What was found in the frames; None if they were not looked at.
-    """
-
-    config: Config
-    folder: Path
-    scene: Scene
-    records: tuple[FrameRecord, ...]
-    made: int
-    damaged: tuple[int, ...]
+    config: Config  # The configuration
+    folder: Path  # Where it is
+    scene: Scene  # What the frames have in common
+    records: tuple[FrameRecord, ...]  # One per frame, in their order
+    made: int  # Frames made by this run; the others were there
+    damaged: tuple[int, ...]  # Frames that were there and damaged; they were made again
+    # Frames per second from the first finished one to the last, all workers together; NaN for fewer than two
     frames_per_s: float
-    workers: int
-    exports: Mapping[str, str] = field(default_factory=dict)
+    workers: int  # Processes that made them
+    exports: Mapping[str, str] = field(default_factory=dict)  # Name of an export -> what was written, in words
+    # What became of a run that was killed and taken up again; None if it was not tried
     resume: ResumeCheck | None = None
-    evaluation: Evaluation | None = None
+    evaluation: Evaluation | None = None  # What was found in the frames; None if they were not looked at

@@ -22,14 +22,7 @@ __all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
-    """Render, read out, reduce, predict, compare with the true map.
-
-    Raises
-    ------
-    StarbenchError
-        On anything the user can mend: unknown lens or detector, target off the detector, points not detected or
-        saturated, too few points for the polynomial, light beyond the range of the data.
-    """
+    """Render, read out, reduce, predict, compare with the true map."""
     from experiments.distortion.result import Result, correction_maps, forecasts
     from experiments.distortion.wide_field import wide_field
     from experiments.laboratory.distortion_error import dense_grid, measure_distortion, traced_bundles

@@ -29,28 +29,14 @@ __all__ = ["GridFrames", "own_frames", "reduce"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GridFrames:
-    """Distortion error of n target points.
+    """Distortion error of n target points."""
 
-    Attributes
-    ----------
-    pixel_arcsec : float
-        Angle of a pixel.
-    order : int
-        Of the polynomial.
-    nominal_px : (n, 2)
-        Target coordinates.
-    place : (n, 2)
-        The same from the middle, in units of half the diagonal of the frames.
-    earlier, test : SeriesFrames
-        Sessions; without an earlier one there is no reference "calibrated".
-    """
-
-    pixel_arcsec: float
-    order: int
-    nominal_px: FloatArray
-    place: FloatArray
-    earlier: SeriesFrames | None
-    test: SeriesFrames
+    pixel_arcsec: float  # Angle of a pixel
+    order: int  # Of the polynomial
+    nominal_px: FloatArray  # (n, 2) Target coordinates
+    place: FloatArray  # (n, 2) The same from the middle, in units of half the diagonal of the frames
+    earlier: SeriesFrames | None  # Sessions; without an earlier one there is no reference "calibrated"
+    test: SeriesFrames  # Sessions; without an earlier one there is no reference "calibrated"
 
     @property
     def references(self) -> tuple[Reference, ...]:
@@ -63,13 +49,7 @@ class GridFrames:
         return (self.test,) if self.earlier is None else (self.earlier, self.test)
 
     def statistics(self, method: str, reference: Reference) -> DistortionStatistics:
-        """sigma_d, sigma_Dd and sigma_C1 [px].
-
-        Raises
-        ------
-        DomainError
-            On "calibrated" without an earlier session, or too few points.
-        """
+        """sigma_d, sigma_Dd and sigma_C1 [px]."""
         if reference not in self.references:
             raise DomainError(f"reference {reference!r} needs a series with session = 'earlier'")
         test = self.test.points.mean_px(method)
@@ -79,13 +59,7 @@ class GridFrames:
 
 
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> GridFrames:
-    """Distortion error of a target with stated coordinates; one session "test" and at most one "earlier".
-
-    Raises
-    ------
-    DomainError
-        As `reduce_series`; also no coordinates, other sessions than these, or too few points for the polynomial.
-    """
+    """Distortion error of a target with stated coordinates; one session "test" and at most one "earlier"."""
     if folder.nominal_px is None:
         raise DomainError("distortion needs the coordinates of the target: points_px or target in place of points")
     by_session = {s: [one for one in folder.series if one.settings.session == s] for s in ("earlier", "test")}

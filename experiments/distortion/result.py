@@ -22,47 +22,23 @@ __all__ = ["CorrectionMap", "Result", "correction_maps", "forecasts"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CorrectionMap:
-    """True error of a correction between the points.
+    """True error of a correction between the points."""
 
-    Attributes
-    ----------
-    first : DenseMap
-        With the survey that counts.
-    rms_px : (q, 2)
-        RMS map error of every survey.
-    """
-
-    first: DenseMap
-    rms_px: FloatArray
+    first: DenseMap  # With the survey that counts
+    rms_px: FloatArray  # (q, 2) RMS map error of every survey
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """Everything the run found.
+    """Everything the run found."""
 
-    Attributes
-    ----------
-    config : Config
-        Settings.
-    instrument : Instrument
-        The camera.
-    measured, predicted : DistortionMeasurement, DistortionPrediction
-        The test, and what it should give.
-    maps : dict of Reference to CorrectionMap
-        True map errors, first method.
-    forecast : tuple of MapForecast
-        Map errors to be expected of other targets and polynomials.
-    wide : WideField
-        The test with a lens whose distortion decides its numbers.
-    """
-
-    config: Config
-    instrument: Instrument
-    measured: DistortionMeasurement
-    predicted: DistortionPrediction
-    maps: Mapping[Reference, CorrectionMap]
-    forecast: tuple[MapForecast, ...]
-    wide: WideField
+    config: Config  # Settings
+    instrument: Instrument  # The camera
+    measured: DistortionMeasurement  # The test, and what it should give
+    predicted: DistortionPrediction  # The test, and what it should give
+    maps: Mapping[Reference, CorrectionMap]  # True map errors, first method
+    forecast: tuple[MapForecast, ...]  # Map errors to be expected of other targets and polynomials
+    wide: WideField  # The test with a lens whose distortion decides its numbers
 
     @property
     def scale(self) -> float:

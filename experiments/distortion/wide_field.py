@@ -36,22 +36,12 @@ WIDE_REFERENCE: Reference = "aligned"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WideField:
-    """The test on a wide field, one centroider, one survey.
+    """The test on a wide field, one centroider, one survey."""
 
-    Attributes
-    ----------
-    method : str
-        The centroider.
-    measured, predicted : DistortionMeasurement, DistortionPrediction
-        The test, and what it should give.
-    marking_px : (3, 2)
-        What marking errors alone give: found, left, removed.
-    """
-
-    method: str
-    measured: DistortionMeasurement
-    predicted: DistortionPrediction
-    marking_px: FloatArray
+    method: str  # The centroider
+    measured: DistortionMeasurement  # The test, and what it should give
+    predicted: DistortionPrediction  # The test, and what it should give
+    marking_px: FloatArray  # (3, 2) What marking errors alone give: found, left, removed
 
     @property
     def numbers_px(self) -> FloatArray:
@@ -80,22 +70,7 @@ class WideField:
 
 
 def wide_field(config: Config, streams: Streams, *, progress: Progress) -> WideField:
-    """Render, read out, reduce and predict the test on the wide field.
-
-    Parameters
-    ----------
-    config : Config
-        ``wide`` says which lens, target and polynomial; light and frames are those of the test.
-    streams : Streams
-        Root of target, surveys and noise.
-    progress : Progress
-        Where to report.
-
-    Raises
-    ------
-    DomainError
-        On a target that does not fit, or points that are not detected or saturated.
-    """
+    """Render, read out, reduce and predict the test on the wide field."""
     wide = config.wide
     own = {"instrument": wide.instrument, "passband": PassbandConfig(), "compare": ()}
     bench, instrument = point_laboratory(config.model_copy(update=own))

@@ -29,18 +29,7 @@ def findings() -> list[Finding]:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the command.
-
-    Parameters
-    ----------
-    argv : sequence of str
-        ``--json`` prints the same for programs.
-
-    Returns
-    -------
-    int
-        0 if nothing is wrong, 1 otherwise, 2 for bad input.
-    """
+    """Run the command."""
     parser = argparse.ArgumentParser(
         prog=f"{PROGRAM} doctor", description="What is there, what is wrong, what to do.", allow_abbrev=False
     )

@@ -54,17 +54,7 @@ class Probe:
 
 
 def engine_findings(found: dict[str, Any], status: int, said: str) -> Iterator[Finding]:
-    """What the steps of the probe mean.
-
-    Parameters
-    ----------
-    found : dict
-        What it told until it ended.
-    status : int
-        Its exit status, negative for a signal.
-    said : str
-        Last line of its error stream.
-    """
+    """What the steps of the probe mean."""
     if "llvm" in found:
         yield _llvm(found)
     yield _backend(found, status, said)

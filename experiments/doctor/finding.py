@@ -13,40 +13,21 @@ State = Literal["ok", "note", "fault"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One line of the examination.
+    """One line of the examination."""
 
-    Attributes
-    ----------
-    name : str
-        What was looked at.
-    text : str
-        What was found.
-    state : {"ok", "note", "fault"}
-        ``note``: works, but something is missing or could be better; ``fault``: something will not work.
-    advice : str
-        What to do; empty where nothing has to be done.
-    facts : dict
-        The same for programs: JSON types.
-    """
-
-    name: str
-    text: str
+    name: str  # What was looked at
+    text: str  # What was found
+    # ``note``: works, but something is missing or could be better; ``fault``: something will not work
     state: State = "ok"
-    advice: str = ""
-    facts: dict[str, Any] = field(default_factory=dict)
+    advice: str = ""  # What to do; empty where nothing has to be done
+    facts: dict[str, Any] = field(default_factory=dict)  # The same for programs: JSON types
 
 
 Check = Callable[[], Iterable[Finding]]
 
 
 def examined(checks: dict[str, Check]) -> list[Finding]:
-    """Findings of all checks; one that fails is a finding itself.
-
-    Parameters
-    ----------
-    checks : dict of str to callable
-        Name of a check -> what yields its findings.
-    """
+    """Findings of all checks; one that fails is a finding itself."""
     found: list[Finding] = []
     for name, check in checks.items():
         try:

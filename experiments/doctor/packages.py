@@ -22,13 +22,7 @@ _NAME = re.compile(r"[A-Za-z0-9][\w.-]*")
 
 
 def declared() -> dict[str, list[str]]:
-    """Requirements by extra, ``""`` for what is always needed: of the source tree if there is one, else as installed.
-
-    Raises
-    ------
-    PackageNotFoundError
-        Neither is there.
-    """
+    """Requirements by extra, ``""`` for what is always needed: of the source tree if there is one, else as installed."""
     source = Path(__file__).parents[2] / "pyproject.toml"
     if source.is_file():
         import tomllib

@@ -62,21 +62,11 @@ LEAST_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """How the table moves while the shutter is open.
+    """How the table moves while the shutter is open."""
 
-    Attributes
-    ----------
-    rate_rad_per_s : float
-        Speed of the second axis (the inner one of two); 0: at rest.
-    jitter_s : float
-        Standard deviation between mid-exposure and reading.
-    samples : int
-        Instants that are rendered.
-    """
-
-    rate_rad_per_s: float = 0.0
-    jitter_s: float = 0.0
-    samples: int = 1
+    rate_rad_per_s: float = 0.0  # Speed of the second axis (the inner one of two); 0: at rest
+    jitter_s: float = 0.0  # Standard deviation between mid-exposure and reading
+    samples: int = 1  # Instants that are rendered
 
     @property
     def smear_rad(self) -> float:
@@ -90,22 +80,12 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Places:
-    """Angles of the table at n places, at mid-exposure.
+    """Angles of the table at n places, at mid-exposure."""
 
-    Attributes
-    ----------
-    true_rad, reading_rad : (n, k)
-        As they are; as they are read.
-    rate_rad_per_s : (n, k)
-        Of the axes.
-    motion : Motion
-        Of the second one.
-    """
-
-    true_rad: FloatArray
-    reading_rad: FloatArray
-    rate_rad_per_s: FloatArray
-    motion: Motion
+    true_rad: FloatArray  # (n, k) As they are; as they are read
+    reading_rad: FloatArray  # (n, k) As they are; as they are read
+    rate_rad_per_s: FloatArray  # (n, k) Of the axes
+    motion: Motion  # Of the second one
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -125,33 +105,16 @@ class Places:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Acquisition:
-    """Star images of one acquisition, those of n places that gave a position.
+    """Star images of one acquisition, those of n places that gave a position."""
 
-    Attributes
-    ----------
-    name : str
-        "static" or "dynamic".
-    places : Places
-        Angles.
-    position_px : (n, 2)
-        Centroids of single frames.
-    covariance_px2 : (n, 2, 2)
-        Predicted, pixel by pixel: photons, read noise, rounding, dark frames, response pattern.
-    bundle_px : (n, 2)
-        Truth: mean of the traced rays over the exposure.
-    windows : WindowStack
-        The frames.
-    lost : int
-        Places without a position.
-    """
-
-    name: str
-    places: Places
-    position_px: FloatArray
+    name: str  # "static" or "dynamic"
+    places: Places  # Angles
+    position_px: FloatArray  # (n, 2) Centroids of single frames
+    # (n, 2, 2) Predicted, pixel by pixel: photons, read noise, rounding, dark frames, response pattern
     covariance_px2: FloatArray
-    bundle_px: FloatArray
-    windows: WindowStack
-    lost: int
+    bundle_px: FloatArray  # (n, 2) Truth: mean of the traced rays over the exposure
+    windows: WindowStack  # The frames
+    lost: int  # Places without a position
 
     def __post_init__(self) -> None:
         sizes = {"n": len(self.places)}
@@ -163,23 +126,7 @@ class Acquisition:
 def visit_once(
     bench: Bench, wanted_cam: FloatArray, roll_rad: FloatArray, motion: Motion, columns: int, streams: Streams
 ) -> Places:
-    """Turn the table to every place, or through it; read each axis once.
-
-    Parameters
-    ----------
-    bench : Bench
-        As it really is.
-    wanted_cam : (n, 3)
-        Where in cam the star is to be, row by row.
-    roll_rad : (n,)
-        Of a third axis.
-    motion : Motion
-        Rows are run through forwards and backwards in turn.
-    columns : int
-        Places in a row.
-    streams : Streams
-        Root of the errors of setting, reading and clocks.
-    """
+    """Turn the table to every place, or through it; read each axis once."""
     true = bench.table.set(aim(bench, wanted_cam, roll_rad), streams)
     rate = np.zeros_like(true)
     rate[:, 1] = np.where(np.arange(len(true)) // columns % 2, -1, 1)
@@ -215,15 +162,6 @@ def place_psfs(tracer: Tracer, star: SingleStar, seen: FloatArray, instrument: I
 def smeared_psfs(values: FloatArray, path_px: FloatArray, oversampling: int = 8) -> list[EffectivePsf]:
     """PSFs averaged over the path of the image.
 
-    Parameters
-    ----------
-    values : (n, m, m)
-        PSFs at rest on grids of 1/``oversampling`` pixel, zero at their borders.
-    path_px : (n, t, 2)
-        Where the image is at instants of the exposure, about its mean (column, row).
-
-    Notes
-    -----
     By the shift theorem of the discrete Fourier transform: exact for what the grid can hold.
     """
     if not np.any(path_px):
@@ -253,36 +191,7 @@ def acquire(
     dark_frames: int,
     streams: Streams,
 ) -> Acquisition:
-    """Render, read, centroid.
-
-    Parameters
-    ----------
-    name : str
-        What error messages call the acquisition.
-    places : Places
-        Where the table is and how it moves.
-    bench : Bench
-        As it really is.
-    star : SingleStar
-        The simulator.
-    renderer : StarRenderer
-        Of the camera.
-    psfs : sequence of EffectivePsf
-        For the centroids, one per place.
-    expected_px : (n, 2)
-        Where the calibration puts the star by the readings; windows stand there, centroids start there.
-    instrument : Instrument
-        The camera.
-    window_px, dark_frames : int
-        Side of a window; frames with the lamp off.
-    streams : Streams
-        Root of the noise.
-
-    Raises
-    ------
-    DomainError
-        If the star leaves its window or the detector, is saturated or not seen.
-    """
+    """Render, read, centroid."""
     exposure_s = instrument.config.exposure_s
     seen = places.directions(bench, exposure_s)
     count, instants, _ = seen.shape

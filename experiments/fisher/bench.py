@@ -73,36 +73,23 @@ ADVICE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """One acquisition, evaluated.
+    """One acquisition, evaluated."""
 
-    Attributes
-    ----------
-    acquisition : Acquisition
-        The frames.
-    evaluation : Evaluation
-        Steps S300-S500, with the calibration of S100, which has seen none of these frames.
-    predicted : Scatter
-        From covariances.
-    expected_arcsec : mapping of str to float
-        Standard deviation per axis that each cause is expected to make: "centroids", "readings", "clocks",
-        "calibration".
-    realised_arcsec : mapping of str to float
-        What the causes made in this run, known to the simulation alone: "centroids", "table", "camera".
-    expected_ratio, ratio_scatter : float
-        Pixel method over Fisher as covariances and the lens predict it, with the calibrated angle per pixel, and the
-        standard deviation of that ratio of so many vectors, relative.
-    smear_px : float
-        Length of the streak.
-    """
-
-    acquisition: Acquisition
-    evaluation: Evaluation
-    predicted: Scatter
+    acquisition: Acquisition  # The frames
+    evaluation: Evaluation  # Steps S300-S500, with the calibration of S100, which has seen none of these frames
+    predicted: Scatter  # From covariances
+    # Standard deviation per axis that each cause is expected to make: "centroids", "readings", "clocks",
+    # "calibration"
     expected_arcsec: Mapping[str, float]
+    # What the causes made in this run, known to the simulation alone: "centroids", "table", "camera"
     realised_arcsec: Mapping[str, float]
+    # Pixel method over Fisher as covariances and the lens predict it, with the calibrated angle per pixel, and the
+    # standard deviation of that ratio of so many vectors, relative
     expected_ratio: float
+    # Pixel method over Fisher as covariances and the lens predict it, with the calibrated angle per pixel, and the
+    # standard deviation of that ratio of so many vectors, relative
     ratio_scatter: float
-    smear_px: float
+    smear_px: float  # Length of the streak
 
     @property
     def z_score(self) -> float:
@@ -124,71 +111,30 @@ class Case:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SameData:
-    """Static vectors, evaluated with a calibration that was fitted to them.
+    """Static vectors, evaluated with a calibration that was fitted to them."""
 
-    Attributes
-    ----------
-    unknowns : int
-        Of the calibration.
-    naive, corrected : Evaluation
-        With 2 (n - 1) degrees of freedom, and with 2 n minus the unknowns.
-    predicted : Scatter
-        From covariances.
-    """
-
-    unknowns: int
-    naive: Evaluation
-    corrected: Evaluation
-    predicted: Scatter
+    unknowns: int  # Of the calibration
+    naive: Evaluation  # With 2 (n - 1) degrees of freedom, and with 2 n minus the unknowns
+    corrected: Evaluation  # With 2 (n - 1) degrees of freedom, and with 2 n minus the unknowns
+    predicted: Scatter  # From covariances
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchRun:
-    """Everything that was rendered.
+    """Everything that was rendered."""
 
-    Attributes
-    ----------
-    measurement : Measurement
-        Data of the calibration (S100).
-    calibration : Calibration
-        Its result.
-    model, bench
-        Camera and bench as calibrated.
-    true_bench : Bench
-        As it really is.
-    cases : sequence of Case
-        At rest; on the move.
-    same_data : SameData
-        At rest, calibrated with the data themselves.
-    resolutions_arcsec : mapping of str to float
-        Angles per pixel that may be assumed.
-    """
-
-    measurement: Measurement
-    calibration: Calibration
-    model: CameraModel
-    bench: Bench
-    true_bench: Bench
-    cases: Sequence[Case]
-    same_data: SameData
-    resolutions_arcsec: Mapping[str, float]
+    measurement: Measurement  # Data of the calibration (S100)
+    calibration: Calibration  # Its result
+    model: CameraModel  # Camera and bench as calibrated
+    bench: Bench  # Camera and bench as calibrated
+    true_bench: Bench  # As it really is
+    cases: Sequence[Case]  # At rest; on the move
+    same_data: SameData  # At rest, calibrated with the data themselves
+    resolutions_arcsec: Mapping[str, float]  # Angles per pixel that may be assumed
 
 
 def run_bench(config: Config, instrument: Instrument, progress: Progress) -> BenchRun:
-    """Calibrate, acquire at rest and on the move, evaluate.
-
-    Parameters
-    ----------
-    config, instrument
-        What to do, with which camera.
-    progress : Progress
-        Where to report.
-
-    Raises
-    ------
-    StarbenchError
-        If the star is lost, or the calibration does not converge.
-    """
+    """Calibrate, acquire at rest and on the move, evaluate."""
     streams = Streams(config.seed).child("fisher")
     with progress.stage("calibration (S100)", total=5) as stage:
         measurement = measure(

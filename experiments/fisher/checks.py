@@ -18,13 +18,7 @@ LONGEST_SMEAR_PX = 40.0
 
 
 def check_config(config: Config) -> Instrument:
-    """The camera; whatever can be refused without rendering is refused here.
-
-    Raises
-    ------
-    StarbenchError
-        On anything that the user can mend.
-    """
+    """The camera; whatever can be refused without rendering is refused here."""
     axes = len(build_table(config.table).axis)
     check_table("table", config.table, axes)
     if axes == 3 and len({round(roll % 360.0, 6) for roll in config.table.rolls_deg}) < 2:
@@ -52,13 +46,7 @@ def check_config(config: Config) -> Instrument:
 
 
 def evaluation_px(config: Config, instrument: Instrument) -> FloatArray:
-    """Places (n, 2) of the evaluation; checked like those of the calibration.
-
-    Raises
-    ------
-    DomainError
-        As `experiments.laboratory.single_star.setup.grid_px`; on fewer measurements than unknowns.
-    """
+    """Places (n, 2) of the evaluation; checked like those of the calibration."""
     chosen = config.evaluation
     grid = GridConfig(columns=chosen.columns, rows=chosen.rows, edge_px=chosen.edge_px)
     try:

@@ -34,34 +34,17 @@ DISTRIBUTIONS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoveragePoint:
-    """Samples of one distribution and size.
+    """Samples of one distribution and size."""
 
-    Attributes
-    ----------
-    kind : str
-        Key of `DISTRIBUTIONS`.
-    count : int
-        Vectors per sample.
-    covered : tuple of float
-        Share of intervals that hold the true sigma, for each of `LEVELS`.
-    error : tuple of float
-        Standard deviation of that share by the number of runs, at the nominal level.
-    covered_effective : tuple of float
-        The same with the degrees of freedom that the vectors themselves show
-        (`calib.directional.fisher_checks.effective_degrees`).
-    bias : float
-        Mean of the estimated variance over the true one, minus 1.
-    bias_error : float
-        Its standard error.
-    """
-
-    kind: str
-    count: int
-    covered: tuple[float, ...]
-    error: tuple[float, ...]
+    kind: str  # Key of `DISTRIBUTIONS`
+    count: int  # Vectors per sample
+    covered: tuple[float, ...]  # Share of intervals that hold the true sigma, for each of `LEVELS`
+    error: tuple[float, ...]  # Standard deviation of that share by the number of runs, at the nominal level
+    # The same with the degrees of freedom that the vectors themselves show
+    # (`calib.directional.fisher_checks.effective_degrees`)
     covered_effective: tuple[float, ...]
-    bias: float
-    bias_error: float
+    bias: float  # Mean of the estimated variance over the true one, minus 1
+    bias_error: float  # Its standard error
 
 
 def true_sigma(kind: str) -> float:
@@ -92,17 +75,7 @@ def _draw(kind: str, runs: int, count: int, rng: np.random.Generator) -> FloatAr
 
 
 def coverage(config: CoverageConfig, streams: Streams, *, advance: Callable[[], None]) -> list[CoveragePoint]:
-    """Draw, estimate, count.
-
-    Parameters
-    ----------
-    config : CoverageConfig
-        Sizes and numbers.
-    streams : Streams
-        Root of the randomness.
-    advance : callable
-        Called after every point.
-    """
+    """Draw, estimate, count."""
     points = []
     for kind in DISTRIBUTIONS:
         for count in config.counts:

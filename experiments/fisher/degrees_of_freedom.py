@@ -56,31 +56,17 @@ class VarianceRatio:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SameDataPoint:
-    """One number of places.
+    """One number of places."""
 
-    Attributes
-    ----------
-    count, unknowns : int
-        Star vectors; unknowns of the calibration.
-    naive, corrected, independent : VarianceRatio
-        Estimated variance over that of the noise.
-    predicted_naive, predicted_independent : float
-        The same from covariances.
-    effective_degrees : float
-        Degrees of freedom of the same data that would make it unbiased.
-    lost : int
-        Calibrations that did not converge.
-    """
-
-    count: int
-    unknowns: int
-    naive: VarianceRatio
-    corrected: VarianceRatio
-    independent: VarianceRatio
-    predicted_naive: float
-    predicted_independent: float
-    effective_degrees: float
-    lost: int
+    count: int  # Star vectors; unknowns of the calibration
+    unknowns: int  # Star vectors; unknowns of the calibration
+    naive: VarianceRatio  # Estimated variance over that of the noise
+    corrected: VarianceRatio  # Estimated variance over that of the noise
+    independent: VarianceRatio  # Estimated variance over that of the noise
+    predicted_naive: float  # The same from covariances
+    predicted_independent: float  # The same from covariances
+    effective_degrees: float  # Degrees of freedom of the same data that would make it unbiased
+    lost: int  # Calibrations that did not converge
 
 
 def same_data_sweep(
@@ -94,25 +80,7 @@ def same_data_sweep(
     rolls_rad: Sequence[float] = (0.0,),
     advance: Callable[[], None],
 ) -> list[SameDataPoint]:
-    """Vary the number of places.
-
-    Parameters
-    ----------
-    model, bench
-        The truth.
-    sigma_px : float
-        Noise of an image per axis.
-    sides : sequence of int
-        Places along each side of the detector.
-    runs : int
-        Calibrations per point.
-    streams : Streams
-        Root of the randomness.
-    rolls_rad : sequence of float
-        Angles of a third axis, in turn from place to place.
-    advance : callable
-        Called after every point.
-    """
+    """Vary the number of places."""
     points = []
     for side in sides:
         points.append(_same_point(model, bench, sigma_px, side, runs, rolls_rad, streams.child("same data", side)))

@@ -17,14 +17,7 @@ __all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
-    """Render, calibrate, evaluate; then the studies on coordinates.
-
-    Raises
-    ------
-    StarbenchError
-        On anything the user can mend: too few places or too little of the detector covered, the star off the detector,
-        not seen or saturated, a streak longer than its window.
-    """
+    """Render, calibrate, evaluate; then the studies on coordinates."""
     import numpy as np
 
     from experiments.fisher.bench import run_bench

@@ -56,19 +56,11 @@ STAR = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ratio:
-    """A ratio of standard deviations over many runs.
+    """A ratio of standard deviations over many runs."""
 
-    Attributes
-    ----------
-    mean, error : float
-        Mean and its standard error.
-    spread : float
-        Standard deviation of a run.
-    """
-
-    mean: float
-    error: float
-    spread: float
+    mean: float  # Mean and its standard error
+    error: float  # Mean and its standard error
+    spread: float  # Standard deviation of a run
 
     @property
     def percent(self) -> float:
@@ -83,29 +75,19 @@ class Ratio:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldPoint:
-    """Square field of one width.
+    """Square field of one width."""
 
-    Attributes
-    ----------
-    field_deg : float
-        Full width.
-    baseline, fisher : Ratio
-        Noise isotropic on the sphere: pixel method over Fisher on the same vectors; Fisher over the truth.
-    wrong_resolution : Ratio
-        Pixel method with a wrong angle per pixel, over Fisher.
-    field_over_pixels : Ratio
-        Pixel method with field/pixels as the angle per pixel, over Fisher.
-    pixel_noise_fisher, pixel_noise_baseline : Ratio
-        Noise isotropic in pixels: Fisher over the pixel method on the same images; pixel method over what the noise is
-        on the axis.
-    """
-
-    field_deg: float
+    field_deg: float  # Full width
+    # Noise isotropic on the sphere: pixel method over Fisher on the same vectors; Fisher over the truth
     baseline: Ratio
-    fisher: Ratio
-    wrong_resolution: Ratio
-    field_over_pixels: Ratio
+    fisher: Ratio  # Noise isotropic on the sphere: pixel method over Fisher on the same vectors; Fisher over the truth
+    wrong_resolution: Ratio  # Pixel method with a wrong angle per pixel, over Fisher
+    field_over_pixels: Ratio  # Pixel method with field/pixels as the angle per pixel, over Fisher
+    # Noise isotropic in pixels: Fisher over the pixel method on the same images; pixel method over what the noise is
+    # on the axis
     pixel_noise_fisher: Ratio
+    # Noise isotropic in pixels: Fisher over the pixel method on the same images; pixel method over what the noise is
+    # on the axis
     pixel_noise_baseline: Ratio
 
 
@@ -134,17 +116,7 @@ def vectors_needed(excess: float) -> float:
 
 
 def baseline_over_sphere(model: CameraModel, pixel_px: FloatArray, noise_px2: FloatArray | None = None) -> float:
-    """Pixel method over the truth for any camera, at given images, with the angle per pixel of the axis.
-
-    Parameters
-    ----------
-    model : CameraModel
-        The camera, distortion included.
-    pixel_px : (n, 2)
-        Images.
-    noise_px2 : (n, 2, 2), optional
-        Covariance of the images; by default that of noise isotropic on the sphere.
-    """
+    """Pixel method over the truth for any camera, at given images, with the angle per pixel of the axis."""
     by_pixel = unproject_jacobian(model, pixel_px).by_pixel
     metric = np.swapaxes(by_pixel, 1, 2) @ by_pixel  # angle^2 per pixel^2
     noise = np.linalg.inv(metric) if noise_px2 is None else noise_px2
@@ -161,17 +133,7 @@ def ideal_camera(field_deg: float) -> BrownConrady:
 
 
 def field_sweep(config: FieldConfig, streams: Streams, *, advance: Callable[[], None]) -> list[FieldPoint]:
-    """Monte-Carlo over fields: ideal cameras with known calibration, vectors spread evenly over the detector.
-
-    Parameters
-    ----------
-    config : FieldConfig
-        Fields, numbers, noise.
-    streams : Streams
-        Root of the randomness.
-    advance : callable
-        Called after every field.
-    """
+    """Monte-Carlo over fields: ideal cameras with known calibration, vectors spread evenly over the detector."""
     points = []
     for field in config.field_deg:
         points.append(_field_point(config, field, streams.child("field", f"{field:g}")))

@@ -36,25 +36,13 @@ COUNT, RUNS, SIGMA_ARCSEC = 60, 400, 2.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KnownNoise:
-    """Samples of vectors with known noise, evaluated.
+    """Samples of vectors with known noise, evaluated."""
 
-    Attributes
-    ----------
-    variance : float
-        Mean of the variances found over the variance put in.
-    variance_sigma : float
-        Its standard deviation.
-    cone : float
-        Largest difference of the cone of confidence from its closed form, relative.
-    held, held_sigma : float
-        Part of the cones that hold the true direction, and its standard deviation.
-    """
-
-    variance: float
-    variance_sigma: float
-    cone: float
-    held: float
-    held_sigma: float
+    variance: float  # Mean of the variances found over the variance put in
+    variance_sigma: float  # Its standard deviation
+    cone: float  # Largest difference of the cone of confidence from its closed form, relative
+    held: float  # Part of the cones that hold the true direction, and its standard deviation
+    held_sigma: float  # Part of the cones that hold the true direction, and its standard deviation
 
 
 def written_out_vectors(config: Config, calibration: Calibration, acquisition: Acquisition) -> FloatArray:

@@ -48,30 +48,14 @@ FEWEST = 10
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VectorFrames:
-    """Star vectors of n frames that the calibration has not seen.
+    """Star vectors of n frames that the calibration has not seen."""
 
-    Attributes
-    ----------
-    fitted : PoseCalibration
-        From the poses for calibration.
-    evaluated : tuple of SeriesFrames
-        The others, one frame each.
-    data : Data
-        Their images and readings.
-    evaluation : Evaluation
-        Steps S300 to S500.
-    predicted : Scatter
-        From the covariances of images, readings and calibration.
-    parts_arcsec : mapping of str to float
-        Standard deviation per axis that centroids and readings are expected to make.
-    """
-
-    fitted: PoseCalibration
-    evaluated: tuple[SeriesFrames, ...]
-    data: Data
-    evaluation: Evaluation
-    predicted: Scatter
-    parts_arcsec: Mapping[str, float]
+    fitted: PoseCalibration  # From the poses for calibration
+    evaluated: tuple[SeriesFrames, ...]  # The others, one frame each
+    data: Data  # Their images and readings
+    evaluation: Evaluation  # Steps S300 to S500
+    predicted: Scatter  # From the covariances of images, readings and calibration
+    parts_arcsec: Mapping[str, float]  # Standard deviation per axis that centroids and readings are expected to make
 
     @property
     def series(self) -> tuple[SeriesFrames, ...]:
@@ -80,15 +64,7 @@ class VectorFrames:
 
 
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> VectorFrames:
-    """Calibrate with some poses, evaluate the star vectors of the others.
-
-    Raises
-    ------
-    ConfigError
-        No poses for evaluation, or several frames in one: they share a reading.
-    DomainError
-        As `calibrate_poses`; too few star vectors.
-    """
+    """Calibrate with some poses, evaluate the star vectors of the others."""
     chosen = [one for one in folder.series if one.settings.use == "evaluation"]
     if not chosen:
         raise ConfigError(

@@ -24,24 +24,12 @@ SIGMAS_ARCSEC = (100.0, 30.0, 10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DigitsPoint:
-    """Relative error of the concentration 1/(1 - R) of one sample, against 50 digits.
+    """Relative error of the concentration 1/(1 - R) of one sample, against 50 digits."""
 
-    Attributes
-    ----------
-    sigma_arcsec : float
-        Standard deviation per axis of the vectors.
-    chords : float
-        By sums of squared chords.
-    subtraction : float
-        By 1 - R in double precision; infinite where that is 0.
-    scipy : float
-        By `scipy.stats.vonmises_fisher.fit`, which solves eq. 10; NaN where it gives up.
-    """
-
-    sigma_arcsec: float
-    chords: float
-    subtraction: float
-    scipy: float
+    sigma_arcsec: float  # Standard deviation per axis of the vectors
+    chords: float  # By sums of squared chords
+    subtraction: float  # By 1 - R in double precision; infinite where that is 0
+    scipy: float  # By `scipy.stats.vonmises_fisher.fit`, which solves eq. 10; NaN where it gives up
 
 
 def digits_sweep(streams: Streams, sigmas_arcsec: Sequence[float] = SIGMAS_ARCSEC) -> list[DigitsPoint]:

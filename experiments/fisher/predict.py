@@ -51,24 +51,12 @@ STAR_COLUMNS = 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scatter:
-    """Expected sum of squared chords of n vectors.
+    """Expected sum of squared chords of n vectors."""
 
-    Attributes
-    ----------
-    count : int
-        n.
-    sum_rad2 : float
-        Its mean.
-    variance_rad4 : float
-        Its variance.
-    noise_rad2 : float
-        Mean variance per axis of the noise alone, without calibration and without the mean taken off.
-    """
-
-    count: int
-    sum_rad2: float
-    variance_rad4: float
-    noise_rad2: float
+    count: int  # n
+    sum_rad2: float  # Its mean
+    variance_rad4: float  # Its variance
+    noise_rad2: float  # Mean variance per axis of the noise alone, without calibration and without the mean taken off
 
     @property
     def sigma_arcsec(self) -> float:
@@ -143,19 +131,7 @@ def covariance_of_rows(calibration: Calibration) -> FloatArray:
 def predict_independent(
     maps: FloatArray, noise_px2: FloatArray, rows: FloatArray, calibration_covariance: FloatArray
 ) -> Scatter:
-    """Scatter of data that the calibration has not seen.
-
-    Parameters
-    ----------
-    maps : (n, 2, 2)
-        `tangent_maps`.
-    noise_px2 : (n, 2, 2)
-        Of the images, whatever the cause.
-    rows : (n, 2, q)
-        `calibration_of_rows`.
-    calibration_covariance : (q, q)
-        Of the unknowns in the same order.
-    """
+    """Scatter of data that the calibration has not seen."""
     spread = _blocks(maps @ noise_px2 @ np.swapaxes(maps, 1, 2))
     enters = (maps @ rows)[:, :, :-STAR_COLUMNS].reshape(len(spread), -1)
     part = calibration_covariance[:-STAR_COLUMNS, :-STAR_COLUMNS]
@@ -183,13 +159,6 @@ def ratio_scatter(maps: FloatArray, noise_px2: FloatArray) -> float:
     .. math:: \mathrm{var}\,\log(b/a) = \frac{1}{4} \sum_i 2\, \mathrm{tr}
         \left[\left(C_i / \textstyle\sum \mathrm{tr}\, C_j
         - M_i C_i / \sum \mathrm{tr}\, M_j C_j\right)^2\right]
-
-    Parameters
-    ----------
-    maps : (n, 2, 2)
-        `tangent_maps`.
-    noise_px2 : (n, 2, 2)
-        Of the images, whatever the cause.
     """
     sphere = np.swapaxes(maps, 1, 2) @ maps @ noise_px2
     apart = noise_px2 / np.einsum("nii->", noise_px2) - sphere / np.einsum("nii->", sphere)

@@ -38,31 +38,15 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
-    """Accuracy of n star vectors.
+    """Accuracy of n star vectors."""
 
-    Attributes
-    ----------
-    vectors : (n, 3)
-        Unit vectors w_i in the table's frame at zero angles; outliers included.
-    outlier : (n,) bool
-        Taken out before fitting.
-    fit : FisherFit
-        Of the others.
-    isotropy, tails
-        Whether they follow the distribution.
-    effective_degrees : float
-        Degrees of freedom that the vectors themselves show.
-    residual_px : (n, 2)
-        Images minus the reprojected star; outliers included.
-    """
-
-    vectors: FloatArray
-    outlier: NDArray[np.bool_]
-    fit: FisherFit
-    isotropy: Isotropy
-    tails: Exponential
-    effective_degrees: float
-    residual_px: FloatArray
+    vectors: FloatArray  # (n, 3) Unit vectors w_i in the table's frame at zero angles; outliers included
+    outlier: NDArray[np.bool_]  # (n,) Taken out before fitting
+    fit: FisherFit  # Of the others
+    isotropy: Isotropy  # Whether they follow the distribution
+    tails: Exponential  # Whether they follow the distribution
+    effective_degrees: float  # Degrees of freedom that the vectors themselves show
+    residual_px: FloatArray  # (n, 2) Images minus the reprojected star; outliers included
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -110,26 +94,7 @@ def evaluate(
     outlier_probability: float | None = 0.01,
     degrees_of_freedom: float | None = None,
 ) -> Evaluation:
-    """Steps S300 to S500.
-
-    Parameters
-    ----------
-    model, bench
-        As calibrated.
-    position_px : (n, 2)
-        Centroids.
-    reading_rad : (n, k)
-        Readings of the table.
-    outlier_probability : float, optional
-        Level of the outlier test; None: no test.
-    degrees_of_freedom : float, optional
-        As `calib.directional.fisher.fit_fisher`; of the sample before outliers are taken out, each of which costs two.
-
-    Raises
-    ------
-    DomainError
-        On fewer than four images.
-    """
+    """Steps S300 to S500."""
     pixel, angle = np.array(position_px), np.array(reading_rad)
     turn: Rotation = bench.table.rotation(angle)
     vectors = initial_frame_vectors(model, pixel, installation=bench.installation, table_rotation=turn)

@@ -19,33 +19,13 @@ __all__ = ["Result"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """The whole run.
+    """The whole run."""
 
-    Attributes
-    ----------
-    config : Config
-        Settings.
-    instrument : Instrument
-        Camera under test.
-    bench : BenchRun
-        Rendered: calibration, acquisitions, evaluations.
-    field_sweep : sequence of FieldPoint
-        Pixel method against Fisher on ideal cameras.
-    coverage : sequence of CoveragePoint
-        Of the confidence interval.
-    same_data : sequence of SameDataPoint
-        Calibrating and evaluating with the same data.
-    digits : sequence of DigitsPoint
-        Numerics of 1 - R.
-    table_sweep : sequence of TablePoint
-        What is measured on other tables.
-    """
-
-    config: Config
-    instrument: Instrument
-    bench: BenchRun
-    field_sweep: Sequence[FieldPoint]
-    coverage: Sequence[CoveragePoint]
-    same_data: Sequence[SameDataPoint]
-    digits: Sequence[DigitsPoint]
-    table_sweep: Sequence[TablePoint]
+    config: Config  # Settings
+    instrument: Instrument  # Camera under test
+    bench: BenchRun  # Rendered: calibration, acquisitions, evaluations
+    field_sweep: Sequence[FieldPoint]  # Pixel method against Fisher on ideal cameras
+    coverage: Sequence[CoveragePoint]  # Of the confidence interval
+    same_data: Sequence[SameDataPoint]  # Calibrating and evaluating with the same data
+    digits: Sequence[DigitsPoint]  # Numerics of 1 - R
+    table_sweep: Sequence[TablePoint]  # What is measured on other tables

@@ -24,22 +24,12 @@ RUNS = 20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TablePoint:
-    """One reading noise of the table, all axes alike.
+    """One reading noise of the table, all axes alike."""
 
-    Attributes
-    ----------
-    reading_arcsec : float
-        Standard deviation of a reading.
-    sigma_arcsec, error_arcsec : float
-        What the method gives, mean over runs, and its standard error.
-    expected_arcsec : float
-        Root of the sum of squares of camera and table.
-    """
-
-    reading_arcsec: float
-    sigma_arcsec: float
-    error_arcsec: float
-    expected_arcsec: float
+    reading_arcsec: float  # Standard deviation of a reading
+    sigma_arcsec: float  # What the method gives, mean over runs, and its standard error
+    error_arcsec: float  # What the method gives, mean over runs, and its standard error
+    expected_arcsec: float  # Root of the sum of squares of camera and table
 
 
 def table_sweep(
@@ -51,21 +41,7 @@ def table_sweep(
     streams: Streams,
     readings_arcsec: Sequence[float] = READINGS_ARCSEC,
 ) -> list[TablePoint]:
-    """Repeat the acquisition on coordinates, calibration known, with other tables.
-
-    Parameters
-    ----------
-    model, bench
-        The truth.
-    angle_rad : (n, k)
-        Angles of the table.
-    camera_arcsec, sigma_px : float
-        Noise of an image, as an angle per axis and in pixels.
-    streams : Streams
-        Root of the randomness.
-    readings_arcsec : sequence of float
-        Reading noises.
-    """
+    """Repeat the acquisition on coordinates, calibration known, with other tables."""
     angle = np.array(angle_rad)
     exact = model.project(bench.seen(angle))
     points = []

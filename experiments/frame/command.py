@@ -63,16 +63,5 @@ def show(
 
 
 def main(argv: list[str]) -> int:
-    """Run the command.
-
-    Parameters
-    ----------
-    argv : list of str
-        ``show FILE`` with options; ``--help`` tells them.
-
-    Returns
-    -------
-    int
-        0, or 2 for bad input, told in one line.
-    """
+    """Run the command."""
     return run_group(frame, argv)

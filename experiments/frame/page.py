@@ -29,38 +29,18 @@ NEAR_PX = 3.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Asked:
-    """What the page is made of.
+    """What the page is made of."""
 
-    Attributes
-    ----------
-    file : pathlib.Path
-        FITS image.
-    hdu, plane
-        As `calib.measure.image.read_image`.
-    sigma : float or None
-        Threshold of detection; None finds no stars.
-    truth : pathlib.Path or None
-        Table of places; None takes the truth of a dataset that the file is of.
-    faintest_mag : float or None
-        Stars of the catalogue to this magnitude; None marks none.
-    """
-
-    file: Path
-    hdu: int | str | None = None
-    plane: int | None = None
-    sigma: float | None = 5.0
-    truth: Path | None = None
-    faintest_mag: float | None = None
+    file: Path  # FITS image
+    hdu: int | str | None = None  # As `calib.measure.image.read_image`
+    plane: int | None = None  # As `calib.measure.image.read_image`
+    sigma: float | None = 5.0  # Threshold of detection; None finds no stars
+    truth: Path | None = None  # Table of places; None takes the truth of a dataset that the file is of
+    faintest_mag: float | None = None  # Stars of the catalogue to this magnitude; None marks none
 
 
 def write_page(asked: Asked, page: Path) -> Iterator[str]:
-    """Write the page; what was found is told line by line.
-
-    Raises
-    ------
-    ConfigError
-        A file that cannot be read or written, a catalogue where the file has no coordinates.
-    """
+    """Write the page; what was found is told line by line."""
     image = read_image(asked.file, hdu=asked.hdu, plane=asked.plane)
     header = image_header(asked.file, asked.hdu)
     sky = sky_grid(header, image.dn.shape)

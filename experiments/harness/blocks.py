@@ -29,40 +29,20 @@ __all__ = ["Artist", "Equation", "Figure", "KeyNumber", "Row"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figure:
-    """A drawing with its caption; figures are numbered in the order of the report.
+    """A drawing with its caption; figures are numbered in the order of the report."""
 
-    Attributes
-    ----------
-    drawing : matplotlib Figure, str or bytes
-        A figure (`plotting.new_figure`), an ``<svg>`` element, or the bytes of a PNG file.
-    caption : str
-        What is shown and what to see in it; ``*`` as in `Text`.
-    alt : str
-        For those who cannot see it; the caption if left empty.
-    raster : bool
-        Store a matplotlib figure as PNG: for tens of thousands of marks.
-    """
-
-    drawing: Drawing | str | bytes
-    caption: str
-    alt: str = ""
-    raster: bool = False
+    drawing: Drawing | str | bytes  # A figure (`plotting.new_figure`), an ``<svg>`` element, or the bytes of a PNG file
+    caption: str  # What is shown and what to see in it; ``*`` as in `Text`
+    alt: str = ""  # For those who cannot see it; the caption if left empty
+    raster: bool = False  # Store a matplotlib figure as PNG: for tens of thousands of marks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Equation:
-    """A displayed equation.
+    """A displayed equation."""
 
-    Attributes
-    ----------
-    latex : str
-        In matplotlib's subset of LaTeX, without dollar signs.
-    note : str
-        Its number in the source, e.g. "ACC18 eq. 16".
-    """
-
-    latex: str
-    note: str = ""
+    latex: str  # In matplotlib's subset of LaTeX, without dollar signs
+    note: str = ""  # Its number in the source, e.g. "ACC18 eq. 16"
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,27 +54,13 @@ class Row:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeyNumber:
-    """A number shown large at the top.
+    """A number shown large at the top."""
 
-    Attributes
-    ----------
-    label : str
-        What it is, in a few words.
-    value : float, int, str or Measured
-        The number.
-    unit : str
-        Its unit; taken from a `Measured` if left empty.
-    format : str
-        Format of a plain float.
-    note : str
-        A few small words beneath, e.g. "published 0.12 px".
-    """
-
-    label: str
-    value: float | int | str | Measured
-    unit: str = ""
-    format: str = ""
-    note: str = ""
+    label: str  # What it is, in a few words
+    value: float | int | str | Measured  # The number
+    unit: str = ""  # Its unit; taken from a `Measured` if left empty
+    format: str = ""  # Format of a plain float
+    note: str = ""  # A few small words beneath, e.g. "published 0.12 px"
 
     @property
     def shown_unit(self) -> str:

@@ -81,19 +81,7 @@ class Run:
 
 
 def command(experiment: Experiment) -> Main:
-    """Turn an experiment into a command.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Its declaration.
-
-    Returns
-    -------
-    callable
-        ``main(argv=None) -> int``: 0 when all criteria hold, 1 when one does not, 2 on bad input (one line on the
-        error stream), 3 on a fault of the program (with its traceback), 130 after Ctrl-C.
-    """
+    """Turn an experiment into a command."""
     status_of_run: list[int] = []
     interrupts = Interrupts()
     parser = _parser(experiment, status_of_run, interrupts)

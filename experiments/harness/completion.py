@@ -45,17 +45,7 @@ SHELLS = tuple(_SHELLS)
 
 
 class Tree(click.Group):
-    """All commands by name, each loaded when its own words are asked for.
-
-    Parameters
-    ----------
-    lines : mapping of str to str
-        Name -> what it does, in a line.
-    load : callable
-        ``load(name)`` gives the command.
-    options : iterable of str
-        Options of the program itself.
-    """
+    """All commands by name, each loaded when its own words are asked for."""
 
     def __init__(
         self, lines: Mapping[str, str], load: Callable[[str], click.Command], options: Iterable[str] = ()

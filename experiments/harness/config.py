@@ -95,11 +95,6 @@ class StrictModel(BaseModel):
 
     A field that holds real numbers must end in its unit (``defocus_um``, ``rate_e_per_s``) or in a word that says it
     has none (``_fraction``, ``_ratio``, ``_snr``, ...); other pure numbers are named in `dimensionless`.
-
-    Raises
-    ------
-    TypeError
-        When a subclass is defined with a real-valued field whose name does not tell its unit.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
@@ -134,24 +129,12 @@ class ExperimentConfig(StrictModel):
 
     @classmethod
     def of_sensor(cls, file: Path) -> dict[str, Any]:
-        """Settings of this experiment that a sensor file decides.
-
-        Raises
-        ------
-        ConfigError
-            An experiment without a sensor; a file that is none.
-        """
+        """Settings of this experiment that a sensor file decides."""
         raise ConfigError(f"--sensor {file}: this experiment has no sensor that could be another one")
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Settings that others decide where no layer says anything, such as a lens file its pass band; none here.
-
-        Parameters
-        ----------
-        values : mapping
-            All settings of all layers, not yet validated.
-        """
+        """Settings that others decide where no layer says anything, such as a lens file its pass band; none here."""
         return {}
 
     def remarks(self) -> tuple[str, ...]:
@@ -159,13 +142,7 @@ class ExperimentConfig(StrictModel):
         return ()
 
     def as_sensor(self, file: Path | None) -> StrictModel | None:
-        """The sensor file that describes what this configuration runs with; None where it has no such sensor.
-
-        Parameters
-        ----------
-        file : path, optional
-            Sensor file that the configuration was read with; what the experiment does not know stays as it is there.
-        """
+        """The sensor file that describes what this configuration runs with; None where it has no such sensor."""
         return None
 
 
@@ -182,34 +159,6 @@ def load_config(
     """Configuration from its layers; a later layer wins, and only the keys that it names.
 
     What the layers imply (`ExperimentConfig.implied`) stands below all that the user says.
-
-    Parameters
-    ----------
-    model_class : type
-        The experiment's `Config`; all its fields have defaults.
-    quick : mapping, optional
-        Dotted key -> value of the quick run, beneath everything that the user says.
-    sensor : path, optional
-        Sensor file; the experiment takes from it what it knows (`ExperimentConfig.of_sensor`).
-    file : path, optional
-        TOML file with any part of the configuration; paths in it are relative to it.
-    settings : sequence of str
-        ``key=value`` with dotted keys (list items by number: ``bands.0.centre_nm=510``). The value is read as TOML
-        where that fits the field, otherwise taken as text.
-    options : mapping, optional
-        Settings that have a command-line option of their own, ``key=value`` by the option's name.
-    seed : int, optional
-        Last word on ``seed``.
-
-    Returns
-    -------
-    model_class
-        The validated configuration.
-
-    Raises
-    ------
-    ConfigError
-        File missing or broken, unknown key (with the nearest name), value of the wrong type or out of range.
     """
     values = model_class().model_dump()
     for key, value in (quick or {}).items():
@@ -251,20 +200,7 @@ def load_config(
 
 
 def read_settings(model_class: type[BaseModel], file: str | Path) -> dict[str, Any]:
-    """Settings of a TOML file, not yet validated; relative paths in it are taken from its folder.
-
-    Parameters
-    ----------
-    model_class : type
-        The model that the settings belong to; it says which of them are paths (`FileName`).
-    file : path
-        TOML file.
-
-    Raises
-    ------
-    ConfigError
-        File missing or no TOML.
-    """
+    """Settings of a TOML file, not yet validated; relative paths in it are taken from its folder."""
     found: dict[str, Any] = _located([model_class], read_toml(file), Path(file).parent)
     return found
 
@@ -316,29 +252,7 @@ def _marks(annotation: Any) -> Iterator[_IsFile]:
 def with_settings(
     model_class: type[BaseModel], values: Mapping[str, Any], settings: Iterable[str], option: str = "--set"
 ) -> dict[str, Any]:
-    """Apply ``key=value`` settings to a configuration mapping, without validating it.
-
-    Parameters
-    ----------
-    model_class : type
-        The model that the mapping belongs to; it types the values.
-    values : mapping
-        Complete configuration mapping.
-    settings : iterable of str
-        ``key=value``.
-    option : str
-        Option that they were given by, for messages.
-
-    Returns
-    -------
-    dict
-        A new mapping; the input is unchanged.
-
-    Raises
-    ------
-    ConfigError
-        A setting is not ``key=value``, or enters a list where it has no item.
-    """
+    """Apply ``key=value`` settings to a configuration mapping, without validating it."""
     result = dict(values)
     for setting in settings:
         key, equals, text = setting.partition("=")

@@ -176,35 +176,7 @@ def render_document(
     provenance: Mapping[str, Any],
     judged: str = "simulation",
 ) -> str:
-    """The report as one HTML page without any reference to another file or host.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        Template, see the module.
-    outcome : Outcome
-        What it speaks of.
-    tables : mapping of str to Table
-        Tables it may call.
-    draw : callable
-        ``draw(name, *arguments)`` makes a figure.
-    criteria : sequence of Criterion
-        Shown with the verdict; without any there is none.
-    provenance : mapping
-        As of `experiments.harness.provenance.collect`.
-    judged : str
-        What the criteria judge.
-
-    Returns
-    -------
-    str
-        HTML text; HTML in the template or in any value is shown as text.
-
-    Raises
-    ------
-    ConfigError
-        If the template has no title, or names what there is not.
-    """
+    """The report as one HTML page without any reference to another file or host."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markdown_it import MarkdownIt
 

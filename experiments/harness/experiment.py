@@ -43,70 +43,39 @@ Part = str | Callable[..., Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
-    """Declaration of an experiment.
+    """Declaration of an experiment."""
 
-    Attributes
-    ----------
-    name : str
-        By which it is called; the default output folder is ``out/NAME``.
-    config : type
-        Its settings.
-    run : callable
-        ``run(config, *, progress) -> result``: the work under some settings; it reports stages to ``progress``
-        (`experiments.harness.progress.Progress`) and raises `StarbenchError` on what the user can mend.
-    takes : str
-        How long a default and a quick run take on two cores, for the help text.
-    examples : mapping
-        Two command lines (what follows the name) -> what they do.
-    quantities, tables, criteria : "module:function" or callable
-        See the module; ``tables`` may be None.
-    figures : "module" or mapping of str to callable
-        Where the report finds its drawings.
-    report : str or path
-        Template of the report, relative to the package.
-    extra : "module:function" or callable, optional
-        ``extra(result) -> mapping``: what ``results`` in ``summary.json`` holds besides quantities.
-    quick : mapping
-        Dotted key -> value of the ``--quick`` run; the user's own settings win over it.
-    show : sequence of str
-        Tables that are printed in the terminal too.
-    judged : str
-        What the criteria judge, a word of the verdict.
-    files : "module:function" or callable, optional
-        ``files(result, folder)`` writes further files.
-    renders : callable
-        ``renders(config)``: whether the backend has to be ready before ``run``.
-    options : mapping
-        Name of an option without dashes -> (key of the configuration, help text): ``--NAME TEXT`` is short for
-        ``--set KEY=TEXT`` and wins over it; where the key holds a list of text, the option is repeatable.
-    output : callable, optional
-        ``output(path, config)``: an output folder of its own kind, for work that can be taken up again; ``run`` is then
-        given it as ``output=``.
-    instead : callable, optional
-        ``instead(config)``: another declaration that takes over for some settings, or None.
-    comparison : Experiment, optional
-        What several ``--sensor`` run; its configuration has a field ``sensors``, one of this experiment for each.
-    """
-
-    name: str
-    config: type[ExperimentConfig]
+    name: str  # By which it is called; the default output folder is ``out/NAME``
+    config: type[ExperimentConfig]  # Its settings
+    # ``run(config, *, progress) -> result``: the work under some settings; it reports stages to ``progress``
+    # (`experiments.harness.progress.Progress`) and raises `StarbenchError` on what the user can mend
     run: Callable[..., Any]
-    takes: str = ""
+    takes: str = ""  # How long a default and a quick run take on two cores, for the help text
+    # Two command lines (what follows the name) -> what they do
     examples: Mapping[str, str] = field(default_factory=dict)
-    quantities: Part = "quantities:describe"
-    tables: Part | None = "tables:tables"
-    criteria: Part = "criteria:criteria"
-    figures: str | Mapping[str, Callable[..., Any]] = "figures"
-    report: str | Path = "report.md"
+    quantities: Part = "quantities:describe"  # See the module; ``tables`` may be None
+    tables: Part | None = "tables:tables"  # See the module; ``tables`` may be None
+    criteria: Part = "criteria:criteria"  # See the module; ``tables`` may be None
+    figures: str | Mapping[str, Callable[..., Any]] = "figures"  # Where the report finds its drawings
+    report: str | Path = "report.md"  # Template of the report, relative to the package
+    # ``extra(result) -> mapping``: what ``results`` in ``summary.json`` holds besides quantities
     extra: Part | None = None
+    # Dotted key -> value of the ``--quick`` run; the user's own settings win over it
     quick: Mapping[str, Any] = field(default_factory=dict)
-    show: Sequence[str] = ()
-    judged: str = "simulation"
-    files: Part | None = None
+    show: Sequence[str] = ()  # Tables that are printed in the terminal too
+    judged: str = "simulation"  # What the criteria judge, a word of the verdict
+    files: Part | None = None  # ``files(result, folder)`` writes further files
+    # ``renders(config)``: whether the backend has to be ready before ``run``
     renders: Callable[[Any], bool] = field(default=lambda _: True)
+    # Name of an option without dashes -> (key of the configuration, help text): ``--NAME TEXT`` is short for ``--set
+    # KEY=TEXT`` and wins over it; where the key holds a list of text, the option is repeatable
     options: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    # ``output(path, config)``: an output folder of its own kind, for work that can be taken up again; ``run`` is then
+    # given it as ``output=``
     output: Callable[[str, Any], Any] | None = None
+    # ``instead(config)``: another declaration that takes over for some settings, or None
     instead: Callable[[Any], Experiment | None] | None = None
+    # What several ``--sensor`` run; its configuration has a field ``sensors``, one of this experiment for each
     comparison: Experiment | None = None
 
     @property

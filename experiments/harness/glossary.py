@@ -13,18 +13,10 @@ __all__ = ["GLOSSARY", "Glossary", "Term"]
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """What a short word stands for.
+    """What a short word stands for."""
 
-    Attributes
-    ----------
-    means : str
-        One sentence.
-    link : str
-        Where to read on; empty for none.
-    """
-
-    means: str
-    link: str = ""
+    means: str  # One sentence
+    link: str = ""  # Where to read on; empty for none
 
 
 _ECSS = "https://ecss.nl"
@@ -68,13 +60,7 @@ _NAME = re.compile(r"</?([A-Za-z0-9]+)")
 
 
 class Glossary:
-    """Marks terms of one page at their first use, and lists those that were met.
-
-    Parameters
-    ----------
-    terms : mapping of str to Term, optional
-        What is known.
-    """
+    """Marks terms of one page at their first use, and lists those that were met."""
 
     def __init__(self, terms: Mapping[str, Term] = GLOSSARY) -> None:
         self.terms = terms

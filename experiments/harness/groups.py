@@ -12,20 +12,7 @@ __all__ = ["run_group"]
 
 
 def run_group(group: click.Command, argv: list[str]) -> int:
-    """Run a group of commands.
-
-    Parameters
-    ----------
-    group : click.Command
-        The group; its name is that of the command.
-    argv : list of str
-        Subcommand and options.
-
-    Returns
-    -------
-    int
-        0, or 2 for bad input.
-    """
+    """Run a group of commands."""
     try:
         group.main(args=argv, prog_name=f"starbench {group.name}", standalone_mode=False)
     except click.exceptions.Exit as end:

@@ -33,25 +33,15 @@ EXIT_GOOD, EXIT_FAILED, EXIT_BAD_INPUT, EXIT_BROKEN, EXIT_INTERRUPTED = 0, 1, 2,
 
 @dataclass(slots=True)
 class Interrupts:
-    """Ctrl-C and a polite kill: unwind, so that nothing half-written stays, or leave at once while nothing can be.
+    """Ctrl-C and a polite kill: unwind, so that nothing half-written stays, or leave at once while nothing can be."""
 
-    Attributes
-    ----------
-    asked : list of int
-        Signals that came.
-    at_once : bool
-        Whether a signal ends the process in its handler. True while a command starts: an exception raised amid the
-        import of a native library can crash it, or be swallowed.
-    stderr : int
-        Descriptor of the error stream from before anybody turned it elsewhere, as the start of the renderer does.
-    said : callable
-        What to say.
-    """
-
-    asked: list[int] = field(default_factory=list)
+    asked: list[int] = field(default_factory=list)  # Signals that came
+    # Whether a signal ends the process in its handler. True while a command starts: an exception raised amid the
+    # import of a native library can crash it, or be swallowed
     at_once: bool = False
+    # Descriptor of the error stream from before anybody turned it elsewhere, as the start of the renderer does
     stderr: int = -1
-    said: Callable[[], str] = lambda: OutputFolder.interrupted
+    said: Callable[[], str] = lambda: OutputFolder.interrupted  # What to say
 
     @contextlib.contextmanager
     def caught(self) -> Iterator[None]:

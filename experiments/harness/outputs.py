@@ -33,17 +33,6 @@ class OutputFolder:
     Making the object checks, before any long work, that the folder can be written and that nothing of the user's would
     be lost; it leaves nothing on disk.
 
-    Parameters
-    ----------
-    path : path
-        Folder to appear. It may be absent, empty, or an earlier output of this program (``provenance.json`` says so),
-        which is then replaced in one step.
-
-    Raises
-    ------
-    ConfigError
-        The path is a file, a mount point, the current folder, not writable, or holds files this program did not write.
-
     Examples
     --------
     >>> folder = OutputFolder("out/chromatic")      # doctest: +SKIP
@@ -61,18 +50,7 @@ class OutputFolder:
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[Path]:
-        """Folder to write into; on leaving without an exception it takes its place, otherwise it vanishes.
-
-        Yields
-        ------
-        pathlib.Path
-            An empty folder on the same file system.
-
-        Raises
-        ------
-        ConfigError
-            The folder cannot be written, or foreign files appeared meanwhile.
-        """
+        """Folder to write into; on leaving without an exception it takes its place, otherwise it vanishes."""
         made = self._make_parents()
         staging: Path | None = None
         done = False
@@ -97,20 +75,7 @@ class OutputFolder:
                             folder.rmdir()
 
     def refuse_other_run(self, experiment: str, config: Mapping[str, Any]) -> None:
-        """Refuse a folder that holds the output of another experiment, or of this one with other settings.
-
-        Parameters
-        ----------
-        experiment : str
-            Name of the experiment that is to write here.
-        config : mapping
-            Its configuration, JSON types, as the record will hold it.
-
-        Raises
-        ------
-        ConfigError
-            Naming the first setting that differs, and how to go on.
-        """
+        """Refuse a folder that holds the output of another experiment, or of this one with other settings."""
         try:
             record = json.loads((self.path / RECORD).read_text(encoding="utf-8"))
             held, before = record["experiment"], flat(record["config"])

@@ -17,51 +17,26 @@ __all__ = ["Pivot", "pivot"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pivot:
-    """How a table is made from quantities.
+    """How a table is made from quantities."""
 
-    Attributes
-    ----------
-    columns : str
-        Quantities, one column each, e.g. "dark_arcsec raw_arcsec".
-    rows : str
-        Dimensions that run down, the last one fastest, each with a column of its coordinates, or of numbers 1, 2, 3 ...
-        where it has none; "" makes a single row.
-    across : str
-        Dimensions that are spread over columns: quantity "sigma" with labels x, y becomes "σ x", "σ y".
-    hidden : str
-        Dimensions of ``rows`` whose coordinates get no column.
-    plain : str
-        Quantities of ``columns`` that are shown without their uncertainty.
-    where : mapping of str to sequence or str
-        Dimension -> the coordinates that are shown, all of them for the others; or the one that the table is of, and
-        the dimension needs no place in it.
-    heads : mapping of str to Column
-        Key of a column -> the name, unit, key or format that it has in this table instead of the quantity's own.
-    caption, note : str
-        See `experiments.harness.tables.Table`.
-    """
-
-    columns: str
+    columns: str  # Quantities, one column each, e.g. "dark_arcsec raw_arcsec"
+    # Dimensions that run down, the last one fastest, each with a column of its coordinates, or of numbers 1, 2, 3 ...
+    # where it has none; "" makes a single row
     rows: str = ""
-    across: str = ""
-    hidden: str = ""
-    plain: str = ""
+    across: str = ""  # Dimensions that are spread over columns: quantity "sigma" with labels x, y becomes "σ x", "σ y"
+    hidden: str = ""  # Dimensions of ``rows`` whose coordinates get no column
+    plain: str = ""  # Quantities of ``columns`` that are shown without their uncertainty
+    # Dimension -> the coordinates that are shown, all of them for the others; or the one that the table is of, and
+    # the dimension needs no place in it
     where: Mapping[str, Sequence[Any] | str] = field(default_factory=dict)
+    # Key of a column -> the name, unit, key or format that it has in this table instead of the quantity's own
     heads: Mapping[str, Column] = field(default_factory=dict)
-    caption: str = ""
-    note: str = ""
+    caption: str = ""  # See `experiments.harness.tables.Table`
+    note: str = ""  # See `experiments.harness.tables.Table`
 
 
 def pivot(data: xr.Dataset, spec: Pivot) -> Table:
-    """The table of a specification.
-
-    Raises
-    ------
-    ConfigError
-        On an unknown quantity.
-    DomainError
-        If a quantity has a dimension that runs neither down nor across.
-    """
+    """The table of a specification."""
     rows, across = spec.rows.split(), spec.across.split()
     data = data.sel({dim: shown if isinstance(shown, str) else list(shown) for dim, shown in spec.where.items()})
     quantities = [Quantity.of(data, name) for name in spec.columns.split()]

@@ -125,26 +125,7 @@ def new_figure(
     aspect_ratio: float = 0.45,
     **subplots: Any,
 ) -> tuple[Figure, Any]:
-    """Empty figure of a width that fits the report; call inside `house_style`.
-
-    Parameters
-    ----------
-    rows, columns : int
-        Grid of axes.
-    width : {"full", "half"}
-        Of the text column.
-    aspect_ratio : float
-        Height over width of the whole figure.
-    **subplots
-        Handed to `matplotlib.figure.Figure.subplots` (``sharex``, ``width_ratios``, ``subplot_kw`` ...).
-
-    Returns
-    -------
-    figure : matplotlib.figure.Figure
-        Not known to pyplot; nothing has to be closed.
-    axes : matplotlib.axes.Axes or (rows, columns) array of them
-        As `subplots` returns them.
-    """
+    """Empty figure of a width that fits the report; call inside `house_style`."""
     inches = WIDTH_IN[width]
     figure = Figure(figsize=(inches, inches * aspect_ratio), layout="constrained")
     axes = figure.subplots(rows, columns, **subplots)
@@ -165,17 +146,7 @@ def spaced_axis(axes: Any, which: Literal["x", "y"], values: Sequence[float]) ->
 
 
 def log_ticks(axes: Any, which: Literal["x", "y"], ticks: Iterable[float] | None = None) -> None:
-    """Ticks of a logarithmic axis as plain numbers, none between them; call after the limits are set.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Where.
-    which : {"x", "y"}
-        Which axis.
-    ticks : iterable of float, optional
-        Values; those beyond the limits are left out. 1, 2 and 5 of every decade without it.
-    """
+    """Ticks of a logarithmic axis as plain numbers, none between them; call after the limits are set."""
     axis = axes.xaxis if which == "x" else axes.yaxis
     low, high = sorted(axes.get_xlim() if which == "x" else axes.get_ylim())
     if not low > 0:  # nothing was drawn
@@ -190,20 +161,7 @@ def log_ticks(axes: Any, which: Literal["x", "y"], ticks: Iterable[float] | None
 
 
 def figure_svg(figure: Figure, *, prefix: str = "f") -> str:
-    """The figure as one ``<svg>`` element to stand inside an HTML page; the same figure gives the same bytes.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        What to draw.
-    prefix : str
-        Put before every id, so that several figures can share a page.
-
-    Returns
-    -------
-    str
-        From ``<svg`` to ``</svg>``.
-    """
+    """The figure as one ``<svg>`` element to stand inside an HTML page; the same figure gives the same bytes."""
     buffer = io.StringIO()
     with rc_context({"svg.hashsalt": "starbench", "svg.fonttype": "path"}):
         FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
@@ -252,13 +210,7 @@ def side_by_side(figure: Figure) -> list[tuple[float, float]]:
 
 
 def narrow(figure: Figure) -> bool:
-    """Make a figure of one plot as wide as a telephone shows it in a legible size; call when it is drawn elsewhere.
-
-    Returns
-    -------
-    bool
-        Whether it was: drawings to scale, several panels, and figures that are no wider stay as they are.
-    """
+    """Make a figure of one plot as wide as a telephone shows it in a legible size; call when it is drawn elsewhere."""
     plots = [axis for axis in figure.axes if axis.get_label() != "<colorbar>"]
     width, height = figure.get_size_inches()
     if len(plots) != 1 or not plots[0].axison or plots[0].get_aspect() != "auto" or width <= _NARROW_IN:
@@ -304,13 +256,7 @@ def figure_png(figure: Figure, *, dpi: float = 200.0) -> bytes:
 
 
 def equation_svg(latex: str, *, prefix: str = "e") -> str:
-    """An equation in matplotlib's subset of LaTeX (without the dollar signs) as an ``<svg>`` element.
-
-    Raises
-    ------
-    DomainError
-        When matplotlib cannot set it.
-    """
+    """An equation in matplotlib's subset of LaTeX (without the dollar signs) as an ``<svg>`` element."""
     from matplotlib.font_manager import FontProperties
     from matplotlib.mathtext import MathTextParser
 
@@ -336,27 +282,7 @@ def _cie() -> tuple[np.ndarray, np.ndarray]:
 
 
 def wavelength_colour(wavelength_nm: float, *, width_nm: float = 20.0, lightness: float = 55.0) -> str:
-    """Colour of a band of light on a screen: the hue is the light's, the lightness is chosen so that it can be read.
-
-    Parameters
-    ----------
-    wavelength_nm : float
-        Centre of the band; beyond 690 nm (or below 420 nm) the eye's last hue is taken.
-    width_nm : float
-        Full width of a flat band.
-    lightness : float
-        CIE L* from 0 to 100.
-
-    Returns
-    -------
-    str
-        ``#rrggbb``: CIE 1931 -> L*a*b* (D65), L* replaced, chroma reduced until sRGB can show it.
-
-    Raises
-    ------
-    DomainError
-        When the wavelength is not a positive number.
-    """
+    """Colour of a band of light on a screen: the hue is the light's, the lightness is chosen so that it can be read."""
     if not (np.isfinite(wavelength_nm) and wavelength_nm > 0):
         raise DomainError(f"wavelength_nm = {wavelength_nm} nm; it must be positive")
     import colour
@@ -375,18 +301,7 @@ def wavelength_colour(wavelength_nm: float, *, width_nm: float = 20.0, lightness
 
 
 def band_colours(centres_nm: Sequence[float]) -> tuple[str, ...]:
-    """One colour per band, its own hue, and darker towards the red so that grey prints and every eye tell them apart.
-
-    Parameters
-    ----------
-    centres_nm : sequence of float
-        Centres of the bands, in any order.
-
-    Returns
-    -------
-    tuple of str
-        ``#rrggbb`` in the order given. Use `MARKERS` beside them.
-    """
+    """One colour per band, its own hue, and darker towards the red so that grey prints and every eye tell them apart."""
     order = np.argsort(np.argsort(centres_nm))
     steps = max(len(centres_nm) - 1, 1)
     return tuple(

@@ -49,15 +49,7 @@ class Progress:
 
     @contextmanager
     def stage(self, label: str, total: int | None = None) -> Iterator[Stage]:
-        """Run a stage.
-
-        Parameters
-        ----------
-        label : str
-            A few words, shown beside the bar and kept in `times_s`.
-        total : int, optional
-            Number of steps; None where it is not known.
-        """
+        """Run a stage."""
         start = time.perf_counter()
         try:
             with self._display(label, total) as stage:
@@ -162,15 +154,7 @@ class _LineStage:
 
 
 class LineProgress(Progress):
-    """Plain lines, for a pipe or a log file: none from a run of two seconds, then one in thirty seconds at most.
-
-    Parameters
-    ----------
-    stream : text stream
-        Where to write.
-    clock : callable
-        Time in seconds.
-    """
+    """Plain lines, for a pipe or a log file: none from a run of two seconds, then one in thirty seconds at most."""
 
     FIRST_S = 2.0
     EVERY_S = 30.0

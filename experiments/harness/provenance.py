@@ -52,26 +52,7 @@ def collect(
     quick: bool,
     times_s: Mapping[str, float],
 ) -> dict[str, Any]:
-    """Everything needed to make a run again, except the files it wrote.
-
-    Parameters
-    ----------
-    experiment : str
-        Name of the experiment.
-    config : mapping
-        Complete configuration, JSON types.
-    variant : str or None
-        Mitsuba's variant; None for an experiment that renders nothing.
-    quick : bool
-        Whether ``--quick`` was asked for.
-    times_s : mapping
-        Seconds per stage.
-
-    Returns
-    -------
-    dict
-        JSON types only.
-    """
+    """Everything needed to make a run again, except the files it wrote."""
     return {
         "program": PROGRAM,
         "experiment": experiment,
@@ -105,13 +86,7 @@ def peak_memory_mb() -> float:
 
 
 def count_memory_of_workers(peaks_mb: Iterable[float]) -> None:
-    """Add the peaks of processes that work beside this one; earlier ones of less memory no longer count.
-
-    Parameters
-    ----------
-    peaks_mb : iterable of float
-        What `peak_memory_mb` says in each of them.
-    """
+    """Add the peaks of processes that work beside this one; earlier ones of less memory no longer count."""
     peaks = list(peaks_mb)
     if sum(peaks) > sum(_WORKERS_MB):
         _WORKERS_MB[:] = peaks

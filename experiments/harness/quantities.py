@@ -63,19 +63,7 @@ class Quantities:
         key: str = "",
         names: Mapping[Any, str] | Sequence[str] | None = None,
     ) -> None:
-        """Describe a dimension.
-
-        Parameters
-        ----------
-        name : str
-            Of the dimension.
-        values : (n,)
-            Its coordinates: text (keys in ``summary.json``) or numbers (lists there).
-        label, unit, format, key : str
-            Head, unit, format and name in ECSV files of the column that tables make of it; see `add`.
-        names : mapping or sequence, optional
-            What readers see instead of the coordinates, e.g. "ePSF fit" for "epsf".
-        """
+        """Describe a dimension."""
         coordinates = np.asarray(values)
         attrs = {"long_name": label or name, "units": unit, "format": format, "key": key}
         self.dataset.coords[name] = (name, coordinates, attrs)
@@ -98,41 +86,7 @@ class Quantities:
         json: Places | None = None,
         json_error: Places = "",
     ) -> None:
-        """Describe a quantity.
-
-        Parameters
-        ----------
-        name : str
-            By which tables, figures and reports call it.
-        values : array_like
-            Numbers, text or bool; or (nested sequences of) `Measured`, which bring uncertainty and n.
-        label : str
-            What it is, for heads of columns and axes.
-        unit : str
-            "arcsec", "px", "um", "e-" ...; "" for a pure number.
-        dims : str or sequence of str
-            Names of the dimensions, in the order of the array; those with coordinates were described by `axis`.
-        error, n : array_like, optional
-            One standard deviation, and the number of samples; broadcast to the shape of the values.
-        format : str
-            Of plain numbers in tables, e.g. ".3f"; "" shows four significant digits.
-        key : str, optional
-            Column name in ECSV files, if not ``name``; ``{dim}`` stands for the coordinate of a dimension that a table
-            spreads over columns.
-        json : str or mapping, optional
-            Place in ``summary.json``, if not ``name``: "levels[level].methods[method].measured" is a list over the
-            numbered dimension ``level`` of records, in which ``methods`` has a record for every method. Dimensions that
-            are not named follow at the end; "found[method][axis].value" nests records of two, "[method].found" puts a
-            record for every method at the top. "" leaves it out. A mapping gives the parts at coordinates of the first
-            dimension places of their own, one or several, and the whole the place under "*".
-        json_error : str or mapping, optional
-            Place of the uncertainty, where it does not stand with the value in one record.
-
-        Raises
-        ------
-        DomainError
-            If the shape does not fit the dimensions, or the name is taken.
-        """
+        """Describe a quantity."""
         if name in self.dataset:
             raise DomainError(f"quantity {name!r} is described twice")
         names = tuple(dims.split()) if isinstance(dims, str) else tuple(dims)
@@ -180,42 +134,22 @@ def _split(values: Any) -> tuple[Any, Any, Any, str]:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One quantity of a data set, or a part of it, as plain arrays.
+    """One quantity of a data set, or a part of it, as plain arrays."""
 
-    Attributes
-    ----------
-    name, label, unit, format, key : str
-        As described (`Quantities.add`).
-    json : str or mapping
-        As described.
-    dims : tuple of str
-        Names of the dimensions.
-    values : array
-        Numbers, text or bool.
-    error, n : array or None
-        Uncertainty and sample size.
-    """
-
-    name: str
-    label: str
-    unit: str
-    format: str
-    key: str
-    json: Places
-    dims: tuple[str, ...]
-    values: NDArray[Any]
-    error: NDArray[np.float64] | None
-    n: NDArray[np.float64] | None
+    name: str  # As described (`Quantities.add`)
+    label: str  # As described (`Quantities.add`)
+    unit: str  # As described (`Quantities.add`)
+    format: str  # As described (`Quantities.add`)
+    key: str  # As described (`Quantities.add`)
+    json: Places  # As described
+    dims: tuple[str, ...]  # Names of the dimensions
+    values: NDArray[Any]  # Numbers, text or bool
+    error: NDArray[np.float64] | None  # Uncertainty and sample size
+    n: NDArray[np.float64] | None  # Uncertainty and sample size
 
     @classmethod
     def of(cls, data: xr.Dataset, name: str) -> Quantity:
-        """A variable or coordinate of a data set.
-
-        Raises
-        ------
-        ConfigError
-            On an unknown name.
-        """
+        """A variable or coordinate of a data set."""
         if name not in data.variables:
             raise unknown_name("quantity", name, [str(one) for one in data.variables])
         variable = data[name]
@@ -258,13 +192,7 @@ class Quantity:
         )
 
     def scalar(self) -> Any:
-        """The one value: `Measured` where it has an uncertainty or a sample size, else a plain number, text or bool.
-
-        Raises
-        ------
-        DomainError
-            If dimensions are left.
-        """
+        """The one value: `Measured` where it has an uncertainty or a sample size, else a plain number, text or bool."""
         if self.dims:
             raise DomainError(f"quantity {self.name!r}: say which {', '.join(self.dims)}")
         value = self.values.item()
@@ -358,30 +286,14 @@ def _keys(data: xr.Dataset, dim: str) -> list[str] | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What tables, figures, criteria and the report of an experiment are made from.
+    """What tables, figures, criteria and the report of an experiment are made from."""
 
-    Attributes
-    ----------
-    config : ExperimentConfig
-        Settings.
-    result : object
-        What ``run`` returned.
-    data : xarray.Dataset
-        Its quantities.
-    """
-
-    config: Any
-    result: Any
-    data: xr.Dataset
+    config: Any  # Settings
+    result: Any  # What ``run`` returned
+    data: xr.Dataset  # Its quantities
 
     def quantity(self, name: str, **at: Any) -> Quantity:
-        """A quantity, or its part at some coordinates (``method="cog"``; a position where a dimension has none).
-
-        Raises
-        ------
-        ConfigError
-            On an unknown quantity, dimension or coordinate.
-        """
+        """A quantity, or its part at some coordinates (``method="cog"``; a position where a dimension has none)."""
         return Quantity.of(self.data, name).at(**{dim: self._position(name, dim, key) for dim, key in at.items()})
 
     def values(self, name: str, **at: Any) -> NDArray[Any]:
@@ -426,15 +338,7 @@ class Outcome:
 
 
 def write_netcdf(data: xr.Dataset, path: Path) -> None:
-    """Write the quantities for users who analyse on: ``xarray.open_dataset("results.nc")``.
-
-    Parameters
-    ----------
-    data : xarray.Dataset
-        Quantities; an empty one writes nothing. Integers become float64, those beyond 2^53 text.
-    path : pathlib.Path
-        File to create, netCDF 3 (64-bit offset), which every netCDF reader knows.
-    """
+    """Write the quantities for users who analyse on: ``xarray.open_dataset("results.nc")``."""
     if not data.variables:
         return
     plain = data.copy()

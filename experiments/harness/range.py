@@ -40,18 +40,10 @@ _NOT_SWEPT = frozenset({"seed", "trials", "draws", "sensor_seed", "adc_bits"})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepRange:
-    """Values of one number of the configuration.
+    """Values of one number of the configuration."""
 
-    Attributes
-    ----------
-    key : str
-        Dotted key.
-    values : tuple of float or int
-        In order; whole numbers where the configuration has whole numbers.
-    """
-
-    key: str
-    values: tuple[float, ...]
+    key: str  # Dotted key
+    values: tuple[float, ...]  # In order; whole numbers where the configuration has whole numbers
 
 
 def leaf_keys(model: type[BaseModel], prefix: str = "") -> dict[str, FieldInfo]:
@@ -78,21 +70,7 @@ def _number_of(annotation: Any) -> type | None:
 
 
 def parse_sweep(text: str, keys: Mapping[str, FieldInfo]) -> SweepRange:
-    """Read a sweep.
-
-    Parameters
-    ----------
-    text : str
-        In one of the forms above; of a dotted key the last word is enough where that is unique.
-    keys : mapping
-        As of `leaf_keys`.
-
-    Raises
-    ------
-    ConfigError
-        On another form, an unknown or ambiguous key, a range that is empty or not finite, or not positive where it is
-        logarithmic, fewer than two points.
-    """
+    """Read a sweep."""
     name, equals, values = text.partition("=")
     if not equals or not values.strip():
         raise ConfigError(f"sweep {text!r}: {_FORM}")
@@ -182,13 +160,7 @@ def quantity_of(key: str) -> tuple[str, str]:
 
 
 def check_range(model: type[BaseModel], sweep: SweepRange) -> None:
-    """Refuse a sweep that leaves the allowed values of its parameter.
-
-    Raises
-    ------
-    ConfigError
-        Naming the value and the limit.
-    """
+    """Refuse a sweep that leaves the allowed values of its parameter."""
     tests = {"ge": (operator.ge, "at least"), "gt": (operator.gt, "above")}
     tests |= {"le": (operator.le, "at most"), "lt": (operator.lt, "below")}
     for limit in leaf_keys(model)[sweep.key].metadata:
@@ -208,13 +180,7 @@ def value_at(config: BaseModel, key: str) -> Any:
 
 
 def with_value(config: Any, key: str, value: Any) -> Any:
-    """A copy of a configuration with another value at a dotted key; checked again.
-
-    Raises
-    ------
-    ConfigError
-        If the value does not go together with the others.
-    """
+    """A copy of a configuration with another value at a dotted key; checked again."""
     values = config.model_dump()
     node = values
     words: Sequence[str] = key.split(".")

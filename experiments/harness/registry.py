@@ -41,20 +41,7 @@ def found() -> dict[str, str]:
 
 
 def package_of(name: str, beside: Iterable[str] = ()) -> str:
-    """The package of an experiment.
-
-    Parameters
-    ----------
-    name : str
-        Of the experiment.
-    beside : iterable of str
-        Other names that may have been meant.
-
-    Raises
-    ------
-    ConfigError
-        On an unknown name; the message names the nearest one.
-    """
+    """The package of an experiment."""
     packages = _packages()
     if name not in packages:
         raise unknown_name("experiment", name, [*packages, *beside])

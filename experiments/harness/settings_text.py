@@ -24,18 +24,6 @@ def toml_text(config: BaseModel, heading: str = "") -> str:
 
     Keys without a value (TOML has none for that) are written as comments. Paths become absolute, so that the text means
     the same wherever it is saved.
-
-    Parameters
-    ----------
-    config : pydantic.BaseModel
-        The configuration; fields that are models become tables.
-    heading : str
-        Comment at the top.
-
-    Returns
-    -------
-    str
-        Text that `tomllib` reads to the same configuration.
     """
     lines = [f"# {line}".rstrip() for line in textwrap.wrap(heading, _WIDTH)]
     lines += [*([""] if lines else []), *_table(config, ())]

@@ -25,31 +25,15 @@ _SIGNS = {"<=": "≤", "<": "<", ">=": "≥", ">": ">"}
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class Criterion:
-    """A number that has to stay on one side of a limit, or near to a value.
+    """A number that has to stay on one side of a limit, or near to a value."""
 
-    Attributes
-    ----------
-    name : str
-        What is judged, in words a reader of the report understands.
-    value, limit : float
-        Same unit.
-    unit : str
-        Unit of both; "" for a pure number.
-    relation : {"<=", "<", ">=", ">"}
-        ``value relation limit`` must be true.
-    about : float or None
-        Where the value should be; given one, ``abs(value - about) <= limit`` must be true.
-    advice : str
-        What is likely wrong where it does not hold.
-    """
-
-    name: str
-    value: float
-    limit: float
-    unit: str = ""
-    relation: Relation = "<="
-    about: float | None = None
-    advice: str = ""
+    name: str  # What is judged, in words a reader of the report understands
+    value: float  # Same unit
+    limit: float  # Same unit
+    unit: str = ""  # Unit of both; "" for a pure number
+    relation: Relation = "<="  # ``value relation limit`` must be true
+    about: float | None = None  # Where the value should be; given one, ``abs(value - about) <= limit`` must be true
+    advice: str = ""  # What is likely wrong where it does not hold
 
     def __post_init__(self) -> None:
         if self.relation not in _RELATIONS:
@@ -81,24 +65,12 @@ def farthest_from_one(ratios: Any) -> float:
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class Measured:
-    """A number with its unit, its uncertainty and the number of samples behind it.
+    """A number with its unit, its uncertainty and the number of samples behind it."""
 
-    Attributes
-    ----------
-    value : float
-        The number.
-    unit : str
-        Its unit; "" for a pure number.
-    uncertainty : float or None
-        One standard deviation, same unit.
-    n : int or None
-        Samples behind it.
-    """
-
-    value: float
-    unit: str = ""
-    uncertainty: float | None = None
-    n: int | None = None
+    value: float  # The number
+    unit: str = ""  # Its unit; "" for a pure number
+    uncertainty: float | None = None  # One standard deviation, same unit
+    n: int | None = None  # Samples behind it
 
 
 def verdict_line(criteria: Sequence[Criterion], judged: str = "simulation") -> str:
@@ -124,24 +96,7 @@ def summary(
     results: Mapping[str, Any],
     criteria: Sequence[Criterion],
 ) -> dict[str, Any]:
-    """The content of ``summary.json``.
-
-    Parameters
-    ----------
-    experiment : str
-        Name of the experiment.
-    config : pydantic model
-        With a field ``seed``.
-    results : mapping
-        Any nesting of numbers, NumPy arrays, text, records.
-    criteria : sequence of Criterion
-        What was judged.
-
-    Returns
-    -------
-    dict
-        Keys ``experiment, seed, config, results, criteria``; JSON types only.
-    """
+    """The content of ``summary.json``."""
     settings = config.model_dump(mode="json")
     return {
         "experiment": experiment,
@@ -164,24 +119,7 @@ def summary(
 
 
 def to_json(value: Any) -> Any:  # noqa: PLR0911  # one return per type
-    """Plain JSON types for a value: NumPy to lists, records to tables, NaN and infinity to null.
-
-    Parameters
-    ----------
-    value : object
-        Number, text, mapping, sequence, set, dataclass, pydantic model, enum, NumPy array or scalar, path (its name
-        only).
-
-    Returns
-    -------
-    object
-        None, bool, int, float, str, list or dict.
-
-    Raises
-    ------
-    TypeError
-        For anything else, e.g. a complex number.
-    """
+    """Plain JSON types for a value: NumPy to lists, records to tables, NaN and infinity to null."""
     match value:
         case None | bool() | str():
             return value if not isinstance(value, enum.Enum) else value.value

@@ -23,21 +23,6 @@ def lock_folder(path: Path) -> int:
 
     Windows cannot open folders: there a file in the temporary folder, named after the folder's path, stands for it, and
     keeps off processes of the same machine only.
-
-    Parameters
-    ----------
-    path : path
-        The folder; it exists.
-
-    Returns
-    -------
-    int
-        A descriptor; ``os.close`` lets go.
-
-    Raises
-    ------
-    BlockingIOError
-        Another process has it.
     """
     try:
         import fcntl

@@ -47,52 +47,24 @@ _NOTHING = "\N{EN DASH}"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
-    """A column of a `Table`.
+    """A column of a `Table`."""
 
-    Attributes
-    ----------
-    name : str
-        Heading for readers.
-    unit : str
-        Shown under the heading; "" for none.
-    key : str
-        Column name in the ECSV file; made from name and unit if left empty.
-    format : str
-        Format of plain floats, e.g. ".3f"; "" shows four significant digits. `Measured` values follow their
-        uncertainty.
-    """
-
-    name: str
-    unit: str = ""
-    key: str = ""
+    name: str  # Heading for readers
+    unit: str = ""  # Shown under the heading; "" for none
+    key: str = ""  # Column name in the ECSV file; made from name and unit if left empty
+    # Format of plain floats, e.g. ".3f"; "" shows four significant digits. `Measured` values follow their uncertainty
     format: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """Rows under headed columns.
+    """Rows under headed columns."""
 
-    Attributes
-    ----------
-    columns : sequence of Column or str
-        A bare string is a column without unit.
-    rows : sequence of sequence
-        Cells: text, number, bool, `Measured` (value ± uncertainty), or None for an empty cell.
-    caption : str
-        What the table shows.
-    note : str
-        Small print beneath it: what the uncertainties are, the N behind them.
-
-    Raises
-    ------
-    DomainError
-        When a row has not one cell per column.
-    """
-
-    columns: Sequence[Column | str]
+    columns: Sequence[Column | str]  # A bare string is a column without unit
+    # Cells: text, number, bool, `Measured` (value ± uncertainty), or None for an empty cell
     rows: Sequence[Sequence[Cell]]
-    caption: str = ""
-    note: str = ""
+    caption: str = ""  # What the table shows
+    note: str = ""  # Small print beneath it: what the uncertainties are, the N behind them
 
     def __post_init__(self) -> None:
         columns = tuple(Column(name=column) if isinstance(column, str) else column for column in self.columns)
@@ -129,20 +101,7 @@ class Table:
 
 
 def cell_text(cell: Any, format_spec: str = "") -> str:  # one return per type
-    """A cell as text for people: real minus signs, powers of ten, value ± uncertainty, a dash for nothing.
-
-    Parameters
-    ----------
-    cell : str, bool, number, Measured or None
-        Its value; NaN is shown as a dash.
-    format_spec : str
-        Format of plain floats.
-
-    Returns
-    -------
-    str
-        Text.
-    """
+    """A cell as text for people: real minus signs, powers of ten, value ± uncertainty, a dash for nothing."""
     match cell:
         case None:
             return ""
@@ -159,18 +118,7 @@ def cell_text(cell: Any, format_spec: str = "") -> str:  # one return per type
 
 
 def to_astropy(table: Table) -> astropy.table.Table:
-    """The table for machines: full precision, units, one more column ``KEY_error`` where cells carry an uncertainty.
-
-    Parameters
-    ----------
-    table : Table
-        Its `Measured` cells are split into value and uncertainty.
-
-    Returns
-    -------
-    astropy.table.Table
-        A new table.
-    """
+    """The table for machines: full precision, units, one more column ``KEY_error`` where cells carry an uncertainty."""
     from astropy.table import Column as AstropyColumn
     from astropy.table import Table as AstropyTable
 
@@ -193,15 +141,7 @@ def to_astropy(table: Table) -> astropy.table.Table:
 
 
 def write_ecsv(table: Table | astropy.table.Table, path: Path) -> None:
-    """Write an ECSV file, which astropy, TOPCAT and any CSV reader that skips ``#`` can read.
-
-    Parameters
-    ----------
-    table : Table or astropy.table.Table
-        What to write.
-    path : pathlib.Path
-        File to create.
-    """
+    """Write an ECSV file, which astropy, TOPCAT and any CSV reader that skips ``#`` can read."""
     made = to_astropy(table) if isinstance(table, Table) else table
     # Importing colour-science switches NumPy's printing to its 1.13 style, 12 digits, which astropy then writes.
     with np.printoptions(legacy=False):

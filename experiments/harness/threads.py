@@ -21,13 +21,7 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_N
 
 @contextlib.contextmanager
 def one_thread(*, unless_told: bool = False) -> Iterator[None]:
-    """Linear algebra on one thread meanwhile, in libraries that are loaded, that will be, and in processes that start.
-
-    Parameters
-    ----------
-    unless_told : bool
-        Leave everything as it is where the environment names a number of threads.
-    """
+    """Linear algebra on one thread meanwhile, in libraries that are loaded, that will be, and in processes that start."""
     before = {name: os.environ.get(name) for name in THREADS}
     if unless_told and any(before.values()):
         yield

@@ -25,32 +25,16 @@ MARK = '<meta name="generator" content="starbench">'
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
-    """One line of the page.
+    """One line of the page."""
 
-    Attributes
-    ----------
-    name, about : str
-        Experiment and the first line of its description.
-    status : int
-        Exit code of the run; see `experiments.harness.cli.command`.
-    held, criteria : int
-        Criteria that hold, and all of them; 0 where there is no result.
-    failed : tuple of str
-        Names of those that do not hold.
-    runtime_s : float or None
-        From the run's provenance.
-    quick : bool
-        Whether it was a quick run.
-    """
-
-    name: str
-    about: str
-    status: int
-    held: int = 0
-    criteria: int = 0
-    failed: tuple[str, ...] = ()
-    runtime_s: float | None = None
-    quick: bool = False
+    name: str  # Experiment and the first line of its description
+    about: str  # Experiment and the first line of its description
+    status: int  # Exit code of the run; see `experiments.harness.cli.command`
+    held: int = 0  # Criteria that hold, and all of them; 0 where there is no result
+    criteria: int = 0  # Criteria that hold, and all of them; 0 where there is no result
+    failed: tuple[str, ...] = ()  # Names of those that do not hold
+    runtime_s: float | None = None  # From the run's provenance
+    quick: bool = False  # Whether it was a quick run
 
     @property
     def verdict(self) -> str:
@@ -63,23 +47,7 @@ class Entry:
 
 
 def run_all(arguments: Sequence[str], known: Mapping[str, str]) -> int:
-    """Run experiments one after the other.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-        Command line after ``--all``: ``--out DIR``, ``--sensor FILE``,
-        ``--force``, ``--quick``, ``--seed N``, ``--backend NAME``, and names of
-        experiments if not all are wanted.
-    known : mapping
-        Experiments and their descriptions.
-
-    Returns
-    -------
-    int
-        0 when all criteria of all hold, 1 when one does not, 2 on bad input, 3 when a run gave no result, 130 after
-        Ctrl-C. The page is written in any case but bad input.
-    """
+    """Run experiments one after the other."""
 
     @click.command(context_settings={"help_option_names": ["-h", "--help"]})
     @click.option("--out", default="out", metavar="DIR")
@@ -115,13 +83,7 @@ def run_all(arguments: Sequence[str], known: Mapping[str, str]) -> int:
 
 
 def _folder(out: str) -> Path:
-    """The folder of the page, made if need be.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be written, or its ``index.html`` is not ours.
-    """
+    """The folder of the page, made if need be."""
     folder = Path(out)
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -22,14 +22,7 @@ __all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
-    """Step, read out, reduce, predict.
-
-    Raises
-    ------
-    StarbenchError
-        On anything the user can mend: unknown lens or detector, target off the detector, a step larger than the window,
-        points not detected or saturated, light beyond the range of the data.
-    """
+    """Step, read out, reduce, predict."""
     from experiments.hsfe.result import Result, geometry_study, s_curves
     from experiments.laboratory.collimator_effects import line_of_sight
     from experiments.laboratory.hexapod import Hexapod, turned

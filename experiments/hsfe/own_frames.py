@@ -34,21 +34,11 @@ __all__ = ["StepFrames", "own_frames", "reduce", "said"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepFrames:
-    """High spatial frequency error of m positions.
+    """High spatial frequency error of m positions."""
 
-    Attributes
-    ----------
-    pixel_arcsec : float
-        Angle of a pixel.
-    series : tuple of SeriesFrames
-        Positions, in the order of the steps.
-    shift_px : (m, 2)
-        Commanded shift since the start; NaN where not stated.
-    """
-
-    pixel_arcsec: float
-    series: tuple[SeriesFrames, ...]
-    shift_px: FloatArray
+    pixel_arcsec: float  # Angle of a pixel
+    series: tuple[SeriesFrames, ...]  # Positions, in the order of the steps
+    shift_px: FloatArray  # (m, 2) Commanded shift since the start; NaN where not stated
 
     def mean_px(self, method: str) -> FloatArray:
         """Mean centroids (m, j, 2)."""
@@ -82,13 +72,7 @@ class StepFrames:
 
 
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> StepFrames:
-    """High spatial frequency error of a folder.
-
-    Raises
-    ------
-    DomainError
-        As `reduce_series`; also fewer than two positions or two points.
-    """
+    """High spatial frequency error of a folder."""
     if len(folder.series) < 2:
         raise DomainError(f"frames of {len(folder.series)} position; at least 2 [[series]] are needed for steps")
     if len(folder.series[0].found_px) < 2:

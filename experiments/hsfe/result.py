@@ -33,76 +33,39 @@ PATHS = 20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SCurve:
-    """Error of noiseless centroids of the middle star while it crosses a pixel.
+    """Error of noiseless centroids of the middle star while it crosses a pixel."""
 
-    Attributes
-    ----------
-    phase_px : (n,)
-        Place of the star in the pixel, along the columns, -0.5 to 0.5.
-    error_px : dict of str to (n,)
-        Centroid minus truth, along the columns, by method; averaged over the phase along the rows.
-    """
-
-    phase_px: FloatArray
+    phase_px: FloatArray  # (n,) Place of the star in the pixel, along the columns, -0.5 to 0.5
+    # (n,) Centroid minus truth, along the columns, by method; averaged over the phase along the rows
     error_px: Mapping[str, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Geometry:
-    """What hexapods of different quality leave in the document's number, positions known exactly (traced).
+    """What hexapods of different quality leave in the document's number, positions known exactly (traced)."""
 
-    Attributes
-    ----------
-    label : str
-        Which errors.
-    step_arcsec, roll_arcsec : float
-        Their size.
-    motion_px : float
-        RMS of the common motion per step against the commanded one, per axis.
-    document_px : (2,)
-        RMS over paths of what is left after the mean over the stars is removed.
-    """
-
-    label: str
-    step_arcsec: float
-    roll_arcsec: float
-    motion_px: float
-    document_px: FloatArray
+    label: str  # Which errors
+    step_arcsec: float  # Their size
+    roll_arcsec: float  # Their size
+    motion_px: float  # RMS of the common motion per step against the commanded one, per axis
+    document_px: FloatArray  # (2,) RMS over paths of what is left after the mean over the stars is removed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """Everything the run found.
+    """Everything the run found."""
 
-    Attributes
-    ----------
-    config : Config
-        Settings.
-    instrument : Instrument
-        The camera.
-    measured : HighFrequencyMeasurement
-        The test.
-    before, after : HighFrequencyPrediction
-        Predicted for drawn paths of the hexapod; and for the common motion seen in the images.
-    walking : WalkingPoints
-        A short test in which every point moves by a known amount for itself.
-    curves : SCurve
-        S-curves of the middle star.
-    geometry : tuple of Geometry
-        Hexapods of different quality.
-    sight : LineOfSight or None
-        Of the collimator; None at rest.
-    """
-
-    config: Config
-    instrument: Instrument
-    measured: HighFrequencyMeasurement
+    config: Config  # Settings
+    instrument: Instrument  # The camera
+    measured: HighFrequencyMeasurement  # The test
+    # Predicted for drawn paths of the hexapod; and for the common motion seen in the images
     before: HighFrequencyPrediction
+    # Predicted for drawn paths of the hexapod; and for the common motion seen in the images
     after: HighFrequencyPrediction
-    walking: WalkingPoints
-    curves: SCurve
-    geometry: tuple[Geometry, ...]
-    sight: LineOfSight | None
+    walking: WalkingPoints  # A short test in which every point moves by a known amount for itself
+    curves: SCurve  # S-curves of the middle star
+    geometry: tuple[Geometry, ...]  # Hexapods of different quality
+    sight: LineOfSight | None  # Of the collimator; None at rest
 
 
 def s_curves(bench: Bench, instrument: Instrument, psf: Sequence[EffectivePsf], direction: FloatArray) -> SCurve:

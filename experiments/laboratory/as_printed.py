@@ -15,15 +15,7 @@ __all__ = ["chromatic_arcsec", "chromatic_px", "distortion_arcsec", "high_freque
 
 
 def temporal_arcsec(position_px: FloatArray, pixel_arcsec: float) -> tuple[float, float]:
-    """TE(3 sigma) of eq. 1-2, x and y: the mean over the stars of their standard deviations, as an angle.
-
-    Parameters
-    ----------
-    position_px : (f, j, 2)
-        Centroid of every star in every frame; NaN where there is none.
-    pixel_arcsec : float
-        Angle of a pixel; 5.5 in the document.
-    """
+    """TE(3 sigma) of eq. 1-2, x and y: the mean over the stars of their standard deviations, as an angle."""
     stars = position_px.shape[1]
     found = []
     for axis in (0, 1):
@@ -37,15 +29,7 @@ def temporal_arcsec(position_px: FloatArray, pixel_arcsec: float) -> tuple[float
 
 
 def high_frequency_arcsec(mean_px: FloatArray, pixel_arcsec: float) -> tuple[float, float]:
-    """HSFE(3 sigma) of eq. 3-12, x and y.
-
-    Parameters
-    ----------
-    mean_px : (m, j, 2)
-        Mean centroid of every star at every position.
-    pixel_arcsec : float
-        Angle of a pixel.
-    """
+    """HSFE(3 sigma) of eq. 3-12, x and y."""
     positions, stars = mean_px.shape[:2]
     found = []
     for axis in (0, 1):
@@ -61,15 +45,7 @@ def high_frequency_arcsec(mean_px: FloatArray, pixel_arcsec: float) -> tuple[flo
 def chromatic_px(
     mean_px: FloatArray, centres_nm: Sequence[float], reference_nm: float
 ) -> dict[str, tuple[float, float]]:
-    """Table 1 (eq. 13-16), X and Y, by pair of bands: longer minus shorter wavelength, mean of all points, halved.
-
-    Parameters
-    ----------
-    mean_px : (p, j, b, 2)
-        Mean centroid of every point at every position behind every filter.
-    centres_nm, reference_nm
-        Of the filters, in the order of the centroids; the one the others are compared with.
-    """
+    """Table 1 (eq. 13-16), X and Y, by pair of bands: longer minus shorter wavelength, mean of all points, halved."""
     positions, points = mean_px.shape[:2]
     reference = list(centres_nm).index(reference_nm)
     table = {}
@@ -99,15 +75,6 @@ def distortion_arcsec(
     """sigma_d, sigma_Dd and sigma_C1 (3 sigma) of eq. 19-30, each x and y.
 
     The polynomial is taken away monomial by monomial (Gram and Schmidt, twice for the digits).
-
-    Parameters
-    ----------
-    centroid_px, coordinate_px : (n, 2)
-        Mean centroids and target coordinates.
-    order : int
-        Of the polynomial; 3 in the document.
-    pixel_arcsec : float
-        Angle of a pixel.
     """
     points = len(centroid_px)
     reach = max(abs(float(v)) for v in coordinate_px.ravel())

@@ -25,46 +25,21 @@ NODES = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bench:
-    """What stands in the laboratory.
+    """What stands in the laboratory."""
 
-    Attributes
-    ----------
-    target : TargetConfig
-        Point target.
-    lamp : Sed
-        Spectrum of the source.
-    filters : sequence of Filter
-        Filters, b of them; ``reference`` indexes the one the others are compared with.
-    reference : int
-        The 600 nm filter of ACC18.
-    signal_e : float
-        Electrons per point and frame, the same behind every filter (lamp current adjusted).
-    frames, dark_frames : int
-        Exposures per position and filter; exposures with the lamp off, once per position.
-    window_px : int
-        Window read out around each point.
-    methods : sequence of str
-        Centroiders; the first is the one that counts.
-    epsf : EffectivePsf, optional
-        Built from frames beforehand: what methods of the name ``NAME_measured`` use.
-    sessions : sequence of EffectivePsf
-        For predictions: what that PSF might have been, one for each drawn set of such frames.
-    collimator : Collimator, optional
-        With its errors; a perfect one if left out.
-    """
-
-    target: TargetConfig
-    lamp: Sed
-    filters: Sequence[Filter]
-    reference: int
-    signal_e: float
-    frames: int
-    dark_frames: int
-    window_px: int
-    methods: Sequence[str]
-    epsf: EffectivePsf | None = None
+    target: TargetConfig  # Point target
+    lamp: Sed  # Spectrum of the source
+    filters: Sequence[Filter]  # Filters, b of them; ``reference`` indexes the one the others are compared with
+    reference: int  # The 600 nm filter of ACC18
+    signal_e: float  # Electrons per point and frame, the same behind every filter (lamp current adjusted)
+    frames: int  # Exposures per position and filter; exposures with the lamp off, once per position
+    dark_frames: int  # Exposures per position and filter; exposures with the lamp off, once per position
+    window_px: int  # Window read out around each point
+    methods: Sequence[str]  # Centroiders; the first is the one that counts
+    epsf: EffectivePsf | None = None  # Built from frames beforehand: what methods of the name ``NAME_measured`` use
+    # For predictions: what that PSF might have been, one for each drawn set of such frames
     sessions: Sequence[EffectivePsf] = ()
-    collimator: Collimator | None = None
+    collimator: Collimator | None = None  # With its errors; a perfect one if left out
 
     @property
     def pairs(self) -> list[tuple[str, int, int]]:

@@ -14,23 +14,11 @@ __all__ = ["BrightnessControl"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BrightnessControl:
-    """Sets how many electrons a target point gives per frame.
+    """Sets how many electrons a target point gives per frame."""
 
-    Attributes
-    ----------
-    lowest_e, highest_e : float
-        Reach of the control.
-    setting_error_ratio : float
-        Standard deviation of the level reached over the level wanted, anew at every setting; the level then stands.
-
-    Raises
-    ------
-    DomainError
-        If the reach is not positive and increasing, or the error is negative.
-    """
-
-    lowest_e: float
-    highest_e: float
+    lowest_e: float  # Reach of the control
+    highest_e: float  # Reach of the control
+    # Standard deviation of the level reached over the level wanted, anew at every setting; the level then stands
     setting_error_ratio: float = 0.0
 
     def __post_init__(self) -> None:

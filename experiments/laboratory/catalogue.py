@@ -13,13 +13,7 @@ __all__ = ["load_catalogue"]
 
 
 def load_catalogue(config: CatalogueConfig) -> StarCatalog:
-    """The configured catalogue.
-
-    Raises
-    ------
-    StarbenchError
-        Missing, not understood, in wrong units, without magnitudes.
-    """
+    """The configured catalogue."""
     if config.source == "gaia":
         return _gaia()
     from render.catalogue.read import read_catalog

@@ -39,13 +39,7 @@ _REFERENCE, _MEASURED = "_reference", "_measured"
 
 
 def needs_epsf(method: str) -> bool:
-    """Whether a centroider or method needs an ePSF.
-
-    Raises
-    ------
-    ConfigError
-        On an unknown name, with the nearest known ones.
-    """
+    """Whether a centroider or method needs an ePSF."""
     return centroider_class(_split(method)[0]).needs_epsf
 
 
@@ -107,17 +101,16 @@ ProcessingName = Annotated[str, _Name(lambda: list_methods(measured=True))]
 
 @dataclass(frozen=True)
 class MethodLabels(Mapping[str, str]):
-    """What tables and figures call each method: the centroider's label, with the ePSF that it is given.
+    """What tables and figures call each method: the centroider's label, with the ePSF that it is given."""
 
-    Attributes
-    ----------
-    own, reference, measured : str
-        What an experiment calls the ePSF of each place, the reference one and the one built from frames; "" where that
-        needs no word.
-    """
-
+    # What an experiment calls the ePSF of each place, the reference one and the one built from frames; "" where that
+    # needs no word
     own: str = ""
+    # What an experiment calls the ePSF of each place, the reference one and the one built from frames; "" where that
+    # needs no word
     reference: str = "middle ePSF"
+    # What an experiment calls the ePSF of each place, the reference one and the one built from frames; "" where that
+    # needs no word
     measured: str = "measured ePSF"
 
     def __getitem__(self, method: str) -> str:
@@ -140,22 +133,7 @@ def method_centroiders(
     reference: Sequence[EffectivePsf],
     measured: EffectivePsf | None = None,
 ) -> dict[str, Centroider]:
-    """Centroiders by method.
-
-    Parameters
-    ----------
-    methods : iterable of str
-        Of `list_methods`.
-    own, reference : sequence of EffectivePsf
-        PSF of each place, as ``Stamps.psf_index`` counts them; those that ``NAME_reference`` uses instead.
-    measured : EffectivePsf, optional
-        What ``NAME_measured`` uses at every place.
-
-    Raises
-    ------
-    ConfigError
-        On an unknown name, or if the measured PSF is needed and there is none.
-    """
+    """Centroiders by method."""
     found = {}
     for method in methods:
         name, which = _split(method)

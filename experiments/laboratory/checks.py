@@ -30,22 +30,7 @@ PARTS = (0.0, 0.5, 0.7, 0.9)
 
 
 def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> None:
-    """Refuse a target whose light does not reach the detector, or not the window around its image.
-
-    Parameters
-    ----------
-    bench, instrument
-        The laboratory.
-    direction : (p, j, 3)
-        Target points.
-
-    Raises
-    ------
-    DomainError
-        Rays lost, or a spot wider than the window.
-    ConvergenceError
-        If no ray of any point gets through the lens.
-    """
+    """Refuse a target whose light does not reach the detector, or not the window around its image."""
     position, radius_px, _ = expected_spots(bench, instrument, direction)
     dark = ~np.isfinite(position).all(axis=(2, 3))
     if dark.any():
@@ -68,20 +53,7 @@ def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
 
 
 def focus_remark(camera: Camera, wavelength_nm: FloatArray) -> str:
-    """What to say of a camera whose stars are far out of focus, a lens file's own image plane for one; empty if not.
-
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    wavelength_nm : (w,)
-        Wavelengths that are seen alike.
-
-    Raises
-    ------
-    ConvergenceError
-        If no ray gets through the lens.
-    """
+    """What to say of a camera whose stars are far out of focus, a lens file's own image plane for one; empty if not."""
     lens = camera.focused_lens
     focal_mm = abs(axial_paraxial(lens, lens.design_wavelength_nm).efl_mm)
     corner_mm = 0.5 * math.hypot(camera.width_px, camera.height_px) * camera.pixel_pitch_mm

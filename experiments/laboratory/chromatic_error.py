@@ -48,21 +48,7 @@ def rms(shift_px: FloatArray) -> FloatArray:
 
 
 def after_calibration(shift_px: FloatArray, from_centre_px: FloatArray) -> dict[str, FloatArray]:
-    """Shifts that remain when a camera model has parameters of its own for the band.
-
-    Parameters
-    ----------
-    shift_px : (p, j, 2)
-        Shifts of the points.
-    from_centre_px : (p, j, 2)
-        Their places, from the principal point.
-
-    Returns
-    -------
-    dict of str to (p, j, 2)
-        ``as found``; without the mean (a principal point per band); without the scale (a focal length per band, least
-        squares); without both, fitted together.
-    """
+    """Shifts that remain when a camera model has parameters of its own for the band."""
     shift, place = shift_px.reshape(-1, 2), from_centre_px.reshape(-1, 2)
     one = np.zeros((len(shift), 2, 3))
     one[:, 0, 0] = one[:, 1, 1] = 1.0
@@ -78,49 +64,24 @@ def after_calibration(shift_px: FloatArray, from_centre_px: FloatArray) -> dict[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChromaticMeasurement:
-    """Centroids and truth of one lens; p positions, j points, b filters.
+    """Centroids and truth of one lens; p positions, j points, b filters."""
 
-    Attributes
-    ----------
-    direction : (p, j, 3)
-        Unit vectors in cam.
-    nominal_px : (p, j, 2)
-        Where an ideal lens would image the points.
-    chief_px, bundle_px, photon_px : (p, j, b, 2)
-        Truth.
-    mean_px : dict of str to (p, j, b, 2)
-        Mean centroid over the frames, by method.
-    sigma_px : dict of str to (p, j, b, 2)
-        Standard deviation of a single frame's centroid.
-    noise_px : (p, j, b, 2)
-        The same as predicted, first method; without what moves all points of a position.
-    pattern_px : dict of str to (q, p, j, b, 2)
-        Predicted effect of q fixed patterns on the centroids, common to the filters, by method.
-    frames_used : (p, j, b)
-        Frames that converged, first method.
-    rms_spot_um : (b,)
-        RMS spot radius of the traced bundles.
-    example : ExpectedImage
-        Noiseless image of the first position.
-    windows : tuple of WindowStack
-        Readout of the first position, per filter.
-    common_px : float
-        Standard deviation per axis of the line of sight from frame to frame, the same for all points of a position.
-    """
-
-    direction: FloatArray
-    nominal_px: FloatArray
-    chief_px: FloatArray
-    bundle_px: FloatArray
-    photon_px: FloatArray
-    mean_px: Mapping[str, FloatArray]
-    sigma_px: Mapping[str, FloatArray]
+    direction: FloatArray  # (p, j, 3) Unit vectors in cam
+    nominal_px: FloatArray  # (p, j, 2) Where an ideal lens would image the points
+    chief_px: FloatArray  # (p, j, b, 2) Truth
+    bundle_px: FloatArray  # (p, j, b, 2) Truth
+    photon_px: FloatArray  # (p, j, b, 2) Truth
+    mean_px: Mapping[str, FloatArray]  # (p, j, b, 2) Mean centroid over the frames, by method
+    sigma_px: Mapping[str, FloatArray]  # (p, j, b, 2) Standard deviation of a single frame's centroid
+    # (p, j, b, 2) The same as predicted, first method; without what moves all points of a position
     noise_px: FloatArray
+    # (q, p, j, b, 2) Predicted effect of q fixed patterns on the centroids, common to the filters, by method
     pattern_px: Mapping[str, FloatArray]
-    frames_used: NDArray[np.int64]
-    rms_spot_um: FloatArray
-    example: ExpectedImage
-    windows: tuple[WindowStack, ...]
+    frames_used: NDArray[np.int64]  # (p, j, b) Frames that converged, first method
+    rms_spot_um: FloatArray  # (b,) RMS spot radius of the traced bundles
+    example: ExpectedImage  # Noiseless image of the first position
+    windows: tuple[WindowStack, ...]  # Readout of the first position, per filter
+    # Standard deviation per axis of the line of sight from frame to frame, the same for all points of a position
     common_px: float = 0.0
 
     @property
@@ -138,26 +99,7 @@ def measure_chromatic(
     patterns: Sequence[str] = (),
     advance: Callable[[], None] = lambda: None,
 ) -> ChromaticMeasurement:
-    """Run the test on one lens.
-
-    Parameters
-    ----------
-    bench, instrument
-        The laboratory.
-    streams : Streams
-        Root of the noise of this run.
-    directions : (4, j, 3), optional
-        Unit vectors in cam, in place of those to the target in the four corners.
-    patterns : sequence of str
-        Methods for which the effect of fixed patterns is predicted; none given: the first of the bench.
-    advance : callable
-        Called after each position.
-
-    Raises
-    ------
-    DomainError
-        If points are not detected, or saturated.
-    """
+    """Run the test on one lens."""
     target = target_light(bench, instrument)
     first: ExpectedImage | None = None
     parts: list[PointMeasurement] = []
@@ -189,49 +131,35 @@ def measure_chromatic(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChromaticReduction:
-    """Reduction of one lens's measurement; pairs of bands are keys such as "800-600".
+    """Reduction of one lens's measurement; pairs of bands are keys such as "800-600"."""
 
-    Attributes
-    ----------
-    measurement : ChromaticMeasurement
-        The frames' centroids and the truth.
-    shift_px, photon_shift_px, bundle_shift_px, predicted_shift_px : dict of str to (p, j, 2)
-        Shifts of eq. 15: measured, of the noiseless light, of the traced bundle, by ray trace alone.
-    shift_sigma_px : dict of str to (p, j, 2)
-        Standard deviation of a measured shift: frames and predicted fixed pattern.
-    table1_px, table1_sigma_px, photon_table1_px, bundle_table1_px, predicted_table1_px : dict of str to (2,)
-        Eq. 16 of each, with the standard deviation of the measured.
-    method_table1_px : dict of str to dict of str to (2,)
-        Eq. 16 by every centroider.
-    residual_px, photon_residual_px : dict of str to dict of str to float
-        RMS length of the shift as found and after calibration of the band: of the measured, of the noiseless light.
-    largest_pull : float
-        Largest |measured - photon| / sigma of all points, pairs and axes.
-    chi2 : float
-        Mean of ((measured - photon) / sigma)^2 over all points, pairs and axes; as if ``chi2_n`` of them were
-        independent (a line of sight that is not at rest moves all points of a position alike).
-    truth_bias_px : (2,)
-        Largest and RMS distance of the mean centroid from the photon centroid.
-    """
-
-    measurement: ChromaticMeasurement
+    measurement: ChromaticMeasurement  # The frames' centroids and the truth
+    # (p, j, 2) Shifts of eq. 15: measured, of the noiseless light, of the traced bundle, by ray trace alone
     shift_px: Mapping[str, FloatArray]
+    # (p, j, 2) Shifts of eq. 15: measured, of the noiseless light, of the traced bundle, by ray trace alone
     photon_shift_px: Mapping[str, FloatArray]
+    # (p, j, 2) Shifts of eq. 15: measured, of the noiseless light, of the traced bundle, by ray trace alone
     bundle_shift_px: Mapping[str, FloatArray]
+    # (p, j, 2) Shifts of eq. 15: measured, of the noiseless light, of the traced bundle, by ray trace alone
     predicted_shift_px: Mapping[str, FloatArray]
+    # (p, j, 2) Standard deviation of a measured shift: frames and predicted fixed pattern
     shift_sigma_px: Mapping[str, FloatArray]
-    table1_px: Mapping[str, FloatArray]
-    table1_sigma_px: Mapping[str, FloatArray]
-    photon_table1_px: Mapping[str, FloatArray]
-    bundle_table1_px: Mapping[str, FloatArray]
-    predicted_table1_px: Mapping[str, FloatArray]
-    method_table1_px: Mapping[str, Mapping[str, FloatArray]]
+    table1_px: Mapping[str, FloatArray]  # (2,) Eq. 16 of each, with the standard deviation of the measured
+    table1_sigma_px: Mapping[str, FloatArray]  # (2,) Eq. 16 of each, with the standard deviation of the measured
+    photon_table1_px: Mapping[str, FloatArray]  # (2,) Eq. 16 of each, with the standard deviation of the measured
+    bundle_table1_px: Mapping[str, FloatArray]  # (2,) Eq. 16 of each, with the standard deviation of the measured
+    predicted_table1_px: Mapping[str, FloatArray]  # (2,) Eq. 16 of each, with the standard deviation of the measured
+    method_table1_px: Mapping[str, Mapping[str, FloatArray]]  # (2,) Eq. 16 by every centroider
+    # RMS length of the shift as found and after calibration of the band: of the measured, of the noiseless light
     residual_px: Mapping[str, Mapping[str, float]]
+    # RMS length of the shift as found and after calibration of the band: of the measured, of the noiseless light
     photon_residual_px: Mapping[str, Mapping[str, float]]
-    largest_pull: float
+    largest_pull: float  # Largest |measured - photon| / sigma of all points, pairs and axes
+    # Mean of ((measured - photon) / sigma)^2 over all points, pairs and axes; as if ``chi2_n`` of them were
+    # independent (a line of sight that is not at rest moves all points of a position alike)
     chi2: float
     chi2_n: int
-    truth_bias_px: tuple[float, float]
+    truth_bias_px: tuple[float, float]  # (2,) Largest and RMS distance of the mean centroid from the photon centroid
 
 
 def shift_sigma(
@@ -242,15 +170,6 @@ def shift_sigma(
     The scatter of the frames, pooled over the points of a position (one point's own estimate from 30 frames would have
     pulls of Student's law), and shared out among them as predicted: where a small spot lies on the pixels decides by a
     factor of three how well it is centred.
-
-    Parameters
-    ----------
-    measured : ChromaticMeasurement
-        With the effect of fixed patterns on the method.
-    pairs : sequence of (str, int, int)
-        `Bench.pairs`.
-    method : str
-        The first of the bench.
     """
     pattern = shifts(measured.pattern_px[method], pairs)
     share = measured.noise_px**2 + measured.common_px**2
@@ -280,15 +199,7 @@ def table1_sigma(
 
 
 def reduce_chromatic(bench: Bench, instrument: Instrument, measured: ChromaticMeasurement) -> ChromaticReduction:
-    """Reduce one measurement as ACC18 does and set it beside truth and prediction.
-
-    Parameters
-    ----------
-    bench, instrument
-        The laboratory.
-    measured : ChromaticMeasurement
-        Centroids and truth.
-    """
+    """Reduce one measurement as ACC18 does and set it beside truth and prediction."""
     pairs, method = bench.pairs, bench.methods[0]
     mean = measured.mean_px[method]
     found = shifts(mean, pairs)

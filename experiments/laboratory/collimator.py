@@ -52,17 +52,10 @@ AIR_STEP_K = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Collimator:
-    """A collimator with errors; made by `build_collimator`.
+    """A collimator with errors; made by `build_collimator`."""
 
-    Attributes
-    ----------
-    config : CollimatorConfig
-        Its errors.
-    wedge : mapping of str to (float, float)
-        By name of a filter: angle between its faces [arcsec], and where the image moves [deg].
-    """
-
-    config: CollimatorConfig
+    config: CollimatorConfig  # Its errors
+    # (float, float) By name of a filter: angle between its faces [arcsec], and where the image moves [deg]
     wedge: Mapping[str, tuple[float, float]]
 
     @property
@@ -87,13 +80,7 @@ class Collimator:
         )
 
     def focus_mm(self, wavelength_nm: FloatArray) -> FloatArray:
-        """Focus against its nominal place, away from the collimator.
-
-        Raises
-        ------
-        DomainError
-            A wavelength at which the focus is not known.
-        """
+        """Focus against its nominal place, away from the collimator."""
         known = self.config.focus_wavelength_nm
         if not known:
             return np.zeros_like(wavelength_nm)
@@ -108,13 +95,7 @@ class Collimator:
     def light(
         self, filters: Sequence[Filter], wavelength_nm: FloatArray, environment: Environment
     ) -> Collimation | None:
-        """How the light behind filters is bent, at wavelengths (b, k) of them; None where it is collimated.
-
-        Raises
-        ------
-        DomainError
-            Air without pressure, wavelengths that no data cover.
-        """
+        """How the light behind filters is bent, at wavelengths (b, k) of them; None where it is collimated."""
         config, wedges = self.config, [self.wedge.get(band.name, (0.0, 0.0)) for band in filters]
         gradient = np.array(config.air_gradient_k_per_m)
         if not (config.decollimation_um or any(config.focus_um) or gradient.any() or any(a for a, _ in wedges)):
@@ -213,24 +194,7 @@ def convolved_psf(psf: EffectivePsf, transfer: Callable[[FloatArray], FloatArray
 def build_collimator(
     config: CollimatorConfig, filters: Sequence[Filter] = (), setting: str = "filters.centres_nm"
 ) -> Collimator | None:
-    """The collimator of a configuration; None for a perfect one.
-
-    Parameters
-    ----------
-    config : CollimatorConfig
-        Its errors.
-    filters : sequence of Filter
-        Those that the wedges are of.
-    setting : str
-        What messages call them.
-
-    Raises
-    ------
-    DomainError
-        Wedges that are not as many as the filters.
-    ConfigError
-        Unknown glass.
-    """
+    """The collimator of a configuration; None for a perfect one."""
     wedge: dict[str, tuple[float, float]] = {}
     if isinstance(config, FilteredCollimatorConfig) and config.wedge_arcsec:
         if len(config.wedge_arcsec) != len(filters):

@@ -108,23 +108,15 @@ def closed_spot_um(bench: Bench, instrument: Instrument, direction: FloatArray) 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChromaticEffect:
-    """The collimator in ACC18's chromatic test, by pair of bands.
+    """The collimator in ACC18's chromatic test, by pair of bands."""
 
-    Attributes
-    ----------
-    part_px : dict of str to dict of str to (2,)
-        By each of `PARTS`, in closed form: what it adds to Table 1.
-    seen_px, sigma_px : dict of str to (2,)
-        Table 1 as measured minus that traced without the collimator's errors, and its standard deviation.
-    spot_um, seen_spot_um : (b,) or None
-        RMS radius of the spots in closed form, and of the rendered light.
-    """
-
-    part_px: Mapping[str, Mapping[str, FloatArray]]
+    part_px: Mapping[str, Mapping[str, FloatArray]]  # (2,) By each of `PARTS`, in closed form: what it adds to Table 1
+    # (2,) Table 1 as measured minus that traced without the collimator's errors, and its standard deviation
     seen_px: Mapping[str, FloatArray]
+    # (2,) Table 1 as measured minus that traced without the collimator's errors, and its standard deviation
     sigma_px: Mapping[str, FloatArray]
-    spot_um: FloatArray | None
-    seen_spot_um: FloatArray | None
+    spot_um: FloatArray | None  # (b,) RMS radius of the spots in closed form, and of the rendered light
+    seen_spot_um: FloatArray | None  # (b,) RMS radius of the spots in closed form, and of the rendered light
 
     @property
     def together_px(self) -> dict[str, FloatArray]:
@@ -140,19 +132,7 @@ def chromatic_effect(
     sigma_px: Mapping[str, FloatArray],
     seen_spot_um: FloatArray | None = None,
 ) -> ChromaticEffect | None:
-    """Closed forms beside what was measured; None for a perfect collimator.
-
-    Parameters
-    ----------
-    bench, instrument
-        The laboratory.
-    direction : (p, j, 3)
-        Target points.
-    table1_px, sigma_px : dict of str to (2,)
-        Eq. 16 as measured, with its standard deviation.
-    seen_spot_um : (b,), optional
-        RMS radius of the rendered spots, where it is to be compared too.
-    """
+    """Closed forms beside what was measured; None for a perfect collimator."""
     if bench.collimator is None:
         return None
     without = shifts(bundle_prediction(replace(bench, collimator=None), instrument, direction), bench.pairs)
@@ -212,42 +192,18 @@ def chromatic_criteria(effect: ChromaticEffect) -> list[Criterion]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineOfSight:
-    """The line of sight from frame to frame, per axis.
+    """The line of sight from frame to frame, per axis."""
 
-    Attributes
-    ----------
-    between_px, within_px : float
-        Standard deviation from exposure to exposure, and within one, in closed form.
-    seen_px : (2,)
-        The former from frames: what the stars have in common.
-    own_px : float
-        What the stars' own noise leaves in the mean over them.
-    frames : int
-        That ``seen_px`` is from.
-    pixel_arcsec : float
-        Angle of a pixel.
-    """
-
-    between_px: float
-    within_px: float
-    seen_px: FloatArray
-    own_px: float
-    frames: int
-    pixel_arcsec: float
+    between_px: float  # Standard deviation from exposure to exposure, and within one, in closed form
+    within_px: float  # Standard deviation from exposure to exposure, and within one, in closed form
+    seen_px: FloatArray  # (2,) The former from frames: what the stars have in common
+    own_px: float  # What the stars' own noise leaves in the mean over them
+    frames: int  # That ``seen_px`` is from
+    pixel_arcsec: float  # Angle of a pixel
 
 
 def line_of_sight(bench: Bench, instrument: Instrument, motion_px2: FloatArray, frames: int) -> LineOfSight | None:
-    """Closed form beside what frames show; None for a line of sight at rest, or of a single star.
-
-    Parameters
-    ----------
-    bench, instrument
-        The laboratory.
-    motion_px2 : (n, 2, 2)
-        `experiments.laboratory.readout.centroids.common_motion_px2` of n series of ``frames`` frames each.
-    frames : int
-        Of each series.
-    """
+    """Closed form beside what frames show; None for a line of sight at rest, or of a single star."""
     between, within = bench.power_px2(instrument)
     if not between or not np.isfinite(motion_px2).all():
         return None

@@ -83,19 +83,7 @@ def _chief_ray_scale_mm(lens: LensSystem) -> float:
 def centroids_on_the_light(
     label: str, position_px: Mapping[str, FloatArray], light_px: FloatArray, common_px: float = 0.0
 ) -> list[Criterion]:
-    """Mean of centroid minus noiseless light over all points, by every centroider that follows all the light.
-
-    Parameters
-    ----------
-    label : str
-        What stands before the centroider in the name, e.g. "centred lens, "; may be empty.
-    position_px : mapping of str to (..., 2)
-        Mean centroids by method.
-    light_px : (..., 2)
-        Centroids of the noiseless light (the renderer's truth).
-    common_px : float
-        Standard deviation per axis of what a moving line of sight leaves in the mean.
-    """
+    """Mean of centroid minus noiseless light over all points, by every centroider that follows all the light."""
     found = []
     for method in (one for one in WINDOW_PX if one in position_px):
         apart = (position_px[method] - light_px).reshape(-1, 2)

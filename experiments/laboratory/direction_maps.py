@@ -23,21 +23,11 @@ SHOWN_PERCENT = 99.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VectorPanel:
-    """One map of `vector_maps`.
+    """One map of `vector_maps`."""
 
-    Attributes
-    ----------
-    title : str
-        Above it.
-    vector : (r, c, 2)
-        At every place of the grid.
-    arrows : bool
-        Whether directions mean something; those of standard deviations do not.
-    """
-
-    title: str
-    vector: FloatArray
-    arrows: bool = True
+    title: str  # Above it
+    vector: FloatArray  # (r, c, 2) At every place of the grid
+    arrows: bool = True  # Whether directions mean something; those of standard deviations do not
 
 
 def pixel_axes(axis: Any, size_px: tuple[int, int], *, labels: bool = True) -> None:
@@ -54,19 +44,7 @@ def pixel_axes(axis: Any, size_px: tuple[int, int], *, labels: bool = True) -> N
 
 
 def vector_maps(panels: Sequence[VectorPanel], place_px: FloatArray, *, size_px: tuple[int, int], label: str) -> Figure:
-    """Maps two in a row with one scale of colour, each with its own length of arrows.
-
-    Parameters
-    ----------
-    panels : sequence of VectorPanel
-        What is shown.
-    place_px : (r, c, 2)
-        Column and row of the places.
-    size_px : (int, int)
-        Width and height of the detector.
-    label : str
-        Of the colours, e.g. "line of sight [arcsec]".
-    """
+    """Maps two in a row with one scale of colour, each with its own length of arrows."""
     rows = math.ceil(len(panels) / 2)
     figure, axes = new_figure(rows, 2, aspect_ratio=rows * (0.08 + 0.43 * size_px[1] / size_px[0]), squeeze=False)
     lengths = [np.linalg.norm(panel.vector, axis=-1) for panel in panels]

@@ -55,19 +55,7 @@ def residual_px(
     test_px: FloatArray,
     reference: Reference,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Eq. 19-20: places (n, 2), residuals (n, 2) of a session, and coefficients of the camera behind the coordinates.
-
-    Parameters
-    ----------
-    instrument : Instrument
-        Scale of the nominal coordinates.
-    surveyed : (n, 3)
-        Target points as measured beforehand.
-    earlier_px, test_px : (n, 2)
-        Mean centroids of two sessions.
-    reference : {"nominal", "aligned", "calibrated"}
-        How target coordinates become pixels; "aligned" fits the test session itself, "calibrated" the earlier one.
-    """
+    """Eq. 19-20: places (n, 2), residuals (n, 2) of a session, and coefficients of the camera behind the coordinates."""
     nominal, place = camera_place(instrument, surveyed)
     return place, *grid_residual_px(nominal, place, earlier_px, test_px, reference)
 
@@ -90,36 +78,16 @@ def grid_residual_px(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DistortionMeasurement:
-    """Frames of a grid target of n points, reduced.
+    """Frames of a grid target of n points, reduced."""
 
-    Attributes
-    ----------
-    instrument : Instrument
-        The camera.
-    order : int
-        Of the polynomial.
-    frames : int
-        N of each session.
-    direction : (n, 3)
-        True directions of the points.
-    surveyed : (q, n, 3)
-        As measured beforehand, by q surveys; the first is the one that counts.
-    session_px : dict of str to (2, n, 2)
-        Mean centroids of `SESSIONS` by method.
-    sigma_px : dict of str to (n, 2)
-        Standard deviation of a single frame's centroid.
-    light : PointLight
-        The target as rendered, with truth.
-    """
-
-    instrument: Instrument
-    order: int
-    frames: int
-    direction: FloatArray
-    surveyed: FloatArray
-    session_px: Mapping[str, FloatArray]
-    sigma_px: Mapping[str, FloatArray]
-    light: PointLight
+    instrument: Instrument  # The camera
+    order: int  # Of the polynomial
+    frames: int  # N of each session
+    direction: FloatArray  # (n, 3) True directions of the points
+    surveyed: FloatArray  # (q, n, 3) As measured beforehand, by q surveys; the first is the one that counts
+    session_px: Mapping[str, FloatArray]  # (2, n, 2) Mean centroids of `SESSIONS` by method
+    sigma_px: Mapping[str, FloatArray]  # (n, 2) Standard deviation of a single frame's centroid
+    light: PointLight  # The target as rendered, with truth
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -153,24 +121,12 @@ class DistortionMeasurement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DenseMap:
-    """True errors of a correction over the whole detector; m grid points, shift and roll taken out.
+    """True errors of a correction over the whole detector; m grid points, shift and roll taken out."""
 
-    Attributes
-    ----------
-    nominal_px : (m, 2)
-        Grid on the detector.
-    shape : tuple of int
-        Rows and columns of the grid.
-    uncorrected_px : (m, 2)
-        Distortion: traced minus the best shift, roll and scale.
-    corrected_px : (m, 2)
-        Traced minus camera and polynomial.
-    """
-
-    nominal_px: FloatArray
-    shape: tuple[int, int]
-    uncorrected_px: FloatArray
-    corrected_px: FloatArray
+    nominal_px: FloatArray  # (m, 2) Grid on the detector
+    shape: tuple[int, int]  # Rows and columns of the grid
+    uncorrected_px: FloatArray  # (m, 2) Distortion: traced minus the best shift, roll and scale
+    corrected_px: FloatArray  # (m, 2) Traced minus camera and polynomial
 
     @property
     def rms_px(self) -> FloatArray:
@@ -203,21 +159,7 @@ def dense_map(
     columns: int = 33,
     traced_px: FloatArray | None = None,
 ) -> DenseMap:
-    """What a correction leaves, judged by traced bundles on a dense grid (ACC18 Fig. 8 shows it at the target points).
-
-    Parameters
-    ----------
-    bench, instrument
-        The laboratory.
-    camera, polynomial
-        `DistortionMeasurement.correction`.
-    reference, order
-        What they belong to.
-    rows, columns : int
-        The grid.
-    traced_px : (rows * columns, 2), optional
-        Traced positions of the grid, if known already.
-    """
+    """What a correction leaves, judged by traced bundles on a dense grid (ACC18 Fig. 8 shows it at the target points)."""
     direction = dense_grid(instrument, rows, columns)
     nominal, place = camera_place(instrument, direction)
     traced = traced_bundles(bench, instrument, direction) if traced_px is None else traced_px
@@ -253,30 +195,7 @@ def measure_distortion(
     scene: PointScene | None = None,
     advance: Callable[[], None] = lambda: None,
 ) -> DistortionMeasurement:
-    """Frames of a static grid target in two sessions (`SESSIONS`).
-
-    Parameters
-    ----------
-    bench, instrument
-        The laboratory; ``bench.frames`` is N, ``bench.methods`` are the centroiders.
-    target : GridTarget
-        The grid and its marking error.
-    order : int
-        Of the polynomial.
-    surveys : int
-        Independent surveys of the target to be kept; the frames are the same.
-    streams : Streams
-        Root of target, surveys and noise.
-    scene : PointScene, optional
-        If prepared already; of the same instrument.
-    advance : callable
-        Called after each session.
-
-    Raises
-    ------
-    DomainError
-        On a target that does not fit, points that are not detected or saturated, or too few usable frames.
-    """
+    """Frames of a static grid target in two sessions (`SESSIONS`)."""
     scene = scene_of(scene, bench, instrument)
     bench = scene.bench
     direction = grid_directions(target, instrument, streams.generator("target"))

@@ -79,59 +79,38 @@ class Numbers(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GridErrors:
-    """What reaches the residuals of n points [px].
+    """What reaches the residuals of n points [px]."""
 
-    Attributes
-    ----------
-    place : (n, 2)
-        Points from the middle of the detector, in units of order 1.
-    offset_px : (n, 2)
-        Mean centroids minus nominal coordinates, without noise: distortion and S-curve.
-    chip_px2, session_px2 : (n, 2, 2)
-        Covariance of the mean centroid of each point by what is frozen into a chip, and by the noise of one session.
-    mean_px2 : (n, 2, 2)
-        Covariance with which ``offset_px`` is known; it is not that of the frames.
-    marking_px : float
-        Standard deviation per axis of a surveyed coordinate.
-    """
-
-    place: FloatArray
-    offset_px: FloatArray
+    place: FloatArray  # (n, 2) Points from the middle of the detector, in units of order 1
+    offset_px: FloatArray  # (n, 2) Mean centroids minus nominal coordinates, without noise: distortion and S-curve
+    # (n, 2, 2) Covariance of the mean centroid of each point by what is frozen into a chip, and by the noise of one
+    # session
     chip_px2: FloatArray
+    # (n, 2, 2) Covariance of the mean centroid of each point by what is frozen into a chip, and by the noise of one
+    # session
     session_px2: FloatArray
-    mean_px2: FloatArray
-    marking_px: float
+    mean_px2: FloatArray  # (n, 2, 2) Covariance with which ``offset_px`` is known; it is not that of the frames
+    marking_px: float  # Standard deviation per axis of a surveyed coordinate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DistortionPrediction:
-    """What the document's numbers should be; [px], 1 sigma, by method and reference.
+    """What the document's numbers should be; [px], 1 sigma, by method and reference."""
 
-    Attributes
-    ----------
-    pixel_arcsec : float
-        Angle of a pixel.
-    mean_px, scatter_px, frozen_px : dict of str to dict of Reference to (3, 2)
-        sigma_d, sigma_Dd, sigma_C1: root mean square over chips, runs and surveys; standard deviation of the numbers of
-        one survey; standard deviation, from chip to chip and run to run, of the RMS over many surveys.
-    bundle_px : (n, 2)
-        Traced positions of the points.
-    position_px : dict of str to (n, 2)
-        Expected mean centroids: traced light as the centroider sees it.
-    point_px : dict of str to (n, 2)
-        Predicted error of a mean centroid by noise and response pattern.
-    marking_px : float
-        Standard deviation per axis of a surveyed coordinate.
-    """
-
-    pixel_arcsec: float
+    pixel_arcsec: float  # Angle of a pixel
+    # (3, 2) sigma_d, sigma_Dd, sigma_C1: root mean square over chips, runs and surveys; standard deviation of the
+    # numbers of one survey; standard deviation, from chip to chip and run to run, of the RMS over many surveys
     mean_px: Mapping[str, Mapping[Reference, FloatArray]]
+    # (3, 2) sigma_d, sigma_Dd, sigma_C1: root mean square over chips, runs and surveys; standard deviation of the
+    # numbers of one survey; standard deviation, from chip to chip and run to run, of the RMS over many surveys
     scatter_px: Mapping[str, Mapping[Reference, FloatArray]]
+    # (3, 2) sigma_d, sigma_Dd, sigma_C1: root mean square over chips, runs and surveys; standard deviation of the
+    # numbers of one survey; standard deviation, from chip to chip and run to run, of the RMS over many surveys
     frozen_px: Mapping[str, Mapping[Reference, FloatArray]]
-    bundle_px: FloatArray
-    position_px: Mapping[str, FloatArray]
-    point_px: Mapping[str, FloatArray]
-    marking_px: float
+    bundle_px: FloatArray  # (n, 2) Traced positions of the points
+    position_px: Mapping[str, FloatArray]  # (n, 2) Expected mean centroids: traced light as the centroider sees it
+    point_px: Mapping[str, FloatArray]  # (n, 2) Predicted error of a mean centroid by noise and response pattern
+    marking_px: float  # Standard deviation per axis of a surveyed coordinate
 
     def of_surveys_px(self, method: str, reference: Reference, surveys: int) -> FloatArray:
         """Standard deviation (3, 2) of the RMS over so many surveys of one chip and one run."""
@@ -171,17 +150,7 @@ def _blocks(covariance: FloatArray) -> FloatArray:
 
 
 def predicted_numbers(errors: GridErrors, order: int, reference: Reference) -> Numbers:
-    """The document's numbers from what reaches the residuals (see the module).
-
-    Parameters
-    ----------
-    errors : GridErrors
-        Of the target points.
-    order : int
-        Of the polynomial.
-    reference : {"nominal", "aligned", "calibrated"}
-        How target coordinates become pixels.
-    """
+    """The document's numbers from what reaches the residuals (see the module)."""
     points, one = len(errors.place), np.eye(2 * len(errors.place))
     camera = one - camera_projector(errors.place, reference)
     chip, session, known = (_blocks(v) for v in (errors.chip_px2, errors.session_px2, errors.mean_px2))
@@ -242,29 +211,7 @@ def predict_distortion(
     defect: NDArray[np.bool_] | None = None,
     seed: int = 0,
 ) -> DistortionPrediction:
-    """Prediction for every centroider of the bench.
-
-    Parameters
-    ----------
-    bench, instrument, target
-        The laboratory.
-    direction : (n, 3)
-        Where the points are (`targets.grid_directions`).
-    psf : sequence of EffectivePsf
-        Of the points (`PointScene.psfs`).
-    order : int
-        Of the polynomial.
-    references : sequence of str
-        How target coordinates become pixels.
-    noise_draws : int
-        Noisy copies of each window, from which mean and scatter of the centroid are taken; 0 takes the noiseless window
-        and the influence function, which is the same but for methods with a threshold at little light. Fits of a PSF
-        take none.
-    defect : (h, w) bool, optional
-        The camera's list of hot and dead pixels, which the reduction leaves out; none without it.
-    seed : int
-        Of the draws; they have nothing in common with the frames.
-    """
+    """Prediction for every centroider of the bench."""
     bench = one_filter(bench)
     noise = instrument.pixel_noise()
     windows = expected_windows(bench, instrument, direction[None], psf, defect=defect)
@@ -331,24 +278,12 @@ def _covariance(drawn_px: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapForecast:
-    """Error of a polynomial map over the whole detector, shift and roll taken out; [px], RMS per axis.
+    """Error of a polynomial map over the whole detector, shift and roll taken out; [px], RMS per axis."""
 
-    Attributes
-    ----------
-    points : int
-        Target points.
-    order : int
-        Of the polynomial.
-    bias_px : (2,)
-        Distortion that the polynomial cannot follow.
-    noise_px : (2,)
-        Marking and centroid errors carried into the map.
-    """
-
-    points: int
-    order: int
-    bias_px: FloatArray
-    noise_px: FloatArray
+    points: int  # Target points
+    order: int  # Of the polynomial
+    bias_px: FloatArray  # (2,) Distortion that the polynomial cannot follow
+    noise_px: FloatArray  # (2,) Marking and centroid errors carried into the map
 
     @property
     def rms_px(self) -> FloatArray:
@@ -367,23 +302,7 @@ def forecast_map(
     grid: tuple[int, int],
     seed: int = 0,
 ) -> MapForecast | None:
-    """Expected map error of a target; None where it has too few points for the polynomial.
-
-    Parameters
-    ----------
-    bench, instrument, target
-        The laboratory.
-    order : int
-        Of the polynomial.
-    point_error_px : float
-        Standard deviation per axis of a point's mean centroid.
-    traced_px : (rows * columns, 2)
-        Traced positions of the dense grid.
-    grid : tuple of int
-        Rows and columns of that grid.
-    seed : int
-        Of the target's individual.
-    """
+    """Expected map error of a target; None where it has too few points for the polynomial."""
     direction = grid_directions(target, instrument, Streams(seed).generator("forecast"))
     nominal, place = camera_place(instrument, direction)
     dense_nominal, dense_place = camera_place(instrument, dense_grid(instrument, *grid))

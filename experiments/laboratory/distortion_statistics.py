@@ -90,13 +90,7 @@ def fit_camera(place: FloatArray, offset_px: FloatArray, reference: Reference) -
 
 
 def polynomial_fit(place: FloatArray, d_px: FloatArray, order: int) -> FloatArray:
-    """Coefficients (k, 2) of the polynomial that fits residuals (n, 2) best.
-
-    Raises
-    ------
-    DomainError
-        If there are not more points than terms.
-    """
+    """Coefficients (k, 2) of the polynomial that fits residuals (n, 2) best."""
     terms = polynomial_terms(place, order)
     if len(place) <= terms.shape[1]:
         raise DomainError(
@@ -108,40 +102,18 @@ def polynomial_fit(place: FloatArray, d_px: FloatArray, order: int) -> FloatArra
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DistortionStatistics:
-    """The document's numbers, 1 sigma, per axis [px].
+    """The document's numbers, 1 sigma, per axis [px]."""
 
-    Attributes
-    ----------
-    d_px : (n, 2)
-        Residuals, eq. 19-20.
-    left_px : (n, 2)
-        After the polynomial, eq. 25-26.
-    sigma_d_px, sigma_left_px, sigma_c1_px : (2,)
-        Eq. 23-24, 27-28, 29-30: found, left, removed.
-    coefficient_px : (k, 2)
-        Of the polynomial.
-    """
-
-    d_px: FloatArray
-    left_px: FloatArray
-    sigma_d_px: FloatArray
-    sigma_left_px: FloatArray
-    sigma_c1_px: FloatArray
-    coefficient_px: FloatArray
+    d_px: FloatArray  # (n, 2) Residuals, eq. 19-20
+    left_px: FloatArray  # (n, 2) After the polynomial, eq. 25-26
+    sigma_d_px: FloatArray  # (2,) Eq. 23-24, 27-28, 29-30: found, left, removed
+    sigma_left_px: FloatArray  # (2,) Eq. 23-24, 27-28, 29-30: found, left, removed
+    sigma_c1_px: FloatArray  # (2,) Eq. 23-24, 27-28, 29-30: found, left, removed
+    coefficient_px: FloatArray  # (k, 2) Of the polynomial
 
 
 def distortion_statistics(place: FloatArray, d_px: FloatArray, order: int) -> DistortionStatistics:
-    """Eq. 21-30 on residuals.
-
-    Parameters
-    ----------
-    place : (n, 2)
-        Target coordinates in units of order 1, from the middle of the detector.
-    d_px : (n, 2)
-        Residuals.
-    order : int
-        Of the polynomial; 3 in the document.
-    """
+    """Eq. 21-30 on residuals."""
     coefficient = polynomial_fit(place, d_px, order)
     left = d_px - polynomial_terms(place, order) @ coefficient
     sigma_d, sigma_left = d_px.std(axis=0, ddof=1), left.std(axis=0, ddof=1)

@@ -51,24 +51,7 @@ def measured_epsf(
     scene: PointScene,
     advance: Callable[[], None] = lambda: None,
 ) -> EffectivePsf:
-    """Effective PSF from frames of the target in the middle of the first chip.
-
-    Parameters
-    ----------
-    bench, instrument, hexapod, scene
-        The laboratory.
-    psf : sequence of EffectivePsf
-        Of the target's points; where the windows stand depends on them, the result does not.
-    streams : Streams
-        Root of the noise.
-    advance : callable
-        Called after each position.
-
-    Raises
-    ------
-    DomainError
-        On points that are not detected, or too few that can be used.
-    """
+    """Effective PSF from frames of the target in the middle of the first chip."""
     path = epsf_session(bench).path(instrument, hexapod, streams.generator("hexapod"))
     parts = []
     for number, direction in enumerate(turned(target_place(bench, instrument), path.true_rad)):
@@ -92,17 +75,6 @@ def predicted_epsfs(
     """The same without frames, for several sessions: PSFs and traced places, noise and response drawn with NumPy.
 
     The image moves by less than a pixel: the response of a pixel is the same at all positions and does not average out.
-
-    Parameters
-    ----------
-    bench, instrument
-        The laboratory.
-    psf : sequence of EffectivePsf
-        Of the target's points (`PointScene.psfs`).
-    seed : int
-        Of the draws.
-    sessions : int
-        How many, each with its own chip and noise.
     """
     rng, noise, frames = Streams(seed).generator("predicted ePSF"), instrument.pixel_noise(), bench.frames
     ideal = Hexapod(step_error_arcsec=0.0, roll_error_arcsec=0.0, reading_error_arcsec=0.0)

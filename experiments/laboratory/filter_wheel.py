@@ -39,13 +39,7 @@ def _measured(file: str, name: str, centre_nm: float | None = None) -> MeasuredF
 
 
 def interference_filters(config: FilterConfig) -> tuple[Filter, ...]:
-    """The filters of a configuration, named by their centres.
-
-    Raises
-    ------
-    ConfigError, DomainError
-        As `optics.light.band_file.load_band`.
-    """
+    """The filters of a configuration, named by their centres."""
     if config.files:
         pairs = zip(config.files, config.centres_nm, strict=True)
         return tuple(_measured(file, f"{centre:g} nm", centre) for file, centre in pairs)
@@ -56,22 +50,7 @@ def interference_filters(config: FilterConfig) -> tuple[Filter, ...]:
 
 
 def open_band(config: PassbandConfig, sensor: StarSensor, name: str = "") -> Filter:
-    """The pass band of a configuration: what an open place of the filter wheel lets through.
-
-    Parameters
-    ----------
-    config : PassbandConfig
-        The configuration.
-    sensor : StarSensor
-        Lens and detector, which say where light is known.
-    name : str
-        What to call it; its range or file if left out.
-
-    Raises
-    ------
-    ConfigError, DomainError
-        No such file, no curve, a band that reaches beyond what is known or is narrower than its edges.
-    """
+    """The pass band of a configuration: what an open place of the filter wheel lets through."""
     if config.file:
         curve = _measured(config.file, name)
         sensor.check_band("passband.file", curve)

@@ -26,25 +26,11 @@ class Hexapod:
 
     ACC18 names a PI H-840 but no figures; the defaults (2 and 5 urad) are of the size that makers state for such
     platforms, rounded.
-
-    Attributes
-    ----------
-    step_error_arcsec : float
-        Pitch and yaw reached against those commanded, anew at every position.
-    roll_error_arcsec : float
-        The same for roll about the camera's axis.
-    reading_error_arcsec : float
-        What the platform reports against where it is, all three axes.
-
-    Raises
-    ------
-    DomainError
-        On an error that is negative or not finite.
     """
 
-    step_error_arcsec: float = 0.4
-    roll_error_arcsec: float = 1.0
-    reading_error_arcsec: float = 0.2
+    step_error_arcsec: float = 0.4  # Pitch and yaw reached against those commanded, anew at every position
+    roll_error_arcsec: float = 1.0  # The same for roll about the camera's axis
+    reading_error_arcsec: float = 0.2  # What the platform reports against where it is, all three axes
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -55,17 +41,11 @@ class Hexapod:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HexapodPath:
-    """Poses of a run; rotation vectors (m, 3) [rad].
+    """Poses of a run; rotation vectors (m, 3) [rad]."""
 
-    Attributes
-    ----------
-    commanded_rad, true_rad, read_rad : (m, 3)
-        What was asked for, where the platform went, what it reported.
-    """
-
-    commanded_rad: FloatArray
-    true_rad: FloatArray
-    read_rad: FloatArray
+    commanded_rad: FloatArray  # (m, 3) What was asked for, where the platform went, what it reported
+    true_rad: FloatArray  # (m, 3) What was asked for, where the platform went, what it reported
+    read_rad: FloatArray  # (m, 3) What was asked for, where the platform went, what it reported
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -81,26 +61,7 @@ def step_path(
     step_rad: float,
     direction_deg: float,
 ) -> HexapodPath:
-    """Equal steps of the image along a straight line, the middle of the path at rest.
-
-    Parameters
-    ----------
-    hexapod : Hexapod
-        Its errors.
-    rng : numpy.random.Generator
-        Draws them.
-    positions : int
-        m, at least 2.
-    step_rad : float
-        Length of a step of the image.
-    direction_deg : float
-        Of the motion of the image, from increasing column towards increasing row.
-
-    Raises
-    ------
-    DomainError
-        On fewer than two positions.
-    """
+    """Equal steps of the image along a straight line, the middle of the path at rest."""
     if positions < 2:
         raise DomainError(f"positions = {positions}; at least 2 are needed for a step")
     way = (np.arange(positions) - (positions - 1) / 2) * step_rad

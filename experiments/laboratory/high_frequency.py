@@ -50,26 +50,11 @@ CAUSES = ("s_curve", *SWITCHES)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepPlan:
-    """The test: positions along a line.
+    """The test: positions along a line."""
 
-    Attributes
-    ----------
-    positions : int
-        M. The document counts 0, 0.2 ... 2.0 px as 12 positions, which is 11.
-    step_px : float
-        Length of a step of the image.
-    direction_deg : float
-        Of the motion, from increasing column towards increasing row.
-
-    Raises
-    ------
-    DomainError
-        On fewer than two positions or a step that is not positive.
-    """
-
-    positions: int = 12
-    step_px: float = 0.2
-    direction_deg: float = 45.0
+    positions: int = 12  # M. The document counts 0, 0.2 ... 2.0 px as 12 positions, which is 11
+    step_px: float = 0.2  # Length of a step of the image
+    direction_deg: float = 45.0  # Of the motion, from increasing column towards increasing row
 
     def __post_init__(self) -> None:
         if self.positions < 2:
@@ -88,13 +73,7 @@ class StepPlan:
         )
 
     def check(self, bench: Bench) -> None:
-        """Refuse steps that leave the window.
-
-        Raises
-        ------
-        DomainError
-            If a step is not smaller than half the window.
-        """
+        """Refuse steps that leave the window."""
         if self.step_px >= bench.window_px / 2:
             raise DomainError(
                 f"a step of {self.step_px:g} px is not smaller than half the window (window_px = {bench.window_px}); "
@@ -104,47 +83,26 @@ class StepPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HighFrequencyMeasurement:
-    """Mean centroids of m positions and j stars, with every effect, and with some switched off.
+    """Mean centroids of m positions and j stars, with every effect, and with some switched off."""
 
-    Attributes
-    ----------
-    plan : StepPlan
-        The test.
-    frames : int
-        N per position.
-    pixel_arcsec : float
-        Angle of a pixel.
-    path : HexapodPath
-        What the hexapod did.
-    direction : (j, 3)
-        Target points at rest.
-    photon_px : (m, j, 2)
-        Truth: centroid of the noiseless light.
-    noiseless_px : dict of str to (m, j, 2)
-        What each method makes of the noiseless windows.
-    mean_px : dict of str to dict of str to (m, j, 2)
-        Mean centroids by run and method: "all", "none", "only CAUSE", "without CAUSE".
-    sigma_px : dict of str to (m, j, 2)
-        Standard deviation of a single frame's centroid, run "all", without a motion that all stars have in common.
-    paired_px : dict of str to dict of str to (m, j, 2)
-        Standard deviation over the frames of the difference of two runs, by cause ("only CAUSE", "without CAUSE").
-    lights : tuple of PointLight
-        The target at every position.
-    motion_px2 : (m, 2, 2)
-        What the stars have in common in the frames (`experiments.laboratory.readout.centroids.common_motion_px2`).
-    """
-
-    plan: StepPlan
-    frames: int
-    pixel_arcsec: float
-    path: HexapodPath
-    direction: FloatArray
-    photon_px: FloatArray
-    noiseless_px: Mapping[str, FloatArray]
+    plan: StepPlan  # The test
+    frames: int  # N per position
+    pixel_arcsec: float  # Angle of a pixel
+    path: HexapodPath  # What the hexapod did
+    direction: FloatArray  # (j, 3) Target points at rest
+    photon_px: FloatArray  # (m, j, 2) Truth: centroid of the noiseless light
+    noiseless_px: Mapping[str, FloatArray]  # (m, j, 2) What each method makes of the noiseless windows
+    # (m, j, 2) Mean centroids by run and method: "all", "none", "only CAUSE", "without CAUSE"
     mean_px: Mapping[str, Mapping[str, FloatArray]]
+    # (m, j, 2) Standard deviation of a single frame's centroid, run "all", without a motion that all stars have in
+    # common
     sigma_px: Mapping[str, FloatArray]
+    # (m, j, 2) Standard deviation over the frames of the difference of two runs, by cause ("only CAUSE", "without
+    # CAUSE")
     paired_px: Mapping[str, Mapping[str, FloatArray]]
-    lights: tuple[PointLight, ...]
+    lights: tuple[PointLight, ...]  # The target at every position
+    # (m, 2, 2) What the stars have in common in the frames
+    # (`experiments.laboratory.readout.centroids.common_motion_px2`)
     motion_px2: FloatArray
 
     def document_px(self, method: str, run: str = "all") -> FloatArray:
@@ -258,32 +216,6 @@ def measure_high_frequency(
     """Step the camera, take frames at every position, centroid (ACC18 section 1.3).
 
     Dark frames are taken once, before the steps: all positions share them pixel by pixel.
-
-    Parameters
-    ----------
-    bench, instrument, hexapod
-        The laboratory; ``bench.frames`` is N, ``bench.methods`` are the centroiders.
-    plan : StepPlan
-        Positions.
-    place_px : (2,), optional
-        Middle of the target on the detector (`temporal_error.target_place`).
-    subtraction : {"dark", "raw"}
-        See `experiments.laboratory.point_frames.SUBTRACTIONS`.
-    split : bool
-        Whether to repeat everything with causes switched off.
-    walk_px : (m, j, 2), optional
-        Motion of single points at every position, besides that of the platform.
-    streams : Streams
-        Root of the noise; the same for every run.
-    scene : PointScene, optional
-        If prepared already; of the same instrument.
-    advance : callable
-        Called after each position.
-
-    Raises
-    ------
-    DomainError
-        On a step larger than the window, points that are not detected or saturated, or too few usable frames.
     """
     plan.check(bench)
     scene = scene_of(scene, bench, instrument)

@@ -58,62 +58,37 @@ PATHS = 24
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MethodPrediction:
-    """What one centroider should show; all pixels, 1 sigma, (x, y).
+    """What one centroider should show; all pixels, 1 sigma, (x, y)."""
 
-    Attributes
-    ----------
-    s_curve_px : (m, j, 2)
-        Error of the noiseless centroid.
-    cause_px : dict of str to (2,)
-        Each cause in the document's number.
-    cause_single_px : dict of str to (2,)
-        Each cause in the error of one position.
-    temporal_px, dark_px, roll_px : (2,)
-        Averaged temporal noise, noise of the averaged dark frames, and roll of the hexapod, which the mean over the
-        stars does not take out, in the document's number.
-    document_px : (2,)
-        The document's number, RMS over drawn chips, paths, noise, and sessions that gave the PSF.
-    scatter_px : (2,)
-        Standard deviation of the document's number over them.
-    session_px2 : (k, 2)
-        Square of the document's number by the S-curve alone, for each session that might have given the PSF; the same
-        session serves all places. Empty where no PSF was built.
-    single_px : (2,)
-        Error of one position.
-    single_scatter_px : (2,)
-        Its standard deviation over drawn chips and paths.
-    """
-
-    s_curve_px: FloatArray
-    cause_px: Mapping[str, FloatArray]
-    cause_single_px: Mapping[str, FloatArray]
+    s_curve_px: FloatArray  # (m, j, 2) Error of the noiseless centroid
+    cause_px: Mapping[str, FloatArray]  # (2,) Each cause in the document's number
+    cause_single_px: Mapping[str, FloatArray]  # (2,) Each cause in the error of one position
+    # (2,) Averaged temporal noise, noise of the averaged dark frames, and roll of the hexapod, which the mean over
+    # the stars does not take out, in the document's number
     temporal_px: FloatArray
+    # (2,) Averaged temporal noise, noise of the averaged dark frames, and roll of the hexapod, which the mean over
+    # the stars does not take out, in the document's number
     dark_px: FloatArray
+    # (2,) Averaged temporal noise, noise of the averaged dark frames, and roll of the hexapod, which the mean over
+    # the stars does not take out, in the document's number
     roll_px: FloatArray
+    # (2,) The document's number, RMS over drawn chips, paths, noise, and sessions that gave the PSF
     document_px: FloatArray
-    scatter_px: FloatArray
+    scatter_px: FloatArray  # (2,) Standard deviation of the document's number over them
+    # (k, 2) Square of the document's number by the S-curve alone, for each session that might have given the PSF; the
+    # same session serves all places. Empty where no PSF was built
     session_px2: FloatArray
-    single_px: FloatArray
-    single_scatter_px: FloatArray
+    single_px: FloatArray  # (2,) Error of one position
+    single_scatter_px: FloatArray  # (2,) Its standard deviation over drawn chips and paths
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HighFrequencyPrediction:
-    """Predictions by centroider.
+    """Predictions by centroider."""
 
-    Attributes
-    ----------
-    pixel_arcsec : float
-        Angle of a pixel.
-    place_px : (m, j, 2)
-        Traced positions of an ideal hexapod, or as shifted.
-    method : dict of str to MethodPrediction
-        By name.
-    """
-
-    pixel_arcsec: float
-    place_px: FloatArray
-    method: Mapping[str, MethodPrediction]
+    pixel_arcsec: float  # Angle of a pixel
+    place_px: FloatArray  # (m, j, 2) Traced positions of an ideal hexapod, or as shifted
+    method: Mapping[str, MethodPrediction]  # By name
 
     def document_arcsec(self, method: str) -> FloatArray:
         """HSFE as printed (2,), 3 sigma."""
@@ -135,29 +110,7 @@ def predict_high_frequency(
     noise_draws: int = 0,
     seed: int = 0,
 ) -> HighFrequencyPrediction:
-    """Prediction for every centroider of the bench.
-
-    Parameters
-    ----------
-    bench, instrument, plan, place_px, subtraction
-        As in `high_frequency.measure_high_frequency`.
-    psf : sequence of EffectivePsf
-        Of the target's points (`PointScene.psfs`).
-    hexapod : Hexapod, optional
-        Its errors are drawn; an ideal one without it.
-    shift_px : (m, 2), optional
-        In place of drawn step errors: where the whole image stood off the ideal path at each position, as seen.
-    defect : (h, w) bool, optional
-        The camera's list of hot and dead pixels, which the reduction leaves out; none without it.
-    draws : int
-        Drawn chips.
-    noise_draws : int
-        Noisy copies of each window from which the mean centroid is taken; 0 takes the noiseless window's, which is the
-        same but for methods with a threshold at little light. Fits of a PSF, whose bias goes with the square of their
-        noise, take draws where that noise is at least `FIT_NOISE_PX`, and at the places of an ideal hexapod alone.
-    seed : int
-        Of the draws; they have nothing in common with the frames.
-    """
+    """Prediction for every centroider of the bench."""
     bench = one_filter(bench)
     rng = Streams(seed).generator("high-frequency prediction")
     ideal = Hexapod(step_error_arcsec=0.0, roll_error_arcsec=0.0, reading_error_arcsec=0.0)

@@ -28,15 +28,7 @@ LARGEST_PPM_PER_K = 200.0
 
 
 def expansion_per_k(housing: str | float) -> float:
-    """Linear expansion [1/K] of a material by name, or of a number in 1e-6/K.
-
-    Raises
-    ------
-    ConfigError
-        Unknown material, with the nearest name.
-    ValueError
-        A number that no material has.
-    """
+    """Linear expansion [1/K] of a material by name, or of a number in 1e-6/K."""
     if isinstance(housing, str):
         if housing not in EXPANSION_PPM_PER_K:
             raise unknown_name("material of a housing", housing, EXPANSION_PPM_PER_K)

@@ -49,13 +49,7 @@ class Instrument(StarSensor):
 
 
 def configured_lens(config: InstrumentConfig) -> LensSystem:
-    """The lens of a configuration: stopped down, brought to its temperature with its housing, with its measured error.
-
-    Raises
-    ------
-    ConfigError, DomainError
-        What lens files raise; an F-number that the lens does not reach; a glass without thermal data.
-    """
+    """The lens of a configuration: stopped down, brought to its temperature with its housing, with its measured error."""
     lens = load_lens(config.lens)
     try:
         if config.f_number is not None:
@@ -87,13 +81,7 @@ def _with_measured_wavefront(lens: LensSystem, config: InstrumentConfig) -> Lens
 
 
 def configured_detector(config: InstrumentConfig) -> Detector:
-    """The detector of a configuration, with its gain; all of it, whatever is read out.
-
-    Raises
-    ------
-    ConfigError, DomainError
-        What detector files raise.
-    """
+    """The detector of a configuration, with its gain; all of it, whatever is read out."""
     detector = load_detector(config.detector)
     return detector if config.gain_dn_per_e is None else replace(detector, gain_dn_per_e=config.gain_dn_per_e)
 
@@ -101,22 +89,7 @@ def configured_detector(config: InstrumentConfig) -> Detector:
 def build_instrument(
     config: InstrumentConfig, lens: LensSystem | None = None, detector: Detector | None = None
 ) -> Instrument:
-    """Instrument of a configuration, cut to the window that is read out.
-
-    Parameters
-    ----------
-    config : InstrumentConfig
-        The configuration.
-    lens : LensSystem, optional
-        In place of `configured_lens`, e.g. a perturbed copy of it.
-    detector : Detector, optional
-        In place of `configured_detector`, e.g. with another read noise.
-
-    Raises
-    ------
-    ConfigError, DomainError
-        What `configured_lens` and `configured_detector` raise; a window that is no part of the detector.
-    """
+    """Instrument of a configuration, cut to the window that is read out."""
     nominal = configured_lens(config)
     sensor = load_star_sensor(
         nominal if lens is None else lens,

@@ -59,27 +59,14 @@ def traced_motion_px(bench: Bench, instrument: Instrument, before: FloatArray, a
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WedgedFilter:
-    """ACC18's chromatic test before and after a wedge was put into one filter; p positions, j points, b filters.
+    """ACC18's chromatic test before and after a wedge was put into one filter; p positions, j points, b filters."""
 
-    Attributes
-    ----------
-    pairs : sequence of (str, int, int)
-        Pairs of bands (`experiments.laboratory.bench.band_pairs`).
-    band : int
-        The filter with the wedge.
-    motion_px : (2,)
-        Mean motion of the image behind it, by the NumPy trace.
-    before_px, after_px : (p, j, b, 2)
-        Mean centroids, first method.
-    sigma_px : (2,)
-        Standard deviation of the mean over all points of the motion that centroids see: frames and fixed pattern.
-    """
-
-    pairs: Sequence[tuple[str, int, int]]
-    band: int
-    motion_px: FloatArray
-    before_px: FloatArray
-    after_px: FloatArray
+    pairs: Sequence[tuple[str, int, int]]  # (str, int, int) Pairs of bands (`experiments.laboratory.bench.band_pairs`)
+    band: int  # The filter with the wedge
+    motion_px: FloatArray  # (2,) Mean motion of the image behind it, by the NumPy trace
+    before_px: FloatArray  # (p, j, b, 2) Mean centroids, first method
+    after_px: FloatArray  # (p, j, b, 2) Mean centroids, first method
+    # (2,) Standard deviation of the mean over all points of the motion that centroids see: frames and fixed pattern
     sigma_px: FloatArray
 
     @property
@@ -97,22 +84,7 @@ class WedgedFilter:
 
 
 def measure_wedged(bench: Bench, instrument: Instrument, plain: ChromaticMeasurement, streams: Streams) -> WedgedFilter:
-    """Put a wedge into the last filter that is not the reference and measure its points again.
-
-    Parameters
-    ----------
-    bench, instrument
-        The laboratory.
-    plain : ChromaticMeasurement
-        The test without the wedge.
-    streams : Streams
-        Noise of the new frames.
-
-    Raises
-    ------
-    DomainError
-        As `measure_chromatic`.
-    """
+    """Put a wedge into the last filter that is not the reference and measure its points again."""
     method, band = bench.methods[0], max(set(range(len(bench.filters))) - {bench.reference})
     filters = [bench.filters[bench.reference], bench.filters[band]] if method.endswith("_reference") else []
     one = replace(bench, filters=filters or [bench.filters[band]], reference=0, methods=(method,))
@@ -139,24 +111,13 @@ def measure_wedged(bench: Bench, instrument: Instrument, plain: ChromaticMeasure
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShakenTarget:
-    """Frames of a target that stood at two places, j stars.
+    """Frames of a target that stood at two places, j stars."""
 
-    Attributes
-    ----------
-    position_px : dict of str to (f, j, 2)
-        Centroids by method: first the frames at one place, then those at the other.
-    frames : (int, int)
-        At each place.
-    motion_px : (j, 2)
-        From the first place to the second, by the NumPy trace.
-    pixel_arcsec : float
-        Angle of a pixel.
-    """
-
+    # (f, j, 2) Centroids by method: first the frames at one place, then those at the other
     position_px: Mapping[str, FloatArray]
-    frames: tuple[int, int]
-    motion_px: FloatArray
-    pixel_arcsec: float
+    frames: tuple[int, int]  # (int, int) At each place
+    motion_px: FloatArray  # (j, 2) From the first place to the second, by the NumPy trace
+    pixel_arcsec: float  # Angle of a pixel
 
     def te_arcsec(self, method: str) -> tuple[Measured, Measured]:
         """Temporal error of these frames, x and y, as that of frames at rest (`temporal_error_arcsec`)."""
@@ -175,22 +136,7 @@ class ShakenTarget:
 def measure_shaken(
     scene: PointScene, direction: FloatArray, psf: Sequence[EffectivePsf], streams: Streams
 ) -> ShakenTarget:
-    """Half of the frames with the target to one side of its place, half with it to the other.
-
-    Parameters
-    ----------
-    scene : PointScene
-        Laboratory; its bench says how many frames and which centroiders.
-    direction, psf : (j, 3), sequence of EffectivePsf
-        Target points at rest, and their PSFs.
-    streams : Streams
-        Noise.
-
-    Raises
-    ------
-    DomainError
-        As `PointScene.light` and `read_points`.
-    """
+    """Half of the frames with the target to one side of its place, half with it to the other."""
     bench, instrument = scene.bench, scene.instrument
     count = (bench.frames // 2, bench.frames - bench.frames // 2)
     ends = [nudged(instrument, direction, side * np.array(SHAKE_PX)) for side in (-0.5, 0.5)]
@@ -211,17 +157,10 @@ def measure_shaken(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WalkingPoints:
-    """A step test of few positions in which every point moves for itself too.
+    """A step test of few positions in which every point moves for itself too."""
 
-    Attributes
-    ----------
-    measured : HighFrequencyMeasurement
-        The test, no cause switched off.
-    walk_rms_px : (2,)
-        RMS over points and steps of the points' own steps without their mean: closed form, the scale by the trace.
-    """
-
-    measured: HighFrequencyMeasurement
+    measured: HighFrequencyMeasurement  # The test, no cause switched off
+    # (2,) RMS over points and steps of the points' own steps without their mean: closed form, the scale by the trace
     walk_rms_px: FloatArray
 
     @property
@@ -246,26 +185,7 @@ def measure_walking(
     place_px: Sequence[float] | None = None,
     subtraction: Subtraction = "dark",
 ) -> WalkingPoints:
-    """Step a target whose points walk.
-
-    Parameters
-    ----------
-    scene : PointScene
-        Laboratory; its bench says how many frames and which centroiders.
-    hexapod, plan
-        Platform and steps; fewer positions than the plan's are taken.
-    rest : (j, 3)
-        Target points at rest.
-    streams : Streams
-        Noise.
-    place_px, subtraction
-        As `measure_high_frequency`.
-
-    Raises
-    ------
-    DomainError
-        As `measure_high_frequency`.
-    """
+    """Step a target whose points walk."""
     instrument = scene.instrument
     walk = walk_px(WALK_POSITIONS, len(rest))
     measured = measure_high_frequency(

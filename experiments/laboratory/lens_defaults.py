@@ -65,18 +65,7 @@ def _window_px(file: LensFile, detector: Any) -> tuple[int, int] | None:
 
 
 def lens_defaults(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings that the lens file of an instrument decides where nobody else does.
-
-    Parameters
-    ----------
-    values : mapping
-        Tables ``instrument`` and, where the experiment has one, ``passband``; not yet validated.
-
-    Returns
-    -------
-    dict
-        Parts of these tables; empty for a lens of our own format.
-    """
+    """Settings that the lens file of an instrument decides where nobody else does."""
     instrument, passband = values.get("instrument"), values.get("passband")
     file = _of_program(instrument.get("lens")) if isinstance(instrument, Mapping) else None
     if file is None or not isinstance(instrument, Mapping):

@@ -65,19 +65,7 @@ def matrix_of_quaternion(xyzw: ArrayLike) -> FloatArray:
 
 
 def acf_camera_px(values: Sequence[float], rays: ArrayLike, size_px: tuple[int, int], pitch_mm: float) -> FloatArray:
-    """Images (n, 2) [px] of directions (n, 3) in the camera: ACF17 eq. 3 and 4.
-
-    Parameters
-    ----------
-    values : sequence of 8
-        x0, y0 [px], f [mm], q1, q2, q3, p1, p2 of ACF17, in mm.
-    rays : (n, 3)
-        Directions, of any length.
-    size_px : (int, int)
-        Width and height of the detector.
-    pitch_mm : float
-        Pixel pitch.
-    """
+    """Images (n, 2) [px] of directions (n, 3) in the camera: ACF17 eq. 3 and 4."""
     x0, y0, f, q1, q2, q3, p1, p2 = values
     vx, vy, vz = np.asarray(rays, float).T
     x, y = f * vx / vz, f * vy / vz
@@ -106,15 +94,6 @@ def table_matrices(axes: str, angle_rad: ArrayLike, lean_arcsec: Sequence[float]
 
     Every angle is right-handed about its axis; an axis that leans encloses 90 deg less ``lean_arcsec`` with the one
     that carries it.
-
-    Parameters
-    ----------
-    axes : str
-        Letters, a minus for the opposite sense.
-    angle_rad : (n, k)
-        Angles.
-    lean_arcsec : sequence of k - 1
-        Non-orthogonality of neighbours.
     """
     letters, nominal, sign = {"x": [1.0, 0.0, 0.0], "y": [0.0, 1.0, 0.0], "z": [0.0, 0.0, 1.0]}, [], 1.0
     for letter in axes:

@@ -38,18 +38,10 @@ window, from the outermost ring of its mean frame; fixed patterns stay."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointFrames:
-    """Centroids of j points in f frames.
+    """Centroids of j points in f frames."""
 
-    Attributes
-    ----------
-    position_px : dict of str to (f, j, 2)
-        By method; NaN where a frame gave none.
-    windows : WindowStack
-        The readout.
-    """
-
-    position_px: Mapping[str, FloatArray]
-    windows: WindowStack
+    position_px: Mapping[str, FloatArray]  # (f, j, 2) By method; NaN where a frame gave none
+    windows: WindowStack  # The readout
 
     def __post_init__(self) -> None:
         for value in self.position_px.values():
@@ -77,32 +69,7 @@ def read_points(
     subtraction: Subtraction = "dark",
     mask_defects: bool = True,
 ) -> PointFrames:
-    """Read out frames of a target and centroid its points.
-
-    Parameters
-    ----------
-    light : PointLight
-        What falls onto the detector.
-    bench, instrument
-        The laboratory.
-    streams : Streams
-        Noise of the frames.
-    dark_streams : Streams, optional
-        Noise of the frames with the lamp off; places that share it share one set of dark frames, pixel by pixel.
-    signal_ratio : float
-        Brightness over that of ``light``.
-    detector : Detector, optional
-        In place of the instrument's: the same with an effect switched off.
-    subtraction : {"dark", "raw"}
-        See `SUBTRACTIONS`.
-    mask_defects : bool
-        Whether the reduction leaves out the pixels known to be hot or dead.
-
-    Raises
-    ------
-    DomainError
-        On saturated points, or fewer than two usable frames of a point.
-    """
+    """Read out frames of a target and centroid its points."""
     reader = WindowReader(instrument if detector is None else replace(instrument, detector=detector), streams)
     light_e = frame_light(light.light_e, light.corner_px, light.bundle_px, light.psf, bench, instrument, streams)
     lit = reader.expose(light_e * signal_ratio, light.corner_px, frames=bench.frames, label="lamp")

@@ -50,30 +50,14 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpectedWindows:
-    """n noiseless windows drawn from PSFs.
+    """n noiseless windows drawn from PSFs."""
 
-    Attributes
-    ----------
-    place_px : (n, 2)
-        Mean of the rays, by the NumPy trace.
-    corner_px : (n, 2) int64
-        First pixels.
-    light_e : (n, h, w)
-        Expected electrons.
-    psf : tuple of EffectivePsf
-        PSFs; ``psf_index`` says which belongs to which window.
-    psf_index : (n,) int64
-        Index into ``psf``.
-    valid : (n, h, w) bool
-        Pixels that the reduction uses.
-    """
-
-    place_px: FloatArray
-    corner_px: NDArray[np.int64]
-    light_e: FloatArray
-    valid: NDArray[np.bool_]
-    psf: tuple[EffectivePsf, ...]
-    psf_index: NDArray[np.int64]
+    place_px: FloatArray  # (n, 2) Mean of the rays, by the NumPy trace
+    corner_px: NDArray[np.int64]  # (n, 2) First pixels
+    light_e: FloatArray  # (n, h, w) Expected electrons
+    valid: NDArray[np.bool_]  # (n, h, w) Pixels that the reduction uses
+    psf: tuple[EffectivePsf, ...]  # PSFs; ``psf_index`` says which belongs to which window
+    psf_index: NDArray[np.int64]  # (n,) Index into ``psf``
 
     def moved(self, shift_px: FloatArray) -> ExpectedWindows:
         """The same windows with the image moved by (2,) in them."""
@@ -102,26 +86,7 @@ def expected_windows(
     *,
     defect: NDArray[np.bool_] | None = None,
 ) -> ExpectedWindows:
-    """Windows around target points at m places, as the bench's reference filter shows them.
-
-    Parameters
-    ----------
-    bench, instrument
-        The laboratory; signal and window size are the bench's.
-    direction : (m, j, 3)
-        Unit vectors in cam.
-    psf : sequence of EffectivePsf
-        Of the j points.
-    place_px : (m, j, 2), optional
-        Where they are imaged; left out, `bundle_prediction` says it, which takes long where apertures cut the light.
-    defect : (height, width) bool, optional
-        The camera's list of pixels that the reduction leaves out; none without it.
-
-    Returns
-    -------
-    ExpectedWindows
-        n = m j, place after place.
-    """
+    """Windows around target points at m places, as the bench's reference filter shows them."""
     if place_px is None:
         place_px = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
     place = np.asarray(place_px, float).reshape(-1, 2)
@@ -151,18 +116,10 @@ def _bent(light_e: FloatArray, detector: Detector) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Influence:
-    """Response of a centroider to the pixels of n windows.
+    """Response of a centroider to the pixels of n windows."""
 
-    Attributes
-    ----------
-    position_px : (n, 2)
-        Its position of the noiseless window.
-    gain_px_per_e : (n, 2, h, w)
-        Shift per electron in a pixel.
-    """
-
-    position_px: FloatArray
-    gain_px_per_e: FloatArray
+    position_px: FloatArray  # (n, 2) Its position of the noiseless window
+    gain_px_per_e: FloatArray  # (n, 2, h, w) Shift per electron in a pixel
 
     def sigma_px(self, variance_e2: FloatArray) -> FloatArray:
         """Standard deviation (n, 2) by independent noise of this variance in the pixels (n, h, w)."""
@@ -238,24 +195,6 @@ def drawn_positions(
 
     Their mean is where frames put the centroid of a method that is not linear (a threshold): the centroid of the
     noiseless window may lie elsewhere.
-
-    Parameters
-    ----------
-    centroider : Centroider
-        The estimator.
-    instrument : Instrument
-        Gain, and the noise model of the estimator.
-    windows : ExpectedWindows
-        Noiseless windows.
-    noise : PixelNoise
-        True noise.
-    draws : int
-        Noisy copies of each window.
-    rng : numpy.random.Generator
-        Source of the draws.
-    mirrored : bool
-        Whether every second draw has the noise of the one before it with the other sign: what is linear in the noise
-        then cancels in the mean, which keeps the bias alone. Not for thresholds, which see the skewness of the noise.
     """
     stated = nominal_noise(instrument)
     _, stamps = window_positions(centroider, instrument, windows)

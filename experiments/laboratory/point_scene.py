@@ -41,34 +41,16 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointLight:
-    """A target at one place: j windows of noiseless light through one filter.
+    """A target at one place: j windows of noiseless light through one filter."""
 
-    Attributes
-    ----------
-    direction : (j, 3)
-        Unit vectors in cam.
-    nominal_px : (j, 2)
-        Where an ideal lens would image the points.
-    bundle_px, photon_px : (j, 2)
-        Truth: mean of the traced rays, centroid of the noiseless light.
-    found_px : (j, 2)
-        Where the points were detected.
-    corner_px : (j, 2) int64
-        First pixel of each window.
-    light_e : (j, h, w)
-        Expected electrons at the signal of the bench.
-    psf : tuple of EffectivePsf
-        PSF of each point, of the lens as it is.
-    """
-
-    direction: FloatArray
-    nominal_px: FloatArray
-    bundle_px: FloatArray
-    photon_px: FloatArray
-    found_px: FloatArray
-    corner_px: NDArray[np.int64]
-    light_e: FloatArray
-    psf: tuple[EffectivePsf, ...]
+    direction: FloatArray  # (j, 3) Unit vectors in cam
+    nominal_px: FloatArray  # (j, 2) Where an ideal lens would image the points
+    bundle_px: FloatArray  # (j, 2) Truth: mean of the traced rays, centroid of the noiseless light
+    photon_px: FloatArray  # (j, 2) Truth: mean of the traced rays, centroid of the noiseless light
+    found_px: FloatArray  # (j, 2) Where the points were detected
+    corner_px: NDArray[np.int64]  # (j, 2) First pixel of each window
+    light_e: FloatArray  # (j, h, w) Expected electrons at the signal of the bench
+    psf: tuple[EffectivePsf, ...]  # PSF of each point, of the lens as it is
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {"j": len(self.psf)}
@@ -84,19 +66,11 @@ class PointLight:
 
 @dataclass(frozen=True, slots=True)
 class PointScene:
-    """Renders point targets through one camera; holds what is prepared once (`point_scene`).
+    """Renders point targets through one camera; holds what is prepared once (`point_scene`)."""
 
-    Attributes
-    ----------
-    bench, instrument
-        The laboratory; the bench has one filter.
-    target : TargetLight
-        Renders images and PSFs.
-    """
-
-    bench: Bench
-    instrument: Instrument
-    target: TargetLight
+    bench: Bench  # The laboratory; the bench has one filter
+    instrument: Instrument  # The laboratory; the bench has one filter
+    target: TargetLight  # Renders images and PSFs
 
     def psfs(self, direction: FloatArray) -> tuple[EffectivePsf, ...]:
         """PSF of each of the points (j, 3)."""
@@ -105,24 +79,7 @@ class PointScene:
     def light(
         self, direction: FloatArray, streams: Streams, place: str, *, psf: Sequence[EffectivePsf] | None = None
     ) -> PointLight:
-        """Render a target, find its points in one readout, cut windows around them.
-
-        Parameters
-        ----------
-        direction : (j, 3)
-            Unit vectors in cam.
-        streams : Streams
-            Noise of the readout in which the points are detected.
-        place : str
-            What error messages call the target's place.
-        psf : sequence of EffectivePsf, optional
-            Of the points, if known from a place nearby.
-
-        Raises
-        ------
-        DomainError
-            If points are not detected, run into each other or lie too near to the edge of the detector.
-        """
+        """Render a target, find its points in one readout, cut windows around them."""
         expected = self.target.image(direction)
         truth = expected.truth
         assert truth is not None
@@ -154,13 +111,7 @@ def scene_of(scene: PointScene | None, bench: Bench, instrument: Instrument) -> 
 
 
 def point_scene(bench: Bench, instrument: Instrument) -> PointScene:
-    """Scene of a bench; its reference filter is the one that is used.
-
-    Parameters
-    ----------
-    bench, instrument
-        The laboratory.
-    """
+    """Scene of a bench; its reference filter is the one that is used."""
     one = one_filter(bench)
     return PointScene(one, instrument, target_light(one, instrument))
 
@@ -190,22 +141,7 @@ def point_laboratory(config: PointConfig, target: TargetConfig | None = None) ->
 
 
 def prepared_scene(bench: Bench, instrument: Instrument, direction: FloatArray, progress: Progress) -> PointScene:
-    """Scene of a test, after a look at whether it can be done.
-
-    Parameters
-    ----------
-    bench, instrument
-        The laboratory.
-    direction : (m, j, 3)
-        Unit vectors in cam towards the target points, at all places where they will stand.
-    progress : Progress
-        Where to report.
-
-    Raises
-    ------
-    DomainError
-        On spots too wide for the window, or points beside the detector.
-    """
+    """Scene of a test, after a look at whether it can be done."""
     nominal = nominal_px(instrument, direction.reshape(-1, 3))
     camera, half = instrument.camera, bench.window_px // 2 + 1
     off = np.any((nominal < half) | (nominal > np.array([camera.width_px, camera.height_px]) - 1 - half), axis=1)

@@ -33,76 +33,37 @@ PATTERNS = 48
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointMeasurement:
-    """The target at one place; j points, b filters.
+    """The target at one place; j points, b filters."""
 
-    Attributes
-    ----------
-    direction : (j, 3)
-        Unit vectors in cam.
-    nominal_px : (j, 2)
-        Where an ideal lens would image the points.
-    chief_px, bundle_px, photon_px : (j, b, 2)
-        Truth.
-    mean_px : dict of str to (j, b, 2)
-        Mean centroid over the frames, by method.
-    sigma_px : dict of str to (j, b, 2)
-        Standard deviation of a single frame's centroid.
-    noise_px : (j, b, 2)
-        The same as predicted by linear response, first method; without what moves all points alike.
-    pattern_px : dict of str to (q, j, b, 2)
-        Predicted effect of q fixed patterns on the centroids, common to the filters, by method.
-    frames_used : (j, b)
-        Frames that converged, first method.
-    spot_um : (j, b)
-        RMS spot radius of the traced bundles.
-    windows : tuple of WindowStack
-        Readout, per filter.
-    """
-
-    direction: FloatArray
-    nominal_px: FloatArray
-    chief_px: FloatArray
-    bundle_px: FloatArray
-    photon_px: FloatArray
-    mean_px: Mapping[str, FloatArray]
-    sigma_px: Mapping[str, FloatArray]
+    direction: FloatArray  # (j, 3) Unit vectors in cam
+    nominal_px: FloatArray  # (j, 2) Where an ideal lens would image the points
+    chief_px: FloatArray  # (j, b, 2) Truth
+    bundle_px: FloatArray  # (j, b, 2) Truth
+    photon_px: FloatArray  # (j, b, 2) Truth
+    mean_px: Mapping[str, FloatArray]  # (j, b, 2) Mean centroid over the frames, by method
+    sigma_px: Mapping[str, FloatArray]  # (j, b, 2) Standard deviation of a single frame's centroid
+    # (j, b, 2) The same as predicted by linear response, first method; without what moves all points alike
     noise_px: FloatArray
+    # (q, j, b, 2) Predicted effect of q fixed patterns on the centroids, common to the filters, by method
     pattern_px: Mapping[str, FloatArray]
-    frames_used: NDArray[np.int64]
-    spot_um: FloatArray
-    windows: tuple[WindowStack, ...]
+    frames_used: NDArray[np.int64]  # (j, b) Frames that converged, first method
+    spot_um: FloatArray  # (j, b) RMS spot radius of the traced bundles
+    windows: tuple[WindowStack, ...]  # Readout, per filter
 
 
 @dataclass(frozen=True, slots=True)
 class PointReadout:
-    """Readout and reduction of a point target at one place of the field.
+    """Readout and reduction of a point target at one place of the field."""
 
-    Attributes
-    ----------
-    bench, instrument
-        The laboratory.
-    streams : Streams
-        Noise of this place.
-    place : str
-        What error messages call the place, e.g. "upper left".
-    patterns : sequence of str
-        Methods for which the effect of fixed patterns is predicted; none given: the first of the bench.
-    """
-
-    bench: Bench
-    instrument: Instrument
-    streams: Streams
-    place: str
+    bench: Bench  # The laboratory
+    instrument: Instrument  # The laboratory
+    streams: Streams  # Noise of this place
+    place: str  # What error messages call the place, e.g. "upper left"
+    # Methods for which the effect of fixed patterns is predicted; none given: the first of the bench
     patterns: Sequence[str] = ()
 
     def corners(self, expected: ExpectedImage, nominal: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
-        """Detected places (j, 2) of the points behind the reference filter, and first pixels of windows around them.
-
-        Raises
-        ------
-        DomainError
-            If points are not detected, run into each other, or are too near to the edge of the detector.
-        """
+        """Detected places (j, 2) of the points behind the reference filter, and first pixels of windows around them."""
         bench, camera, set_up = self.bench, self.instrument.camera, self.instrument.config
         found = find_points(
             WindowReader(self.instrument, self.streams.child("search")),
@@ -120,20 +81,7 @@ class PointReadout:
         return found, window_corners(found, bench.window_px, size, where=where, advice="raise target.edge_px")
 
     def measure(self, target: TargetLight, direction: FloatArray) -> tuple[PointMeasurement, ExpectedImage]:
-        """Render, read out and reduce all filters; the noiseless image too.
-
-        Parameters
-        ----------
-        target : TargetLight
-            Renders images and PSFs.
-        direction : (j, 3)
-            Unit vectors in cam towards the points.
-
-        Raises
-        ------
-        DomainError
-            As `corners`, and if points are saturated or hardly give a position.
-        """
+        """Render, read out and reduce all filters; the noiseless image too."""
         bench, camera, expected = self.bench, self.instrument.camera, target.image(direction)
         truth = expected.truth
         assert truth is not None

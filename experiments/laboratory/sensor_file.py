@@ -48,11 +48,6 @@ class SensorExperimentConfig(ExperimentConfig):
 
         The tables of the file are whole: a key that is left out in them has the default of `SensorConfig`, the same in
         every experiment. What the file does not say of the processing is the experiment's own.
-
-        Raises
-        ------
-        ConfigError
-            As `read_sensor`.
         """
         return {key: value for key, value in whole_sensor(file).items() if key in cls.model_fields}
 
@@ -67,13 +62,7 @@ class SensorExperimentConfig(ExperimentConfig):
         return () if instrument is None else lens_remarks(instrument, passband)
 
     def as_sensor(self, file: Path | None) -> SensorConfig | None:
-        """The sensor file of this configuration; parameters as of `ExperimentConfig.as_sensor`.
-
-        Raises
-        ------
-        ConfigError
-            A setting of the experiment that no sensor file can hold.
-        """
+        """The sensor file of this configuration; parameters as of `ExperimentConfig.as_sensor`."""
         known = SensorConfig.model_fields
         given = {} if file is None else read_sensor(file)
         own = {key: value for key, value in self.model_dump().items() if key in known}
@@ -81,13 +70,7 @@ class SensorExperimentConfig(ExperimentConfig):
 
 
 def read_sensor(file: Path) -> dict[str, Any]:
-    """What a sensor file says, checked; what it leaves out is left out here too. Paths are taken from its folder.
-
-    Raises
-    ------
-    ConfigError
-        File missing or no TOML, an unknown key (with the nearest name), a value of the wrong type or out of range.
-    """
+    """What a sensor file says, checked; what it leaves out is left out here too. Paths are taken from its folder."""
     given = read_settings(SensorConfig, file)
     parse_model(SensorConfig, given, str(file))
     return given

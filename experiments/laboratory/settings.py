@@ -270,13 +270,7 @@ class StarsConfig(StrictModel):
 
 
 def check_windows(size_px: int, target: TargetConfig) -> None:
-    """Refuse windows without a middle, with two points in one of them, or over the edge of the detector.
-
-    Raises
-    ------
-    ValueError
-        Naming the setting, for the validator of a configuration.
-    """
+    """Refuse windows without a middle, with two points in one of them, or over the edge of the detector."""
     if size_px % 2 == 0:
         raise ValueError(f"window_px = {size_px}: an odd number is needed")
     if target.rows * target.columns > 1 and target.pitch_px < size_px:

@@ -23,21 +23,11 @@ NODES = 48
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Signal:
-    """Electrons and the star that they mean; `signal_of` makes it.
+    """Electrons and the star that they mean; `signal_of` makes it."""
 
-    Attributes
-    ----------
-    signal_e : float
-        Electrons per exposure on the axis.
-    magnitude_mag : float
-        V magnitude of a star that gives as many through the full pass band.
-    temperature_k : float
-        Of the black body that stands for the star.
-    """
-
-    signal_e: float
-    magnitude_mag: float
-    temperature_k: float
+    signal_e: float  # Electrons per exposure on the axis
+    magnitude_mag: float  # V magnitude of a star that gives as many through the full pass band
+    temperature_k: float  # Of the black body that stands for the star
 
     def magnitude_of(self, signal_e: float) -> float:
         """V magnitude of a star of the same colour that gives other electrons."""
@@ -59,24 +49,7 @@ def electrons_of_star(band: Band, instrument: Instrument, *, magnitude: float, t
 
 
 def signal_of(config: SignalConfig, band: Band, instrument: Instrument, temperature_k: float) -> Signal:
-    """Signal of a configuration: electrons from the magnitude where that is given, else the magnitude from them.
-
-    Parameters
-    ----------
-    config : SignalConfig
-        Either.
-    band : Band
-        Pass band of the camera.
-    instrument : Instrument
-        Its aperture, response and exposure count.
-    temperature_k : float
-        Colour of the star.
-
-    Raises
-    ------
-    DomainError
-        A pass band in which the camera sees nothing.
-    """
+    """Signal of a configuration: electrons from the magnitude where that is given, else the magnitude from them."""
     zero_e = electrons_of_star(band, instrument, magnitude=0.0, temperature_k=temperature_k)
     if not zero_e > 0:
         raise DomainError(f"band {band.name!r} and the response of the camera have no wavelength in common")

@@ -49,13 +49,7 @@ def _arrow(sheet: Any, start: Any, end: Any, colour: str = INK, **options: Any) 
 
 
 def collimator_bench(*, filters: bool = False) -> Figure:
-    """The bench of ACC18 (section 1.2): lamp, target, collimator, camera on a hexapod, all on one isolated table.
-
-    Parameters
-    ----------
-    filters : bool
-        Whether a filter wheel stands in front of the target (section 1.4.1).
-    """
+    """The bench of ACC18 (section 1.2): lamp, target, collimator, camera on a hexapod, all on one isolated table."""
     figure, sheet = _canvas(20.0, 7.4)
     axis = 4.6
     _box(sheet, 0.4, 0.9, 19.2, 0.55)

@@ -37,22 +37,7 @@ def common_removed(values_px: FloatArray) -> FloatArray:
 
 
 def step_residual_px(mean_px: FloatArray) -> FloatArray:
-    """Differences of consecutive positions without their mean over the stars (ACC18 eq. 5-8).
-
-    Parameters
-    ----------
-    mean_px : (m, W, 2)
-        Mean centroids.
-
-    Returns
-    -------
-    (m - 1, W, 2)
-
-    Raises
-    ------
-    DomainError
-        On fewer than two positions or two stars.
-    """
+    """Differences of consecutive positions without their mean over the stars (ACC18 eq. 5-8)."""
     if mean_px.ndim != 3 or mean_px.shape[0] < 2 or mean_px.shape[1] < 2:
         raise DomainError(f"mean centroids of shape {mean_px.shape}; at least 2 positions of 2 stars are needed")
     return common_removed(np.diff(mean_px, axis=0))
@@ -68,15 +53,6 @@ def halved_px(document_px: FloatArray, sigma_px: FloatArray, frames: int) -> Flo
 
     Temporal noise averaged over the frames is taken away, the star mean's share is given back, and the rest is divided
     by sqrt(2): ``sqrt((document^2 W / (W - 1) - 2 sigma^2 / N) / 2)``; 0 where nothing is left.
-
-    Parameters
-    ----------
-    document_px : (2,)
-        `document_rms_px`.
-    sigma_px : (m, W, 2)
-        Standard deviation of a single frame's centroid.
-    frames : int
-        N behind each mean.
     """
     stars = sigma_px.shape[1]
     pure = document_px**2 * stars / (stars - 1) - 2.0 * (sigma_px**2).mean((0, 1)) / frames
@@ -84,17 +60,7 @@ def halved_px(document_px: FloatArray, sigma_px: FloatArray, frames: int) -> Flo
 
 
 def single_rms_px(error_px: FloatArray, sigma_px: FloatArray | None = None, frames: int = 1) -> FloatArray:
-    """RMS error (2,) of a position: mean centroid minus truth, without the common part and the temporal noise.
-
-    Parameters
-    ----------
-    error_px : (m, W, 2)
-        Mean centroid minus truth.
-    sigma_px : (m, W, 2), optional
-        Standard deviation of a single frame's centroid; nothing is taken away without it.
-    frames : int
-        N behind each mean.
-    """
+    """RMS error (2,) of a position: mean centroid minus truth, without the common part and the temporal noise."""
     stars = error_px.shape[1]
     square = (common_removed(error_px) ** 2).mean((0, 1)) * stars / (stars - 1)
     if sigma_px is not None:
@@ -113,28 +79,14 @@ def jackknife_px(mean_px: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PositionError:
-    """Error of the mean centroid at one position about its mean over the path, along x and y, without truth.
+    """Error of the mean centroid at one position about its mean over the path, along x and y, without truth."""
 
-    Attributes
-    ----------
-    variance_px2 : (2,)
-        Unbiased estimate; negative where temporal noise happens to explain more than all.
-    low_px, high_px : (2,)
-        Two-sided confidence interval of the standard deviation.
-    upper_px : (2,)
-        One-sided upper limit of the same confidence.
-    degrees : (2,)
-        Degrees of freedom of the scatter over the positions.
-    level : float
-        Confidence.
-    """
-
-    variance_px2: FloatArray
-    low_px: FloatArray
-    high_px: FloatArray
-    upper_px: FloatArray
-    degrees: FloatArray
-    level: float
+    variance_px2: FloatArray  # (2,) Unbiased estimate; negative where temporal noise happens to explain more than all
+    low_px: FloatArray  # (2,) Two-sided confidence interval of the standard deviation
+    high_px: FloatArray  # (2,) Two-sided confidence interval of the standard deviation
+    upper_px: FloatArray  # (2,) One-sided upper limit of the same confidence
+    degrees: FloatArray  # (2,) Degrees of freedom of the scatter over the positions
+    level: float  # Confidence
 
     @property
     def value_px(self) -> FloatArray:
@@ -153,24 +105,6 @@ def position_error(
     are fitted. What is left has the mean square sigma_e^2 + sigma^2/N, from which the pooled variance of the frames
     over N is taken.
 
-    Parameters
-    ----------
-    mean_px : (m, W, 2)
-        Mean centroids.
-    sigma_px : (m, W, 2)
-        Standard deviation of a single frame's centroid.
-    frames : (m,)
-        N behind each mean.
-    level : float
-        Confidence of interval and limit.
-
-    Raises
-    ------
-    DomainError
-        On fewer than two positions or two stars.
-
-    Notes
-    -----
     The interval is that of Williams and Tukey for a component of variance (Searle, Casella and McCulloch 1992, sec.
     3.6d): conservative where the component is small. A negative estimate has the upper limit of an estimate of zero:
     a lucky draw of the noise does not make the test more sensitive than it is. Errors of neighbouring positions are

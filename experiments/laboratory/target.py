@@ -20,13 +20,7 @@ CORNERS = ("upper left", "upper right", "lower left", "lower right")
 
 
 def corner_centres(target: TargetConfig, width_px: int, height_px: int) -> FloatArray:
-    """Centres (4, 2) of the target in the four corners, (column, row).
-
-    Raises
-    ------
-    DomainError
-        If the target does not fit.
-    """
+    """Centres (4, 2) of the target in the four corners, (column, row)."""
     half_x, half_y = (target.columns - 1) * target.pitch_px / 2, (target.rows - 1) * target.pitch_px / 2
     left, upper = target.edge_px + half_x, target.edge_px + half_y
     right, lower = width_px - 1 - left, height_px - 1 - upper
@@ -58,13 +52,7 @@ def target_directions(target: TargetConfig, instrument: Instrument, centre_px: F
 
 
 def corner_directions(target: TargetConfig, instrument: Instrument) -> FloatArray:
-    """Unit vectors (4, rows * columns, 3) in cam towards the points, the target in the four corners (`CORNERS`).
-
-    Raises
-    ------
-    DomainError
-        If the target does not fit on the detector, or reaches beyond the field of the lens.
-    """
+    """Unit vectors (4, rows * columns, 3) in cam towards the points, the target in the four corners (`CORNERS`)."""
     camera = instrument.camera
     centres = corner_centres(target, camera.width_px, camera.height_px)
     direction = np.stack([target_directions(target, instrument, centre) for centre in centres])

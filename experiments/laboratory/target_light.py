@@ -25,20 +25,12 @@ __all__ = ["TargetLight", "frame_light", "seen_camera", "target_light"]
 
 @dataclass(frozen=True, slots=True)
 class TargetLight:
-    """Renders targets through one camera; holds what is prepared once (`target_light`).
+    """Renders targets through one camera; holds what is prepared once (`target_light`)."""
 
-    Attributes
-    ----------
-    bench, instrument
-        The laboratory.
-    renderer, tracer
-        For images and for PSFs.
-    """
-
-    bench: Bench
-    instrument: Instrument
-    renderer: StarRenderer
-    tracer: Tracer
+    bench: Bench  # The laboratory
+    instrument: Instrument  # The laboratory
+    renderer: StarRenderer  # For images and for PSFs
+    tracer: Tracer  # For images and for PSFs
 
     def image(self, direction: FloatArray) -> ExpectedImage:
         """Noiseless image of points (j, 3) behind every filter, with truth."""
@@ -84,19 +76,6 @@ def frame_light(
     """Light of windows (n, h, w) frame by frame (f, n, h, w) where the line of sight is not at rest; else as it is.
 
     The rendered light is changed by what its PSF changes when it is moved.
-
-    Parameters
-    ----------
-    light_e : (n, h, w)
-        Expected electrons with the line of sight in its mean place.
-    corner_px, place_px : (n, 2)
-        First pixels of the windows, and the places of the points.
-    psf : sequence of EffectivePsf
-        Of the points.
-    bench, instrument
-        The laboratory; ``bench.frames`` of them.
-    streams : Streams
-        Draws the line of sight.
     """
     if bench.collimator is None:
         return light_e

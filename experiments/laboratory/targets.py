@@ -17,34 +17,17 @@ __all__ = ["GridTarget", "grid_directions", "survey"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GridTarget:
-    """Points spread over the whole field, their places measured beforehand (ACC18: 32 points, 0.5 arcsec at 3 sigma).
+    """Points spread over the whole field, their places measured beforehand (ACC18: 32 points, 0.5 arcsec at 3 sigma)."""
 
-    Attributes
-    ----------
-    rows, columns : int
-        Points along a column and along a row of the detector.
-    edge_px : float
-        Distance of the outermost points from the edge of the detector, as an ideal lens images them.
-    jitter_px : float
-        Standard deviation per axis of the points' places about the regular grid as they were drilled; it puts them at
-        all fractions of a pixel. It is part of their true places, not an error.
-    marking_error_arcsec : float
-        Standard deviation per axis of a measured place.
-    roll_arcmin : float
-        How far the target stands turned against the detector.
-
-    Raises
-    ------
-    DomainError
-        On fewer than 2 x 2 points, or a negative size.
-    """
-
-    rows: int = 4
-    columns: int = 8
+    rows: int = 4  # Points along a column and along a row of the detector
+    columns: int = 8  # Points along a column and along a row of the detector
+    # Distance of the outermost points from the edge of the detector, as an ideal lens images them
     edge_px: float = 60.0
+    # Standard deviation per axis of the points' places about the regular grid as they were drilled; it puts them at
+    # all fractions of a pixel. It is part of their true places, not an error
     jitter_px: float = 5.0
-    marking_error_arcsec: float = 0.5 / 3.0
-    roll_arcmin: float = 3.0
+    marking_error_arcsec: float = 0.5 / 3.0  # Standard deviation per axis of a measured place
+    roll_arcmin: float = 3.0  # How far the target stands turned against the detector
 
     def __post_init__(self) -> None:
         if self.rows < 2 or self.columns < 2:
@@ -56,22 +39,7 @@ class GridTarget:
 
 
 def grid_directions(target: GridTarget, instrument: Instrument, rng: np.random.Generator) -> FloatArray:
-    """True unit vectors (rows * columns, 3) in cam towards the points, row by row.
-
-    Parameters
-    ----------
-    target : GridTarget
-        The target, square to the axis of the lens but for its roll.
-    instrument : Instrument
-        The camera that it is made for.
-    rng : numpy.random.Generator
-        Draws the individual target (`GridTarget.jitter_px`).
-
-    Raises
-    ------
-    DomainError
-        If the grid does not fit on the detector, or reaches beyond the field of the lens.
-    """
+    """True unit vectors (rows * columns, 3) in cam towards the points, row by row."""
     camera = instrument.camera
     low = np.full(2, target.edge_px)
     high = np.array([camera.width_px, camera.height_px]) - 1.0 - target.edge_px
@@ -96,19 +64,7 @@ def grid_directions(target: GridTarget, instrument: Instrument, rng: np.random.G
 
 
 def survey(target: GridTarget, direction: FloatArray, rng: np.random.Generator, *, copies: int = 1) -> FloatArray:
-    """Places of the points as they were measured (copies, n, 3): independent surveys of the same target.
-
-    Parameters
-    ----------
-    target : GridTarget
-        Its marking error.
-    direction : (n, 3)
-        True unit vectors in cam.
-    rng : numpy.random.Generator
-        Draws the errors.
-    copies : int
-        Number of surveys.
-    """
+    """Places of the points as they were measured (copies, n, 3): independent surveys of the same target."""
     error = target.marking_error_arcsec * ARCSEC_RAD * rng.standard_normal((copies, len(direction), 2))
     plane = direction[:, :2] / direction[:, 2:]
     # an angle e on the sky is e (1 + t^2) radially in the tangent plane; at 3.5 deg the difference is 0.4 % of e

@@ -48,22 +48,7 @@ def small_sample_factor(frames: int) -> float:
 
 
 def temporal_error_arcsec(sigma_px: FloatArray, pixel_arcsec: float, frames: int) -> tuple[Measured, Measured]:
-    """ACC18 eq. 1-2 per axis: three times the mean over the stars of their standard deviations.
-
-    Parameters
-    ----------
-    sigma_px : (j, 2)
-        Standard deviation of each star's centroid over the frames, divisor N - 1.
-    pixel_arcsec : float
-        Angle of a pixel (ACC18: 5.5).
-    frames : int
-        N; sets the uncertainty, sigma sqrt(1 - c4(N)^2) for each star.
-
-    Returns
-    -------
-    tuple of Measured
-        3 sigma, x and y [arcsec]; the small-sample factor c4 is in it, as in the document.
-    """
+    """ACC18 eq. 1-2 per axis: three times the mean over the stars of their standard deviations."""
     scale = 3.0 * pixel_arcsec
     c4 = small_sample_factor(frames)
     spread = np.sqrt((sigma_px**2).sum(0)) / len(sigma_px) * np.sqrt(1.0 - c4**2) / c4
@@ -77,35 +62,16 @@ def temporal_error_arcsec(sigma_px: FloatArray, pixel_arcsec: float, frames: int
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TemporalMeasurement:
-    """Scatter of the centroids at l signal levels, j stars.
+    """Scatter of the centroids at l signal levels, j stars."""
 
-    Attributes
-    ----------
-    levels_e : (l,)
-        Electrons per star and frame.
-    frames : int
-        N of each level.
-    pixel_arcsec : float
-        Angle of a pixel.
-    sigma_px : dict of str to dict of str to (l, j, 2)
-        By subtraction ("dark", "raw") and method.
-    light : PointLight
-        The target as rendered, at the signal of the bench.
-    windows : WindowStack
-        Readout at the level nearest to that of the bench.
-    position_px : dict of str to (f, j, 2)
-        Centroids of these frames, dark-subtracted.
-    motion_px2 : (l, 2, 2)
-        What the stars have in common (`experiments.laboratory.readout.centroids.common_motion_px2`).
-    """
-
-    levels_e: FloatArray
-    frames: int
-    pixel_arcsec: float
-    sigma_px: Mapping[str, Mapping[str, FloatArray]]
-    light: PointLight
-    windows: WindowStack
-    position_px: Mapping[str, FloatArray]
+    levels_e: FloatArray  # (l,) Electrons per star and frame
+    frames: int  # N of each level
+    pixel_arcsec: float  # Angle of a pixel
+    sigma_px: Mapping[str, Mapping[str, FloatArray]]  # (l, j, 2) By subtraction ("dark", "raw") and method
+    light: PointLight  # The target as rendered, at the signal of the bench
+    windows: WindowStack  # Readout at the level nearest to that of the bench
+    position_px: Mapping[str, FloatArray]  # (f, j, 2) Centroids of these frames, dark-subtracted
+    # (l, 2, 2) What the stars have in common (`experiments.laboratory.readout.centroids.common_motion_px2`)
     motion_px2: FloatArray
 
     def te_arcsec(self, method: str, level: int = 0, subtraction: Subtraction = "dark") -> tuple[Measured, Measured]:
@@ -115,38 +81,23 @@ class TemporalMeasurement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TemporalPrediction:
-    """What `TemporalMeasurement` should give.
+    """What `TemporalMeasurement` should give."""
 
-    Attributes
-    ----------
-    levels_e : (l,)
-        Electrons per star and frame.
-    pixel_arcsec : float
-        Angle of a pixel.
-    linear_px, sampled_px : dict of str to (l, j, 2)
-        Standard deviation of a frame's centroid by influence function, and by noise drawn on noiseless windows.
-    draws : int
-        Draws per window behind ``sampled_px``.
-    bound_px : (l, j, 2)
-        Cramer-Rao bound.
-    device_px : dict of str to (l, j, 2)
-        By how much the standard deviation differs from chip to chip.
-    common_px : dict of str to (l, j, 2)
-        Standard deviation that the line of sight from frame to frame makes, which is part of all the others: its own,
-        times what the centroid follows (1 but for the S-curve).
-    frames : int
-        N.
-    """
-
-    levels_e: FloatArray
-    pixel_arcsec: float
+    levels_e: FloatArray  # (l,) Electrons per star and frame
+    pixel_arcsec: float  # Angle of a pixel
+    # (l, j, 2) Standard deviation of a frame's centroid by influence function, and by noise drawn on noiseless
+    # windows
     linear_px: Mapping[str, FloatArray]
-    device_px: Mapping[str, FloatArray]
+    device_px: Mapping[str, FloatArray]  # (l, j, 2) By how much the standard deviation differs from chip to chip
+    # (l, j, 2) Standard deviation of a frame's centroid by influence function, and by noise drawn on noiseless
+    # windows
     sampled_px: Mapping[str, FloatArray]
-    draws: int
-    bound_px: FloatArray
+    draws: int  # Draws per window behind ``sampled_px``
+    bound_px: FloatArray  # (l, j, 2) Cramer-Rao bound
+    # (l, j, 2) Standard deviation that the line of sight from frame to frame makes, which is part of all the others:
+    # its own, times what the centroid follows (1 but for the S-curve)
     common_px: Mapping[str, FloatArray]
-    frames: int
+    frames: int  # N
 
     def te_arcsec(self, method: str, level: int = 0) -> FloatArray:
         """Temporal error at a level, (x, y), 3 sigma, by influence function."""
@@ -194,28 +145,6 @@ def measure_temporal(
     """Frames of a static target at several signal levels, as ACC18 section 1.2.
 
     The target stands still: its points are detected once, at the signal of the bench, and only the brightness changes.
-
-    Parameters
-    ----------
-    bench, instrument
-        The laboratory; ``bench.frames`` is N, ``bench.methods`` are the centroiders.
-    levels_e : sequence of float, optional
-        Electrons per star and frame; that of the bench alone if left out.
-    place_px : (2,), optional
-        Middle of the target on the detector (`target_place`).
-    subtractions : sequence of {"dark", "raw"}
-        See `experiments.laboratory.point_frames.SUBTRACTIONS`.
-    streams : Streams
-        Root of the noise.
-    scene : PointScene, optional
-        If prepared already; of the same instrument.
-    advance : callable
-        Called after each level.
-
-    Raises
-    ------
-    DomainError
-        On points that are not detected or saturated, or too few usable frames.
     """
     scene = scene_of(scene, bench, instrument)
     bench = scene.bench
@@ -265,21 +194,7 @@ def predict_temporal(
     defect: NDArray[np.bool_] | None = None,
     seed: int = 0,
 ) -> TemporalPrediction:
-    """The same without frames: PSFs, traced positions, the detector's data sheet.
-
-    Parameters
-    ----------
-    bench, instrument, levels_e, place_px
-        As in `measure_temporal`.
-    psf : sequence of EffectivePsf
-        Of the target's points (`PointScene.psfs`).
-    draws : int
-        Noisy copies per star and level for the sampled prediction; 0 leaves it out (it is then the linear one).
-    defect : (h, w) bool, optional
-        The camera's list of hot and dead pixels, which the reduction leaves out; none without it.
-    seed : int
-        Of the draws; they have nothing in common with the frames.
-    """
+    """The same without frames: PSFs, traced positions, the detector's data sheet."""
     bench = one_filter(bench)
     direction = target_place(bench, instrument, place_px)[None]
     levels = np.array([bench.signal_e] if levels_e is None else levels_e, float)

@@ -30,18 +30,7 @@ SHOWN = {
 
 
 def truth_marks(table: Mapping[str, Any]) -> Marks:
-    """Rows of a table of stars, brightest first.
-
-    Parameters
-    ----------
-    table : mapping of str to (n,) array
-        Columns by name, with ``photon_x_px, photon_y_px`` as the truth of a dataset, or ``x_px, y_px``.
-
-    Raises
-    ------
-    ConfigError
-        No columns of places.
-    """
+    """Rows of a table of stars, brightest first."""
     known = {name: np.asarray(values) for name, values in table.items()}
     found = next((pair for pair in PLACES if set(pair) <= set(known)), None)
     if found is None:

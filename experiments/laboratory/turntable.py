@@ -38,41 +38,19 @@ _LARGEST_LEAN_ARCSEC = 36000.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turntable:
-    """A table of k = 2 or 3 axes, outermost first; see the module for the convention and `build_turntable` for a start.
+    """A table of k = 2 or 3 axes, outermost first; see the module for the convention and `build_turntable` for a start."""
 
-    Attributes
-    ----------
-    axis : (k, 3)
-        Nominal axis directions in the laboratory at zero angles: unit vectors, neighbours at right angles.
-    non_orthogonality_arcsec : (k - 1,)
-        By how much less than 90 deg each axis encloses with its carrier.
-    reading_noise_arcsec : (k,)
-        Standard deviation of a reading, each reading anew.
-    setting_noise_arcsec : (k,)
-        Standard deviation of the true angle about the commanded one, each setting anew; it is no error of the reading.
-    step_arcsec : (k,)
-        The table goes to whole multiples of this; 0: anywhere.
-    encoder_amplitude_arcsec : (k,)
-        Amplitude of a sinusoidal error of the reading over the angle.
-    encoder_cycles : (k,)
-        Its cycles per turn.
-    encoder_phase_deg : (k,)
-        Its phase at angle 0.
-
-    Raises
-    ------
-    DomainError
-        On a single axis, axes that are not unit vectors or not square, or a noise below 0.
-    """
-
+    # (k, 3) Nominal axis directions in the laboratory at zero angles: unit vectors, neighbours at right angles
     axis: FloatArray
-    non_orthogonality_arcsec: FloatArray
-    reading_noise_arcsec: FloatArray
+    non_orthogonality_arcsec: FloatArray  # By how much less than 90 deg each axis encloses with its carrier
+    reading_noise_arcsec: FloatArray  # (k,) Standard deviation of a reading, each reading anew
+    # (k,) Standard deviation of the true angle about the commanded one, each setting anew; it is no error of the
+    # reading
     setting_noise_arcsec: FloatArray
-    step_arcsec: FloatArray
-    encoder_amplitude_arcsec: FloatArray
-    encoder_cycles: FloatArray
-    encoder_phase_deg: FloatArray
+    step_arcsec: FloatArray  # (k,) The table goes to whole multiples of this; 0: anywhere
+    encoder_amplitude_arcsec: FloatArray  # (k,) Amplitude of a sinusoidal error of the reading over the angle
+    encoder_cycles: FloatArray  # (k,) Its cycles per turn
+    encoder_phase_deg: FloatArray  # (k,) Its phase at angle 0
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -131,23 +109,7 @@ class Turntable:
         return np.cross(self.axis[1:], self.axis[:-1])
 
     def rotation(self, angle_rad: ArrayLike) -> Rotation:
-        """Attitudes of the table top.
-
-        Parameters
-        ----------
-        angle_rad : (n, k)
-            True angles [rad], outermost axis first.
-
-        Returns
-        -------
-        Rotation
-            n rotations, laboratory from table: ``v_lab = rotation.apply(v_table)``.
-
-        Raises
-        ------
-        DomainError
-            On a wrong number of axes or a value that is not finite.
-        """
+        """Attitudes of the table top."""
         angle = self._angles(angle_rad)
         turn = Rotation.from_rotvec(angle[:, :1] * self.true_axis[0])
         for i in range(1, len(self.axis)):
@@ -183,54 +145,14 @@ class Turntable:
         return rates
 
     def set(self, commanded_rad: ArrayLike, streams: Streams, *, call: int = 0) -> FloatArray:
-        """Go to angles.
-
-        Parameters
-        ----------
-        commanded_rad : (n, k)
-            Wanted angles [rad].
-        streams : Streams
-            Root of the randomness; axes draw from streams of their own, positions one after the other.
-        call : int
-            Tells repeated settings apart.
-
-        Returns
-        -------
-        (n, k)
-            True angles [rad].
-
-        Raises
-        ------
-        DomainError
-            On a wrong number of axes or a value that is not finite.
-        """
+        """Go to angles."""
         angle = self._angles(commanded_rad)
         step = self.step_arcsec * ARCSEC_RAD
         reached = np.where(step > 0, np.rint(angle / np.where(step > 0, step, 1.0)) * step, angle)
         return np.asarray(reached + self._noise(len(angle), self.setting_noise_arcsec, streams, "setting", call))
 
     def read(self, true_rad: ArrayLike, streams: Streams, *, call: int = 0) -> FloatArray:
-        """Read the encoders.
-
-        Parameters
-        ----------
-        true_rad : (n, k)
-            True angles [rad].
-        streams : Streams
-            Root of the randomness, as in `set`.
-        call : int
-            Tells repeated readings apart.
-
-        Returns
-        -------
-        (n, k)
-            Readings [rad].
-
-        Raises
-        ------
-        DomainError
-            On a wrong number of axes or a value that is not finite.
-        """
+        """Read the encoders."""
         angle = self._angles(true_rad)
         wave = np.sin(self.encoder_cycles * angle + self.encoder_phase_deg * DEG_RAD)
         systematic = self.encoder_amplitude_arcsec * ARCSEC_RAD * wave
@@ -269,22 +191,6 @@ def build_turntable(
 ) -> Turntable:
     """A table from letters; one value stands for all axes.
 
-    Parameters
-    ----------
-    axes : str or (k, 3)
-        Axes, outermost first, as letters of the laboratory frame, a minus for the opposite sense ("xy", "y-x", "zxy"),
-        or as unit vectors.
-    non_orthogonality_arcsec, reading_noise_arcsec, setting_noise_arcsec, step_arcsec, encoder_amplitude_arcsec, \
-encoder_cycles, encoder_phase_deg
-        See `Turntable`.
-
-    Raises
-    ------
-    ConfigError
-        On axes that cannot be read.
-    DomainError
-        What `Turntable` raises.
-
     Examples
     --------
     >>> table = build_turntable("xy", reading_noise_arcsec=(0.3, 0.4))
@@ -311,13 +217,7 @@ encoder_cycles, encoder_phase_deg
 
 
 def axis_directions(letters: str) -> FloatArray:
-    """Unit vectors (k, 3) of a string like "y-x" or "zxy".
-
-    Raises
-    ------
-    ConfigError
-        On a letter that is none of x, y, z, or a minus without one.
-    """
+    """Unit vectors (k, 3) of a string like "y-x" or "zxy"."""
     directions: list[FloatArray] = []
     sign = 1.0
     for letter in letters.lower():

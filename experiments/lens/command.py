@@ -98,16 +98,5 @@ def convert(file: str, new: str, force: bool, strict: bool, glass: tuple[str, ..
 
 
 def main(argv: list[str]) -> int:
-    """Run the command.
-
-    Parameters
-    ----------
-    argv : list of str
-        ``show FILE`` or ``convert FILE NEW`` with options; ``--help`` tells them.
-
-    Returns
-    -------
-    int
-        0, or 2 for bad input, told in one line per fault.
-    """
+    """Run the command."""
     return run_group(lens, argv)

@@ -20,15 +20,7 @@ __all__ = ["page_of"]
 
 
 def page_of(file: LensFile, shown: str) -> str:
-    """One self-contained HTML page.
-
-    Parameters
-    ----------
-    file : LensFile
-        The lens with its report.
-    shown : str
-        Name of its file.
-    """
+    """One self-contained HTML page."""
     made = study(file, shown)
     outcome = Outcome(config=None, result=made, data=xr.Dataset())
 

@@ -59,52 +59,25 @@ class Mtf:
 
 @dataclass(frozen=True, slots=True)
 class Images:
-    """Diffraction images at the design wavelength for the shown fields.
+    """Diffraction images at the design wavelength for the shown fields."""
 
-    Attributes
-    ----------
-    strehl : tuple of float
-        Strehl ratios in the plane of the file.
-    strehl_through_focus : (fields, z)
-        The same at `Waves.focus_mm`.
-    intensity : (fields, side, side)
-        Images over the brightest point of the same pupil without wavefront error.
-    encircled : (fields, r)
-        Share of the light within circles of `Waves.radius_mm`.
-    """
-
-    strehl: tuple[float, ...]
-    strehl_through_focus: FloatArray
+    strehl: tuple[float, ...]  # Strehl ratios in the plane of the file
+    strehl_through_focus: FloatArray  # (fields, z) The same at `Waves.focus_mm`
+    # (fields, side, side) Images over the brightest point of the same pupil without wavefront error
     intensity: FloatArray
-    encircled: FloatArray
+    encircled: FloatArray  # (fields, r) Share of the light within circles of `Waves.radius_mm`
 
 
 @dataclass(frozen=True, slots=True)
 class Waves:
-    """Wavefronts at the design wavelength for the shown fields.
+    """Wavefronts at the design wavelength for the shown fields."""
 
-    Attributes
-    ----------
-    wavefront : tuple of Wavefront
-        Wavefront errors about the reference point of the smallest.
-    zernike_waves : (fields, ZERNIKES)
-        Their Noll coefficients, in wavelengths.
-    focus_mm : (z,)
-        Shifts of the image plane.
-    half_mm : float
-        Half the side of images, about the mean of the light.
-    radius_mm : (r,)
-        Circles about it.
-    images : Images or None
-        None where images need too many rays, as ``note`` says.
-    """
-
-    wavefront: tuple[Wavefront, ...]
-    zernike_waves: FloatArray
-    focus_mm: FloatArray
-    half_mm: float
-    radius_mm: FloatArray
-    images: Images | None
+    wavefront: tuple[Wavefront, ...]  # Wavefront errors about the reference point of the smallest
+    zernike_waves: FloatArray  # (fields, ZERNIKES) Their Noll coefficients, in wavelengths
+    focus_mm: FloatArray  # (z,) Shifts of the image plane
+    half_mm: float  # Half the side of images, about the mean of the light
+    radius_mm: FloatArray  # (r,) Circles about it
+    images: Images | None  # None where images need too many rays, as ``note`` says
     note: str
 
 
@@ -268,15 +241,7 @@ def _within(light: FloatArray, grid: FloatArray, radius_mm: FloatArray) -> Float
 
 
 def study(file: LensFile, shown: str) -> Study:
-    """Compute a page.
-
-    Parameters
-    ----------
-    file : LensFile
-        The lens.
-    shown : str
-        Its file, as the page names it.
-    """
+    """Compute a page."""
     lens = file.lens
     waves, weight = _waves(file)
     fields = np.array(FIELD_SHARES) * lens.max_field_deg

@@ -40,29 +40,17 @@ DRAWS = 40000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibratedMap:
-    """A calibration beside the truth.
+    """A calibration beside the truth."""
 
-    Attributes
-    ----------
-    method, model, data : str
-        Estimator (one of `METHODS`), name of the camera model, which positions were calibrated.
-    calibration : Calibration
-        Camera, covariance, status.
-    error_arcsec : (n, 2)
-        Line-of-sight error over the chart, best rotation removed; NaN where the camera has no direction.
-    sigma_arcsec : (n, 2)
-        Its predicted standard deviation.
-    spectrum_arcsec2 : (r,)
-        The mean square length of the error is predicted to be the sum of these, each times a chi-square of one degree
-        of freedom.
-    """
-
-    method: str
-    model: str
-    data: str
-    calibration: Calibration
+    method: str  # Estimator (one of `METHODS`), name of the camera model, which positions were calibrated
+    model: str  # Estimator (one of `METHODS`), name of the camera model, which positions were calibrated
+    data: str  # Estimator (one of `METHODS`), name of the camera model, which positions were calibrated
+    calibration: Calibration  # Camera, covariance, status
+    # (n, 2) Line-of-sight error over the chart, best rotation removed; NaN where the camera has no direction
     error_arcsec: FloatArray
-    sigma_arcsec: FloatArray
+    sigma_arcsec: FloatArray  # (n, 2) Its predicted standard deviation
+    # (r,) The mean square length of the error is predicted to be the sum of these, each times a chi-square of one
+    # degree of freedom
     spectrum_arcsec2: FloatArray
 
     @property
@@ -118,30 +106,16 @@ def start_camera(scene: Scene, config: Config, name: str) -> tuple[CameraModel, 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Calibrator:
-    """What all calibrations of one camera share.
+    """What all calibrations of one camera share."""
 
-    Attributes
-    ----------
-    scene, matched, config, chart
-        Camera, stars, settings, truth.
-    used : (n,) bool
-        Matched stars that take part.
-    position_px : mapping of str to (n, 2)
-        Positions of the matched stars, by kind.
-    robust : frozenset of str
-        Kinds that get the robust loss; the others get least squares.
-    floor_px : float
-        Error per axis that is added to the noise of every star.
-    """
-
-    scene: Scene
-    matched: Matched
-    config: Config
-    chart: Chart
-    used: NDArray[np.bool_]
-    position_px: Mapping[str, FloatArray]
-    robust: frozenset[str]
-    floor_px: float = 0.0
+    scene: Scene  # Camera, stars, settings, truth
+    matched: Matched  # Camera, stars, settings, truth
+    config: Config  # Camera, stars, settings, truth
+    chart: Chart  # Camera, stars, settings, truth
+    used: NDArray[np.bool_]  # (n,) Matched stars that take part
+    position_px: Mapping[str, FloatArray]  # (n, 2) Positions of the matched stars, by kind
+    robust: frozenset[str]  # Kinds that get the robust loss; the others get least squares
+    floor_px: float = 0.0  # Error per axis that is added to the noise of every star
 
     def observations(self, data: str) -> Observations:
         """The stars with the positions of one kind; the weights are always those of the measurement."""

@@ -46,47 +46,23 @@ LEAST_SURPLUS = 40
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
-    """All calibrations of one camera.
+    """All calibrations of one camera."""
 
-    Attributes
-    ----------
-    chart : Chart
-        Truth.
-    position_px : dict of str to (n, 2)
-        Positions of all matched stars: `STEPS` and "corrected".
-    used : (n,) bool
-        Matched stars that are calibrated with.
-    floor_px : dict of str to float
-        Error per axis added to the noise of every centroid so that residuals are what was expected: "measured" for all
-        steps, and "corrected".
-    maps : dict
-        Calibrations with their map errors, by (method, model, data); all `STEPS` for the model that counts. All have
-        the same weights but those of ``corrected``.
-    clean : CalibratedMap
-        ``reference`` with the weights of ``corrected``.
-    direct : dict of str to CalibratedMap
-        Each model fitted to the chart itself: no stars, no noise.
-    part_arcsec : dict of str to (n, 2)
-        Maps of `PARTS` for the model that counts.
-    residual_px : (k, 2)
-        Residuals of the used stars in the measured fit that counts.
-    wrong_matches : tuple of WrongMatchFit
-        Fits with wrong matches put in.
-    check : Check
-        The calibration that counts by equations written out.
-    """
-
-    chart: Chart
-    position_px: dict[str, FloatArray]
-    used: NDArray[np.bool_]
+    chart: Chart  # Truth
+    position_px: dict[str, FloatArray]  # (n, 2) Positions of all matched stars: `STEPS` and "corrected"
+    used: NDArray[np.bool_]  # (n,) Matched stars that are calibrated with
+    # Error per axis added to the noise of every centroid so that residuals are what was expected: "measured" for all
+    # steps, and "corrected"
     floor_px: dict[str, float]
+    # Calibrations with their map errors, by (method, model, data); all `STEPS` for the model that counts. All have
+    # the same weights but those of ``corrected``
     maps: dict[tuple[str, str, str], CalibratedMap]
-    clean: CalibratedMap
-    direct: dict[str, CalibratedMap]
-    part_arcsec: dict[str, FloatArray]
-    residual_px: FloatArray
-    wrong_matches: tuple[WrongMatchFit, ...]
-    check: Check
+    clean: CalibratedMap  # ``reference`` with the weights of ``corrected``
+    direct: dict[str, CalibratedMap]  # Each model fitted to the chart itself: no stars, no noise
+    part_arcsec: dict[str, FloatArray]  # (n, 2) Maps of `PARTS` for the model that counts
+    residual_px: FloatArray  # (k, 2) Residuals of the used stars in the measured fit that counts
+    wrong_matches: tuple[WrongMatchFit, ...]  # Fits with wrong matches put in
+    check: Check  # The calibration that counts by equations written out
 
     @property
     def part_rms_arcsec(self) -> dict[str, float]:
@@ -117,22 +93,7 @@ def evaluate(
     *,
     advance: Callable[[], None],
 ) -> Evaluation:
-    """Calibrate, switch the errors on one by one, and compare with the traced lens.
-
-    Parameters
-    ----------
-    scene, recording, matched, config
-        The camera, its frames, its stars, settings.
-    streams : Streams
-        Randomness of the wrong matches.
-    advance : callable
-        Called after the positions, after each camera model, after the gyro and after the wrong matches.
-
-    Raises
-    ------
-    DomainError
-        Too few stars.
-    """
+    """Calibrate, switch the errors on one by one, and compare with the traced lens."""
     _check_count(scene, config, matched, np.asarray(np.isfinite(matched.in_cam).all(axis=1)))
     chart = trace_chart(scene, config)
     position = positions(scene, recording, matched, config)

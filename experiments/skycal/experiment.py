@@ -19,14 +19,7 @@ __all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
-    """Render, read out, measure, match, calibrate and compare.
-
-    Raises
-    ------
-    StarbenchError
-        On anything the user can mend: unknown lens or detector, a detector larger than the field of the lens, a glass
-        without transmittance, no stars in the field, stars saturated, too few matched.
-    """
+    """Render, read out, measure, match, calibrate and compare."""
     from experiments.skycal.result import Result
     from experiments.skycal.scene import build_scene
     from render.engine.random import Streams

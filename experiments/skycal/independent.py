@@ -43,46 +43,22 @@ SAME_SKY_RAD = 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """What came of it.
+    """What came of it."""
 
-    Attributes
-    ----------
-    attitude_off_sigma : float
-        Largest distance of a calibrated attitude from the commanded one, the common turn removed, in its sigma; NaN for
-        another sky.
-    attitudes : int
-        Components in it.
-    residual_off_px : float
-        Largest difference of the residuals from those written out; NaN for a model that ACF17 does not have.
-    moved_part : float
-        Largest difference of what came back from what was moved, as part of it.
-    focal_ratio : float
-        Calibrated focal length over the paraxial one of the prescription; NaN without one.
-    """
-
+    # Largest distance of a calibrated attitude from the commanded one, the common turn removed, in its sigma; NaN for
+    # another sky
     attitude_off_sigma: float
-    attitudes: int
+    attitudes: int  # Components in it
+    # Largest difference of the residuals from those written out; NaN for a model that ACF17 does not have
     residual_off_px: float
-    moved_part: float
-    focal_ratio: float
+    moved_part: float  # Largest difference of what came back from what was moved, as part of it
+    focal_ratio: float  # Calibrated focal length over the paraxial one of the prescription; NaN without one
 
 
 def commanded_matrices(
     frames: int, frame_rate_hz: float, start_deg: tuple[float, float], rate_deg_per_s: float, axis_deg: float
 ) -> FloatArray:
-    """Attitudes cam from icrs (f, 3, 3) at the frames.
-
-    Parameters
-    ----------
-    frames : int
-        f.
-    frame_rate_hz : float
-        Frames per second.
-    start_deg : (float, float)
-        Right ascension and declination of the boresight at the first frame, north up.
-    rate_deg_per_s, axis_deg : float
-        Speed, and angle of the axis of rotation from the boresight, which it goes half round in the sequence.
-    """
+    """Attitudes cam from icrs (f, 3, 3) at the frames."""
     ra, dec = np.radians(start_deg)
     ahead = np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
     north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])

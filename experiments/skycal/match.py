@@ -41,46 +41,20 @@ FAILED = StarFlag.NOT_CONVERGED | StarFlag.NO_DATA
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Matched:
-    """Measured stars with their names, all frames one after the other.
+    """Measured stars with their names, all frames one after the other."""
 
-    Attributes
-    ----------
-    frame, star : (n,) int64
-        Frame, and row in the sky.
-    row : (n,) int64
-        Row of the detection in the stamps of the recording.
-    direction : (n, 3)
-        Unit vectors in icrs.
-    pixel_px : (n, 2)
-        Measured centroids.
-    covariance_px2 : (n, 2, 2)
-        Of the centroids: temporal noise.
-    snr : (n,)
-        Flux over its standard deviation.
-    photon_px : (n, 2)
-        Truth: centroid of the star's noiseless light.
-    in_cam : (n, 3)
-        Truth: direction in cam.
-    correct : (n,) bool
-        Truth: whether the match is.
-    count : dict of str to int
-        What became of the detections of all frames.
-    first_matched : int
-        Frames matched from the camera of the data sheet.
-    """
-
-    frame: IntArray
-    star: IntArray
-    row: IntArray
-    direction: FloatArray
-    pixel_px: FloatArray
-    covariance_px2: FloatArray
-    snr: FloatArray
-    photon_px: FloatArray
-    in_cam: FloatArray
-    correct: NDArray[np.bool_]
-    count: dict[str, int]
-    first_matched: int
+    frame: IntArray  # (n,) Frame, and row in the sky
+    star: IntArray  # (n,) Frame, and row in the sky
+    row: IntArray  # (n,) Row of the detection in the stamps of the recording
+    direction: FloatArray  # (n, 3) Unit vectors in icrs
+    pixel_px: FloatArray  # (n, 2) Measured centroids
+    covariance_px2: FloatArray  # (n, 2, 2) Of the centroids: temporal noise
+    snr: FloatArray  # (n,) Flux over its standard deviation
+    photon_px: FloatArray  # (n, 2) Truth: centroid of the star's noiseless light
+    in_cam: FloatArray  # (n, 3) Truth: direction in cam
+    correct: NDArray[np.bool_]  # (n,) Truth: whether the match is
+    count: dict[str, int]  # What became of the detections of all frames
+    first_matched: int  # Frames matched from the camera of the data sheet
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -109,16 +83,6 @@ def match_frames(scene: Scene, recording: Recording, config: Config) -> Matched:
 
     The brightest detections give every frame an attitude under the camera of the data sheet; what they match gives a
     first camera; with that one all detections are matched closely.
-
-    Parameters
-    ----------
-    scene, recording, config
-        The camera, what it saw, settings.
-
-    Raises
-    ------
-    DomainError
-        Nothing detected, everything saturated, or too few frames matched.
     """
     _check_detections(scene, recording, config)
     camera = sheet_camera(scene, config)

@@ -40,30 +40,14 @@ FWHM_PX = 1.8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameStars:
-    """One frame: what was found, and what was there.
+    """One frame: what was found, and what was there."""
 
-    Attributes
-    ----------
-    found : StarTable
-        Detections with centroids, in pixels of the window.
-    first_row : int
-        Row of the first of them in the stamps of the recording.
-    star : (n,) int64
-        Rows of the sky that were rendered.
-    direction : (n, 3)
-        Their directions in cam.
-    photon_px : (n, 2)
-        Centroid of the noiseless light of each.
-    electrons : (n,)
-        Electrons of each on the detector.
-    """
-
-    found: StarTable
-    first_row: int
-    star: NDArray[np.int64]
-    direction: FloatArray
-    photon_px: FloatArray
-    electrons: FloatArray
+    found: StarTable  # Detections with centroids, in pixels of the window
+    first_row: int  # Row of the first of them in the stamps of the recording
+    star: NDArray[np.int64]  # (n,) Rows of the sky that were rendered
+    direction: FloatArray  # (n, 3) Their directions in cam
+    photon_px: FloatArray  # (n, 2) Centroid of the noiseless light of each
+    electrons: FloatArray  # (n,) Electrons of each on the detector
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -75,27 +59,13 @@ class FrameStars:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recording:
-    """All frames of a camera.
+    """All frames of a camera."""
 
-    Attributes
-    ----------
-    frames : tuple of FrameStars
-        In order.
-    example : Frame
-        Raw readout of one frame in the middle of the sequence.
-    example_index : int
-        Its number.
-    stamps : Stamps
-        Windows of all detections, frame after frame.
-    noise : NoiseModel
-        Noise of a pixel.
-    """
-
-    frames: tuple[FrameStars, ...]
-    example: Frame
-    example_index: int
-    stamps: Stamps
-    noise: NoiseModel
+    frames: tuple[FrameStars, ...]  # In order
+    example: Frame  # Raw readout of one frame in the middle of the sequence
+    example_index: int  # Its number
+    stamps: Stamps  # Windows of all detections, frame after frame
+    noise: NoiseModel  # Noise of a pixel
 
 
 def record(scene: Scene, config: Config, streams: Streams, *, advance: Callable[[], None]) -> Recording:
@@ -103,22 +73,6 @@ def record(scene: Scene, config: Config, streams: Streams, *, advance: Callable[
 
     The renderer needs all cores for a moment and the reduction one for longer; the latter runs behind in threads of
     its own.
-
-    Parameters
-    ----------
-    scene : Scene
-        Camera and sky.
-    config : Config
-        Settings.
-    streams : Streams
-        Randomness of this camera.
-    advance : callable
-        Called once per frame.
-
-    Raises
-    ------
-    DomainError
-        What the renderer raises.
     """
     instrument, exposure_s = scene.instrument, scene.instrument.config.exposure_s
     renderer = StarRenderer(instrument.camera, exposure_s=exposure_s, sobol_log2_rays=scene.config.sobol_log2_rays)

@@ -27,22 +27,12 @@ OVERSAMPLING = 4
 
 @dataclass(frozen=True, slots=True)
 class PsfBank:
-    """Effective PSFs of one colour on a grid that spans the detector.
+    """Effective PSFs of one colour on a grid that spans the detector."""
 
-    Attributes
-    ----------
-    psfs : tuple of EffectivePsf
-        Row by row, the outermost on the edges of the detector.
-    columns, rows : int
-        Of the grid.
-    size_px : tuple of int
-        Columns and rows of the detector.
-    """
-
-    psfs: tuple[EffectivePsf, ...]
-    columns: int
-    rows: int
-    size_px: tuple[int, int]
+    psfs: tuple[EffectivePsf, ...]  # Row by row, the outermost on the edges of the detector
+    columns: int  # Of the grid
+    rows: int  # Of the grid
+    size_px: tuple[int, int]  # Columns and rows of the detector
 
     def neighbours(self, x_px: FloatArray, y_px: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
         """The PSFs around each place (n, k), the one of largest weight first, and their weights (n, k).
@@ -95,13 +85,7 @@ def _lagrange(at: FloatArray, nodes: NDArray[np.int64]) -> FloatArray:
 
 
 class BankRenderer:
-    """Renders PSF banks of one camera; the tracer is prepared once.
-
-    Parameters
-    ----------
-    scene, config
-        The camera, and the spacing of the PSFs.
-    """
+    """Renders PSF banks of one camera; the tracer is prepared once."""
 
     def __init__(self, scene: Scene, config: Config) -> None:
         camera = scene.instrument.camera

@@ -19,18 +19,12 @@ __all__ = ["CameraResult", "Result"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraResult:
-    """One camera.
+    """One camera."""
 
-    Attributes
-    ----------
-    scene, recording, matched, evaluation
-        What it saw, and what came of it.
-    """
-
-    scene: Scene
-    recording: Recording
-    matched: Matched
-    evaluation: Evaluation
+    scene: Scene  # What it saw, and what came of it
+    recording: Recording  # What it saw, and what came of it
+    matched: Matched  # What it saw, and what came of it
+    evaluation: Evaluation  # What it saw, and what came of it
 
     @property
     def name(self) -> str:
@@ -87,15 +81,7 @@ class CameraResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """Result of a run.
+    """Result of a run."""
 
-    Attributes
-    ----------
-    config : Config
-        Settings.
-    cameras : dict of str to CameraResult
-        By name.
-    """
-
-    config: Config
-    cameras: dict[str, CameraResult]
+    config: Config  # Settings
+    cameras: dict[str, CameraResult]  # By name

@@ -38,43 +38,21 @@ FEWEST_STARS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """A camera, its sky and its motion; f frames.
+    """A camera, its sky and its motion; f frames."""
 
-    Attributes
-    ----------
-    name : str
-        "narrow", "wide" or "own".
-    config : CameraConfig
-        What was asked for.
-    instrument : Instrument
-        Camera and detector, cut to the window that is read out.
-    sky : Sky
-        Stars down to the faintest that are rendered.
-    light : StarLight
-        Their light in the full pass band.
-    time_s : (f,)
-        Times of the frames.
-    attitude : Rotation
-        f attitudes, cam from icrs: the truth.
-    prior_attitude : Rotation
-        Attitudes that the matching starts from (a star tracker's, say), wrong by some arcmin.
-    gyro_rotation, true_gyro_rotation : Rotation
-        Gyro body at frame k from gyro body at the first frame, integrated from noisy rates, and the truth.
-    installation : Rotation
-        Camera from gyro body.
-    """
-
-    name: str
-    config: CameraConfig
-    instrument: Instrument
-    sky: Sky
-    light: StarLight
-    time_s: FloatArray
-    attitude: Rotation
-    prior_attitude: Rotation
+    name: str  # "narrow", "wide" or "own"
+    config: CameraConfig  # What was asked for
+    instrument: Instrument  # Camera and detector, cut to the window that is read out
+    sky: Sky  # Stars down to the faintest that are rendered
+    light: StarLight  # Their light in the full pass band
+    time_s: FloatArray  # (f,) Times of the frames
+    attitude: Rotation  # f attitudes, cam from icrs: the truth
+    prior_attitude: Rotation  # Attitudes that the matching starts from (a star tracker's, say), wrong by some arcmin
+    # Gyro body at frame k from gyro body at the first frame, integrated from noisy rates, and the truth
     gyro_rotation: Rotation
+    # Gyro body at frame k from gyro body at the first frame, integrated from noisy rates, and the truth
     true_gyro_rotation: Rotation
-    installation: Rotation
+    installation: Rotation  # Camera from gyro body
 
     @property
     def frames(self) -> int:
@@ -115,23 +93,7 @@ class Scene:
 
 
 def build_scene(name: str, config: Config, streams: Streams) -> Scene:
-    """Scene of one camera; what can be refused before rendering is refused here.
-
-    Parameters
-    ----------
-    name : str
-        "narrow", "wide" or "own".
-    config : Config
-        Settings.
-    streams : Streams
-        Randomness of this camera.
-
-    Raises
-    ------
-    StarbenchError
-        Unknown lens or detector, glass without transmittance, window larger than the detector, a lens that does not
-        reach the corners, a field without stars.
-    """
+    """Scene of one camera; what can be refused before rendering is refused here."""
     from calib.attitude.gyro_attitude import integrate_rates
     from calib.attitude.link import rotation_of_angles
     from render.motion.gyro import Gyro, simulate_gyro

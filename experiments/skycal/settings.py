@@ -32,13 +32,7 @@ _CAMERAS = {"both": ("narrow", "wide"), "narrow": ("narrow",), "wide": ("wide",)
 
 
 def parse_model_name(name: str) -> tuple[str, int]:
-    """Family and degree of a camera model: ``"brown_conrady"``, ``"pinhole"`` or ``"polynomial_5"``.
-
-    Raises
-    ------
-    ValueError
-        Anything else.
-    """
+    """Family and degree of a camera model: ``"brown_conrady"``, ``"pinhole"`` or ``"polynomial_5"``."""
     if name in ("brown_conrady", "pinhole"):
         return name, 0
     found = re.fullmatch(r"polynomial_([1-9])", name)
@@ -188,13 +182,7 @@ class Config(SensorExperimentConfig):
 
     @classmethod
     def of_sensor(cls, file: Path) -> dict[str, Any]:
-        """Settings that a sensor file decides: the camera ``own``, which then is the one that runs.
-
-        Raises
-        ------
-        ConfigError
-            As `experiments.laboratory.sensor_file.read_sensor`.
-        """
+        """Settings that a sensor file decides: the camera ``own``, which then is the one that runs."""
         given = whole_sensor(file)
         own = {"instrument": given["instrument"], "faintest_mag": given["catalogue"]["faintest_mag"]}
         shared = {key: value for key, value in given.items() if key in cls.model_fields}

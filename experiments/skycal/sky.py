@@ -109,13 +109,7 @@ def load_sky(config: SkyConfig, faintest_mag: float, rng: np.random.Generator) -
 
 
 def random_sky(faintest_mag: float, rng: np.random.Generator) -> Sky:
-    """Stars uniform over the sphere with the numbers and colours of real ones.
-
-    Raises
-    ------
-    DomainError
-        Magnitude beyond 1 ... 10.
-    """
+    """Stars uniform over the sphere with the numbers and colours of real ones."""
     from render.catalogue.temperature import colour_temperature
 
     limits = list(CUMULATIVE_COUNT)
@@ -162,15 +156,5 @@ def _gaia_sky(faintest_mag: float) -> Sky:
 
 
 def in_light(light: StarLight, direction: FloatArray, magnitude: ArrayLike, temperature_k: ArrayLike) -> StarField:
-    """Star field of stars in the camera frame.
-
-    Parameters
-    ----------
-    light : StarLight
-        Of the pass band, prepared for G.
-    direction : (n, 3)
-        Unit vectors in cam.
-    magnitude, temperature_k : (n,) or float
-        Gaia G and colour temperature; the latter is held to what the light is prepared for.
-    """
+    """Star field of stars in the camera frame."""
     return light.stars(direction, magnitude, np.clip(np.asarray(temperature_k, float), *TEMPERATURE_RANGE_K))

@@ -25,22 +25,12 @@ CHART_LOG2_RAYS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chart:
-    """The truth: where light of the reference colour falls, traced.
+    """The truth: where light of the reference colour falls, traced."""
 
-    Attributes
-    ----------
-    direction : (n, 3)
-        Unit vectors in cam.
-    pixel_px : (n, 2)
-        Mean of the rays.
-    rows, columns : int
-        Grid, row by row; rows times columns is n.
-    """
-
-    direction: FloatArray
-    pixel_px: FloatArray
-    rows: int
-    columns: int
+    direction: FloatArray  # (n, 3) Unit vectors in cam
+    pixel_px: FloatArray  # (n, 2) Mean of the rays
+    rows: int  # Grid, row by row; rows times columns is n
+    columns: int  # Grid, row by row; rows times columns is n
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -49,24 +39,7 @@ class Chart:
 
 
 def trace_colour(scene: Scene, direction: FloatArray, temperature_k: float, *, more_log2_rays: int = 0) -> FloatArray:
-    """Where the mean of the rays of a star of one colour falls: (n, 2) [px], no image, no noise.
-
-    Parameters
-    ----------
-    scene : Scene
-        Camera.
-    direction : (n, 3)
-        Unit vectors in cam.
-    temperature_k : float
-        Colour.
-    more_log2_rays : int
-        Logarithm of how many times more rays than stars of a frame get, where the pupil is not clear.
-
-    Returns
-    -------
-    (n, 2)
-        Bundle means; NaN where no ray arrives.
-    """
+    """Where the mean of the rays of a star of one colour falls: (n, 2) [px], no image, no noise."""
     camera = scene.instrument.camera
     # one pixel of an image is enough where only rays count
     tiny = replace(camera, width_px=1, height_px=1, centre_px=camera.centre_px)
@@ -85,13 +58,7 @@ def trace_colour(scene: Scene, direction: FloatArray, temperature_k: float, *, m
 
 
 def trace_chart(scene: Scene, config: Config) -> Chart:
-    """Trace the truth on a regular grid of nominal pixels.
-
-    Raises
-    ------
-    DomainError
-        Where no ray reaches a part of the detector.
-    """
+    """Trace the truth on a regular grid of nominal pixels."""
     camera = scene.instrument.camera
     longer = max(camera.width_px, camera.height_px)
     columns, rows = (max(3, round(config.map_points * n / longer)) for n in (camera.width_px, camera.height_px))

@@ -20,44 +20,18 @@ NO_WEIGHT = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WrongMatchFit:
-    """A calibration with wrong matches put in.
+    """A calibration with wrong matches put in."""
 
-    Attributes
-    ----------
-    loss : str
-        Loss of the fit.
-    fraction : float
-        Part of the matches that are wrong.
-    status : str
-        Of the fit; "converged" says that its values may be used.
-    rms_arcsec : float
-        Error of the map; NaN where the fit gives none.
-    apart_arcsec : float
-        RMS distance from the map without wrong matches.
-    caught_fraction : float
-        Part of the wrong matches that got (almost) no weight.
-    """
-
-    loss: str
-    fraction: float
-    status: str
-    rms_arcsec: float
-    apart_arcsec: float
-    caught_fraction: float
+    loss: str  # Loss of the fit
+    fraction: float  # Part of the matches that are wrong
+    status: str  # Of the fit; "converged" says that its values may be used
+    rms_arcsec: float  # Error of the map; NaN where the fit gives none
+    apart_arcsec: float  # RMS distance from the map without wrong matches
+    caught_fraction: float  # Part of the wrong matches that got (almost) no weight
 
 
 def wrong_match_fits(calibrator: Calibrator, clean: CalibratedMap, streams: Streams) -> tuple[WrongMatchFit, ...]:
-    """Least squares and robust with the configured part of wrong matches, and robust with far too many.
-
-    Parameters
-    ----------
-    calibrator : Calibrator
-        Stars and truth.
-    clean : CalibratedMap
-        The same without wrong matches.
-    streams : Streams
-        Which matches are made wrong.
-    """
+    """Least squares and robust with the configured part of wrong matches, and robust with far too many."""
     fraction = calibrator.config.wrong_fraction
     cases = ((fraction, "linear"), (fraction, LOSS), (TOO_MANY, LOSS))
     return tuple(_run(calibrator, clean, streams, part, loss) for part, loss in cases)

@@ -22,14 +22,7 @@ __all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
-    """Render, read out, reduce, predict.
-
-    Raises
-    ------
-    StarbenchError
-        On anything the user can mend: unknown lens or detector, target off the detector, points not detected or
-        saturated, light beyond the range of the data.
-    """
+    """Render, read out, reduce, predict."""
     import numpy as np
 
     from experiments.laboratory.brightness import BrightnessControl

@@ -27,18 +27,10 @@ __all__ = ["TemporalFrames", "own_frames", "reduce"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TemporalFrames:
-    """Temporal error of l series.
+    """Temporal error of l series."""
 
-    Attributes
-    ----------
-    pixel_arcsec : float
-        Angle of a pixel.
-    series : tuple of SeriesFrames
-        Levels.
-    """
-
-    pixel_arcsec: float
-    series: tuple[SeriesFrames, ...]
+    pixel_arcsec: float  # Angle of a pixel
+    series: tuple[SeriesFrames, ...]  # Levels
 
     def te_arcsec(self, method: str, level: int = 0) -> tuple[Measured, Measured]:
         """Temporal error of a series, x and y, 3 sigma."""

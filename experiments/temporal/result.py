@@ -22,35 +22,18 @@ __all__ = ["Result", "published_levels"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """Everything the run found.
+    """Everything the run found."""
 
-    Attributes
-    ----------
-    config : Config
-        Settings.
-    instrument : Instrument
-        The camera.
-    measured, predicted : TemporalMeasurement, TemporalPrediction
-        At the levels of the brightness control.
-    nominal, predicted_nominal : TemporalMeasurement, TemporalPrediction
-        At the signal of the source.
-    shaken : ShakenTarget
-        At the signal of the source, the target moved by a known amount while frames were taken.
-    sight : LineOfSight or None
-        Of the collimator; None at rest.
-    published_level_e : dict of str to (2,)
-        Signal at which each centroider would show the published numbers, x and y, by prediction; NaN outside 50 to 2e4.
-        Empty for another sensor than the published one.
-    """
-
-    config: Config
-    instrument: Instrument
-    measured: TemporalMeasurement
-    nominal: TemporalMeasurement
-    predicted: TemporalPrediction
-    predicted_nominal: TemporalPrediction
-    shaken: ShakenTarget
-    sight: LineOfSight | None
+    config: Config  # Settings
+    instrument: Instrument  # The camera
+    measured: TemporalMeasurement  # At the levels of the brightness control
+    nominal: TemporalMeasurement  # At the signal of the source
+    predicted: TemporalPrediction  # At the levels of the brightness control
+    predicted_nominal: TemporalPrediction  # At the signal of the source
+    shaken: ShakenTarget  # At the signal of the source, the target moved by a known amount while frames were taken
+    sight: LineOfSight | None  # Of the collimator; None at rest
+    # (2,) Signal at which each centroider would show the published numbers, x and y, by prediction; NaN outside 50 to
+    # 2e4. Empty for another sensor than the published one
     published_level_e: Mapping[str, FloatArray]
 
 

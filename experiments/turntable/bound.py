@@ -41,27 +41,14 @@ WORST_CONDITION = 1e14
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bound:
-    """The bound at one truth.
+    """The bound at one truth."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Unknowns as `calib.calibration.turntable` names them: camera parameters, star, installation, leans.
-    covariance : (q, q)
-        Of the unknowns; rows of camera parameters that are held are zero.
-    alone : (q,)
-        Standard deviations if all other unknowns were known.
-    condition : float
-        Of the information matrix scaled to a unit diagonal.
-    map_sigma_arcsec : float
-        RMS length of the line-of-sight error over the map, after the best rotation.
-    """
-
+    # Unknowns as `calib.calibration.turntable` names them: camera parameters, star, installation, leans
     names: tuple[str, ...]
-    covariance: FloatArray
-    alone: FloatArray
-    condition: float
-    map_sigma_arcsec: float
+    covariance: FloatArray  # (q, q) Of the unknowns; rows of camera parameters that are held are zero
+    alone: FloatArray  # (q,) Standard deviations if all other unknowns were known
+    condition: float  # Of the information matrix scaled to a unit diagonal
+    map_sigma_arcsec: float  # RMS length of the line-of-sight error over the map, after the best rotation
 
     @property
     def sigma(self) -> FloatArray:
@@ -208,39 +195,17 @@ def noise_shares(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldPoint:
-    """The bound for a camera of one field of view.
+    """The bound for a camera of one field of view."""
 
-    Attributes
-    ----------
-    field_deg : float
-        Full width.
-    full : Bound
-        All unknowns, two-axis table.
-    rolled : Bound
-        All unknowns, three-axis table, the camera rolled by quarter turns from place to place.
-    plain : Bound
-        Principal point, focal length and installation alone, two-axis table.
-    arcsec_per_px : float
-        On the axis.
-    """
-
-    field_deg: float
-    full: Bound
-    rolled: Bound
-    plain: Bound
-    arcsec_per_px: float
+    field_deg: float  # Full width
+    full: Bound  # All unknowns, two-axis table
+    rolled: Bound  # All unknowns, three-axis table, the camera rolled by quarter turns from place to place
+    plain: Bound  # Principal point, focal length and installation alone, two-axis table
+    arcsec_per_px: float  # On the axis
 
 
 def field_sweep(fields_deg: Sequence[float], sigma_px: float) -> list[FieldPoint]:
-    """Bounds for ideal cameras of 2048 x 2048 pixels, 13 x 13 places, on perfect tables.
-
-    Parameters
-    ----------
-    fields_deg : sequence of float
-        Full widths of the field [deg].
-    sigma_px : float
-        Error of an image, per axis.
-    """
+    """Bounds for ideal cameras of 2048 x 2048 pixels, 13 x 13 places, on perfect tables."""
     geometry = SensorGeometry(width_px=SWEEP_PX, height_px=SWEEP_PX, pixel_pitch_mm=SWEEP_PITCH_MM)
     points = []
     for field in fields_deg:

@@ -38,44 +38,23 @@ ADVICE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """One table.
+    """One table."""
 
-    Attributes
-    ----------
-    name : str
-        "two-axis" or "three-axis".
-    config : TableConfig
-        Its settings.
-    measurement : Measurement
-        The rendered run.
-    reductions : dict of str to Reduction
-        ``estimated``: non-orthogonality an unknown; ``ignored``: table taken as square; ``known``: taken as it is.
-    split : dict of str to Reduction
-        Reductions of data with one error at a time. ``model``: true images and angles, leans known, so that only the
-        camera model can err; ``centroids``: rendered ones; ``readings``: noisy ones; ``leans``: taken as zero;
-        ``everything``, leans estimated.
-    coordinates : Coordinates
-        The bench with the model of ``split["model"]`` as its camera: the truth of the Monte-Carlo.
-    bound : Bound
-        Cramer-Rao bound, leans unknown.
-    knowledge : dict of str to Bound
-        Bounds if something were known that is not.
-    shares : dict of str to float
-        Map error that each cause of noise makes [arcsec, RMS length]; squares add up.
-    monte_carlo : MonteCarlo
-        Many runs on coordinates.
-    """
-
-    name: str
-    config: TableConfig
-    measurement: Measurement
+    name: str  # "two-axis" or "three-axis"
+    config: TableConfig  # Its settings
+    measurement: Measurement  # The rendered run
+    # ``estimated``: non-orthogonality an unknown; ``ignored``: table taken as square; ``known``: taken as it is
     reductions: Mapping[str, Reduction]
+    # Reductions of data with one error at a time. ``model``: true images and angles, leans known, so that only the
+    # camera model can err; ``centroids``: rendered ones; ``readings``: noisy ones; ``leans``: taken as zero;
+    # ``everything``, leans estimated
     split: Mapping[str, Reduction]
+    # The bench with the model of ``split["model"]`` as its camera: the truth of the Monte-Carlo
     coordinates: Coordinates
-    bound: Bound
-    knowledge: Mapping[str, Bound]
-    shares: Mapping[str, float]
-    monte_carlo: MonteCarlo
+    bound: Bound  # Cramer-Rao bound, leans unknown
+    knowledge: Mapping[str, Bound]  # Bounds if something were known that is not
+    shares: Mapping[str, float]  # Map error that each cause of noise makes [arcsec, RMS length]; squares add up
+    monte_carlo: MonteCarlo  # Many runs on coordinates
 
 
 def one_table(
@@ -87,26 +66,7 @@ def one_table(
     streams: Streams,
     progress: Progress,
 ) -> Case:
-    """One table from the rendering to the Monte-Carlo.
-
-    Parameters
-    ----------
-    config, instrument, traced
-        Settings, camera under test and its truth.
-    name : str
-        "two-axis" or "three-axis".
-    table : TableConfig
-        Its settings.
-    streams : Streams
-        Root of the randomness; a table has its own.
-    progress : Progress
-        Where to report.
-
-    Raises
-    ------
-    DomainError
-        If the star is lost, the axes turn the other way than believed, or calibrations do not converge.
-    """
+    """One table from the rendering to the Monte-Carlo."""
     own = streams.child(name)
     with progress.stage(f"{name} table", total=5) as stage:
         measurement = measure(config, instrument, table, own, advance=stage.advance)

@@ -21,23 +21,13 @@ __all__ = ["Reduction", "judge", "vector_scatter_arcsec"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reduction:
-    """One calibration, judged.
+    """One calibration, judged."""
 
-    Attributes
-    ----------
-    calibration : Calibration
-        As the estimator gives it.
-    star : (3,)
-        Direction of the star in the laboratory.
-    line_of_sight : LineOfSightMap
-        Error against the traced lens after the best rotation, and what the covariance predicts.
-    residual_px : (n, 2)
-        Images minus what the calibration says at the angles as read, before any reading error is fitted.
-    """
-
-    calibration: Calibration
-    star: FloatArray
+    calibration: Calibration  # As the estimator gives it
+    star: FloatArray  # (3,) Direction of the star in the laboratory
+    # Error against the traced lens after the best rotation, and what the covariance predicts
     line_of_sight: LineOfSightMap
+    # (n, 2) Images minus what the calibration says at the angles as read, before any reading error is fitted
     residual_px: FloatArray
 
     @property

@@ -22,14 +22,7 @@ __all__ = ["Config", "experiment", "main", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> Result:
-    """Render, read, calibrate, and judge against the traced lens.
-
-    Raises
-    ------
-    StarbenchError
-        On anything the user can mend: too few places or too little of the detector covered, the star off the detector
-        or not seen, a table with one axis, axes that turn the other way than believed.
-    """
+    """Render, read, calibrate, and judge against the traced lens."""
     from experiments.turntable.bound import field_sweep
     from experiments.turntable.case import one_table
     from experiments.turntable.lenses import lens_points

@@ -60,24 +60,12 @@ class Injection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """What came of the three questions, for one table.
+    """What came of the three questions, for one table."""
 
-    Attributes
-    ----------
-    image_probability : float
-        Of residuals of the images at least as unlikely as those found, two-sided.
-    reading_probability : float
-        The same of the readings against the angles that were set.
-    set_probability : float
-        Of star and leans at least as far from what was set.
-    moved_part : float
-        Largest difference of what the calibration moved by from what was injected, as part of it.
-    """
-
-    image_probability: float
-    reading_probability: float
-    set_probability: float
-    moved_part: float
+    image_probability: float  # Of residuals of the images at least as unlikely as those found, two-sided
+    reading_probability: float  # The same of the readings against the angles that were set
+    set_probability: float  # Of star and leans at least as far from what was set
+    moved_part: float  # Largest difference of what the calibration moved by from what was injected, as part of it
 
     LABELS: ClassVar[dict[str, str]] = {
         "image_probability": "images where v = A Tᵀ s, written out, puts them in the traced lens, probability",

@@ -26,39 +26,17 @@ MODEL_SIGMA_PX = 1e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LensPoint:
-    """What Brown-Conrady leaves of a traced lens.
+    """What Brown-Conrady leaves of a traced lens."""
 
-    Attributes
-    ----------
-    label : str
-        Which lens.
-    field_deg : float
-        Full field along the diagonal.
-    rms_arcsec, max_arcsec : float
-        Line-of-sight error of the best fit over the detector, length.
-    max_px : float
-        The largest one on the detector, on the axis's scale.
-    """
-
-    label: str
-    field_deg: float
-    rms_arcsec: float
-    max_arcsec: float
-    max_px: float
+    label: str  # Which lens
+    field_deg: float  # Full field along the diagonal
+    rms_arcsec: float  # Line-of-sight error of the best fit over the detector, length
+    max_arcsec: float  # Line-of-sight error of the best fit over the detector, length
+    max_px: float  # The largest one on the detector, on the axis's scale
 
 
 def lens_points(config: Config, instrument: Instrument, traced: TracedMap) -> list[LensPoint]:
-    """The lens as it is, with its first element decentred, and a wide lens.
-
-    Parameters
-    ----------
-    config : Config
-        Settings.
-    instrument : Instrument
-        The camera under test.
-    traced : TracedMap
-        Its truth.
-    """
+    """The lens as it is, with its first element decentred, and a wide lens."""
     lens = instrument.camera.lens
     element = lens.elements[0]
     moved = replace(

@@ -36,30 +36,14 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coordinates:
-    """A bench whose camera *is* a model, so that its parameters have a truth.
+    """A bench whose camera *is* a model, so that its parameters have a truth."""
 
-    Attributes
-    ----------
-    model : CameraModel
-        The camera.
-    bench : Bench
-        Star, table, installation.
-    true_rad : (n, k)
-        Angles.
-    covariance_px2 : (n, 2, 2)
-        Of the centroids.
-    start : CameraModel
-        Where every calibration starts.
-    start_star : (3,)
-        Start of the star's direction.
-    """
-
-    model: CameraModel
-    bench: Bench
-    true_rad: FloatArray
-    covariance_px2: FloatArray
-    start: CameraModel
-    start_star: FloatArray
+    model: CameraModel  # The camera
+    bench: Bench  # Star, table, installation
+    true_rad: FloatArray  # (n, k) Angles
+    covariance_px2: FloatArray  # (n, 2, 2) Of the centroids
+    start: CameraModel  # Where every calibration starts
+    start_star: FloatArray  # (3,) Start of the star's direction
 
     def draw(self, streams: Streams, run: int) -> Data:
         """One noisy data set."""
@@ -104,36 +88,16 @@ class Coordinates:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MonteCarlo:
-    """Many calibrations of the same bench; r runs that converged.
+    """Many calibrations of the same bench; r runs that converged."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Unknowns (q).
-    truth : (q,)
-        Their true values.
-    error : (r, q)
-        Estimate minus truth.
-    pull : (r, q)
-        The same over the estimator's own standard deviation.
-    map_rms_arcsec : (r,)
-        RMS length of the error of the line of sight after the best rotation.
-    predicted_map_arcsec : (r,)
-        What each run's covariance says of it.
-    reduced_chi2 : (r,)
-        Of each fit.
-    lost : int
-        Runs that did not converge.
-    """
-
-    names: tuple[str, ...]
-    truth: FloatArray
-    error: FloatArray
-    pull: FloatArray
-    map_rms_arcsec: FloatArray
-    predicted_map_arcsec: FloatArray
-    reduced_chi2: FloatArray
-    lost: int
+    names: tuple[str, ...]  # Unknowns (q)
+    truth: FloatArray  # (q,) Their true values
+    error: FloatArray  # (r, q) Estimate minus truth
+    pull: FloatArray  # (r, q) The same over the estimator's own standard deviation
+    map_rms_arcsec: FloatArray  # (r,) RMS length of the error of the line of sight after the best rotation
+    predicted_map_arcsec: FloatArray  # (r,) What each run's covariance says of it
+    reduced_chi2: FloatArray  # (r,) Of each fit
+    lost: int  # Runs that did not converge
 
     @property
     def runs(self) -> int:
@@ -160,23 +124,7 @@ def monte_carlo(
     leans: bool = True,
     advance: Callable[[], None] = lambda: None,
 ) -> MonteCarlo:
-    """Calibrate fresh noise many times; the model is the truth here, not the traced lens.
-
-    Parameters
-    ----------
-    setup : Coordinates
-        The bench.
-    traced : TracedMap
-        Only its directions are used: where the line of sight is judged.
-    streams : Streams
-        Root of the noise.
-    runs : int
-        How many.
-    leans : bool
-        Estimate the non-orthogonality; otherwise the table is taken as square.
-    advance : callable
-        Called after each run.
-    """
+    """Calibrate fresh noise many times; the model is the truth here, not the traced lens."""
     believed = setup.bench.table.nominal
     judged = TracedMap(direction=traced.direction, pixel_px=setup.model.project(traced.direction))
     names: tuple[str, ...] = ()

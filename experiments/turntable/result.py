@@ -18,37 +18,15 @@ __all__ = ["Result"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """The whole run.
+    """The whole run."""
 
-    Attributes
-    ----------
-    config : Config
-        Settings.
-    instrument : Instrument
-        Camera under test.
-    traced : TracedMap
-        Its truth.
-    cases : sequence of Case
-        Two-axis table, three-axis table.
-    reading_sweep, lean_sweep
-        On the two-axis table.
-    centroid_bound_arcsec : float
-        Bound of the map error there with perfect readings.
-    field_sweep : sequence of FieldPoint
-        Ideal cameras.
-    field_sigma_px : float
-        Error of an image in that sweep.
-    lenses : sequence of LensPoint
-        What the camera model leaves of traced lenses.
-    """
-
-    config: Config
-    instrument: Instrument
-    traced: TracedMap
-    cases: Sequence[Case]
-    reading_sweep: Sequence[ReadingPoint]
-    lean_sweep: Sequence[LeanPoint]
-    centroid_bound_arcsec: float
-    field_sweep: Sequence[FieldPoint]
-    field_sigma_px: float
-    lenses: Sequence[LensPoint]
+    config: Config  # Settings
+    instrument: Instrument  # Camera under test
+    traced: TracedMap  # Its truth
+    cases: Sequence[Case]  # Two-axis table, three-axis table
+    reading_sweep: Sequence[ReadingPoint]  # On the two-axis table
+    lean_sweep: Sequence[LeanPoint]  # On the two-axis table
+    centroid_bound_arcsec: float  # Bound of the map error there with perfect readings
+    field_sweep: Sequence[FieldPoint]  # Ideal cameras
+    field_sigma_px: float  # Error of an image in that sweep
+    lenses: Sequence[LensPoint]  # What the camera model leaves of traced lenses

@@ -24,18 +24,10 @@ MAP_COLUMNS, MAP_ROWS = 33, 17
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TracedMap:
-    """The truth of a camera: where the light of directions lands, by ray trace, without model.
+    """The truth of a camera: where the light of directions lands, by ray trace, without model."""
 
-    Attributes
-    ----------
-    direction : (m, 3)
-        Unit vectors in cam.
-    pixel_px : (m, 2)
-        Photon-weighted mean of the traced bundle.
-    """
-
-    direction: FloatArray
-    pixel_px: FloatArray
+    direction: FloatArray  # (m, 3) Unit vectors in cam
+    pixel_px: FloatArray  # (m, 2) Photon-weighted mean of the traced bundle
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}

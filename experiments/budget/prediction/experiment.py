@@ -19,34 +19,16 @@ __all__ = ["Prediction", "experiment", "run"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prediction:
-    """What is known without frames.
+    """What is known without frames."""
 
-    Attributes
-    ----------
-    config : Config
-        Settings.
-    lab : Laboratory
-        The laboratory.
-    predicted : PredictedTerms
-        Of the centroider that counts.
-    sweep : Sweep or None
-        The budget against a parameter.
-    """
-
-    config: Config
-    lab: Laboratory
-    predicted: PredictedTerms
-    sweep: Sweep | None
+    config: Config  # Settings
+    lab: Laboratory  # The laboratory
+    predicted: PredictedTerms  # Of the centroider that counts
+    sweep: Sweep | None  # The budget against a parameter
 
 
 def run(config: Config, *, progress: Progress) -> Prediction:
-    """Predict every term for the centroider that counts, and the sweep; pixel term at one place, few draws.
-
-    Raises
-    ------
-    StarbenchError
-        As of the budget with frames.
-    """
+    """Predict every term for the centroider that counts, and the sweep; pixel term at one place, few draws."""
     from experiments.budget.laboratory import build_laboratory
     from experiments.budget.predict import predict_terms
     from experiments.budget.sweep import DRAWS, check_full_well, counting, predict_sweep

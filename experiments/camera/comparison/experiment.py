@@ -31,13 +31,7 @@ class ComparisonConfig(ExperimentConfig):
 
 
 def run(config: ComparisonConfig, *, progress: Progress) -> SideBySide:
-    """Predict every sensor.
-
-    Raises
-    ------
-    StarbenchError
-        If one of them cannot be predicted.
-    """
+    """Predict every sensor."""
     from experiments.camera.comparison.study import side_by_side
 
     with progress.stage("sensors", total=len(config.sensors)) as stage:

@@ -20,20 +20,11 @@ __all__ = ["Sensor", "SideBySide", "side_by_side"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensor:
-    """One of the sensors.
+    """One of the sensors."""
 
-    Attributes
-    ----------
-    name : str
-        What to call it; no two have the same.
-    prediction : CameraPrediction
-        As configured.
-    scalars : mapping of str to Scalar
-        Of the prediction; over temperature too where a requirement of any of the sensors needs that.
-    """
-
-    name: str
-    prediction: CameraPrediction
+    name: str  # What to call it; no two have the same
+    prediction: CameraPrediction  # As configured
+    # Of the prediction; over temperature too where a requirement of any of the sensors needs that
     scalars: Mapping[str, Scalar]
 
     @property
@@ -72,13 +63,7 @@ class SideBySide:
 
 
 def side_by_side(configs: Sequence[Config], *, advance: Callable[[], None] = lambda: None) -> SideBySide:
-    """Predict all sensors, in the same attitudes of the sky (those of their seed).
-
-    Raises
-    ------
-    DomainError
-        If one cannot be predicted; it is named.
-    """
+    """Predict all sensors, in the same attitudes of the sky (those of their seed)."""
     counts: Counter[str] = Counter()
     asked = {key for config in configs for key, value in config.requirements.model_dump().items() if value is not None}
     found = []

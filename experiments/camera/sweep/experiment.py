@@ -16,13 +16,7 @@ __all__ = ["experiment", "run"]
 
 
 def run(config: Config, *, progress: Progress) -> SweepStudy:
-    """Predict every value.
-
-    Raises
-    ------
-    StarbenchError
-        If no value can be predicted.
-    """
+    """Predict every value."""
     from experiments.camera.sweep.study import sweep_study
 
     with progress.stage("sweep", total=math.prod(len(one.values) for one in config.sweep_ranges)) as stage:

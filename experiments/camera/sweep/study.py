@@ -49,51 +49,25 @@ MEASURED = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Axis:
-    """One swept key.
+    """One swept key."""
 
-    Attributes
-    ----------
-    key, label, unit : str
-        Dotted key, what it is, its unit.
-    values : tuple of float
-        In order.
-    """
-
-    key: str
-    label: str
-    unit: str
-    values: tuple[float, ...]
+    key: str  # Dotted key, what it is, its unit
+    label: str  # Dotted key, what it is, its unit
+    unit: str  # Dotted key, what it is, its unit
+    values: tuple[float, ...]  # In order
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepPoint:
-    """The sensor at one point of the sweep.
+    """The sensor at one point of the sweep."""
 
-    Attributes
-    ----------
-    at : tuple of float
-        Values of the swept keys.
-    scalars : mapping of str to Scalar
-        Of the prediction; empty where the setting is refused.
-    verdicts : tuple of Verdict
-        On the requirements that a prediction at one temperature knows of.
-    compared : tuple of Comparison
-        Frames beside the prediction; empty without frames.
-    criteria : tuple of Criterion
-        On these frames.
-    catalogue_ends : bool
-        Whether the sensor finds stars that the catalogue does not hold.
-    refusal : str
-        Why there is no prediction, or no frames; "" where there is what was asked for.
-    """
-
-    at: tuple[float, ...]
-    scalars: Mapping[str, Scalar]
-    verdicts: tuple[Verdict, ...] = ()
-    compared: tuple[Comparison, ...] = ()
-    criteria: tuple[Criterion, ...] = ()
-    catalogue_ends: bool = False
-    refusal: str = ""
+    at: tuple[float, ...]  # Values of the swept keys
+    scalars: Mapping[str, Scalar]  # Of the prediction; empty where the setting is refused
+    verdicts: tuple[Verdict, ...] = ()  # On the requirements that a prediction at one temperature knows of
+    compared: tuple[Comparison, ...] = ()  # Frames beside the prediction; empty without frames
+    criteria: tuple[Criterion, ...] = ()  # On these frames
+    catalogue_ends: bool = False  # Whether the sensor finds stars that the catalogue does not hold
+    refusal: str = ""  # Why there is no prediction, or no frames; "" where there is what was asked for
 
     @property
     def met(self) -> bool:
@@ -116,40 +90,20 @@ class SweepPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Crossing:
-    """Where a requirement begins or ceases to be met, between two values of a swept key.
+    """Where a requirement begins or ceases to be met, between two values of a swept key."""
 
-    Attributes
-    ----------
-    name : str
-        Of the requirement.
-    at : float
-        Value of the key, by interpolation of the margin.
-    above : bool
-        Whether it is met above that value; below it otherwise.
-    """
-
-    name: str
-    at: float
-    above: bool
+    name: str  # Of the requirement
+    at: float  # Value of the key, by interpolation of the margin
+    above: bool  # Whether it is met above that value; below it otherwise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepStudy:
-    """A sweep of one or two keys.
+    """A sweep of one or two keys."""
 
-    Attributes
-    ----------
-    config : Config
-        The sensor without the sweep.
-    axes : tuple of Axis
-        One or two.
-    points : tuple of SweepPoint
-        All combinations, the last axis fastest.
-    """
-
-    config: Config
-    axes: tuple[Axis, ...]
-    points: tuple[SweepPoint, ...]
+    config: Config  # The sensor without the sweep
+    axes: tuple[Axis, ...]  # One or two
+    points: tuple[SweepPoint, ...]  # All combinations, the last axis fastest
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -269,20 +223,7 @@ STAR = "star.magnitude_mag"
 
 
 def sweep_study(config: Config, *, advance: Callable[[], None] = lambda: None) -> SweepStudy:
-    """Predict a sensor over the range of one key, or over that of two.
-
-    Parameters
-    ----------
-    config : Config
-        The sensor; ``sweep`` names keys and values, ``sweep_measured`` asks for rendered frames at all of them.
-    advance : callable
-        Called after every point.
-
-    Raises
-    ------
-    DomainError
-        If no point at all can be predicted; the reason is that of the first.
-    """
+    """Predict a sensor over the range of one key, or over that of two."""
     plain = config.model_copy(update={"sweep": (), "sweep_measured": False})
     ranges = config.sweep_ranges
     frames = len(ranges[0].values) if config.sweep_measured else 0

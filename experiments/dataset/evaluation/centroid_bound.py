@@ -32,21 +32,11 @@ FLUX_KNOTS = 25
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CentroidBound:
-    """Cramer-Rao bound of a centroid against electrons, at some distances from the middle, at every sub-pixel phase.
+    """Cramer-Rao bound of a centroid against electrons, at some distances from the middle, at every sub-pixel phase."""
 
-    Attributes
-    ----------
-    radius_px : (r,)
-        Increasing distances of the PSFs.
-    electrons : (k,)
-        Increasing.
-    sigma_px : (r, k, p, p, 2)
-        Of x and y, for phases (-1/2 + (i + 1/2) / p) of row and column.
-    """
-
-    radius_px: FloatArray
-    electrons: FloatArray
-    sigma_px: FloatArray
+    radius_px: FloatArray  # (r,) Increasing distances of the PSFs
+    electrons: FloatArray  # (k,) Increasing
+    sigma_px: FloatArray  # (r, k, p, p, 2) Of x and y, for phases (-1/2 + (i + 1/2) / p) of row and column
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -75,23 +65,7 @@ def centroid_bound(
     window_px: int,
     electrons: tuple[float, float],
 ) -> CentroidBound:
-    """Bound for stars of unknown position and flux on a known background, in the window that is used.
-
-    Parameters
-    ----------
-    psfs : list of EffectivePsf
-        At increasing distances from the middle.
-    radius_px : (r,)
-        These distances.
-    noise : NoiseModel
-        Of a pixel.
-    background_e : float
-        Expected electrons per pixel without the star.
-    window_px : int
-        Size of the window.
-    electrons : (float, float)
-        Range.
-    """
+    """Bound for stars of unknown position and flux on a known background, in the window that is used."""
     flux, middle = np.geomspace(*electrons, FLUX_KNOTS), (window_px - 1) / 2.0
     phase = (np.arange(PHASES) + 0.5) / PHASES - 0.5
     y, x = (value.ravel() + middle for value in np.meshgrid(phase, phase, indexing="ij"))

@@ -27,50 +27,22 @@ NEAR_PX = 4.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FoundStars:
-    """Stars of one or more frames, and what the detection made of them.
+    """Stars of one or more frames, and what the detection made of them."""
 
-    Attributes
-    ----------
-    magnitude, snr, electrons : (n,)
-        Of every star of which light reaches the detector.
-    flags : (n,) int32
-        Of the truth (`experiments.dataset.truth.star_truth.FLAGS`).
-    found : (n,) bool
-        Whether a detection belongs to it.
-    fit : (n,) bool
-        Whether that detection has no flag of the measurement.
-    blend_seen : (n,) bool
-        Whether that detection is flagged ``BLEND``.
-    error_px : (n, 2)
-        Centroid minus centroid of the noiseless light; NaN where there is no centroid.
-    smear_px : (n,)
-        Length of its trail.
-    position_px : (n, 2)
-        Centroid of its noiseless light.
-    radius_px : (n,)
-        Distance from the middle of the detector.
-    false : (f,)
-        Frames of detections without a star.
-    false_spike : (f,) bool
-        Whether these are flagged as sharper than a star or as defective.
-    frames : int
-        Number of frames.
-    """
-
-    magnitude: FloatArray
-    snr: FloatArray
-    electrons: FloatArray
-    flags: NDArray[np.int32]
-    found: NDArray[np.bool_]
-    fit: NDArray[np.bool_]
-    blend_seen: NDArray[np.bool_]
-    error_px: FloatArray
-    smear_px: FloatArray
-    position_px: FloatArray
-    radius_px: FloatArray
-    false: NDArray[np.int64]
-    false_spike: NDArray[np.bool_]
-    frames: int
+    magnitude: FloatArray  # (n,) Of every star of which light reaches the detector
+    snr: FloatArray  # (n,) Of every star of which light reaches the detector
+    electrons: FloatArray  # (n,) Of every star of which light reaches the detector
+    flags: NDArray[np.int32]  # (n,) Of the truth (`experiments.dataset.truth.star_truth.FLAGS`)
+    found: NDArray[np.bool_]  # (n,) Whether a detection belongs to it
+    fit: NDArray[np.bool_]  # (n,) Whether that detection has no flag of the measurement
+    blend_seen: NDArray[np.bool_]  # (n,) Whether that detection is flagged ``BLEND``
+    error_px: FloatArray  # (n, 2) Centroid minus centroid of the noiseless light; NaN where there is no centroid
+    smear_px: FloatArray  # (n,) Length of its trail
+    position_px: FloatArray  # (n, 2) Centroid of its noiseless light
+    radius_px: FloatArray  # (n,) Distance from the middle of the detector
+    false: NDArray[np.int64]  # (f,) Frames of detections without a star
+    false_spike: NDArray[np.bool_]  # (f,) Whether these are flagged as sharper than a star or as defective
+    frames: int  # Number of frames
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -96,19 +68,7 @@ class FoundStars:
 def compare_frame(
     frame: int, measured: MeasuredFrame, truth: dict[str, Any], *, width_px: int, height_px: int
 ) -> FoundStars:
-    """Lay the detections of a frame beside its truth.
-
-    Parameters
-    ----------
-    frame : int
-        Its number.
-    measured : MeasuredFrame
-        Detections.
-    truth : dict
-        Columns of its truth.
-    width_px, height_px : int
-        Size of the detector.
-    """
+    """Lay the detections of a frame beside its truth."""
     lit = (np.asarray(truth["flags"]) & FLAGS["no_light"][0]) == 0
     star = np.column_stack([truth["photon_x_px"], truth["photon_y_px"]])[lit]
     detected = measured.detected_px

@@ -48,108 +48,44 @@ EMPTY = "empty"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Example:
-    """A frame to be shown.
+    """A frame to be shown."""
 
-    Attributes
-    ----------
-    frame : int
-        Its number.
-    electrons : (h, w) float32
-        Above the dark.
-    measured : MeasuredFrame
-        What was detected.
-    truth : dict
-        Columns of its truth.
-    """
-
-    frame: int
-    electrons: NDArray[np.float32]
-    measured: MeasuredFrame
-    truth: dict[str, Any]
+    frame: int  # Its number
+    electrons: NDArray[np.float32]  # (h, w) Above the dark
+    measured: MeasuredFrame  # What was detected
+    truth: dict[str, Any]  # Columns of its truth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
-    """What was found.
+    """What was found."""
 
-    Attributes
-    ----------
-    frames : int
-        How many were looked at.
-    temperature_k : float
-        Colour of the stars that the camera is calibrated for: the median.
-    calibration : MapFit
-        Camera model.
-    solved : tuple of SolvedFrame
-        One per frame; empty where the solver is missing.
-    without_solver : str
-        Why, if so.
-    blind : bool
-        Whether stars were identified without a rough attitude (`experiments.dataset.evaluation.solve`).
-    stars : FoundStars
-        Of all frames.
-    bound : CentroidBound
-        What centroids could reach.
-    background_e : float
-        Expected electrons of a pixel without star, sky and dark current, that the bound was computed with.
-    empty_frames : int
-        Frames without stars that were read out for comparison, with the same background.
-    empty_detections : int
-        What was detected in them without a flag of the measurement.
-    wcs_miss_px : (n,)
-        Of all stars of all frames.
-    plain : tuple of PlainAttitude
-        Written attitudes against the pixels, of frames at rest (`experiments.dataset.evaluation.independent`).
-    pointing_off_arcsec : (n,)
-        Written boresight and roll against the written quaternion.
-    turned_off_sigma : float
-        How far the blind solution is off that of the same stars turned by a known angle, in its sigmas, for the first
-        frame that is solved; NaN without one.
-    example : Example or None
-        The first frame with stars.
-    """
-
-    frames: int
-    temperature_k: float
-    calibration: MapFit
-    solved: tuple[SolvedFrame, ...]
-    without_solver: str
-    blind: bool
-    stars: FoundStars
-    bound: CentroidBound
+    frames: int  # How many were looked at
+    temperature_k: float  # Colour of the stars that the camera is calibrated for: the median
+    calibration: MapFit  # Camera model
+    solved: tuple[SolvedFrame, ...]  # One per frame; empty where the solver is missing
+    without_solver: str  # Why, if so
+    blind: bool  # Whether stars were identified without a rough attitude (`experiments.dataset.evaluation.solve`)
+    stars: FoundStars  # Of all frames
+    bound: CentroidBound  # What centroids could reach
+    # Expected electrons of a pixel without star, sky and dark current, that the bound was computed with
     background_e: float
-    empty_frames: int
-    empty_detections: int
-    wcs_miss_px: FloatArray
+    empty_frames: int  # Frames without stars that were read out for comparison, with the same background
+    empty_detections: int  # What was detected in them without a flag of the measurement
+    wcs_miss_px: FloatArray  # (n,) Of all stars of all frames
+    # Written attitudes against the pixels, of frames at rest (`experiments.dataset.evaluation.independent`)
     plain: tuple[PlainAttitude, ...]
-    pointing_off_arcsec: FloatArray
+    pointing_off_arcsec: FloatArray  # (n,) Written boresight and roll against the written quaternion
+    # How far the blind solution is off that of the same stars turned by a known angle, in its sigmas, for the first
+    # frame that is solved; NaN without one
     turned_off_sigma: float
-    example: Example | None
+    example: Example | None  # The first frame with stars
 
 
 def evaluate(
     folder: Path, scene: Scene, records: Sequence[FrameRecord], *, patterns: Any, advance: Callable[[], None]
 ) -> Evaluation:
-    """Measure, solve and compare frames of a dataset.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        The dataset.
-    scene : Scene
-        What its frames have in common.
-    records : sequence of FrameRecord
-        The frames to look at.
-    patterns : tetra3rs.SolverDatabase or None
-        Of `experiments.dataset.evaluation.solve.star_patterns`.
-    advance : callable
-        Called once per frame.
-
-    Raises
-    ------
-    StarbenchError
-        Unknown centroider; no light on most of the detector.
-    """
+    """Measure, solve and compare frames of a dataset."""
     verify, camera = scene.config.verify, scene.instrument.camera
     streams = scene.plan.streams.child("verify")
     dark = mean_dark_frame(scene.instrument, verify.dark_frames, streams=streams, label=EMPTY)

@@ -56,19 +56,11 @@ TURN_DEG = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlainAttitude:
-    """The written attitude of one frame against its pixels.
+    """The written attitude of one frame against its pixels."""
 
-    Attributes
-    ----------
-    error_arcsec, sigma_arcsec : (3,)
-        About cam x, y and z (roll): pixels minus record, and standard deviation.
-    found : float
-        Part of the stars that stand where the record puts them.
-    """
-
-    error_arcsec: FloatArray
-    sigma_arcsec: FloatArray
-    found: float
+    error_arcsec: FloatArray  # (3,) About cam x, y and z (roll): pixels minus record, and standard deviation
+    sigma_arcsec: FloatArray  # (3,) About cam x, y and z (roll): pixels minus record, and standard deviation
+    found: float  # Part of the stars that stand where the record puts them
 
     def __post_init__(self) -> None:
         freeze(self, "error_arcsec", shape=(3,), finite=False)
@@ -83,21 +75,7 @@ def plain_attitude(
     focal_px: float,
     centre_px: FloatArray,
 ) -> PlainAttitude | None:
-    """The written attitude of a frame against the light in its pixels; None with too few undisturbed stars.
-
-    Parameters
-    ----------
-    image : (h, w)
-        Pixels of the file.
-    record : FrameRecord
-        Of the frame.
-    truth : dict
-        Columns of its truth; places on the sky, flags and signal-to-noise ratios are used.
-    focal_px : float
-        Focal length in pixels.
-    centre_px : (2,)
-        Where the axis of the lens meets the detector.
-    """
+    """The written attitude of a frame against the light in its pixels; None with too few undisturbed stars."""
     good = np.flatnonzero((np.asarray(truth["flags"]) == 0) & (np.asarray(truth["snr"]) >= LEAST_SNR))
     if len(good) < FEWEST:
         return None

@@ -50,21 +50,12 @@ FIELD_MARGIN = 0.06
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SkyMap:
-    """Catalogue that attitudes are computed with, as the camera sees it.
+    """Catalogue that attitudes are computed with, as the camera sees it."""
 
-    Attributes
-    ----------
-    direction : (n, 3)
-        Unit vectors in icrs, aberration included if the frames have it.
-    by_id : mapping or None
-        Identifier -> direction; None where identifiers are not those of tetra3rs, whose own directions then serve.
-    id : (n,) int64
-        Identifiers.
-    """
-
-    direction: FloatArray
+    direction: FloatArray  # (n, 3) Unit vectors in icrs, aberration included if the frames have it
+    # Identifier -> direction; None where identifiers are not those of tetra3rs, whose own directions then serve
     by_id: Mapping[int, FloatArray] | None
-    id: NDArray[np.int64]
+    id: NDArray[np.int64]  # (n,) Identifiers
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -74,37 +65,19 @@ class SkyMap:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SolvedFrame:
-    """What became of one frame; errors are rotation vectors in cam: across the boresight x, y, and roll z.
+    """What became of one frame; errors are rotation vectors in cam: across the boresight x, y, and roll z."""
 
-    Attributes
-    ----------
-    frame : int
-        Its number.
-    status, message : str
-        Of `calib.attitude.identify.identify`; ``"wrong"`` for an attitude that is off by more than a pixel.
-    detected, fit, identified, used : int
-        Detections, those without a flag, those that tetra3rs matched, those in the weighted attitude.
-    error_arcsec : (3,)
-        Weighted attitude minus truth; NaN where there is none.
-    sigma_arcsec : (3,)
-        What its covariance says.
-    equal_error_arcsec : (3,)
-        With equal weights, of the stars that tetra3rs matched.
-    common_px : float
-        Common centroid error that the residuals ask for.
-    """
-
-    frame: int
-    status: str
-    message: str
-    detected: int
-    fit: int
-    identified: int
-    used: int
-    error_arcsec: FloatArray
-    sigma_arcsec: FloatArray
-    equal_error_arcsec: FloatArray
-    common_px: float
+    frame: int  # Its number
+    status: str  # Of `calib.attitude.identify.identify`; ``"wrong"`` for an attitude that is off by more than a pixel
+    message: str  # Of `calib.attitude.identify.identify`; ``"wrong"`` for an attitude that is off by more than a pixel
+    detected: int  # Detections, those without a flag, those that tetra3rs matched, those in the weighted attitude
+    fit: int  # Detections, those without a flag, those that tetra3rs matched, those in the weighted attitude
+    identified: int  # Detections, those without a flag, those that tetra3rs matched, those in the weighted attitude
+    used: int  # Detections, those without a flag, those that tetra3rs matched, those in the weighted attitude
+    error_arcsec: FloatArray  # (3,) Weighted attitude minus truth; NaN where there is none
+    sigma_arcsec: FloatArray  # (3,) What its covariance says
+    equal_error_arcsec: FloatArray  # (3,) With equal weights, of the stars that tetra3rs matched
+    common_px: float  # Common centroid error that the residuals ask for
 
     def __post_init__(self) -> None:
         for name in ("error_arcsec", "sigma_arcsec", "equal_error_arcsec"):
@@ -138,34 +111,7 @@ def solve_frame(
     pixel_arcsec: float,
     near: Rotation | None = None,
 ) -> SolvedFrame:
-    """Solve one frame blind, or near a rough attitude, and compare with the truth.
-
-    Parameters
-    ----------
-    frame : int
-        Its number.
-    measured : MeasuredFrame
-        Its stars.
-    model : CameraModel
-        Calibrated camera.
-    model_turn : Rotation
-        The model's cam from the cam of the truth (`calib.cameras.fit.MapFit.rotation`).
-    database : tetra3rs.SolverDatabase or None
-        For this field of view; not used with ``near``.
-    sky : SkyMap
-        Catalogue.
-    truth : Rotation
-        cam from icrs.
-    pixel_arcsec : float
-        Angle of a pixel.
-    near : Rotation, optional
-        Rough attitude, the model's cam from icrs.
-
-    Raises
-    ------
-    ConfigError
-        tetra3rs is missing.
-    """
+    """Solve one frame blind, or near a rough attitude, and compare with the truth."""
     # patterns are made of the brightest stars: those that are saturated or blended must not be missing from them
     stars = measured.stars
     seen = np.isfinite(stars.pixel_px).all(axis=1) & np.isfinite(stars.flux_e) & ~stars.sharp
@@ -236,13 +182,7 @@ def field_deg(scene: Scene) -> float:
 
 
 def star_patterns(scene: Scene) -> Any:
-    """Patterns of tetra3rs for the camera of a dataset; None without tetra3rs, or in a field too narrow for them.
-
-    Raises
-    ------
-    ConfigError
-        tetra3rs cannot make them.
-    """
+    """Patterns of tetra3rs for the camera of a dataset; None without tetra3rs, or in a field too narrow for them."""
     field = field_deg(scene)
     if importlib.util.find_spec("tetra3rs") is None or field < NARROWEST_BLIND_DEG:
         return None
@@ -251,15 +191,6 @@ def star_patterns(scene: Scene) -> Any:
 
 class BlindSolver:
     """tetra3rs with the camera and the sky of a dataset; in narrow fields, identification near a rough attitude.
-
-    Parameters
-    ----------
-    scene : Scene
-        What the frames have in common.
-    calibration : MapFit
-        Camera model.
-    patterns : tetra3rs.SolverDatabase or None
-        Of `star_patterns`.
 
     Attributes
     ----------

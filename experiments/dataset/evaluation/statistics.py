@@ -43,38 +43,20 @@ ROBUST_SIGMA = 1.4826
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SolverStatistics:
-    """What the solver reached.
+    """What the solver reached."""
 
-    Attributes
-    ----------
-    attempted, solved, mirrored, wrong : int
-        Frames; mirrored and wrong ones are not solved.
-    median_arcsec, p95_arcsec, largest_arcsec : float
-        Boresight error of the solved ones.
-    median_error_arcsec : float
-        Standard error of the median.
-    roll_median_arcsec : float
-        Median of the absolute roll error.
-    equal_median_arcsec : float
-        Median boresight error with equal weights.
-    sigma_arcsec : float
-        Median of the predicted length of the boresight error.
-    pull : (3,)
-        Root mean square of error over predicted sigma.
-    """
-
-    attempted: int
-    solved: int
-    mirrored: int
-    wrong: int
-    median_arcsec: float
-    median_error_arcsec: float
-    p95_arcsec: float
-    largest_arcsec: float
-    roll_median_arcsec: float
-    equal_median_arcsec: float
-    sigma_arcsec: float
-    pull: FloatArray
+    attempted: int  # Frames; mirrored and wrong ones are not solved
+    solved: int  # Frames; mirrored and wrong ones are not solved
+    mirrored: int  # Frames; mirrored and wrong ones are not solved
+    wrong: int  # Frames; mirrored and wrong ones are not solved
+    median_arcsec: float  # Boresight error of the solved ones
+    median_error_arcsec: float  # Standard error of the median
+    p95_arcsec: float  # Boresight error of the solved ones
+    largest_arcsec: float  # Boresight error of the solved ones
+    roll_median_arcsec: float  # Median of the absolute roll error
+    equal_median_arcsec: float  # Median boresight error with equal weights
+    sigma_arcsec: float  # Median of the predicted length of the boresight error
+    pull: FloatArray  # (3,) Root mean square of error over predicted sigma
 
     @property
     def parity_ok(self) -> bool:
@@ -109,24 +91,14 @@ def solver_statistics(frames: tuple[SolvedFrame, ...]) -> SolverStatistics:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Completeness:
-    """Share of the stars that are found, in bins.
+    """Share of the stars that are found, in bins."""
 
-    Attributes
-    ----------
-    edges : (k + 1,)
-        Of the bins.
-    stars, found : (k,) int64
-        In every bin.
-    share, low, high : (k,)
-        Share and its interval of 68.3 % (Wilson); NaN in empty bins.
-    """
-
-    edges: FloatArray
-    stars: NDArray[np.int64]
-    found: NDArray[np.int64]
-    share: FloatArray
-    low: FloatArray
-    high: FloatArray
+    edges: FloatArray  # (k + 1,) Of the bins
+    stars: NDArray[np.int64]  # (k,) In every bin
+    found: NDArray[np.int64]  # (k,) In every bin
+    share: FloatArray  # (k,) Share and its interval of 68.3 % (Wilson); NaN in empty bins
+    low: FloatArray  # (k,) Share and its interval of 68.3 % (Wilson); NaN in empty bins
+    high: FloatArray  # (k,) Share and its interval of 68.3 % (Wilson); NaN in empty bins
 
     @property
     def middle(self) -> FloatArray:
@@ -179,30 +151,14 @@ def false_excess(evaluation: Evaluation) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CentroidBins:
-    """Centroid errors of undisturbed stars against signal-to-noise ratio.
+    """Centroid errors of undisturbed stars against signal-to-noise ratio."""
 
-    Attributes
-    ----------
-    snr : (k,)
-        Median of each bin.
-    error_px : (k,)
-        Robust standard deviation per axis.
-    error_sigma_px : (k,)
-        Its own standard error.
-    bound_px : (k,)
-        Median of the stars' Cramer-Rao bounds, each at its own place on the pixels.
-    ratio : (k,)
-        Robust standard deviation of each star's error over its own bound.
-    stars : (k,) int64
-        In each bin.
-    """
-
-    snr: FloatArray
-    error_px: FloatArray
-    error_sigma_px: FloatArray
-    bound_px: FloatArray
-    ratio: FloatArray
-    stars: NDArray[np.int64]
+    snr: FloatArray  # (k,) Median of each bin
+    error_px: FloatArray  # (k,) Robust standard deviation per axis
+    error_sigma_px: FloatArray  # (k,) Its own standard error
+    bound_px: FloatArray  # (k,) Median of the stars' Cramer-Rao bounds, each at its own place on the pixels
+    ratio: FloatArray  # (k,) Robust standard deviation of each star's error over its own bound
+    stars: NDArray[np.int64]  # (k,) In each bin
 
 
 def centroid_bins(evaluation: Evaluation, *, bins_per_decade: int = 6) -> CentroidBins:

@@ -16,17 +16,7 @@ __all__ = ["wcs_misses_px"]
 
 
 def wcs_misses_px(path: str | Path, truth: dict[str, Any], *, width_px: int, height_px: int) -> FloatArray:
-    """Distances (n,) [px] between where astropy's WCS of a file puts stars and their chief rays.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        A frame.
-    truth : dict
-        Columns of its truth.
-    width_px, height_px : int
-        Stars whose chief ray falls outside of the detector do not count.
-    """
+    """Distances (n,) [px] between where astropy's WCS of a file puts stars and their chief rays."""
     from astropy.io import fits
     from astropy.wcs import WCS, FITSFixedWarning
 

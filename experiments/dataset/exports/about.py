@@ -14,16 +14,7 @@ _GAIA = "CC-BY-SA-3.0-IGO"
 
 
 def about(config: Config, catalogue: StarCatalog) -> dict[str, str]:
-    """Title, version, licence (SPDX identifier), licence_url, citation; each on one line.
-
-    Parameters
-    ----------
-    config : Config
-        What the user says (``card``) goes first.
-    catalogue : StarCatalog
-        Its licence is that of the dataset where the user names none: directions and magnitudes of its stars are part
-        of the truth.
-    """
+    """Title, version, licence (SPDX identifier), licence_url, citation; each on one line."""
     card = config.card
     shared = _GAIA if "CC BY-SA 3.0 IGO" in catalogue.attribution else ""
     licence = card.licence or shared

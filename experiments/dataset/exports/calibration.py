@@ -48,29 +48,7 @@ class _Master:
 
 
 def write_calibration(scene: Scene, folder: Path, frames: int, done: Callable[[], None]) -> str:
-    """Write the products of a dataset.
-
-    Parameters
-    ----------
-    scene : Scene
-        Its detector, exposure and temperature.
-    folder : pathlib.Path
-        The dataset.
-    frames : int
-        Frames per master, at least two.
-    done : callable
-        Called after every master.
-
-    Returns
-    -------
-    str
-        What was written, in words.
-
-    Raises
-    ------
-    StorageError
-        Something could not be written.
-    """
+    """Write the products of a dataset."""
     from render.detector.maps import sensor_maps
 
     config, chip = scene.config.instrument, scene.instrument.detector

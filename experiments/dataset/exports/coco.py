@@ -56,35 +56,7 @@ def export_coco(
     about: Mapping[str, str],
     done: Callable[[], None],
 ) -> str:
-    """Write ``coco/images/frame_000123.png`` and ``coco/annotations/instances_SPLIT.json``.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        The dataset.
-    records : sequence of FrameRecord
-        Its frames.
-    diffusion_px : float
-        Charge diffusion of the detector, part of the stars' boxes.
-    bits : int
-        16: digital numbers as they are; 8: stretched for the eye.
-    labels : callable
-        ``labels(frame)``: what else a frame shows (`experiments.dataset.truth.labels.LabelMaker`).
-    about : mapping
-        Of the dataset: title, version, licence, citation (`experiments.dataset.exports.about`).
-    done : callable
-        Called after every frame.
-
-    Returns
-    -------
-    str
-        What was written, in words.
-
-    Raises
-    ------
-    StorageError
-        Something could not be written.
-    """
+    """Write ``coco/images/frame_000123.png`` and ``coco/annotations/instances_SPLIT.json``."""
     root = folder / FOLDER
     try:
         for part in ("images", "annotations"):

@@ -58,20 +58,7 @@ def chosen(records: Sequence[FrameRecord]) -> list[FrameRecord]:
 
 
 def contact_sheet(folder: Path, records: Sequence[FrameRecord]) -> bytes:
-    """PNG of up to 24 frames of a dataset; the same frames give the same bytes.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        The dataset.
-    records : sequence of FrameRecord
-        Its frames.
-
-    Raises
-    ------
-    ConfigError
-        A frame that cannot be read.
-    """
+    """PNG of up to 24 frames of a dataset; the same frames give the same bytes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -29,13 +29,7 @@ are."""
 
 
 def check_webdataset() -> Any:
-    """The library.
-
-    Raises
-    ------
-    ConfigError
-        It is not installed.
-    """
+    """The library."""
     try:
         import webdataset
     except ImportError:
@@ -46,29 +40,7 @@ def check_webdataset() -> Any:
 
 
 def export_shards(folder: Path, records: Sequence[FrameRecord], *, done: Callable[[], None]) -> str:
-    """Write ``webdataset/SPLIT-000000.tar``: per sample ``npy`` (uint16), ``json`` (record), the truth, and ``fts``.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        The dataset.
-    records : sequence of FrameRecord
-        Its frames, in their order.
-    done : callable
-        Called after every frame.
-
-    Returns
-    -------
-    str
-        What was written, in words.
-
-    Raises
-    ------
-    ConfigError
-        The library is missing.
-    StorageError
-        Something could not be written.
-    """
+    """Write ``webdataset/SPLIT-000000.tar``: per sample ``npy`` (uint16), ``json`` (record), the truth, and ``fts``."""
     webdataset = check_webdataset()
     root = folder / FOLDER
     shards: dict[str, list[FrameRecord]] = {}

@@ -22,15 +22,7 @@ EXPORTS = ("coco", "webdataset")
 
 
 def write_exports(scene: Scene, folder: Path, records: Sequence[FrameRecord], progress: Progress) -> dict[str, str]:
-    """The exports asked for; name -> what was written, in words.
-
-    Raises
-    ------
-    ConfigError
-        A library is missing.
-    StorageError
-        Something could not be written.
-    """
+    """The exports asked for; name -> what was written, in words."""
     from experiments.dataset.exports.about import about
     from experiments.dataset.exports.calibration import write_calibration
     from experiments.dataset.exports.coco import export_coco

@@ -24,13 +24,7 @@ _QUATERNION = ("quat_x", "quat_y", "quat_z", "quat_w")
 
 
 def file_digest(name: str | Path) -> str:
-    """SHA-256 of a file that frames depend on.
-
-    Raises
-    ------
-    ConfigError
-        It cannot be read.
-    """
+    """SHA-256 of a file that frames depend on."""
     try:
         return hashlib.sha256(Path(name).read_bytes()).hexdigest()
     except OSError as error:
@@ -38,22 +32,7 @@ def file_digest(name: str | Path) -> str:
 
 
 def read_attitudes(name: str, key: str) -> Rotation:
-    """Attitudes of a file, cam from icrs.
-
-    Parameters
-    ----------
-    name : str
-        CSV or ECSV with the columns ``ra_deg, dec_deg, roll_deg`` or ``quat_x, quat_y, quat_z, quat_w``.
-    key : str
-        Key of the configuration that named it, for messages.
-
-    Raises
-    ------
-    ConfigError
-        No file, columns missing, a unit that is no angle.
-    DomainError
-        A quaternion that is not of unit length, values that are not finite or look like another unit.
-    """
+    """Attitudes of a file, cam from icrs."""
     return _attitudes(_table(name, key), name)
 
 

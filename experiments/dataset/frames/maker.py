@@ -32,32 +32,15 @@ __all__ = ["FrameMaker", "MadeFrame"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MadeFrame:
-    """A frame as it will be written.
+    """A frame as it will be written."""
 
-    Attributes
-    ----------
-    plan : FramePlan
-        Attitude, motion, split.
-    frame : Frame
-        Digital numbers.
-    truth : dict
-        Columns of the truth (`experiments.dataset.truth.star_truth.COLUMNS`).
-    background_e : float
-        Mean expected electrons per pixel of sky light.
-    saturated_px : int
-        Pixels that are saturated.
-    disks : tuple of Disk
-        Bodies that are larger than a pixel.
-    struck : (h, w) bool or None
-        Pixels in which cosmic rays left at least an electron; None where none are asked for.
-    """
-
-    plan: FramePlan
-    frame: Frame
-    truth: dict[str, Any]
-    background_e: float
-    saturated_px: int
-    disks: tuple[Disk, ...] = ()
+    plan: FramePlan  # Attitude, motion, split
+    frame: Frame  # Digital numbers
+    truth: dict[str, Any]  # Columns of the truth (`experiments.dataset.truth.star_truth.COLUMNS`)
+    background_e: float  # Mean expected electrons per pixel of sky light
+    saturated_px: int  # Pixels that are saturated
+    disks: tuple[Disk, ...] = ()  # Bodies that are larger than a pixel
+    # (h, w) Pixels in which cosmic rays left at least an electron; None where none are asked for
     struck: NDArray[np.bool_] | None = None
 
     @property
@@ -92,13 +75,7 @@ class _Expected:
 
 
 class FrameMaker:
-    """Makes frames of one dataset; what it makes depends on the scene and the frame number alone.
-
-    Parameters
-    ----------
-    scene : Scene
-        What the frames have in common.
-    """
+    """Makes frames of one dataset; what it makes depends on the scene and the frame number alone."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene

@@ -44,88 +44,33 @@ RATE_SAMPLES = 1000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """All frames of a dataset; made by `build_plan`.
+    """All frames of a dataset; made by `build_plan`."""
 
-    Attributes
-    ----------
-    config : Config
-        The configuration.
-    streams : Streams
-        Root of the randomness of this dataset.
-    duration_s : float
-        From the start of the exposure of the first row to the end of that of the last.
-    attitudes : Rotation or None
-        Of a list.
-    aim : SkyPointing, ConePointing or None
-        Where attitudes are drawn; a cone about the body that is asked for.
-    path : Trajectory or None
-        Of a scan.
-    to_sun : (3,) or None
-        Towards the Sun along icrs, where attitudes have to keep away from it.
-    jitter : JitterSpectrum or None
-        Random motion on top; the path of a scan has it already.
-    splits : Splits
-        How the frames are shared out.
-    """
-
-    config: Config
-    streams: Streams
-    duration_s: float
-    attitudes: Rotation | None
-    aim: SkyPointing | ConePointing | None
-    path: Trajectory | None
-    to_sun: FloatArray | None
-    jitter: JitterSpectrum | None
-    splits: Splits
+    config: Config  # The configuration
+    streams: Streams  # Root of the randomness of this dataset
+    duration_s: float  # From the start of the exposure of the first row to the end of that of the last
+    attitudes: Rotation | None  # Of a list
+    aim: SkyPointing | ConePointing | None  # Where attitudes are drawn; a cone about the body that is asked for
+    path: Trajectory | None  # Of a scan
+    to_sun: FloatArray | None  # (3,) Towards the Sun along icrs, where attitudes have to keep away from it
+    jitter: JitterSpectrum | None  # Random motion on top; the path of a scan has it already
+    splits: Splits  # How the frames are shared out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FramePlan:
-    """One frame.
+    """One frame."""
 
-    Attributes
-    ----------
-    frame : int
-        Its number.
-    split : str
-        train, validation, test, or gap (`experiments.dataset.frames.splits`).
-    attitude : Rotation
-        cam from icrs in the middle of the exposure.
-    rate_rad_per_s : (3,)
-        Angular velocity in camera axes at that time.
-    start_s : float
-        Start of the exposure on the trajectory.
-    trajectory : Trajectory or None
-        Motion during the exposure; None where the camera stands still.
-    """
-
-    frame: int
-    split: str
-    attitude: Rotation
-    rate_rad_per_s: FloatArray
-    start_s: float
-    trajectory: Trajectory | None
+    frame: int  # Its number
+    split: str  # train, validation, test, or gap (`experiments.dataset.frames.splits`)
+    attitude: Rotation  # cam from icrs in the middle of the exposure
+    rate_rad_per_s: FloatArray  # (3,) Angular velocity in camera axes at that time
+    start_s: float  # Start of the exposure on the trajectory
+    trajectory: Trajectory | None  # Motion during the exposure; None where the camera stands still
 
 
 def build_plan(config: Config, height_px: int | None = None, diagonal_deg: float = 0.0) -> Plan:
-    """Read what has to be read, and refuse what cannot be.
-
-    Parameters
-    ----------
-    config : Config
-        The configuration.
-    height_px : int, optional
-        Rows of the detector; those of the configuration if left out.
-    diagonal_deg : float
-        Diagonal of the field, by which splits are kept apart.
-
-    Raises
-    ------
-    ConfigError
-        A file that is missing or not understood, fewer attitudes than frames, a motion given twice.
-    DomainError
-        An attitude that is not normalised, a motion shorter than the frames need.
-    """
+    """Read what has to be read, and refuse what cannot be."""
     pointing = config.pointing
     rows = config.instrument.height_px if height_px is None else height_px
     duration_s = config.instrument.exposure_s + max(0, rows - 1) * config.instrument.line_time_us * 1e-6
@@ -169,13 +114,7 @@ def build_plan(config: Config, height_px: int | None = None, diagonal_deg: float
 
 
 def _spectrum(config: JitterConfig) -> JitterSpectrum | None:
-    """The configured power spectra.
-
-    Raises
-    ------
-    DomainError
-        Frequencies that do not increase, or densities that are negative or zero in places.
-    """
+    """The configured power spectra."""
     count = len(config.frequency_hz)
     densities = (config.psd_x_arcsec2_per_hz, config.psd_y_arcsec2_per_hz, config.psd_z_arcsec2_per_hz)
     if not count or not any(densities):

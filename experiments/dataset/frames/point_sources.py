@@ -20,23 +20,13 @@ __all__ = ["PointSources", "point_sources", "smear_px"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PointSources:
-    """n point sources.
+    """n point sources."""
 
-    Attributes
-    ----------
-    light : StarField
-        Directions along icrs and light, as the renderer takes them.
-    star_id, catalogue_row : (n,) int64
-        Who they are.
-    magnitude, temperature_k : (n,)
-        As the truth tells them.
-    """
-
-    light: StarField
-    star_id: NDArray[np.int64]
-    catalogue_row: NDArray[np.int64]
-    magnitude: FloatArray
-    temperature_k: FloatArray
+    light: StarField  # Directions along icrs and light, as the renderer takes them
+    star_id: NDArray[np.int64]  # (n,) Who they are
+    catalogue_row: NDArray[np.int64]  # (n,) Who they are
+    magnitude: FloatArray  # (n,) As the truth tells them
+    temperature_k: FloatArray  # (n,) As the truth tells them
 
     def __post_init__(self) -> None:
         sizes = {"n": len(self.light)}
@@ -69,24 +59,7 @@ def point_sources(scene: Scene, plan: FramePlan) -> PointSources:
 
 
 def smear_px(scene: Scene, seen: PointSources, plan: FramePlan, row_px: FloatArray) -> FloatArray:
-    """Motion (n, 2) of chief rays at the design wavelength from the start to the end of their row's exposure [px].
-
-    Parameters
-    ----------
-    scene : Scene
-        Camera.
-    seen : PointSources
-        n points.
-    plan : FramePlan
-        Motion.
-    row_px : (n,)
-        Row of every point in the middle of its exposure; NaN where none of its light arrives.
-
-    Returns
-    -------
-    (n, 2)
-        Columns and rows; NaN for what is outside of the field at one of the two times.
-    """
+    """Motion (n, 2) of chief rays at the design wavelength from the start to the end of their row's exposure [px]."""
     if plan.trajectory is None or not len(seen):
         return np.zeros((len(seen), 2))
     camera = scene.config.instrument

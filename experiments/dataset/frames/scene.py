@@ -38,45 +38,19 @@ LONGEST_ANNEALED_S = 5e6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """What every frame of a dataset needs; made by `build_scene`.
+    """What every frame of a dataset needs; made by `build_scene`."""
 
-    Attributes
-    ----------
-    config : Config
-        The configuration.
-    instrument : Instrument
-        Camera and detector, cut to the window.
-    catalogue : SkyIndex
-        Stars that are bright enough, with their search tree.
-    row : (n,) int64
-        Their rows in the whole catalogue.
-    temperature_k : (n,)
-        Temperatures of the black bodies that stand for them.
-    view : FieldOfView
-        What the camera sees.
-    light : StarLight
-        The pass band.
-    plan : Plan
-        Attitudes and motions.
-    observer : Observer or None
-        Where the camera is.
-    wcs : LensWcs
-        World coordinates, fitted to chief rays at the mean of the wavelength nodes.
-    sky_light : SkyLight
-        Light that is no star.
-    """
-
-    config: Config
-    instrument: Instrument
-    catalogue: SkyIndex
-    row: NDArray[np.int64]
-    temperature_k: FloatArray
-    view: FieldOfView
-    light: StarLight
-    plan: Plan
-    observer: Observer | None
-    wcs: LensWcs
-    sky_light: SkyLight
+    config: Config  # The configuration
+    instrument: Instrument  # Camera and detector, cut to the window
+    catalogue: SkyIndex  # Stars that are bright enough, with their search tree
+    row: NDArray[np.int64]  # (n,) Their rows in the whole catalogue
+    temperature_k: FloatArray  # (n,) Temperatures of the black bodies that stand for them
+    view: FieldOfView  # What the camera sees
+    light: StarLight  # The pass band
+    plan: Plan  # Attitudes and motions
+    observer: Observer | None  # Where the camera is
+    wcs: LensWcs  # World coordinates, fitted to chief rays at the mean of the wavelength nodes
+    sky_light: SkyLight  # Light that is no star
 
     @property
     def faintest_mag(self) -> float:
@@ -98,15 +72,7 @@ class Scene:
 
 
 def build_scene(config: Config) -> Scene:
-    """Read and prepare everything, and refuse what cannot become a dataset.
-
-    Raises
-    ------
-    StarbenchError
-        Unknown lens, detector or catalogue, a window larger than the detector, a pass band beyond what is known, a
-        catalogue without magnitudes, no star bright enough, stars that leave the frame during an exposure, attitudes
-        that are not normalised, fields that hold no star at all.
-    """
+    """Read and prepare everything, and refuse what cannot become a dataset."""
     instrument = build_instrument(config.instrument)
     try:
         instrument.check_field()
@@ -203,13 +169,7 @@ def _check_light(scene: Scene) -> None:
 
 
 def _path_px(plan: Plan, instrument: Instrument) -> float:
-    """How far a star may be from where it is in the middle of the exposure [px].
-
-    Raises
-    ------
-    DomainError
-        So far that stars leave the frame during the exposure.
-    """
+    """How far a star may be from where it is in the middle of the exposure [px]."""
     across, about = fastest_rad_per_s(plan)
     camera = instrument.camera
     pixel_rad = instrument.pixel_arcsec * ARCSEC_RAD

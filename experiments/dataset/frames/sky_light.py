@@ -56,59 +56,29 @@ SUN_MARGIN_DEG = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Disk:
-    """A body that a frame shows as a disk.
+    """A body that a frame shows as a disk."""
 
-    Attributes
-    ----------
-    name : str
-        Which.
-    row : int
-        Its place in `SkyLight.disks`.
-    image : BodyImage
-        Its light in the frame.
-    """
-
-    name: str
-    row: int
-    image: BodyImage
+    name: str  # Which
+    row: int  # Its place in `SkyLight.disks`
+    image: BodyImage  # Its light in the frame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SkyLight:
-    """What all frames have of it in common; made by `build_sky_light`.
+    """What all frames have of it in common; made by `build_sky_light`."""
 
-    Attributes
-    ----------
-    config : BackgroundConfig
-        What was asked for.
-    diffuse : BackgroundMap or None
-        Etendue of every pixel; None without zodiacal light and uniform sky.
-    points, disks : SolarSystem or None
-        Bodies smaller and larger than a pixel.
-    light : StarField or None
-        The points, with their light.
-    bands : tuple of Band
-        The pass band.
-    """
-
-    config: BackgroundConfig
-    diffuse: BackgroundMap | None
-    points: SolarSystem | None
-    disks: SolarSystem | None
-    light: StarField | None
-    bands: tuple[Band, ...]
+    config: BackgroundConfig  # What was asked for
+    diffuse: BackgroundMap | None  # Etendue of every pixel; None without zodiacal light and uniform sky
+    points: SolarSystem | None  # Bodies smaller and larger than a pixel
+    disks: SolarSystem | None  # Bodies smaller and larger than a pixel
+    light: StarField | None  # The points, with their light
+    bands: tuple[Band, ...]  # The pass band
 
 
 def build_sky_light(
     config: Config, camera: Camera, band: Band, *, pixel_rad: float, observer: Observer | None
 ) -> SkyLight:
-    """Prepare it.
-
-    Raises
-    ------
-    ConfigError
-        Moon and planets without an observer.
-    """
+    """Prepare it."""
     background = config.background
     diffuse = points = disks = light = None
     if background.zodiacal or background.uniform_mag_per_arcsec2 is not None:
@@ -126,13 +96,7 @@ def build_sky_light(
 
 
 def check_sun(plan: Plan, to_sun: FloatArray, view: FieldOfView, frames: int) -> None:
-    """Refuse zodiacal light for attitudes so near the Sun that it is not known there.
-
-    Raises
-    ------
-    DomainError
-        Naming the frame, or the setting that keeps attitudes away.
-    """
+    """Refuse zodiacal light for attitudes so near the Sun that it is not known there."""
     needed = CLOSEST_DEG + float(np.degrees(view.radius_rad)) + SUN_MARGIN_DEG
     pointing = plan.config.pointing
     said = f"background.zodiacal: the light within {CLOSEST_DEG:g} deg of the Sun is not known"

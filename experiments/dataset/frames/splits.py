@@ -40,42 +40,15 @@ LEAST_USED = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Splits:
-    """How the frames of a dataset are shared out.
+    """How the frames of a dataset are shared out."""
 
-    Attributes
-    ----------
-    by : str
-        "sky", "arc" or "frame".
-    gap_deg : float
-        Least angle between boresights of two splits; 0 by frame.
-    of : callable
-        ``of(frame, boresight)``: name of the split, `GAP` for none.
-    """
-
-    by: Literal["sky", "arc", "frame"]
-    gap_deg: float
-    of: Callable[[int, FloatArray], str]
+    by: Literal["sky", "arc", "frame"]  # "sky", "arc" or "frame"
+    gap_deg: float  # Least angle between boresights of two splits; 0 by frame
+    of: Callable[[int, FloatArray], str]  # ``of(frame, boresight)``: name of the split, `GAP` for none
 
 
 def build_splits(config: Config, streams: Streams, diagonal_deg: float, listed: FloatArray | None = None) -> Splits:
-    """The splits of a dataset; which one a frame is in follows from configuration, number and boresight.
-
-    Parameters
-    ----------
-    config : Config
-        The configuration.
-    streams : Streams
-        Root of the dataset's randomness.
-    diagonal_deg : float
-        Diagonal of the field, the gap unless one is given.
-    listed : (n, 3), optional
-        Boresights of a list of attitudes.
-
-    Raises
-    ------
-    DomainError
-        The way asked for does not go with the pointing, or the gap leaves nothing.
-    """
+    """The splits of a dataset; which one a frame is in follows from configuration, number and boresight."""
     splits = config.splits
     gap_rad = (diagonal_deg if splits.gap_deg is None else splits.gap_deg) * DEG_RAD
     circle, looks = _circle(config), listed if listed is not None else _cone(config)
@@ -238,24 +211,12 @@ def _order(streams: Streams, block: int) -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leak:
-    """What frames of a split share with those for training.
+    """What frames of a split share with those for training."""
 
-    Attributes
-    ----------
-    frames : int
-        Frames of the split.
-    near : int
-        Those within half a field's diagonal of a training frame.
-    shared : int
-        Those within a whole one: they may show the same stars.
-    nearest_deg : float
-        Smallest angle to a training frame; NaN without frames.
-    """
-
-    frames: int
-    near: int
-    shared: int
-    nearest_deg: float
+    frames: int  # Frames of the split
+    near: int  # Those within half a field's diagonal of a training frame
+    shared: int  # Those within a whole one: they may show the same stars
+    nearest_deg: float  # Smallest angle to a training frame; NaN without frames
 
 
 def leakage(boresights: Mapping[str, Sequence[tuple[float, float]]], diagonal_deg: float) -> dict[str, Leak]:

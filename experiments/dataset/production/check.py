@@ -33,28 +33,14 @@ _FRAME = re.compile(r"(?:frames|truth)/frame_(\d{6,10})\.\w+")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Checked:
-    """What was found.
+    """What was found."""
 
-    Attributes
-    ----------
-    files : int
-        Files that are as they were written.
-    damaged, missing : tuple of str
-        Names of those that are not, and of those that are gone.
-    unlisted : tuple of str
-        Frames that no list covers, as after an interrupted run; they vouch for themselves.
-    foreign : tuple of str
-        Files that no run wrote; not told where the list is damaged.
-    frames : tuple of int
-        Frames that a run would make again.
-    """
-
-    files: int
-    damaged: tuple[str, ...]
-    missing: tuple[str, ...]
-    unlisted: tuple[str, ...]
-    foreign: tuple[str, ...]
-    frames: tuple[int, ...]
+    files: int  # Files that are as they were written
+    damaged: tuple[str, ...]  # Names of those that are not, and of those that are gone
+    missing: tuple[str, ...]  # Names of those that are not, and of those that are gone
+    unlisted: tuple[str, ...]  # Frames that no list covers, as after an interrupted run; they vouch for themselves
+    foreign: tuple[str, ...]  # Files that no run wrote; not told where the list is damaged
+    frames: tuple[int, ...]  # Frames that a run would make again
 
     def lines(self) -> list[str]:
         """In words."""
@@ -71,13 +57,7 @@ class Checked:
 
 
 def check(folder: Path, progress: Progress) -> Checked:
-    """Read every file of a dataset.
-
-    Raises
-    ------
-    ConfigError
-        No folder, or no dataset.
-    """
+    """Read every file of a dataset."""
     if not os.path.isdir(folder):
         raise ConfigError(f"{folder}: no such folder")
     origin, listed = held_identity(folder), _listed(folder)

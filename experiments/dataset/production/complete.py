@@ -25,50 +25,18 @@ __all__ = ["Completed", "complete", "in_words"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Completed:
-    """All frames, and how the missing ones were made.
+    """All frames, and how the missing ones were made."""
 
-    Attributes
-    ----------
-    records : tuple of FrameRecord
-        One per frame, in their order.
-    made : int
-        Frames made now; the others were there.
-    damaged : tuple of int
-        Frames that were there and damaged; they were made again.
-    frames_per_s : float
-        Frames per second from the first finished one to the last, all workers together; NaN for fewer than two.
-    workers : int
-        Processes that made them.
-    """
-
-    records: tuple[FrameRecord, ...]
-    made: int
-    damaged: tuple[int, ...]
+    records: tuple[FrameRecord, ...]  # One per frame, in their order
+    made: int  # Frames made now; the others were there
+    damaged: tuple[int, ...]  # Frames that were there and damaged; they were made again
+    # Frames per second from the first finished one to the last, all workers together; NaN for fewer than two
     frames_per_s: float
-    workers: int
+    workers: int  # Processes that made them
 
 
 def complete(config: Config, output: DatasetFolder, job: Job, *, pixels: int, progress: Progress) -> Completed:
-    """Make what is missing.
-
-    Parameters
-    ----------
-    config : Config
-        The configuration.
-    output : DatasetFolder
-        Where frames are, opened.
-    job : Job
-        What workers have to know.
-    pixels : int
-        Of a frame.
-    progress : Progress
-        Where to report.
-
-    Raises
-    ------
-    StarbenchError
-        See `experiments.dataset.production.schedule.make_frames`; or less room on the disk than the frames need.
-    """
+    """Make what is missing."""
     if output.repaired:
         progress.note(f"{output.shown}: {output.repaired}")
     records = _whole_frames(output, progress)

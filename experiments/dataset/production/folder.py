@@ -72,13 +72,7 @@ def frame_files(frame: int, truth: str) -> tuple[str, str]:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file beside its place and move it there.
-
-    Raises
-    ------
-    StorageError
-        It could not be written; what was in its place before still is.
-    """
+    """Write a file beside its place and move it there."""
     beside = path.with_name(f".{path.name}.{os.getpid()}-{next(_COUNT)}.partial")
     try:
         try:
@@ -138,15 +132,7 @@ def file_digest(path: Path) -> str:
 
 
 def sum_lines(folder: Path, known: Mapping[str, str]) -> str:
-    """Text of ``SHA256SUMS`` for all files of a dataset, as ``sha256sum --check`` reads it; hidden files are left out.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        The dataset.
-    known : mapping
-        Digests of files, by name, that need no reading.
-    """
+    """Text of ``SHA256SUMS`` for all files of a dataset, as ``sha256sum --check`` reads it; hidden files are left out."""
     names = sorted(
         file.relative_to(folder).as_posix()
         for part in (folder, *(folder / name for name in OWN_FOLDERS))
@@ -179,31 +165,12 @@ class DatasetFolder:
 
     Making the object only looks: it refuses a folder that holds something else, and changes nothing.
 
-    Parameters
-    ----------
-    path : path
-        The folder.
-    config : mapping
-        What the frames depend on, JSON types.
-    frames : int
-        Frames asked for.
-    truth : str
-        Format of the truth.
-    shown : str, optional
-        What to call it; the path if left out.
-
     Attributes
     ----------
     repaired : str
         What `open` mended, in words; empty if nothing.
     digests : dict
         SHA-256 of files by name, as far as they are known; `writing` reads the others.
-
-    Raises
-    ------
-    ConfigError
-        The path is a file, holds something that is no dataset, a dataset of another configuration, one of more frames,
-        or folders that are links to elsewhere.
     """
 
     url = ""
@@ -243,20 +210,7 @@ class DatasetFolder:
         """See to it that files of the dataset are in its folder: here they are."""
 
     def open(self, software: Mapping[str, str]) -> None:
-        """Make the folder, or take it up again; from here on it is this process's.
-
-        Parameters
-        ----------
-        software : mapping
-            Versions and backend that the bytes of a frame depend on.
-
-        Raises
-        ------
-        ConfigError
-            Another process is writing here; the frames there are were made by other software.
-        StorageError
-            The folder cannot be written.
-        """
+        """Make the folder, or take it up again; from here on it is this process's."""
         identity: dict[str, Any] = {"format": FORMAT_VERSION, "software": dict(software), "config": self._config}
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -275,13 +229,7 @@ class DatasetFolder:
             raise StorageError(f"{self.shown}: cannot be written ({error.strerror})") from None
 
     def check_room(self, needed_bytes: float) -> None:
-        """Refuse what surely does not fit.
-
-        Raises
-        ------
-        StorageError
-            Less is free.
-        """
+        """Refuse what surely does not fit."""
         free = shutil.disk_usage(self.path).free
         if needed_bytes > free:
             raise StorageError(

@@ -45,36 +45,16 @@ _LOCK = threading.Lock()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
-    """What a worker has to know; small, and pickled once per frame.
+    """What a worker has to know; small, and pickled once per frame."""
 
-    Attributes
-    ----------
-    config : str
-        The configuration as JSON.
-    folder : str
-        The dataset's folder, the same for all workers.
-    backend : str
-        "llvm" or "cuda".
-    url : str
-        Where files go, if that is no folder; every process then works in one of its own.
-    """
-
-    config: str
-    folder: str
-    backend: str
-    url: str = ""
+    config: str  # The configuration as JSON
+    folder: str  # The dataset's folder, the same for all workers
+    backend: str  # "llvm" or "cuda"
+    url: str = ""  # Where files go, if that is no folder; every process then works in one of its own
 
 
 def prepare(job: Job, threads: int | None = None) -> tuple[FrameMaker, str]:
-    """The maker of frames of this process, and what they say of the dataset; made on the first call.
-
-    Parameters
-    ----------
-    job : Job
-        What to make.
-    threads : int, optional
-        Threads of the renderer; left as they are if left out.
-    """
+    """The maker of frames of this process, and what they say of the dataset; made on the first call."""
     key = (job.config, job.backend)
     if key not in _MAKERS:
         Engine.start(job.backend)
@@ -89,22 +69,7 @@ def prepare(job: Job, threads: int | None = None) -> tuple[FrameMaker, str]:
 
 
 def make_frame(job: Job, frame: int, threads: int | None = None) -> FrameRecord:
-    """Make and write a frame, unless it is there and whole already.
-
-    Parameters
-    ----------
-    job : Job
-        Which dataset.
-    frame : int
-        Number of the frame.
-    threads : int, optional
-        As in `prepare`.
-
-    Raises
-    ------
-    StorageError
-        It could not be written; nothing half-written stays.
-    """
+    """Make and write a frame, unless it is there and whole already."""
     with _LOCK:
         maker, of_dataset = prepare(job, threads)
         if job.url:

@@ -35,22 +35,6 @@ def local_cluster(dask: Any, distributed: Any, count: int) -> Iterator[Any]:
 
     The cluster starts beside the main thread, which takes interrupts meanwhile. After one (or any other exception) the
     processes are killed, whatever they are at: they may have been starting, or amid a frame.
-
-    Parameters
-    ----------
-    dask, distributed : module
-        The packages.
-    count : int
-        Processes.
-
-    Yields
-    ------
-    distributed.Client
-
-    Raises
-    ------
-    OSError, RuntimeError, TimeoutError
-        They cannot be started.
     """
     settings = {
         "distributed.scheduler.allowed-failures": DEATHS,

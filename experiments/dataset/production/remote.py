@@ -48,18 +48,7 @@ def is_url(name: str) -> bool:
 
 
 class Store:
-    """Objects below a URL.
-
-    Parameters
-    ----------
-    url : str
-        As fsspec reads it.
-
-    Raises
-    ------
-    ConfigError
-        An unknown protocol, a library that is missing.
-    """
+    """Objects below a URL."""
 
     def __init__(self, url: str) -> None:
         import fsspec
@@ -133,13 +122,7 @@ def _fetch(store: Store, names: Iterable[str], folder: Path) -> None:
 
 @contextlib.contextmanager
 def working_copy(url: str) -> Iterator[Path]:
-    """All of a dataset in a folder of this machine, for as long as it is looked at.
-
-    Raises
-    ------
-    ConfigError
-        Nothing is there, or it cannot be read.
-    """
+    """All of a dataset in a folder of this machine, for as long as it is looked at."""
     store = Store(url)
     names = store.names()
     if not names:
@@ -150,20 +133,7 @@ def working_copy(url: str) -> Iterator[Path]:
 
 
 class RemoteDataset(DatasetFolder):
-    """A dataset at a URL, new or begun; as `DatasetFolder`, whose ``path`` is a folder of this run.
-
-    Parameters
-    ----------
-    url : str
-        Where it is.
-    config, frames, truth
-        As of `DatasetFolder`.
-
-    Raises
-    ------
-    ConfigError
-        As `DatasetFolder`; a URL that cannot be read.
-    """
+    """A dataset at a URL, new or begun; as `DatasetFolder`, whose ``path`` is a folder of this run."""
 
     def __init__(self, url: str, *, config: Mapping[str, Any], frames: int, truth: str) -> None:
         self.store = Store(url)

@@ -23,21 +23,11 @@ POLL_S = 2e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResumeCheck:
-    """What became of it.
+    """What became of it."""
 
-    Attributes
-    ----------
-    frames : int
-        How many were asked for.
-    whole_when_killed : int
-        Whole frames that the killed process left.
-    same_bytes : int
-        Frames whose file and truth are, after the second run, those of the dataset, byte for byte.
-    """
-
-    frames: int
-    whole_when_killed: int
-    same_bytes: int
+    frames: int  # How many were asked for
+    whole_when_killed: int  # Whole frames that the killed process left
+    same_bytes: int  # Frames whose file and truth are, after the second run, those of the dataset, byte for byte
 
     @property
     def passed(self) -> bool:
@@ -46,17 +36,7 @@ class ResumeCheck:
 
 
 def check_resume(job: Job, records: Sequence[FrameRecord], *, truth: str) -> ResumeCheck:
-    """Make frames of a dataset once more in a process that is killed half-way (SIGKILL), and go on in this one.
-
-    Parameters
-    ----------
-    job : Job
-        The dataset.
-    records : sequence of FrameRecord
-        Frames of it, at least two; they are made in the opposite order.
-    truth : str
-        Format of the truth.
-    """
+    """Make frames of a dataset once more in a process that is killed half-way (SIGKILL), and go on in this one."""
     numbers = [one.frame for one in records][::-1]
     with tempfile.TemporaryDirectory(prefix="starbench-resume-", ignore_cleanup_errors=True) as scratch:
         again = dataclasses.replace(job, folder=scratch)

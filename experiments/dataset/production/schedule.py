@@ -39,35 +39,7 @@ GO_ON = "what was made is kept: run the same command again to go on"
 
 
 def make_frames(job: Job, frames: Sequence[int], *, workers: int, scheduler: str, done: Done) -> int:
-    """Make frames; every one that is finished is reported at once.
-
-    Parameters
-    ----------
-    job : Job
-        Which dataset.
-    frames : sequence of int
-        Numbers of the frames to make.
-    workers : int
-        Processes on this machine; 0: one per processor; 1: this process.
-    scheduler : str
-        Address of a Dask scheduler whose workers are used instead; "" for none.
-    done : callable
-        Called with the records of frames that are finished, some at a time, in no particular order.
-
-    Returns
-    -------
-    int
-        How many processes made frames.
-
-    Raises
-    ------
-    ConfigError
-        A scheduler that does not answer, has no workers, or whose workers see another folder or have other software.
-    StorageError
-        Frames cannot be written.
-    BackendError
-        Workers died again and again.
-    """
+    """Make frames; every one that is finished is reported at once."""
     if not frames:
         return 0
     if scheduler:
@@ -194,15 +166,6 @@ class _Watch:
 
     Workers may come and go (adaptive scaling); without any for `ALONE_S` seconds the user is told, after `GIVE_UP_S`
     the run ends.
-
-    Parameters
-    ----------
-    client : distributed.Client
-        Connection to it.
-    name : str
-        What to call it.
-    most_workers : int, optional
-        Workers that may be seen before the first frame is back: those that are started again and again die at start.
     """
 
     def __init__(self, client: Any, name: str, most_workers: int | None = None) -> None:
@@ -214,13 +177,7 @@ class _Watch:
         self.look()
 
     def look(self) -> None:
-        """Ask the scheduler, if the last answer is old.
-
-        Raises
-        ------
-        BackendError
-            It is gone, or has been without workers for too long, or they die as soon as they start.
-        """
+        """Ask the scheduler, if the last answer is old."""
         now = time.monotonic()
         if now < self._next:
             return

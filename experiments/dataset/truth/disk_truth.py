@@ -18,17 +18,7 @@ __all__ = ["disk_truth"]
 
 
 def disk_truth(scene: Scene, plan: FramePlan, disks: Sequence[Disk]) -> tuple[DiskTruth, ...]:
-    """Truth of those disks of a frame whose light reaches the detector.
-
-    Parameters
-    ----------
-    scene : Scene
-        What the frames have in common.
-    plan : FramePlan
-        Attitude of the frame.
-    disks : sequence of Disk
-        What was rendered.
-    """
+    """Truth of those disks of a frame whose light reaches the detector."""
     system = scene.sky_light.disks
     lit = [disk for disk in disks if disk.image.electrons[0] > 0.0]
     if system is None or not lit:

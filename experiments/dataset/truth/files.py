@@ -53,20 +53,7 @@ INDEX_COLUMNS = (
 
 
 def truth_bytes(rows: Mapping[str, Any], record: FrameRecord, form: Format, origin: str) -> bytes:
-    """File of the truth of a frame; the same input gives the same bytes.
-
-    Parameters
-    ----------
-    rows : mapping
-        Columns (`experiments.dataset.truth.star_truth.star_rows`).
-    record : FrameRecord
-        Goes into the schema's metadata (Parquet) or the header (ECSV) as JSON, key ``starbench_frame``.
-    form : {"parquet", "ecsv"}
-        Format.
-    origin : str
-        Configuration and software, JSON on one line (`experiments.dataset.production.identity.origin`), key
-        ``starbench_dataset``.
-    """
+    """File of the truth of a frame; the same input gives the same bytes."""
     written = {RECORD: record.to_text()}, {ORIGIN: origin, DIGEST: _BLANK}
     content = _parquet(COLUMNS, rows, *written) if form == "parquet" else _ecsv(COLUMNS, rows, *written)
     at = _seal(content)
@@ -108,13 +95,7 @@ def index_bytes(records: Sequence[FrameRecord], form: Format, truth_digest: Mapp
 
 
 def read_record(path: Path) -> FrameRecord:
-    """Record of the frame in a truth file, all of which is read.
-
-    Raises
-    ------
-    ConfigError
-        Missing, damaged, or no truth.
-    """
+    """Record of the frame in a truth file, all of which is read."""
     table, metadata = _read(path, sealed=True)
     try:
         names, rows = [column.name for column in COLUMNS], int(metadata.get("rows", len(table)))
@@ -137,13 +118,7 @@ def read_origin(path: Path) -> dict[str, Any]:
 
 
 def read_table(path: Path) -> Any:
-    """Truth or index of a file as an ``astropy.table.Table`` without units.
-
-    Raises
-    ------
-    ConfigError
-        Missing or damaged.
-    """
+    """Truth or index of a file as an ``astropy.table.Table`` without units."""
     return _read(path, sealed=False)[0]
 
 

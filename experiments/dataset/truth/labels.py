@@ -38,45 +38,20 @@ HOT_SIGMA = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Label:
-    """One thing in one frame.
+    """One thing in one frame."""
 
-    Attributes
-    ----------
-    kind : str
-        One of `CLASSES`.
-    name : str
-        Of a body of the solar system; otherwise empty.
-    x_px, y_px : float
-        Its middle: column and row, the centre of the first pixel being 0.
-    box_px : (4,)
-        First column, first row, width and height that it covers, from the outer corner of the first pixel [px].
-    pixels : (2, n) int
-        Rows and columns of the pixels that it covers.
-    electrons : float
-        Charge of a hot pixel (dark charge, mean) or a track; NaN for a body.
-    """
-
-    kind: Class
-    name: str = ""
-    x_px: float
-    y_px: float
+    kind: Class  # One of `CLASSES`
+    name: str = ""  # Of a body of the solar system; otherwise empty
+    x_px: float  # Its middle: column and row, the centre of the first pixel being 0
+    y_px: float  # Its middle: column and row, the centre of the first pixel being 0
+    # (4,) First column, first row, width and height that it covers, from the outer corner of the first pixel [px]
     box_px: tuple[float, float, float, float]
-    pixels: IntArray
-    electrons: float = float("nan")
+    pixels: IntArray  # (2, n) Rows and columns of the pixels that it covers
+    electrons: float = float("nan")  # Charge of a hot pixel (dark charge, mean) or a track; NaN for a body
 
 
 def pixels_of_ellipse(x: float, y: float, half_x: float, half_y: float, shape: tuple[int, int]) -> IntArray:
-    """Rows and columns (2, n) of the pixels of an image whose centres lie in an upright ellipse.
-
-    Parameters
-    ----------
-    x, y : float
-        Its middle: column and row [px].
-    half_x, half_y : float
-        Half axes along columns and rows [px].
-    shape : (2,)
-        Rows and columns of the image.
-    """
+    """Rows and columns (2, n) of the pixels of an image whose centres lie in an upright ellipse."""
     first_row, last_row = max(0, math.ceil(y - half_y)), min(shape[0] - 1, math.floor(y + half_y))
     first, last = max(0, math.ceil(x - half_x)), min(shape[1] - 1, math.floor(x + half_x))
     rows, columns = np.mgrid[first_row : last_row + 1, first : last + 1]
@@ -85,15 +60,7 @@ def pixels_of_ellipse(x: float, y: float, half_x: float, half_y: float, shape: t
 
 
 class LabelMaker:
-    """Labels of the frames of one dataset.
-
-    Parameters
-    ----------
-    scene : Scene
-        What the frames have in common.
-    hits_of : callable
-        ``hits_of(frame)``: what cosmic rays leave in it, or None (`experiments.dataset.frames.maker.FrameMaker.hits`).
-    """
+    """Labels of the frames of one dataset."""
 
     def __init__(self, scene: Scene, hits_of: Callable[[int], CosmicRayHits | None]) -> None:
         self.scene, self._hits_of = scene, hits_of

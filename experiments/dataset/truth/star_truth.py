@@ -88,24 +88,12 @@ LARGEST_FOOTPRINT_PX = 512.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarLightOnChip:
-    """What disturbs the stars of a frame.
+    """What disturbs the stars of a frame."""
 
-    Attributes
-    ----------
-    empty_e2 : float
-        Temporal variance of a pixel without starlight [e-^2]: sky, dark charge, read noise, rounding.
-    pixel_flags : (h, w) uint8
-        Bits of `FLAGS` for single pixels: saturated, defect, cosmic_ray.
-    smear_px : (n, 2)
-        Motion of every star during the exposure.
-    axis_share : float
-        Part of the light of a star on the axis that the lens lets through.
-    """
-
-    empty_e2: float
-    pixel_flags: NDArray[np.uint8]
-    smear_px: FloatArray
-    axis_share: float
+    empty_e2: float  # Temporal variance of a pixel without starlight [e-^2]: sky, dark charge, read noise, rounding
+    pixel_flags: NDArray[np.uint8]  # (h, w) Bits of `FLAGS` for single pixels: saturated, defect, cosmic_ray
+    smear_px: FloatArray  # (n, 2) Motion of every star during the exposure
+    axis_share: float  # Part of the light of a star on the axis that the lens lets through
 
 
 def pixel_flags(
@@ -128,28 +116,7 @@ def star_rows(
     band: str,
     on_chip: StarLightOnChip,
 ) -> dict[str, Any]:
-    """Columns of the truth of a frame in one band.
-
-    Parameters
-    ----------
-    seen : PointSources
-        n stars.
-    truth : Truth
-        Of these stars in one band, (n, 1).
-    detector : Detector
-        Its diffusion widens the spot.
-    frame : int
-        Number of the frame.
-    band : str
-        Name of the band.
-    on_chip : StarLightOnChip
-        What disturbs them.
-
-    Returns
-    -------
-    dict
-        `COLUMNS` in their order, one entry per star that lights the detector or passes beside it.
-    """
+    """Columns of the truth of a frame in one band."""
     x, y, z = seen.direction.T
     values = {name: getattr(truth, name)[:, 0] for name in type(truth).__dataclass_fields__}
     n = len(seen)
@@ -191,15 +158,6 @@ def flux_snr(electrons: FloatArray, sigma_x_px: FloatArray, sigma_y_px: FloatArr
     """Signal-to-noise ratio of the flux of Gaussian spots, measured with optimal weights.
 
     N / sqrt(N + A n) with the noise-equivalent area A = 4 pi sigma_x sigma_y (I. R. King, PASP 95, 163 (1983)).
-
-    Parameters
-    ----------
-    electrons : (n,)
-        Light of the spots, N [e-].
-    sigma_x_px, sigma_y_px : (n,)
-        Their standard deviations, pixel included.
-    noise_e2 : float
-        Variance of a pixel without the star, n [e-^2]: background, read noise, rounding.
     """
     area = 4.0 * np.pi * sigma_x_px * sigma_y_px
     return np.asarray(electrons / np.sqrt(np.maximum(electrons + area * noise_e2, 1e-300)))

@@ -50,62 +50,30 @@ AROUND = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0]])
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """Common motion of the points of a series along an axis.
+    """Common motion of the points of a series along an axis."""
 
-    Attributes
-    ----------
-    series, axis : str
-        Where.
-    rms_px : float
-        Standard deviation of the common part from frame to frame, noise of the points included.
-    limit_px : float
-        What it may be (see the module).
-    drift_px : float
-        Least-squares trend from the first frame to the last.
-    drift_share : float
-        Part of the variance that the trend explains.
-    """
-
-    series: str
-    axis: str
-    rms_px: float
-    limit_px: float
-    drift_px: float
-    drift_share: float
+    series: str  # Where
+    axis: str  # Where
+    rms_px: float  # Standard deviation of the common part from frame to frame, noise of the points included
+    limit_px: float  # What it may be (see the module)
+    drift_px: float  # Least-squares trend from the first frame to the last
+    drift_share: float  # Part of the variance that the trend explains
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameChecks:
-    """Of all series of a folder together.
+    """Of all series of a folder together."""
 
-    Attributes
-    ----------
-    gain_dn_per_e : Measured or None
-        K by photon transfer; None without two frames in a series or enough light.
-    motion : Motion or None
-        The largest against its limit; None for single points or fewer than three frames.
-    noise_ratio : Measured or None
-        Standard deviation of a frame's centroid, measured over modelled.
-    copies, frames : int
-        Frames that equal another one of their series; of so many.
-    step_dn : int
-        Largest number that divides all differences of readings.
-    top_dn, top_count, top_limit : int
-        Highest reading, how often it comes, how often chance lets it come.
-    zero_fraction : float
-        Share of readings of 0.
-    """
-
-    gain_dn_per_e: Measured | None
-    motion: Motion | None
-    noise_ratio: Measured | None
-    copies: int
-    frames: int
-    step_dn: int
-    top_dn: int
-    top_count: int
-    top_limit: int
-    zero_fraction: float
+    gain_dn_per_e: Measured | None  # K by photon transfer; None without two frames in a series or enough light
+    motion: Motion | None  # The largest against its limit; None for single points or fewer than three frames
+    noise_ratio: Measured | None  # Standard deviation of a frame's centroid, measured over modelled
+    copies: int  # Frames that equal another one of their series; of so many
+    frames: int  # Frames that equal another one of their series; of so many
+    step_dn: int  # Largest number that divides all differences of readings
+    top_dn: int  # Highest reading, how often it comes, how often chance lets it come
+    top_count: int  # Highest reading, how often it comes, how often chance lets it come
+    top_limit: int  # Highest reading, how often it comes, how often chance lets it come
+    zero_fraction: float  # Share of readings of 0
 
 
 def check_frames(series: Sequence[FrameSeries], reduced: Sequence[SeriesFrames], method: str) -> FrameChecks:
@@ -163,17 +131,7 @@ def _top(readings: Sequence[tuple[NDArray[np.uint16], NDArray[np.int64]]]) -> tu
 
 
 def common_motion(position_px: FloatArray, name: str, *, tests: int = 1) -> list[Motion]:
-    """Common motion along x and y from centroids (f, j, 2); nothing for one point or fewer than three whole frames.
-
-    Parameters
-    ----------
-    position_px : (f, j, 2)
-        Centroids; frames with NaN are left out.
-    name : str
-        Of the series.
-    tests : int
-        How many such tests are made; `FALSE_ALARM` holds for all together.
-    """
+    """Common motion along x and y from centroids (f, j, 2); nothing for one point or fewer than three whole frames."""
     number = np.flatnonzero(np.isfinite(position_px).all((1, 2)))
     place = position_px[number]
     frames, points, _ = place.shape
@@ -223,20 +181,6 @@ def _noise_ratio(reduced: Sequence[SeriesFrames], method: str) -> Measured | Non
 def photon_transfer(dn: Sequence[NDArray[np.uint16]], usable: Sequence[NDArray[np.bool_]]) -> Measured | None:
     """System gain K [DN/e-] by the growth of the temporal variance of pixels with their mean.
 
-    Parameters
-    ----------
-    dn : sequence of (f, j, h, w)
-        Readings of windows at rest, series by series; at least two frames each.
-    usable : sequence of (j, h, w) bool
-        Pixels that count.
-
-    Returns
-    -------
-    Measured or None
-        K with its standard deviation; None where too few pixels are there.
-
-    Notes
-    -----
     Offsets differ from pixel to pixel, so that the mean of a pixel is its light with an error, which would lower the
     slope of least squares; the mean of its neighbours has the light without that error and serves as the instrument
     (Durbin 1954). Offsets that scatter by 3 % of the brightest pixel still lower K by some 6 %. The standard deviation

@@ -43,86 +43,37 @@ class Reduced(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FramesTest:
-    """What an experiment does with own frames.
+    """What an experiment does with own frames."""
 
-    Attributes
-    ----------
-    title : str
-        Of the report.
-    layout : Layout
-        What it asks of a folder.
-    reduce : callable
-        ``reduce(folder, methods, config) -> Reduced``.
-    describe : callable
-        ``describe(quantities, reduced, methods)`` adds the numbers of the reduction.
-    headline : callable
-        ``headline(outcome)``: label -> number, for the head of the report.
-    tables : callable
-        ``tables(outcome)``: name -> table.
-    figures : mapping
-        Name -> (figure of an outcome, its caption).
-    criteria : callable
-        ``criteria(outcome)``: what has to hold besides what holds for all frames.
-    show : tuple of str
-        Tables that are printed in the terminal too.
-    series : str
-        What readers call a series.
-    """
-
-    title: str
-    layout: Layout
-    reduce: Callable[[FrameFolder, Sequence[str], Any], Reduced]
+    title: str  # Of the report
+    layout: Layout  # What it asks of a folder
+    reduce: Callable[[FrameFolder, Sequence[str], Any], Reduced]  # ``reduce(folder, methods, config) -> Reduced``
+    # ``describe(quantities, reduced, methods)`` adds the numbers of the reduction
     describe: Callable[[Quantities, Any, Sequence[str]], None]
+    # ``headline(outcome)``: label -> number, for the head of the report
     headline: Callable[[Outcome], Mapping[str, Any]]
-    tables: Callable[[Outcome], Mapping[str, Any]]
+    tables: Callable[[Outcome], Mapping[str, Any]]  # ``tables(outcome)``: name -> table
+    # Name -> (figure of an outcome, its caption)
     figures: Mapping[str, tuple[Callable[[Outcome], Figure], str]] = field(default_factory=dict)
+    # ``criteria(outcome)``: what has to hold besides what holds for all frames
     criteria: Callable[[Outcome], list[Criterion]] = lambda _: []
-    show: tuple[str, ...] = ()
-    series: str = "Series"
+    show: tuple[str, ...] = ()  # Tables that are printed in the terminal too
+    series: str = "Series"  # What readers call a series
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FramesResult:
-    """What a folder gave.
+    """What a folder gave."""
 
-    Attributes
-    ----------
-    test : FramesTest
-        Which experiment.
-    methods : tuple of str
-        Centroiders, the one that counts first.
-    folder : FrameFolder
-        As read.
-    reduced : Reduced
-        By experiment.
-    checks : FrameChecks
-        What the frames say about themselves.
-    """
-
-    test: FramesTest
-    methods: tuple[str, ...]
-    folder: FrameFolder
-    reduced: Reduced
-    checks: FrameChecks
+    test: FramesTest  # Which experiment
+    methods: tuple[str, ...]  # Centroiders, the one that counts first
+    folder: FrameFolder  # As read
+    reduced: Reduced  # By experiment
+    checks: FrameChecks  # What the frames say about themselves
 
 
 def reduce_folder(test: FramesTest, config: Any, *, progress: Progress) -> FramesResult:
-    """Read the folder of the configuration and reduce its frames.
-
-    Parameters
-    ----------
-    test : FramesTest
-        Which experiment.
-    config : ExperimentConfig
-        With ``own_frames``, ``window_px`` and the centroiders; what describes a rendering has no meaning here.
-    progress : Progress
-        Where to report.
-
-    Raises
-    ------
-    StarbenchError
-        See `read_folder` and the reductions.
-    """
+    """Read the folder of the configuration and reduce its frames."""
     from experiments.laboratory.own_frames.checks import check_frames
     from experiments.laboratory.own_frames.folder import read_folder
 
@@ -142,21 +93,7 @@ def reduce_folder(test: FramesTest, config: Any, *, progress: Progress) -> Frame
 
 
 def or_own_frames(rendered: Experiment, own: str) -> Experiment:
-    """An experiment on rendered frames that reduces those of a folder instead where ``own_frames`` is given.
-
-    Parameters
-    ----------
-    rendered : Experiment
-        On rendered frames; its configuration is an `OwnFramesConfig` with ``window_px``, and ``methods`` where several
-        centroiders are compared.
-    own : str
-        Module with ``own_frames``, the `FramesTest`; imported when it is needed.
-
-    Returns
-    -------
-    Experiment
-        The same with an option ``--own-frames``.
-    """
+    """An experiment on rendered frames that reduces those of a folder instead where ``own_frames`` is given."""
 
     def instead(config: Any) -> Experiment | None:
         if config.own_frames is None:

@@ -20,13 +20,7 @@ SAME_EXPOSURE = 0.01
 
 
 def find_files(folder: Path, patterns: Sequence[str], name: str) -> list[Path]:
-    """Files of patterns in the order of the patterns, each once.
-
-    Raises
-    ------
-    ConfigError
-        A pattern that leaves the folder or finds nothing; ``name`` says whose.
-    """
+    """Files of patterns in the order of the patterns, each once."""
     found: dict[Path, None] = {}
     for pattern in patterns:
         steps = PurePosixPath(pattern)
@@ -41,13 +35,7 @@ def find_files(folder: Path, patterns: Sequence[str], name: str) -> list[Path]:
 
 
 def refuse_shared(groups: Sequence[Sequence[Path]], names: Sequence[str]) -> None:
-    """Refuse files that belong to two groups.
-
-    Raises
-    ------
-    ConfigError
-        Naming the file and both.
-    """
+    """Refuse files that belong to two groups."""
     owner: dict[Path, str] = {}
     for group, name in zip(groups, names, strict=True):
         for path in group:
@@ -60,21 +48,11 @@ def refuse_shared(groups: Sequence[Sequence[Path]], names: Sequence[str]) -> Non
 
 @dataclass(slots=True)
 class FrameReader:
-    """Reads frames one at a time: a series of large frames need not fit into memory.
+    """Reads frames one at a time: a series of large frames need not fit into memory."""
 
-    Attributes
-    ----------
-    settings : FolderSettings
-        Of the folder.
-    size_px : (int, int)
-        Columns and rows of all its frames; known from the first one on.
-    first : str
-        Which file that was.
-    """
-
-    settings: FolderSettings
-    size_px: tuple[int, int] | None = None
-    first: str = ""
+    settings: FolderSettings  # Of the folder
+    size_px: tuple[int, int] | None = None  # (int, int) Columns and rows of all its frames; known from the first one on
+    first: str = ""  # Which file that was
 
     def size_of(self, path: Path) -> tuple[int, int]:
         """Columns and rows of the first frame of a file."""
@@ -82,15 +60,7 @@ class FrameReader:
         return int(frame.dn.shape[1]), int(frame.dn.shape[0])
 
     def frames(self, files: Sequence[Path], name: str) -> Iterator[Frame]:
-        """Frames of files, planes of cubes and extensions included.
-
-        Raises
-        ------
-        DomainError
-            Another size than the frames before; exposure times or filters that differ within the files.
-        ConfigError
-            A file that holds no raw frame.
-        """
+        """Frames of files, planes of cubes and extensions included."""
         s = self.settings
         before: tuple[Path, Frame] | None = None
         for path in files:

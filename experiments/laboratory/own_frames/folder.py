@@ -41,31 +41,15 @@ _COLUMNS = (("x_px", "y_px"), ("tan_x", "tan_y"))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameSeries:
-    """Windows of a series around j points.
+    """Windows of a series around j points."""
 
-    Attributes
-    ----------
-    settings : SeriesSettings
-        What the folder says of it.
-    windows : WindowStack
-        The frames.
-    found_px : (j, 2)
-        Where the points were detected.
-    dark_e : (j, h, w) or None
-        Mean frame with the lamp off, offset included.
-    dark_frames : int
-        How many are behind it.
-    response, response_error : (j, h, w) or None
-        The flat, and its standard deviation.
-    """
-
-    settings: SeriesSettings
-    windows: WindowStack
-    found_px: FloatArray
-    dark_e: FloatArray | None
-    dark_frames: int
-    response: FloatArray | None
-    response_error: FloatArray | None
+    settings: SeriesSettings  # What the folder says of it
+    windows: WindowStack  # The frames
+    found_px: FloatArray  # (j, 2) Where the points were detected
+    dark_e: FloatArray | None  # (j, h, w) Mean frame with the lamp off, offset included
+    dark_frames: int  # How many are behind it
+    response: FloatArray | None  # (j, h, w) The flat, and its standard deviation
+    response_error: FloatArray | None  # (j, h, w) The flat, and its standard deviation
 
     @property
     def name(self) -> str:
@@ -75,34 +59,16 @@ class FrameSeries:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameFolder:
-    """A folder as read.
+    """A folder as read."""
 
-    Attributes
-    ----------
-    settings : FolderSettings
-        Its ``frames.toml``.
-    width_px, height_px : int
-        Size of the frames.
-    nominal_px : (j, 2) or None
-        Nominal places of the target points, if stated.
-    series : tuple of FrameSeries
-        Ordered by ``position`` where that is given.
-    dark_frames : int
-        Frames with the lamp off.
-    flat : Flat or None
-        Response of the pixels.
-    bad_pixels : int
-        Pixels that the map calls bad.
-    """
-
-    settings: FolderSettings
-    width_px: int
-    height_px: int
-    nominal_px: FloatArray | None
-    series: tuple[FrameSeries, ...]
-    dark_frames: int
-    flat: Flat | None = None
-    bad_pixels: int = 0
+    settings: FolderSettings  # Its ``frames.toml``
+    width_px: int  # Size of the frames
+    height_px: int  # Size of the frames
+    nominal_px: FloatArray | None  # (j, 2) Nominal places of the target points, if stated
+    series: tuple[FrameSeries, ...]  # Ordered by ``position`` where that is given
+    dark_frames: int  # Frames with the lamp off
+    flat: Flat | None = None  # Response of the pixels
+    bad_pixels: int = 0  # Pixels that the map calls bad
 
     @property
     def centre_px(self) -> FloatArray:
@@ -112,25 +78,7 @@ class FrameFolder:
 
 
 def read_folder(folder: str | Path, *, window_px: int, layout: Layout | None = None) -> FrameFolder:
-    """Read a folder, find the points, cut windows.
-
-    Parameters
-    ----------
-    folder : path
-        Holds ``frames.toml`` and the FITS files it names.
-    window_px : int
-        Side of a window, odd.
-    layout : Layout, optional
-        What the experiment asks of the folder.
-
-    Raises
-    ------
-    ConfigError
-        Folder, file or key missing or wrong; a frame that is no raw FITS frame; a file that belongs to two series.
-    DomainError
-        Too few frames in a series, frames of different sizes, exposure times or filters, points off the detector or
-        not detected.
-    """
+    """Read a folder, find the points, cut windows."""
     folder, layout = Path(folder), layout or Layout()
     settings = read_settings(folder)
     layout.check(settings)

@@ -27,53 +27,25 @@ LEAST_FLAT = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeanFrame:
-    """Mean of frames.
+    """Mean of frames."""
 
-    Attributes
-    ----------
-    name : str
-        For messages.
-    dn : (h, w)
-        Mean [DN].
-    frames : int
-        How many.
-    exposure_s : float
-        Exposure time; NaN where unknown.
-    band : str
-        Filter that the files name.
-    defect, saturated : (h, w) bool
-        Pixels that any of the frames calls so.
-    """
-
-    name: str
-    dn: FloatArray
-    frames: int
-    exposure_s: float
-    band: str
-    defect: NDArray[np.bool_]
-    saturated: NDArray[np.bool_]
+    name: str  # For messages
+    dn: FloatArray  # (h, w) Mean [DN]
+    frames: int  # How many
+    exposure_s: float  # Exposure time; NaN where unknown
+    band: str  # Filter that the files name
+    defect: NDArray[np.bool_]  # (h, w) Pixels that any of the frames calls so
+    saturated: NDArray[np.bool_]  # (h, w) Pixels that any of the frames calls so
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flat:
-    """Response of the pixels.
+    """Response of the pixels."""
 
-    Attributes
-    ----------
-    response : (h, w)
-        Mean over the usable pixels 1; 1 where a pixel is not usable.
-    error : (h, w)
-        Standard deviation of it, by the noise of the frames behind it.
-    unusable : (h, w) bool
-        Pixels with hardly any response.
-    frames : int
-        Flats.
-    """
-
-    response: FloatArray
-    error: FloatArray
-    unusable: NDArray[np.bool_]
-    frames: int
+    response: FloatArray  # (h, w) Mean over the usable pixels 1; 1 where a pixel is not usable
+    error: FloatArray  # (h, w) Standard deviation of it, by the noise of the frames behind it
+    unusable: NDArray[np.bool_]  # (h, w) Pixels with hardly any response
+    frames: int  # Flats
 
     @property
     def pattern(self) -> tuple[float, float]:
@@ -116,15 +88,7 @@ def mean_frame(reader: FrameReader, files: Sequence[Path], name: str) -> MeanFra
 def mean_flat(
     reader: FrameReader, folder: Path, settings: FolderSettings, bad: NDArray[np.bool_] | None
 ) -> Flat | None:
-    """The flat of a folder; None where there is none.
-
-    Raises
-    ------
-    ConfigError
-        Missing files.
-    DomainError
-        Flats that are saturated, dark, or need a dark of their own exposure time.
-    """
+    """The flat of a folder; None where there is none."""
     if not settings.flat:
         return None
     light = mean_frame(reader, find_files(folder, settings.flat, "flat"), "flat")
@@ -164,15 +128,7 @@ def mean_flat(
 
 
 def bad_pixels(reader: FrameReader, folder: Path, settings: FolderSettings) -> NDArray[np.bool_] | None:
-    """The bad-pixel map of a folder: a FITS image that is not 0 where a pixel is bad; None where there is none.
-
-    Raises
-    ------
-    ConfigError
-        Missing file, no image.
-    DomainError
-        Another size than the frames.
-    """
+    """The bad-pixel map of a folder: a FITS image that is not 0 where a pixel is bad; None where there is none."""
     if settings.bad_pixels is None:
         return None
     from astropy.io import fits

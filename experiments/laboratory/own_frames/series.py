@@ -26,38 +26,20 @@ _SATURATED = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeriesFrames:
-    """Centroids of a series of N frames of j points.
+    """Centroids of a series of N frames of j points."""
 
-    Attributes
-    ----------
-    settings : SeriesSettings
-        What the folder says of it.
-    frames : int
-        N.
-    signal_e : float
-        Mean electrons in a window, background taken away.
-    points : PointFrames
-        Centroids by method, and the windows.
-    mean_e : (j, h, w)
-        Mean windows as centroided, background included where no dark frames were given.
-    frame_covariance_px2 : dict of str to (j, 2, 2)
-        Of the centroid of one frame, by method: what photons, read noise, rounding and the dark charge seen in the
-        frames with the lamp off give, through the influence of each pixel of the mean windows.
-    pattern_px : (j, 2, h, w)
-        By how much what is the same in all frames moves the first method's centroids, pixel by pixel, one standard
-        deviation: noise of the mean dark frame and of the flat, and the response that no flat removes.
-    percent_px : float
-        RMS over points and axes of what a response that differs by 1 % from pixel to pixel moves them.
-    """
-
-    settings: SeriesSettings
-    frames: int
-    signal_e: float
-    points: PointFrames
-    mean_e: FloatArray
+    settings: SeriesSettings  # What the folder says of it
+    frames: int  # N
+    signal_e: float  # Mean electrons in a window, background taken away
+    points: PointFrames  # Centroids by method, and the windows
+    mean_e: FloatArray  # (j, h, w) Mean windows as centroided, background included where no dark frames were given
+    # (j, 2, 2) Of the centroid of one frame, by method: what photons, read noise, rounding and the dark charge seen
+    # in the frames with the lamp off give, through the influence of each pixel of the mean windows
     frame_covariance_px2: Mapping[str, FloatArray]
+    # (j, 2, h, w) By how much what is the same in all frames moves the first method's centroids, pixel by pixel, one
+    # standard deviation: noise of the mean dark frame and of the flat, and the response that no flat removes
     pattern_px: FloatArray
-    percent_px: float
+    percent_px: float  # RMS over points and axes of what a response that differs by 1 % from pixel to pixel moves them
 
     @property
     def name(self) -> str:
@@ -82,22 +64,7 @@ class SeriesFrames:
 def reduce_series(
     folder: FrameFolder, series: FrameSeries, methods: Sequence[str], *, every_model: bool = False
 ) -> SeriesFrames:
-    """Centroids of a series and their noise.
-
-    Parameters
-    ----------
-    folder, series
-        As read.
-    methods : sequence of str
-        Centroiders that need no ePSF.
-    every_model : bool
-        Whether the noise model is asked for every method; otherwise for the first.
-
-    Raises
-    ------
-    DomainError
-        On saturated points, or fewer than two usable frames of a point where there are at least two.
-    """
+    """Centroids of a series and their noise."""
     stamps, noise = _stamps(series)
     frames = len(series.windows.dn)
     refuse_saturated(stamps, len(series.found_px), where=f"{series.name}, target points", advice=_SATURATED)

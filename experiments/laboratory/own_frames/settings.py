@@ -122,34 +122,17 @@ class FolderSettings(StrictModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """What an experiment asks of a folder.
+    """What an experiment asks of a folder."""
 
-    Attributes
-    ----------
-    needs : tuple of str
-        Keys that every series must have.
-    same_scene : {"all", "place", "none"}
-        Which series show the same points, of which the first tells the others where to look: all of them; those with
-        the same ``place``; none.
-    points : int, optional
-        How many points there are, if that is not a matter of the folder.
-    fewest : int
-        Frames that a series must have.
-    """
-
-    needs: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()  # Keys that every series must have
+    # Which series show the same points, of which the first tells the others where to look: all of them; those with
+    # the same ``place``; none
     same_scene: Literal["all", "place", "none"] = "all"
-    points: int | None = None
-    fewest: int = 2
+    points: int | None = None  # How many points there are, if that is not a matter of the folder
+    fewest: int = 2  # Frames that a series must have
 
     def check(self, settings: FolderSettings) -> None:
-        """Refuse a folder that does not say what is needed.
-
-        Raises
-        ------
-        ConfigError
-            Naming the key.
-        """
+        """Refuse a folder that does not say what is needed."""
         given = [settings.points is not None, bool(settings.points_px), settings.target is not None]
         if self.points is None and sum(given) != 1:
             raise ConfigError(
@@ -167,13 +150,7 @@ class Layout:
 
 
 def read_settings(folder: Path) -> FolderSettings:
-    """Contents of a folder's ``frames.toml``, series of a table included, every series with a name.
-
-    Raises
-    ------
-    ConfigError
-        Folder or file missing, unknown key, value out of range, two series of one name.
-    """
+    """Contents of a folder's ``frames.toml``, series of a table included, every series with a name."""
     if not os.path.isdir(folder):
         raise ConfigError(f"{folder}: no such folder; one with frames and {SETTINGS_FILE} is needed")
     if not os.path.isfile(folder / SETTINGS_FILE):
@@ -202,13 +179,7 @@ def read_settings(folder: Path) -> FolderSettings:
 
 
 def read_table(path: Path) -> dict[str, list[Any]]:
-    """Columns of a CSV or ECSV file by name, empty cells left out of what a row says.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be read as a table.
-    """
+    """Columns of a CSV or ECSV file by name, empty cells left out of what a row says."""
     from astropy.table import Table
 
     try:

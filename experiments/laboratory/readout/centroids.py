@@ -87,13 +87,7 @@ def common_motion_px2(position_px: FloatArray) -> FloatArray:
 
 
 def refuse_few_frames(position_px: FloatArray, method: str, *, where: str) -> None:
-    """Refuse positions (f, n, 2) of which a window has fewer than two.
-
-    Raises
-    ------
-    DomainError
-        Naming the centroider and the window.
-    """
+    """Refuse positions (f, n, 2) of which a window has fewer than two."""
     count = np.isfinite(position_px[..., 0]).sum(0)
     if count.min() < FEWEST_FRAMES:
         raise DomainError(
@@ -112,23 +106,7 @@ def noiseless_positions(
     valid: NDArray[np.bool_] | None = None,
     psf_index: NDArray[np.int64] | None = None,
 ) -> tuple[FloatArray, Stamps]:
-    """What a centroider makes of windows (n, h, w) without noise: positions (n, 2), and the stamps it was given.
-
-    Parameters
-    ----------
-    centroider : Centroider
-        The estimator.
-    noise : NoiseModel
-        Noise model handed to it.
-    light_e : (n, h, w)
-        Expected electrons.
-    corner_px : (n, 2)
-        First pixels.
-    valid : (n, h, w) bool, optional
-        Pixels that may be used; all without it.
-    psf_index : (n,), optional
-        Which PSF belongs to which window; in order without it.
-    """
+    """What a centroider makes of windows (n, h, w) without noise: positions (n, 2), and the stamps it was given."""
     count = len(light_e)
     usable = np.ones(light_e.shape, bool) if valid is None else valid
     light = np.where(usable, np.maximum(light_e, 0.0), 0.0)

@@ -24,13 +24,6 @@ def true_noise(instrument: Instrument, *, dark_frames: int | None = None) -> Noi
     """Noise as measured on dark frames: the read noise holds everything but the light.
 
     Read noise with its spread over the pixels, dark charge, and the noise of the mean dark frame that was subtracted.
-
-    Parameters
-    ----------
-    instrument : Instrument
-        The camera and its conditions.
-    dark_frames : int, optional
-        Frames in the mean dark frame; none is subtracted without it.
     """
     pixel = instrument.pixel_noise()
     temporal_e2 = float(pixel.temporal_e2(0.0, dark_frames=dark_frames)) - pixel.rounding_e2

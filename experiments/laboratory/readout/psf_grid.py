@@ -26,18 +26,10 @@ INSET = 0.97
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PsfGrid:
-    """PSFs, each centred on the mean of its rays.
+    """PSFs, each centred on the mean of its rays."""
 
-    Attributes
-    ----------
-    psfs : tuple of EffectivePsf
-        Row by row.
-    place_px : (n, 2)
-        Where they stand.
-    """
-
-    psfs: tuple[EffectivePsf, ...]
-    place_px: FloatArray
+    psfs: tuple[EffectivePsf, ...]  # Row by row
+    place_px: FloatArray  # (n, 2) Where they stand
 
     def nearest(self, x_px: FloatArray, y_px: FloatArray) -> NDArray[np.int64]:
         """Which PSF is the nearest to places (n,)."""
@@ -54,28 +46,7 @@ def render_psf_grid(
     trail_px: FloatArray | None = None,
     long_side: int = LONG_SIDE,
 ) -> PsfGrid:
-    """Render the PSFs of a camera.
-
-    Parameters
-    ----------
-    instrument : Instrument
-        Camera.
-    light : StarLight
-        Of its pass band.
-    temperature_k : float
-        Colour of the star.
-    window_px : int
-        Window that they have to cover, at any sub-pixel phase.
-    trail_px : (2,), optional
-        Columns and rows over which stars move, evenly, during an exposure.
-    long_side : int
-        PSFs along the longer side.
-
-    Raises
-    ------
-    DomainError
-        No light reaches one of the places.
-    """
+    """Render the PSFs of a camera."""
     camera = instrument.camera
     size = np.array([camera.width_px, camera.height_px])
     columns, rows = np.maximum(3, np.rint(long_side * size / size.max()).astype(int) // 2 * 2 + 1)

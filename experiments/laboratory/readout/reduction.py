@@ -36,36 +36,16 @@ a cell is then known to some 3 %, which at 5 sigma makes a third more false alar
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reduction:
-    """How frames are measured.
+    """How frames are measured."""
 
-    Attributes
-    ----------
-    dark_dn : (h, w) float32
-        Mean of frames without light.
-    noise : NoiseModel
-        Of a frame minus that mean.
-    centroid : str
-        Name of a centroider.
-    window_px : int
-        Its window.
-    threshold_sigma : float
-        Detection limit.
-    fwhm_px : float
-        Width of the detection filter.
-    psfs : PsfGrid or None
-        For a centroider that needs one.
-    background_step_px : int
-        Every how many pixels background and noise are estimated from.
-    """
-
-    dark_dn: NDArray[np.float32]
-    noise: NoiseModel
-    centroid: str
-    window_px: int
-    threshold_sigma: float
-    fwhm_px: float = FWHM_PX
-    psfs: PsfGrid | None = None
-    background_step_px: int = BACKGROUND_STEP_PX
+    dark_dn: NDArray[np.float32]  # (h, w) Mean of frames without light
+    noise: NoiseModel  # Of a frame minus that mean
+    centroid: str  # Name of a centroider
+    window_px: int  # Its window
+    threshold_sigma: float  # Detection limit
+    fwhm_px: float = FWHM_PX  # Width of the detection filter
+    psfs: PsfGrid | None = None  # For a centroider that needs one
+    background_step_px: int = BACKGROUND_STEP_PX  # Every how many pixels background and noise are estimated from
 
     def __post_init__(self) -> None:
         freeze(self, "dark_dn", shape=("h", "w"), dtype=np.float32, sizes={})
@@ -73,21 +53,11 @@ class Reduction:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredFrame:
-    """Stars of one frame.
+    """Stars of one frame."""
 
-    Attributes
-    ----------
-    stars : StarTable
-        All detections with their centroids, brightest first.
-    fit : (n,) bool
-        Whether a star may count in an attitude: no flag against it.
-    detected_px : (n, 2)
-        Where they were detected, before the centroid.
-    """
-
-    stars: StarTable
-    fit: NDArray[np.bool_]
-    detected_px: FloatArray
+    stars: StarTable  # All detections with their centroids, brightest first
+    fit: NDArray[np.bool_]  # (n,) Whether a star may count in an attitude: no flag against it
+    detected_px: FloatArray  # (n, 2) Where they were detected, before the centroid
 
     def at_once(self, pixel_px: FloatArray) -> MeasuredFrame:
         """The same stars at other positions (n, 2)."""
@@ -99,20 +69,6 @@ def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) 
 
     A PSF at rest does not fit a trail: where the camera turned, as its rate tells, positions are first moments under a
     Gaussian window (`calib.measure.centroiders.windowed.WindowedCentroid`), in a window that holds the trail.
-
-    Parameters
-    ----------
-    frame : Frame
-        Raw readout.
-    reduction : Reduction
-        Dark and methods.
-    smear_px : float
-        Longest trail of a star during the exposure.
-
-    Returns
-    -------
-    MeasuredFrame
-        Empty if nothing was found, or no pixel is usable.
     """
     image = dark_subtracted_frame(frame, reduction.dark_dn, reduction.noise)
     try:

@@ -40,26 +40,7 @@ def find_points(
     unseen: str,
     merged: str,
 ) -> FloatArray:
-    """Detected places (j, 2) of the points of a target in one readout of its surroundings.
-
-    Parameters
-    ----------
-    reader : WindowReader
-        The detector.
-    light_e : (h, w)
-        Expected electrons of the whole detector.
-    nominal_px : (j, 2)
-        Where an ideal lens would image the points.
-    label : str
-        Of the random streams.
-    where, unseen, merged : str
-        What messages call the place; what they advise if points are not seen, or not apart.
-
-    Raises
-    ------
-    DomainError
-        If points are not detected or run into each other.
-    """
+    """Detected places (j, 2) of the points of a target in one readout of its surroundings."""
     height, width = light_e.shape
     low = np.maximum(np.floor(nominal_px.min(0)).astype(np.int64) - SEARCH_MARGIN_PX, 0)
     high = np.minimum(np.ceil(nominal_px.max(0)).astype(np.int64) + SEARCH_MARGIN_PX + 1, [width, height])
@@ -123,22 +104,7 @@ def common_shift(offset: FloatArray) -> FloatArray:
 
 
 def find_star(reader: WindowReader, light_e: NDArray[Any], near_px: FloatArray) -> FloatArray:
-    """Coarse places (n, 2) of a star, each in a wide window less the mean of two dark frames.
-
-    Parameters
-    ----------
-    reader : WindowReader
-        The detector.
-    light_e : (h, w)
-        Expected electrons of the whole detector, the star at all places at once.
-    near_px : (n, 2)
-        Where to look (column, row), good to half of `SEARCH_PX`.
-
-    Raises
-    ------
-    DomainError
-        If nothing stands out of the noise somewhere; the place is named.
-    """
+    """Coarse places (n, 2) of a star, each in a wide window less the mean of two dark frames."""
     height, width = light_e.shape
     limit = np.array([width, height])
     if min(limit) < SEARCH_PX:

@@ -35,26 +35,7 @@ def dark_subtracted(
     start_px: FloatArray | None = None,
     response: FloatArray | None = None,
 ) -> tuple[Stamps, NoiseModel]:
-    """Stamps minus the mean dark frame; with the lamp off there is no light, so no background is left.
-
-    Parameters
-    ----------
-    stack : WindowStack
-        f frames of n windows.
-    dark_e : (n, h, w)
-        Mean of frames without light, offset included.
-    start_px : (n, 2), optional
-        Where centroiders start. Without it at the centre of gravity of the mean frame: the tail of a spot draws it away
-        from the detection.
-    response : (n, h, w), optional
-        Response of the pixels, by which the light is divided.
-
-    Returns
-    -------
-    Stamps, NoiseModel
-        f n stamps, frame by frame, each with the number of its window as ``psf_index``; the noise that the readout
-        states.
-    """
+    """Stamps minus the mean dark frame; with the lamp off there is no light, so no background is left."""
     frames, count, height, width = stack.dn.shape
     stamps, noise = stamps_from_windows(stack, background_e=0.0, start_px=stack.corner_px.astype(np.float64))
     pedestal = dark_e - noise.offset_dn / noise.gain_dn_per_e
@@ -78,15 +59,6 @@ def ring_subtracted(
 
     The background is that of the outermost ring of the mean frame; centroiders start at its centre of gravity within
     3 px of the detection, where patterns far from the light do not count.
-
-    Parameters
-    ----------
-    stack : WindowStack
-        f frames of n windows.
-    found_px : (n, 2)
-        Where the light was detected.
-    response : (n, h, w), optional
-        As of `dark_subtracted`.
     """
     frames, count, height, width = stack.dn.shape
     stamps, noise = stamps_from_windows(stack, background_e=0.0, start_px=found_px)
@@ -108,13 +80,7 @@ def ring_subtracted(
 
 
 def refuse_saturated(stamps: Stamps, windows: int, *, where: str, advice: str) -> None:
-    """Refuse a readout of ``windows`` windows in which any is saturated in any frame.
-
-    Raises
-    ------
-    DomainError
-        Naming one of them.
-    """
+    """Refuse a readout of ``windows`` windows in which any is saturated in any frame."""
     full = has_flag(stamps.flags, StarFlag.SATURATED).reshape(-1, windows).any(0)
     if full.any():
         x, y = stamps.start_px[int(np.argmax(full))]

@@ -20,18 +20,10 @@ __all__ = ["WindowReader", "cut_windows", "window_corners"]
 
 @dataclass(frozen=True, slots=True)
 class WindowReader:
-    """Reads windows out under the conditions of an instrument.
+    """Reads windows out under the conditions of an instrument."""
 
-    Attributes
-    ----------
-    instrument : Instrument
-        Detector, exposure time, chip temperature.
-    streams : Streams
-        Root of the noise.
-    """
-
-    instrument: Instrument
-    streams: Streams
+    instrument: Instrument  # Detector, exposure time, chip temperature
+    streams: Streams  # Root of the noise
 
     def expose(self, light_e: ArrayLike, corner_px: NDArray[np.int64], *, frames: int, label: str) -> WindowStack:
         """Frames of windows (n, h, w) with their first pixels at ``corner_px``; ``label`` names the random streams.
@@ -70,24 +62,7 @@ class WindowReader:
 def window_corners(
     centre_px: FloatArray, size_px: int, detector_px: tuple[int, int], *, where: str, advice: str
 ) -> NDArray[np.int64]:
-    """First pixels (n, 2) of windows around places.
-
-    Parameters
-    ----------
-    centre_px : (n, 2)
-        The places (column, row).
-    size_px : int
-        Side of the windows, odd.
-    detector_px : (int, int)
-        Columns and rows of the detector.
-    where, advice : str
-        What the message calls the place of the measurement, and what it advises.
-
-    Raises
-    ------
-    DomainError
-        If a window leaves the detector.
-    """
+    """First pixels (n, 2) of windows around places."""
     corner = np.rint(centre_px).astype(np.int64) - size_px // 2
     off = np.any((corner < 0) | (corner + size_px > np.array(detector_px)), axis=1)
     if off.any():

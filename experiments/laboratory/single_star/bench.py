@@ -29,21 +29,11 @@ LONGEST_STEP_RAD = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bench:
-    """Star, table and camera mounting, as they really are.
+    """Star, table and camera mounting, as they really are."""
 
-    Attributes
-    ----------
-    table : Turntable
-        The table.
-    star : (3,)
-        Direction of the star in the laboratory.
-    installation : Rotation
-        Cam from table top.
-    """
-
-    table: Turntable
-    star: FloatArray
-    installation: Rotation
+    table: Turntable  # The table
+    star: FloatArray  # (3,) Direction of the star in the laboratory
+    installation: Rotation  # Cam from table top
 
     def __post_init__(self) -> None:
         freeze(self, "star", shape=(3,))
@@ -56,22 +46,12 @@ class Bench:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Visits:
-    """Places that the star's image visits, n of them.
+    """Places that the star's image visits, n of them."""
 
-    Attributes
-    ----------
-    wanted_px : (n, 2)
-        Where the image was to be.
-    true_rad, reading_rad : (n, k)
-        Angles of the table as they are and as they are read, mean of all readings.
-    direction : (n, 3)
-        Unit vectors in cam towards the star, at the true angles.
-    """
-
-    wanted_px: FloatArray
-    true_rad: FloatArray
-    reading_rad: FloatArray
-    direction: FloatArray
+    wanted_px: FloatArray  # (n, 2) Where the image was to be
+    true_rad: FloatArray  # (n, k) Angles of the table as they are and as they are read, mean of all readings
+    reading_rad: FloatArray  # (n, k) Angles of the table as they are and as they are read, mean of all readings
+    direction: FloatArray  # (n, 3) Unit vectors in cam towards the star, at the true angles
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -85,27 +65,7 @@ class Visits:
 
 
 def aim(bench: Bench, wanted_cam: FloatArray, roll_rad: FloatArray) -> FloatArray:
-    """Angles that put the star at wanted directions in cam.
-
-    Parameters
-    ----------
-    bench : Bench
-        The bench.
-    wanted_cam : (n, 3)
-        Unit vectors.
-    roll_rad : (n,)
-        Angle of the third axis, if there is one; it is kept.
-
-    Returns
-    -------
-    (n, k)
-        Angles [rad].
-
-    Raises
-    ------
-    DomainError
-        If the table cannot bring the star there.
-    """
+    """Angles that put the star at wanted directions in cam."""
     table, count = bench.table, len(bench.table.axis)
     on_table = bench.installation.inv().apply(wanted_cam)
     angle = np.zeros((len(wanted_cam), count))

@@ -24,24 +24,12 @@ __all__ = ["Measurement", "measure"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:
-    """One table's run.
+    """One table's run."""
 
-    Attributes
-    ----------
-    bench : Bench
-        As it really is.
-    visits : Visits
-        Angles and directions.
-    bundle_px : (n, 2)
-        Truth: mean of the traced bundle at every place.
-    readings : StarReadings
-        Centroids.
-    """
-
-    bench: Bench
-    visits: Visits
-    bundle_px: FloatArray
-    readings: StarReadings
+    bench: Bench  # As it really is
+    visits: Visits  # Angles and directions
+    bundle_px: FloatArray  # (n, 2) Truth: mean of the traced bundle at every place
+    readings: StarReadings  # Centroids
 
     def __post_init__(self) -> None:
         freeze(self, "bundle_px", shape=(len(self.visits), 2))
@@ -55,22 +43,7 @@ def measure(
     *,
     advance: Callable[[], None],
 ) -> Measurement:
-    """Turn, render, read.
-
-    Parameters
-    ----------
-    config, instrument, table
-        What to do, with which camera, on which table.
-    streams : Streams
-        Root of the noise of this run.
-    advance : callable
-        Called after each of four steps.
-
-    Raises
-    ------
-    DomainError
-        If the star leaves the detector or the field of the lens, is not seen or is saturated.
-    """
+    """Turn, render, read."""
     camera, bench = instrument.camera, build_bench(config, table)
     wanted = grid_px(config, instrument)
     aimed = camera.nominal_direction(wanted[:, 0], wanted[:, 1], instrument.focal_length_mm)

@@ -42,24 +42,12 @@ MAP_PX = 15
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseCalibration:
-    """Joint calibration of camera, star, installation and axes from n poses.
+    """Joint calibration of camera, star, installation and axes from n poses."""
 
-    Attributes
-    ----------
-    series : tuple of SeriesFrames
-        Poses.
-    data : Data
-        Images and readings.
-    calibration : Calibration
-        As the estimator gives it; axes that lean are unknowns.
-    bench : Bench
-        Table, star and installation as calibrated.
-    """
-
-    series: tuple[SeriesFrames, ...]
-    data: Data
-    calibration: Calibration
-    bench: Bench
+    series: tuple[SeriesFrames, ...]  # Poses
+    data: Data  # Images and readings
+    calibration: Calibration  # As the estimator gives it; axes that lean are unknowns
+    bench: Bench  # Table, star and installation as calibrated
 
     @property
     def residual_px(self) -> FloatArray:
@@ -83,15 +71,7 @@ class PoseCalibration:
 
 
 def calibrate_poses(folder: FrameFolder, methods: Sequence[str], use: Sequence[str]) -> PoseCalibration:
-    """Joint calibration from those series of a folder that have one of the uses.
-
-    Raises
-    ------
-    ConfigError
-        No ``[table]`` or ``pixel_pitch_um``, axes that do not fit to the readings.
-    DomainError
-        Too few poses, axes that turn the other way than said, a calibration that does not converge.
-    """
+    """Joint calibration from those series of a folder that have one of the uses."""
     s = folder.settings
     table = _believed_table(folder)
     series = tuple(reduce_series(folder, one, methods[:1]) for one in folder.series if one.settings.use in use)

@@ -46,21 +46,11 @@ POSE_UNKNOWNS = 5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Data:
-    """What the laboratory hands over.
+    """What the laboratory hands over."""
 
-    Attributes
-    ----------
-    pixel_px : (n, 2)
-        Mean images.
-    covariance_px2 : (n, 2, 2)
-        Of the centroids alone.
-    reading_rad : (n, k)
-        Readings of the table.
-    """
-
-    pixel_px: FloatArray
-    covariance_px2: FloatArray
-    reading_rad: FloatArray
+    pixel_px: FloatArray  # (n, 2) Mean images
+    covariance_px2: FloatArray  # (n, 2, 2) Of the centroids alone
+    reading_rad: FloatArray  # (n, k) Readings of the table
 
     @classmethod
     def of(cls, measurement: Measurement) -> Data:
@@ -91,21 +81,7 @@ def reduce_data(
     leans: bool,
     start_star: FloatArray | None = None,
 ) -> Calibration:
-    """Joint calibration (S100 of FISHER23) from data and belief.
-
-    Parameters
-    ----------
-    data : Data
-        Images and readings.
-    table : Turntable
-        As believed: axes, leans if they are known, reading noise.
-    start : CameraModel
-        Start of the camera; the installation starts by Wahba's problem.
-    leans : bool
-        Whether the non-orthogonality is an unknown, counted from what ``table`` holds.
-    start_star : (3,), optional
-        Start of the star's direction; at zero angles if left out.
-    """
+    """Joint calibration (S100 of FISHER23) from data and belief."""
     count = len(data.pixel_px)
     observations = Observations(
         pixel_px=data.pixel_px,
@@ -125,15 +101,7 @@ def reduce_data(
 
 
 def calibrated_bench(calibration: Calibration, table: Turntable) -> Bench:
-    """The bench as a calibration knows it.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        A joint calibration.
-    table : Turntable
-        As believed before; the leans that were found are added.
-    """
+    """The bench as a calibration knows it."""
     solution = calibration.solution
     leans = [float(v) for n, v in zip(solution.names, solution.value, strict=True) if n.startswith("lean")]
     if leans:
@@ -144,13 +112,7 @@ def calibrated_bench(calibration: Calibration, table: Turntable) -> Bench:
 
 
 def check_count(places: int, table: Turntable, *, advice: str = "raise grid.columns or grid.rows") -> None:
-    """Refuse fewer measurements than unknowns, before anything is rendered; ``advice`` says what to do.
-
-    Raises
-    ------
-    DomainError
-        With both numbers.
-    """
+    """Refuse fewer measurements than unknowns, before anything is rendered; ``advice`` says what to do."""
     unknowns = 8 + POSE_UNKNOWNS + len(table.axis) - 1
     if 2 * places <= unknowns:
         raise DomainError(
@@ -166,11 +128,6 @@ def check_parity(
 
     The affine map from where the believed table puts the star to where it was seen keeps its orientation, whatever the
     camera and its roll, as long as the axes are right: a camera cannot mirror.
-
-    Raises
-    ------
-    DomainError
-        If the map mirrors, or the star would stand behind the camera.
     """
     on_table = table.rotation(data.reading_rad).inv().apply(start_star)
     middle = on_table.mean(0) / np.linalg.norm(on_table.mean(0))
@@ -193,22 +150,7 @@ def check_parity(
 
 
 def check_fit(calibration: Calibration, what: str, advice: str) -> None:
-    """Refuse a calibration that did not converge or whose residuals are far above their noise.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        What is judged.
-    what : str
-        What it is called.
-    advice : str
-        What may be wrong.
-
-    Raises
-    ------
-    DomainError
-        With the state of the fit, and the advice.
-    """
+    """Refuse a calibration that did not converge or whose residuals are far above their noise."""
     solution = calibration.solution
     if not (solution.converged and solution.reduced_chi2 <= LARGEST_REDUCED_CHI2):
         raise DomainError(

@@ -101,13 +101,7 @@ class SingleStarConfig(OwnFramesConfig):
         return self
 
     def check_edge(self, key: str, edge_px: float) -> None:
-        """Refuse places so near to the edge that windows leave the detector.
-
-        Raises
-        ------
-        ValueError
-            Naming the key.
-        """
+        """Refuse places so near to the edge that windows leave the detector."""
         if edge_px < self.window_px:
             raise ValueError(
                 f"{key} = {edge_px:g} px: at least window_px = {self.window_px} px is needed, or windows leave the "

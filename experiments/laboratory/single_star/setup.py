@@ -45,13 +45,7 @@ def camera_under_test(config: SingleStarConfig) -> Instrument:
 
 
 def build_star(config: SingleStarConfig, instrument: Instrument) -> SingleStar:
-    """The single-star simulator; its light fills the pass band of the camera.
-
-    Raises
-    ------
-    ConfigError, DomainError
-        A pass band that reaches beyond what is known of the camera.
-    """
+    """The single-star simulator; its light fills the pass band of the camera."""
     band = open_band(config.passband, instrument, "star simulator")
     return SingleStar(
         azimuth_deg=config.star.azimuth_deg,
@@ -63,13 +57,7 @@ def build_star(config: SingleStarConfig, instrument: Instrument) -> SingleStar:
 
 
 def star_signal(config: SingleStarConfig, instrument: Instrument, brightness: SignalConfig | None = None) -> Signal:
-    """Electrons of the simulated star, or of the same star at another brightness, and its magnitude.
-
-    Raises
-    ------
-    ConfigError, DomainError
-        As `build_star`.
-    """
+    """Electrons of the simulated star, or of the same star at another brightness, and its magnitude."""
     band = open_band(config.passband, instrument, "star simulator")
     return signal_of(brightness or config.star, band, instrument, config.star.temperature_k)
 
@@ -87,13 +75,7 @@ def build_table(config: TableConfig, axes: str | None = None) -> Turntable:
 
 
 def check_table(key: str, config: TableConfig, count: int) -> None:
-    """Refuse a table of another number of axes, or with a number of errors that does not fit to them.
-
-    Raises
-    ------
-    ConfigError
-        Naming the key.
-    """
+    """Refuse a table of another number of axes, or with a number of errors that does not fit to them."""
     try:
         directions = axis_directions(config.axes)
     except ConfigError as error:
@@ -134,13 +116,7 @@ def build_bench(config: SingleStarConfig, table: TableConfig) -> Bench:
 
 
 def grid_px(config: SingleStarConfig, instrument: Instrument) -> FloatArray:
-    """Places (n, 2) that the image is to visit, row by row.
-
-    Raises
-    ------
-    DomainError
-        If they do not fit, or cover too little of the detector.
-    """
+    """Places (n, 2) that the image is to visit, row by row."""
     grid, camera = config.grid, instrument.camera
     size = np.array([camera.width_px, camera.height_px])
     reach = size - 1 - 2 * grid.edge_px

@@ -17,13 +17,7 @@ _BLUE, _RED, _GREEN = PALETTE[0], PALETTE[1], PALETTE[2]
 
 
 def bench_sketch(axes: str) -> Figure:
-    """The bench seen from the side, with the unknowns in colour.
-
-    Parameters
-    ----------
-    axes : str
-        Axes of the table, for the labels.
-    """
+    """The bench seen from the side, with the unknowns in colour."""
     figure, axis = new_figure(aspect_ratio=0.40)
     axis.set(xlim=(0, 19), ylim=(0, 7.6), aspect="equal")
     axis.axis("off")

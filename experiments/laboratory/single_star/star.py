@@ -43,30 +43,13 @@ def star_angles_deg(direction: ArrayLike) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SingleStar:
-    """A collimated star; the collimator of the single-star bench is free of colour and of divergence.
+    """A collimated star; the collimator of the single-star bench is free of colour and of divergence."""
 
-    Attributes
-    ----------
-    azimuth_deg, elevation_deg : float
-        Where it stands in the laboratory (`star_direction`).
-    spectrum : Sed
-        Its light.
-    band : Band
-        What the simulator's filter lets through.
-    signal_e : float
-        Electrons per exposure on the axis of the camera.
-
-    Raises
-    ------
-    DomainError
-        On a signal that is not positive.
-    """
-
-    azimuth_deg: float
-    elevation_deg: float
-    spectrum: Sed
-    band: Band
-    signal_e: float
+    azimuth_deg: float  # Where it stands in the laboratory (`star_direction`)
+    elevation_deg: float  # Where it stands in the laboratory (`star_direction`)
+    spectrum: Sed  # Its light
+    band: Band  # What the simulator's filter lets through
+    signal_e: float  # Electrons per exposure on the axis of the camera
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.signal_e) and self.signal_e > 0):
@@ -78,20 +61,7 @@ class SingleStar:
         return star_direction(self.azimuth_deg, self.elevation_deg)
 
     def seen(self, direction_cam: FloatArray, instrument: Instrument) -> StarField:
-        """The star as the camera sees it.
-
-        Parameters
-        ----------
-        direction_cam : (n, 3)
-            Unit vectors in cam at n attitudes of the camera.
-        instrument : Instrument
-            Sets the exposure and the scale of the light.
-
-        Returns
-        -------
-        StarField
-            One row per attitude, one band; each collects ``signal_e`` on the axis, less by the cosine off it.
-        """
+        """The star as the camera sees it."""
         nodes = band_nodes([self.band], NODES)
         shape = nodes.weight_nm * nodes.transmission * self.spectrum.photon_density(nodes.wavelength_nm)
         camera = instrument.camera

@@ -41,30 +41,14 @@ class WindowPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarReadings:
-    """Mean centroids of a star at n places.
+    """Mean centroids of a star at n places."""
 
-    Attributes
-    ----------
-    position_px : (n, 2)
-        Mean over the frames.
-    covariance_px2 : (n, 2, 2)
-        Of the mean, predicted (see the module).
-    temporal_px : (n, 2)
-        Standard deviation of a single frame's centroid, measured.
-    predicted_temporal_px : (n, 2)
-        The same, predicted.
-    frames_used : (n,) int64
-        Frames that gave a position.
-    windows : WindowStack
-        The readout.
-    """
-
-    position_px: FloatArray
-    covariance_px2: FloatArray
-    temporal_px: FloatArray
-    predicted_temporal_px: FloatArray
-    frames_used: NDArray[np.int64]
-    windows: WindowStack
+    position_px: FloatArray  # (n, 2) Mean over the frames
+    covariance_px2: FloatArray  # (n, 2, 2) Of the mean, predicted (see the module)
+    temporal_px: FloatArray  # (n, 2) Standard deviation of a single frame's centroid, measured
+    predicted_temporal_px: FloatArray  # (n, 2) The same, predicted
+    frames_used: NDArray[np.int64]  # (n,) Frames that gave a position
+    windows: WindowStack  # The readout
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -83,28 +67,7 @@ def read_windows(
     *,
     streams: Streams,
 ) -> StarReadings:
-    """Find the star at every place, read windows around it, and reduce them.
-
-    Parameters
-    ----------
-    expected : ExpectedImage
-        The star at all places at once, one band; windows of different places must not share light.
-    near_px : (n, 2)
-        Where to look (column, row), good to half of `experiments.laboratory.readout.search.SEARCH_PX`.
-    psfs : sequence of EffectivePsf
-        PSF at each place.
-    instrument : Instrument
-        The camera.
-    plan : WindowPlan
-        Windows and frames.
-    streams : Streams
-        Root of the noise.
-
-    Raises
-    ------
-    DomainError
-        If the star is not found, is saturated, or a window leaves the detector; the place is named.
-    """
+    """Find the star at every place, read windows around it, and reduce them."""
     reader, light_px = WindowReader(instrument, streams), expected.electrons[:, :, 0]
     centre = find_star(reader, light_px, near_px)
     size = instrument.camera.width_px, instrument.camera.height_px
