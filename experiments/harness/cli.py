@@ -285,7 +285,7 @@ def _perform(declared: Experiment, options: Options, interrupts: Interrupts) -> 
         variant = Engine.start(options.backend).variant
     interrupts.at_once = False
     progress = terminal_progress()
-    result = experiment.run(config, progress=progress, **own)
+    result = experiment.part(experiment.run)(config, progress=progress, **own)
     with progress.stage("write"):
         run = finished(experiment, config, result, variant=variant, quick=options.quick, times_s=progress.times_s)
         with folder.writing() as staging:
@@ -364,7 +364,7 @@ def write_run(run: Run, folder: Path) -> None:
     content = summary(experiment.name, outcome.config, experiment.results(outcome), run.criteria)
     content["config"] = without_paths(content["config"])
     (folder / "summary.json").write_text(dumps(content), encoding="utf-8")
-    for name, table in run.tables.items():
+    for name, table in experiment.make_tables(outcome, every=True).items():
         write_ecsv(table, folder / f"{name}.ecsv")
     write_netcdf(outcome.data, folder / "results.nc")
     if experiment.files is not None:

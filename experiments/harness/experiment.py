@@ -1,22 +1,19 @@
-"""An experiment, declared: its name, settings, run, quantities, tables, figures, criteria and report.
+"""An experiment, declared: its name, settings, run, sections and report.
 
 A package ``experiments/NAME`` holds
 
 * ``__init__.py``: a docstring whose first line says what the experiment answers (``python -m experiments`` lists it);
-* ``settings.py``: ``Config(ExperimentConfig)``, whose defaults are the published run;
-* ``experiment.py``: ``run(config, *, progress) -> result``, the work, without side effects; and the declaration::
+* ``settings.py``, light to import: ``Config(ExperimentConfig)``, whose defaults are the published run, and::
 
-      experiment = Experiment(name="NAME", config=Config, run=run, quick={"frames": 4})
+      experiment = Experiment(name="NAME", config=Config, run="experiment:run", sections="experiment:SECTIONS")
       main = command(experiment)
 
-* ``quantities.py``: ``describe(result) -> Quantities``, every number described once;
-* ``tables.py``: ``tables(outcome) -> {name: Pivot or Table}``, printed and written as ``name.ecsv``;
-* ``figures.py``: functions ``name(outcome) -> matplotlib Figure``;
-* ``criteria.py``: ``criteria(outcome) -> list of Criterion``;
+* ``experiment.py``, read from top to bottom: records of `experiments.harness.sections.col` fields, the computation,
+  ``run(config, *, progress) -> {section: record or records}`` without side effects, and ``SECTIONS``;
 * ``report.md``: what ``report.html`` says (`experiments.harness.document`).
 
-Parts are named as "module:function", relative to the package, and imported when they are needed: ``--help`` and
-mistakes answer at once. Import what is slow (mitsuba, astropy) inside ``run``.
+Parts are named as "module:function", relative to the package, and imported when work begins: ``--help`` and mistakes
+answer at once.
 """
 
 from __future__ import annotations
@@ -33,6 +30,7 @@ from optics.errors import unknown_name
 
 if TYPE_CHECKING:
     from experiments.harness.quantities import Outcome
+    from experiments.harness.sections import Section
     from experiments.harness.summary import Criterion
     from experiments.harness.tables import Table
 
@@ -47,9 +45,15 @@ class Experiment:
 
     name: str  # By which it is called; the default output folder is ``out/NAME``
     config: type[ExperimentConfig]  # Its settings
-    # ``run(config, *, progress) -> result``: the work under some settings; it reports stages to ``progress``
-    # (`experiments.harness.progress.Progress`) and raises `StarbenchError` on what the user can mend
-    run: Callable[..., Any]
+    # ``run(config, *, progress) -> {section: record, records or None}``: the work under some settings; it reports
+    # stages to ``progress`` (`experiments.harness.progress.Progress`) and raises `StarbenchError` on bad input
+    run: Part
+    sections: Part | Mapping[str, Any] | None = None  # Name -> `experiments.harness.sections.Section`
+    # ``axes(config) -> Quantities``: dimensions that the sections share
+    axes: Part | None = None
+    # ``predict(config, *, progress)``: the same sections without frames, for sweeps and comparisons of sensors
+    predict: Part | None = None
+    swept: Sequence[str] = ()  # Quantities without dimensions that a sweep of settings shows, the chief one first
     takes: str = ""  # How long a default and a quick run take on two cores, for the help text
     # Two command lines (what follows the name) -> what they do
     examples: Mapping[str, str] = field(default_factory=dict)
@@ -81,18 +85,27 @@ class Experiment:
     @property
     def package(self) -> str:
         """Package that relative parts belong to."""
-        return self.run.__module__.rpartition(".")[0]
+        return self.config.__module__.rpartition(".")[0]
 
     @property
     def about(self) -> str:
-        """What the experiment answers: the docstring of its package, or of the module of ``run``."""
-        module = sys.modules.get(self.package) or sys.modules[self.run.__module__]
-        return (module.__doc__ or sys.modules[self.run.__module__].__doc__ or "").strip()
+        """What the experiment answers: the docstring of its package, or of the module that declares it."""
+        module = sys.modules.get(self.package) or sys.modules[self.config.__module__]
+        return (module.__doc__ or sys.modules[self.config.__module__].__doc__ or "").strip()
 
     @property
     def template(self) -> Path:
         """File of the report's template."""
-        return Path(sys.modules[self.run.__module__].__file__ or ".").parent / self.report
+        return Path(sys.modules[self.config.__module__].__file__ or ".").parent / self.report
+
+    @property
+    def parts(self) -> Mapping[str, Section]:
+        """Its sections; none of an experiment that describes its quantities by itself."""
+        if self.sections is None or isinstance(self.sections, Mapping):
+            return self.sections or {}
+        module, _, name = str(self.sections).partition(":")
+        found: Mapping[str, Section] = getattr(import_module(f"{self.package}.{module}"), name)
+        return found
 
     def part(self, part: Part) -> Callable[..., Any]:
         """A part of the experiment, imported now if need be."""
@@ -106,7 +119,13 @@ class Experiment:
         """Result with its quantities."""
         from experiments.harness.quantities import Outcome
 
-        return Outcome(config=config, result=result, data=self.part(self.quantities)(result).dataset)
+        if self.sections is None:
+            return Outcome(config=config, result=result, data=self.part(self.quantities)(result).dataset)
+        from experiments.harness.quantities import Quantities
+        from experiments.harness.sections import described
+
+        q = self.part(self.axes)(config) if self.axes is not None else Quantities()
+        return Outcome(config=config, result=result, data=described(self.parts, q, result).dataset)
 
     def results(self, outcome: Outcome) -> dict[str, Any]:
         """The ``results`` of ``summary.json``; they end with what the process took, if nobody described that."""
@@ -117,27 +136,37 @@ class Experiment:
         took = {"runtime_s": process_seconds(), "peak_memory_mb": peak_memory_mb()}
         return found | {key: value for key, value in took.items() if key not in found}
 
-    def make_tables(self, outcome: Outcome) -> dict[str, Table]:
-        """Tables by name."""
+    def make_tables(self, outcome: Outcome, *, every: bool = False) -> dict[str, Table]:
+        """Tables by name; with ``every`` all columns of the sections, which is what ECSV files hold."""
         from experiments.harness.pivot import Pivot, pivot
 
-        made = self.part(self.tables)(outcome) if self.tables is not None else {}
+        if self.sections is not None:
+            from experiments.harness.sections import tabulated
+
+            made = dict(tabulated(self.parts, outcome, every=every))
+        else:
+            made = dict(self.part(self.tables)(outcome)) if self.tables is not None else {}
         return {name: pivot(outcome.data, one) if isinstance(one, Pivot) else one for name, one in made.items()}
 
     def judge(self, outcome: Outcome) -> list[Criterion]:
         """Criteria of a run."""
+        if self.sections is not None:
+            from experiments.harness.sections import judged
+
+            return judged(self.parts, outcome)
         return list(self.part(self.criteria)(outcome))
 
     def draw(self, outcome: Outcome) -> Callable[..., Any]:
         """``draw(name, *arguments)``: figure of the experiment by name."""
-        source = self.figures
 
         def call(name: str, *arguments: Any) -> Any:
-            if isinstance(source, str):
-                module = import_module(f"{self.package}.{source}")
+            if self.sections is not None:
+                known = {key: drawing for one in self.parts.values() for key, drawing in one.figures.items()}
+            elif isinstance(self.figures, str):
+                module = import_module(f"{self.package}.{self.figures}")
                 known = {one: getattr(module, one) for one in module.__all__}
             else:
-                known = dict(source)
+                known = dict(self.figures)
             if name not in known:
                 raise unknown_name("figure", name, known)
             return known[name](outcome, *arguments)

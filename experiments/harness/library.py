@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from experiments.harness.cli import Options, Run, asked, finished, output_folder, write_run
 from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
-from experiments.harness.registry import package_of
+from experiments.harness.registry import declaration_of, package_of
 from experiments.harness.threads import one_thread
 from optics.errors import ConfigError
 
@@ -120,7 +120,7 @@ def run_experiment(
     StarbenchError
         Whatever the command refuses in one line.
     """
-    module = None if isinstance(name, Experiment) else import_module(f"{package_of(name)}.experiment")
+    module = None if isinstance(name, Experiment) else import_module(declaration_of(package_of(name)))
     declared: Any = name if module is None else module.experiment
     if declared.output is not None and out is None:
         raise ConfigError(f"the experiment {declared.name!r} writes as it goes: name a folder, out=")
@@ -145,7 +145,7 @@ def run_experiment(
             variant = Engine.start(backend).variant
         progress = Progress()
         own = {"output": folder} if experiment.output else {}
-        result = experiment.run(config, progress=progress, **own)
+        result = experiment.part(experiment.run)(config, progress=progress, **own)
         run = finished(experiment, config, result, variant=variant, quick=quick, times_s=progress.times_s)
         if folder is not None:
             with folder.writing() as staging:

@@ -15,7 +15,7 @@ from optics.errors import ConfigError, unknown_name
 if TYPE_CHECKING:
     from experiments.harness.cli import Main
 
-__all__ = ["GROUP", "found", "load", "package_of"]
+__all__ = ["GROUP", "declaration_of", "found", "load", "package_of"]
 
 GROUP = "starbench.experiments"
 """Entry points under which other distributions offer experiments: ``NAME = "package"``, laid out as ours."""
@@ -48,11 +48,17 @@ def package_of(name: str, beside: Iterable[str] = ()) -> str:
     return packages[name]
 
 
+def declaration_of(package: str) -> str:
+    """Module that declares the experiment of a package: ``settings``, or ``experiment`` until it is cut into sections."""
+    settings = import_module(f"{package}.settings") if importlib.util.find_spec(f"{package}.settings") else None
+    return f"{package}.{'settings' if hasattr(settings, 'experiment') else 'experiment'}"
+
+
 def load(name: str, beside: Iterable[str] = ()) -> Main:
     """The command of an experiment; parameters and errors as of `package_of`."""
     package = package_of(name, beside)
-    main = getattr(import_module(f"{package}.experiment"), "main", None)
+    main = getattr(import_module(declaration_of(package)), "main", None)
     if main is None:
-        raise ConfigError(f"experiment {name!r}: {package}.experiment has no main = command(experiment)")
+        raise ConfigError(f"experiment {name!r}: {declaration_of(package)} has no main = command(experiment)")
     command: Main = main
     return command

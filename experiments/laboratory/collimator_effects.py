@@ -15,7 +15,7 @@ half of the difference of two filters, in full.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,7 +23,8 @@ import numpy as np
 
 from experiments.harness.pivot import Pivot
 from experiments.harness.quantities import Quantities
-from experiments.harness.summary import Criterion, farthest_from_one
+from experiments.harness.sections import Section, col, ratio_near
+from experiments.harness.summary import Criterion, Measured, farthest_from_one
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.chromatic_error import shifts, table1
 from experiments.laboratory.collimator_settings import FilteredCollimatorConfig
@@ -200,6 +201,53 @@ class LineOfSight:
     own_px: float  # What the stars' own noise leaves in the mean over them
     frames: int  # That ``seen_px`` is from
     pixel_arcsec: float  # Angle of a pixel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sight:
+    """Motion of the line of sight in the laboratory, per axis, 3 sigma: closed form, and what the stars share."""
+
+    between_arcsec: float = col(
+        "Line of sight from frame to frame, predicted",
+        "arcsec",
+        ".3f",
+        json="line_of_sight_between_arcsec_3sigma",
+    )
+    within_arcsec: float = col(
+        "Line of sight within a frame, predicted", "arcsec", ".3f", json="line_of_sight_within_arcsec_3sigma"
+    )
+    seen_arcsec: Sequence[Measured] = col(
+        "Line of sight from frame to frame, measured",
+        "arcsec",
+        dims="axis",
+        json="line_of_sight_seen_arcsec_3sigma",
+    )
+    ratio: Sequence[Measured] = col("Measured / predicted motion of the line of sight", dims="axis", json="")
+
+
+SIGHT = Section(
+    record=Sight,
+    prefix="collimator_",
+    place="collimator",
+    verdicts=[ratio_near("collimator_ratio", within=MOTION_RATIO)],
+)
+
+
+def sight_of(bench: Bench, instrument: Instrument, motion_px2: FloatArray) -> Sight | None:
+    """Motion common to the stars (levels, 2, 2) [px^2] against the integral of the spectrum; None at rest."""
+    sight = line_of_sight(bench, instrument, motion_px2, bench.frames)
+    if sight is None:
+        return None
+    scale = 3.0 * sight.pixel_arcsec
+    part = (1.0 + (sight.own_px / sight.between_px) ** 2) / np.sqrt(2.0 * sight.frames)
+    return Sight(
+        between_arcsec=scale * sight.between_px,
+        within_arcsec=scale * sight.within_px,
+        seen_arcsec=[
+            Measured(value=float(scale * v), uncertainty=scale * sight.between_px * part) for v in sight.seen_px
+        ],
+        ratio=[Measured(value=float(v / sight.between_px), uncertainty=part) for v in sight.seen_px],
+    )
 
 
 def line_of_sight(bench: Bench, instrument: Instrument, motion_px2: FloatArray, frames: int) -> LineOfSight | None:

@@ -2,7 +2,7 @@
 
 import sys
 
-from experiments.temporal.experiment import main
+from experiments.temporal.settings import main
 
 if __name__ == "__main__":
     sys.exit(main())

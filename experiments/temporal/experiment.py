@@ -1,109 +1,292 @@
-"""Temporal error of a star camera (ACC18 eq. 1-2, Fig. 5): frames of a static target, scatter against signal.
-
-A 5 x 5 point target stands still; frames are rendered, read out with noise and rounding, detected and centroided at
-several signal levels. The scatter of every star's centroid stands beside the Cramer-Rao bound and two predictions that
-use no frames: the noise model carried through each centroider's influence function, and noise drawn on PSF windows.
-"""
+"""Temporal error (ACC18 eq. 1-2, Fig. 5): at the signal of the source, against signal, and star by star."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
-from experiments.harness.cli import command
-from experiments.harness.experiment import Experiment
+import numpy as np
+
+from experiments.harness.drawings import cloud, curves, image
 from experiments.harness.progress import Progress
-from experiments.laboratory.own_frames.experiment import or_own_frames
+from experiments.harness.quantities import Quantities
+from experiments.harness.sections import Section, agree, col, ratio_near
+from experiments.harness.summary import Measured
+from experiments.laboratory import sketches
+from experiments.laboratory.collimator_effects import SIGHT, sight_of
+from experiments.laboratory.point_quantities import point_quantities
+from experiments.laboratory.point_scene import point_laboratory, point_signal, prepared_scene
+from experiments.laboratory.published import ACC18_ARCSEC, is_published_sensor
+from experiments.laboratory.signal import Signal
+from experiments.laboratory.temporal_error import (
+    TemporalMeasurement,
+    TemporalPrediction,
+    measure_temporal,
+    predict_temporal,
+    small_sample_factor,
+    target_place,
+)
 from experiments.temporal.settings import Config
+from optics.arrays import FloatArray
+from render.engine.random import Streams
+from render.records import WindowStack
 
-if TYPE_CHECKING:
-    from experiments.temporal.result import Result
+__all__ = ["SECTIONS", "axes", "run"]
 
-__all__ = ["Config", "experiment", "main", "run"]
+Errors = Sequence[Sequence[Measured]]
 
 
-def run(config: Config, *, progress: Progress) -> Result:
-    """Render, read out, reduce, predict."""
-    import numpy as np
+# --- Temporal error at one signal, by centroider and axis
 
-    from experiments.laboratory.brightness import BrightnessControl
-    from experiments.laboratory.collimator_effects import line_of_sight
-    from experiments.laboratory.known_motion import measure_shaken
-    from experiments.laboratory.point_scene import point_laboratory, prepared_scene
-    from experiments.laboratory.published import is_published_sensor
-    from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
-    from experiments.temporal.result import Result, published_levels
-    from render.engine.random import Streams
 
-    bench, instrument = point_laboratory(config, config.target)
-    streams = Streams(config.seed).child("temporal")
-    brightness = config.brightness
-    control = BrightnessControl(
-        lowest_e=brightness.lowest_e,
-        highest_e=brightness.highest_e,
-        setting_error_ratio=brightness.setting_error_ratio,
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scatter:
+    """Temporal error (3 sigma) at one signal, measured and predicted without frames."""
+
+    signal_e: float = col("Signal", "e-", ".0f", shown=False)
+    magnitude_mag: float = col("V", "mag", ".2f", json="signal_magnitude_mag", shown=False)
+    dark_arcsec: Errors = col("Measured", "arcsec", dims="method axis", json="temporal_error_arcsec_3sigma")
+    drawn_arcsec: FloatArray = col("Predicted", "arcsec", ".4f", "method axis", json="predicted_arcsec_3sigma")
+    influence_arcsec: FloatArray = col(
+        "Predicted, linear", "arcsec", ".4f", "method axis", json="predicted_linear_arcsec_3sigma", shown=False
     )
-    wanted = control.levels_e(brightness.levels)
-    reached = control.reached_e(wanted, streams.generator("brightness"))
+    bound_arcsec: FloatArray = col(
+        "Cramér-Rao", "arcsec", ".4f", "axis", json="cramer_rao_arcsec_3sigma", key="cramer_rao_arcsec"
+    )
+    ratio: Errors = col("Measured / predicted", dims="method axis")
+    over_bound: Errors = col("Measured / Cramér-Rao", dims="method axis", json="", shown=False)
+    published_arcsec: Sequence[float] | None = col(
+        "Published", "arcsec", dims="axis", json="published_arcsec_3sigma", shown=False, default=None
+    )
+
+
+def scatter(
+    measured: TemporalMeasurement, predicted: TemporalPrediction, methods: Sequence[str], star: Signal, level: int = 0
+) -> Scatter:
+    """Eq. 1-2 of the frames at one level; the ratios leave out the small-sample factor of a standard deviation."""
+    c4, signal_e = small_sample_factor(measured.frames), float(measured.levels_e[level])
+    seen = [measured.te_arcsec(m, level) for m in methods]
+    drawn = np.array([predicted.sampled_te_arcsec(m, level) for m in methods])
+    spread = np.array([predicted.te_uncertainty_arcsec(m, level) for m in methods])
+    bound = predicted.bound_te_arcsec(level)
+    return Scatter(
+        signal_e=signal_e,
+        magnitude_mag=star.magnitude_of(signal_e),
+        dark_arcsec=seen,
+        drawn_arcsec=drawn,
+        influence_arcsec=np.array([predicted.te_arcsec(m, level) for m in methods]),
+        bound_arcsec=bound,
+        ratio=over(seen, c4 * drawn, spread / drawn),
+        over_bound=over(seen, np.broadcast_to(c4 * bound, drawn.shape), np.zeros_like(drawn)),
+    )
+
+
+def over(measured: Errors, expected: FloatArray, uncertainty: FloatArray) -> Errors:
+    """Measured values over expected ones, whose relative uncertainty is given."""
+
+    def ratio(one: Measured, by: float, own: float) -> Measured:
+        error = one.value / by * np.hypot((one.uncertainty or 0.0) / one.value, own)
+        return Measured(value=one.value / by, uncertainty=float(error), n=one.n)
+
+    rows = zip(measured, expected, uncertainty, strict=True)
+    return [[ratio(*cells) for cells in zip(*row, strict=True)] for row in rows]
+
+
+# --- Star by star, and what the frames look like
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Star:
+    """Standard deviation of a star's centroid at the signal of the source, first centroider, per axis."""
+
+    light_px: FloatArray = col("Light", "px", dims="axis", json="", key="light_{axis}_px")
+    sigma_px: Sequence[Measured] = col("Measured σ", "px", dims="axis", json="", key="sigma_{axis}_px")
+    predicted_px: FloatArray = col("Predicted σ", "px", dims="axis", json="", key="predicted_{axis}_px")
+    bound_px: FloatArray = col("Cramér-Rao σ", "px", dims="axis", json="", key="bound_{axis}_px")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frames:
+    """What was measured with, and the frames at the signal of the source."""
+
+    frames: int = col("Frames")
+    stars: int = col("Stars")
+    pixel_arcsec: float = col("Angle of a pixel", "arcsec")
+    signal_star_k: float = col("Temperature of that star", "K", ".0f")
+    signal_star: str = col("Star")
+    first_e: FloatArray = col("Windows of a frame", "e-", dims="row column", json="")
+    apart_arcsec: FloatArray = col("Centroids about their mean", "arcsec", dims="frame star axis", json="")
+
+
+def stars(measured: TemporalMeasurement, predicted: TemporalPrediction, method: str) -> list[Star]:
+    """Every star at the first level."""
+    sigma, expected = measured.sigma_px["dark"][method][0], predicted.sampled_px[method][0]
+    error = expected * np.sqrt(1.0 - small_sample_factor(measured.frames) ** 2)
+    return [
+        Star(
+            light_px=light,
+            sigma_px=[Measured(value=float(v), uncertainty=float(e)) for v, e in zip(own, spread, strict=True)],
+            predicted_px=drawn,
+            bound_px=bound,
+        )
+        for light, own, spread, drawn, bound in zip(
+            measured.light.photon_px, sigma, error, expected, predicted.bound_px[0], strict=True
+        )
+    ]
+
+
+def windows_e(stack: WindowStack, rows: int, columns: int) -> FloatArray:
+    """Windows of the first frame, laid out as the target, a pixel apart."""
+    light = (stack.dn[0].astype(float) - stack.offset_dn) / stack.gain_dn_per_e
+    apart = np.pad(light, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan)
+    side = apart.shape[1]
+    mosaic = apart.reshape(rows, columns, side, side).transpose(0, 2, 1, 3)
+    return mosaic.reshape(rows * side, columns * side)[:-1, :-1]
+
+
+# --- The run
+
+
+def axes(config: Config) -> Quantities:
+    """Dimensions that all sections share."""
+    return point_quantities(config.methods)
+
+
+def run(config: Config, *, progress: Progress) -> dict[str, Any]:
+    """Render, read out, reduce, predict.
+
+    Raises
+    ------
+    StarbenchError
+        On anything the user can mend: unknown lens or detector, target off the detector, points not detected or
+        saturated, light beyond the range of the data.
+    """
+    bench, instrument = point_laboratory(config, config.target)
+    streams, levels, methods = Streams(config.seed).child("temporal"), config.brightness, config.methods
+    wanted = np.geomspace(levels.lowest_e, levels.highest_e, levels.levels)
+    drift = streams.generator("brightness").standard_normal(len(wanted))
+    reached = wanted * np.exp(levels.setting_error_ratio * drift)
+    place = {"place_px": config.place_px}
     scene = prepared_scene(bench, instrument, target_place(bench, instrument, config.place_px)[None], progress)
     with progress.stage("frames", total=len(reached) + 1) as stage:
-        measured, nominal = (
-            measure_temporal(
-                bench,
-                instrument,
-                levels_e=levels_e,
-                place_px=config.place_px,
-                subtractions=("dark", "raw"),
-                streams=root,
-                scene=scene,
-                advance=stage.advance,
-            )
-            for levels_e, root in ((reached, streams), (None, streams.child("nominal")))
-        )
-    light = nominal.light
-    with progress.stage("shaken target"):
-        shaken = measure_shaken(scene, light.direction, light.psf, streams.child("shaken"))
+        here = {"scene": scene, "advance": stage.advance, **place}
+        measured = measure_temporal(bench, instrument, levels_e=reached, streams=streams, **here)
+        nominal = measure_temporal(bench, instrument, streams=streams.child("nominal"), **here)
     with progress.stage("prediction"):
-        psf = light.psf
-        predicted = predict_temporal(
-            bench, instrument, psf=psf, levels_e=reached, place_px=config.place_px, draws=config.draws, seed=config.seed
-        )
-        at_nominal = predict_temporal(
-            bench, instrument, psf=psf, place_px=config.place_px, draws=config.draws, seed=config.seed + 1
-        )
-        known = is_published_sensor(config)
-        levels = published_levels(bench, instrument, psf, config.place_px) if known else {}
+        free = {"psf": nominal.light.psf, "draws": config.draws, **place}
+        predicted = predict_temporal(bench, instrument, levels_e=reached, seed=config.seed, **free)
+        at_nominal = predict_temporal(bench, instrument, seed=config.seed + 1, **free)
+    star = point_signal(config, instrument)
+    centroids_px = nominal.position_px[methods[0]]
     motion_px2 = np.concatenate([measured.motion_px2, nominal.motion_px2])
-    return Result(
-        config=config,
-        instrument=instrument,
-        measured=measured,
-        nominal=nominal,
-        predicted=predicted,
-        predicted_nominal=at_nominal,
-        shaken=shaken,
-        sight=line_of_sight(bench, instrument, motion_px2, bench.frames),
-        published_level_e=levels,
-    )
+    published = {"published_arcsec": ACC18_ARCSEC["TE"]} if is_published_sensor(config) else {}
+    return {
+        "frames": Frames(
+            frames=nominal.frames,
+            stars=len(nominal.light),
+            pixel_arcsec=instrument.pixel_arcsec,
+            signal_star_k=star.temperature_k,
+            signal_star=star.star,
+            first_e=windows_e(nominal.windows, config.target.rows, config.target.columns),
+            apart_arcsec=instrument.pixel_arcsec * (centroids_px - np.nanmean(centroids_px, axis=0)),
+        ),
+        "nominal": replace(scatter(nominal, at_nominal, methods, star), **published),
+        "levels": [scatter(measured, predicted, methods, star, level) for level in range(len(reached))],
+        "stars": stars(nominal, at_nominal, methods[0]),
+        "sight": sight_of(bench, instrument, motion_px2),
+    }
 
 
-rendered = Experiment(
-    name="temporal",
-    config=Config,
-    run=run,
-    takes="30 s (--quick: 10 s)",
-    examples={
-        "--quick": "a small run",
-        "--set source.signal_e=2000 --set centroid=gaussian": "fainter stars, another centroider",
-    },
-    show=("temporal_error",),
-    quick={
-        "frames": 30,
-        "draws": 30,
-        "brightness.levels": 5,
-        "target.rows": 3,
-        "target.columns": 3,
-        "compare": ["tcog", "epsf"],
-    },
-)
-experiment = or_own_frames(rendered, "experiments.temporal.own_frames")
-main = command(experiment)
+NOTE = "Measured values carry the small-sample factor of a standard deviation, as the document's do; ratios do not."
+SECTIONS = {
+    "frames": Section(
+        record=Frames,
+        figures={
+            "bench_sketch": lambda _: sketches.collimator_bench(),
+            "target_frame": image("first_e"),
+            "frame_cloud": cloud("apart_arcsec", ellipses="drawn_arcsec bound_arcsec", at={"method": 0}),
+        },
+    ),
+    "nominal": Section(
+        record=Scatter,
+        table="temporal_error",
+        caption="Temporal error (3 σ) of one star at the signal of the source.",
+        note=NOTE,
+        verdicts=[
+            ratio_near(
+                "ratio",
+                within=0.05,
+                each="axis",
+                at={"method": 0},
+                title="measured over predicted at the signal of the source",
+            )
+        ],
+    ),
+    "levels": Section(
+        record=Scatter,
+        dim="level",
+        along="signal_e",
+        prefix="level_",
+        place="levels[level]",
+        json={
+            "magnitude_mag": "magnitude_mag",
+            "dark_arcsec": "methods[method].measured",
+            "drawn_arcsec": "methods[method].predicted",
+            "influence_arcsec": "methods[method].linear",
+            "bound_arcsec": "cramer_rao",
+            "ratio": "",
+        },
+        table="levels",
+        caption="Temporal error (3 σ) against signal.",
+        note=NOTE,
+        figures={
+            "level_curves": curves(
+                "level",
+                points="level_dark_arcsec",
+                lines="level_drawn_arcsec",
+                by="method",
+                panels="axis",
+                floor="level_bound_arcsec",
+                dashes="published_arcsec",
+                log="xy",
+                above="level_magnitude_mag",
+                y="Temporal error, 3 σ",
+            ),
+            "ratio_plot": curves(
+                "level",
+                points="level_ratio",
+                by="method",
+                panels="axis",
+                level=1.0,
+                band=0.1,
+                log="x",
+                aspect_ratio=0.36,
+            ),
+        },
+        verdicts=[
+            agree("level_ratio", 1.0, each="method", title="measured against predicted over all levels"),
+            ratio_near(
+                "level_over_bound",
+                within=0.02,
+                at={"method": "epsf"},
+                mean=True,
+                title="measured over the Cramér-Rao bound",
+            ),
+        ],
+    ),
+    "stars": Section(
+        record=Star,
+        dim="star",
+        table="stars",
+        prefix="star_",
+        across="axis",
+        caption="Standard deviation of each star at the signal of the source, first centroider.",
+        figures={
+            "star_scatter": curves(
+                "star", points="star_sigma_px", lines="star_predicted_px", panels="axis", y="σ", aspect_ratio=0.36
+            )
+        },
+    ),
+    "sight": SIGHT,
+}

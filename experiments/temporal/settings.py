@@ -1,13 +1,16 @@
-"""Configuration of the temporal-error test."""
+"""Settings and declaration of the temporal-error test."""
 
 from __future__ import annotations
 
 from pydantic import Field, model_validator
 
+from experiments.harness.cli import command
 from experiments.harness.config import StrictModel
+from experiments.harness.experiment import Experiment
+from experiments.laboratory.own_frames.experiment import or_own_frames
 from experiments.laboratory.point_settings import StarTargetConfig
 
-__all__ = ["BrightnessConfig", "Config"]
+__all__ = ["BrightnessConfig", "Config", "experiment", "main"]
 
 
 class BrightnessConfig(StrictModel):
@@ -33,3 +36,28 @@ class Config(StarTargetConfig):
     frames: int = Field(default=100, ge=2, le=10000, description="frames per level (ACC18: at least 30)")
     brightness: BrightnessConfig = BrightnessConfig()
     draws: int = Field(default=100, ge=2, le=5000, description="noisy copies behind the sampled prediction")
+
+
+rendered = Experiment(
+    name="temporal",
+    config=Config,
+    run="experiment:run",
+    sections="experiment:SECTIONS",
+    axes="experiment:axes",
+    takes="30 s (--quick: 10 s)",
+    examples={
+        "--quick": "a small run",
+        "--set source.signal_e=2000 --set centroid=gaussian": "fainter stars, another centroider",
+    },
+    show=("temporal_error",),
+    quick={
+        "frames": 30,
+        "draws": 30,
+        "brightness.levels": 5,
+        "target.rows": 3,
+        "target.columns": 3,
+        "compare": ["tcog", "epsf"],
+    },
+)
+experiment = or_own_frames(rendered, "experiments.temporal.own_frames")
+main = command(experiment)

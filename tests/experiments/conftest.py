@@ -13,6 +13,8 @@ from typing import Any
 
 import pytest
 
+from experiments.harness.registry import declaration_of
+
 
 @pytest.fixture(scope="session")
 def shot_noise():
@@ -126,11 +128,11 @@ def broken(monkeypatch):
 
 @pytest.fixture(scope="session")
 def failing():
-    """``failing(name, result)``: names of the criteria that do not hold for a result of an experiment."""
+    """``failing(name, result, config)``: names of the criteria that do not hold for a result of an experiment."""
 
-    def judged(name, result):
-        declared = importlib.import_module(f"experiments.{name}.experiment").experiment
-        return [one.name for one in declared.judge(declared.outcome(result.config, result)) if not one.passed]
+    def judged(name, result, config=None):
+        declared = importlib.import_module(declaration_of(f"experiments.{name}")).experiment
+        return [one.name for one in declared.judge(declared.outcome(config or result.config, result)) if not one.passed]
 
     return judged
 
@@ -146,7 +148,7 @@ def refused_by(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 
     def run(name, *arguments, within_s=60.0):
-        main = importlib.import_module(f"experiments.{name}.experiment").main
+        main = importlib.import_module(declaration_of(f"experiments.{name}")).main
         present, start = sorted(path.name for path in tmp_path.iterdir()), processor_s()
         assert main([*arguments]) == 2
         assert processor_s() - start < within_s
@@ -167,6 +169,7 @@ class TinyRun:
     status: int
     folder: Path
     result: Any
+    config: Any
 
     @property
     def results(self):
@@ -183,11 +186,12 @@ def tiny_run(engine, tmp_path_factory):
     def run(name, **settings):
         from experiments.harness.cli import command
 
-        declared, kept = importlib.import_module(f"experiments.{name}.experiment").experiment, []
+        declared, kept = importlib.import_module(declaration_of(f"experiments.{name}")).experiment, []
+        work = declared.part(declared.run)
 
-        @functools.wraps(declared.run)
-        def keep(*arguments, **keywords):
-            kept.append(declared.run(*arguments, **keywords))
+        @functools.wraps(work)
+        def keep(config, **keywords):
+            kept.extend((work(config, **keywords), config))
             return kept[0]
 
         given = {"instrument.detector": chip, **{key.replace("__", "."): value for key, value in settings.items()}}
@@ -196,6 +200,6 @@ def tiny_run(engine, tmp_path_factory):
         status = command(replace(declared, run=keep))(
             [*(part for text in texts for part in ("--set", text)), "--out", str(out)], own_process=False
         )
-        return TinyRun(status=status, folder=out, result=kept[0])
+        return TinyRun(status=status, folder=out, result=kept[0], config=kept[1])
 
     return run

@@ -99,7 +99,7 @@ def test_what_cannot_be_written_is_one_line(out, more, said, capsys):
 
 
 def test_only_datasets_go_to_urls(capsys):
-    from experiments.temporal.experiment import main as temporal
+    from experiments.temporal.settings import main as temporal
 
     assert temporal(["--quick", "--out", "memory://x/y"], own_process=False) == 2
     assert "only datasets are written to URLs" in capsys.readouterr().err

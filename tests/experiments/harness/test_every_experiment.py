@@ -12,7 +12,7 @@ import pytest
 
 from experiments.__main__ import main as starbench
 from experiments.harness.config import load_config
-from experiments.harness.registry import found
+from experiments.harness.registry import declaration_of, found
 
 ROOT = Path(__file__).parents[3]
 TIME = r"\d+ (s|min|minutes|h)"
@@ -37,7 +37,7 @@ def test_it_answers_one_thing(name):
 
 @pytest.mark.parametrize("name", found())
 def test_help_says_what_it_answers_how_long_it_takes_and_how_it_is_used(name, capsys):
-    declared = import_module(f"experiments.{name}.experiment").experiment
+    declared = import_module(declaration_of(f"experiments.{name}")).experiment
     assert declared.name == name
     assert starbench([name, "--help"]) == 0
     said = capsys.readouterr().out

@@ -8,7 +8,7 @@ from astropy.io import fits
 
 from experiments.harness.progress import Progress
 from experiments.laboratory.own_frames.checks import photon_transfer
-from experiments.temporal.experiment import Config, experiment
+from experiments.temporal.settings import Config, experiment
 
 GAIN, OFFSET, READ = 0.25, 60.0, 12.0
 PLACES = np.array([(25.0 + 22.3 * i, 25.0 + 22.2 * j) for j in range(3) for i in range(3)])

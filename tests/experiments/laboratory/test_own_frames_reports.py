@@ -110,7 +110,7 @@ def test_a_bad_folder_is_one_line(name, text, said, folder, capsys, tmp_path, en
 
 
 def test_a_missing_folder_and_a_fit_without_psf_are_one_line(folder, capsys, tmp_path, engine):
-    main = importlib.import_module("experiments.temporal.experiment").main
+    main = importlib.import_module("experiments.temporal.settings").main
     assert main(["--own-frames", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
     assert "no such folder" in capsys.readouterr().err
     only = ("--set", "centroid=epsf", "--set", "compare=[]")

@@ -10,7 +10,7 @@ from scipy.ndimage import map_coordinates
 
 from experiments.harness.progress import Progress
 from experiments.laboratory.temporal_error import temporal_error_arcsec
-from experiments.temporal.experiment import experiment
+from experiments.temporal.settings import experiment
 from render.sensor import StarSensor
 
 pytestmark = pytest.mark.slow

@@ -1,0 +1,339 @@
+"""Figures that draw what the Dataset holds: ``curves("x", points="measured", lines="predicted", by="method")``.
+
+Points are measured and carry their uncertainty, lines are predicted, the grey floor is what cannot be reached, dashes
+are published. Every function returns a function of an outcome, which is what the figures of a section are; ``names`` of
+it are the quantities it draws. A figure that has to compute lacks a column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from experiments.harness.quantities import Outcome
+
+__all__ = ["bars", "cloud", "curves", "image", "maps", "scatter"]
+
+Drawing = Callable[["Outcome"], "Figure"]
+GREY, SHADE = "#8a9099", "#eef0f2"
+
+
+def curves(
+    x: str,
+    *,
+    points: str = "",
+    lines: str = "",
+    by: str = "",
+    panels: str = "",
+    floor: str = "",
+    dashes: str = "",
+    level: float | None = None,
+    band: float = 0.0,
+    log: str = "",
+    above: str = "",
+    y: str = "",
+    members: int = 0,
+    at: dict[str, Any] | None = None,
+    **size: Any,
+) -> Drawing:
+    """Quantities against ``x``: one colour per coordinate of ``by`` (or per quantity), one panel per ``panels``.
+
+    Parameters
+    ----------
+    x : str
+        Quantity or dimension of the axis across; without numbers its names stand as ticks.
+    points, lines : str
+        Quantities, measured and predicted. Several of one kind without ``by`` get a colour each.
+    floor : str
+        Quantity below which nothing can be.
+    dashes : str
+        Quantity without ``x``, drawn across the panel; left out where the Dataset lacks it.
+    level, band : float
+        A level across, and half of the grey height about it.
+    log : str
+        Axes that are logarithmic, e.g. "xy".
+    above : str
+        Quantity along the dimension of ``x`` that a second axis shows at whole numbers.
+    y : str
+        What the upright axis shows, where that is more than the label of the first quantity; the unit is added.
+    members : int
+        So many of the coordinates of ``by`` are drawn, evenly spaced; 0 draws all.
+    at : dict
+        Dimension -> coordinate that is drawn.
+    **size
+        As of `experiments.harness.plotting.new_figure`.
+    """
+
+    def draw(o: Outcome) -> Figure:
+        from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure
+
+        keys = _keys(o, panels)
+        drawn = _keys(o, by)
+        drawn = drawn[:: max(1, len(drawn) // members)][:members] if members else drawn
+        figure, grid = new_figure(1, len(keys), sharey=True, squeeze=False, **({"aspect_ratio": 0.5} | size))
+        at_x, ticks = _across(o, x)
+        apart = not by and len(points.split()) + len(lines.split()) > 1
+        for panel, key in zip(grid[0], keys, strict=True):
+
+            def part(name: str, key: Any = key, **more: Any) -> tuple[Any, Any]:
+                where = {panels: key, **(at or {}), **more}
+                where = {dim: one for dim, one in where.items() if dim and dim in o.data[name].dims}
+                return o.values(name, **where), o.errors(name, **where)
+
+            if level is not None:
+                panel.axhline(level, color=INK, linewidth=0.8)
+                panel.axhspan(level - band, level + band, color=SHADE, linewidth=0, zorder=0)
+            for k, member in enumerate(drawn):
+                where = {by: member} if by else {}
+                for n, name in enumerate(one for one in lines.split() if one in o.data):
+                    colour = PALETTE[n if apart else k]
+                    panel.plot(at_x, part(name, **where)[0], color=colour, linewidth=1.1)
+                for n, name in enumerate(one for one in points.split() if one in o.data):
+                    value, error = part(name, **where)
+                    style = n if apart else k
+                    beside = _beside(at_x, k, len(drawn), log) if level is not None else at_x
+                    panel.errorbar(
+                        beside,
+                        value,
+                        error if np.isfinite(error).any() else None,
+                        fmt=MARKERS[style],
+                        color=PALETTE[style],
+                        markerfacecolor="white",
+                        linewidth=0.9,
+                    )
+            if floor and floor in o.data:
+                bound = part(floor)[0]
+                panel.plot(at_x, bound, color=INK, linewidth=1.0)
+                panel.fill_between(at_x, 1e-9 if "y" in log else 0.0, bound, color=SHADE, linewidth=0, zorder=0)
+                panel.set_ylim(0.75 * np.nanmin(o.values(floor)) if "y" in log else 0.0, None)
+            if dashes and dashes in o.data:
+                value = float(part(dashes)[0])
+                panel.axhline(value, color=GREY, linewidth=0.9, dashes=(5, 3))
+                panel.text(at_x[-1], value, f"{o.quantity(dashes).label.lower()} {value:g}", ha="right", va="bottom")
+            panel.set(xlabel=o.heading(x), title=o.label(panels, key) if panels else "")
+            for letter in log:
+                panel.set(**{f"{letter}scale": "log"})
+                log_ticks(panel, "x" if letter == "x" else "y")
+            if ticks:
+                panel.set_xticks(at_x, ticks)
+            if above and above in o.data:
+                _second_axis(o, panel, at_x, above)
+        first = next(o.quantity(one) for one in (points or lines).split() if one in o.data)
+        grid[0][0].set_ylabel(replace(first, label=y or first.label).heading)
+        _legend(o, figure, by, drawn, (points, lines) if apart else ("", ""), floor)
+        return figure
+
+    return _named(draw, points, lines, floor)
+
+
+def bars(dim: str, *, bars: str, points: str = "", by: str = "", panels: str = "", **size: Any) -> Drawing:
+    """Quantities along ``dim`` as bars, those of ``by`` next to each other; ``points`` (predictions) as circles."""
+
+    def draw(o: Outcome) -> Figure:
+        from experiments.harness.plotting import INK, PALETTE, new_figure
+
+        keys, members = _keys(o, panels), _keys(o, by)
+        figure, grid = new_figure(1, len(keys), sharey=True, squeeze=False, **({"aspect_ratio": 0.36} | size))
+        place, thick = -np.arange(o.data.sizes[dim], dtype=float), 0.7 / len(members)
+        for panel, key in zip(grid[0], keys, strict=True):
+            for k, (member, colour) in enumerate(zip(members, PALETTE, strict=False)):
+                at = {name: value for name, value in ((panels, key), (by, member)) if name}
+                beside = place - thick * (k - (len(members) - 1) / 2)
+                label = o.label(by, member) if by else None
+                panel.barh(beside, o.values(bars, **at), height=thick, color=colour, alpha=0.85, label=label)
+                if points and points in o.data:
+                    panel.plot(o.values(points, **at), beside, "o", color=INK, markerfacecolor="white", markersize=4)
+            panel.set_yticks(place, o.names(dim))
+            panel.grid(visible=False, axis="y")
+            low = min(0.0, float(np.nanmin(o.values(bars))))
+            panel.set(title=o.label(panels, key) if panels else "", xlabel=o.heading(bars), xlim=(low or 0, None))
+        if by:
+            figure.legend(*grid[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+        return figure
+
+    return _named(draw, bars, points)
+
+
+def scatter(x: str, y: str, *, by: str = "", panels: str = "", diagonal: bool = False, **size: Any) -> Drawing:
+    """One quantity against another one of the same dimensions, with uncertainties; ``diagonal`` draws y = x."""
+
+    def draw(o: Outcome) -> Figure:
+        from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
+
+        keys, members = _keys(o, panels), _keys(o, by)
+        figure, grid = new_figure(1, len(keys), squeeze=False, **({"aspect_ratio": 0.5} | size))
+        for panel, key in zip(grid[0], keys, strict=True):
+            for k, member in enumerate(members):
+                at = {name: value for name, value in ((panels, key), (by, member)) if name}
+                at_x = {dim: value for dim, value in at.items() if dim in o.quantity(x).dims}
+                error = np.ravel(o.errors(y, **at))
+                panel.errorbar(
+                    np.ravel(o.values(x, **at_x)),
+                    np.ravel(o.values(y, **at)),
+                    error if np.isfinite(error).any() else None,
+                    fmt=MARKERS[k],
+                    color=PALETTE[k],
+                    markersize=3,
+                    linewidth=0.7,
+                    label=o.label(by, member) if by else None,
+                )
+            if diagonal:
+                ends = np.array([np.nanmin(o.values(x)), np.nanmax(o.values(x))])
+                panel.plot(ends, ends, color=INK, linewidth=0.8)
+            panel.set(xlabel=o.heading(x), ylabel=o.heading(y), title=o.label(panels, key) if panels else "")
+        if by:
+            figure.legend(*grid[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+        return figure
+
+    return _named(draw, x, y)
+
+
+def maps(
+    name: str, *, place: str = "", panels: str = "", log: bool = False, zero: bool = False, **size: Any
+) -> Drawing:
+    """A quantity over two dimensions (row, column) as colours; with ``place``, (n, 2), as coloured points at places.
+
+    ``zero`` centres a two-coloured scale on zero, ``log`` makes it logarithmic.
+    """
+
+    def draw(o: Outcome) -> Figure:
+        from matplotlib.colors import LogNorm, Normalize
+
+        from experiments.harness.plotting import new_figure
+
+        keys = _keys(o, panels)
+        figure, grid = new_figure(1, len(keys), squeeze=False, **({"aspect_ratio": 0.5} | size))
+        whole = o.values(name).astype(float)
+        reach = float(np.nanmax(np.abs(whole)))
+        low, high = (-reach, reach) if zero else (float(np.nanmin(whole)), float(np.nanmax(whole)))
+        style = {"cmap": "RdBu_r" if zero else "viridis", "norm": (LogNorm if log else Normalize)(low, high)}
+        for panel, key in zip(grid[0], keys, strict=True):
+            one = o.quantity(name, **({panels: key} if panels else {}))
+            if place:
+                at = o.values(place, **({panels: key} if panels in o.quantity(place).dims else {}))
+                drawn = panel.scatter(*at.reshape(-1, 2).T, c=np.ravel(one.values), s=14, **style)
+                panel.set(xlabel="x [px]", ylabel="y [px]", aspect="equal")
+                panel.invert_yaxis()
+            else:
+                down, across = one.dims
+                at_y, at_x = (_across(o, dim)[0] for dim in (down, across))
+                drawn = panel.pcolormesh(at_x, at_y, one.values.astype(float), shading="nearest", **style)
+                panel.set(xlabel=o.heading(across), ylabel=o.heading(down))
+            panel.grid(visible=False)
+            panel.set_title(o.label(panels, key) if panels else "")
+        figure.colorbar(drawn, ax=list(grid[0]), label=o.heading(name), shrink=0.85)
+        return figure
+
+    return _named(draw, name, place)
+
+
+def cloud(name: str, *, ellipses: str = "", at: dict[str, Any] | None = None) -> Drawing:
+    """Places (..., axis) about zero; quantities (axis) as half-axes of ellipses, ``at`` coordinates or positions."""
+
+    def draw(o: Outcome) -> Figure:
+        from experiments.harness.plotting import INK, PALETTE, new_figure
+
+        place = o.values(name)
+        figure, panel = new_figure(width="half", aspect_ratio=1.0)
+        panel.plot(*place.reshape(-1, 2).T, ".", color=PALETTE[0], markersize=1.6, alpha=0.5)
+        turn, reach = np.linspace(0, 2 * np.pi, 181), float(np.nanmax(np.abs(place)))
+        for one, colour in zip((e for e in ellipses.split() if e in o.data), (PALETTE[1], INK), strict=False):
+            half = o.quantity(one)
+            half = half.at(**{dim: _position(o, dim, key) for dim, key in (at or {}).items() if dim in half.dims})
+            reach = max(reach, float(half.values.max()))
+            panel.plot(half.values[0] * np.cos(turn), half.values[1] * np.sin(turn), color=colour, label=half.label)
+        unit = o.heading(name).partition("[")[2]
+        ends = (-1.1 * reach, 1.1 * reach)
+        panel.set(xlabel=f"x [{unit}", ylabel=f"y [{unit}", xlim=ends, ylim=ends, aspect="equal")
+        if ellipses:
+            panel.legend(loc="upper right")
+        return figure
+
+    return _named(draw, name)
+
+
+def image(name: str, *, scale: float = 60.0) -> Drawing:
+    """A quantity (row, column) as a picture of compressed brightness, in pixels."""
+
+    def draw(o: Outcome) -> Figure:
+        from experiments.harness.plotting import new_figure, scale_bar
+
+        figure, axis = new_figure(width="half", aspect_ratio=1.0)
+        axis.imshow(np.arcsinh(o.values(name) / scale), vmin=-1.0, interpolation="nearest")
+        axis.set_axis_off()
+        scale_bar(axis)
+        return figure
+
+    return _named(draw, name)
+
+
+def _named(draw: Any, *names: str) -> Drawing:
+    draw.names = tuple(one for text in names for one in text.split())
+    drawing: Drawing = draw
+    return drawing
+
+
+def _keys(o: Outcome, dim: str) -> list[Any]:
+    """Coordinates along a dimension, positions where it has none; a single None without a dimension."""
+    if not dim:
+        return [None]
+    return o.data[dim].values.tolist() if dim in o.data.coords else list(range(o.data.sizes[dim]))
+
+
+def _position(o: Outcome, dim: str, key: Any) -> int:
+    return key if isinstance(key, int) else o.data.coords[dim].values.tolist().index(key)
+
+
+def _across(o: Outcome, x: str) -> tuple[Any, list[str]]:
+    """Numbers for an axis, and the names to write there if they are none."""
+    if x not in o.data:
+        return np.arange(o.data.sizes[x], dtype=float) + 1.0, []
+    values = o.data[x].values
+    if values.dtype.kind in "OU":
+        return np.arange(len(values), dtype=float), o.names(x)
+    return values.astype(float), []
+
+
+def _beside(at_x: Any, k: int, count: int, log: str) -> Any:
+    """Places moved a little, so that points of several colours do not hide each other."""
+    step = k - (count - 1) / 2
+    return at_x * np.exp(0.02 * step) if "x" in log else at_x + 0.01 * step * float(np.ptp(at_x) or 1.0)
+
+
+def _second_axis(o: Outcome, panel: Axes, at_x: Any, name: str) -> None:
+    value = o.values(name)
+    order = np.argsort(value)
+    whole = np.arange(np.ceil(value.min()), np.floor(value.max()) + 1.0)
+    top = panel.secondary_xaxis("top")
+    top.set_xticks(np.exp(np.interp(whole, value[order], np.log(at_x[order]))), [f"{one:g}" for one in whole])
+    top.minorticks_off()
+    top.set_xlabel(o.heading(name))
+
+
+def _legend(o: Outcome, figure: Figure, by: str, drawn: list[Any], kinds: tuple[str, str], floor: str) -> None:
+    from matplotlib.lines import Line2D
+
+    from experiments.harness.plotting import INK, MARKERS, PALETTE
+
+    points, lines = ([one for one in kind.split() if one in o.data] for kind in kinds)
+    handles = []
+    if by:
+        named = o.labels(by) if by in o.data.coords else {n: f"{by} {n + 1}" for n in range(o.data.sizes[by])}
+        for one, colour, marker in zip(drawn, PALETTE, MARKERS, strict=False):
+            handles.append(Line2D([], [], color=colour, marker=marker, markerfacecolor="white", label=named[one]))
+    for one, colour, marker in zip(points, PALETTE, MARKERS, strict=False):
+        style = {"marker": marker, "markerfacecolor": "white", "linestyle": ""}
+        handles.append(Line2D([], [], color=colour, label=o.quantity(one).label, **style))
+    for one, colour in zip(lines, PALETTE, strict=False):
+        handles.append(Line2D([], [], color=colour, linewidth=1.1, label=o.quantity(one).label))
+    if floor and floor in o.data:
+        handles.append(Line2D([], [], color=INK, linewidth=1.0, label=o.quantity(floor).label))
+    if handles:
+        figure.legend(handles=handles, loc="outside lower center", ncols=min(4, len(handles)))

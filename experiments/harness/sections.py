@@ -1,0 +1,358 @@
+"""Sections of an experiment: records whose fields describe themselves; Dataset, tables, JSON and verdicts follow.
+
+A section answers one question. Its record is a frozen dataclass whose fields are `col`: label, unit, format and
+dimensions stand where the number is defined. ``run`` of the experiment returns a mapping: name of the section -> its
+record, or a sequence of records along the dimension of the section, or None where the question was not put::
+
+    @dataclass(frozen=True, slots=True, kw_only=True)
+    class FieldPoint:
+        field_deg: float = col("Field", "deg", "g")
+        baseline_bias: Measured = col("Pixel method", "percent")
+        closed_form: float = col("Closed form", "percent", ".4f")
+
+    SECTIONS = {
+        "fields": Section(
+            record=FieldPoint,
+            dim="field",
+            along="field_deg",
+            table="fields",
+            caption="Bias of sigma against the field angle.",
+            figures={"field_bias": curves("field_deg", points="baseline_bias", lines="closed_form")},
+            verdicts=[agree("baseline_bias", with_="closed_form")],
+        )
+    }
+
+The module is light: figures are drawn, and matplotlib and xarray imported, when they are needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from experiments.harness.pivot import Pivot
+from experiments.harness.quantities import Outcome, Quantities, Quantity
+from experiments.harness.summary import Criterion, farthest_from_one
+from optics.errors import DomainError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Section", "agree", "below", "col", "described", "judged", "ratio_near", "tabulated", "two_sided_limit"]
+
+FALSE_ALARM = 0.01
+"""Chance that a verdict fails by noise alone, unless it says another one."""
+PREDICTION_SIGMA = 3.0
+"""Standard deviations that the stated error of a prediction (``slack``) counts as."""
+
+
+class Verdict(Protocol):
+    """``verdict(outcome)`` gives criteria; ``names`` are the quantities that it needs."""
+
+    names: tuple[str, ...]
+
+    def __call__(self, outcome: Outcome) -> list[Criterion]: ...
+
+
+def col(
+    label: str,
+    unit: str = "",
+    format: str = "",
+    dims: str = "",
+    *,
+    json: str | Mapping[str, Any] | None = None,
+    json_error: str = "",
+    key: str | None = None,
+    shown: bool = True,
+    default: Any = ...,
+) -> Any:
+    """A field of a record that is a quantity.
+
+    Parameters
+    ----------
+    label, unit, format : str
+        What it is, its unit ("arcsec", "px", "um", "e-"), and the format of plain numbers (".3f"), for tables, axes and
+        the text of the report.
+    dims : str
+        Dimensions of the value, without that of the section; those with names were described by ``axes``.
+    json, json_error : str
+        Its place in ``summary.json`` below the section's, and that of its uncertainty where it stands apart; the name
+        of the field by default, "" for none. As of `Quantities.add`.
+    key : str
+        Column name in ECSV files, if not the name of the field.
+    shown : bool
+        Whether the section's table shows it; the ECSV file has it anyway.
+    default : object
+        Value where a record does not give it; None leaves the quantity out.
+    """
+    described = {"label": label, "unit": unit, "format": format, "dims": dims, "key": key}
+    metadata = {"col": described | {"json": json, "json_error": json_error}, "shown": shown}
+    return field(metadata=metadata) if default is ... else field(metadata=metadata, default=default)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Section:
+    """A question of an experiment, and how its answer is shown."""
+
+    record: type  # Dataclass of `col` fields
+    dim: str = ""  # Dimension of a sequence of records; "" for one record
+    along: str = ""  # Field that gives the coordinates of ``dim``; 1, 2, 3 ... without it
+    # Prefix of the names of the quantities: "level_" where two sections share a record
+    prefix: str = ""
+    place: str = ""  # Place in ``summary.json``, e.g. "levels[level]"; "" for the top
+    # Field -> its place below ``place`` in this section, where that differs from what `col` says
+    json: Mapping[str, Any] = field(default_factory=dict)
+    # ``axes(quantities, value)``: dimensions that only this section has, described from its records
+    axes: Callable[[Quantities, Any], None] | None = None
+    table: str = ""  # Name of its table and ECSV file; "" for none
+    rows: str = ""  # Dimensions that run down; ``dim`` and those of the columns by default
+    across: str = ""  # Dimensions spread over columns
+    columns: str = ""  # Columns that are shown, in this order; by default every field with ``shown``
+    hidden: str = ""  # Dimensions of the rows without a column of their own
+    where: Mapping[str, Any] = field(default_factory=dict)  # As of `Pivot`
+    caption: str = ""  # Of the table
+    note: str = ""  # Small print below the table
+    figures: Mapping[str, Callable[..., Figure]] = field(default_factory=dict)  # Name -> figure of an outcome
+    verdicts: Sequence[Verdict] = ()
+
+    def columns_of(self) -> dict[str, Mapping[str, Any]]:
+        """Fields of the record that are quantities -> what `col` says of them."""
+        return {one.name: one.metadata for one in fields(self.record) if "col" in one.metadata}
+
+    def describe(self, q: Quantities, value: Any) -> None:
+        """Add the record, or the records along ``dim``, to the quantities; None adds nothing."""
+        if value is None:
+            return
+        if self.axes is not None:
+            self.axes(q, value)
+        records = list(value) if self.dim else [value]
+        described = self.columns_of()
+        if self.dim and self.dim not in q.dataset.coords:
+            head = described[self.along]["col"] if self.along else {"label": self.dim.replace("_", " ").capitalize()}
+            values = [getattr(one, self.along) for one in records] if self.along else np.arange(len(records)) + 1
+            parts = {part: head.get(part) or "" for part in ("label", "unit", "format")}
+            q.axis(self.dim, values, **parts, key=(head.get("key") or self.along))
+        for name, metadata in described.items():
+            values = [getattr(one, name) for one in records]
+            if not records or all(one is None for one in values):
+                continue
+            own = dict(metadata["col"])
+            place, place_of_error, dims = own.pop("json"), own.pop("json_error"), own.pop("dims")
+            place = self.json.get(name, place)
+            q.add(
+                self.prefix + name,
+                values if self.dim else values[0],
+                own.pop("label"),
+                dims=f"{self.dim} {dims}".strip(),
+                key=own.pop("key") or name,
+                json=self._placed(name if place is None else place),
+                json_error=self._placed(place_of_error),
+                **own,
+            )
+
+    def _placed(self, place: Any) -> Any:
+        if not self.place or not place:
+            return place
+        if isinstance(place, Mapping):
+            return {key: self._placed(one) for key, one in place.items()}
+        return f"{self.place}.{place}" if isinstance(place, str) else [f"{self.place}.{one}" for one in place]
+
+    def pivot(self, data: Any, *, every: bool = False) -> Pivot:
+        """Its table: the shown columns, or every column that has no further dimensions (for the ECSV file)."""
+        described = self.columns_of()
+        shown = self.columns.split() or [name for name, metadata in described.items() if metadata["shown"]]
+        there = [self.prefix + name for name in shown if self.prefix + name in data]
+        if not self.rows:
+            there = [name for name in there if name != self.prefix + self.along]
+        dims = [str(dim) for name in there for dim in data[name].dims]
+        rows = self.rows.split() or [dim for dim in (self.dim, *dims) if dim and dim not in self.across.split()]
+        if every:
+            runs = {*rows, *self.across.split(), *self.where}
+            own = [self.prefix + name for name in described if name != self.along]
+            there += [one for one in own if one in data and one not in there and {*map(str, data[one].dims)} <= runs]
+        return Pivot(
+            columns=" ".join(there),
+            rows=" ".join(dict.fromkeys(rows)),
+            across=self.across,
+            hidden=self.hidden,
+            where=self.where,
+            caption=self.caption,
+            note=self.note,
+        )
+
+
+def described(sections: Mapping[str, Section], q: Quantities, result: Mapping[str, Any]) -> Quantities:
+    """Quantities of all sections, in their order.
+
+    Raises
+    ------
+    DomainError
+        If the run gives a section that is not declared.
+    """
+    unknown = set(result) - set(sections)
+    if unknown:
+        raise DomainError(f"no section is declared for {', '.join(sorted(unknown))}")
+    for name, section in sections.items():
+        section.describe(q, result.get(name))
+    return q
+
+
+def tabulated(sections: Mapping[str, Section], outcome: Outcome, *, every: bool = False) -> dict[str, Pivot]:
+    """Tables of the sections that have one; with ``every`` all their columns."""
+    there = [one for name, one in sections.items() if one.table and outcome.result.get(name) is not None]
+    return {section.table: section.pivot(outcome.data, every=every) for section in there}
+
+
+def judged(sections: Mapping[str, Section], outcome: Outcome) -> list[Criterion]:
+    """Criteria of all sections whose question was put."""
+    there = [one for name, one in sections.items() if outcome.result.get(name) is not None]
+    return [criterion for section in there for verdict in section.verdicts for criterion in verdict(outcome)]
+
+
+def two_sided_limit(count: int, false_alarm: float = FALSE_ALARM) -> float:
+    """Standard deviations that the largest of ``count`` normal deviates exceeds with probability ``false_alarm``."""
+    from scipy.stats import norm
+
+    return float(norm.isf(false_alarm / (2 * count)))
+
+
+def agree(
+    name: str,
+    with_: str | float,
+    *,
+    title: str = "",
+    each: str = "",
+    at: Mapping[str, Any] | None = None,
+    false_alarm: float = FALSE_ALARM,
+    slack: float = 0.0,
+    advice: str = "",
+) -> Verdict:
+    """A quantity against another one, or a number: the largest deviation over the uncertainties of both.
+
+    Parameters
+    ----------
+    name, with_ : str
+        Measured and predicted quantity; ``with_`` may be a number.
+    title : str
+        What is judged, in words; by default the labels of both.
+    each : str
+        Dimension along which each coordinate is judged by itself.
+    at : mapping
+        Dimension -> coordinate or position that is judged; the verdict is left out where there is none such.
+    false_alarm : float
+        Chance that the verdict fails by noise alone; the limit follows from it and the number of deviates.
+    slack : float
+        Part of the predicted value that the prediction may be off, counted as three standard deviations.
+    advice : str
+        What is likely wrong where it fails.
+    """
+
+    def judge(outcome: Outcome) -> list[Criterion]:
+        out = []
+        for measured, who, where in _parts(outcome, name, each, at):
+            predicted = outcome.quantity(with_).at(**where) if isinstance(with_, str) else None
+            expected = predicted.values if predicted is not None else float(str(with_))
+            errors = [one.error for one in (measured, predicted) if one is not None and one.error is not None]
+            variance = sum((np.square(one) for one in errors), np.square(slack * expected / PREDICTION_SIGMA))
+            pulls = np.ravel((measured.values - expected) / np.sqrt(variance))
+            other = f"{expected:g}" if predicted is None else predicted.label.lower()
+            what = title or f"{measured.label} against {other}"
+            number = f", largest of {pulls.size} deviations" if pulls.size > 1 else ""
+            out.append(
+                Criterion(
+                    name=f"{who}{what}{number}",
+                    value=float(np.abs(pulls).max()),
+                    limit=two_sided_limit(pulls.size, false_alarm),
+                    unit="sigma",
+                    advice=advice,
+                )
+            )
+        return out
+
+    return _named(judge, name, with_)
+
+
+def ratio_near(
+    name: str,
+    about: float = 1.0,
+    *,
+    within: float,
+    title: str = "",
+    each: str = "",
+    at: Mapping[str, Any] | None = None,
+    mean: bool = False,
+    false_alarm: float = FALSE_ALARM,
+    advice: str = "",
+) -> Verdict:
+    """A ratio: the farthest of several from ``about`` (or their mean) within a part of it, plus what noise may do.
+
+    Parameters as of `agree`; ``within`` is what the prediction may be off besides the noise of the measurement.
+    """
+
+    def judge(outcome: Outcome) -> list[Criterion]:
+        out = []
+        for measured, who, _ in _parts(outcome, name, each, at):
+            error = np.zeros(1) if measured.error is None else np.ravel(measured.error)
+            value = float(measured.values.mean()) if mean else about * farthest_from_one(measured.values / about)
+            spread = float(np.sqrt((error**2).sum()) / error.size if mean else error.max())
+            limit = within + two_sided_limit(1 if mean else error.size, false_alarm) * spread
+            of = f", mean of {measured.values.size}" if mean and measured.dims else ""
+            name_ = f"{who}{title or measured.label}{of}"
+            out.append(Criterion(name=name_, value=value, about=about, limit=limit, advice=advice))
+        return out
+
+    return _named(judge, name)
+
+
+def below(
+    name: str,
+    limit: str | float,
+    *,
+    title: str = "",
+    each: str = "",
+    at: Mapping[str, Any] | None = None,
+    size: bool = False,
+    advice: str = "",
+) -> Verdict:
+    """The largest of a quantity (with ``size`` of its absolute values) at or below a number or another quantity."""
+
+    def judge(outcome: Outcome) -> list[Criterion]:
+        out = []
+        for measured, who, where in _parts(outcome, name, each, at):
+            bound = outcome.quantity(limit).at(**where).values if isinstance(limit, str) else limit
+            values = np.abs(measured.values) if size else measured.values
+            worst = int(np.argmax(np.ravel(values / bound))) if np.size(values) > 1 else 0
+            at_worst = float(np.ravel(np.broadcast_to(bound, np.shape(values)))[worst])
+            value = float(np.ravel(values)[worst])
+            name_ = f"{who}{title or measured.label}"
+            out.append(Criterion(name=name_, value=value, limit=at_worst, unit=measured.unit, advice=advice))
+        return out
+
+    return _named(judge, name, limit)
+
+
+def _named(judge: Any, *names: str | float) -> Verdict:
+    judge.names = tuple(one for one in names if isinstance(one, str))
+    verdict: Verdict = judge
+    return verdict
+
+
+def _parts(
+    outcome: Outcome, name: str, each: str, at: Mapping[str, Any] | None
+) -> Iterator[tuple[Quantity, str, dict[str, int]]]:
+    """Parts of a quantity that are judged by themselves, what readers call them, where they are; none if it is not."""
+    if name not in outcome.data:
+        return
+    fixed: dict[str, int] = {}
+    for dim, key in (at or {}).items():
+        known = outcome.data.coords[dim].values.tolist() if dim in outcome.data.coords else []
+        if not isinstance(key, int) and key not in known:
+            return
+        fixed[dim] = key if isinstance(key, int) else known.index(key)
+    for position in range(outcome.data.sizes[each]) if each else [None]:
+        here = fixed | ({} if position is None else {each: position})
+        called = ", ".join(outcome.names(dim)[n] for dim, n in here.items())
+        yield outcome.quantity(name).at(**here), f"{called}: " if called else "", here
