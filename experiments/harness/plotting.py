@@ -301,7 +301,7 @@ def wavelength_colour(wavelength_nm: float, *, width_nm: float = 20.0, lightness
 
 
 def band_colours(centres_nm: Sequence[float]) -> tuple[str, ...]:
-    """One colour per band, its own hue, and darker towards the red so that grey prints and every eye tell them apart."""
+    """One colour per band, its own hue, darker towards the red: told apart in grey and by every eye."""
     order = np.argsort(np.argsort(centres_nm))
     steps = max(len(centres_nm) - 1, 1)
     return tuple(

@@ -49,7 +49,7 @@ def package_of(name: str, beside: Iterable[str] = ()) -> str:
 
 
 def declaration_of(package: str) -> str:
-    """Module that declares the experiment of a package: ``settings``, or ``experiment`` until it is cut into sections."""
+    """Module that declares the experiment of a package: ``settings`` (or ``experiment``)."""
     settings = import_module(f"{package}.settings") if importlib.util.find_spec(f"{package}.settings") else None
     return f"{package}.{'settings' if hasattr(settings, 'experiment') else 'experiment'}"
 

@@ -55,7 +55,7 @@ def residual_px(
     test_px: FloatArray,
     reference: Reference,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Eq. 19-20: places (n, 2), residuals (n, 2) of a session, and coefficients of the camera behind the coordinates."""
+    """Eq. 19-20: places (n, 2), residuals (n, 2) of a session, coefficients of the camera behind the coordinates."""
     nominal, place = camera_place(instrument, surveyed)
     return place, *grid_residual_px(nominal, place, earlier_px, test_px, reference)
 
@@ -159,7 +159,7 @@ def dense_map(
     columns: int = 33,
     traced_px: FloatArray | None = None,
 ) -> DenseMap:
-    """What a correction leaves, judged by traced bundles on a dense grid (ACC18 Fig. 8 shows it at the target points)."""
+    """What a correction leaves, by traced bundles on a dense grid (ACC18 Fig. 8 shows it at the target points)."""
     direction = dense_grid(instrument, rows, columns)
     nominal, place = camera_place(instrument, direction)
     traced = traced_bundles(bench, instrument, direction) if traced_px is None else traced_px

@@ -49,7 +49,7 @@ class Instrument(StarSensor):
 
 
 def configured_lens(config: InstrumentConfig) -> LensSystem:
-    """The lens of a configuration: stopped down, brought to its temperature with its housing, with its measured error."""
+    """The lens of a configuration: stopped down, at its temperature with its housing, with its measured error."""
     lens = load_lens(config.lens)
     try:
         if config.f_number is not None:

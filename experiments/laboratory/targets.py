@@ -17,7 +17,7 @@ __all__ = ["GridTarget", "grid_directions", "survey"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GridTarget:
-    """Points spread over the whole field, their places measured beforehand (ACC18: 32 points, 0.5 arcsec at 3 sigma)."""
+    """Points over the whole field, their places measured beforehand (ACC18: 32 points, 0.5 arcsec at 3 sigma)."""
 
     rows: int = 4  # Points along a column and along a row of the detector
     columns: int = 8  # Points along a column and along a row of the detector

@@ -38,7 +38,7 @@ _LARGEST_LEAN_ARCSEC = 36000.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turntable:
-    """A table of k = 2 or 3 axes, outermost first; see the module for the convention and `build_turntable` for a start."""
+    """A table of k = 2 or 3 axes, outermost first; the module states the convention, `build_turntable` makes one."""
 
     # (k, 3) Nominal axis directions in the laboratory at zero angles: unit vectors, neighbours at right angles
     axis: FloatArray
