@@ -53,48 +53,29 @@ FIRST_RADIUS, WIDEST = 0.8, 64.0
 
 @dataclass(frozen=True, slots=True)
 class AimedLens:
-    """A lens compiled for aiming.
-
-    Attributes
-    ----------
-    system : LensSystem
-        The lens.
-    front, full, theta
-        The lens up to its stop, without apertures, and the whole; parameters of both.
-    stop : int
-        Number of the stop.
-    limits, holes : tuple of (int, float)
-        Number and radius [mm] of every clear aperture, the stop's among them, and of every circle about a vertex that
-        stops the light inside; none where apertures of other shapes count too.
-    """
+    """A lens compiled for aiming."""
 
     system: LensSystem
+    # front, full, theta: The lens up to its stop, without apertures, and the whole; parameters of both
     front: LensProgram
     full: LensProgram
     theta: Any
-    stop: int
+    stop: int  # Number of the stop
+    # limits, holes: Number and radius [mm] of every clear aperture, the stop's among them, and of every circle about
+    # a vertex that stops the light inside; none where apertures of other shapes count too
     limits: tuple[tuple[int, float], ...]
     holes: tuple[tuple[int, float], ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Chiefs:
-    """Chief rays of n stars in b bands at one wavelength each.
+    """Chief rays of n stars in b bands at one wavelength each."""
 
-    Attributes
-    ----------
-    points : (n, b, 2)
-        Where they are launched, in radii of the launch disk; NaN where the aim fails.
-    x_px, y_px : (n, b)
-        Where they land, rims of apertures or no; NaN where they do not.
-    blocked : (n, b)
-        Whether the rim of an aperture stops them.
-    """
-
-    points: FloatArray
+    points: FloatArray  # (n, b, 2) Where they are launched, in radii of the launch disk; NaN where the aim fails
+    # x_px, y_px: (n, b) Where they land, rims of apertures or no; NaN where they do not
     x_px: FloatArray
     y_px: FloatArray
-    blocked: BoolArray
+    blocked: BoolArray  # (n, b) Whether the rim of an aperture stops them
 
     def take(self, stars: IntArray) -> Chiefs:
         """Some of the stars."""
@@ -103,21 +84,13 @@ class Chiefs:
 
 @dataclass(frozen=True, slots=True)
 class Rims:
-    """Outlines of the beams of n stars in b bands at k nodes, at m azimuths about the chief's launch point.
+    """Outlines of the beams of n stars in b bands at k nodes, at m azimuths about the chief's launch point."""
 
-    Attributes
-    ----------
-    radius : (n, b, k, m)
-        Of the outline, in radii of the launch disk; NaN where none was found.
-    height : (a, n, b, k, m)
-        Heights of the ray that touches the outline on every aperture, in units of its radius; for an outline by the
-        stop alone (a = 1) the largest on the others.
-    good : (n, b, k, m)
-        Whether the iteration ended on an aperture and the ray gets through when it is moved in by `INSIDE`.
-    """
-
-    radius: FloatArray
+    radius: FloatArray  # (n, b, k, m) Of the outline, in radii of the launch disk; NaN where none was found
+    # (a, n, b, k, m) Heights of the ray that touches the outline on every aperture, in units of its radius; for an
+    # outline by the stop alone (a = 1) the largest on the others
     height: FloatArray
+    # (n, b, k, m) Whether the iteration ended on an aperture and the ray gets through when it is moved in by `INSIDE`
     good: BoolArray
 
 
@@ -147,18 +120,8 @@ def find_chiefs(
     """Aim at the stop's centre: Newton's method in two unknowns with slopes from differences.
 
     Rays far from the axis, and those for which that does not end soon, are aimed by `optics.rays.aim.aim_at_stop`.
-
-    Parameters
-    ----------
-    lens : AimedLens
-        The lens.
-    kernel : StarKernel
-        Holds the stars.
-    wavelength_nm : (b,)
-        One wavelength per band.
-    points : (n, b, 2), optional
-        Where they are launched, where that is known.
     """
+    # wavelength_nm (b,), points (n, b, 2)
     F, shape = kernel.F, (kernel.count, len(wavelength_nm))
     band, star = kernel.numbered(kernel.count * shape[1], shape[1])
     wavelength = dr.gather(F, F(wavelength_nm), band)
@@ -318,23 +281,9 @@ def find_stop_rims(
     azimuth: FloatArray,
     stars: IntArray | None = None,
 ) -> Rims:
-    """Outlines as the stop alone would make them, and the heights of their rays on all other apertures.
-
-    Parameters
-    ----------
-    lens : AimedLens
-        The lens.
-    kernel : StarKernel
-        Holds the stars.
-    chief : (n, b, 2)
-        Launch points of the chief rays.
-    wavelength_nm : (b, c)
-        Wavelengths; the k nodes are c of them at every time of the kernel.
-    azimuth : (k, m) or (n, b, k, m)
-        Azimuths [rad].
-    stars : (n,), optional
-        Which of the kernel's stars; all if left out.
-    """
+    """Outlines as the stop alone would make them, and the heights of their rays on all other apertures."""
+    # chief (n, b, 2), wavelength_nm (b, c), azimuth (k, m) or (n, b, k, m) [rad], stars (n,); the k nodes are c
+    # wavelengths at every time of the kernel
     beams = _Beams(lens, kernel, chief, wavelength_nm, azimuth, stars, lens.limits)
     others = tuple(number for number, _ in lens.limits if number != lens.stop)
     return beams.rims(*beams.solve(lens.front, (lens.stop,)), others, largest=True)

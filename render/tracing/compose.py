@@ -23,26 +23,8 @@ def add_stamps(
     electrons: FloatArray,
     sensitive: NDArray[np.bool_] | None = None,
 ) -> FloatArray:
-    """Add stamps to the image, in the order of the stars.
-
-    Parameters
-    ----------
-    image : (h, w, b) float32 or float64
-        Changed in place.
-    pixels : (s, b, m, m)
-        Share of a star's light per pixel.
-    corner_px : (s, b, 2)
-        Outer corner of the stamps (half-integers).
-    electrons : (s, b)
-        Light of each star and band [e-].
-    sensitive : (w,) bool, optional
-        Columns that take light; all if left out.
-
-    Returns
-    -------
-    (s, b)
-        Share of each star's light that fell on the image.
-    """
+    """Add stamps to the image, in the order of the stars."""
+    # image (h, w, b), pixels (s, b, m, m), corner_px (s, b, 2), electrons (s, b) [e-], sensitive (w,) -> (s, b)
     _, bands, size, _ = pixels.shape
     height, width, _ = image.shape
     column = np.rint(corner_px[..., 0] + 0.5).astype(np.int64)[..., None] + np.arange(size)
@@ -94,23 +76,8 @@ class TruthSums:
         on_image: FloatArray,
         entrance: FloatArray,
     ) -> None:
-        """Moments and balance of one pass.
-
-        Parameters
-        ----------
-        stars : (s,)
-            Which stars.
-        sums : StampSums
-            Their light.
-        corner_px : (s, b, 2)
-            Outer corner of their stamps.
-        electrons_in : (s, b)
-            Light of the launch disk [e-].
-        on_image : (s, b)
-            Share of it that reached pixels of the image.
-        entrance : (s, b)
-            Share of it that enters by the stop.
-        """
+        """Moments and balance of one pass."""
+        # stars (s,), corner_px (s, b, 2), electrons_in (s, b) [e-], on_image (s, b), entrance (s, b)
         size, moments = sums.pixels.shape[-1], sums.moments
         landed = sums.pixels.sum((2, 3))
         with np.errstate(invalid="ignore", divide="ignore"):

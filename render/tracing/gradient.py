@@ -53,34 +53,20 @@ PASS_RAYS = 1 << 22
 
 @dataclass(frozen=True, slots=True)
 class LensNumbers:
-    """What the trace reads of a camera, as one vector: lens, lens up to the stop, launch disk, stop's radius.
+    """What the trace reads of a camera, as one vector: lens, lens up to the stop, launch disk, stop's radius."""
 
-    Attributes
-    ----------
-    program, front : LensProgram
-        The lens, and the lens up to its stop without apertures; both read the same parameters.
-    stop : int
-        Number of the stop.
-    values : (m,)
-        The parameters, then centre and radius of the launch disk (4) and the radius of the stop.
-    """
-
+    # program, front: The lens, and the lens up to its stop without apertures; both read the same parameters
     program: LensProgram
     front: LensProgram
-    stop: int
-    values: FloatArray
+    stop: int  # Number of the stop
+    values: FloatArray  # (m,) The parameters, then centre and radius of the launch disk (4) and the radius of the stop
 
 
 def lens_numbers(camera: Camera, pupil: EntrancePupil) -> LensNumbers:
     """Numbers of a camera, in a structure that its perturbed copies share.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    pupil : EntrancePupil
-        Launch disk of the camera or, where the stop lies inside, of one that it is a perturbed copy of: what is aimed
-        does not depend on where it starts.
+    The launch disk is the camera's or, where the stop lies inside, that of one that it is a perturbed copy of: what is
+    aimed does not depend on where it starts.
     """
     lens = camera.focused_lens
     program, theta = compile_lens(lens, general=True)
@@ -94,24 +80,12 @@ def lens_numbers(camera: Camera, pupil: EntrancePupil) -> LensNumbers:
 
 @dataclass(frozen=True, slots=True)
 class AttachedPaths:
-    """Directions of n stars in cam at t times, with derivatives; a global shutter.
+    """Directions of n stars in cam at t times, with derivatives; a global shutter."""
 
-    Attributes
-    ----------
-    plain : StarPaths
-        The same without.
-    middle : 3 of Float64 (n,)
-        In the middle of the exposure.
-    nodes : 3 of Float64 (n t,)
-        At the time nodes.
-    length_px : float
-        Length of the paths.
-    """
-
-    plain: StarPaths
-    middle: list[Any]
-    nodes: list[Any]
-    length_px: float = 0.0
+    plain: StarPaths  # The same without
+    middle: list[Any]  # (n,) In the middle of the exposure
+    nodes: list[Any]  # (n t,) At the time nodes
+    length_px: float = 0.0  # Length of the paths
 
 
 class _Numbers:
@@ -224,34 +198,8 @@ def star_image(
     moves: BoolArray,
     rate: Any,
 ) -> Any:
-    """Electrons of every pixel and band (h w b,) as an array with derivatives.
-
-    Parameters
-    ----------
-    mi : module
-        Mitsuba in a variant with derivatives.
-    tracer : Tracer
-        Of the camera.
-    stars : StarField
-        The stars.
-    paths : AttachedPaths
-        Where they are seen.
-    exposure_s : float
-        Exposure time.
-    numbers : LensNumbers
-        The camera's.
-    vector : Float64 (m,)
-        The same values, with derivatives.
-    moves : (m,)
-        Which of them have any.
-    rate : Float64 (n b k,)
-        Photon rates, with derivatives.
-
-    Raises
-    ------
-    ConfigError
-        Stars whose beam is cut, light behind a collimator.
-    """
+    """Electrons of every pixel and band (h w b,) as an array with derivatives."""
+    # vector (m,): values of ``numbers``, with derivatives where it moves (m,); rate (n b k,) with derivatives
     if stars.collimation is not None:
         raise ConfigError("derivatives of stars behind a collimator are not known; leave collimation out")
     F = mi.Float64

@@ -93,20 +93,13 @@ class Geometry:
 
 @dataclass(frozen=True, slots=True)
 class StampSums:
-    """What a pass collects of s stars in b bands; light in shares of what the star sends into the pupil.
+    """What a pass collects of s stars in b bands; light in shares of what the star sends into the pupil."""
 
-    Attributes
-    ----------
-    pixels : (s, b, m, m)
-        Light per pixel of the stamp.
-    moments : (s, b, 10)
-        Light on the stamp (`ARRIVED`), lost in the lens (`LOST`), beside the stamp (`OUTSIDE`); `FIRST` and `SECOND`
-        moments of the landing points on the stamp, and first moments of the light over `STRIPS` of columns and of rows,
-        from the stamp's corner in units of its size; light that does not get to the lens (`HIDDEN`). Where cells were
-        asked for in place of pixels the strips are left out.
-    """
-
-    pixels: FloatArray
+    pixels: FloatArray  # (s, b, m, m) Light per pixel of the stamp
+    # (s, b, 10) Light on the stamp (`ARRIVED`), lost in the lens (`LOST`), beside the stamp (`OUTSIDE`); `FIRST` and
+    # `SECOND` moments of the landing points on the stamp, and first moments of the light over `STRIPS` of columns and
+    # of rows, from the stamp's corner in units of its size; light that does not get to the lens (`HIDDEN`). Where
+    # cells were asked for in place of pixels the strips are left out
     moments: FloatArray
 
     def take(self, keep: NDArray[np.bool_]) -> StampSums:
@@ -121,35 +114,14 @@ class Shade(Protocol):
         """Stars (n,) in whose beam, as wide as a launch disk, something may stand; false where nothing can."""
 
     def hides(self, rays: Rays, star: Any) -> Any:
-        """Whether rays in the lens frame do not get from their stars to the lens.
-
-        Parameters
-        ----------
-        rays : Rays
-            As `StarKernel.rays` makes them.
-        star : UInt32
-            Whose.
-        """
+        """Whether rays in the lens frame (`StarKernel.rays`) do not get from their stars (UInt32) to the lens."""
 
 
 class StarKernel:
     """Traces a set of stars through one compiled lens.
 
-    Parameters
-    ----------
-    program, theta
-        From `optics.rays.program.compile_lens`.
-    geometry : Geometry
-        Camera.
-    direction : (n, 3) or (n, t, 3)
-        Unit vectors towards the stars, in cam; with three axes, at each of t time nodes.
-    shear : (n, t, 3), optional
-        Rolling shutter: a row, and by how many columns and rows the image moves per line time; see
-        `render.tracing.motion`.
-    collimation : Collimation, optional
-        Error of the light of a collimator, for rays that are landed or splatted.
-
-    Nodes of a call are all wavelengths of the first time, then all of the second, ...
+    Nodes of a call are all wavelengths of the first time, then all of the second, ... A ``shear`` (n, t, 3) is that of
+    a rolling shutter: a row, and by how many columns and rows the image moves per line time there.
     """
 
     def __init__(
@@ -231,24 +203,8 @@ class StarKernel:
     def land(
         self, pupil: PupilPoints, wavelength_nm: FloatArray, stars: NDArray[np.uint32] | None = None
     ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """Landing points of a few rays per star and band.
-
-        Parameters
-        ----------
-        pupil : PupilPoints
-            Points of the launch disk for each node.
-        wavelength_nm : (b, k)
-            Wavelengths.
-        stars : (s,), optional
-            Indices of the stars; all if left out.
-
-        Returns
-        -------
-        x_px, y_px : (s, b, t k, m)
-            Column and row.
-        arrived : (s, b, t k, m)
-            Whether the ray reaches the image plane.
-        """
+        """Landing points of a few rays per star and band."""
+        # wavelength_nm (b, k), stars (s,) -> (s, b, t k, m), (s, b, t k, m)
         bands, nodes = len(wavelength_nm), wavelength_nm.shape[1] * self.times
         shape = (self.count if stars is None else len(stars), bands, nodes, pupil.count)
         point, node, slot = self.numbered(math.prod(shape), nodes, pupil.count)
@@ -260,17 +216,8 @@ class StarKernel:
         return x.numpy().reshape(shape), y.numpy().reshape(shape), ok.numpy().astype(bool).reshape(shape)
 
     def hidden_share(self, shade: Shade, pupil: PupilPoints, stars: NDArray[np.uint32]) -> FloatArray:
-        """Share (s,) of the launch disk from which some stars are not seen, by equal weights of its points.
-
-        Parameters
-        ----------
-        shade : Shade
-            What stands in the way.
-        pupil : PupilPoints
-            Points of the launch disk.
-        stars : (s,)
-            Which of the kernel's stars, in the middle of the exposure.
-        """
+        """Share (s,) of the launch disk from which some stars are not seen, by equal weights of its points."""
+        # stars (s,)
         point, position = self.numbered(len(stars) * pupil.count, pupil.count)
         px, py, _ = pupil.sample(self.types, position, dr.zeros(self.U, 1), point)
         star = dr.gather(self.U, self.U(stars), position)
@@ -353,27 +300,8 @@ class StarKernel:
         cells_per_px: int = 1,
         shade: Shade | None = None,
     ) -> StampSums:
-        """Stamps and moments of some of the stars.
-
-        Parameters
-        ----------
-        stars : (s,)
-            Indices of the stars.
-        pupil : PupilPoints
-            Points of the launch disk for each node, in slots of the ``stars``.
-        wavelength_nm : (b, k)
-            Wavelengths.
-        node_share : (s, b, t k)
-            Share of each wavelength node in the star's light, sum 1.
-        corner_px : (s, b, 2)
-            Outer corner of the stamp's first pixel (column, row).
-        stamp_px : int
-            Stamp size [px].
-        cells_per_px : int
-            With more than 1 the stamp's pixels are cells of that fraction of a pixel, and strips are left out.
-        shade : Shade, optional
-            What stands between the sky and the lens.
-        """
+        """Stamps and moments of some of the stars; of cells in place of pixels there are no strips."""
+        # stars (s,), wavelength_nm (b, k), node_share (s, b, t k), corner_px (s, b, 2)
         F, U = self.F, self.U
         bands, nodes = len(wavelength_nm), wavelength_nm.shape[1] * self.times
         point, node, slot = self.numbered(len(stars) * bands * nodes * pupil.count, nodes, pupil.count)

@@ -60,27 +60,13 @@ def rings(count: int) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NodePicks:
-    """The few nodes at which outlines are found, and how they lead to all.
+    """The few nodes at which outlines are found, and how they lead to all."""
 
-    Attributes
-    ----------
-    kernel : StarKernel
-        Holds the n stars at p times.
-    wavelength_nm : (b, j)
-        Wavelengths; nodes are all of the first time, then all of the second, ...
-    colours : (b, k, j)
-        Factors that lead from these wavelengths to all.
-    times : (n, t, p)
-        Factors that lead from these times to all.
-    every : bool
-        Whether they are all the nodes there are.
-    """
-
-    kernel: StarKernel
-    wavelength_nm: FloatArray
-    colours: FloatArray
-    times: FloatArray
-    every: bool
+    kernel: StarKernel  # Holds the n stars at p times
+    wavelength_nm: FloatArray  # (b, j) Wavelengths; nodes are all of the first time, then all of the second,
+    colours: FloatArray  # (b, k, j) Factors that lead from these wavelengths to all
+    times: FloatArray  # (n, t, p) Factors that lead from these times to all
+    every: bool  # Whether they are all the nodes there are
 
     @property
     def count(self) -> int:
@@ -110,17 +96,8 @@ class NodePicks:
 
 
 def node_picks(kernel: StarKernel, wavelength_nm: FloatArray, times: FloatArray | None = None) -> NodePicks:
-    """Picks of wavelengths (b, k); polynomials in 1/wavelength^2 lead to the others.
-
-    Parameters
-    ----------
-    kernel : StarKernel
-        Holds the stars at the picked times.
-    wavelength_nm : (b, k)
-        All wavelengths.
-    times : (n, t, p), optional
-        Factors that lead from the picked times to all; for one time it is left out.
-    """
+    """Picks of wavelengths (b, k); polynomials in 1/wavelength^2 lead to the others."""
+    # wavelength_nm (b, k), times (n, t, p)
     bands, nodes = wavelength_nm.shape
     spread = 0.5 * (nodes - 1) * (1.0 - np.cos(np.pi * np.arange(WAVELENGTHS) / (WAVELENGTHS - 1)))
     picks = np.arange(nodes) if nodes <= WAVELENGTHS else np.unique(np.rint(spread).astype(int))
@@ -168,31 +145,19 @@ def outline_series(azimuth: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outlines:
-    """Outlines of the beams of n stars in b bands.
-
-    Attributes
-    ----------
-    lens : AimedLens
-        The lens.
-    picks : NodePicks
-        Where they are found.
-    chief : (n, b, 2)
-        Centres of the azimuths.
-    radius : (n, b, picked nodes, m)
-        As the stop alone makes them, at m equidistant azimuths; NaN where no ray touches its rim.
-    clear, cut : (n,)
-        Stars limited by the stop alone; stars for which other apertures count too. Others have no outline.
-    shadow : (n, b, picked nodes, m), optional
-        Outlines of the shadow in the middle, where there is one.
-    """
+    """Outlines of the beams of n stars in b bands."""
 
     lens: AimedLens
-    picks: NodePicks
-    chief: FloatArray
+    picks: NodePicks  # Where they are found
+    chief: FloatArray  # (n, b, 2) Centres of the azimuths
+    # (n, b, picked nodes, m) As the stop alone makes them, at m equidistant azimuths; NaN where no ray touches its
+    # rim
     radius: FloatArray
+    # clear, cut: (n,) Stars limited by the stop alone; stars for which other apertures count too. Others have no
+    # outline
     clear: NDArray[np.bool_]
     cut: NDArray[np.bool_]
-    shadow: FloatArray | None = None
+    shadow: FloatArray | None = None  # (n, b, picked nodes, m) Outlines of the shadow in the middle, where there is one
 
     def points(self, order: tuple[int, int], stars: IntArray) -> OutlinePoints:
         """Quadrature points of so many rings and azimuths inside smooth outlines."""
@@ -240,17 +205,7 @@ class Outlines:
 
 
 def find_outlines(lens: AimedLens, picks: NodePicks, chiefs: Chiefs) -> Outlines:
-    """Outlines of all stars of a kernel; what kind each of them is.
-
-    Parameters
-    ----------
-    lens : AimedLens
-        The lens.
-    picks : NodePicks
-        Where outlines are found.
-    chiefs : Chiefs
-        Chief rays at one wavelength of each band.
-    """
+    """Outlines of all stars of a kernel; what kind each of them is."""
     aimed = np.asarray(np.isfinite(chiefs.points).all((1, 2)))
     centre = np.where(aimed[:, None, None], chiefs.points, 0.0)
     azimuth = np.tile(2.0 * np.pi * np.arange(ARMS) / ARMS, (picks.count, 1))

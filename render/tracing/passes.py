@@ -106,21 +106,8 @@ class Group:
 
 
 def find_bounds(kernel: StarKernel, bounds: Bounds, stars: IntArray, wavelength_nm: FloatArray, points: Points) -> None:
-    """Extent of the bundles of some stars [px] and whether they are clear, at the given wavelengths (b, 3).
-
-    Parameters
-    ----------
-    kernel : StarKernel
-        Holds all stars.
-    bounds : Bounds
-        Filled in.
-    stars : (s,)
-        Which stars.
-    wavelength_nm : (b, 3)
-        Wavelengths.
-    points : callable
-        Bounding points of stars.
-    """
+    """Extent of the bundles of some stars [px] and whether they are clear, at the given wavelengths (b, 3)."""
+    # stars (s,), wavelength_nm (b, 3)
     step = max(1, BOUND_RAYS // (len(wavelength_nm) * 3 * bounding_disk().count))
     for part in (stars[i : i + step] for i in range(0, len(stars), step)):
         landed = kernel.land(points(part), wavelength_nm, part.astype(np.uint32))
@@ -133,29 +120,18 @@ def find_bounds(kernel: StarKernel, bounds: Bounds, stars: IntArray, wavelength_
 
 @dataclass(frozen=True, slots=True)
 class Passes:
-    """What all groups of stars of a frame share.
+    """What all groups of stars of a frame share."""
 
-    Attributes
-    ----------
-    camera, kernel, light, bounds
-        What is traced.
-    image : (h, w, b) float32
-        What light is added to.
-    sums : TruthSums
-        Where the truth is kept.
-    entrance : (n, b)
-        Light that the stop alone would let through in that of the launch disk; NaN where unknown.
-    shade : Shade or None
-        What stands between the sky and the lens; asked for every ray of stars that Sobol points sample.
-    """
-
+    # camera, kernel, light, bounds: What is traced
     camera: Camera
     kernel: StarKernel
     light: Light
     bounds: Bounds
-    image: NDArray[np.float32]
-    sums: TruthSums
+    image: NDArray[np.float32]  # (h, w, b) What light is added to
+    sums: TruthSums  # Where the truth is kept
+    # (n, b) Light that the stop alone would let through in that of the launch disk; NaN where unknown
     entrance: FloatArray
+    # What stands between the sky and the lens; asked for every ray of stars that Sobol points sample
     shade: Shade | None = None
 
     def trace(self, group: Group) -> IntArray:

@@ -41,30 +41,17 @@ STILL_RAD, SHORT_RAD = 1e-9, 2e-3
 
 @dataclass(frozen=True, slots=True)
 class StarPaths:
-    """Directions of n stars in cam during an exposure.
+    """Directions of n stars in cam during an exposure."""
 
-    Attributes
-    ----------
-    mid : (n, 3)
-        In the middle of it.
-    nodes : (n, t, 3)
-        At the time nodes.
-    weight : (n, t)
-        Weights of the nodes; their sum is 1, with a rolling shutter what the star's motion makes of it.
-    shear : (n, t, 3) or None
-        Rolling shutter: reference row [px], and the image's motion (columns, rows) per line time [px] there.
-    shift_px : (n, 2, 2)
-        Lowest and highest offset (column, row) of the image from where it is in the middle, nearly.
-    collimation : Collimation or None
-        Error of the light of a collimator; None for stars.
-    """
-
-    mid: FloatArray
-    nodes: FloatArray
+    mid: FloatArray  # (n, 3) In the middle of it
+    nodes: FloatArray  # (n, t, 3) At the time nodes
+    # (n, t) Weights of the nodes; their sum is 1, with a rolling shutter what the star's motion makes of it
     weight: FloatArray
+    # (n, t, 3) Rolling shutter: reference row [px], and the image's motion (columns, rows) per line time [px] there
     shear: FloatArray | None
+    # (n, 2, 2) Lowest and highest offset (column, row) of the image from where it is in the middle, nearly
     shift_px: FloatArray
-    collimation: Collimation | None = None
+    collimation: Collimation | None = None  # Error of the light of a collimator; None for stars
 
     def take(self, stars: IntArray) -> StarPaths:
         """Some of the stars."""
@@ -86,29 +73,8 @@ def star_paths(
     chief_row_px: FloatArray | None = None,
     scale: NDArray[np.complex128] | None = None,
 ) -> StarPaths:
-    """Where stars are seen during an exposure.
-
-    Parameters
-    ----------
-    motion : ExposureMotion
-        Attitudes.
-    direction : (n, 3)
-        Unit vectors towards the stars in the world frame.
-    camera : Camera
-        The camera.
-    chief_row_px : (n,), optional
-        Row of the stars' chief rays in the middle of the exposure, where it is known better than from the focal length;
-        NaN where not.
-    scale : (n,), optional
-        Displacements of chief rays along the paths over those of an ideal lens, as complex numbers (column + i row).
-
-    The last two matter for a rolling shutter only.
-
-    Raises
-    ------
-    DomainError
-        An image that moves faster than `FASTEST_SHEAR` rows per line time.
-    """
+    """Where stars are seen during an exposure."""
+    # direction (n, 3), chief_row_px (n,), scale (n,)
     n, t = len(direction), len(motion.weight)
     ideal = IdealLens.of(camera)
     if motion.path is None:
@@ -187,19 +153,8 @@ def pick_times(paths: StarPaths) -> tuple[FloatArray, FloatArray]:
 
     What is found at these directions is interpolated linearly (paths below `SHORT_RAD`) or quadratically in the
     coordinate along the line between the middle of a path and its farthest node.
-
-    Parameters
-    ----------
-    paths : StarPaths
-        Of n stars.
-
-    Returns
-    -------
-    direction : (n, p, 3)
-        Unit vectors in cam; p is 1 (no motion), 2 or 3.
-    factor : (n, t, p)
-        Sum 1.
     """
+    # -> (n, p, 3), (n, t, p)
     offset = paths.nodes - paths.mid[:, None]
     far = np.linalg.norm(offset, axis=2)
     at = far.argmax(1)[:, None, None]

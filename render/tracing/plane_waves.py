@@ -40,32 +40,18 @@ RayArrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, Fl
 
 @dataclass(frozen=True, slots=True)
 class PlaneWaves:
-    """Rays of s stars in b bands at k wavelengths, p of each; arrays (s, b, k, p).
+    """Rays of s stars in b bands at k wavelengths, p of each; arrays (s, b, k, p)."""
 
-    Attributes
-    ----------
-    x, y : array
-        Landing points [px].
-    fx, fy : array
-        Spatial frequency of the plane wave [cycles/px].
-    turns : array
-        Optical path in vacuum wavelengths, from a plane wavefront.
-    amplitude : array
-        ``w sqrt(J)``; 0 for lost rays.
-    weight : array
-        Shares of the launch disk; 0 for lost rays.
-    lost : (s, b, k)
-        Share of the launched light that these points stand for and that is lost.
-    """
-
+    # x, y: Landing points [px]
     x: FloatArray
     y: FloatArray
+    # fx, fy: Spatial frequency of the plane wave [cycles/px]
     fx: FloatArray
     fy: FloatArray
-    turns: FloatArray
-    amplitude: FloatArray
-    weight: FloatArray
-    lost: FloatArray
+    turns: FloatArray  # Optical path in vacuum wavelengths, from a plane wavefront
+    amplitude: FloatArray  # ``w sqrt(J)``; 0 for lost rays
+    weight: FloatArray  # Shares of the launch disk; 0 for lost rays
+    lost: FloatArray  # (s, b, k) Share of the launched light that these points stand for and that is lost
 
     @property
     def mean(self) -> FloatArray:
@@ -117,22 +103,8 @@ def trace_waves(
     stars: NDArray[np.uint32],
     coverage: FloatArray | None = None,
 ) -> PlaneWaves:
-    """Trace the plane waves of some stars of a kernel.
-
-    Parameters
-    ----------
-    kernel : StarKernel
-        Holds the stars, each in one direction.
-    pupil : PupilPoints
-        Points of the launch disk for each of the k nodes.
-    wavelength_nm, image_index : (b, k)
-        Wavelengths, and the index of the image space at each.
-    stars : (s,)
-        Which stars.
-    coverage : (s, b, k, p), optional
-        Which part of the area that a point stands for gets through the lens; all of it, where the ray does, if left
-        out.
-    """
+    """Trace the plane waves of some stars of a kernel."""
+    # wavelength_nm, image_index (b, k), stars (s,), coverage (s, b, k, p)
     F, U = kernel.F, kernel.U
     shape = (len(stars), len(wavelength_nm), wavelength_nm.shape[1], pupil.count)
     variant, point, node, slot = kernel.numbered(3 * math.prod(shape), shape[2], shape[3], 3)
@@ -206,17 +178,8 @@ def hidden_points(kernel: StarKernel, shade: Shade, pupil: PupilPoints, stars: N
 def phase_changes(
     waves: PlaneWaves, order: tuple[int, int], radius_px: FloatArray | float
 ) -> tuple[FloatArray, FloatArray]:
-    """Largest change of phase along a radius of the pupil [rad], and per radian around it, (s, b, k), over a circle.
-
-    Parameters
-    ----------
-    waves : PlaneWaves
-        On rings x azimuths points, azimuths last.
-    order : (int, int)
-        These numbers.
-    radius_px : (s,) or float
-        Of the circle about each mean landing point.
-    """
+    """Largest change of phase along a radius of the pupil [rad], and per radian around it, (s, b, k), over a circle."""
+    # radius_px (s,)
     mean = np.nan_to_num(waves.mean)[..., None, :]
     lit = (waves.weight > 0.0).reshape(*waves.weight.shape[:3], *order)
     radial, around = (np.zeros(lit.shape[:3]) for _ in range(2))

@@ -73,28 +73,15 @@ SHORTEST_PX = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Stars as an exposure sees them.
+    """Stars as an exposure sees them."""
 
-    Attributes
-    ----------
-    mid, nodes : StarKernel
-        In the middle of the exposure, and at its time nodes; the same for a camera at rest.
-    picks : NodePicks
-        Where outlines are found.
-    paths : StarPaths
-        Directions.
-    length_px : float
-        Length of the paths.
-    wavelength_nm : (b, k)
-        All wavelengths.
-    """
-
+    # mid, nodes: In the middle of the exposure, and at its time nodes; the same for a camera at rest
     mid: StarKernel
     nodes: StarKernel
-    picks: NodePicks
+    picks: NodePicks  # Where outlines are found
     paths: StarPaths
-    length_px: float
-    wavelength_nm: FloatArray
+    length_px: float  # Length of the paths
+    wavelength_nm: FloatArray  # (b, k) All wavelengths
 
 
 Shape = tuple[str, IntArray, Outlines | Arcs]
@@ -103,18 +90,10 @@ Shape = tuple[str, IntArray, Outlines | Arcs]
 
 @dataclass(frozen=True, slots=True)
 class Shapes:
-    """Outlines of the beams of stars, in parts of one mode each.
+    """Outlines of the beams of stars, in parts of one mode each."""
 
-    Attributes
-    ----------
-    parts : list of Shape
-        No star is in two of them.
-    outlines : Outlines or None
-        Those by the stop alone; None where the launch disk is the stop.
-    """
-
-    parts: list[Shape]
-    outlines: Outlines | None
+    parts: list[Shape]  # No star is in two of them
+    outlines: Outlines | None  # Those by the stop alone; None where the launch disk is the stop
 
     def entrance(self, nodes: tuple[int, int, int]) -> FloatArray:
         """Light (n, b, k) that the stop alone would let through in that of the launch disk; NaN where unknown."""
@@ -144,13 +123,7 @@ def _fixed_group(plan: PupilPlan, members: IntArray) -> Group:
 
 
 class PupilPlanner:
-    """Decides how the stars of one camera are sampled, and keeps what it has found.
-
-    Parameters
-    ----------
-    camera, sobol_log2_rays, sobol_seed, tolerance, general
-        As `render.tracing.tracer.Tracer`.
-    """
+    """Decides how the stars of one camera are sampled, and keeps what it has found."""
 
     def __init__(
         self, camera: Camera, *, sobol_log2_rays: int, sobol_seed: int, tolerance: float, general: bool
@@ -203,18 +176,8 @@ class PupilPlanner:
         return find_chiefs(self._aim, kernel, mean, centre)
 
     def shapes(self, seen: Seen, chiefs: Chiefs, cut: IntArray | None = None) -> Shapes:
-        """Outlines of the beams of stars.
-
-        Parameters
-        ----------
-        seen : Seen
-            The stars.
-        chiefs : Chiefs
-            Their chief rays.
-        cut : (c,), optional
-            Where the launch disk is the stop itself: which stars other apertures cut; the disk is the outline of the
-            others.
-        """
+        """Outlines of the beams of stars."""
+        # cut (c,): which stars other apertures cut where the launch disk is the stop and the outline of the others
         if not seen.mid.count or self._aim.stop not in dict(self._aim.limits):
             return Shapes([], None)
         if self.pupil.exact and self._aim.holes:
@@ -268,23 +231,11 @@ class PupilPlanner:
     def groups(
         self, seen: Seen, wavelength_nm: FloatArray, chiefs: Chiefs, shaded: BoolArray | None = None
     ) -> tuple[list[Group], Bounds, FloatArray]:
-        """How stars are sampled.
+        """How stars are sampled: groups, the last of them able to take any star, bounds of all, and entrances.
 
-        Parameters
-        ----------
-        seen, wavelength_nm, chiefs
-            The stars.
-        shaded : (n,), optional
-            Stars whose beams something may cut that the lens knows nothing of; they go to the last group.
-
-        Returns
-        -------
-        groups : list of Group
-            Stars that are sampled alike, the last of them able to take any star.
-        bounds : Bounds
-            Of all stars.
-        entrance : (n, b, k)
-            Light that the stop alone would let through in that of the launch disk, at every node; NaN where unknown.
+        Shaded stars (n,), whose beams something may cut that the lens knows nothing of, go to the last group. An
+        entrance (n, b, k) is the light that the stop alone would let through in that of the launch disk, at every node;
+        NaN where unknown.
         """
         count = seen.mid.count
         everyone = np.arange(count)

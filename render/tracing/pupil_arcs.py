@@ -49,29 +49,15 @@ ARC_LADDER = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arcs:
-    """Outlines with kinks of some of a kernel's stars.
-
-    Attributes
-    ----------
-    lens : AimedLens
-        The lens.
-    picks : NodePicks
-        Where they are found.
-    stars : (s,)
-        Which of the kernel's stars, ascending.
-    centre : (s, b, 2)
-        Of the azimuths, in radii of the launch disk.
-    radius : (s, b, picked nodes, `COARSE`)
-        Coarse outline.
-    start, length : (s, b, picked nodes, `MOST_ARCS`)
-        Arcs [rad]; length 0 for none, one of 2 pi where there is no kink.
-    """
+    """Outlines with kinks of some of a kernel's stars."""
 
     lens: AimedLens
-    picks: NodePicks
-    stars: IntArray
-    centre: FloatArray
-    radius: FloatArray
+    picks: NodePicks  # Where they are found
+    stars: IntArray  # (s,) Which of the kernel's stars, ascending
+    centre: FloatArray  # (s, b, 2) Of the azimuths, in radii of the launch disk
+    radius: FloatArray  # (s, b, picked nodes, `COARSE`) Coarse outline
+    # start, length: (s, b, picked nodes, `MOST_ARCS`) Arcs [rad]; length 0 for none, one of 2 pi where there is no
+    # kink
     start: FloatArray
     length: FloatArray
 
@@ -235,18 +221,8 @@ def find_arcs(lens: AimedLens, picks: NodePicks, centre: FloatArray, stars: IntA
     """Outlines of stars whose beams are cut.
 
     Left out are those that have none, or too many kinks, or where nodes are interpolated between such with other kinks.
-
-    Parameters
-    ----------
-    lens : AimedLens
-        The lens.
-    picks : NodePicks
-        Where outlines are found.
-    centre : (n, b, 2)
-        Launch points of the chief rays of all stars.
-    stars : (s,)
-        Which stars, ascending.
     """
+    # centre (n, b, 2), stars (s,)
     azimuth = np.tile(_coarse_azimuth(), (picks.count, 1))
     rims = find_rims(lens, picks.kernel, centre[stars], picks.wavelength_nm, azimuth, stars)
     kinks, good = _coarse_kinks(rims.height)

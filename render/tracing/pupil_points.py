@@ -44,31 +44,18 @@ class PupilPoints(Protocol):
         """Weights, shares of the disk's area; an array that broadcasts against (s, b, k, count)."""
 
     def sample(self, types: Any, slot: Any, node: Any, point: Any) -> tuple[Any, Any, Any]:
-        """Coordinates and weight of point ``point`` of node ``node``, in Dr.Jit arrays.
+        """Coordinates and weight of point ``point`` of node ``node``, in Dr.Jit arrays of a module of types.
 
-        Parameters
-        ----------
-        types : module
-            `render.engine.Engine.types`.
-        slot, node, point : UInt32
-            Which; slots are the pairs of stars and bands of a call, in this order.
+        Slots are the pairs of stars and bands of a call, in this order.
         """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TablePoints:
-    """Given points.
+    """Given points."""
 
-    Attributes
-    ----------
-    points : (k, p, 2)
-        Unit-disk points of every wavelength node.
-    weight : (p,)
-        Weights, sum 1.
-    """
-
-    points: FloatArray
-    weight: FloatArray
+    points: FloatArray  # (k, p, 2) Unit-disk points of every wavelength node
+    weight: FloatArray  # (p,) Weights, sum 1
 
     @property
     def count(self) -> int:
@@ -89,31 +76,18 @@ class OutlinePoints:
 
     With a shadow in the middle, which no light comes from, they move out, such that the squares of their distances
     divide what is left as ``ring**2`` divided the whole.
-
-    Attributes
-    ----------
-    centre : (s, b, 2)
-        Where the azimuths are counted about.
-    azimuth : (..., k, a)
-        Azimuths of every node, or of every node of every star.
-    radius : (s, b, k, a)
-        The outline there.
-    share : (s, b, k, a)
-        Share of the disk's area in the sector of every azimuth.
-    arm, ring, ring_weight : (p,)
-        Azimuth of every point, its part of the radius, and its weight in the sector, sum 1 over the rings of an arm.
-    shadow : (s, b, k, a), optional
-        The outline of the shadow.
     """
 
-    centre: FloatArray
-    azimuth: FloatArray
-    radius: FloatArray
-    share: FloatArray
+    centre: FloatArray  # (s, b, 2) Where the azimuths are counted about
+    azimuth: FloatArray  # (..., k, a) Azimuths of every node, or of every node of every star
+    radius: FloatArray  # (s, b, k, a) The outline there
+    share: FloatArray  # (s, b, k, a) Share of the disk's area in the sector of every azimuth
+    # arm, ring, ring_weight: (p,) Azimuth of every point, its part of the radius, and its weight in the sector, sum 1
+    # over the rings of an arm
     arm: NDArray[np.uint32]
     ring: FloatArray
     ring_weight: FloatArray
-    shadow: FloatArray | None = None
+    shadow: FloatArray | None = None  # (s, b, k, a) The outline of the shadow
 
     @property
     def count(self) -> int:
@@ -158,15 +132,7 @@ def bounding_outline(
     arms: Sequence[IntArray],
     shadow: FloatArray | None = None,
 ) -> OutlinePoints:
-    """Points that bound where the light inside outlines lands: on the rim, and on three rings inside.
-
-    Parameters
-    ----------
-    centre, azimuth, radius, shadow
-        As in `OutlinePoints`.
-    arms : 4 arrays
-        Azimuths that are used on each of `BOUNDING_RINGS`.
-    """
+    """Points that bound where the light inside outlines lands: on the rim, and on three rings inside."""
     ring = np.repeat(BOUNDING_RINGS, [len(arm) for arm in arms])
     weight = np.full(len(ring), 1.0 / len(ring))
     arm = np.concatenate(arms).astype(np.uint32)
@@ -186,18 +152,10 @@ def covered_points(order: tuple[int, int], nodes: int, parts: int) -> TablePoint
 
 @dataclass(frozen=True, slots=True)
 class SobolPoints:
-    """Scrambled Sobol points: node j has points j 2^n ... (j+1) 2^n - 1 of one sequence, each of these sets a net.
+    """Scrambled Sobol points: node j has points j 2^n ... (j+1) 2^n - 1 of one sequence, each of these sets a net."""
 
-    Attributes
-    ----------
-    log2_count : int
-        n.
-    seed : int
-        Of the scrambling.
-    """
-
-    log2_count: int
-    seed: int
+    log2_count: int  # n
+    seed: int  # Of the scrambling
 
     @property
     def count(self) -> int:
@@ -231,21 +189,11 @@ class SobolPoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiskPoints:
-    """Points of the unit disk, moved to a disk of its own for each of s stars in b bands.
+    """Points of the unit disk, moved to a disk of its own for each of s stars in b bands."""
 
-    Attributes
-    ----------
-    points : PupilPoints
-        Of the unit disk.
-    centre : (s, b, 2)
-        Centres, in radii of the launch disk.
-    radius : (s, b)
-        Radii.
-    """
-
-    points: PupilPoints
-    centre: FloatArray
-    radius: FloatArray
+    points: PupilPoints  # Of the unit disk
+    centre: FloatArray  # (s, b, 2) Centres, in radii of the launch disk
+    radius: FloatArray  # (s, b) Radii
 
     @property
     def count(self) -> int:

@@ -96,70 +96,36 @@ PROBE_NODES = 6
 
 @dataclass(frozen=True, slots=True)
 class PupilPlan:
-    """Sampling of the pupil for a group of stars.
+    """Sampling of the pupil for a group of stars."""
 
-    Attributes
-    ----------
-    mode : {"quadrature", "arcs", "sobol"}
-        Which rule: Gauss x trapezoid, Gauss x Gauss between the kinks of an outline, or Sobol points.
-    rays_per_node : int
-        Rays per star, band and node.
-    error : float
-        What the order was judged by (`converged_order`), NaN for Sobol.
-    pupil : PupilPoints or None
-        Points of the launch disk; None where they follow every star's outline.
-    order : (int, int)
-        Rings and azimuths, (0, 0) for Sobol.
-    """
-
-    mode: str
-    rays_per_node: int
-    error: float
-    pupil: PupilPoints | None = None
-    order: tuple[int, int] = (0, 0)
+    mode: str  # Which rule: Gauss x trapezoid, Gauss x Gauss between the kinks of an outline, or Sobol points
+    rays_per_node: int  # Rays per star, band and node
+    error: float  # What the order was judged by (`converged_order`), NaN for Sobol
+    pupil: PupilPoints | None = None  # Points of the launch disk; None where they follow every star's outline
+    order: tuple[int, int] = (0, 0)  # Rings and azimuths, (0, 0) for Sobol
 
 
 @dataclass(frozen=True, slots=True)
 class Landed:
-    """Where the rays of stars land.
+    """Where the rays of stars land."""
 
-    Attributes
-    ----------
-    x, y : (n, b, k, m)
-        Columns and rows [px].
-    arrived : (n, b, k, m)
-        Whether they do.
-    weight : array
-        Weights of the rays of a node; broadcasts to these.
-    node_weight : (k,), optional
-        Weights of the nodes, sum 1; equal if left out.
-    """
-
+    # x, y: (n, b, k, m) Columns and rows [px]
     x: FloatArray
     y: FloatArray
-    arrived: NDArray[np.bool_]
-    weight: FloatArray
-    node_weight: FloatArray | None = None
+    arrived: NDArray[np.bool_]  # (n, b, k, m) Whether they do
+    weight: FloatArray  # Weights of the rays of a node; broadcasts to these
+    node_weight: FloatArray | None = None  # (k,) Weights of the nodes, sum 1; equal if left out
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What an order makes of probe stars.
+    """What an order makes of probe stars."""
 
-    Attributes
-    ----------
-    pixels : (n, ...)
-        Light of all pixels, of all bands.
-    light, mean : (n, ...)
-        Light that arrives, and its mean [px].
-    clear : (n,)
-        Whether all of it does.
-    """
-
-    pixels: FloatArray
+    pixels: FloatArray  # (n, ...) Light of all pixels, of all bands
+    # light, mean: (n, ...) Light that arrives, and its mean [px]
     light: FloatArray
     mean: FloatArray
-    clear: NDArray[np.bool_]
+    clear: NDArray[np.bool_]  # (n,) Whether all of it does
 
     @classmethod
     def of(cls, stamps: StampSums, size_px: int) -> Trial:
@@ -261,15 +227,6 @@ def converged_order(
 
     The error is the largest change of a pixel or of all light [the star's light], where the brightest pixel holds less
     than `BRIGHTEST` in units of what that would then hold, or of the mean [px] times `MEANS_FINER`.
-
-    Parameters
-    ----------
-    trial : callable
-        What becomes of the probe stars for an order; stars that are not clear do not count.
-    tolerance : float
-        Largest error that counts as converged.
-    ladder : tuple of (int, int)
-        Rings and azimuths that are tried, in this order.
     """
     tried: dict[tuple[int, int], Trial] = {}
     for order in ladder:
@@ -296,15 +253,6 @@ def lowest_order(
     """Order with as few azimuths, then as few rings, as agree with a higher one than ``start`` to the tolerance.
 
     For stars in motion, where the time nodes fill gaps in the pupil.
-
-    Parameters
-    ----------
-    land, diffusion_px, tolerance
-        As `converged_order`.
-    start : (int, int)
-        Order that is high enough.
-    least : (int, int)
-        Lowest order to try.
     """
     frequency = damped_frequencies(diffusion_px, tolerance)
     assert frequency is not None
@@ -331,16 +279,6 @@ def lowest_order(
 
 
 def sobol_plan(nodes: int, seed: int, log2_rays: int) -> PupilPlan:
-    """Scrambled Sobol points, a net of its own for every wavelength node.
-
-    Parameters
-    ----------
-    nodes : int
-        Wavelength nodes per band.
-    seed : int
-        Of the scrambling.
-    log2_rays : int
-        Logarithm of the least number of rays per star and band.
-    """
+    """Scrambled Sobol points, a net of its own for every wavelength node."""
     log2_points = max(6, math.ceil(log2_rays - math.log2(nodes)))
     return PupilPlan("sobol", 1 << log2_points, math.nan, SobolPoints(log2_points, seed))

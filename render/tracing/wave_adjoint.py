@@ -30,36 +30,16 @@ ARRAYS = ("phase", "fx", "fy", "amplitude", "energy", "right", "down", "part")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Window:
-    """Where the image of one star in one band is summed, and how samples become pixels.
+    """Where the image of one star in one band is summed, and how samples become pixels."""
 
-    Attributes
-    ----------
-    corner_px : (2,)
-        Outer corner (column, row) of the window.
-    mean_px : (2,)
-        Where samples lie about.
-    size : int
-        Pixels of the window along an axis.
-    field : FieldSampling
-        Sampling.
-    sigma_px : float
-        Charge diffusion.
-    first_px : (2,)
-        Whole pixels from the window to the stamp.
-    stamp_px : int
-        Pixels of the stamp along an axis.
-    moving : bool
-        Whether the image is a trail: it ends by samples then, by pixels else.
-    """
-
-    corner_px: FloatArray
-    mean_px: FloatArray
-    size: int
+    corner_px: FloatArray  # (2,) Outer corner (column, row) of the window
+    mean_px: FloatArray  # (2,) Where samples lie about
+    size: int  # Pixels of the window along an axis
     field: FieldSampling
-    sigma_px: float
-    first_px: FloatArray
-    stamp_px: int
-    moving: bool
+    sigma_px: float  # Charge diffusion
+    first_px: FloatArray  # (2,) Whole pixels from the window to the stamp
+    stamp_px: int  # Pixels of the stamp along an axis
+    moving: bool  # Whether the image is a trail: it ends by samples then, by pixels else
 
     @property
     def kernel(self) -> BandLimited:
@@ -130,44 +110,20 @@ class _Rays:
 
 @dataclass(frozen=True, slots=True)
 class WaveLanes:
-    """Plane waves as arrays with derivatives, of s b windows at k wavelengths, p of each; lanes (s b k p,).
+    """Plane waves as arrays with derivatives, of s b windows at k wavelengths, p of each; lanes (s b k p,)."""
 
-    Attributes
-    ----------
-    phase : Float64
-        At the mean that samples lie about [turns].
-    fx, fy : Float64
-        Spatial frequencies [cycles/px].
-    amplitude : Float64
-        As in `render.tracing.plane_waves.PlaneWaves`.
-    """
-
-    phase: Any
+    phase: Any  # At the mean that samples lie about [turns]
+    # fx, fy: Spatial frequencies [cycles/px]
     fx: Any
     fy: Any
-    amplitude: Any
+    amplitude: Any  # As in `render.tracing.plane_waves.PlaneWaves`
 
 
 def summed_waves(
     F: Any, windows: list[Window], lanes: WaveLanes, energy: Any, offset: tuple[Any, Any], weight: Any
 ) -> Any:
-    """Electrons of the pixels of stamps (s b m m,), with derivatives.
-
-    Parameters
-    ----------
-    F : type
-        Float64 with derivatives.
-    windows : list of Window
-        One for every star and band, all of one size.
-    lanes : WaveLanes
-        Plane waves.
-    energy : Float64 (s b k,)
-        Light of every wavelength [e-].
-    offset : 2 of Float64 (s b t,)
-        How images move, along columns and rows [px].
-    weight : Float64 (s b t,)
-        Parts of the light at these times.
-    """
+    """Electrons of the pixels of stamps (s b m m,), with derivatives."""
+    # energy (s b k,) [e-], offset (s b t,) [px], weight (s b t,)
 
     class Sum(dr.CustomOp):
         """The sum; arrays are those of `_Stamps`."""
@@ -199,12 +155,8 @@ def summed_waves(
 class _Stamps:
     """Stamps of windows, on NumPy.
 
-    Parameters
-    ----------
-    windows : list of Window
-        Windows.
-    arrays : 8 arrays
-        Phase, fx, fy and amplitude of rays; light of wavelengths; offsets along columns and rows, and parts of times.
+    Arrays: phase, fx, fy and amplitude of rays; light of wavelengths; offsets along columns and rows, and parts of
+    times.
     """
 
     def __init__(self, windows: list[Window], arrays: list[FloatArray]) -> None:

@@ -37,53 +37,28 @@ def chebyshev(count: int) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WaveGrid:
-    """Images over the field of one state of a lens, at some wavelengths.
-
-    Attributes
-    ----------
-    camera : Camera
-        The camera.
-    points : (p,)
-        Points along either axis of the field, in (-1, 1).
-    middle, half : (2,)
-        Place of the field's middle and its half size, as tangents of angles along X and Y of cam.
-    radius_px : int
-        Of the stamps.
-    field : FieldSampling
-        Sampling of the images.
-    spectral : (b, k, q)
-        What makes of the q wavelengths that have images the k of stars.
-    origin_px : (f, b, 2)
-        Mean of the rays of a middle wavelength from the chief ray, at the f = p^2 points: where images are centred.
-    moment : (f, b, q, 6)
-        `MOMENTS`.
-    coefficient : (b, f, q, c) float32
-        Components of every image.
-    component : (b, c, m, m) float32
-        Principal components, light per px^2.
-    order : (b, c), optional
-        Of a lens of revolution: azimuthal orders of the components, of which there are twice as many
-        (`render.tracing.wave_polar`). The f = p points then lie along a radius, in parts of that of the farthest
-        corner; images, means and moments are those of stars on the column axis.
-    kink : float
-        Part of that radius from which apertures cut the beam; no polynomial reaches across it.
-    error, error_px : float
-        Largest error found between the points, of a pixel and of a centroid.
-    """
+    """Images over the field of one state of a lens, at some wavelengths."""
 
     camera: Camera
-    points: FloatArray
+    points: FloatArray  # (p,) Points along either axis of the field, in (-1, 1)
+    # middle, half: (2,) Place of the field's middle and its half size, as tangents of angles along X and Y of cam
     middle: FloatArray
     half: FloatArray
-    radius_px: int
-    field: FieldSampling
-    spectral: FloatArray
+    radius_px: int  # Of the stamps
+    field: FieldSampling  # Sampling of the images
+    spectral: FloatArray  # (b, k, q) What makes of the q wavelengths that have images the k of stars
+    # (f, b, 2) Mean of the rays of a middle wavelength from the chief ray, at the f = p^2 points: where images are
+    # centred
     origin_px: FloatArray
-    moment: FloatArray
-    coefficient: NDArray[np.float32]
-    component: NDArray[np.float32]
+    moment: FloatArray  # (f, b, q, 6) `MOMENTS`
+    coefficient: NDArray[np.float32]  # (b, f, q, c) Components of every image
+    component: NDArray[np.float32]  # (b, c, m, m) Principal components, light per px^2
+    # (b, c) Of a lens of revolution: azimuthal orders of the components, of which there are twice as many
+    # (`render.tracing.wave_polar`). The f = p points then lie along a radius, in parts of that of the farthest
+    # corner; images, means and moments are those of stars on the column axis
     order: IntArray | None = None
-    kink: float = 1.0
+    kink: float = 1.0  # Part of that radius from which apertures cut the beam; no polynomial reaches across it
+    # error, error_px: Largest error found between the points, of a pixel and of a centroid
     error: float = math.nan
     error_px: float = math.nan
 
@@ -101,21 +76,8 @@ class WaveGrid:
         chief_px: FloatArray,
         trail: Trail | None = None,
     ) -> WaveStamps:
-        """Stamps of some stars.
-
-        Parameters
-        ----------
-        stars : (s,)
-            Their numbers.
-        direction : (s, 3)
-            In cam.
-        share : (s, b, k)
-            Share of each wavelength in their light.
-        chief_px : (s, b, 2)
-            Where their chief rays land, in the middle of an exposure.
-        trail : Trail, optional
-            How images move; of all stars.
-        """
+        """Stamps of some stars."""
+        # stars (s,), direction (s, 3), share (s, b, k), chief_px (s, b, 2)
         weight, shares, turn = self._weights(direction, share)
         light, moments, origin = self._rays(weight, shares, turn, chief_px)
         size = 2 * self.radius_px + 1

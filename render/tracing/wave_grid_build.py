@@ -76,19 +76,8 @@ def build_grid(
     collimation: Collimation | None = None,
     least_radius_px: float = 0.0,
 ) -> WaveGrid | None:
-    """The coarsest grid that is good enough; None where there is none.
-
-    Parameters
-    ----------
-    planner : PupilPlanner
-        Of the camera.
-    wavelength_nm : (b, k)
-        Wavelengths of the stars.
-    collimation : Collimation, optional
-        Error of the light of a collimator.
-    least_radius_px : float
-        Of the images.
-    """
+    """The coarsest grid that is good enough; None where there is none."""
+    # wavelength_nm (b, k)
     field = _FieldImages(planner, wavelength_nm, collimation, least_radius_px)
     sizes: tuple[int, ...] = SIZES
     made, at = field.grid, 0
@@ -108,34 +97,17 @@ def build_grid(
 
 @dataclass(frozen=True, slots=True)
 class _Summed:
-    """Images at f places, of q wavelengths in b bands.
+    """Images at f places, of q wavelengths in b bands."""
 
-    Attributes
-    ----------
-    light : (b, f, q, i, i) float32
-        On samples.
-    moment, origin : (f, b, q, 6), (f, b, 2)
-        As `WaveGrid.moment` and `WaveGrid.origin_px`.
-    radius_px : int
-        Of the stamps.
-    field : FieldSampling
-        Sampling.
-    samples_px : (i,)
-        Samples about the middle.
-    spectral : (b, k, q)
-        As `WaveGrid.spectral`.
-    judges : list of (j,)
-        Wavelengths of each band by which a grid is judged.
-    """
-
-    light: NDArray[np.float32]
+    light: NDArray[np.float32]  # (b, f, q, i, i) On samples
+    # moment, origin: (f, b, q, 6) As `WaveGrid.moment` and `WaveGrid.origin_px`
     moment: FloatArray
     origin: FloatArray
-    radius_px: int
+    radius_px: int  # Of the stamps
     field: FieldSampling
-    samples_px: FloatArray
-    spectral: FloatArray
-    judges: list[IntArray]
+    samples_px: FloatArray  # (i,) Samples about the middle
+    spectral: FloatArray  # (b, k, q) As `WaveGrid.spectral`
+    judges: list[IntArray]  # (j,) Wavelengths of each band by which a grid is judged
 
     def seen(self, diffusion_px: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """What makes pixels about the samples of them (i, i), and which of them lie on the stamp."""

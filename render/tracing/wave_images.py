@@ -79,33 +79,15 @@ class Probe:
 
 @dataclass(frozen=True, slots=True)
 class Summands:
-    """Waves of some stars that are summed alike: traced ones, or series from which as many follow as are needed.
+    """Waves of some stars that are summed alike: traced ones, or series from which as many follow as are needed."""
 
-    Attributes
-    ----------
-    stars : (s,)
-        Which.
-    waves : PlaneWaves
-        Traced; the stars' mean, light and variance are theirs.
-    radius_px : float
-        Of the stamps.
-    fields : tuple of FieldSampling
-        How light is sampled, in every band.
-    order : (s, b, k, 2)
-        Rings and azimuths of the sum.
-    mode : str
-        How the pupils were sampled.
-    series : WaveSeries or None
-        Of the same waves.
-    """
-
-    stars: IntArray
-    waves: PlaneWaves
-    radius_px: float
-    fields: tuple[FieldSampling, ...]
-    order: IntArray
-    mode: str
-    series: WaveSeries | None
+    stars: IntArray  # (s,) Which
+    waves: PlaneWaves  # Traced; the stars' mean, light and variance are theirs
+    radius_px: float  # Of the stamps
+    fields: tuple[FieldSampling, ...]  # How light is sampled, in every band
+    order: IntArray  # (s, b, k, 2) Rings and azimuths of the sum
+    mode: str  # How the pupils were sampled
+    series: WaveSeries | None  # Of the same waves
 
     def light(
         self, at: tuple[int, int], shares: FloatArray, corner_px: FloatArray, window_px: float, pad_px: float
@@ -123,24 +105,12 @@ class Summands:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StarLight:
-    """Light of one star in a band about the mean of all of it.
+    """Light of one star in a band about the mean of all of it."""
 
-    Attributes
-    ----------
-    values : (i, i) float32
-        Light per px^2, rows first.
-    place_px : (i,)
-        Columns and rows from the mean.
-    field : FieldSampling
-        How it is sampled.
-    reach_px : float
-        As far from the mean it is what the pupil makes.
-    """
-
-    values: NDArray[np.float32]
-    place_px: FloatArray
-    field: FieldSampling
-    reach_px: float
+    values: NDArray[np.float32]  # (i, i) Light per px^2, rows first
+    place_px: FloatArray  # (i,) Columns and rows from the mean
+    field: FieldSampling  # How it is sampled
+    reach_px: float  # As far from the mean it is what the pupil makes
 
 
 KeptLight = dict[tuple[bytes, bytes, int], StarLight]
@@ -149,18 +119,10 @@ KeptLight = dict[tuple[bytes, bytes, int], StarLight]
 
 @dataclass(frozen=True, slots=True)
 class Trail:
-    """Motion of n stars' images during an exposure.
+    """Motion of n stars' images during an exposure."""
 
-    Attributes
-    ----------
-    offset_px : (n, b, t, 2)
-        From where they are in the middle of it; the whole image moves alike.
-    weight : (n, b, t)
-        Share of the light at each time, sum 1.
-    """
-
-    offset_px: FloatArray
-    weight: FloatArray
+    offset_px: FloatArray  # (n, b, t, 2) From where they are in the middle of it; the whole image moves alike
+    weight: FloatArray  # (n, b, t) Share of the light at each time, sum 1
 
     @property
     def mean_px(self) -> FloatArray:
@@ -175,18 +137,12 @@ class Trail:
 
 @dataclass(frozen=True, slots=True)
 class RayMoments:
-    """What is known of the rays of s stars in b bands.
+    """What is known of the rays of s stars in b bands."""
 
-    Attributes
-    ----------
-    mean_px, variance_px2 : (s, b, 2)
-        Mean and variance of the landing points along columns and rows.
-    entrance : (s, b) or None
-        Light that the stop alone would let through in that of the launch disk; None where others know it.
-    """
-
+    # mean_px, variance_px2: (s, b, 2) Mean and variance of the landing points along columns and rows
     mean_px: FloatArray
     variance_px2: FloatArray
+    # (s, b) Light that the stop alone would let through in that of the launch disk; None where others know it
     entrance: FloatArray | None = None
 
     def along(self, trail: Trail, stars: IntArray) -> RayMoments:
@@ -198,60 +154,24 @@ class RayMoments:
 
 @dataclass(frozen=True, slots=True)
 class WaveStamps:
-    """Stamps of s stars, all of one size.
+    """Stamps of s stars, all of one size."""
 
-    Attributes
-    ----------
-    stars : (s,)
-        Which.
-    pixels : (s, b, m, m)
-        Share of the light sent into the launch disk per pixel.
-    corner_px : (s, b, 2)
-        Outer corner (column, row).
-    mean_px : (s, b, 2)
-        Centroid of all light of the image, on the stamp or beyond, NaN without light.
-    light : (s, b)
-        Share of the light that gets through the lens.
-    rays : int
-        Of a star, band and wavelength.
-    mode : str
-        How the pupils were sampled.
-    moments : RayMoments or None
-        Of the stars' rays, where no others tell more: those of cells, of which some are covered in part, do not.
-    """
-
-    stars: IntArray
-    pixels: FloatArray | NDArray[np.float32]
-    corner_px: FloatArray
-    mean_px: FloatArray
-    light: FloatArray
-    rays: int
-    mode: str
+    stars: IntArray  # (s,) Which
+    pixels: FloatArray | NDArray[np.float32]  # (s, b, m, m) Share of the light sent into the launch disk per pixel
+    corner_px: FloatArray  # (s, b, 2) Outer corner (column, row)
+    mean_px: FloatArray  # (s, b, 2) Centroid of all light of the image, on the stamp or beyond, NaN without light
+    light: FloatArray  # (s, b) Share of the light that gets through the lens
+    rays: int  # Of a star, band and wavelength
+    mode: str  # How the pupils were sampled
+    # Of the stars' rays, where no others tell more: those of cells, of which some are covered in part, do not
     moments: RayMoments | None = None
 
 
 class WaveImages:
-    """Images of the stars of one kernel by sums of plane waves.
+    """Images of the stars of one kernel, each in one direction, by sums of plane waves of wavelengths (b, k).
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    kernel : StarKernel
-        Holds the stars, each in one direction.
-    wavelength_nm : (b, k)
-        Wavelengths.
-    share : (n, b, k)
-        Share of each in a star's light, sum 1.
-    trail : Trail, optional
-        How the images move during the exposure.
-    shade : Shade, optional
-        What stands between the sky and the lens.
-
-    Attributes
-    ----------
-    kept : dict
-        Light of stars of these wavelengths that is known, to which `stamps` add and from which `cells` take.
+    ``share`` (n, b, k) of each wavelength in a star's light has sum 1. ``kept`` is light of stars that is known, to
+    which `stamps` add and from which `cells` take.
     """
 
     def __init__(

@@ -37,41 +37,18 @@ TAPS = 6
 
 @dataclass(frozen=True, slots=True)
 class TurningShapes:
-    """Components of n images.
+    """Components of n images."""
 
-    Attributes
-    ----------
-    order : (c,)
-        Azimuthal order m of each.
-    value : (n, c) float32
-        What of them makes the images.
-    shape : (2, c, i, i) float32
-        Components on samples, for cos(m phi) and for sin(m phi).
-    """
-
-    order: IntArray
-    value: NDArray[np.float32]
-    shape: NDArray[np.float32]
+    order: IntArray  # (c,) Azimuthal order m of each
+    value: NDArray[np.float32]  # (n, c) What of them makes the images
+    shape: NDArray[np.float32]  # (2, c, i, i) Components on samples, for cos(m phi) and for sin(m phi)
 
 
 def turning_shapes(
     images: NDArray[np.float32], samples_px: FloatArray, field: FieldSampling, blur_px: float, limit: float
 ) -> TurningShapes:
-    """Components of images that are symmetric about the column axis.
-
-    Parameters
-    ----------
-    images : (n, i, i) float32
-        Light per px^2 on samples, rows first.
-    samples_px : (i,)
-        Where they lie about the middle, along either axis.
-    field : FieldSampling
-        Their sampling.
-    blur_px : float
-        Standard deviation of a Gaussian that sees at least as much of the images as pixels do.
-    limit : float
-        What may be left out: the root of the squared light per px^2 so blurred, integrated.
-    """
+    """Components of images that are symmetric about the column axis."""
+    # images (n, i, i), samples_px (i,)
     reach = float(samples_px[-1]) - TAPS * field.light_step
     count = math.ceil(ROOM * math.pi * reach * (1.0 / field.light_step - field.highest))
     node = np.cos(np.pi * (np.arange(count) + 0.5) / (2 * count))  # Chebyshev's of twice as many, those above 0

@@ -33,29 +33,14 @@ ROOM = 1.8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WaveImages:
-    """Diffraction images of f fields at w wavelengths on a fine grid, each about the mean of its light.
+    """Diffraction images of f fields at w wavelengths on a fine grid, each about the mean of its light."""
 
-    Attributes
-    ----------
-    offset_px : (n,)
-        Rows and columns of the grid.
-    light : (f, w, n, n) float32
-        Share of the light of the wavelength per px^2.
-    mean_px : (f, w, 2)
-        Mean of all light on the pixels, column and row.
-    area_mm2 : (f, w)
-        Cross-section of the beam.
-    diffusion_px : float
-        Standard deviation of the Gaussian charge diffusion.
-    oversampling, half_size_px : int
-        Of the PSFs: samples per pixel, half-width.
-    """
-
-    offset_px: FloatArray
-    light: NDArray[np.float32]
-    mean_px: FloatArray
-    area_mm2: FloatArray
-    diffusion_px: float
+    offset_px: FloatArray  # (n,) Rows and columns of the grid
+    light: NDArray[np.float32]  # (f, w, n, n) Share of the light of the wavelength per px^2
+    mean_px: FloatArray  # (f, w, 2) Mean of all light on the pixels, column and row
+    area_mm2: FloatArray  # (f, w) Cross-section of the beam
+    diffusion_px: float  # Standard deviation of the Gaussian charge diffusion
+    # oversampling, half_size_px: Of the PSFs: samples per pixel, half-width
     oversampling: int
     half_size_px: int
 

@@ -48,36 +48,18 @@ def nodes_along(radial: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WaveSeries:
-    """Plane waves of s stars in b bands at k wavelengths.
+    """Plane waves of s stars in b bands at k wavelengths."""
 
-    Attributes
-    ----------
-    coefficient : (s, b, k, rings, 4, turns) complex
-        Of Legendre polynomials in the radius, and waves in azimuth, of the frequencies fx, fy [cycles/px], of the phase
-        about `mean` [turns] and of the amplitude per part of the pupil.
-    mean : (s, b, k, 2)
-        Mean landing point [px].
-    resolved : (s,)
-        Whether the series end with small numbers.
-    """
-
+    # (s, b, k, rings, 4, turns) Of Legendre polynomials in the radius, and waves in azimuth, of the frequencies fx,
+    # fy [cycles/px], of the phase about `mean` [turns] and of the amplitude per part of the pupil
     coefficient: NDArray[np.complex128]
-    mean: FloatArray
-    resolved: BoolArray
+    mean: FloatArray  # (s, b, k, 2) Mean landing point [px]
+    resolved: BoolArray  # (s,) Whether the series end with small numbers
 
     @classmethod
     def of(cls, waves: PlaneWaves, order: tuple[int, int], turn: FloatArray) -> WaveSeries:
-        """Series of traced waves.
-
-        Parameters
-        ----------
-        waves : PlaneWaves
-            On rings x azimuths, azimuths last.
-        order : (int, int)
-            These numbers.
-        turn : (k, rings)
-            First azimuth of every ring, in parts of their distance.
-        """
+        """Series of traced waves."""
+        # turn (k, rings)
         count, arms = order
         mean = waves.mean
         x0, y0 = mean[..., 0, None], mean[..., 1, None]

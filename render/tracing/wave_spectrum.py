@@ -30,26 +30,8 @@ def lagrange(points: FloatArray, at: FloatArray) -> FloatArray:
 def picked_wavelengths(
     wavelength_nm: FloatArray, finer: float = 1.0, phase_rad: float = 0.0
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Wavelengths that have images, and what makes all others of them: polynomials near Chebyshev's extrema.
-
-    Parameters
-    ----------
-    wavelength_nm : (k,)
-        Of a band.
-    finer : float
-        Factor of their number, which is 13 for 500 to 800 nm.
-    phase_rad : float
-        Phase along a radius of the pupil at the edge of the spot of rays, which follows the wavelength too.
-
-    Returns
-    -------
-    picked : (q,)
-        Which have images.
-    judges : (j,)
-        Both ends, and the one farthest from the picked ones.
-    weight : (k, q)
-        What makes the k images of the q.
-    """
+    """Wavelengths that have images, and what makes all others of them: polynomials near Chebyshev's extrema."""
+    # wavelength_nm (k,) -> (q,), (j,), (k, q)
     middle, half = 0.5 * (wavelength_nm.max() + wavelength_nm.min()), 0.5 * np.ptp(wavelength_nm)
     wanted = math.ceil((3.0 + (RINGS + phase_rad) * half / middle) * finer)
     order = np.argsort(wavelength_nm)

@@ -54,11 +54,6 @@ class WaveStars:
 
     Grids of images are kept between star fields, and shared by all tracers of equal cameras: those that render, and
     those that make PSFs. The light of the stars of the last field is kept for their PSFs.
-
-    Parameters
-    ----------
-    planner : PupilPlanner
-        Of the camera.
     """
 
     def __init__(self, planner: PupilPlanner) -> None:

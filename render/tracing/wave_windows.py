@@ -71,20 +71,13 @@ class BandLimited:
 
     Integrals of a function without frequencies above ``low``, sampled at no less than ``low + high``, are sums with
     this kernel, but for exp(-pi (high - low) reach). A box of width 0 stands for a point: interpolation.
-
-    Attributes
-    ----------
-    low, high : float
-        Frequencies [cycles/px].
-    reach_px : float
-        Where it ends.
-    box_px, sigma_px : float
-        Width of the box, standard deviation of the Gaussian.
     """
 
+    # low, high: Frequencies [cycles/px]
     low: float
     high: float
-    reach_px: float
+    reach_px: float  # Where it ends
+    # box_px, sigma_px: Width of the box, standard deviation of the Gaussian
     box_px: float = 0.0
     sigma_px: float = 0.0
 
@@ -115,15 +108,9 @@ def _spline(kernel: BandLimited) -> CubicSpline:
 
 @dataclass(frozen=True, slots=True)
 class FieldSampling:
-    """How the fields of a camera's stars are sampled.
+    """How the fields of a camera's stars are sampled."""
 
-    Attributes
-    ----------
-    highest : float
-        Highest frequency of the intensity [cycles/px].
-    """
-
-    highest: float
+    highest: float  # Highest frequency of the intensity [cycles/px]
 
     @property
     def light_step(self) -> float:
@@ -152,24 +139,12 @@ class FieldSampling:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelTable:
-    """Kernel of a pixel as a table, for many windows.
+    """Kernel of a pixel as a table, for many windows."""
 
-    Attributes
-    ----------
-    values : (n,)
-        Share of a sample's light, against its distance from the middle of a pixel.
-    step_px : float
-        Of the table.
-    sample_px : float
-        Distance of samples.
-    pad_px : float
-        Margin of samples around a window.
-    """
-
-    values: FloatArray
-    step_px: float
-    sample_px: float
-    pad_px: float
+    values: FloatArray  # (n,) Share of a sample's light, against its distance from the middle of a pixel
+    step_px: float  # Of the table
+    sample_px: float  # Distance of samples
+    pad_px: float  # Margin of samples around a window
 
     def rows(self, first_px: FloatArray, pixels: int, samples: int) -> NDArray[np.float32]:
         """Weights (s, pixels, samples) for windows whose first pixel lies s distances beyond the first sample.
@@ -285,21 +260,8 @@ def window_light(
     *,
     pad_px: float,
 ) -> NDArray[np.float32]:
-    """Light per px^2 (i, i) of one star and band on the samples of a window, rows first.
-
-    Parameters
-    ----------
-    rays : callable
-        Rays of a wavelength, by its number.
-    shares : (k,)
-        Share of each wavelength.
-    corner_px : (2,)
-        Outer corner (column, row) of the window.
-    window_px, pad_px : float
-        Size of the window and of a margin around it.
-    field : FieldSampling
-        Sampling.
-    """
+    """Light per px^2 (i, i) of one star and band on the samples of a window, rows first."""
+    # shares (k,), corner_px (2,)
     samples = _samples(field, window_px, pad_px)
     count = len(samples)
     step, waves = _grid(field, count)
