@@ -133,7 +133,7 @@ def trail(camera: Camera, length_px: float, line_time_s: float = 0.0) -> Any:
     from scipy.spatial.transform import Rotation
 
     from render.motion.trajectory import ConstantRate
-    from render.tracing.motion import exposure_motion
+    from render.tracing.motion.exposure import exposure_motion
 
     focal = float(axial_paraxial(camera.lens, camera.lens.design_wavelength_nm).efl_mm)
     rate = np.array([0.6, 0.8, 0.0]) * length_px * camera.pixel_pitch_mm / focal / EXPOSURE_S

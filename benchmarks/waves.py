@@ -20,13 +20,13 @@ from optics.lens_file import load_lens
 from optics.waves.pupil_field import trace_pupil
 from render.camera import Camera
 from render.records import StarField
-from render.tracing.paths import at_rest
-from render.tracing.plane_waves import trace_waves
+from render.tracing.motion.paths import at_rest
 from render.tracing.psf import render_epsf
-from render.tracing.sampling import staggered
+from render.tracing.pupil.sampling import staggered
 from render.tracing.tracer import Tracer
-from render.tracing.wave_grid_build import build_grid
-from render.tracing.wave_windows import FieldSampling, window_light, window_samples
+from render.tracing.waves.grid import build_grid
+from render.tracing.waves.plane_waves import trace_waves
+from render.tracing.waves.windows import FieldSampling, window_light, window_samples
 
 LENS, PITCH_MM, SIGMA_PX = "star_camera_206mm", 5.5e-3, 0.18
 FOCAL_MM = 206.237

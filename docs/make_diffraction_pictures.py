@@ -19,8 +19,7 @@ from optics.lens.perturb import refocus
 from optics.lens_file import load_lens
 from optics.rays.paraxial import stopped_down
 from optics.rays.spots import trace_spots
-from render.tracing.ray_psf import ray_epsf
-from render.tracing.wave_psf import wave_images
+from render.tracing.psf import ray_epsf, wave_images
 
 FOLDER = Path(__file__).with_name("pictures")
 LENS, PITCH_MM, WAVE_NM = "star_camera_206mm", 5.5e-3, 650.0

@@ -21,7 +21,7 @@ from render.plugins.scene_files import save_scene
 from render.plugins.star_field import share_collimation
 from render.records import ExpectedImage, StarField, checked_exposure
 from render.tracing.convergence import TOLERANCE
-from render.tracing.motion import ExposureMotion
+from render.tracing.motion.exposure import ExposureMotion
 from render.tracing.tracer import TracedStars, Tracer
 
 __all__ = ["StarRenderer", "render_stars", "star_scene"]
@@ -171,7 +171,7 @@ class StarRenderer:
         rotation_cam_from_world : (3, 3), optional
             Attitude; the camera's own if left out.
         motion : ExposureMotion, optional
-            Attitudes during the exposure, in place of one (`render.tracing.motion.exposure_motion`).
+            Attitudes during the exposure, in place of one (`render.tracing.motion.exposure.exposure_motion`).
 
         Raises
         ------

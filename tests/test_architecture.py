@@ -44,7 +44,7 @@ EXCEPTIONS: dict[str, set[str]] = {
 # What an experiment may take of another one, whose inside it does not know: its declaration, to run it and read its
 # numbers, tables and figures by name.
 DECLARATION = re.compile(r"experiments\.\w+\.(settings|experiment)\.(Config|experiment|run)")
-LINES = 500
+LINES = 800
 
 
 @cache

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from optics import TopHat
 from render import StarRenderer, load_star_sensor, star_light
 from render.motion.trajectory import ConstantRate
-from render.tracing.motion import exposure_motion
+from render.tracing.motion.exposure import exposure_motion
 
 sensor = load_star_sensor("star_tracker_26mm", "cmv4000", window_px=160, defocus_mm=0.03)
 light = star_light([TopHat(centre_nm=600.0, width_nm=200.0, edge_nm=10.0)], nodes=3)

@@ -25,8 +25,7 @@ from optics.units import ARCSEC_RAD
 from render.camera import Camera
 from render.records import EffectivePsf
 from render.sky.star_light import StarLight, star_light
-from render.tracing.ray_psf import ray_epsf, trailed
-from render.tracing.wave_psf import wave_images
+from render.tracing.psf import ray_epsf, trailed, wave_images
 
 __all__ = ["NODES", "OpticalState", "optical_state"]
 

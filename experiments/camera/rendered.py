@@ -36,7 +36,7 @@ from render.engine.random import Streams
 from render.forward import StarRenderer
 from render.motion.trajectory import ConstantRate
 from render.records import Frame, StarField
-from render.tracing.motion import ExposureMotion, exposure_motion
+from render.tracing.motion.exposure import ExposureMotion, exposure_motion
 
 __all__ = ["ChartFrames", "Rendered", "SkyFrames", "render_frames"]
 

@@ -37,7 +37,7 @@ from render.engine.random import Streams
 from render.motion.jitter import JitterSpectrum, jittered
 from render.motion.trajectory import ConstantRate
 from render.records import EffectivePsf
-from render.tracing.motion import ExposureMotion, gauss_times
+from render.tracing.motion.exposure import ExposureMotion, gauss_times
 
 __all__ = ["Collimator", "build_collimator", "convolved_psf", "refracted_slope"]
 

@@ -15,7 +15,7 @@ from optics.lens.parameters import lens_parameters, steps_of, with_parameters
 from render.camera import Camera
 from render.engine.jit import dr
 from render.motion.trajectory import ConstantRate
-from render.tracing.motion import ExposureMotion, exposure_motion
+from render.tracing.motion.exposure import ExposureMotion, exposure_motion
 
 __all__ = ["ALUMINIUM_PER_K", "CameraNumbers"]
 

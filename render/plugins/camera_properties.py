@@ -15,7 +15,7 @@ from optics.units import UM_MM
 from render.camera import Camera
 from render.engine import Engine
 from render.plugins.handles import Handles, rotation_of
-from render.tracing.motion import ExposureMotion
+from render.tracing.motion.exposure import ExposureMotion
 
 __all__ = [
     "CameraMotion",

@@ -34,7 +34,7 @@ first_row : int, default 0
     Row of the detector that is row 0 of the film, where the film is a window.
 
 exposure_motion : str
-    Handle (`share_motion`) or file of a `render.tracing.motion.ExposureMotion`: the attitudes under which
+    Handle (`share_motion`) or file of a `render.tracing.motion.exposure.ExposureMotion`: the attitudes under which
     ``star_tracer`` sees the stars, in place of ``rotation``.
 
 housing_cte_per_k : float, default 23.6e-6
@@ -77,8 +77,8 @@ from render.engine.arrays import DrJitArrays
 from render.engine.jit import dr
 from render.plugins.camera_numbers import ALUMINIUM_PER_K, CameraNumbers
 from render.plugins.camera_properties import camera_of, exposure_motion_of, motion_of, moved
-from render.tracing.motion import ExposureMotion
-from render.tracing.sampling import probe_fields
+from render.tracing.motion.exposure import ExposureMotion
+from render.tracing.pupil.sampling import probe_fields
 
 __all__ = ["define", "exit_disk"]
 

@@ -1,4 +1,4 @@
-"""What stands between the sky and a lens: bodies of a Mitsuba scene, asked ray by ray (`render.tracing.kernel.Shade`).
+"""What stands between the sky and a lens: bodies of a Mitsuba scene, ray by ray (`render.tracing.rays.kernel.Shade`).
 
 A star's ray leaves the plane of the first vertex for its star; whatever `Scene.ray_test` meets on the way hides it, as
 it hides lights from ``path``: transparent bodies too. Mitsuba's rays are float32, so an edge at the distance L stands

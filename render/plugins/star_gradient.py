@@ -11,9 +11,8 @@ from optics.arrays import FloatArray
 from render.engine.jit import dr
 from render.plugins.camera_numbers import plain
 from render.tracing.gradient import AttachedPaths, lens_numbers, star_image
-from render.tracing.paths import at_rest, star_paths
+from render.tracing.motion.paths import at_rest, star_paths
 from render.tracing.tracer import Tracer
-from render.tracing.wave_gradient import wave_image
 
 __all__ = ["attached_image"]
 
@@ -41,8 +40,7 @@ def attached_image(mi: Any, tracer: Tracer, camera: Any, field: Any) -> Any:
         moves |= slope != 0.0
         number = dr.gather(F, numbers.tensors[name].array, mi.UInt32(at))
         vector = vector + F(np.ascontiguousarray(slope)) * (number - dr.detach(number))
-    render = star_image if tracer.camera.diffraction == "rays" else wave_image
-    image = render(
+    image = star_image(
         mi,
         tracer,
         stars,

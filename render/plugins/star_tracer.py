@@ -5,7 +5,7 @@ Properties
 sobol_log2_rays : int, default 16
     Logarithm of the rays per star and band where the pupil is not round and clear.
 tolerance : float, default 3e-5
-    Of the quadrature of the pupil (`render.tracing.sampling`).
+    Of the quadrature of the pupil (`render.tracing.pupil.sampling`).
 bodies : integrator, optional
     What renders everything else in the scene, e.g. ``path``: its image through the same lens is added to the stars'.
 
@@ -16,7 +16,7 @@ bands as its luminance, and where there are several, each as a channel of its na
 pixels count on the whole film. ``seed`` scrambles the Sobol points and is the seed of ``bodies``.
 
 Derivatives (`dr.backward`, `dr.forward` of what ``mi.render(scene, params)`` returns) are those of
-`render.tracing.gradient` and `render.tracing.wave_gradient`, with respect to directions, rates and ``rotation`` of the
+`render.tracing.gradient`, with respect to directions, rates and ``rotation`` of the
 stars, and all numbers of the camera.
 
 Shapes that stand between the sky and the lens hide stars, ray by ray (`render.plugins.occlusion`).

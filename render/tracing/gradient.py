@@ -5,17 +5,28 @@ sums over rays of what diffusion leaves on a pixel, so their derivatives are exa
 quadrature and lens have in common moves too: where the stop lies inside, the chief ray and the outline of the beam are
 where a function of lens and direction is zero, and one Newton step from the point that is known there has its
 derivative. A beam that other apertures cut (arcs, or Sobol points that are lost at an edge) has none that sampling can
-tell, and is refused.
+tell, and is _refused.
+
+Diffraction images are sums of plane waves over windows, whose derivatives have a closed form. With P the phase at the
+middle of the samples [turns], A the amplitude and E the light of a wavelength,
+
+    U(X) = sum_j sqrt(pi) A_j exp{2 pi i [P_j + f_j X]},   I = sum E |U|^2,   dI = sum 2 E Re{conj(U) dU} + |U|^2 dE
+
+so that the adjoint of a weight G over the samples is one more sum, of G conj(U) over the window, for every ray. Stamps,
+pixels and motion are those of `render.tracing.waves.images`, in double precision; images that the renderer
+interpolates, between few rays or between few places of the field, are summed ray by ray here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.errors import ConfigError
@@ -27,28 +38,23 @@ from render.camera import Camera
 from render.engine.arrays import DrJitArrays
 from render.engine.jit import dr
 from render.records import StarField
-from render.tracing.kernel import PIXEL_REACH
-from render.tracing.outlines import ARMS, Outlines, outline_series
-from render.tracing.paths import StarPaths, pick_times
-from render.tracing.pupil_points import OutlinePoints, TablePoints
+from render.tracing.motion.paths import StarPaths, at_rest, pick_times
+from render.tracing.pupil.outlines import ARMS, Outlines, outline_series
+from render.tracing.pupil.points import OutlinePoints, PupilPoints, TablePoints
+from render.tracing.rays.images import Light
+from render.tracing.rays.kernel import PIXEL_REACH
 from render.tracing.tracer import Tracer
+from render.tracing.waves.images import Probe, WaveImages
+from render.tracing.waves.plane_waves import DIFFERENCE
+from render.tracing.waves.stars import WaveStars
+from render.tracing.waves.windows import BandLimited, FieldSampling, window_samples
 
-__all__ = [
-    "AttachedPaths",
-    "LensNumbers",
-    "Sample",
-    "Scene",
-    "attached_chiefs",
-    "lens_numbers",
-    "outline_points",
-    "refused",
-    "star_image",
-    "table_points",
-]
+__all__ = ["AttachedPaths", "LensNumbers", "WaveLanes", "Window", "lens_numbers", "star_image", "summed_waves"]
+
 
 AIM, RIM = 1e-4, 1e-5
 """Differences by which the slopes of Newton's last step are taken, in radii of the launch disk."""
-PASS_RAYS = 1 << 22
+PASS_RAYS, WAVE_PASS_RAYS = 1 << 22, 1 << 19
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +129,7 @@ class Scene:
         self, mi: Any, tracer: Tracer, numbers: LensNumbers, vector: Any, moves: BoolArray, paths: AttachedPaths
     ) -> None:
         self.still, self.moves = dr.detach(vector), moves
-        self.F, self.U, self.I = mi.Float64, mi.UInt32, mi.Int32
+        self.F, self.U, self.I, self.B = mi.Float64, mi.UInt32, mi.Int32, mi.Bool
         self.xp = DrJitArrays(self.F)
         self.camera, self.numbers, self.vector = tracer.camera, numbers, vector
         self.middle, self.light = ([x, -y, z] for x, y, z in (paths.middle, paths.nodes))
@@ -159,7 +165,7 @@ class Scene:
 
 
 def _picked(scene: Scene, plain: StarPaths) -> tuple[list[Any], list[Any]]:
-    """What `render.tracing.paths.pick_times` picks, with derivatives: light of (n p,) rays, p factors (n t,)."""
+    """What `render.tracing.motion.paths.pick_times` picks, with derivatives: light of (n p,) rays, p factors (n t,)."""
     F, U, times = scene.F, scene.U, scene.times
     count = pick_times(plain)[1].shape[2]
     if count == 1:
@@ -181,11 +187,6 @@ def _picked(scene: Scene, plain: StarPaths) -> tuple[list[Any], list[Any]]:
     return [a * scale for a in v], linear if count == 2 else [0.5 * c * (c - 1.0), 1.0 - c * c, 0.5 * c * (c + 1.0)]
 
 
-def _newton(value: Any, slope: Any, at: Any) -> Any:
-    """One Newton step from a root: the root again, with its derivative."""
-    return dr.detach(at) - value / dr.detach(slope)
-
-
 def star_image(
     mi: Any,
     tracer: Tracer,
@@ -202,11 +203,22 @@ def star_image(
     # vector (m,): values of ``numbers``, with derivatives where it moves (m,); rate (n b k,) with derivatives
     if stars.collimation is not None:
         raise ConfigError("derivatives of stars behind a collimator are not known; leave collimation out")
-    F = mi.Float64
-    camera, planner = tracer.camera, tracer.planner
+    scene_of = partial(Scene, mi, tracer, numbers, vector, moves)
+    image_of = _ray_image if tracer.camera.diffraction == "rays" else _wave_image
+    return image_of(scene_of, tracer, stars, paths, exposure_s, rate)
+
+
+SceneOf = Callable[[AttachedPaths], Scene]
+
+
+def _ray_image(
+    scene_of: SceneOf, tracer: Tracer, stars: StarField, paths: AttachedPaths, exposure_s: float, rate: Any
+) -> Any:
+    """The image by rays."""
+    scene = scene_of(paths)
+    F, camera, planner = scene.F, tracer.camera, tracer.planner
     seen = planner.seen(paths.plain, stars.wavelength_nm, paths.length_px)
     chiefs = planner.chiefs(seen.mid, stars.wavelength_nm)
-    scene = Scene(mi, tracer, numbers, vector, moves, paths)
     response = F(np.ascontiguousarray(camera.response_at(stars.wavelength_nm).ravel()))
     bands, nodes = stars.wavelength_nm.shape
     image = dr.zeros(F, camera.height_px * camera.width_px * bands)
@@ -216,21 +228,16 @@ def star_image(
         if not len(group.members):
             continue
         if group.plan.mode != "quadrature" or (outlines is not None and outlines.shadow is not None):
-            raise refused(group.members[0], group.plan.mode)
+            raise _refused(group.members[0], group.plan.mode)
         step = max(1, PASS_RAYS // (bands * nodes * scene.times * group.plan.rays_per_node))
         for part in (group.members[i : i + step] for i in range(0, len(group.members), step)):
             points = group.points(part)
-            if isinstance(points, OutlinePoints):
-                assert outlines is not None
-                sample = outline_points(scene, outlines, part, points, stars.wavelength_nm)
-            else:
-                assert isinstance(points, TablePoints)
-                sample = table_points(scene, points)
-            _splat(mi, scene, image, part, points.count, stars.wavelength_nm, sample, rate, response, exposure_s)
+            sample = _sample(scene, outlines, part, points, stars.wavelength_nm)
+            _splat(scene, image, part, points.count, stars.wavelength_nm, sample, rate, response, exposure_s)
     return image
 
 
-def refused(star: int, mode: str) -> ConfigError:
+def _refused(star: int, mode: str) -> ConfigError:
     """The error for a star whose pupil has no smooth outline."""
     return ConfigError(
         f"star {star} has no derivative: its beam is sampled by {mode}, as the lens or the charge diffusion leaves no "
@@ -242,21 +249,24 @@ Sample = Callable[[Any, Any, Any], tuple[Any, Any, Any]]
 """(slot, node, point) -> coordinates in radii of the launch disk, and share of its area."""
 
 
-def table_points(scene: Scene, points: TablePoints) -> Sample:
-    types = scene  # offers Float64 and UInt32 as the engine's module of types does
+def _sample(
+    scene: Scene, outlines: Outlines | None, part: IntArray, points: PupilPoints, wavelength_nm: FloatArray
+) -> Sample:
+    """Points inside outlines, which move with lens and direction, or of a table, which nothing moves."""
+    if isinstance(points, OutlinePoints):
+        assert outlines is not None
+        return _outline_points(scene, outlines, part, points, wavelength_nm)
+    assert isinstance(points, TablePoints)
+    types = SimpleNamespace(Float64=scene.F, UInt32=scene.U)
+    return partial(points.sample, types)
 
-    class Types:
-        Float64, UInt32 = types.F, types.U
 
-    return lambda slot, node, point: points.sample(Types, slot, node, point)
-
-
-def outline_points(
+def _outline_points(
     scene: Scene, outlines: Outlines, part: IntArray, points: OutlinePoints, wavelength_nm: FloatArray
 ) -> Sample:
     """Points inside outlines that move with lens and direction."""
     F, U = scene.F, scene.U
-    centre = attached_chiefs(scene, outlines.chief, part, wavelength_nm.mean(1))
+    centre = _attached_chiefs(scene, outlines.chief, part, wavelength_nm.mean(1))
     few = _rims(scene, outlines, part, centre)
     bands, colours, picked = outlines.picks.colours.shape
     nodes, arms = points.radius.shape[-2:]  # nodes are all colours of the first time, then all of the second
@@ -289,7 +299,7 @@ def outline_points(
     return sample
 
 
-def attached_chiefs(scene: Scene, chief: FloatArray, part: IntArray, wavelength_nm: FloatArray) -> list[Any]:
+def _attached_chiefs(scene: Scene, chief: FloatArray, part: IntArray, wavelength_nm: FloatArray) -> list[Any]:
     """Launch points of chief rays (s b,), in radii of the launch disk, with derivatives."""
     F, U = scene.F, scene.U
     bands = len(wavelength_nm)
@@ -340,14 +350,13 @@ def _rims(scene: Scene, outlines: Outlines, part: IntArray, centre: list[Any]) -
     with dr.suspend_grad():
         slope = (height(start + RIM) - height(start - RIM)) * (0.5 / RIM)
         dr.eval(slope)
-    return _newton(height(start) - 1.0, slope, start)
+    return start - (height(start) - 1.0) / slope  # Newton's step from a root: the root again, with its derivative
 
 
 def _splat(
-    mi: Any,
     scene: Scene,
     image: Any,
-    part: NDArray[Any],
+    part: IntArray,
     count: int,
     wavelength_nm: FloatArray,
     sample: Sample,
@@ -355,7 +364,7 @@ def _splat(
     response: Any,
     exposure_s: float,
 ) -> None:
-    """Add stars to the image, ray by ray, as `render.tracing.kernel.StarKernel.splat` does."""
+    """Add stars to the image, ray by ray, as `render.tracing.rays.kernel.StarKernel.splat` does."""
     F, U, camera = scene.F, scene.U, scene.camera
     bands, colours = wavelength_nm.shape
     nodes = scene.times * colours
@@ -377,14 +386,14 @@ def _splat(
     sigma = camera.charge_diffusion_px
     columns, rows = (_shares(scene, v + 0.5, sigma) for v in (x, y))
     sensitive = camera.sensitive_columns
-    open_ = None if sensitive is None else mi.Bool(sensitive)
+    open_ = None if sensitive is None else scene.B(sensitive)
     for r, along_y in enumerate(rows[1]):
         row = rows[0] + r
         for c, along_x in enumerate(columns[1]):
             column = columns[0] + c
             inside = (row >= 0) & (row < camera.height_px) & (column >= 0) & (column < camera.width_px)
             if open_ is not None:
-                inside &= dr.gather(mi.Bool, open_, U(dr.maximum(column, 0)), inside)
+                inside &= dr.gather(scene.B, open_, U(dr.maximum(column, 0)), inside)
             index = (U(row) * camera.width_px + U(column)) * bands + slot % bands
             dr.scatter_add(image, light * along_y * along_x, index, inside)
 
@@ -400,3 +409,391 @@ def _shares(scene: Scene, position: Any, sigma: float) -> tuple[Any, list[Any]]:
         shares.append(0.5 * (up_to - below))
         below = up_to
     return scene.I(first), shares
+
+
+ARRAYS = ("phase", "fx", "fy", "amplitude", "energy", "right", "down", "part")  # of `_Stamps`
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """Where the image of one star in one band is summed, and how samples become pixels."""
+
+    corner_px: FloatArray  # (2,) Outer corner (column, row) of the window
+    mean_px: FloatArray  # (2,) Where samples lie about
+    size: int  # Pixels of the window along an axis
+    field: FieldSampling
+    sigma_px: float  # Charge diffusion
+    first_px: FloatArray  # (2,) Whole pixels from the window to the stamp
+    stamp_px: int  # Pixels of the stamp along an axis
+    moving: bool  # Whether the image is a trail: it ends by samples then, by pixels else
+
+    @property
+    def kernel(self) -> BandLimited:
+        """Of a pixel."""
+        return self.field.pixel(1.0, self.sigma_px)
+
+    @property
+    def samples(self) -> FloatArray:
+        """Samples along an axis, from the mean."""
+        return window_samples(self.field, float(self.size), self.kernel.reach_px) - 0.5 * self.size
+
+    @property
+    def places(self) -> FloatArray:
+        """The same (2, samples) along columns and rows, from the middle of the window."""
+        return self.samples + (self.mean_px - self.corner_px - 0.5 * self.size)[:, None]
+
+    def ends(self) -> tuple[FloatArray, FloatArray]:
+        """Which samples, and which pixels, belong to the disk that is rendered."""
+        (column, row), pixels = self.places, np.arange(0.5, self.size) - 0.5 * self.size
+        if self.moving:
+            return np.asarray(np.hypot(column, row[:, None]) <= 0.5 * self.size, np.float64), np.ones((1, 1))
+        return np.ones((1, 1)), np.asarray(np.hypot(pixels, pixels[:, None]) <= 0.5 * (self.size - 1), np.float64)
+
+    def matrices(self, offset_px: FloatArray, axis: int) -> tuple[FloatArray, FloatArray]:
+        """What makes pixels (t, m, samples) of an image moved by offsets (t,), and its derivatives."""
+        centres = np.arange(self.stamp_px) + 0.5 + self.first_px[axis] - 0.5 * self.size
+        distance = centres[:, None] - self.places[axis] - offset_px[:, None, None]
+        kernel, step = self.kernel, self.field.light_step
+        return kernel(distance) * step, -kernel.slope(distance) * step
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rays:
+    """Waves of one star, band and wavelength over the samples of a window."""
+
+    column: FloatArray
+    row: FloatArray
+    phase: FloatArray
+    amplitude: FloatArray
+    samples: FloatArray
+
+    @classmethod
+    def of(cls, phase: FloatArray, fx: FloatArray, fy: FloatArray, amplitude: FloatArray, samples: FloatArray) -> _Rays:
+        column, row = (np.exp(2j * np.pi * np.outer(f, samples)) for f in (fx, fy))
+        return cls(column, row, np.sqrt(np.pi) * np.exp(2j * np.pi * phase), amplitude, samples)
+
+    def field(self) -> FloatArray:
+        """U (rows, columns)."""
+        return np.asarray((self.row * (self.phase * self.amplitude)[:, None]).T @ self.column)
+
+    def change(self, phase: FloatArray, fx: FloatArray, fy: FloatArray, amplitude: FloatArray) -> FloatArray:
+        """Change of U with changes of the rays."""
+        turned = 2j * np.pi * self.amplitude * self.phase
+        whole = (self.row * (turned * phase + self.phase * amplitude)[:, None]).T @ self.column
+        along = (self.row * (turned * fx)[:, None]).T @ self.column * self.samples
+        across = (self.row * (turned * fy)[:, None]).T @ self.column * self.samples[:, None]
+        return np.asarray(whole + along + across)
+
+    def adjoint(self, weight: FloatArray) -> tuple[FloatArray, ...]:
+        """Gradients of Re sum(weight U) with respect to phase, fx, fy and amplitude."""
+        rows = self.row @ weight
+        across = (self.row * self.samples) @ weight
+        whole, along = ((rows * wave).sum(1) * self.phase for wave in (self.column, self.column * self.samples))
+        turned = -2.0 * np.pi * self.amplitude
+        down = (across * self.column).sum(1) * self.phase
+        return turned * whole.imag, turned * along.imag, turned * down.imag, whole.real
+
+
+@dataclass(frozen=True, slots=True)
+class WaveLanes:
+    """Plane waves as arrays with derivatives, of s b windows at k wavelengths, p of each; lanes (s b k p,)."""
+
+    phase: Any  # At the mean that samples lie about [turns]
+    # fx, fy: Spatial frequencies [cycles/px]
+    fx: Any
+    fy: Any
+    amplitude: Any  # As in `render.tracing.waves.plane_waves.PlaneWaves`
+
+
+def summed_waves(
+    F: Any, windows: list[Window], lanes: WaveLanes, energy: Any, offset: tuple[Any, Any], weight: Any
+) -> Any:
+    """Electrons of the pixels of stamps (s b m m,), with derivatives."""
+    # energy (s b k,) [e-], offset (s b t,) [px], weight (s b t,)
+
+    class Sum(dr.CustomOp):
+        """The sum; arrays are those of `_Stamps`."""
+
+        def eval(
+            self, phase: Any, fx: Any, fy: Any, amplitude: Any, energy: Any, right: Any, down: Any, part: Any
+        ) -> Any:
+            arrays = (phase, fx, fy, amplitude, energy, right, down, part)
+            self.stamps = _Stamps(windows, [np.array(a.numpy()) for a in arrays])
+            return F(self.stamps.pixels().ravel())
+
+        def forward(self) -> None:
+            arrays: list[Any] = [self.grad_in(name) for name in ARRAYS]
+            changes = [np.array(a.numpy()) for a in arrays]
+            self.set_grad_out(F(self.stamps.changed(changes).ravel()))
+
+        def backward(self) -> None:
+            gradient_out: Any = self.grad_out()
+            gradients = self.stamps.adjoint(np.array(gradient_out.numpy()))
+            for name, gradient in zip(ARRAYS, gradients, strict=True):
+                self.set_grad_in(name, F(np.ascontiguousarray(gradient.ravel())))
+
+        def name(self) -> str:
+            return "sum of plane waves"
+
+    return dr.custom(Sum, lanes.phase, lanes.fx, lanes.fy, lanes.amplitude, energy, *offset, weight)
+
+
+class _Stamps:
+    """Stamps of windows, on NumPy.
+
+    Arrays: phase, fx, fy and amplitude of rays; light of wavelengths; offsets along columns and rows, and parts of
+    times.
+    """
+
+    def __init__(self, windows: list[Window], arrays: list[FloatArray]) -> None:
+        self.windows, count = windows, len(windows)
+        self.colours = arrays[4].size // count
+        self.rays = [a.reshape(count, self.colours, -1) for a in arrays[:4]]
+        self.energy, *self.moves = (a.reshape(count, -1) for a in arrays[4:])
+
+    def _fields(self, slot: int) -> Iterator[tuple[int, _Rays, FloatArray]]:
+        samples = self.windows[slot].samples
+        for k in range(self.colours):
+            phase, fx, fy, amplitude = (a[slot, k] for a in self.rays)
+            rays = _Rays.of(phase, fx, fy, amplitude, samples)
+            yield k, rays, rays.field()
+
+    def _light(self, slot: int) -> FloatArray:
+        return np.asarray(sum(self.energy[slot, k] * np.abs(u) ** 2 for k, _, u in self._fields(slot)))
+
+    def _matrices(self, slot: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        window, (ox, oy, weight) = self.windows[slot], (m[slot] for m in self.moves)
+        return *window.matrices(ox, 0), *window.matrices(oy, 1), weight
+
+    def pixels(self) -> FloatArray:
+        """Pixels (slots, m, m)."""
+        found = []
+        for slot, window in enumerate(self.windows):
+            column, _, row, _, weight = self._matrices(slot)
+            inside, disk = window.ends()
+            image = self._light(slot) * inside
+            found.append(np.einsum("t,tij->ij", weight, row @ image @ np.swapaxes(column, 1, 2)) * disk)
+        return np.stack(found)
+
+    def changed(self, changes: list[FloatArray]) -> FloatArray:
+        """Change of the pixels with changes of the arrays."""
+        count = len(self.windows)
+        shapes = [a.shape for a in (*self.rays, self.energy, *self.moves)]
+        *rays, energy, dx, dy, dw = (
+            np.broadcast_to(c, math.prod(s)).reshape(s) for c, s in zip(changes, shapes, strict=True)
+        )
+        found = []
+        for slot in range(count):
+            column, column_slope, row, row_slope, weight = self._matrices(slot)
+            inside, disk = self.windows[slot].ends()
+            light, slope = np.zeros(()), np.zeros(())
+            for k, waves, u in self._fields(slot):
+                du = waves.change(*(r[slot, k] for r in rays))
+                light = light + self.energy[slot, k] * np.abs(u) ** 2
+                slope = slope + energy[slot, k] * np.abs(u) ** 2 + 2.0 * self.energy[slot, k] * (u.conj() * du).real
+            light, slope = light * inside, slope * inside
+            c, c_slope = np.swapaxes(column, 1, 2), np.swapaxes(column_slope, 1, 2)
+            w, x, y, v = (a[:, None, None] for a in (weight, weight * dx[slot], weight * dy[slot], dw[slot]))
+            each = w * (row @ slope @ c) + v * (row @ light @ c)
+            each = each + x * (row @ light @ c_slope) + y * (row_slope @ light @ c)
+            found.append(each.sum(0) * disk)
+        return np.stack(found)
+
+    def adjoint(self, gradient: FloatArray) -> list[FloatArray]:
+        """Gradients of all arrays from that of the pixels."""
+        found = [np.zeros_like(a) for a in (*self.rays, self.energy, *self.moves)]
+        for slot, window in enumerate(self.windows):
+            column, column_slope, row, row_slope, weight = self._matrices(slot)
+            inside, disk = window.ends()
+            g = gradient.reshape(len(self.windows), window.stamp_px, window.stamp_px)[slot] * disk
+            to_light = np.einsum("t,tij->ij", weight, np.swapaxes(row, 1, 2) @ g @ column) * inside
+            light = np.zeros(())
+            for k, waves, u in self._fields(slot):
+                light = light + self.energy[slot, k] * np.abs(u) ** 2
+                found[4][slot, k] = (to_light * np.abs(u) ** 2).sum()
+                parts = waves.adjoint(2.0 * self.energy[slot, k] * to_light * u.conj())
+                for into, part in zip(found[:4], parts, strict=True):
+                    into[slot, k] = part
+            light = light * inside
+            c, c_slope = np.swapaxes(column, 1, 2), np.swapaxes(column_slope, 1, 2)
+            found[5][slot] = weight * (g * (row @ light @ c_slope)).sum((1, 2))
+            found[6][slot] = weight * (g * (row_slope @ light @ c)).sum((1, 2))
+            found[7][slot] = (g * (row @ light @ c)).sum((1, 2))
+        return found
+
+
+def _wave_image(
+    scene_of: SceneOf, tracer: Tracer, stars: StarField, paths: AttachedPaths, exposure_s: float, rate: Any
+) -> Any:
+    """The image by sums of plane waves."""
+    camera, planner = tracer.camera, tracer.planner
+    light = tracer.light(stars, paths.plain, exposure_s)
+    seen = planner.seen(paths.plain, stars.wavelength_nm, paths.length_px)
+    chiefs = planner.chiefs(seen.mid, stars.wavelength_nm)
+    waves = WaveStars(planner)
+    few, still, images = waves.summed(light, seen, chiefs)
+    rest = AttachedPaths(at_rest(paths.plain.mid), paths.middle, paths.middle)
+    scene = scene_of(rest)
+    moving = scene_of(paths) if images.trail is not None else scene
+    outlines = None if planner.pupil.exact else planner.shapes(still, chiefs).outlines
+    bands, colours = stars.wavelength_nm.shape
+    each = np.broadcast_to(np.eye(colours)[:, None], (colours, bands, colours))
+    mixed = waves.condensed(Light(stars.wavelength_nm, each, light.electrons), seen).share  # (k, b, q)
+    response = camera.response_at(stars.wavelength_nm) * (math.pi * exposure_s)
+    F = scene.F
+    image = dr.zeros(F, camera.height_px * camera.width_px * bands)
+    near = waves.near(planner.groups(seen, stars.wavelength_nm, chiefs)[1])
+    for group in planner.wave_groups(still, few.wavelength_nm, chiefs, near):
+        if group.points is None or group.mode != "quadrature" or (outlines is not None and outlines.shadow is not None):
+            raise _refused(group.members[0], group.mode)
+        for probe in images.probes(group):
+            if probe.group.points is None:
+                raise _refused(probe.stars[0], probe.group.mode)
+            for part, radius, fields, order in _alike(images, probe):
+                points = probe.group.points(order, part)
+                sample = _sample(scene, outlines, part, points, few.wavelength_nm)
+                chief = [dr.zeros(F, len(part) * bands)] * 2
+                if outlines is not None:
+                    chief = _attached_chiefs(scene, outlines.chief, part, stars.wavelength_nm.mean(1))
+                offset, weight = _motion(moving, part, stars.wavelength_nm.mean(1), chief, images)
+                windows = _windows(images, probe, part, radius, fields)
+                energy = _energy(scene, part, rate, response[..., None] * np.swapaxes(mixed, 0, 1))
+                lanes = _plane_waves(scene, part, few.wavelength_nm, points, sample, windows)
+                stamps = summed_waves(F, windows, lanes, energy, offset, weight)
+                _add(scene, image, windows, stamps, bands)
+    return image
+
+
+def _alike(
+    images: WaveImages, probe: Probe
+) -> list[tuple[IntArray, float, tuple[FieldSampling, ...], tuple[int, int]]]:
+    """Stars of a probe with the same window and the same rays, not too many of them at a time."""
+    radius, highest, order = images.needs(probe)
+    keys = list(zip(radius.tolist(), map(tuple, highest.tolist()), map(tuple, order.max((1, 2)).tolist()), strict=True))
+    found = []
+    for key in sorted(set(keys)):
+        stars = probe.stars[[one == key for one in keys]]
+        step = max(1, WAVE_PASS_RAYS // (math.prod(key[2]) * images.wavelength_nm.size))
+        for i in range(0, len(stars), step):
+            found.append((stars[i : i + step], key[0], tuple(map(FieldSampling, key[1])), key[2]))
+    return found
+
+
+def _windows(
+    images: WaveImages, probe: Probe, part: IntArray, radius: float, fields: tuple[FieldSampling, ...]
+) -> list[Window]:
+    """Windows of some stars of a probe, band by band."""
+    mean, _ = images.means(part, probe.waves.take(np.searchsorted(probe.stars, part)))
+    size, trail = 2 * int(radius) + 1, images.trail
+    mean = np.nan_to_num(mean)
+    corner = np.rint(mean) - 0.5 * size
+    first, stamp = np.zeros_like(corner), size
+    if trail is not None:
+        offset = trail.offset_px[part]
+        first = np.floor(offset.min(2))
+        stamp = size + int((np.ceil(offset.max(2)) - first).max(initial=0.0))
+    sigma, moving = images.camera.charge_diffusion_px, trail is not None
+    return [
+        Window(corner[s, b], mean[s, b], size, fields[b], sigma, first[s, b], stamp, moving)
+        for s, b in np.ndindex(*corner.shape[:2])
+    ]
+
+
+def _energy(scene: Scene, part: IntArray, rate: Any, mixed: FloatArray) -> Any:
+    """Light (s b q,) of the wavelengths that have images [e-], but for the slant of the launch disk.
+
+    ``mixed`` (b, k, q) leads from photon rates to it, for a disk of radius 1 / sqrt(pi).
+    """
+    F, U = scene.F, scene.U
+    bands, colours, few = mixed.shape
+    lane = dr.arange(U, len(part) * bands * few)
+    band, star = lane // few % bands, dr.gather(U, U(part.astype(np.uint32)), lane // (few * bands))
+    total = dr.zeros(F, 1)
+    for k in range(colours):
+        factor = dr.gather(F, F(np.ascontiguousarray(mixed[:, k].ravel())), band * few + lane % few)
+        total = total + factor * dr.gather(F, rate, (star * bands + band) * colours + k)
+    return total * dr.square(scene.bundle(len(part) * bands * few).disk[3])
+
+
+def _motion(
+    scene: Scene, part: IntArray, wavelength_nm: FloatArray, chief: list[Any], images: WaveImages
+) -> tuple[tuple[Any, Any], Any]:
+    """Offsets of images [px] and parts of the light, at all times (s b t,)."""
+    F, U, bands, times = scene.F, scene.U, len(wavelength_nm), scene.times
+    count = len(part) * bands * times
+    lane = dr.arange(U, count)
+    slot = lane // times
+    star = dr.gather(U, U(part.astype(np.uint32)), slot // bands)
+    at = star * times + lane % times
+    weight = dr.gather(F, scene.light[2], at) * dr.gather(F, scene.weight, at)
+    if images.trail is None:
+        return (dr.zeros(F, count), dr.zeros(F, count)), weight
+    wave = dr.gather(F, F(wavelength_nm), slot % bands)
+    px, py = (dr.gather(F, c, slot) for c in chief)
+    bundle, pitch = scene.bundle(count), scene.camera.pixel_pitch_mm
+    there, here = (
+        scene.trace(bundle, light, which, px, py, wave) for light, which in ((scene.light, at), (scene.middle, star))
+    )
+    return ((there.x - here.x) * (1.0 / pitch), (here.y - there.y) * (1.0 / pitch)), weight
+
+
+def _plane_waves(
+    scene: Scene, part: IntArray, wavelength_nm: FloatArray, points: PupilPoints, sample: Sample, windows: list[Window]
+) -> WaveLanes:
+    """Plane waves of some stars, as `render.tracing.waves.plane_waves.trace_waves` traces them."""
+    F, U, program = scene.F, scene.U, scene.numbers.program
+    bands, colours = wavelength_nm.shape
+    total = len(part) * bands * colours * points.count
+    members, waves = U(part.astype(np.uint32)), F(np.ascontiguousarray(wavelength_nm.ravel()))
+
+    def numbered(lane: Any) -> tuple[Any, ...]:
+        """Slot, node and point of a lane; its star and wavelength."""
+        point, node, slot = lane % points.count, lane // points.count % colours, lane // (points.count * colours)
+        star = dr.gather(U, members, slot // bands)
+        return slot, node, point, star, dr.gather(F, waves, slot % bands * colours + node)
+
+    # a ray and two beside it are lanes of one trace: three traces would be compiled one by one, with their derivatives
+    every = dr.arange(U, 3 * total)
+    slot, node, point, star, wave = numbered(every // 3)
+    px, py, _ = sample(slot, node, point)
+    dx, dy = (F(dr.select(every % 3 == k, DIFFERENCE, 0.0)) for k in (1, 2))
+    rays = scene.trace(scene.bundle(3 * total), scene.light, star, px + dx, py + dy, wave)
+    dr.eval(rays.x, rays.y, rays.opl_mm, rays.dx, rays.dy)
+    lane = dr.arange(U, total)
+    x, y, opl_mm = (dr.gather(F, v, 3 * lane) for v in (rays.x, rays.y, rays.opl_mm))
+    (ox, rx, ux), (oy, ry, uy) = ([dr.gather(F, v, 3 * lane + k) for k in range(3)] for v in (rays.dx, rays.dy))
+    slot, node, point, star, wave = numbered(lane)
+    bundle = scene.bundle(total)
+    px, py, share = sample(slot, node, point)
+    pitch, (cx, cy) = scene.camera.pixel_pitch_mm, scene.camera.centre_px
+    theta: Any = bundle.theta
+    before, behind = (
+        program.media[medium].index(theta, wave, scene.xp)
+        for medium in (program.steps[0].before, program.steps[-1].before)
+    )
+    per_px = behind * (pitch * 1e6) / wave
+    jacobian = dr.abs((rx - ox) * (uy - oy) - (ux - ox) * (ry - oy)) * (1.0 / DIFFERENCE**2)
+    dx, dy = (dr.gather(F, component, star) for component in scene.light[:2])
+    path = opl_mm + before * bundle.disk[3] * (px * dx + py * dy)
+    middle = np.stack([one.mean_px for one in windows])
+    x = float(cx) + x * (1.0 / pitch) - dr.gather(F, F(np.ascontiguousarray(middle[:, 0])), slot)
+    y = float(cy) - y * (1.0 / pitch) - dr.gather(F, F(np.ascontiguousarray(middle[:, 1])), slot)
+    fx, fy = ox * per_px, -oy * per_px
+    return WaveLanes(path * (1e6 / wave) - fx * x - fy * y, fx, fy, share * dr.sqrt(jacobian) * per_px)
+
+
+def _add(scene: Scene, image: Any, windows: list[Window], stamps: Any, bands: int) -> None:
+    """Add stamps to the image."""
+    F, integer, U, camera, size = scene.F, scene.I, scene.U, scene.camera, windows[0].stamp_px
+    lane = dr.arange(U, len(windows) * size**2)
+    slot = lane // size**2
+    corner = np.stack([one.corner_px + one.first_px + 0.5 for one in windows]).astype(np.int32)
+    first = [dr.gather(integer, integer(np.ascontiguousarray(corner[:, axis])), slot) for axis in (0, 1)]
+    column, row = first[0] + integer(lane % size), first[1] + integer(lane // size % size)
+    inside = (row >= 0) & (row < camera.height_px) & (column >= 0) & (column < camera.width_px)
+    sensitive = camera.sensitive_columns
+    if sensitive is not None:
+        open_ = F(np.asarray(sensitive, np.float64))
+        inside &= dr.gather(F, open_, U(dr.maximum(column, 0)), inside) > 0.0
+    index = (U(row) * camera.width_px + U(column)) * bands + slot % bands
+    dr.scatter_add(image, stamps, index, inside)

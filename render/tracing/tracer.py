@@ -15,19 +15,18 @@ from optics.rays.pupil import EntrancePupil
 from optics.rays.spots import spot_moments
 from render.camera import Camera, launch_disk
 from render.records import StarField, Truth
-from render.tracing.aimed_pupil import Chiefs
-from render.tracing.compose import TruthSums
 from render.tracing.convergence import TOLERANCE
-from render.tracing.ideal_lens import IdealLens
-from render.tracing.kernel import ARRIVED, OUTSIDE, Shade, StarKernel
-from render.tracing.motion import ExposureMotion
-from render.tracing.passes import PASS_BYTES, PASS_RAYS, Light, Passes
-from render.tracing.paths import StarPaths, at_rest, pick_times, star_paths
-from render.tracing.planning import PupilPlanner, Seen
-from render.tracing.pupil_arcs import ARC_LADDER
-from render.tracing.pupil_points import DiskPoints, PupilPoints, SobolPoints
-from render.tracing.sampling import whole_disk
-from render.tracing.wave_stars import WaveStars, check_lit
+from render.tracing.motion.exposure import ExposureMotion, IdealLens
+from render.tracing.motion.paths import StarPaths, at_rest, pick_times, star_paths
+from render.tracing.pupil.aim import Chiefs
+from render.tracing.pupil.outlines import ARC_LADDER
+from render.tracing.pupil.planning import PupilPlanner, Seen
+from render.tracing.pupil.points import DiskPoints, PupilPoints, SobolPoints
+from render.tracing.pupil.sampling import whole_disk
+from render.tracing.rays.images import PASS_BYTES, PASS_RAYS, Light, Passes
+from render.tracing.rays.kernel import ARRIVED, OUTSIDE, Shade, StarKernel
+from render.tracing.truth import TruthSums
+from render.tracing.waves.stars import WaveStars, check_lit
 
 __all__ = ["TracedStars", "Tracer"]
 
@@ -62,7 +61,7 @@ class Tracer:
     sobol_seed : int
         Seed of the scrambling.
     tolerance : float
-        Of the quadrature, see `render.tracing.sampling`.
+        Of the quadrature, see `render.tracing.pupil.sampling`.
     general : bool
         Compile the lens with general poses, so that all perturbed copies of it share their kernels.
 

@@ -175,7 +175,7 @@ class FrameMaker:
         camera = self.scene.config.instrument
         if plan.trajectory is None:
             return self._renderer.trace(seen.light, rotation_cam_from_world=plan.attitude.as_matrix())
-        from render.tracing.motion import exposure_motion
+        from render.tracing.motion.exposure import exposure_motion
 
         motion = exposure_motion(
             plan.trajectory,

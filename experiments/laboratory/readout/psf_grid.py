@@ -11,8 +11,7 @@ from experiments.laboratory.instrument import Instrument
 from optics.arrays import FloatArray
 from render.records import EffectivePsf
 from render.sky.star_light import StarLight
-from render.tracing.psf import epsf_tracer, render_epsf
-from render.tracing.ray_psf import trailed
+from render.tracing.psf import epsf_tracer, render_epsf, trailed
 
 __all__ = ["PsfGrid", "render_psf_grid"]
 

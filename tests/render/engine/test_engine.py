@@ -50,7 +50,7 @@ def test_missing_llvm_is_one_line_with_the_install_command(tmp_path):
 
 
 def test_dr_jit_is_silent_whatever_is_imported_first(tmp_path):
-    program = f"import render.tracing.kernel, render.detector.chain\n{PROGRAM}"
+    program = f"import render.tracing.rays.kernel, render.detector.chain\n{PROGRAM}"
     done = in_new_process("llvm", program, DRJIT_LIBLLVM_PATH=str(tmp_path / "libLLVM.so"))
     assert (done.returncode, done.stderr, done.stdout.count("\n")) == (2, "", 1)
 

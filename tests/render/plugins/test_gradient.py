@@ -13,8 +13,8 @@ from optics.lens_file import load_lens
 from render.camera import Camera
 from render.forward import star_scene
 from render.records import StarField
-from render.tracing.wave_images import WaveImages
-from render.tracing.wave_windows import FieldSampling, window_samples
+from render.tracing.waves.images import WaveImages
+from render.tracing.waves.windows import FieldSampling, window_samples
 
 WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
 """Sixth-order central difference (Fornberg 1988, Math. Comp. 51, 699)."""
@@ -42,7 +42,7 @@ def scene_of(mi, lens, stars=2, colours=3, bench=None, **camera):
 
 
 def direct_sum(rays, shares, corner_px, window_px, field, *, pad_px):
-    """Light of plane waves in a window, in double precision, in place of `render.tracing.wave_windows.window_light`."""
+    """Light of plane waves in a window, in double precision, for `render.tracing.waves.windows.window_light`."""
     at = window_samples(field, window_px, pad_px)
     light = np.zeros((len(at), len(at)))
     for colour, share in enumerate(shares):
@@ -84,8 +84,8 @@ def by_direct_sums(monkeypatch):
     on samples 3 px farther away: where the kernel of a pixel ends images that move would make steps too.
     """
     monkeypatch.setattr(FieldSampling, "pixel", farther(FieldSampling.pixel))
-    monkeypatch.setattr("render.tracing.wave_images.window_light", direct_sum)
-    monkeypatch.setattr("render.tracing.wave_series.TAIL", 0.0)
+    monkeypatch.setattr("render.tracing.waves.images.window_light", direct_sum)
+    monkeypatch.setattr("render.tracing.waves.plane_waves.TAIL", 0.0)
     for name in ("needs", "means"):
         monkeypatch.setattr(WaveImages, name, held(getattr(WaveImages, name)))
 

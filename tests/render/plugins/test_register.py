@@ -15,7 +15,7 @@ from render.camera import Camera
 from render.forward import StarRenderer
 from render.motion.trajectory import ConstantRate
 from render.plugins.camera_properties import share_camera
-from render.tracing.motion import exposure_motion
+from render.tracing.motion.exposure import exposure_motion
 
 ROOT = Path(__file__).parents[3]
 FILM = {

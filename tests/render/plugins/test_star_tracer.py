@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from render.forward import StarRenderer, star_scene
 from render.motion.trajectory import ConstantRate
 from render.plugins.scene_files import save_scene
-from render.tracing.motion import exposure_motion
+from render.tracing.motion.exposure import exposure_motion
 
 RADIUS_MM = 35.0
 """Of the stop of the 206 mm lens, which stands in front of all glass at z = 0."""

@@ -1,0 +1,370 @@
+"""Forward tracing of stars on Dr.Jit: star -> pupil -> lens -> pixels of a small stamp per star and band.
+
+One ray is one lane of a fused kernel; nothing per ray is kept. Its light, a Gaussian of the charge-diffusion width
+around the landing point, is integrated exactly over pixels, so a stamp is the pixel integral of (ray density convolved
+with the diffusion kernel), with no other blur. The same light is also integrated over narrow strips along columns and
+along rows, fine enough that their first moment, which is all that is kept of them, is the centroid of the light. Inside
+outlines and under motion that moment is taken in closed form.
+
+Sums are 64-bit integers (2^-50 of the star's light): their order does not matter, so the result is the same to the last
+bit whatever the number of threads. Counts that change from call to call reach the kernel from memory, so that one
+compiled kernel serves every star field and every sampling of the pupil.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optics.arrays import FloatArray
+from optics.frames import light_direction
+from optics.light.collimation import Collimation, bent_light
+from optics.rays.program import LensProgram
+from optics.rays.pupil import EntrancePupil
+from optics.rays.trace import OK, Rays, trace_program
+from render.engine import Engine
+from render.engine.jit import dr
+from render.tracing.pupil.points import OutlinePoints, PupilPoints
+
+__all__ = ["Geometry", "Shade", "StampSums", "StarKernel", "reach_px", "strips_per_pixel"]
+
+
+PIXEL_REACH, STRIP_REACH = 5.0, 4.0
+"""Half-width of the diffusion kernel in standard deviations, at least; what lies beyond (6e-7 of the light, 6e-5 for
+the strips, in equal parts left and right) goes to the outermost pixel or strip."""
+
+STRIP_ALIASING_PX = 2e-5
+MOST_STRIPS = 1024
+
+ARRIVED, LOST, OUTSIDE = 0, 1, 2
+FIRST, SECOND, STRIPS = slice(3, 5), slice(5, 7), slice(7, 9)
+HIDDEN = 9
+"""Where the moments of `StampSums` stand: shares of light, then (x, y) of the landing points, of their squares, and of
+the strips; last the share that would have arrived if nothing stood between the sky and the lens."""
+_MOMENTS = HIDDEN + 1
+
+_SCALE = 2.0**50
+# Between 2^52 and 2^53 a float64 counts in ones: added to this number, a value below 2^51 is rounded to a whole number
+# that stands in the low 51 bits. One addition and a mask, where processors without AVX-512 have no instruction that
+# makes 64-bit integers of float64, and LLVM falls back on a slow sequence of them.
+_ROUNDING = 1.5 * 2.0**52
+_MASK = (1 << 51) - 1
+
+
+def strips_per_pixel(diffusion_px: float) -> int:
+    """Strips per pixel such that their first moment is the centroid of the light, to `STRIP_ALIASING_PX`.
+
+    A sum over strips of width 1/m aliases the light's spectrum at m cycles per pixel into the moment, with weight
+    ``exp(-2 (pi m sigma)^2) / (pi m)`` after the diffusion kernel; the spectrum of the spot itself lowers it further.
+    Without diffusion that is all there is, and m is `MOST_STRIPS`.
+    """
+    if diffusion_px * MOST_STRIPS < 0.5:
+        return MOST_STRIPS
+    m = 2
+    while math.exp(-2.0 * (math.pi * m * diffusion_px) ** 2) / (math.pi * m) > STRIP_ALIASING_PX:
+        m += 1
+    return m
+
+
+def reach_px(diffusion_px: float) -> float:
+    """How far from its landing point the light of a ray is spread over pixels."""
+    return 0.5 * math.ceil(2.0 * PIXEL_REACH * diffusion_px)
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """What a camera looks like to the kernel; numbers only."""
+
+    pitch_mm: float
+    centre_px: FloatArray
+    pupil_mm: tuple[float, float, float]
+    pupil_radius_mm: float
+    diffusion_px: float
+
+    @property
+    def strips(self) -> int:
+        """Strips per pixel."""
+        return strips_per_pixel(self.diffusion_px)
+
+
+@dataclass(frozen=True, slots=True)
+class StampSums:
+    """What a pass collects of s stars in b bands; light in shares of what the star sends into the pupil."""
+
+    pixels: FloatArray  # (s, b, m, m) Light per pixel of the stamp
+    # (s, b, 10) Light on the stamp (`ARRIVED`), lost in the lens (`LOST`), beside the stamp (`OUTSIDE`); `FIRST` and
+    # `SECOND` moments of the landing points on the stamp, and first moments of the light over `STRIPS` of columns and
+    # of rows, from the stamp's corner in units of its size; light that does not get to the lens (`HIDDEN`). Where
+    # cells were asked for in place of pixels the strips are left out
+    moments: FloatArray
+
+    def take(self, keep: NDArray[np.bool_]) -> StampSums:
+        """Some of the stars."""
+        return StampSums(self.pixels[keep], self.moments[keep])
+
+
+class Shade(Protocol):
+    """What stands between the sky and the lens of a star field's stars."""
+
+    def near(self, pupil: EntrancePupil) -> NDArray[np.bool_]:
+        """Stars (n,) in whose beam, as wide as a launch disk, something may stand; false where nothing can."""
+
+    def hides(self, rays: Rays, star: Any) -> Any:
+        """Whether rays in the lens frame (`StarKernel.rays`) do not get from their stars (UInt32) to the lens."""
+
+
+class StarKernel:
+    """Traces a set of stars through one compiled lens.
+
+    Nodes of a call are all wavelengths of the first time, then all of the second, ... A ``shear`` (n, t, 3) is that of
+    a rolling shutter: a row, and by how many columns and rows the image moves per line time there.
+    """
+
+    def __init__(
+        self,
+        program: LensProgram,
+        theta: FloatArray,
+        geometry: Geometry,
+        direction: FloatArray,
+        shear: FloatArray | None = None,
+        collimation: Collimation | None = None,
+    ) -> None:
+        engine = Engine.active()
+        self.types = types = engine.types
+        self.F, self.U, self.I, self.U64 = types.Float64, types.UInt32, types.Int32, types.UInt64
+        self.xp = engine.arrays
+        self.program, self.geometry = program, geometry
+        self.theta = self.xp.parameters(theta.tolist())
+        self.pixels = self.xp.parameters([geometry.pitch_mm, *geometry.centre_px])
+        self.disk = self.xp.parameters([*geometry.pupil_mm, geometry.pupil_radius_mm])
+        self.direction = direction[:, None] if direction.ndim == 2 else direction
+        self.count, self.times = self.direction.shape[:2]
+        self.collimation = collimation
+        light = light_direction(self.direction).reshape(-1, 3)
+        self.light = [self.F(np.ascontiguousarray(light[:, i])) for i in range(3)]
+        self.shear = None
+        if shear is not None:
+            self.shear = [self.F(np.ascontiguousarray(shear[..., i].ravel())) for i in range(3)]
+
+    def rays(self, star: Any, px: Any, py: Any, wavelength_nm: Any, error: Any = None) -> Rays:
+        """Rays of stars through points of the launch disk; ``error`` as `optics.light.collimation.bent_light`."""
+        x0, y0, z0, radius = self.disk
+        dx, dy, dz = (dr.gather(self.F, component, star) for component in self.light)
+        if error is not None:
+            dx, dy, dz = bent_light((dx, dy, dz), px * radius, py * radius, error, dr.sqrt)
+        zero = dr.zeros(self.I, 1)
+        return Rays(
+            x=x0 + px * radius,
+            y=y0 + py * radius,
+            z=z0,
+            dx=dx,
+            dy=dy,
+            dz=dz,
+            wavelength_nm=wavelength_nm,
+            opl_mm=self.F(0.0),
+            status=zero,
+            failed_at=zero - 1,
+        )
+
+    def launch(
+        self,
+        star: Any,
+        px: Any,
+        py: Any,
+        wavelength_nm: Any,
+        error: Any = None,
+        program: LensProgram | None = None,
+    ) -> tuple[Any, Any, Any]:
+        """Column, row [px] and status of rays through points of the launch disk; ``star`` counts times too."""
+        pitch, cx, cy = self.pixels
+        out = trace_program(program or self.program, self.theta, self.rays(star, px, py, wavelength_nm, error), self.xp)
+        x, y = cx + out.x / pitch, cy - out.y / pitch
+        if self.shear is not None:
+            row, along_x, along_y = (dr.gather(self.F, values, star) for values in self.shear)
+            below = (y - row) / (1.0 - along_y)
+            x, y = x + along_x * below, row + below
+        return x, y, out.status
+
+    def numbered(self, total: int, *sizes: int) -> list[Any]:
+        """Indices of lane 0 ... total-1 along axes of the given sizes, last axis first, and what is left over."""
+        left = dr.arange(self.U, total)
+        indices = []
+        for size in reversed(sizes):
+            divisor = dr.opaque(self.U, size)
+            quotient = left // divisor
+            indices.append(left - quotient * divisor)
+            left = quotient
+        return [*indices, left]
+
+    def land(
+        self, pupil: PupilPoints, wavelength_nm: FloatArray, stars: NDArray[np.uint32] | None = None
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+        """Landing points of a few rays per star and band."""
+        # wavelength_nm (b, k), stars (s,) -> (s, b, t k, m), (s, b, t k, m)
+        bands, nodes = len(wavelength_nm), wavelength_nm.shape[1] * self.times
+        shape = (self.count if stars is None else len(stars), bands, nodes, pupil.count)
+        point, node, slot = self.numbered(math.prod(shape), nodes, pupil.count)
+        star, wavelength = self.light_of(slot, node, wavelength_nm, stars)
+        px, py, _ = pupil.sample(self.types, slot, node, point)
+        x, y, status = self.launch(star, px, py, wavelength, self.error_of(slot, node, wavelength_nm))
+        ok = status == OK
+        dr.eval(x, y, ok)
+        return x.numpy().reshape(shape), y.numpy().reshape(shape), ok.numpy().astype(bool).reshape(shape)
+
+    def hidden_share(self, shade: Shade, pupil: PupilPoints, stars: NDArray[np.uint32]) -> FloatArray:
+        """Share (s,) of the launch disk from which some stars are not seen, by equal weights of its points."""
+        # stars (s,)
+        point, position = self.numbered(len(stars) * pupil.count, pupil.count)
+        px, py, _ = pupil.sample(self.types, position, dr.zeros(self.U, 1), point)
+        star = dr.gather(self.U, self.U(stars), position)
+        counts = dr.zeros(self.U, len(stars))
+        hidden = shade.hides(self.rays(star, px, py, self.F(0.0)), star)
+        dr.scatter_add(counts, self.U(1), position, hidden)
+        return np.asarray(counts.numpy() / pupil.count)
+
+    def light_of(
+        self, slot: Any, node: Any, wavelength_nm: FloatArray, stars: NDArray[np.uint32] | None
+    ) -> tuple[Any, Any]:
+        """Star (with its time) and wavelength of a slot's node."""
+        F, U = self.F, self.U
+        bands, colours = (dr.opaque(U, size) for size in wavelength_nm.shape)
+        position, time = slot // bands, node // colours
+        colour = (slot - position * bands) * colours + (node - time * colours)
+        star = position if stars is None else dr.gather(U, U(stars), position)
+        return star * dr.opaque(U, self.times) + time, dr.gather(F, F(wavelength_nm.ravel()), colour)
+
+    def error_of(self, slot: Any, node: Any, wavelength_nm: FloatArray) -> tuple[Any, ...] | None:
+        """Error of the collimation of a slot's node; None for the light of stars."""
+        if self.collimation is None:
+            return None
+        bands, colours = (dr.opaque(self.U, size) for size in wavelength_nm.shape)
+        colour = (slot % bands) * colours + node % colours
+        table = self.collimation.at(wavelength_nm).reshape(-1, 3)
+        return tuple(dr.gather(self.F, self.F(np.ascontiguousarray(table[:, i])), colour) for i in range(3))
+
+    def _shares(self, position_px: Any, per_pixel: int, reach: float) -> tuple[Any, list[Any]]:
+        """First cell and share of each along one axis, for ``per_pixel`` cells per pixel from the stamp's corner."""
+        sigma = self.geometry.diffusion_px * per_pixel
+        cells = position_px * per_pixel
+        width = math.ceil(2 * reach * sigma)
+        first = dr.floor(cells - 0.5 * width)
+        if width == 0:
+            return self.I(first), [self.F(1.0)]
+        scale = dr.opaque(self.F, 1.0 / (math.sqrt(2.0) * sigma))
+        shares, below = [], self.F(-1.0)
+        for tap in range(1, width + 2):
+            up_to = dr.erf((first + tap - cells) * scale) if tap <= width else self.F(1.0)
+            shares.append(0.5 * (up_to - below))
+            below = up_to
+        return self.I(first), shares
+
+    def _strip_centre(self, position_px: Any) -> Any:
+        """First moment over strips of a Gaussian around a position: the first term of their alias (`strips_per_pixel`).
+
+        floor(u) + 1/2 = u + sum_k sin(2 pi k u) / (pi k), and a Gaussian damps the k-th wave.
+        """
+        m, sigma = self.geometry.strips, self.geometry.diffusion_px
+        if sigma * m < 0.5:
+            return (dr.floor(position_px * m) + 0.5) / m
+        alias = math.exp(-2.0 * (math.pi * m * sigma) ** 2) / (math.pi * m)
+        return position_px + alias * dr.sin(2.0 * math.pi * m * position_px)
+
+    def _add(self, target: Any, value: Any, index: Any, active: Any, together: bool = False) -> None:
+        """Fixed-point accumulation; ``value`` is already scaled to 2^50.
+
+        ``together``: neighbouring rays add to the same place, and on the processor are first added up among themselves.
+        """
+        llvm = dr.backend_v(self.F) == dr.JitBackend.LLVM
+        mode = dr.ReduceMode.Local if together and llvm else dr.ReduceMode.Direct
+        fixed = dr.reinterpret_array(self.U64, value + _ROUNDING) & self.U64(_MASK)
+        dr.scatter_add(target, fixed, index, active, mode=mode)
+
+    def _numpy(self, fixed: Any, *shape: int) -> FloatArray:
+        """Fixed-point sums as numbers."""
+        values: FloatArray = fixed.numpy().reshape(shape) * (1.0 / _SCALE)
+        return values
+
+    def splat(
+        self,
+        *,
+        stars: NDArray[np.uint32],
+        pupil: PupilPoints,
+        wavelength_nm: FloatArray,
+        node_share: FloatArray,
+        corner_px: FloatArray,
+        stamp_px: int,
+        cells_per_px: int = 1,
+        shade: Shade | None = None,
+    ) -> StampSums:
+        """Stamps and moments of some of the stars; of cells in place of pixels there are no strips."""
+        # stars (s,), wavelength_nm (b, k), node_share (s, b, t k), corner_px (s, b, 2)
+        F, U = self.F, self.U
+        bands, nodes = len(wavelength_nm), wavelength_nm.shape[1] * self.times
+        point, node, slot = self.numbered(len(stars) * bands * nodes * pupil.count, nodes, pupil.count)
+        px, py, weight = pupil.sample(self.types, slot, node, point)
+        weight = weight * dr.gather(F, F(node_share.ravel()), slot * dr.opaque(U, nodes) + node) * _SCALE
+        star, wavelength = self.light_of(slot, node, wavelength_nm, stars)
+        error = self.error_of(slot, node, wavelength_nm)
+        x, y, status = self.launch(star, px, py, wavelength, error)
+        ok, hidden = status == OK, None
+        if shade is not None:
+            hidden = ok & shade.hides(self.rays(star, px, py, wavelength, error), star // self.times)
+        x = x - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 0].ravel())), slot)
+        y = y - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 1].ravel())), slot)
+        strips = cells_per_px == 1 and self.times == 1 and not isinstance(pupil, OutlinePoints)
+        shape = (len(stars), bands)
+        return self._collect(x, y, ok, hidden, weight, slot, shape, stamp_px, cells_per_px, strips)
+
+    def _collect(
+        self,
+        x: Any,
+        y: Any,
+        ok: Any,
+        hidden: Any,
+        weight: Any,
+        slot: Any,
+        shape: tuple[int, int],
+        stamp_px: int,
+        cells_per_px: int,
+        by_strips: bool,
+    ) -> StampSums:
+        """Add the light of every ray to its star's pixels (or cells) and moments."""
+        F, U, slots = self.F, self.U, math.prod(shape)
+        ok = ok if hidden is None else ok & ~hidden
+        size, strips = stamp_px * cells_per_px, stamp_px * self.geometry.strips
+        cells = [self._shares(v, cells_per_px, PIXEL_REACH) for v in (x, y)]
+        marginals = [self._shares(v, self.geometry.strips, STRIP_REACH) for v in (x, y)] if by_strips else []
+        inside = ok
+        for limit, parts in ((size, cells), (strips, marginals)):
+            for first, shares in parts:  # not &=, which would change ``ok`` too
+                inside = inside & (first >= 0) & (first + len(shares) <= dr.opaque(self.I, limit))
+        moments = dr.zeros(self.U64, slots * _MOMENTS)
+        base = slot * _MOMENTS
+        kind = dr.select(inside, U(ARRIVED), dr.select(ok, U(OUTSIDE), U(LOST)))
+        if hidden is not None:
+            kind = dr.select(hidden, U(HIDDEN), kind)
+        self._add(moments, weight, base + kind, dr.mask_t(F)(True), together=True)
+        u, v = x / dr.opaque(F, stamp_px), y / dr.opaque(F, stamp_px)
+        centres = []
+        for first, shares in marginals:  # the strips' sum is taken ray by ray
+            centre = F(first) + 0.5
+            for s, share in enumerate(shares[1:], 1):
+                centre = centre + s * share
+            centres.append(centre / dr.opaque(F, strips))
+        if cells_per_px == 1 and not by_strips:  # what strips make of it, in closed form
+            centres = [self._strip_centre(v) / dr.opaque(F, stamp_px) for v in (x, y)]
+        for k, value in enumerate((u, v, u * u, v * v, *centres)):
+            self._add(moments, weight * value, base + (FIRST.start + k), inside, together=True)
+        (column, along_x), (row, along_y) = cells
+        pixels, edge = dr.zeros(self.U64, slots * size**2), dr.opaque(U, size)
+        origin = (slot * edge + U(row)) * edge + U(column)
+        for r, share_y in enumerate(along_y):
+            line = weight * share_y
+            for c, share_x in enumerate(along_x):
+                self._add(pixels, line * share_x, origin + r * edge + c, inside)
+        dr.eval(pixels, moments)
+        return StampSums(self._numpy(pixels, *shape, size, size), self._numpy(moments, *shape, _MOMENTS))

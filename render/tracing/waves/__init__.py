@@ -1,0 +1,1 @@
+"""Images by diffraction: plane waves, their sums, and grids of images over the field."""

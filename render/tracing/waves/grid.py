@@ -1,0 +1,595 @@
+"""Diffraction images of many stars by interpolation between few: a grid over the field for one state of a lens.
+
+At Chebyshev points of the detector's field, or of a radius of it, some wavelengths have their images, summed as for
+stars of their own and centred on the mean of the rays of a middle wavelength. A star's image is their interpolant at
+its place, weighed by its spectrum, and put where its chief ray and the interpolated way from there to that mean tell.
+The images differ little: some tens of principal components hold them all, and a frame is one product of matrices. Mean,
+spread and losses of a star's rays are interpolated alike, so that none is traced but the chief ray.
+
+Nothing is taken on trust: a grid is made finer until images and means of rays at places between its points, of light at
+either end of a band and of that which its wavelengths follow worst, differ from exact ones by less than `TOLERANCE`. A
+mixture of wavelengths is nearer still. Where the finest fails (apertures that start to cut the beam leave a kink in the
+field) there is none, and every star is summed by itself.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optics.arrays import FloatArray, IntArray
+from optics.light.collimation import Collimation
+from optics.rays.pupil import gauss_disk
+from render.camera import Camera
+from render.tracing.motion.exposure import IdealLens
+from render.tracing.motion.paths import at_rest
+from render.tracing.pupil.planning import PupilPlanner
+from render.tracing.pupil.points import TablePoints
+from render.tracing.waves.images import LARGEST_RADIUS_PX, RayMoments, Trail, WaveGroup, WaveImages, WaveStamps
+from render.tracing.waves.plane_waves import PlaneWaves
+from render.tracing.waves.polar import turning_shapes
+from render.tracing.waves.spectrum import lagrange, picked_wavelengths
+from render.tracing.waves.windows import COARSE_REACH_PX, FieldSampling, PixelTable, coarser, window_samples
+
+__all__ = [
+    "MOMENTS",
+    "TOLERANCE",
+    "WING_PX",
+    "WaveGrid",
+    "build_grid",
+    "chebyshev",
+    "worth_a_grid",
+]
+
+
+MOMENTS = 6
+"""Light of a wavelength that gets through the lens, and that enters it; the former times the mean (column, row) of its
+rays from the chief ray and times their mean squares."""
+
+
+def chebyshev(count: int) -> FloatArray:
+    """Chebyshev points of the first kind in (-1, 1)."""
+    return -np.cos(np.pi * (np.arange(count) + 0.5) / count)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WaveGrid:
+    """Images over the field of one state of a lens, at some wavelengths."""
+
+    camera: Camera
+    points: FloatArray  # (p,) Points along either axis of the field, in (-1, 1)
+    # middle, half: (2,) Place of the field's middle and its half size, as tangents of angles along X and Y of cam
+    middle: FloatArray
+    half: FloatArray
+    radius_px: int  # Of the stamps
+    field: FieldSampling  # Sampling of the images
+    spectral: FloatArray  # (b, k, q) What makes of the q wavelengths that have images the k of stars
+    # (f, b, 2) Mean of the rays of a middle wavelength from the chief ray, at the f = p^2 points: where images are
+    # centred
+    origin_px: FloatArray
+    moment: FloatArray  # (f, b, q, 6) `MOMENTS`
+    coefficient: NDArray[np.float32]  # (b, f, q, c) Components of every image
+    component: NDArray[np.float32]  # (b, c, m, m) Principal components, light per px^2
+    # (b, c) Of a lens of revolution: azimuthal orders of the components, of which there are twice as many
+    # (`render.tracing.waves.polar`). The f = p points then lie along a radius, in parts of that of the farthest
+    # corner; images, means and moments are those of stars on the column axis
+    order: IntArray | None = None
+    kink: float = 1.0  # Part of that radius from which apertures cut the beam; no polynomial reaches across it
+    # error, error_px: Largest error found between the points, of a pixel and of a centroid
+    error: float = math.nan
+    error_px: float = math.nan
+
+    def holds(self, direction: FloatArray) -> NDArray[np.bool_]:
+        """Directions (n, 3) in cam that lie in the grid's field."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            place = (direction[:, :2] / direction[:, 2:] - self.middle) / self.half
+        return np.asarray((np.abs(place).max(1) <= 1.0) & (direction[:, 2] > 0.0))
+
+    def stamps(
+        self,
+        stars: IntArray,
+        direction: FloatArray,
+        share: FloatArray,
+        chief_px: FloatArray,
+        trail: Trail | None = None,
+    ) -> WaveStamps:
+        """Stamps of some stars."""
+        # stars (s,), direction (s, 3), share (s, b, k), chief_px (s, b, 2)
+        weight, shares, turn = self._weights(direction, share)
+        light, moments, origin = self._rays(weight, shares, turn, chief_px)
+        size = 2 * self.radius_px + 1
+        corner, stamp_px = np.rint(moments.mean_px) - 0.5 * size, size
+        if trail is not None:
+            offset = trail.offset_px[stars]
+            first = np.floor(offset.min(2))
+            stamp_px = size + int((np.ceil(offset.max(2)) - first).max(initial=0.0))
+            corner = corner + first
+        pixels = np.zeros((len(stars), share.shape[1], stamp_px, stamp_px), np.float32)
+        for b in range(share.shape[1]):
+            images = self._images(weight, shares[:, b], turn, b)
+            shift = (origin - corner)[:, b] - 0.5 * size  # of the image's middle from where the window's would be
+            if trail is None:
+                pixels[:, b] = self._pixels(images, shift, stamp_px)
+                continue
+            images *= self._disk
+            for t in range(trail.weight.shape[2]):
+                part = self._pixels(images, shift + trail.offset_px[stars, b, t], stamp_px)
+                pixels[:, b] += trail.weight[stars, b, t].astype(np.float32)[:, None, None] * part
+        if trail is None:
+            steps = np.arange(size) - 0.5 * (size - 1)
+            pixels *= np.hypot(steps, steps[:, None]) <= self.radius_px
+        else:
+            moments = moments.along(trail, stars)
+        np.maximum(pixels, 0.0, out=pixels)
+        return WaveStamps(stars, pixels, corner, moments.mean_px, light, len(self.points) ** 2, "grid", moments)
+
+    def cells(
+        self, direction: FloatArray, share: FloatArray, chief_px: FloatArray, half_size_px: int, cells_per_px: int
+    ) -> FloatArray:
+        """Light per cell (s, b, m, m) of a square about the centroid, in shares of what gets through the lens.
+
+        Parameters as `stamps`; light that lies beyond the radius of the grid is left out.
+        """
+        weight, shares, turn = self._weights(direction, share)
+        light, moments, origin = self._rays(weight, shares, turn, chief_px)
+        count = (2 * half_size_px + 1) * cells_per_px
+        centres = (np.arange(count) + 0.5) / cells_per_px - 0.5 * count / cells_per_px
+        kernel = self.field.pixel(1.0 / cells_per_px, self.camera.charge_diffusion_px)
+        samples = window_samples(self.field, self._window, self._table.pad_px) - 0.5 * self._window
+        result = np.empty((*light.shape, count, count))
+        for b in range(light.shape[1]):
+            images = self._images(weight, shares[:, b], turn, b)
+            for s, image in enumerate(images):
+                shift = moments.mean_px[s, b] - origin[s, b]
+                column, row = (kernel((centres + d)[:, None] - samples) * self.field.light_step for d in shift)
+                result[s, b] = (row @ image @ column.T) / light[s, b]
+        return result
+
+    def _weights(
+        self, direction: FloatArray, share: FloatArray
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.complex128]]:
+        """Weights of the points for stars (s, f), of the wavelengths that have images (s, b, q), and turns (s,)."""
+        tangent = direction[:, :2] / direction[:, 2:]
+        turn = np.ones(len(tangent), np.complex128)
+        if self.order is None:
+            place = (tangent - self.middle) / self.half
+            column, row = (lagrange(self.points, place[:, i]) for i in (0, 1))
+            weight = (row[:, :, None] * column[:, None, :]).reshape(len(place), -1)
+        else:
+            radius = np.hypot(*tangent.T)
+            part, inner = radius / self.reach, self.points < self.kink
+            weight = np.zeros((len(part), len(self.points)))
+            for stars, points in ((part < self.kink, inner), (part >= self.kink, ~inner)):
+                weight[np.ix_(stars, points)] = lagrange(self.points[points], part[stars])
+            off = radius > 0.0
+            turn[off] = (tangent[off] @ np.array([1.0, 1j])) / radius[off]
+        return weight, np.einsum("sbk,bkq->sbq", share, self.spectral), turn
+
+    def _rays(
+        self, weight: FloatArray, shares: FloatArray, turn: NDArray[np.complex128], chief_px: FloatArray
+    ) -> tuple[FloatArray, RayMoments, FloatArray]:
+        """Share of the light that gets through (s, b), moments of the rays, and where images are centred (s, b, 2)."""
+        sums = np.einsum("sf,fbqm,sbq->sbm", weight, self.moment, shares, optimize=True)
+        light, entrance = sums[..., 0], sums[..., 1]
+        mean, square = sums[..., 2:4] / light[..., None], sums[..., 4:6] / light[..., None]
+        origin, variance = np.einsum("sf,fbx->sbx", weight, self.origin_px), square - mean**2
+        if self.order is not None:
+            cos, sin = turn.real[:, None], turn.imag[:, None]
+            mean, origin = (np.stack([v[..., 0] * cos, v[..., 0] * sin], axis=-1) for v in (mean, origin))
+            along, across = variance[..., 0], variance[..., 1]
+            turned = along * cos**2 + across * sin**2, along * sin**2 + across * cos**2
+            variance = np.stack(turned, axis=-1)
+        moments = RayMoments(chief_px + mean, variance, np.maximum(entrance, light))
+        return light, moments, chief_px + origin
+
+    def _images(
+        self, weight: FloatArray, shares: FloatArray, turn: NDArray[np.complex128], band: int
+    ) -> NDArray[np.float32]:
+        """Light per px^2 (s, m, m) of stars in a band, of the light that is sent into the launch disk."""
+        coefficient = self.coefficient[band]
+        points, colours, count = coefficient.shape
+        each = (weight.astype(np.float32) @ coefficient.reshape(points, -1)).reshape(-1, colours, count)
+        mixed = np.einsum("sk,skc->sc", shares.astype(np.float32), each)
+        if self.order is not None:
+            turned = turn[:, None] ** self.order[band]
+            mixed = np.concatenate([mixed * turned.real, mixed * turned.imag], axis=1).astype(np.float32)
+        component = self.component[band]
+        return (mixed @ component.reshape(len(component), -1)).reshape(-1, *component.shape[1:])
+
+    def _pixels(self, images: NDArray[np.float32], shift_px: FloatArray, stamp_px: int) -> NDArray[np.float32]:
+        """Pixels (s, n, n) of images whose middle lies beside the window's by a shift (s, 2)."""
+        samples = images.shape[-1]
+        first = 0.5 - 0.5 * self._window + 0.5 * (samples - 1) * self.field.light_step  # pixel 0 from sample 0
+        column, row = (self._table.rows(first - shift_px[:, axis], stamp_px, samples) for axis in (0, 1))
+        return np.asarray((row @ images) @ np.swapaxes(column, 1, 2))
+
+    @property
+    def reach(self) -> float:
+        """Tangent of the angle of the farthest corner from the axis."""
+        return float(np.hypot(*(np.abs(self.middle) + self.half)))
+
+    @property
+    def _window(self) -> float:
+        return 2.0 * self.radius_px + 1.0
+
+    @property
+    def _disk(self) -> NDArray[np.bool_]:
+        """Samples within the radius."""
+        samples = window_samples(self.field, self._window, self._table.pad_px) - 0.5 * self._window
+        return np.asarray(np.hypot(samples, samples[:, None]) <= self.radius_px + 0.5)
+
+    @property
+    def _table(self) -> PixelTable:
+        return self.field.table(self.camera.charge_diffusion_px)
+
+
+TOLERANCE = 1e-4
+"""Largest error of a pixel [share of the light], and of the centroid in a window of 13 x 13 px [px]."""
+SIZES = (5, 7, 9, 11, 13, 15)
+"""Points along either side that are tried."""
+RADIAL_SIZES = (10, 14, 18, 22, 26, 32, 40)
+"""The same along a diameter of the field of a lens of revolution, and on what apertures leave of a radius beyond."""
+FIRST_KINKED, CUT_STEPS = 2, 32
+"""Which of them is the first where apertures cut beams; steps of the search for where they begin, twice."""
+GAIN = 4.0
+"""By how much the next size lowers the error, at least; sizes that would not do are passed over."""
+LEAST_STARS = 12
+"""Stars on the detector, of wavelengths as many as a grid needs, from which it costs less over a few frames."""
+CENTROID_PX = 6
+"""Half the side of the window whose centroid is compared."""
+PROBES = 6
+"""Places where a grid is judged, the last in a corner."""
+COMPONENT = 5e-6
+"""Error that principal components may leave in images of the coarsest grid, as a share of the light; finer grids weigh
+their images with larger numbers of both signs."""
+PIXEL_BLUR_PX = 0.14
+"""Standard deviation of a Gaussian that leaves at least as much of fine structure as a pixel does."""
+MOST_IMAGES = 1900
+"""Images of a band that a grid is made of, whose matrix of products is still cheap."""
+WING_PX = 30.0
+"""How far beside the detector a star may be for its image to be rendered; so far the grid reaches."""
+CENTRED = 0.05
+"""How far beside the axis the middle of the field may lie, in terms of its size, to be taken to be there."""
+SYMMETRIC_PX = 1e-6
+"""Difference of rays from mirrored ones below which a quarter of the field tells the rest."""
+
+
+def worth_a_grid(wavelength_nm: FloatArray, stars: int) -> bool:
+    """Whether so many stars on the detector, of wavelengths (b, k), cost less by a grid."""
+    return stars * wavelength_nm.shape[1] >= LEAST_STARS * max(
+        len(picked_wavelengths(band)[0]) for band in wavelength_nm
+    )
+
+
+def build_grid(
+    planner: PupilPlanner,
+    wavelength_nm: FloatArray,
+    collimation: Collimation | None = None,
+    least_radius_px: float = 0.0,
+) -> WaveGrid | None:
+    """The coarsest grid that is good enough; None where there is none."""
+    # wavelength_nm (b, k)
+    field = _FieldImages(planner, wavelength_nm, collimation, least_radius_px)
+    sizes: tuple[int, ...] = SIZES
+    made, at = field.grid, 0
+    if field.kink < 1.0:
+        sizes, made, at = RADIAL_SIZES, field.radial, FIRST_KINKED
+    while True:
+        grid = made(sizes[at])
+        if grid is None:
+            return None
+        error = max(grid.error, grid.error_px) / TOLERANCE
+        if error < 1.0 or at == len(sizes) - 1:
+            return grid if error < 1.0 else None
+        if field.turned and sizes is SIZES:
+            sizes, made, at = RADIAL_SIZES, field.radial, -1
+        at = min(len(sizes) - 1, at + math.ceil(math.log(max(error, 1.01)) / math.log(GAIN)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Summed:
+    """Images at f places, of q wavelengths in b bands."""
+
+    light: NDArray[np.float32]  # (b, f, q, i, i) On samples
+    # moment, origin: (f, b, q, 6) As `WaveGrid.moment` and `WaveGrid.origin_px`
+    moment: FloatArray
+    origin: FloatArray
+    radius_px: int  # Of the stamps
+    field: FieldSampling
+    samples_px: FloatArray  # (i,) Samples about the middle
+    spectral: FloatArray  # (b, k, q) As `WaveGrid.spectral`
+    judges: list[IntArray]  # (j,) Wavelengths of each band by which a grid is judged
+
+    def seen(self, diffusion_px: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """What makes pixels about the samples of them (i, i), and which of them lie on the stamp."""
+        kernel, samples = self.field.pixel(1.0, diffusion_px), self.samples_px
+        smoothing = (kernel(samples[:, None] - samples) * self.field.light_step).astype(np.float32)
+        return smoothing, np.hypot(samples, samples[:, None]) <= self.radius_px
+
+
+class _FieldImages:
+    """Exact images at places of the field of a planner's camera."""
+
+    def __init__(
+        self, planner: PupilPlanner, wavelength_nm: FloatArray, collimation: Collimation | None, least_radius_px: float
+    ) -> None:
+        self.planner, self.camera, self.collimation = planner, planner.camera, collimation
+        self.wavelength_nm, self.least_radius_px = wavelength_nm, least_radius_px
+        self.focal_px = IdealLens.of(self.camera).focal_px
+        self.middle, self.half = self._extent()
+        self.reach = float(np.hypot(*(np.abs(self.middle) + self.half)))
+        self.mirrored, self.turned = self._symmetry()
+        self.kink = self._first_cut() if self.turned else 1.0
+
+    def _direction(self, place: FloatArray) -> FloatArray:
+        direction = np.column_stack([place, np.ones(len(place))])
+        return np.asarray(direction / np.linalg.norm(direction, axis=1, keepdims=True))
+
+    def _extent(self) -> tuple[FloatArray, FloatArray]:
+        """Middle and half size of the field, as tangents, whose chief rays light the detector and what is near it."""
+        camera = self.camera
+        right, below = camera.width_px - 1.0, camera.height_px - 1.0
+        x, y = np.array([(0, 0), (1, 0), (0, 1), (1, 1), (0.5, 0), (0.5, 1), (0, 0.5), (1, 0.5)]).T
+        edge = np.stack([x * right + (2.0 * x - 1.0) * WING_PX, y * below + (2.0 * y - 1.0) * WING_PX], axis=-1)
+        place = (edge - camera.centre_px) / self.focal_px
+        for _ in range(3):
+            seen = self.planner.seen(at_rest(self._direction(place)), self.wavelength_nm)
+            chiefs = self.planner.chiefs(seen.mid, self.wavelength_nm)
+            landed = np.stack([chiefs.x_px.mean(1), chiefs.y_px.mean(1)], axis=-1)
+            place = place + np.nan_to_num((edge - landed) / self.focal_px)
+        low, high = place.min(0), place.max(0)
+        middle = np.where(np.abs(low + high) < CENTRED * (high - low), 0.0, 0.5 * (low + high))
+        return middle, np.maximum(high - middle, middle - low) * (1.0 + 1e-3)
+
+    def _symmetry(self) -> tuple[bool, bool]:
+        """Whether rays of mirrored fields are mirrored ones, and whether those of turned fields are turned ones."""
+        if self.collimation is not None:
+            return False, False
+        angle = np.pi / 8.0 * np.array([1, 7, -1, -7, 0, 4])  # by which the points of the disk are turned onto others
+        place = 0.8 * self.half.max() * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        ends = self.wavelength_nm[:, [0, -1]]
+        disk = gauss_disk(4, 16)
+        points = np.broadcast_to(np.column_stack([disk.x, disk.y]), (2, len(disk.x), 2))
+        kernel = self.planner.kernel(self._direction(place))
+        x, y, arrived = kernel.land(TablePoints(points, disk.weight), ends)
+        weight = np.where(arrived, disk.weight, 0.0)
+        x, y = (np.where(arrived, v - c, 0.0) for v, c in zip((x, y), self.camera.centre_px, strict=True))
+        cos, sin = (f(angle)[:, None, None, None] for f in (np.cos, np.sin))
+        mirrored = not np.abs(self.middle).max() > 0.0 and _alike(weight[:4], x[:4], y[:4])
+        return mirrored, _alike(weight, cos * x + sin * y, cos * y - sin * x)
+
+    def _first_cut(self) -> float:
+        """Part of the radius of the farthest corner beyond which apertures cut the beams of stars; 1 if none do."""
+        low, high = 0.0, 1.0
+        for _ in range(2):
+            steps = np.linspace(low, high, CUT_STEPS + 1)
+            paths = at_rest(self._direction(self.reach * np.stack([steps, np.zeros_like(steps)], axis=-1)))
+            seen = self.planner.seen(paths, self.wavelength_nm)
+            chiefs = self.planner.chiefs(seen.mid, self.wavelength_nm)
+            cut = np.ones(len(steps), np.bool_)
+            for group in self.planner.wave_groups(seen, self.wavelength_nm, chiefs, np.arange(len(steps))):
+                if group.mode == "quadrature":
+                    cut[group.members] = False
+            first = int(np.argmax(cut))
+            if not cut.any() or first == 0:
+                return 1.0
+            low, high = float(steps[first - 1]), float(steps[first])
+        return low if low > 0.0 else 1.0
+
+    def exact(self, place: FloatArray, share: FloatArray) -> tuple[WaveImages, list[WaveGroup], FloatArray, FloatArray]:
+        """Images of stars whose directions have these tangents (n, 2), their groups, chief rays and entrances."""
+        paths = replace(at_rest(self._direction(place)), collimation=self.collimation)
+        seen = self.planner.seen(paths, self.wavelength_nm)
+        chiefs = self.planner.chiefs(seen.mid, self.wavelength_nm)
+        images = WaveImages(self.camera, seen.mid, self.wavelength_nm, share)
+        groups = self.planner.wave_groups(seen, self.wavelength_nm, chiefs, np.arange(len(place)))
+        entrance = self.planner.shapes(seen, chiefs, np.empty(0, np.int64)).entrance(share.shape)
+        chief = np.where(chiefs.blocked[..., None], np.nan, np.stack([chiefs.x_px, chiefs.y_px], axis=-1))
+        return images, groups, chief, np.where(np.isnan(entrance), 1.0, entrance)
+
+    def grid(self, size: int) -> WaveGrid | None:
+        """A grid with its errors; None for a lens or field without one. Mirrored: from a quarter of the field."""
+        points = chebyshev(size)
+        first = size // 2 if self.mirrored else 0
+        place = self.middle + self.half * np.stack(np.meshgrid(points[first:], points[first:]), axis=-1).reshape(-1, 2)
+        found = self._summed(place, size / SIZES[0], size**2)
+        if found is None:
+            return None
+        light, moment, origin = found.light, found.moment, found.origin
+        if self.mirrored:
+            light, moment, origin = _unfolded(light, moment, origin, size)
+        smoothing, disk = found.seen(self.camera.charge_diffusion_px)
+        limit = COMPONENT * (SIZES[0] / size) ** 2
+        step, side = found.field.light_step, light.shape[-1]
+        parts = [_components(one.reshape(-1, side, side), smoothing, disk, step, limit) for one in light]
+        return self._judged(self._made(found, points, moment, origin, parts), found.judges)
+
+    def radial(self, size: int) -> WaveGrid | None:
+        """The same for a lens of revolution, from half as many points along a radius."""
+        half = size // 2
+        inner = self.kink * chebyshev(size)
+        outer = self.kink + (1.0 - self.kink) * 0.5 * (1.0 + chebyshev(size))
+        points = np.concatenate([inner, outer]) if self.kink < 1.0 else inner
+        place = np.stack([self.reach * points[half:], np.zeros(len(points) - half)], axis=-1)
+        found = self._summed(place, 1.0, len(place))
+        if found is None:
+            return None
+        bands, _, most, side, _ = found.light.shape
+        blur_px = math.hypot(PIXEL_BLUR_PX, self.camera.charge_diffusion_px)
+        parts: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
+        orders: list[IntArray] = []
+        for light in found.light:
+            shapes = turning_shapes(
+                light.reshape(-1, side, side), found.samples_px, found.field, blur_px, 2.0 * COMPONENT
+            )
+            near_by = shapes.value.reshape(len(place), most, -1)
+            every = np.concatenate([near_by[:half][::-1] * (-1.0) ** shapes.order, near_by]).astype(np.float32)
+            parts.append((every.reshape(len(points) * most, -1), shapes.shape))
+            orders.append(shapes.order)
+        kept = max(len(order) for order in orders)
+        order = np.zeros((bands, kept), np.int64)
+        for b, (value, shape) in enumerate(parts):
+            count = len(orders[b])
+            order[b, :count] = orders[b]
+            both = np.zeros((2, kept, side, side), np.float32)
+            both[:, :count] = shape
+            parts[b] = value, both.reshape(2 * kept, side, side)
+        moment, origin = (np.concatenate([v[:half][::-1], v]) for v in (found.moment, found.origin))
+        moment[:half, ..., 2] *= -1.0
+        origin[:half, ..., 0] *= -1.0
+        return self._judged(self._made(found, points, moment, origin, parts, order), found.judges)
+
+    def _summed(self, place: FloatArray, finer: float, points: int) -> _Summed | None:
+        """Images at places of the field; None for a lens or field without a grid of so many points."""
+        bands, colours = self.wavelength_nm.shape
+        picked = [picked_wavelengths(band, finer) for band in self.wavelength_nm]
+        most = max(len(which) for which, _, _ in picked)
+        if most * points > MOST_IMAGES:
+            return None
+        images, groups, chief, entrance = self.exact(place, np.full((len(place), bands, colours), 1.0 / colours))
+        probes = [probe for group in groups for probe in images.probes(group)]
+        if any(probe.group.points is None for probe in probes) or not np.isfinite(chief).all():
+            return None  # some beams have no smooth outline, or no light
+        needs = images.common_needs(probes)
+        radius, fine = max(needs[0], math.ceil(self.least_radius_px)), needs[1]
+        field = fine.seen(self.camera.charge_diffusion_px)
+        if radius > LARGEST_RADIUS_PX:
+            return None
+        pad, window = field.table(self.camera.charge_diffusion_px).pad_px, 2.0 * radius + 1.0
+        samples = window_samples(field, window, pad) - 0.5 * window
+        near = np.hypot(samples, samples[:, None]) <= radius + pad + 0.5
+        down, margin = coarser(fine, field, window, pad), pad + COARSE_REACH_PX
+        light = np.zeros((bands, len(place), most, len(samples), len(samples)), np.float32)
+        moment, origin = np.zeros((len(place), bands, most, 6)), np.zeros((len(place), bands, 2))
+        for own in (one for probe in probes for one in images.summands(probe, radius)):
+            if not (own.waves.weight.sum(-1) > 0.0).all():
+                return None
+            every = _ray_moments(own.waves, chief[own.stars], entrance[own.stars])
+            for (s, star), (b, (which, _, _)) in product(enumerate(own.stars), enumerate(picked)):
+                moment[star, b, : len(which)] = every[s, b, which]
+                mean = own.waves.mean[s, b, which[len(which) // 2]]
+                origin[star, b] = mean - chief[star, b]
+                for q, k in enumerate(which):
+                    one = np.zeros(colours)
+                    one[k] = 1.0
+                    image = replace(own, fields=(fine,) * bands).light((s, b), one, mean - 0.5 * window, window, margin)
+                    light[b, star, q] = (down @ image @ down.T) * near
+        spectral = np.zeros((bands, colours, most))
+        for b, (which, _, weight) in enumerate(picked):
+            spectral[b, :, : len(which)] = weight
+        return _Summed(light, moment, origin, radius, field, samples, spectral, [judges for _, judges, _ in picked])
+
+    def _made(
+        self,
+        found: _Summed,
+        points: FloatArray,
+        moment: FloatArray,
+        origin: FloatArray,
+        parts: list[tuple[NDArray[np.float32], NDArray[np.float32]]],
+        order: IntArray | None = None,
+    ) -> WaveGrid:
+        """The grid of moments and origins at all points, of coefficients and components of every band."""
+        (_, bands, most, _), side = moment.shape, found.light.shape[-1]
+        coefficient = np.zeros((bands, len(moment), most, max(value.shape[1] for value, _ in parts)), np.float32)
+        component = np.zeros((bands, max(len(shapes) for _, shapes in parts), side, side), np.float32)
+        for b, (values, shapes) in enumerate(parts):
+            coefficient[b, ..., : values.shape[1]] = values.reshape(len(moment), most, -1)
+            component[b, : len(shapes)] = shapes
+        return WaveGrid(
+            camera=self.camera,
+            points=points,
+            middle=self.middle,
+            half=self.half,
+            radius_px=found.radius_px,
+            field=found.field,
+            spectral=found.spectral,
+            origin_px=origin,
+            moment=moment,
+            coefficient=coefficient,
+            component=component,
+            order=order,
+            kink=self.kink,
+        )
+
+    def _judged(self, grid: WaveGrid, judges: list[IntArray]) -> WaveGrid | None:
+        """The grid with its errors at places between its points, of single wavelengths."""
+        golden = 0.6180339887498949
+        steps = np.arange(1, PROBES)
+        place = np.stack([2.0 * ((0.5 + golden * steps) % 1.0) - 1.0, 2.0 * (steps - 0.45) / (PROBES - 1) - 1.0], -1)
+        place = np.concatenate([place, [[0.97, 0.96]]])
+        kinds = max(len(one) for one in judges)
+        share = np.zeros((kinds, *self.wavelength_nm.shape))
+        for b, one in enumerate(judges):
+            share[np.arange(kinds), b, np.resize(one, kinds)] = 1.0
+        places, share = np.repeat(self.middle + self.half * place, kinds, axis=0), np.tile(share, (PROBES, 1, 1))
+        images, groups, chief, _ = self.exact(places, share)
+        direction = self._direction(places)
+        worst = worst_px = 0.0
+        for exact in (stamps for group in groups for stamps in images.stamps(group, float(grid.radius_px))):
+            at = exact.stars
+            if not np.isfinite(exact.mean_px).all():
+                return None
+            ours = grid.stamps(at, direction[at], share[at], chief[at])
+            error = (ours.pixels - exact.pixels) / exact.light[..., None, None]
+            worst = max(worst, float(np.abs(error).max(initial=0.0)), float(np.abs(ours.light - exact.light).max()))
+            offset = np.arange(error.shape[-1]) - 0.5 * (error.shape[-1] - 1)
+            error *= np.maximum(np.abs(offset), np.abs(offset[:, None])) <= CENTROID_PX
+            first = np.stack([(error * offset).sum((2, 3)), (error * offset[:, None]).sum((2, 3))])
+            mean = float(np.abs(ours.mean_px - exact.mean_px).max(initial=0.0))
+            worst_px = max(worst_px, float(np.abs(first).max(initial=0.0)), mean)
+        return replace(grid, error=worst, error_px=worst_px)
+
+
+def _alike(weight: FloatArray, x_px: FloatArray, y_px: FloatArray) -> bool:
+    """Whether moments of the rays (n, b, k, p) of n stars differ by no more than their signs."""
+    reach = [2.0 * float(np.abs(v).max()) + 1.0 for v in (x_px, y_px)]
+    scales = ((0, 0), 1.0), ((1, 0), 1.0), ((0, 1), 1.0), ((2, 0), reach[0]), ((0, 2), reach[1])
+    for (i, j), scale in scales:
+        sums = np.abs((weight * x_px**i * y_px**j).sum(-1))
+        if np.abs(sums - sums[:1]).max() > SYMMETRIC_PX * scale:
+            return False
+    return True
+
+
+def _ray_moments(waves: PlaneWaves, chief_px: FloatArray, entrance: FloatArray) -> FloatArray:
+    """`MOMENTS` (s, b, k, 6) of some waves."""
+    x, y = (v - chief_px[:, :, None, None, i] for i, v in enumerate((waves.x, waves.y)))
+    sums = [(waves.weight * v).sum(-1) for v in (x, y, x**2, y**2)]
+    return np.stack([waves.weight.sum(-1), entrance, *sums], axis=-1)
+
+
+def _unfolded(
+    light: NDArray[np.float32], moment: FloatArray, origin: FloatArray, size: int
+) -> tuple[NDArray[np.float32], FloatArray, FloatArray]:
+    """Images, moments and origins at all points from those at points of the upper quarter."""
+    middle, count = size // 2, size - size // 2
+    row, column = (v.ravel() for v in np.indices((size, size)))
+    source = np.abs(row - middle) * count + np.abs(column - middle)
+    light, moment, origin = light[:, source], moment[source], origin[source]
+    for axis, lower in ((0, column < middle), (1, row < middle)):
+        moment[lower, ..., 2 + axis] *= -1.0
+        origin[lower, ..., axis] *= -1.0
+        light[:, lower] = np.flip(light[:, lower], axis=4 - axis)
+    return light, moment, origin
+
+
+def _components(
+    images: NDArray[np.float32], smoothing: NDArray[np.float32], disk: NDArray[np.bool_], step_px: float, limit: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Coefficients (n, c) and components (c, m, m) of images (n, m, m).
+
+    Principal components of what pixels see of them: of light on pixels at every third of a pixel, within the disk. They
+    are so many that what is left out, the root of its squares summed over the pixels of a stamp, is below a limit in
+    every image.
+    """
+    stride = max(1, round(1.0 / (3.0 * step_px)))
+    few = smoothing[::stride]
+    seen = ((few @ images @ few.T) * disk[::stride, ::stride]).reshape(len(images), -1).astype(np.float64)
+    square, vectors = np.linalg.eigh(seen @ seen.T)
+    left = np.cumsum(np.maximum(square, 0.0) * vectors**2, axis=1).max(0) * (stride * step_px) ** 2
+    keep = vectors[:, left > limit**2].astype(np.float32)
+    return keep, np.tensordot(keep, images, axes=(0, 0))

@@ -1,0 +1,149 @@
+"""Images of a lens of revolution as components that turn: radial shapes times cosines and sines of the azimuth.
+
+A star at another azimuth of the field has the same image, turned. With the image of a star on the column axis as
+sum_m g_m(rho) cos(m theta), that of one at azimuth phi is
+
+    sum_m g_m(rho) [cos(m phi) cos(m theta) + sin(m phi) sin(m theta)]
+
+so that images along one radius tell those of the whole field.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from optics.arrays import FloatArray, IntArray
+from render.tracing.waves.windows import BandLimited, FieldSampling
+
+__all__ = ["TurningShapes", "turning_shapes"]
+
+
+FINER = 2
+"""How much finer than the samples those are between which points of rings are interpolated."""
+ROOM = 1.6
+"""How much more rings and azimuths there are than the highest frequency that samples of images are left with needs."""
+BATCH = 32
+"""Images that are taken to rings at a time."""
+NOTHING = 0.3
+"""Part of what may be left out that azimuthal orders without components may hold together."""
+TAPS = 6
+"""Samples on either side that such a point takes."""
+
+
+@dataclass(frozen=True, slots=True)
+class TurningShapes:
+    """Components of n images."""
+
+    order: IntArray  # (c,) Azimuthal order m of each
+    value: NDArray[np.float32]  # (n, c) What of them makes the images
+    shape: NDArray[np.float32]  # (2, c, i, i) Components on samples, for cos(m phi) and for sin(m phi)
+
+
+def turning_shapes(
+    images: NDArray[np.float32], samples_px: FloatArray, field: FieldSampling, blur_px: float, limit: float
+) -> TurningShapes:
+    """Components of images that are symmetric about the column axis."""
+    # images (n, i, i), samples_px (i,)
+    reach = float(samples_px[-1]) - TAPS * field.light_step
+    count = math.ceil(ROOM * math.pi * reach * (1.0 / field.light_step - field.highest))
+    node = np.cos(np.pi * (np.arange(count) + 0.5) / (2 * count))  # Chebyshev's of twice as many, those above 0
+    ring, angle = reach * node, np.pi * (np.arange(count) + 0.5) / count
+    to_rings = _to_rings(samples_px, field, ring, angle)
+    series = _series(to_rings, images, count)
+    distance = (samples_px[:, None] - samples_px) / blur_px
+    blur = np.exp(-0.5 * distance**2) * (field.light_step / (blur_px * math.sqrt(2.0 * math.pi)))
+    blurred = _series(to_rings, (blur.astype(np.float32) @ images) @ blur.astype(np.float32), count)
+    # integral of g^2 over a ring of an order, by Chebyshev's rule
+    area = 0.5 * np.pi * ring * (np.pi / (2 * count)) * reach * np.sqrt(1.0 - node**2) * 2.0
+    blurred = blurred * np.sqrt(area)[:, None]
+    blurred[..., 0] *= math.sqrt(2.0)
+    bright = (blurred**2).sum(1).max(0)
+    weak = np.argsort(bright)
+    weak = weak[np.cumsum(bright[weak]) < (NOTHING * limit) ** 2]
+    orders = np.setdiff1d(np.arange(count), weak)
+    part = np.stack([_principal(blurred[..., m]) for m in orders], axis=-1)  # (n, j, m)
+    energy = part**2
+    order = np.argsort(energy.max(0), axis=None)
+    lost = np.cumsum(energy.reshape(len(images), -1)[:, order], axis=1).max(0) + bright[weak].sum()
+    j, m = np.unravel_index(order[lost > limit**2], part.shape[1:])
+    by_order = np.argsort(m, kind="stable")
+    j, m = j[by_order], m[by_order]
+    value = (part[:, j, m] / np.linalg.norm(part[:, j, m], axis=0)).astype(np.float32)
+    m = orders[m]
+    radial = np.einsum("nc,nrc->rc", value, series[..., m])
+    return TurningShapes(m, value, _on_samples(samples_px, reach, node, radial, m))
+
+
+def _to_rings(
+    samples_px: FloatArray, field: FieldSampling, ring: FloatArray, angle: FloatArray
+) -> tuple[NDArray[np.float32], csr_array]:
+    """What makes finer samples of samples (f, i), and points of rings (r, a) of those."""
+    step = field.light_step / FINER
+    fine = np.arange(FINER * (len(samples_px) - 1) + 1) * step + samples_px[0]
+    rate = 1.0 / field.light_step
+    between = BandLimited(field.highest, rate - field.highest, min(3.0, 12.0 * field.light_step * FINER))
+    finer = np.asarray(between(fine[:, None] - samples_px) * field.light_step, np.float32)
+    near = BandLimited(field.highest, 1.0 / step - field.highest, (TAPS + 0.5) * step)
+    x, y = (ring[:, None] * f(angle) for f in (np.cos, np.sin))
+    index, weight = [], []
+    taps = np.arange(-TAPS, TAPS + 1, dtype=np.int32)
+    for place in (x.ravel(), y.ravel()):
+        at = np.rint((place - fine[0]) / step).astype(np.int32)[:, None] + taps
+        index.append(at)
+        one = near(at * step + fine[0] - place[:, None])
+        weight.append((one / one.sum(1, keepdims=True)).astype(np.float32))
+    flat = index[1][:, :, None] * np.int32(len(fine)) + index[0][:, None, :]
+    value = weight[1][:, :, None] * weight[0][:, None, :]
+    rows = np.arange(0, flat.size + 1, len(taps) ** 2, dtype=np.int32)
+    matrix = csr_array((value.ravel(), flat.ravel(), rows), shape=(x.size, len(fine) ** 2))
+    return finer, matrix
+
+
+def _series(to_rings: tuple[NDArray[np.float32], csr_array], images: NDArray[np.float32], count: int) -> FloatArray:
+    """Cosine series (n, r, m) of images on rings."""
+    finer, matrix = to_rings
+    angle = np.pi * (np.arange(count) + 0.5) / count
+    cosine = np.cos(np.outer(angle, np.arange(count))) * (2.0 / count)
+    cosine[:, 0] *= 0.5
+    result = np.empty((len(images), count, count))
+    for part in (slice(i, i + BATCH) for i in range(0, len(images), BATCH)):
+        fine = np.stack([(finer @ image @ finer.T).ravel() for image in images[part]], axis=1)
+        result[part] = (matrix @ fine).T.reshape(-1, count, count) @ cosine
+    return result
+
+
+def _principal(values: FloatArray) -> FloatArray:
+    """Left singular vectors times singular values (n, j) of values (n, r): what of each is in principal components."""
+    if len(values) > values.shape[1]:
+        return np.asarray(values @ np.linalg.eigh(values.T @ values)[1])
+    square, left = np.linalg.eigh(values @ values.T)
+    return np.asarray(left * np.sqrt(np.maximum(square, 0.0)))
+
+
+def _on_samples(
+    samples_px: FloatArray, reach_px: float, node: FloatArray, radial: FloatArray, order: IntArray
+) -> NDArray[np.float32]:
+    """Shapes (2, c, i, i) of radial ones (r, c), which are even or odd in the radius like their order."""
+    x, y = np.meshgrid(samples_px, samples_px)
+    distance, azimuth = np.hypot(x, y).ravel(), np.arctan2(y, x).ravel()
+    inside = np.flatnonzero(distance < reach_px)
+    far, back = np.unique(np.round(distance[inside] / reach_px, 12), return_inverse=True)
+    every = np.concatenate([node, -node[::-1]])
+    weight = np.sin(np.arccos(every)) * (-1.0) ** np.arange(len(every))
+    with np.errstate(divide="ignore"):
+        part = weight / (far[:, None] - every)
+    part[~np.isfinite(part).all(1)] = 0.0
+    part /= part.sum(1, keepdims=True)
+    to_even, to_odd = (part[:, : len(node)] + sign * part[:, : len(node) - 1 : -1] for sign in (1.0, -1.0))
+    shape = np.zeros((2, len(order), distance.size), np.float32)
+    for m in np.unique(order):
+        those = np.flatnonzero(order == m)
+        values = ((to_odd if m % 2 else to_even) @ radial[:, those])[back].T
+        shape[0][np.ix_(those, inside)] = values * np.cos(m * azimuth[inside])
+        shape[1][np.ix_(those, inside)] = values * np.sin(m * azimuth[inside])
+    return shape.reshape(2, len(order), *x.shape)

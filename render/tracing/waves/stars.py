@@ -1,0 +1,220 @@
+"""Diffraction images of a star field: which stars a grid over the field serves, and the others one by one."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optics.arrays import BoolArray, FloatArray, IntArray
+from optics.errors import DomainError
+from optics.light.collimation import Collimation
+from render.tracing.motion.exposure import IdealLens
+from render.tracing.motion.paths import at_rest
+from render.tracing.pupil.aim import Chiefs
+from render.tracing.pupil.planning import PupilPlanner, Seen
+from render.tracing.pupil.points import OutlinePoints
+from render.tracing.pupil.sampling import whole_disk
+from render.tracing.rays.images import Bounds, Light
+from render.tracing.rays.kernel import Shade
+from render.tracing.truth import TruthSums, add_stamps
+from render.tracing.waves.grid import WING_PX, WaveGrid, build_grid, worth_a_grid
+from render.tracing.waves.images import KeptLight, Trail, WaveImages, WaveStamps
+from render.tracing.waves.spectrum import condensed_light
+
+__all__ = ["WaveStars", "check_lit"]
+
+
+GRIDS, GRID_BATCH = 4, 256
+"""Grids of images (of other cameras or wavelengths) that are kept; stars that are interpolated at a time."""
+SPREAD = 0.25
+"""Part of the detector that stars must spread over for a grid over all of it."""
+
+_grids: dict[tuple[bytes, bytes, bytes, float], WaveGrid | None] = {}
+
+
+def check_lit(place: FloatArray) -> None:
+    """Refuse stars none of whose light arrives, which have no place (n, b, 2)."""
+    if np.isnan(place).any():
+        raise DomainError(f"star {np.argwhere(np.isnan(place))[0][0]}: none of its light reaches the detector")
+
+
+def _state(wavelength_nm: FloatArray, collimation: Collimation | None) -> tuple[bytes, bytes]:
+    """What images at some places depend on, besides the camera and the shares of wavelengths."""
+    return wavelength_nm.tobytes(), b"" if collimation is None else collimation.at(wavelength_nm).tobytes()
+
+
+class WaveStars:
+    """Adds diffraction images of stars to images of one camera.
+
+    Grids of images are kept between star fields, and shared by all tracers of equal cameras: those that render, and
+    those that make PSFs. The light of the stars of the last field is kept for their PSFs.
+    """
+
+    def __init__(self, planner: PupilPlanner) -> None:
+        self.planner, self.camera = planner, planner.camera
+        self._known: tuple[tuple[bytes, bytes], KeptLight] = (b"", b""), {}
+
+    def add_by_grid(
+        self,
+        light: Light,
+        seen: Seen,
+        chiefs: Chiefs,
+        image: NDArray[np.float32],
+        sums: TruthSums,
+        sampling: dict[str, tuple[int, int]],
+    ) -> IntArray:
+        """Add stars by a grid of images, if they are many enough for it; which."""
+        camera, nobody = self.camera, np.empty(0, np.int64)
+        if camera.diffraction != "waves":
+            return nobody
+        chief = np.stack([sums.chief_x, sums.chief_y], axis=-1)
+        edge = np.array([camera.width_px, camera.height_px]) - 0.5 + WING_PX
+        stars = np.flatnonzero(((chief > -0.5 - WING_PX) & (chief < edge)).all((1, 2)))
+        if not self._spread(chief[stars]) or not worth_a_grid(light.wavelength_nm, len(stars)):
+            return nobody
+        grid = self._grid(light.wavelength_nm, seen.paths.collimation, 0.0)
+        if grid is None:
+            return nobody
+        direction = seen.paths.mid
+        stars = stars[grid.holds(direction[stars])]
+        images = self._images(light, seen, seen, chiefs)
+        for part in (stars[i : i + GRID_BATCH] for i in range(0, len(stars), GRID_BATCH)):
+            stamps = grid.stamps(part, direction[part], images.share[part], chief[part], images.trail)
+            self._add_stamps(stamps, light, image, sums, sampling)
+        return stars
+
+    def add(
+        self,
+        light: Light,
+        seen: Seen,
+        chiefs: Chiefs,
+        bounds: Bounds,
+        image: NDArray[np.float32],
+        sums: TruthSums,
+        shades: tuple[Shade | None, BoolArray | None],
+    ) -> dict[str, tuple[int, int]]:
+        """Add diffraction images of all stars whose light may meet the detector; how their pupils were sampled."""
+        sampling = dict[str, tuple[int, int]]()
+        near = self.near(bounds)
+        if not len(near):
+            return sampling
+        few, still, images = self.summed(light, seen, chiefs, shades[0])
+        self._known = _state(few.wavelength_nm, seen.paths.collimation), images.kept if shades[0] is None else {}
+        for group in self.planner.wave_groups(still, few.wavelength_nm, chiefs, near, shades[1]):
+            for stamps in images.stamps(group):
+                self._add_stamps(stamps, light, image, sums, sampling)
+        return sampling
+
+    def near(self, bounds: Bounds) -> IntArray:
+        """Stars whose images may reach the detector."""
+        edge = np.array([self.camera.width_px, self.camera.height_px]) - 0.5 + WING_PX
+        inside = np.all((bounds.high > -0.5 - WING_PX) & (bounds.low < edge), axis=2)
+        return np.flatnonzero(np.any(inside, axis=1))
+
+    def summed(
+        self, light: Light, seen: Seen, chiefs: Chiefs, shade: Shade | None = None
+    ) -> tuple[Light, Seen, WaveImages]:
+        """Light of the wavelengths that have images, the stars at rest in these, and their images."""
+        few, still = self.condensed(light, seen), seen
+        if seen.nodes is not seen.mid or few.wavelength_nm is not light.wavelength_nm:
+            rest = replace(at_rest(seen.paths.mid), collimation=seen.paths.collimation)
+            still = self.planner.seen(rest, few.wavelength_nm)
+        return few, still, self._images(few, still, seen, chiefs, shade)
+
+    def cells(self, light: Light, seen: Seen, chiefs: Chiefs, half_size_px: int, cells_per_px: int) -> FloatArray:
+        """Light of `Tracer.centred_cells`; by a grid, corners of the square are dark where its stamps have ended."""
+        radius_px = math.ceil(half_size_px + 0.5)
+        if self.camera.diffraction == "waves" and worth_a_grid(light.wavelength_nm, len(light.electrons)):
+            chief = np.stack([chiefs.x_px, chiefs.y_px], axis=-1)
+            by = light.wavelength_nm, seen.paths.collimation
+            grid = self._grid(*by, 0.0) if self._spread(chief) else None  # that of the images serves, if it is as large
+            if grid is not None and grid.radius_px < radius_px:
+                grid = self._grid(*by, float(radius_px))
+            if grid is not None and grid.holds(seen.paths.mid).all() and not chiefs.blocked.any():
+                return grid.cells(seen.paths.mid, light.share, chief, half_size_px, cells_per_px)
+        light = self.condensed(light, seen)
+        seen = self.planner.seen(seen.paths, light.wavelength_nm)
+        images = self._images(light, seen, seen, chiefs)
+        if self._known[0] == _state(light.wavelength_nm, seen.paths.collimation):
+            images.kept = self._known[1]
+        side = (2 * half_size_px + 1) * cells_per_px
+        result = np.empty((*light.electrons.shape, side, side))
+        for group in self.planner.wave_groups(seen, light.wavelength_nm, chiefs, np.arange(len(result))):
+            for stars, cells, _ in images.cells(group, half_size_px, cells_per_px):
+                result[stars] = cells
+        check_lit(result[:, :, 0, :2])
+        return result
+
+    def _spread(self, place_px: FloatArray) -> bool:
+        """Whether stars (n, b, 2) spread over so much of the detector that images over all of it are of use."""
+        if not len(place_px):
+            return False
+        return bool(np.ptp(place_px, axis=(0, 1)).prod() > SPREAD * self.camera.width_px * self.camera.height_px)
+
+    def _grid(self, wavelength_nm: FloatArray, collimation: Collimation | None, radius_px: float) -> WaveGrid | None:
+        """The grid of images at these wavelengths, at least as large as a radius; None if there is none."""
+        key = self._camera_state, *_state(wavelength_nm, collimation), radius_px
+        if key not in _grids:
+            while len(_grids) >= GRIDS:
+                _grids.pop(next(iter(_grids)))
+            _grids[key] = build_grid(self.planner, wavelength_nm, collimation, radius_px)
+        return _grids[key]
+
+    @cached_property
+    def _camera_state(self) -> bytes:
+        """What images depend on of a camera."""
+        return pickle.dumps(replace(self.camera, rotation_cam_from_world=np.eye(3), response=None))
+
+    def condensed(self, light: Light, seen: Seen) -> Light:
+        """Light of as few wavelengths as tell the images of all, unless none may be interpolated."""
+        if self.camera.diffraction == "exact_waves":
+            return light
+        middle_nm = light.wavelength_nm.mean(1, keepdims=True)
+        x, y, arrived = seen.mid.land(whole_disk((4, 8), 1), middle_nm)
+        extent = [np.where(arrived, v, -np.inf).max(-1) - np.where(arrived, v, np.inf).min(-1) for v in (x, y)]
+        spot_px = 0.5 * max(float(v.max(initial=0.0, where=np.isfinite(v))) for v in extent)
+        focal_px, radius_mm = IdealLens.of(self.camera).focal_px, self.planner.pupil.radius_mm
+        turns = spot_px * radius_mm / (focal_px * 1e-6 * float(middle_nm.min()))
+        waves, share = condensed_light(light.wavelength_nm, light.share, 2.0 * math.pi * turns)
+        return Light(waves, share, light.electrons)
+
+    def _add_stamps(
+        self,
+        stamps: WaveStamps,
+        light: Light,
+        image: NDArray[np.float32],
+        sums: TruthSums,
+        sampling: dict[str, tuple[int, int]],
+    ) -> None:
+        electrons = light.electrons[stamps.stars]
+        columns = self.camera.sensitive_columns
+        on_image = add_stamps(image, stamps.pixels, stamps.corner_px, electrons, columns)
+        sums.store_waves(stamps, electrons, on_image)
+        stars, rays = sampling.get(stamps.mode, (0, 0))
+        sampling[stamps.mode] = (stars + len(stamps.stars), max(rays, stamps.rays * light.wavelength_nm.shape[1]))
+
+    def _images(self, light: Light, still: Seen, seen: Seen, chiefs: Chiefs, shade: Shade | None = None) -> WaveImages:
+        """Images of stars as they are in the middle of an exposure, and how they move during it."""
+        bands, colours = light.wavelength_nm.shape
+        share = light.share.reshape(*light.share.shape[:2], -1, colours)
+        trail = None
+        if seen.nodes is not seen.mid:
+            times, points = seen.nodes.times, np.nan_to_num(chiefs.points)
+            ray = OutlinePoints(
+                centre=points,
+                azimuth=np.zeros((times, 1)),
+                radius=np.zeros((len(points), bands, times, 1)),
+                share=np.ones((len(points), bands, times, 1)),
+                arm=np.zeros(1, np.uint32),
+                ring=np.zeros(1),
+                ring_weight=np.ones(1),
+            )
+            x, y, _ = seen.nodes.land(ray, light.wavelength_nm.mean(1, keepdims=True))
+            offset = np.stack([x[..., 0] - chiefs.x_px[..., None], y[..., 0] - chiefs.y_px[..., None]], axis=-1)
+            trail = Trail(np.nan_to_num(offset), share.sum(3))
+        return WaveImages(self.camera, still.mid, light.wavelength_nm, share.sum(2), trail, shade)
