@@ -142,13 +142,7 @@ class Camera:
 
 
 def launch_disk(camera: Camera) -> EntrancePupil:
-    """Where light for the detector enters the lens, for the field of the detector or of the lens, if that is larger.
-
-    Raises
-    ------
-    ConvergenceError
-        If no ray of any field reaches the image plane.
-    """
+    """Where light for the detector enters the lens, for the field of the detector or of the lens, if that is larger."""
     return entrance_pupil(camera.focused_lens, max_field_deg=math.degrees(camera.field_reach_rad))
 
 

@@ -28,13 +28,7 @@ LONGEST_EXPOSURE_S = 1e7
 
 
 def checked_exposure(exposure_s: float) -> float:
-    """An exposure time [s] that can be rendered and read out.
-
-    Raises
-    ------
-    DomainError
-        Not positive, or longer than 10^7 s.
-    """
+    """An exposure time [s] that can be rendered and read out."""
     if not 0.0 < exposure_s <= LONGEST_EXPOSURE_S:
         raise DomainError(
             f"exposure_s = {exposure_s:g} s; it must be positive and finite, at most {LONGEST_EXPOSURE_S:g} s"
@@ -240,34 +234,19 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WindowStack:
-    """Readout of n windows in m frames, the same windows in each frame.
+    """Readout of n windows in m frames, the same windows in each frame."""
 
-    Attributes
-    ----------
-    dn : (m, n, h, w) uint16
-        Digital numbers.
-    saturated : (m, n, h, w) bool
-        Full well or end of the converter.
-    defect : (n, h, w) bool
-        Pixels known to be defective.
-    corner_px : (n, 2) int64
-        (column, row) of each window's first pixel.
-    gain_dn_per_e, offset_dn, read_noise_e, exposure_s, band
-        As in `Frame`.
-    first_index : int
-        Number of the first frame.
-    """
-
-    dn: NDArray[np.uint16]
-    saturated: NDArray[np.bool_]
-    defect: NDArray[np.bool_]
-    corner_px: NDArray[np.int64]
+    dn: NDArray[np.uint16]  # (m, n, h, w) Digital numbers
+    saturated: NDArray[np.bool_]  # (m, n, h, w) Full well or end of the converter
+    defect: NDArray[np.bool_]  # (n, h, w) Pixels known to be defective
+    corner_px: NDArray[np.int64]  # (n, 2) (column, row) of each window's first pixel
+    # gain_dn_per_e, offset_dn, read_noise_e, exposure_s, band: As in `Frame`
     gain_dn_per_e: float
     offset_dn: float
     read_noise_e: float
     exposure_s: float
     band: str
-    first_index: int
+    first_index: int  # Number of the first frame
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -303,24 +282,14 @@ class EffectivePsf:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PixelMap:
-    """Where a camera puts stars, without noise: what a camera model is fitted to.
+    """Where a camera puts stars, without noise: what a camera model is fitted to."""
 
-    Attributes
-    ----------
-    direction : (n, 3)
-        Unit vectors in cam.
-    pixel_px : (n, 2)
-        Column and row.
-    width_px, height_px : int
-        Size of the detector.
-    pixel_pitch_mm, focal_length_mm : float
-        Nominal values, where a fit may start.
-    """
-
-    direction: FloatArray
-    pixel_px: FloatArray
+    direction: FloatArray  # (n, 3) Unit vectors in cam
+    pixel_px: FloatArray  # (n, 2) Column and row
+    # width_px, height_px: Size of the detector
     width_px: int
     height_px: int
+    # pixel_pitch_mm, focal_length_mm: Nominal values, where a fit may start
     pixel_pitch_mm: float
     focal_length_mm: float
 

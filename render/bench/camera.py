@@ -24,27 +24,15 @@ __all__ = ["BenchCamera"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchCamera:
-    """A pinhole camera.
+    """A pinhole camera."""
 
-    Attributes
-    ----------
-    width_px, height_px : int
-        Size of the image.
-    pitch_mm : float
-        Pixel pitch, and its image on the screen at the centre of the field.
-    distance_mm : float
-        From the middle of the screen.
-    angle_deg : float
-        Between the optical axis and the normal of the screen; the camera stands towards +X.
-    aim_mm : (2,)
-        Point (x, y) of the screen that the optical axis meets. A camera whose mount gives way aims elsewhere.
-    """
-
+    # width_px, height_px: Size of the image
     width_px: int
     height_px: int
-    pitch_mm: float
-    distance_mm: float
-    angle_deg: float
+    pitch_mm: float  # Pixel pitch, and its image on the screen at the centre of the field
+    distance_mm: float  # From the middle of the screen
+    angle_deg: float  # Between the optical axis and the normal of the screen; the camera stands towards +X
+    # (2,) Point (x, y) of the screen that the optical axis meets. A camera whose mount gives way aims elsewhere
     aim_mm: FloatArray
 
     def __post_init__(self) -> None:

@@ -41,51 +41,21 @@ COVER_GAP_MM = 5e-4  # what lies in front of the screen is seen displaced by gap
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchGeometry:
-    """Sizes and places of what stands on the bench.
+    """Sizes and places of what stands on the bench."""
 
-    Attributes
-    ----------
-    distance_mm : float
-        Aperture to cube face (CUBE09: about 650 mm).
-    aperture_mm : float
-        Diameter of the aperture (CUBE09: 2.5 mm).
-    screen_mm : float
-        Side of the square screen.
-    simulator_mm : float
-        Diameter of the simulator's beam.
-    simulator_gap_mm : float
-        Simulator to screen (CUBE09: about 20 mm).
-    source_arcmin : float
-        Angular diameter of the simulated sun, uniformly bright; 0 for perfectly collimated light.
-    cube_mm : float
-        Side of the cube mirror.
-    chamfer_mm : float
-        Width by which the polished faces end before the edges of the cube.
-    cube_offset_mm : (3,)
-        Centre of the cube in the table frame; the axes of the table cross at the origin.
-    screen_reflectance : float
-        Diffuse reflectance of the screen and transmittance of the sheet that covers the aperture.
-    metal : str
-        Metal of the faces, a name that Mitsuba's ``conductor`` knows.
-
-    Raises
-    ------
-    DomainError
-        On a length that is not positive, an aperture wider than the beam or the screen, or a chamfer that leaves no
-        face.
-    """
-
-    distance_mm: float = 650.0
-    aperture_mm: float = 2.5
-    screen_mm: float = 200.0
-    simulator_mm: float = 60.0
-    simulator_gap_mm: float = 20.0
+    distance_mm: float = 650.0  # Aperture to cube face (CUBE09: about 650 mm)
+    aperture_mm: float = 2.5  # Diameter of the aperture (CUBE09: 2.5 mm)
+    screen_mm: float = 200.0  # Side of the square screen
+    simulator_mm: float = 60.0  # Diameter of the simulator's beam
+    simulator_gap_mm: float = 20.0  # Simulator to screen (CUBE09: about 20 mm)
+    # Angular diameter of the simulated sun, uniformly bright; 0 for perfectly collimated light
     source_arcmin: float = 3.0
-    cube_mm: float = 20.0
-    chamfer_mm: float = 0.5
-    cube_offset_mm: FloatArray
+    cube_mm: float = 20.0  # Side of the cube mirror
+    chamfer_mm: float = 0.5  # Width by which the polished faces end before the edges of the cube
+    cube_offset_mm: FloatArray  # (3,) Centre of the cube in the table frame; the axes of the table cross at the origin
+    # Diffuse reflectance of the screen and transmittance of the sheet that covers the aperture
     screen_reflectance: float = 0.8
-    metal: str = "Al"
+    metal: str = "Al"  # Metal of the faces, a name that Mitsuba's ``conductor`` knows
 
     def __post_init__(self) -> None:
         freeze(self, "cube_offset_mm", shape=(3,))
@@ -134,20 +104,11 @@ class BenchGeometry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CubePose:
-    """How a cube stands in the laboratory.
+    """How a cube stands in the laboratory."""
 
-    Attributes
-    ----------
-    rotation : (3, 3)
-        Laboratory from the cube's frame.
-    centre_mm : (3,)
-        Centre of the cube in the laboratory.
-    normal : (6, 3)
-        Outward normals of the faces in the cube's frame, in the order of `FACES`: unit vectors, near the axes.
-    """
-
-    rotation: FloatArray
-    centre_mm: FloatArray
+    rotation: FloatArray  # (3, 3) Laboratory from the cube's frame
+    centre_mm: FloatArray  # (3,) Centre of the cube in the laboratory
+    # (6, 3) Outward normals of the faces in the cube's frame, in the order of `FACES`: unit vectors, near the axes
     normal: FloatArray
 
     def __post_init__(self) -> None:
@@ -203,23 +164,7 @@ def face_matrices(geometry: BenchGeometry, pose: CubePose) -> dict[str, FloatArr
 
 
 def plate_mesh(hole_mm: float, half_mm: float, *, sides: int = HOLE_SIDES, material: Any) -> Any:
-    """A square plate in the plane z = 0 with a round hole in its middle, both in mm.
-
-    Parameters
-    ----------
-    hole_mm : float
-        Diameter of the hole. The polygon has the area of the circle.
-    half_mm : float
-        Half the side of the plate.
-    sides : int
-        Sides of the polygon; 180 are within 1e-4 of the radius.
-    material : dict
-        BSDF.
-
-    Returns
-    -------
-    mitsuba.Mesh
-    """
+    """A square plate in the plane z = 0 with a round hole in its middle, both in mm."""
     mi = Engine.active().mitsuba
     angle = np.arange(sides) * 2 * np.pi / sides
     unit = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sides)])
@@ -261,21 +206,7 @@ def screen_and_mirrors(geometry: BenchGeometry, pose: CubePose) -> dict[str, Any
 
 
 def bench_scene(geometry: BenchGeometry, pose: CubePose, *, covered: bool) -> Any:
-    """The scene that the light of the simulator meets.
-
-    Parameters
-    ----------
-    geometry : BenchGeometry
-        The bench.
-    pose : CubePose
-        The cube; `place_cube` moves it.
-    covered : bool
-        Whether a translucent sheet lies over the aperture: then no light reaches the cube, and the aperture glows.
-
-    Returns
-    -------
-    mitsuba.Scene
-    """
+    """The scene that the light of the simulator meets."""
     mi = Engine.active().mitsuba
     content = {"type": "scene", **screen_and_mirrors(geometry, pose)}
     if covered:

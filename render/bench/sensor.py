@@ -34,28 +34,15 @@ PLATE_MM = 12.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MaskSensor:
-    """A mask over a detector.
+    """A mask over a detector."""
 
-    Attributes
-    ----------
-    width_px, height_px : int
-        Size of the detector.
-    pitch_mm : float
-        Its pixel pitch.
-    hole_mm : float
-        Diameter of the hole.
-    gap_mm : float
-        Distance of the mask from the detector.
-    offset_px : (2,)
-        Where the normal through the hole meets the detector, from its centre: (x0, y0).
-    """
-
+    # width_px, height_px: Size of the detector
     width_px: int
     height_px: int
-    pitch_mm: float
-    hole_mm: float
-    gap_mm: float
-    offset_px: FloatArray
+    pitch_mm: float  # Its pixel pitch
+    hole_mm: float  # Diameter of the hole
+    gap_mm: float  # Distance of the mask from the detector
+    offset_px: FloatArray  # (2,) Where the normal through the hole meets the detector, from its centre: (x0, y0)
 
     def __post_init__(self) -> None:
         freeze(self, "offset_px", shape=(2,))
@@ -103,37 +90,8 @@ def trace_mask(
     log2_particles: int,
     seed: int,
 ) -> NDArray[np.float32]:
-    """Windows around the spots of many suns.
-
-    Parameters
-    ----------
-    scene : mitsuba.Scene
-        From `mask_scene`.
-    sensor : MaskSensor
-        The sensor.
-    sun : (n, 3)
-        Unit vectors towards the middle of the Sun, sensor frame, Z > 0.
-    corner_px : (n, 2)
-        First column and row of each window.
-    size_px : int
-        Side of the windows.
-    half_angle_rad : float
-        Angular radius of the Sun.
-    log2_particles : int
-        Logarithm of the particles per sun.
-    seed : int
-        Of the sampling; every sun has its own stretch of one net.
-
-    Returns
-    -------
-    (n, size, size) float32
-        Irradiance of each pixel over that of the beam; light outside a window is lost.
-
-    Raises
-    ------
-    DomainError
-        If a sun stands behind the mask.
-    """
+    """Windows around the spots of many suns."""
+    # sun (n, 3), corner_px (n, 2) -> (n, size, size)
     mi = Engine.active().mitsuba
     direction = np.asarray(sun, np.float64).reshape(-1, 3)
     corner = np.asarray(corner_px, np.int64)

@@ -39,24 +39,12 @@ LOG2_LIMITS = (8, 24)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Landing:
-    """Where the particles of a beam end.
+    """Where the particles of a beam end."""
 
-    Attributes
-    ----------
-    screen_mm : (n, 2)
-        Points of the screen where reflected particles land.
-    passed : float
-        Part of the started particles that passes the aperture.
-    reflected : float
-        Part of these that meets a polished face.
-    returned : float
-        Part of the reflected ones that meets the screen (the aperture lets some through).
-    """
-
-    screen_mm: FloatArray
-    passed: float
-    reflected: float
-    returned: float
+    screen_mm: FloatArray  # (n, 2) Points of the screen where reflected particles land
+    passed: float  # Part of the started particles that passes the aperture
+    reflected: float  # Part of these that meets a polished face
+    returned: float  # Part of the reflected ones that meets the screen (the aperture lets some through)
 
 
 @lru_cache(maxsize=4)
@@ -70,15 +58,6 @@ def phase_points(*, log2_points: int, seed: int, index: Any) -> tuple[Any, Any, 
     """Two points of the unit disk: x, y of a place and x, y of a slope.
 
     A Sobol net in four dimensions under a random digital shift: the net stays a net, and every seed is another one.
-
-    Parameters
-    ----------
-    log2_points : int
-        Logarithm of the size of the net.
-    seed : int
-        Of the shift.
-    index : UInt32
-        Which points.
     """
     types = Engine.active().mitsuba
     shift = np.random.SeedSequence([seed, 0xBE4C]).generate_state(4).tolist()
@@ -100,28 +79,7 @@ def _disk_point(types: Any, u: Any, v: Any) -> tuple[Any, Any]:
 def start_rays(
     *, log2_particles: int, seed: int, index: Any, hole_mm: float, start_mm: float, half_angle_rad: float
 ) -> tuple[Any, Any]:
-    """Rays through a hole: points of a disk in its plane, slopes of a disk about the axis, both uniform.
-
-    Parameters
-    ----------
-    log2_particles : int
-        Logarithm of the number of points in the net.
-    seed : int
-        Of its shift.
-    index : UInt32
-        Which points.
-    hole_mm : float
-        Diameter of the disk of points.
-    start_mm : float
-        Distance from the hole at which the rays start.
-    half_angle_rad : float
-        Radius of the disk of slopes.
-
-    Returns
-    -------
-    origin, direction : Point3f, Vector3f
-        Light travels towards -z.
-    """
+    """Rays through a hole: points of a disk in its plane, slopes of a disk about the axis, both uniform."""
     mi = Engine.active().mitsuba
     x, y, slope_x, slope_y = phase_points(log2_points=log2_particles, seed=seed, index=index)
     radius, spread = dr.opaque(mi.Float, hole_mm / 2), dr.opaque(mi.Float, float(np.tan(half_angle_rad)))
@@ -185,23 +143,7 @@ def continued(hit: Any, sample: Any) -> Any:
 
 
 def land(scene: Any, geometry: BenchGeometry, *, log2_particles: int, seed: int) -> Landing:
-    """Follow a beam to the face and back to the screen, without a camera.
-
-    Parameters
-    ----------
-    scene : mitsuba.Scene
-        From `render.bench.scene.bench_scene`, not covered.
-    geometry : BenchGeometry
-        The bench.
-    log2_particles : int
-        Logarithm of the number of particles, 8 to 24.
-    seed : int
-        Of the sampling.
-
-    Returns
-    -------
-    Landing
-    """
+    """Follow a beam to the face and back to the screen, without a camera."""
     mi = Engine.active().mitsuba
     ray = _beam(geometry, log2_particles, seed)
     first = scene.ray_intersect(ray)
@@ -231,32 +173,10 @@ def trace_screen(
     seed: int,
     inner_mm: float = 0.0,
 ) -> NDArray[np.float32]:
-    """Image that the camera takes of the screen.
+    """Image (height, width) that the camera takes of the screen: radiance per unit irradiance of the beam [1/sr].
 
-    Parameters
-    ----------
-    scene : mitsuba.Scene
-        From `render.bench.scene.bench_scene`.
-    sensor : mitsuba.Sensor
-        ``camera.sensor()``.
-    camera : BenchCamera
-        Size of the image.
-    geometry : BenchGeometry
-        The bench.
-    covered : bool
-        Whether the scene was made with the sheet over the aperture.
-    log2_particles : int
-        Logarithm of the number of particles, 8 to 24.
-    seed : int
-        Of the sampling.
-    inner_mm : float
-        Particles that a mirror square to the beam would send to within this distance of the middle of the aperture are
-        not started. With the aperture's radius less the spot's displacement nothing that can be seen is lost.
-
-    Returns
-    -------
-    (height, width) float32
-        Radiance per unit irradiance of the beam [1/sr].
+    Particles that a mirror square to the beam would send to within ``inner_mm`` of the middle of the aperture are not
+    started. With the aperture's radius less the spot's displacement nothing that can be seen is lost.
     """
     mi = Engine.active().mitsuba
     ray = _beam(geometry, log2_particles, seed, inner_mm=inner_mm)

@@ -51,23 +51,8 @@ def _paint(grey: float) -> dict[str, Any]:
 
 
 def overview_scene(geometry: BenchGeometry, pose: CubePose, table: FloatArray, camera: BenchCamera) -> Any:
-    """Everything on the bench as Mitsuba shapes.
-
-    Parameters
-    ----------
-    geometry : BenchGeometry
-        Sizes.
-    pose : CubePose
-        The cube.
-    table : (3, 3)
-        Laboratory from table top.
-    camera : BenchCamera
-        The camera that looks at the screen.
-
-    Returns
-    -------
-    mitsuba.Scene
-    """
+    """Everything on the bench as Mitsuba shapes."""
+    # table (3, 3)
     mi = Engine.active().mitsuba
     content: dict[str, Any] = {
         "type": "scene",

@@ -73,19 +73,7 @@ class BodyImage:
 
 
 class BodyRenderer:
-    """Renders bodies through one camera; keeps what it has found out about its lens.
-
-    Parameters
-    ----------
-    camera : Camera
-        Its attitude is cam from icrs, unless another one is given.
-    bands : sequence of Band
-        b filters.
-    nodes : int
-        Wavelength nodes per band, for the colours of the lens.
-    view : FieldOfView, optional
-        Of the camera, if it is at hand.
-    """
+    """Renders bodies through one camera; keeps what it has found out about its lens."""
 
     def __init__(
         self, camera: Camera, bands: Sequence[Band], *, nodes: int = 3, view: FieldOfView | None = None
@@ -110,43 +98,8 @@ class BodyRenderer:
         streams: Streams | None = None,
         frame: int = 0,
     ) -> BodyImage:
-        """Expected electrons of a body, to be added to those of the stars (`render.bodies.sunlit_body.added`).
-
-        Parameters
-        ----------
-        body : SunlitBody
-            The body.
-        exposure_s : float
-            Exposure time.
-        rotation_cam_from_icrs : (3, 3), optional
-            Attitude; the camera's own if left out.
-        trajectory : Trajectory, optional
-            Motion of the camera, cam from icrs, in place of an attitude.
-        start_s : float
-            Time of the trajectory at which the first row's exposure starts.
-        line_time_s : float
-            How much later each row starts: a rolling shutter.
-        in_front : sequence of SunlitBody
-            Nearer spheres, which hide it.
-        noise_share : float
-            Square of the image's error over the variance of its photons that no pixel is to exceed, above 0.
-        ceiling_e : float
-            Electrons at which a pixel is saturated: what lies above need not be known so well.
-        streams : Streams, optional
-            Of the random numbers that a mesh is rendered with; ``Streams(0)`` if left out. A sphere needs none.
-        frame : int
-            Number of the frame, the key of these numbers.
-
-        Returns
-        -------
-        BodyImage
-            Where the body is out of sight there are no electrons.
-
-        Raises
-        ------
-        DomainError
-            Exposure, line time or share out of range; a trajectory that ends too early; a mesh in front.
-        """
+        """Expected electrons of a body, to be added to those of the stars (`render.bodies.sunlit_body.added`)."""
+        # rotation_cam_from_icrs (3, 3)
         _check(exposure_s, line_time_s, noise_share, in_front)
         camera = self.camera
         own = camera.rotation_cam_from_world if rotation_cam_from_icrs is None else rotation_cam_from_icrs
@@ -182,24 +135,7 @@ class BodyRenderer:
     def render_system(
         self, system: SolarSystem, rotation_cam_from_icrs: FloatArray, *, turn_rad: float = 0.0, **settings: Any
     ) -> list[tuple[int, BodyImage]]:
-        """The Moon, planets and Earth that an attitude sees, the nearest first; nearer ones hide what is behind them.
-
-        Parameters
-        ----------
-        system : SolarSystem
-            Bodies, wherever they stand.
-        rotation_cam_from_icrs : (3, 3)
-            Attitude.
-        turn_rad : float
-            How far the camera turns during the exposure, at most.
-        **settings
-            Of `render`.
-
-        Returns
-        -------
-        list of (int, BodyImage)
-            Row of the body, its image.
-        """
+        """The Moon, planets and Earth that an attitude sees, the nearest first: row of the body, its image."""
         reach = self.view.radius_rad + 0.5 * system.angular_diameter_rad + turn_rad
         seen = np.flatnonzero(system.direction @ rotation_cam_from_icrs[2] > np.cos(np.minimum(reach, np.pi)))
         order = seen[np.argsort(system.distance_au[seen])]

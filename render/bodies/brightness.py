@@ -140,27 +140,8 @@ def _latitude_deg(direction: FloatArray, pole_deg: tuple[float, float]) -> float
 
 
 def planet_v(name: str, *, to_sun_au: FloatArray, to_observer_au: FloatArray, epoch_year: float) -> float:
-    """V magnitude of a planet or the Moon.
-
-    Parameters
-    ----------
-    name : str
-        As in `ALBEDO`.
-    to_sun_au, to_observer_au : (3,)
-        From the body to Sun and observer, along icrs [au].
-    epoch_year : float
-        Julian year; counts for Neptune and for the Moon's libration.
-
-    Returns
-    -------
-    float
-        NaN where no published equation holds.
-
-    Raises
-    ------
-    ConfigError
-        Unknown body.
-    """
+    """V magnitude of a planet or the Moon."""
+    # to_sun_au, to_observer_au (3,) [au]
     if name not in ALBEDO:
         raise unknown_name("body of the solar system", name, ALBEDO)
     to_sun, to_observer = np.asarray(to_sun_au, float), np.asarray(to_observer_au, float)
@@ -181,13 +162,7 @@ def planet_v(name: str, *, to_sun_au: FloatArray, to_observer_au: FloatArray, ep
 
 @cache
 def planet_spectrum(name: str) -> TabulatedSed:
-    """Spectrum of the light that a body throws back, in any scale: sunlight times the albedo.
-
-    Raises
-    ------
-    ConfigError
-        Unknown body.
-    """
+    """Spectrum of the light that a body throws back, in any scale: sunlight times the albedo."""
     if name not in ALBEDO:
         raise unknown_name("body of the solar system", name, ALBEDO)
     sun = sun_spectrum()

@@ -16,25 +16,15 @@ class Edge:
 
     Where it passes at distance d inside the middle of a unit square, its normal (a, b), the depth below it is d plus
     the sum of two uniform variates of the widths a and b, whose density is a trapezoid.
-
-    Attributes
-    ----------
-    ahead : Bool
-        Whether the cell looks to the disk's side at all.
-    outwards : 3 of Float64
-        Unit vector across c, from c to v.
-    d, a, b : Float64
-        In cells.
-    size : Float64
-        Sine of the angle that a cell spans along the normal.
     """
 
-    ahead: Any
-    outwards: list[Any]
+    ahead: Any  # Whether the cell looks to the disk's side at all
+    outwards: list[Any]  # Unit vector across c, from c to v
+    # d, a, b: In cells
     d: Any
     a: Any
     b: Any
-    size: Any
+    size: Any  # Sine of the angle that a cell spans along the normal
 
     @classmethod
     def of(cls, c: list[Any], sine: Any, v: list[Any], moves: list[list[Any]]) -> Edge:

@@ -40,18 +40,10 @@ def rayleigh_thickness(wavelength_nm: ArrayLike) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Air:
-    """Air around a sphere.
+    """Air around a sphere."""
 
-    Attributes
-    ----------
-    height : float
-        Scale height, in radii.
-    ground : float
-        Albedo of what is below.
-    """
-
-    height: float
-    ground: float
+    height: float  # Scale height, in radii
+    ground: float  # Albedo of what is below
 
     @property
     def slant(self) -> float:

@@ -43,22 +43,8 @@ _P = (4.06054, 12.8802, -30.5858, 16.7498)
 def moon_reflectance(
     wavelength_nm: ArrayLike, *, to_sun: ArrayLike, to_observer: ArrayLike, epoch_year: float
 ) -> FloatArray:
-    """Reflectance of the Moon's disk, phase and libration included: over that of the Sun, its light is A (R / D)^2.
-
-    Parameters
-    ----------
-    wavelength_nm : array_like
-        Wavelengths [nm], any shape; constant beyond 350 and 1243 nm.
-    to_sun, to_observer : (3,)
-        From the Moon, along icrs, any length.
-    epoch_year : float
-        Julian year (TDB), for the Moon's attitude.
-
-    Returns
-    -------
-    ndarray
-        As the wavelengths; NaN where the Sun is more than 150 deg from the observer.
-    """
+    """Reflectance of the Moon's disk, phase and libration included: over that of the Sun, its light is A (R / D)^2."""
+    # to_sun, to_observer (3,)
     turn = moon_rotation(epoch_year)
     sun, observer = ((v / np.linalg.norm(v)) @ turn for v in (np.asarray(to_sun), np.asarray(to_observer)))
     phase = math.degrees(math.atan2(float(np.linalg.norm(np.cross(sun, observer))), float(sun @ observer)))

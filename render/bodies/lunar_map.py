@@ -52,13 +52,7 @@ _TURN = np.array(
 
 
 def moon_rotation(epoch_year: float) -> FloatArray:
-    """Attitude of the Moon (3, 3), icrs from body: x through the mean middle of the near side, z its north pole.
-
-    Parameters
-    ----------
-    epoch_year : float
-        Julian year (TDB).
-    """
+    """Attitude of the Moon (3, 3), icrs from body: x through the mean middle of the near side, z its north pole."""
     days = (epoch_year - 2000.0) * 365.25
     centuries = days / 36525.0
     e = np.radians(_ARGUMENT[:, 0] + _ARGUMENT[:, 1] * days)

@@ -46,29 +46,8 @@ def mesh_image(
     ceiling_e: float,
     sequence: np.random.SeedSequence,
 ) -> tuple[FloatArray, FloatArray]:
-    """Electrons (h, w, b) of a window before charge diffusion, and their standard error.
-
-    Parameters
-    ----------
-    camera : Camera
-        Its film is the window.
-    body : SunlitBody
-        The mesh.
-    rule : BandNodes
-        Wavelength nodes.
-    light : (b, k)
-        Electrons s^-1 mm^-2 that sunlight gives with the albedo.
-    exposure_s : float
-        Exposure.
-    motion : (attitudes (m, 3, 3), duration_s, line_time_s), optional
-        Of the camera.
-    first_row : int
-        Row of the detector that is the window's first.
-    noise_share, ceiling_e
-        As `render.bodies.sphere_image.sphere_image`.
-    sequence : numpy.random.SeedSequence
-        Of the rays.
-    """
+    """Electrons (h, w, b) of a window before charge diffusion, and their standard error."""
+    # light (b, k), motion (m, 3, 3)
     register_plugins()
     mi = Engine.active().mitsuba
     sensor = mi.load_dict(_sensor(camera, body, exposure_s, motion, first_row))

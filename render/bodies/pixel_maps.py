@@ -74,18 +74,11 @@ class Tile:
 
 @dataclass(frozen=True, slots=True)
 class TileMap:
-    """Polynomials of a tile.
+    """Polynomials of a tile."""
 
-    Attributes
-    ----------
-    tile : Tile
-        Where they hold.
-    coefficient : (w, n, 3, m)
-        Of the monomials (`monomials`) of column and row, counted from the tile's centre in its ``half_px``: X/Z, Y/Z,
-        and the etendue per pixel [mm^2 sr] of each of n rays at w wavelengths.
-    """
-
-    tile: Tile
+    tile: Tile  # Where they hold
+    # (w, n, 3, m) Of the monomials (`monomials`) of column and row, counted from the tile's centre in its
+    # ``half_px``: X/Z, Y/Z, and the etendue per pixel [mm^2 sr] of each of n rays at w wavelengths
     coefficient: FloatArray
 
 
@@ -105,15 +98,7 @@ def _slopes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 class PixelMaps:
-    """Maps of one camera at given wavelengths; found tile by tile when they are asked for, and kept.
-
-    Parameters
-    ----------
-    camera : Camera
-        Its attitude plays no part.
-    wavelength_nm : (w,)
-        Wavelengths.
-    """
+    """Maps of one camera at given wavelengths; found tile by tile when they are asked for, and kept."""
 
     def __init__(self, camera: Camera, wavelength_nm: FloatArray) -> None:
         self.camera, self.wavelength_nm = camera, np.asarray(wavelength_nm, float)

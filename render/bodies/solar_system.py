@@ -48,32 +48,18 @@ _LIGHT_STEPS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SolarSystem:
-    """Bodies as one observer sees them at one time.
+    """Bodies as one observer sees them at one time."""
 
-    Attributes
-    ----------
-    name : tuple of str
-        The n bodies.
-    direction : (n, 3)
-        Where they are seen: unit vectors along icrs, light time and aberration included.
-    to_sun_au, to_observer_au, to_earth_au : (n, 3)
-        From the body (when the light left) to the Sun, to the observer and to the Earth, along icrs [au].
-    radius_km : (n,)
-        Mean radius.
-    magnitude_v : (n,)
-        V; NaN where no published equation holds (`render.bodies.brightness`).
-    epoch_year : float
-        Julian year (TDB).
-    """
-
-    name: tuple[str, ...]
-    direction: FloatArray
+    name: tuple[str, ...]  # The n bodies
+    direction: FloatArray  # (n, 3) Where they are seen: unit vectors along icrs, light time and aberration included
+    # to_sun_au, to_observer_au, to_earth_au: (n, 3) From the body (when the light left) to the Sun, to the observer
+    # and to the Earth, along icrs [au]
     to_sun_au: FloatArray
     to_observer_au: FloatArray
     to_earth_au: FloatArray
-    radius_km: FloatArray
-    magnitude_v: FloatArray
-    epoch_year: float
+    radius_km: FloatArray  # (n,) Mean radius
+    magnitude_v: FloatArray  # (n,) V; NaN where no published equation holds (`render.bodies.brightness`)
+    epoch_year: float  # Julian year (TDB)
 
     def __post_init__(self) -> None:
         sizes = {"n": len(self.name)}
@@ -215,27 +201,7 @@ def hiding_spheres(system: SolarSystem) -> dict[str, Any]:
 
 
 def planet_field(system: SolarSystem, bands: Sequence[Band], *, nodes: int = 5) -> StarField:
-    """Bodies as points of light.
-
-    Parameters
-    ----------
-    system : SolarSystem
-        n bodies, each smaller than about a pixel.
-    bands : sequence of Band
-        b filters.
-    nodes : int
-        Wavelength nodes per band, as for the stars that they are to join.
-
-    Returns
-    -------
-    StarField
-        Directions along icrs.
-
-    Raises
-    ------
-    DomainError
-        A body without a magnitude.
-    """
+    """Bodies as points of light."""
     rule = band_nodes(bands, nodes)
     unknown = np.isnan(system.magnitude_v)
     if unknown.any():
@@ -254,13 +220,7 @@ def planet_field(system: SolarSystem, bands: Sequence[Band], *, nodes: int = 5) 
 
 
 def joined(first: StarField, *others: StarField) -> StarField:
-    """One star field of several that have the same bands and wavelengths.
-
-    Raises
-    ------
-    ConfigError
-        Bands or wavelengths differ.
-    """
+    """One star field of several that have the same bands and wavelengths."""
     for other in others:
         if other.band != first.band or not np.array_equal(other.wavelength_nm, first.wavelength_nm):
             raise ConfigError(

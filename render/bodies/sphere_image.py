@@ -99,23 +99,15 @@ class Sphere:
 
 @dataclass(frozen=True, slots=True)
 class Exposed:
-    """When a camera looks where.
+    """When a camera looks where."""
 
-    Attributes
-    ----------
-    attitudes : (m, 4)
-        Quaternions cam from icrs at equal steps, neighbours on the same side; one for a camera at rest.
-    exposure_s, duration_s, line_time_s : float
-        Of a row; of the table; how much later a row starts than the one before.
-    path_px : float
-        How far the body moves over the detector during a row's exposure.
-    """
-
+    # (m, 4) Quaternions cam from icrs at equal steps, neighbours on the same side; one for a camera at rest
     attitudes: FloatArray
+    # exposure_s, duration_s, line_time_s: Of a row; of the table; how much later a row starts than the one before
     exposure_s: float
     duration_s: float
     line_time_s: float
-    path_px: float
+    path_px: float  # How far the body moves over the detector during a row's exposure
 
 
 def sphere_image(
@@ -128,28 +120,8 @@ def sphere_image(
     noise_share: float,
     ceiling_e: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Expected electrons of a window, before charge diffusion.
-
-    Parameters
-    ----------
-    maps : PixelMaps
-        Of the camera, at the wavelengths of all bands one after the other.
-    sphere, exposed
-        What is seen, and when.
-    light_e : (b, k)
-        Electrons s^-1 mm^-2 that sunlight gives with the albedo, per wavelength node.
-    window : (slice, slice)
-        Columns and rows.
-    noise_share : float
-        Square of the error over the variance of the photons that is asked for in every pixel.
-    ceiling_e : float
-        Electrons beyond which a pixel is saturated: its photon noise counts as that of so many.
-
-    Returns
-    -------
-    electrons, error_e : (h, w, b)
-        The image, and what halving its cells has changed; some three times its error.
-    """
+    """Expected electrons of a window, before charge diffusion."""
+    # light_e (b, k), window (slice, slice) -> (h, w, b)
     columns, rows = window
     shape = (rows.stop - rows.start, columns.stop - columns.start, len(light_e))
     image, error = np.zeros(shape), np.zeros(shape)

@@ -42,64 +42,27 @@ DISK_RINGS, DISK_ARMS = 96, 384
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SunlitBody:
-    """A body far away, and the Sun that lights it; directions along icrs.
+    """A body far away, and the Sun that lights it; directions along icrs."""
 
-    Attributes
-    ----------
-    direction : (3,)
-        Where its centre is seen, unit vector.
-    distance_km : float
-        From the camera to its centre.
-    to_sun : (3,)
-        From the body to the Sun, unit vector.
-    sun_distance_au : float
-        Distance of the two.
-    radius_km : float
-        Radius of a sphere; of a mesh, the sphere around its origin that holds it.
-    albedo_nm, albedo : (k,)
-        Albedo over wavelength, linear between and constant beyond: reflectance of a Lambertian surface, normal
-        reflectance of a lunar one.
-    law : {"lambert", "lunar"}
-        How its surface scatters (`render.plugins.lunar_surface`).
-    mesh : path or None
-        PLY or OBJ file; None is a sphere.
-    mesh_unit_km : float
-        Length of its unit.
-    rotation_icrs_from_body : (3, 3)
-        Attitude of mesh or map.
-    albedo_map : (rows, columns) or None
-        Factor on the albedo of a sphere: latitudes from south to north, longitudes from -180 to 180 deg east, values at
-        the centres of the cells.
-    second_light : Light or None
-        Another light far away: the Earth's on the Moon.
-    air : Air or None
-        Lit air around a sphere (`render.bodies.earth_air`).
-    name : str
-        What it is called; part of the key of its random numbers.
-
-    Raises
-    ------
-    DomainError
-        Lengths that are not positive, directions that are no unit vectors, a camera inside the body.
-    ConfigError
-        Unknown law, a mesh file that does not exist or is neither PLY nor OBJ.
-    """
-
-    direction: FloatArray
-    distance_km: float
-    to_sun: FloatArray
-    sun_distance_au: float = 1.0
-    radius_km: float
+    direction: FloatArray  # (3,) Where its centre is seen, unit vector
+    distance_km: float  # From the camera to its centre
+    to_sun: FloatArray  # (3,) From the body to the Sun, unit vector
+    sun_distance_au: float = 1.0  # Distance of the two
+    radius_km: float  # Radius of a sphere; of a mesh, the sphere around its origin that holds it
+    # albedo_nm, albedo: (k,) Albedo over wavelength, linear between and constant beyond: reflectance of a Lambertian
+    # surface, normal reflectance of a lunar one
     albedo_nm: FloatArray = field(default_factory=lambda: np.array([550.0]))
     albedo: FloatArray
-    law: Literal["lambert", "lunar"] = "lambert"
-    mesh: Path | str | None = None
-    mesh_unit_km: float = 1.0
-    rotation_icrs_from_body: FloatArray = field(default_factory=lambda: np.eye(3))
+    law: Literal["lambert", "lunar"] = "lambert"  # How its surface scatters (`render.plugins.lunar_surface`)
+    mesh: Path | str | None = None  # PLY or OBJ file; None is a sphere
+    mesh_unit_km: float = 1.0  # Length of its unit
+    rotation_icrs_from_body: FloatArray = field(default_factory=lambda: np.eye(3))  # (3, 3) Attitude of mesh or map
+    # (rows, columns) Factor on the albedo of a sphere: latitudes from south to north, longitudes from -180 to 180 deg
+    # east, values at the centres of the cells
     albedo_map: NDArray[np.float32] | None = None
-    second_light: Light | None = None
-    air: Air | None = None
-    name: str = ""
+    second_light: Light | None = None  # Another light far away: the Earth's on the Moon
+    air: Air | None = None  # Lit air around a sphere (`render.bodies.earth_air`)
+    name: str = ""  # What it is called; part of the key of its random numbers
 
     def __post_init__(self) -> None:
         for name in ("direction", "to_sun"):
@@ -200,11 +163,6 @@ def sphere_photons(body: SunlitBody, wavelength_nm: ArrayLike) -> FloatArray:
     """Photons s^-1 mm^-2 nm^-1 that arrive from a whole sphere: in closed form, with a map as a sum over the disk.
 
     A second light and air are not in it.
-
-    Raises
-    ------
-    DomainError
-        A mesh; a wavelength at which sunlight is not known.
     """
     if body.mesh is not None:
         raise DomainError("the light of a mesh is known when it is rendered")
@@ -317,13 +275,7 @@ def covers(body: SunlitBody, direction: ArrayLike) -> NDArray[np.bool_]:
 
 
 def added(image: ExpectedImage, *others: ExpectedImage) -> ExpectedImage:
-    """Sum of images of one exposure; the truth of the first stays.
-
-    Raises
-    ------
-    ConfigError
-        Bands, sizes, exposures or diffusion that differ.
-    """
+    """Sum of images of one exposure; the truth of the first stays."""
     for other in others:
         same = (image.band, image.electrons.shape, image.exposure_s, image.diffused)
         if (other.band, other.electrons.shape, other.exposure_s, other.diffused) != same:

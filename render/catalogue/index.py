@@ -20,24 +20,12 @@ _LEAF_SIZE = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SkyIndex:
-    """A catalogue with its search tree; made by `build_index`.
+    """A catalogue with its search tree; made by `build_index`."""
 
-    Attributes
-    ----------
-    catalog : StarCatalog
-        The stars.
-    tree : scipy.spatial.cKDTree
-        Over their directions at the epoch of the catalogue.
-    fastest_rad_per_year : float
-        Largest known proper motion.
-    nearest_rad : float
-        Largest known parallax.
-    """
-
-    catalog: StarCatalog
-    tree: Any
-    fastest_rad_per_year: float
-    nearest_rad: float
+    catalog: StarCatalog  # The stars
+    tree: Any  # Over their directions at the epoch of the catalogue
+    fastest_rad_per_year: float  # Largest known proper motion
+    nearest_rad: float  # Largest known parallax
 
     def __len__(self) -> int:
         return len(self.catalog)
@@ -45,27 +33,8 @@ class SkyIndex:
     def within(
         self, direction: ArrayLike, radius_rad: float, *, magnitude_limit: float | None = None
     ) -> NDArray[np.int64]:
-        """Rows of all stars in a cone.
-
-        Parameters
-        ----------
-        direction : (3,)
-            Unit vector in icrs.
-        radius_rad : float
-            Half angle of the cone [rad], above 0, at most pi.
-        magnitude_limit : float, optional
-            Faintest magnitude wanted, itself included; stars without a magnitude are then left out.
-
-        Returns
-        -------
-        (m,) int64
-            Rows of the catalogue, increasing.
-
-        Raises
-        ------
-        DomainError
-            Not a unit vector, radius or limit out of range.
-        """
+        """Rows of all stars in a cone."""
+        # direction (3,) -> (m,)
         centre = np.asarray(direction, np.float64)
         if centre.shape != (3,) or not abs(float(centre @ centre) - 1.0) < 2e-9:
             raise DomainError(f"direction {centre.tolist()} is no unit vector of three components")

@@ -204,26 +204,9 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def directions_at(catalog: StarCatalog, epoch_year: float, observer: Observer | None = None) -> FloatArray:
-    """Directions in which the stars are seen.
+    """Directions (n, 3) along icrs in which the stars are seen; a motion or parallax that is not known counts as zero.
 
-    Parameters
-    ----------
-    catalog : StarCatalog
-        n stars; a motion, parallax or radial velocity that is not known counts as zero.
-    epoch_year : float
-        Julian year of the observation.
-    observer : Observer, optional
-        Adds parallax, deflection and aberration; without it the directions are those from the barycentre at rest.
-
-    Returns
-    -------
-    (n, 3)
-        Unit vectors along icrs.
-
-    Raises
-    ------
-    DomainError
-        More than 5000 years from the epoch of the catalogue.
+    An observer adds parallax, deflection and aberration; without one they are those from the barycentre at rest.
     """
     years = _interval(catalog, epoch_year)
     if observer is None:
@@ -237,25 +220,8 @@ def directions_at(catalog: StarCatalog, epoch_year: float, observer: Observer | 
 
 
 def deflected(direction: ArrayLike, from_sun_au: ArrayLike) -> FloatArray:
-    """Directions of stars whose light the Sun bends.
-
-    Parameters
-    ----------
-    direction : (n, 3)
-        Unit vectors without deflection.
-    from_sun_au : (3,)
-        Place of the observer as seen from the Sun [au].
-
-    Returns
-    -------
-    (n, 3)
-        Unit vectors; behind the Sun's disk the deflection is that of its edge.
-
-    Raises
-    ------
-    DomainError
-        Shapes, or an observer in the Sun.
-    """
+    """Directions of stars whose light the Sun bends; behind its disk the deflection is that of the edge."""
+    # direction (n, 3), from_sun_au (3,) [au] -> (n, 3)
     r, place = np.asarray(direction, np.float64), np.asarray(from_sun_au, np.float64)
     if r.ndim != 2 or r.shape[1] != 3 or place.shape != (3,):
         raise DomainError(f"directions (n, 3) and a place (3,) are needed, got {r.shape} and {place.shape}")
@@ -272,25 +238,8 @@ def deflected(direction: ArrayLike, from_sun_au: ArrayLike) -> FloatArray:
 
 
 def aberrated(direction: ArrayLike, velocity_km_per_s: ArrayLike) -> FloatArray:
-    """Directions as a moving observer sees them; with the opposite velocity, the way back.
-
-    Parameters
-    ----------
-    direction : (n, 3)
-        Unit vectors towards the stars for an observer at rest.
-    velocity_km_per_s : (3,)
-        Velocity of the observer in the same axes.
-
-    Returns
-    -------
-    (n, 3)
-        Unit vectors.
-
-    Raises
-    ------
-    DomainError
-        Shapes, or a velocity not below that of light.
-    """
+    """Directions as a moving observer sees them; with the opposite velocity, the way back."""
+    # direction (n, 3), velocity_km_per_s (3,) -> (n, 3)
     r = np.asarray(direction, np.float64)
     beta = np.asarray(velocity_km_per_s, np.float64) / _LIGHT_KM_PER_S
     if r.ndim != 2 or r.shape[1] != 3 or beta.shape != (3,):
@@ -304,20 +253,7 @@ def aberrated(direction: ArrayLike, velocity_km_per_s: ArrayLike) -> FloatArray:
 
 
 def propagate(catalog: StarCatalog, epoch_year: float) -> StarCatalog:
-    """The catalogue at another epoch: directions, proper motions, parallaxes and radial velocities.
-
-    Parameters
-    ----------
-    catalog : StarCatalog
-        n stars; a motion, parallax or radial velocity that is not known counts as zero and stays NaN.
-    epoch_year : float
-        Julian year.
-
-    Raises
-    ------
-    DomainError
-        More than 5000 years from the epoch of the catalogue.
-    """
+    """The catalogue at another epoch; a motion or parallax that is not known counts as zero and stays NaN."""
     place, velocity, parallax = _moved(catalog, _interval(catalog, epoch_year))
     nearer = 1.0 / _length(place)
     direction = place * nearer[:, None]

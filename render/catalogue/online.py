@@ -34,22 +34,7 @@ _GAIA_COLUMNS = "source_id, ra, dec, pmra, pmdec, parallax, radial_velocity, pho
 
 
 def download_vizier(preset: str, *, magnitude_limit: float) -> StarCatalog:
-    """The stars of a catalogue at CDS brighter than a limit.
-
-    Parameters
-    ----------
-    preset : {"hipparcos", "bright_star", "gaia"}
-        Which one.
-    magnitude_limit : float
-        Faintest magnitude.
-
-    Raises
-    ------
-    ConfigError
-        Unknown preset, astroquery not installed, archive out of reach or without an answer.
-    DomainError
-        Limit not finite.
-    """
+    """The stars of a catalogue at CDS brighter than a limit."""
     if preset not in _VIZIER:
         raise unknown_name("preset with a catalogue at VizieR", preset, _VIZIER)
     catalogue, magnitude, columns = _VIZIER[preset]
@@ -67,20 +52,7 @@ def download_vizier(preset: str, *, magnitude_limit: float) -> StarCatalog:
 
 
 def download_gaia(*, magnitude_limit: float) -> StarCatalog:
-    """The stars of Gaia DR3 brighter than a limit, with proper motions, parallaxes and radial velocities.
-
-    Parameters
-    ----------
-    magnitude_limit : float
-        Faintest G.
-
-    Raises
-    ------
-    ConfigError
-        astroquery not installed, archive out of reach or without an answer.
-    DomainError
-        Limit not finite.
-    """
+    """The stars of Gaia DR3 brighter than a limit, with proper motions, parallaxes and radial velocities."""
     limit = _limit(magnitude_limit)
 
     def ask() -> Any:

@@ -48,37 +48,20 @@ _USUAL_UNITS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColumnPreset:
-    """How to read a catalogue.
+    """How to read a catalogue."""
 
-    Attributes
-    ----------
-    name, source, attribution : str
-        What it is and whom to name.
-    epoch_year : float or None
-        Julian year of positions; None where it must be given or stands in a column.
-    magnitude_system : {"V", "G"} or None
-        Scale of the magnitudes; None where it must be given.
-    columns : mapping
-        Meaning (`MEANINGS`) to the names that a column may have, the first found counts; case matters only where two
-        columns differ in nothing else.
-    units : mapping
-        Meaning to the unit of a column for which the file states none.
-    options : mapping
-        For ``astropy.table.Table.read``: format, positions of columns.
-
-    Raises
-    ------
-    ConfigError
-        Unknown meaning.
-    """
-
+    # name, source, attribution: What it is and whom to name
     name: str
     source: str
     attribution: str = ""
-    epoch_year: float | None = None
-    magnitude_system: Literal["V", "G"] | None = None
+    epoch_year: float | None = None  # Julian year of positions; None where it must be given or stands in a column
+    magnitude_system: Literal["V", "G"] | None = None  # Scale of the magnitudes; None where it must be given
+    # Meaning (`MEANINGS`) to the names that a column may have, the first found counts; case matters only where two
+    # columns differ in nothing else
     columns: Mapping[str, tuple[str, ...]]
+    # Meaning to the unit of a column for which the file states none
     units: Mapping[str, str] = field(default_factory=dict)
+    # For ``astropy.table.Table.read``: format, positions of columns
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -192,13 +175,7 @@ def preset_names() -> tuple[str, ...]:
 
 
 def get_preset(preset: str | ColumnPreset) -> ColumnPreset:
-    """Preset by name, or the one handed in.
-
-    Raises
-    ------
-    ConfigError
-        Unknown name.
-    """
+    """Preset by name, or the one handed in."""
     if isinstance(preset, ColumnPreset):
         return preset
     if not isinstance(preset, str):

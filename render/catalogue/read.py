@@ -133,13 +133,7 @@ def _read_table(path: Path, preset: ColumnPreset, form: str | None, readme: str 
 
 
 def check_votable(content: bytes, path: Path) -> None:
-    """Refuse a VOTable whose data lie elsewhere, and entities, which may unfold to any size.
-
-    Raises
-    ------
-    ConfigError
-        A ``STREAM`` with ``href`` (VOTable 1.5, sec. 5.4), or a declared entity.
-    """
+    """Refuse a VOTable whose data lie elsewhere, and entities, which may unfold to any size."""
     parser = expat.ParserCreate(namespace_separator=" ")
 
     def start(name: str, attributes: dict[str, str]) -> None:

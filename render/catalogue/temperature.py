@@ -86,18 +86,8 @@ def _colours(bp_rp_mag: ArrayLike | None, b_v_mag: ArrayLike | None) -> tuple[Fl
 
 
 def effective_temperature(bp_rp_mag: ArrayLike | None = None, b_v_mag: ArrayLike | None = None) -> FloatArray:
-    """Effective temperature [K] of a star by its colour, from the mean sequence of dwarfs.
-
-    Parameters
-    ----------
-    bp_rp_mag, b_v_mag : (n,), optional
-        Colours; BP-RP is preferred where both are known.
-
-    Returns
-    -------
-    (n,)
-        NaN without a colour or outside -0.12 ... 4.65 in BP-RP, -0.33 ... 2.12 in B-V. Interpolated linearly in log T.
-    """
+    """Effective temperature [K] of a star by its colour, from the mean sequence of dwarfs."""
+    # bp_rp_mag, b_v_mag (n,) -> (n,)
     red, blue = _colours(bp_rp_mag, b_v_mag)
     log_t = np.log(_SEQUENCE[:, 0])
     known = ~np.isnan(_SEQUENCE[:, 2])
@@ -116,19 +106,8 @@ def _blackbody_colours() -> tuple[FloatArray, FloatArray]:
 
 
 def colour_temperature(bp_rp_mag: ArrayLike | None = None, b_v_mag: ArrayLike | None = None) -> FloatArray:
-    """Temperature [K] of the black body that has the colour of the star.
-
-    Parameters
-    ----------
-    bp_rp_mag, b_v_mag : (n,), optional
-        Colours; BP-RP is preferred where both are known.
-
-    Returns
-    -------
-    (n,)
-        Inside `COLOUR_TEMPERATURE_RANGE_K`, colours beyond the range of the relations get its end; NaN without a
-        colour.
-    """
+    """Temperature [K] of the black body that has the colour of the star."""
+    # bp_rp_mag, b_v_mag (n,) -> (n,)
     red, blue = _colours(bp_rp_mag, b_v_mag)
     colour, inverse = _blackbody_colours()
     by_red = 1.0 / np.interp(red, colour, inverse)  # NaN stays NaN

@@ -54,30 +54,8 @@ def digitise(
     exposure: Exposure,
     deposit: Any = None,
 ) -> NDArray[np.uint32]:
-    """Read all pixels out in all frames.
-
-    Parameters
-    ----------
-    types : module
-        `render.engine.Engine.types`.
-    expected : Float32 (n,)
-        Expected photo-electrons.
-    maps : PixelMaps
-        Patterns of the same n pixels.
-    neighbours : Neighbours or None
-        None where the detector has no crosstalk.
-    detector : Detector
-        The numbers.
-    exposure : Exposure
-        Conditions and frames.
-    deposit : Float32 (frames n,), optional
-        Charge of cosmic rays [e-], frame after frame.
-
-    Returns
-    -------
-    (frames, n) uint32
-        Digital number in the low 16 bits, 1 in the high ones where saturated.
-    """
+    """Read all pixels out in all frames."""
+    # expected (n,), deposit (frames n,) [e-] -> (frames, n)
     size = dr.width(expected)
     step = max(1, _FRAME_AXIS_LIMIT // max(size, 1))
     numbers = _numbers(types, detector, exposure)

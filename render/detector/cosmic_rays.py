@@ -43,30 +43,16 @@ _CHUNK = 1 << 18
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CosmicRayEnvironment:
-    """Which particles come, and how many.
+    """Which particles come, and how many."""
 
-    Attributes
-    ----------
-    name, source : str
-        What it is and where its numbers come from.
-    flux_per_cm2_s : float
-        Omnidirectional flux at the detector [cm^-2 s^-1].
-    nucleus_charge, nucleus_share : (c,)
-        Charge numbers, and their shares in the particles.
-    energy_mev, energy_share : (k,)
-        Kinetic energies per nucleon [MeV], and their shares, the same for all nuclei.
-
-    Raises
-    ------
-    DomainError
-        Negative flux or shares, energies below 10 MeV.
-    """
-
+    # name, source: What it is and where its numbers come from
     name: str
     source: str
-    flux_per_cm2_s: float
+    flux_per_cm2_s: float  # Omnidirectional flux at the detector [cm^-2 s^-1]
+    # nucleus_charge, nucleus_share: (c,) Charge numbers, and their shares in the particles
     nucleus_charge: FloatArray
     nucleus_share: FloatArray
+    # energy_mev, energy_share: (k,) Kinetic energies per nucleon [MeV], and their shares, the same for all nuclei
     energy_mev: FloatArray
     energy_share: FloatArray
 
@@ -95,40 +81,24 @@ class CosmicRayEnvironment:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CosmicRayHits:
-    """Charge that cosmic rays leave in one frame, and the tracks behind it.
+    """Charge that cosmic rays leave in one frame, and the tracks behind it."""
 
-    Attributes
-    ----------
-    shape : (int, int)
-        Rows and columns of the detector.
-    row, column : (m,) int64
-        Pixels that collect charge, in the order of reading, none twice.
-    charge_e : (m,)
-        Charge of all tracks together in each [e-].
-    x_px, y_px : (n,)
-        Middle of each track (column, row).
-    azimuth_rad, cos_zenith : (n,)
-        Direction: from +column towards +row, and against the normal of the detector.
-    path_um : (n,)
-        Length in the sensitive silicon [um].
-    nucleus_charge, energy_mev : (n,)
-        What it was; kinetic energy per nucleon [MeV].
-    freed_e : (n,)
-        Electrons that each track freed, those lost over the edge included [e-].
-    """
-
-    shape: tuple[int, int]
+    shape: tuple[int, int]  # Rows and columns of the detector
+    # row, column: (m,) Pixels that collect charge, in the order of reading, none twice
     row: NDArray[np.int64]
     column: NDArray[np.int64]
-    charge_e: FloatArray
+    charge_e: FloatArray  # (m,) Charge of all tracks together in each [e-]
+    # x_px, y_px: (n,) Middle of each track (column, row)
     x_px: FloatArray
     y_px: FloatArray
+    # azimuth_rad, cos_zenith: (n,) Direction: from +column towards +row, and against the normal of the detector
     azimuth_rad: FloatArray
     cos_zenith: FloatArray
-    path_um: FloatArray
+    path_um: FloatArray  # (n,) Length in the sensitive silicon [um]
+    # nucleus_charge, energy_mev: (n,) What it was; kinetic energy per nucleon [MeV]
     nucleus_charge: FloatArray
     energy_mev: FloatArray
-    freed_e: FloatArray
+    freed_e: FloatArray  # (n,) Electrons that each track freed, those lost over the edge included [e-]
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -154,23 +124,7 @@ def list_environments() -> tuple[str, ...]:
 
 
 def cosmic_ray_environment(name: str) -> CosmicRayEnvironment:
-    """Published environment by name.
-
-    Parameters
-    ----------
-    name : {"deep_space_solar_minimum", "deep_space_solar_maximum", "solar_flare", "leo_quiet"}
-        Deep space stands for L2, the Moon and geostationary orbit alike, where the Earth's field keeps no galactic
-        cosmic rays away. ``leo_quiet``: 600 km, 28.5 deg, outside the South Atlantic Anomaly.
-
-    Returns
-    -------
-    CosmicRayEnvironment
-
-    Raises
-    ------
-    ConfigError
-        Unknown name.
-    """
+    """Published environment by name."""
     if name not in _ENVIRONMENTS:
         raise unknown_name("cosmic-ray environment", name, _ENVIRONMENTS)
     return _ENVIRONMENTS[name]()

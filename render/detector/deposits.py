@@ -16,13 +16,7 @@ __all__ = ["frame_deposit", "window_deposit"]
 
 
 def frame_deposit(types: Any, hits: CosmicRayHits, detector: Detector) -> Any:
-    """Charge in every pixel of the detector (h w,) [e-], or None without hits.
-
-    Raises
-    ------
-    DomainError
-        Hits of a detector of another size.
-    """
+    """Charge in every pixel of the detector (h w,) [e-], or None without hits."""
     _same_size(hits, detector)
     if not len(hits.row):
         return None
@@ -37,24 +31,8 @@ def window_deposit(
     column: NDArray[np.int64],
     row: NDArray[np.int64],
 ) -> Any:
-    """Charge in every pixel of windows, frame after frame (m n h w,) [e-], or None without hits.
-
-    Parameters
-    ----------
-    types : module
-        `render.engine.Engine.types`.
-    hits : sequence of CosmicRayHits
-        One per frame, m in all.
-    detector : Detector
-        Whose.
-    column, row : (n, w), (n, h)
-        Detector columns and rows of the windows; they may lie outside.
-
-    Raises
-    ------
-    DomainError
-        Hits of a detector of another size.
-    """
+    """Charge in every pixel of windows, frame after frame (m n h w,) [e-], or None without hits."""
+    # column, row (n, w) or (n, h)
     inside = ((row >= 0) & (row < detector.height_px))[:, :, None]
     inside = inside & ((column >= 0) & (column < detector.width_px))[:, None, :]
     pixel = np.where(inside, row[:, :, None] * detector.width_px + column[:, None, :], -1).ravel()

@@ -19,22 +19,8 @@ def diffusion_kernel(sigma_px: float) -> NDArray[np.float64]:
 
     Its variance is exactly sigma^2 for any sigma, it is positive, and two in a row equal one of the summed variance; a
     sampled or pixel-integrated Gaussian has none of that below half a pixel.
-
-    Parameters
-    ----------
-    sigma_px : float
-        Standard deviation [px], 0 to 50.
-
-    Returns
-    -------
-    (2 r + 1,)
-        Weights, sum 1.
-
-    Raises
-    ------
-    DomainError
-        On a sigma out of range.
     """
+    # -> (2 r + 1,)
     if not 0.0 <= sigma_px <= 50.0:
         raise DomainError(f"sigma_px = {sigma_px:g} px; charge diffusion must be 0 to 50 px")
     radius = int(np.ceil(9.0 * sigma_px)) + 8  # what lies beyond is below 1e-13 of the variance

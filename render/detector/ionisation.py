@@ -39,18 +39,10 @@ _CONTINUUM_SHARE = 0.4  # PHYS332
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Collisions:
-    """All collisions of a set of tracks.
+    """All collisions of a set of tracks."""
 
-    Attributes
-    ----------
-    track : (m,) int64
-        Whose.
-    energy_ev : (m,)
-        Energy left in each.
-    """
-
-    track: NDArray[np.int64]
-    energy_ev: FloatArray
+    track: NDArray[np.int64]  # (m,) Whose
+    energy_ev: FloatArray  # (m,) Energy left in each
 
 
 def knock_on_limit_ev(depth_um: float) -> float:
@@ -61,22 +53,7 @@ def knock_on_limit_ev(depth_um: float) -> float:
 def restricted_loss_ev_per_um(
     energy_mev: ArrayLike, charge: ArrayLike = 1, *, limit_ev: float = math.inf
 ) -> FloatArray:
-    """Mean energy left in silicon per length of track by nuclei.
-
-    Parameters
-    ----------
-    energy_mev : array
-        Kinetic energy per nucleon [MeV], from 10.
-    charge : array
-        Charge number of the nucleus.
-    limit_ev : float
-        Largest energy of a knock-on electron that counts [eV].
-
-    Returns
-    -------
-    array
-        [eV/um].
-    """
+    """Mean energy left in silicon per length of track [eV/um] by nuclei of at least 10 MeV per nucleon."""
     beta2, momentum2, largest = _kinematics(energy_mev)
     limit = np.minimum(limit_ev, largest)
     bracket = 0.5 * np.log(2.0 * _ELECTRON_EV * momentum2 * limit / _EXCITATION_EV**2)

@@ -27,27 +27,14 @@ _WHOLE = ("width_px", "height_px", "chip_width_px", "gap_px")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SensorMaps:
-    """The patterns of one detector, for calibration frames and comparisons.
+    """The patterns of one detector, for calibration frames and comparisons."""
 
-    Attributes
-    ----------
-    response : (h, w) float32
-        Response over its mean: 1 + PRNU; 0 for dead pixels and in gaps.
-    dark_current_e_per_s : (h, w) float32
-        Dark current at the reference temperature [e-/s], hot pixels included.
-    read_noise_e : (h, w) float32
-        Temporal dark noise [e-].
-    offset_dn : (h, w) float32
-        Offset with pixel and column pattern [DN].
-    defect : (h, w) bool
-        Hot, dead, or in a gap.
-    """
-
-    response: NDArray[np.float32]
+    response: NDArray[np.float32]  # (h, w) Response over its mean: 1 + PRNU; 0 for dead pixels and in gaps
+    # (h, w) Dark current at the reference temperature [e-/s], hot pixels included
     dark_current_e_per_s: NDArray[np.float32]
-    read_noise_e: NDArray[np.float32]
-    offset_dn: NDArray[np.float32]
-    defect: NDArray[np.bool_]
+    read_noise_e: NDArray[np.float32]  # (h, w) Temporal dark noise [e-]
+    offset_dn: NDArray[np.float32]  # (h, w) Offset with pixel and column pattern [DN]
+    defect: NDArray[np.bool_]  # (h, w) Hot, dead, or in a gap
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -137,19 +124,8 @@ def window_maps(detector: Detector, types: Any, column: NDArray[np.int64], row: 
 
 
 def neighbour_bits(detector: Detector, column: NDArray[np.int64], row: NDArray[np.int64]) -> NDArray[np.uint32]:
-    """Bit i is set where the neighbour at ``DISPLACEMENTS[i]`` is in the window and on the same chip.
-
-    Parameters
-    ----------
-    column : (n, w)
-        Detector columns of n windows.
-    row : (n, h)
-        Detector rows.
-
-    Returns
-    -------
-    (n, h, w) uint32
-    """
+    """Bit i is set where the neighbour at ``DISPLACEMENTS[i]`` is in the window and on the same chip."""
+    # column (n, w), row (n, h) -> (n, h, w)
     return _neighbour_bits(_layout(detector), column, row)
 
 

@@ -36,26 +36,10 @@ _MOST_CENTRES = 1000.0
 
 
 def damage_factor(temperature_c: float, *, annealed_s: float = _WEEK_S) -> float:
-    """Universal damage factor K of silicon.
+    """Universal damage factor K of silicon: dark current [e-/s] per depleted volume [um^3] and dose [TeV/g].
 
-    Parameters
-    ----------
-    temperature_c : float
-        Temperature at which the dark current is measured [C], -100 to 100.
-    annealed_s : float
-        Time since the irradiation at room temperature [s], 1e4 to 5e6; a week by default. Srour & Lo's curve, in this
-        range linear in its logarithm (fit of Pyxel's ``dark_current_induced``). For a dose that is spread over years
-        take the end of the range.
-
-    Returns
-    -------
-    float
-        Dark current [e-/s] per depleted volume [um^3] and dose [TeV/g].
-
-    Raises
-    ------
-    DomainError
-        Out of range.
+    Time since the irradiation at room temperature: Srour & Lo's curve, between 1e4 and 5e6 s linear in its logarithm
+    (fit of Pyxel's ``dark_current_induced``). For a dose that is spread over years take the end of the range.
     """
     if not -100.0 <= temperature_c <= 100.0:
         raise DomainError(f"temperature_c = {temperature_c:g} C; it must be -100 to 100 C")

@@ -19,11 +19,6 @@ class DrJitArrays:
 
     Lens parameters become evaluated arrays of size one: a kernel reads them from memory, so another lens of the same
     structure reuses the kernel. Literals would be baked into it.
-
-    Parameters
-    ----------
-    float_type : type
-        ``drjit.llvm.Float64``, ``drjit.cuda.ad.Float64``, ...
     """
 
     def __init__(self, float_type: Any) -> None:

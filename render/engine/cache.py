@@ -20,11 +20,6 @@ def home_with_cache() -> Iterator[None]:
 
     Dr.Jit makes ``$HOME/.drjit`` when it is imported and calls ``abort`` where that fails: a home that does not exist
     or is read-only, as in containers and services.
-
-    Raises
-    ------
-    BackendError
-        No temporary folder either.
     """
     before = os.environ.get("HOME")
     if os.name != "posix" or (before and _holds_cache(Path(before))):

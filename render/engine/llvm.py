@@ -83,22 +83,7 @@ def llvm_version() -> str | None:
 
 
 def check_llvm(version: Iterable[int], drjit_version: str, *, said: str = "") -> None:
-    """Refuse an LLVM that is missing, too old, or known to end the process with this Dr.Jit.
-
-    Parameters
-    ----------
-    version : iterable of int
-        ``drjit.detail.llvm_version()``: (major, minor, patch), -1 where there is no usable library.
-    drjit_version : str
-        ``drjit.__version__``.
-    said : str
-        What Dr.Jit printed while loading; it names the version of a library that it refused.
-
-    Raises
-    ------
-    BackendError
-        With the command that installs a library that works.
-    """
+    """Refuse an LLVM that is missing, too old, or known to end the process with this Dr.Jit."""
     major = next(iter(version))
     refused = re.search(r"LLVM version \((\d+)\)", said)
     if major < 0 and refused:
@@ -116,19 +101,7 @@ def check_llvm(version: Iterable[int], drjit_version: str, *, said: str = "") ->
 
 
 def find_llvm(folders: Iterable[str | Path]) -> Path | None:
-    """Newest LLVM library of a usable version in the given folders, by its file name.
-
-    Parameters
-    ----------
-    folders : iterable of path
-        Folders to look into; wildcards are expanded.
-
-    Returns
-    -------
-    pathlib.Path or None
-        E.g. ``libLLVM-15.so``, ``libLLVM-15.so.1``, ``libLLVM.so.19.1``, on macOS ``libLLVM.dylib`` (its version is
-        that of its folder), on Windows ``LLVM-C.dll``; None if there is none.
-    """
+    """Newest LLVM library of a usable version in the given folders, by its file name."""
     best: tuple[int, Path] | None = None
     for folder in filter(None, map(str, folders)):
         for name in map(Path, sorted(glob(f"{folder}/*LLVM*"))):

@@ -26,22 +26,7 @@ def split_key(types: Any, key: int) -> tuple[Any, Any]:
 
 
 def philox4x32(types: Any, counter: tuple[Any, Any, Any, Any], key: tuple[Any, Any]) -> tuple[Any, Any, Any, Any]:
-    """Four 32-bit words for every counter.
-
-    Parameters
-    ----------
-    types : module
-        `render.engine.Engine.types`.
-    counter : 4 UInt32
-        The 128-bit counter, lowest word first.
-    key : 2 UInt32
-        The 64-bit key, low word first.
-
-    Returns
-    -------
-    4 UInt32
-        Independent uniform words.
-    """
+    """Four 32-bit words for every counter."""
     word = types.UInt32
     c0, c1, c2, c3 = (word(c) for c in counter)
     k0, k1 = (word(k) for k in key)

@@ -31,25 +31,9 @@ _HALF_LOG_TWO_PI = 0.9189385332046727
 
 
 def poisson(types: Any, mean: Any, pixel: Any, key: tuple[Any, Any], *, mostly_small: bool = False) -> Any:
-    """Poisson variates.
+    """Poisson variates (n,) of means (n,) from 0 to 1e8, with the pixels' indices in the whole detector as counters.
 
-    Parameters
-    ----------
-    types : module
-        `render.engine.Engine.types`.
-    mean : Float32 or Float64 (n,)
-        Means, 0 to 1e8; variates beyond 4.29e9 are cut there.
-    pixel : UInt32 (n,)
-        Index of each pixel in the whole detector: the counter.
-    key : 2 UInt32
-        Key of the stream; scalars or (n,).
-    mostly_small : bool
-        Whether most means are expected below `INVERSION_LIMIT`: faster if they are, slower if not, the same variates.
-
-    Returns
-    -------
-    Float64 (n,)
-        Whole numbers.
+    ``mostly_small`` promises that most means lie below `INVERSION_LIMIT`: faster if so, the same variates.
     """
     given = mean
     mean = types.Float64(given)

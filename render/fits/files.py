@@ -253,24 +253,6 @@ def read_frames(path: str | Path, *, gain_dn_per_e: float, offset_dn: float, rea
 
     Extensions named MASK, DQ, BPM, ERR, UNCERT or WEIGHT are no frames. A ``MASK`` belongs to the frame with its
     ``EXTVER``; a single one to all frames.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        The file.
-    gain_dn_per_e, offset_dn, read_noise_e : float
-        What the camera is said to have; cards of the file are not asked.
-
-    Yields
-    ------
-    Frame
-        Exposure time from ``EXPTIME`` or ``EXPOSURE``, NaN without; band from ``FILTER``, empty without; numbered from
-        0 on.
-
-    Raises
-    ------
-    ConfigError
-        As `read_frame`.
     """
     path, index = located(path), 0
     for header, image, mask in _images(path):

@@ -42,24 +42,7 @@ _STRUCTURE = (
 
 
 def checked_cards(cards: Iterable[Card] | fits.Header, taken: Iterable[str]) -> list[Card]:
-    """Cards of a caller as a list.
-
-    Parameters
-    ----------
-    cards : iterable of (keyword, value, comment), or astropy.io.fits.Header
-        What the caller gives.
-    taken : iterable of str
-        Keywords that are written anyway.
-
-    Returns
-    -------
-    list of (keyword, value, comment)
-
-    Raises
-    ------
-    ConfigError
-        Not cards; a keyword that describes the file itself, is taken, or comes twice.
-    """
+    """Cards of a caller as a list."""
     given: Iterable[Any] = cards.cards if isinstance(cards, fits.Header) else cards
     seen = set(taken)
     checked: list[Card] = []
@@ -83,27 +66,13 @@ def checked_cards(cards: Iterable[Card] | fits.Header, taken: Iterable[str]) -> 
 
 
 def block(cards: Iterable[Card]) -> bytes:
-    """Header of the cards, with ``END``, filled up to whole blocks.
-
-    Raises
-    ------
-    ConfigError
-        A keyword or value that FITS cannot hold.
-    """
+    """Header of the cards, with ``END``, filled up to whole blocks."""
     text = "".join(_image(*_plain(card)) for card in cards) + "END".ljust(80)
     return text.ljust(-(-len(text) // BLOCK) * BLOCK).encode("ascii")
 
 
 def summed(header: bytes, data: Any) -> bytes:
-    """A header with its ``CHECKSUM`` and ``DATASUM`` (FITS standard 4.0, sec. 4.4.2.7 and appendix J).
-
-    Parameters
-    ----------
-    header : bytes
-        Whole blocks, with these two cards as `SUMS` writes them.
-    data : bytes or array
-        The data that follow, without the zeros that fill the last block.
-    """
+    """A header with its ``CHECKSUM`` and ``DATASUM`` (FITS standard 4.0, sec. 4.4.2.7 and appendix J)."""
     of_data = _ones_complement(data)
     written = header.replace(_DATASUM, str(of_data).ljust(_SUM_WIDTH).encode(), 1)
     total = _ones_complement(written, of_data)

@@ -53,38 +53,21 @@ _NEGLIGIBLE_PX = 1e-8
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LensWcs:
-    """World coordinates of a camera, all but its attitude; made by `lens_wcs`.
+    """World coordinates of a camera, all but its attitude; made by `lens_wcs`."""
 
-    Attributes
-    ----------
-    boresight_px : (2,)
-        Column and row at which a star on the boresight (+Z of cam) is seen.
-    linear : (2, 2)
-        (X/Z, Y/Z) in cam per pixel (column, row) at that place.
-    order : int
-        Order of A and B, 2 to 9.
-    a, b : (order + 1, order + 1)
-        Forward polynomials, ``a[p, q]`` of u^p v^q.
-    inverse_order : int
-        Order of AP and BP.
-    ap, bp : (inverse_order + 1, inverse_order + 1)
-        Inverse polynomials.
-    wavelength_nm : float
-        Wavelength of the chief rays.
-    residual_px, inverse_residual_px : float
-        Largest distance on the detector between traced chief rays (others than those of the fit) and the place where
-        the forward and the inverse polynomials put them.
-    """
-
-    boresight_px: FloatArray
-    linear: FloatArray
-    order: int
+    boresight_px: FloatArray  # (2,) Column and row at which a star on the boresight (+Z of cam) is seen
+    linear: FloatArray  # (2, 2) (X/Z, Y/Z) in cam per pixel (column, row) at that place
+    order: int  # Order of A and B, 2 to 9
+    # a, b: (order + 1, order + 1) Forward polynomials, ``a[p, q]`` of u^p v^q
     a: FloatArray
     b: FloatArray
-    inverse_order: int
+    inverse_order: int  # Order of AP and BP
+    # ap, bp: (inverse_order + 1, inverse_order + 1) Inverse polynomials
     ap: FloatArray
     bp: FloatArray
-    wavelength_nm: float
+    wavelength_nm: float  # Wavelength of the chief rays
+    # residual_px, inverse_residual_px: Largest distance on the detector between traced chief rays (others than those
+    # of the fit) and the place where the forward and the inverse polynomials put them
     residual_px: float
     inverse_residual_px: float
     _constant: tuple[Card, ...] = field(init=False, repr=False)
@@ -102,24 +85,7 @@ class LensWcs:
         object.__setattr__(self, "_constant", tuple(_constant_cards(self)))
 
     def header(self, rotation_cam_from_icrs: ArrayLike) -> list[Card]:
-        """Header cards of an exposure.
-
-        Parameters
-        ----------
-        rotation_cam_from_icrs : (3, 3)
-            Attitude, ``v_cam = R @ v_icrs``.
-
-        Returns
-        -------
-        list of (keyword, value, comment)
-            For ``write_frame(..., cards=...)`` or ``astropy.io.fits.Header(...)``. World coordinates are the directions
-            in which stars are *seen*: apparent places, where the stars were rendered with aberration and parallax.
-
-        Raises
-        ------
-        DomainError
-            Not a proper rotation.
-        """
+        """Header cards of an exposure."""
         rotation = np.asarray(rotation_cam_from_icrs, np.float64)
         if rotation.shape != (3, 3):
             raise DomainError(f"rotation_cam_from_icrs has shape {rotation.shape}; a 3 x 3 matrix is needed")
@@ -206,22 +172,8 @@ def lens_wcs(camera: Camera, *, wavelength_nm: float | None = None, tolerance_px
 
 
 def sky_grid(header: fits.Header | Iterable[Card], shape: tuple[int, int], *, nodes: int = 65) -> FloatArray | None:
-    """Directions over a frame, for `optics.page.frame_page`.
-
-    Parameters
-    ----------
-    header : astropy.io.fits.Header or iterable of cards
-        World coordinates of the frame.
-    shape : (int, int)
-        Rows and columns of the frame.
-    nodes : int
-        Of the grid along each side, from edge to edge.
-
-    Returns
-    -------
-    (nodes, nodes, 3) or None
-        Unit vectors along icrs; None where the header holds no celestial coordinates that astropy understands.
-    """
+    """Directions over a frame, for `optics.page.frame_page`."""
+    # -> (nodes, nodes, 3)
     from astropy.wcs import WCS
 
     cards = header if isinstance(header, fits.Header) else fits.Header(list(header))

@@ -39,38 +39,19 @@ NODES, NODE_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gyro:
-    """Three gyro axes. A single number stands for all three axes.
+    """Three gyro axes. A single number stands for all three axes."""
 
-    Attributes
-    ----------
-    rate_hz : float
-        Increments per second [Hz].
-    bias_deg_per_h : (3,)
-        Constant bias [deg/h].
-    angle_random_walk_deg_per_sqrt_h : (3,)
-        Density N of the white rate noise [deg/sqrt(h)]: the angle's standard deviation after the time t is N sqrt(t).
-    rate_random_walk_deg_per_h_per_sqrt_h : (3,)
-        Density K of the bias's random walk [deg/h/sqrt(h)]: the bias's standard deviation after t is K sqrt(t).
-    scale_factor_ppm : (3,)
-        Relative error of the scale [1e-6].
-    misalignment_arcsec : (3, 3)
-        Small angles: row i, column j is how much of axis j the axis i feels [arcsec]; the diagonal is zero.
-    sensor_from_body : Rotation
-        Axes of the gyro from the axes of the body, ``v_sensor = R v_body``.
-
-    Raises
-    ------
-    DomainError
-        On a rate that is not positive, a negative density, a diagonal of the misalignment that is not zero, or values
-        that are not finite.
-    """
-
-    rate_hz: float = 100.0
-    bias_deg_per_h: FloatArray = field(default_factory=lambda: np.full(3, 0.03))
+    rate_hz: float = 100.0  # Increments per second [Hz]
+    bias_deg_per_h: FloatArray = field(default_factory=lambda: np.full(3, 0.03))  # (3,) Constant bias [deg/h]
+    # (3,) Density N of the white rate noise [deg/sqrt(h)]: the angle's standard deviation after the time t is N
+    # sqrt(t)
     angle_random_walk_deg_per_sqrt_h: FloatArray = field(default_factory=lambda: np.full(3, 0.005))
+    # (3,) Density K of the bias's random walk [deg/h/sqrt(h)]: the bias's standard deviation after t is K sqrt(t)
     rate_random_walk_deg_per_h_per_sqrt_h: FloatArray = field(default_factory=lambda: np.zeros(3))
-    scale_factor_ppm: FloatArray = field(default_factory=lambda: np.zeros(3))
+    scale_factor_ppm: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,) Relative error of the scale [1e-6]
+    # (3, 3) Small angles: row i, column j is how much of axis j the axis i feels [arcsec]; the diagonal is zero
     misalignment_arcsec: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    # Axes of the gyro from the axes of the body, ``v_sensor = R v_body``
     sensor_from_body: Rotation = field(default_factory=Rotation.identity)
 
     def __post_init__(self) -> None:
@@ -117,18 +98,10 @@ class Gyro:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GyroRecord:
-    """What a gyro gave.
+    """What a gyro gave."""
 
-    Attributes
-    ----------
-    time_s : (n + 1,)
-        Ends of the intervals [s].
-    rate_rad_per_s : (n, 3)
-        Mean rate over each interval, in sensor axes [rad/s].
-    """
-
-    time_s: FloatArray
-    rate_rad_per_s: FloatArray
+    time_s: FloatArray  # (n + 1,) Ends of the intervals [s]
+    rate_rad_per_s: FloatArray  # (n, 3) Mean rate over each interval, in sensor axes [rad/s]
 
     def __post_init__(self) -> None:
         time = freeze(self, "time_s", shape=("m",))
@@ -155,26 +128,7 @@ def _interval_ends(trajectory: Trajectory, gyro: Gyro, start_s: float | None, en
 def true_rates(
     trajectory: Trajectory, gyro: Gyro, *, start_s: float | None = None, end_s: float | None = None
 ) -> GyroRecord:
-    """What the gyro would give without bias and noise; scale, misalignment and mounting are in it.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        Motion of the body.
-    gyro : Gyro
-        The triad.
-    start_s, end_s : float, optional
-        First and last time [s]; those of the trajectory if left out. The record ends with the last whole step.
-
-    Returns
-    -------
-    GyroRecord
-
-    Raises
-    ------
-    DomainError
-        On times outside of the trajectory, or too short for one step.
-    """
+    """What the gyro would give without bias and noise; scale, misalignment and mounting are in it."""
     ends = _interval_ends(trajectory, gyro, start_s, end_s)
     step = 1.0 / gyro.rate_hz
     inner = ends[:-1, None] + 0.5 * step * (NODES + 1.0)
@@ -206,30 +160,7 @@ def simulate_gyro(
     start_s: float | None = None,
     end_s: float | None = None,
 ) -> GyroRecord:
-    """Mean rates over the steps of a gyro on a moving body.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        Motion of the body.
-    gyro : Gyro
-        The triad.
-    streams : Streams
-        Random streams; the noise is the stream "gyro" of the frame ``run``.
-    run : int
-        Number of the Monte-Carlo run.
-    start_s, end_s : float, optional
-        As in `true_rates`.
-
-    Returns
-    -------
-    GyroRecord
-
-    Raises
-    ------
-    DomainError
-        As `true_rates`.
-    """
+    """Mean rates over the steps of a gyro on a moving body."""
     truth = true_rates(trajectory, gyro, start_s=start_s, end_s=end_s)
     noise = _noise(gyro, len(truth.rate_rad_per_s), streams.generator("gyro", run))
     return GyroRecord(time_s=truth.time_s, rate_rad_per_s=truth.rate_rad_per_s + noise)
@@ -244,22 +175,8 @@ def simulate_gyro_runs(
     start_s: float | None = None,
     end_s: float | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Many runs of one motion at once: rates that differ by their noise only.
-
-    Parameters
-    ----------
-    trajectory, gyro, streams, start_s, end_s
-        As in `simulate_gyro`.
-    runs : int or range
-        How many runs, counted from zero, or which.
-
-    Returns
-    -------
-    time_s : (n + 1,)
-        Ends of the intervals [s].
-    rate_rad_per_s : (r, n, 3)
-        Mean rates [rad/s]; those of run k are what `simulate_gyro` gives with ``run=k``.
-    """
+    """Many runs of one motion at once: rates that differ by their noise only."""
+    # -> (n + 1,), (r, n, 3)
     chosen = range(runs) if isinstance(runs, int) else runs
     truth = true_rates(trajectory, gyro, start_s=start_s, end_s=end_s)
     steps = len(truth.rate_rad_per_s)

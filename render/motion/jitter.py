@@ -35,22 +35,10 @@ _AXES = ("x", "y", "z")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JitterSpectrum:
-    """One-sided power spectral densities of rotations about the body's axes.
+    """One-sided power spectral densities of rotations about the body's axes."""
 
-    Attributes
-    ----------
-    frequency_hz : (m,)
-        Increasing, positive.
-    psd_arcsec2_per_hz : (3, m)
-        Density for x, y, z there; power laws in between, nothing beyond. An axis is positive throughout or zero.
-
-    Raises
-    ------
-    DomainError
-        On frequencies that do not increase from above zero, or densities that are negative or zero in places.
-    """
-
-    frequency_hz: FloatArray
+    frequency_hz: FloatArray  # (m,) Increasing, positive
+    # (3, m) Density for x, y, z there; power laws in between, nothing beyond. An axis is positive throughout or zero
     psd_arcsec2_per_hz: FloatArray
 
     def __post_init__(self) -> None:
@@ -99,22 +87,13 @@ def _running_power(frequency: FloatArray, psd: FloatArray, at: FloatArray) -> Fl
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Jittered:
-    """A trajectory with jitter: ``attitude = exp(-delta) base.attitude``; made by `jittered`.
+    """A trajectory with jitter: ``attitude = exp(-delta) base.attitude``; made by `jittered`."""
 
-    Attributes
-    ----------
-    base : Trajectory
-        What is jittered.
-    frequency_hz, phase_rad : (3, k)
-        Of the oscillations about each body axis.
-    amplitude_rad : (3, k)
-        Their amplitudes.
-    """
-
-    base: Trajectory
+    base: Trajectory  # What is jittered
+    # frequency_hz, phase_rad: (3, k) Of the oscillations about each body axis
     frequency_hz: FloatArray
     phase_rad: FloatArray
-    amplitude_rad: FloatArray
+    amplitude_rad: FloatArray  # (3, k) Their amplitudes
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}

@@ -137,22 +137,10 @@ class SampledAttitude:
 
     The rotation vector between samples is cubic in time, with continuous rate and acceleration (scipy `RotationSpline`
     and the note by N. Mayorov, "Smooth attitude interpolation", that it cites); two samples give a constant rate.
-
-    Attributes
-    ----------
-    samples_s : (n,)
-        Increasing times [s], at least two.
-    attitudes : Rotation
-        Body from reference at these times; neighbours less than 180 deg apart.
-
-    Raises
-    ------
-    DomainError
-        On times that do not increase, or other than one attitude for each.
     """
 
-    samples_s: FloatArray
-    attitudes: Rotation
+    samples_s: FloatArray  # (n,) Increasing times [s], at least two
+    attitudes: Rotation  # Body from reference at these times; neighbours less than 180 deg apart
     _spline: RotationSpline = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -189,22 +177,12 @@ class Slew:
 
     The fraction of the angle after the fraction s of the time is ``10 s^3 - 15 s^4 + 6 s^5``: rate and acceleration
     vanish at both ends.
-
-    Attributes
-    ----------
-    initial, final : Rotation
-        Body from reference at the start and at the end.
-    end_s, start_s : float
-        Last and first time [s].
-
-    Raises
-    ------
-    DomainError
-        On an end that is not after the start.
     """
 
+    # initial, final: Body from reference at the start and at the end
     initial: Rotation
     final: Rotation
+    # end_s, start_s: Last and first time [s]
     end_s: float
     start_s: float = 0.0
 
@@ -233,18 +211,10 @@ class Slew:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mounted:
-    """The motion of something fixed to a moving body, e.g. a camera; see `mounted`.
+    """The motion of something fixed to a moving body, e.g. a camera; see `mounted`."""
 
-    Attributes
-    ----------
-    body : Trajectory
-        Motion of the body.
-    mount : Rotation
-        The thing's axes from the body's axes: ``v_thing = R v_body``.
-    """
-
-    body: Trajectory
-    mount: Rotation
+    body: Trajectory  # Motion of the body
+    mount: Rotation  # The thing's axes from the body's axes: ``v_thing = R v_body``
 
     def __post_init__(self) -> None:
         _check_single("Mounted", "mount", self.mount)

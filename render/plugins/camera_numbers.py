@@ -31,15 +31,6 @@ _WEIGHTS = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0)
 class CameraNumbers:
     """Tensors of a camera.
 
-    Parameters
-    ----------
-    mi : module
-        Mitsuba in its active variant.
-    camera : Camera
-        The camera that they count from.
-    housing_cte_per_k : float
-        Expansion of the housing.
-
     Attributes
     ----------
     tensors : dict of str to TensorXf64
@@ -116,20 +107,7 @@ class CameraNumbers:
     def derivatives(
         self, numbers_of: Callable[[Camera], FloatArray]
     ) -> tuple[Camera, list[tuple[str, int, FloatArray]]]:
-        """How a vector that is made of a camera changes with every number whose derivative is asked for.
-
-        Parameters
-        ----------
-        numbers_of : callable
-            Camera to array; smooth, so that differences of fourth order are right to rounding.
-
-        Returns
-        -------
-        camera : Camera
-            The camera itself.
-        list of (str, int, array)
-            Name, position in its flat array, derivative.
-        """
+        """How a vector that is made of a camera changes with every number whose derivative is asked for."""
         values = self._centre()
         steps = {**steps_of({k: v for k, v in values.items() if k != "defocus_mm"})}
         steps["defocus_mm"] = np.array([FOCUS_STEP_MM])

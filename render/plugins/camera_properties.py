@@ -106,32 +106,17 @@ def _shared_camera(props: Any, width: int, height: int) -> Camera:
 
 @dataclass(frozen=True, slots=True)
 class CameraMotion:
-    """Attitudes of a camera over its exposure.
+    """Attitudes of a camera over its exposure."""
 
-    Attributes
-    ----------
-    quaternion : (m, 4)
-        Cam from world at equal steps, scalar last, neighbours on the same side.
-    duration_s, line_time_s : float
-        Length of the table; how much later a row starts than the one before it.
-    first_row : int
-        Row of the detector that is row 0 of the film.
-    """
-
-    quaternion: np.ndarray
+    quaternion: np.ndarray  # (m, 4) Cam from world at equal steps, scalar last, neighbours on the same side
+    # duration_s, line_time_s: Length of the table; how much later a row starts than the one before it
     duration_s: float
     line_time_s: float
-    first_row: int
+    first_row: int  # Row of the detector that is row 0 of the film
 
 
 def motion_of(props: Any) -> CameraMotion | None:
-    """The table of attitudes, if there is one.
-
-    Raises
-    ------
-    ConfigError
-        A table of another shape, times out of range.
-    """
+    """The table of attitudes, if there is one."""
     if "motion_rotation" not in props:
         return None
     table = np.array(props["motion_rotation"], dtype=float)
@@ -159,13 +144,7 @@ def moved(props: Any) -> np.ndarray:
 
 
 def exposure_motion_of(props: Any, exposure_s: float) -> ExposureMotion | None:
-    """The motion under which stars are seen, of a handle or a file, if there is one.
-
-    Raises
-    ------
-    ConfigError
-        No such motion, or one for another exposure.
-    """
+    """The motion under which stars are seen, of a handle or a file, if there is one."""
     if "exposure_motion" not in props:
         return None
     motion = find_motion(str(props["exposure_motion"]))
@@ -177,13 +156,7 @@ def exposure_motion_of(props: Any, exposure_s: float) -> ExposureMotion | None:
 
 
 def camera_of(props: Any, width: int, height: int) -> Camera:
-    """The camera of a handle or a file, or the one that the properties describe, for a film of so many pixels.
-
-    Raises
-    ------
-    ConfigError, DomainError
-        Properties that are missing, out of range or at odds with each other.
-    """
+    """The camera of a handle or a file, or the one that the properties describe, for a film of so many pixels."""
     if "camera" in props:
         return _shared_camera(props, width, height)
     for name in ("lens", "pixel_pitch_um"):

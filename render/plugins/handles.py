@@ -18,15 +18,7 @@ KEPT = 64
 
 
 class Handles(Generic[_Record]):
-    """Handles of records of one kind.
-
-    Parameters
-    ----------
-    kind : type
-        Of the records.
-    name : str
-        What they are called in messages.
-    """
+    """Handles of records of one kind."""
 
     def __init__(self, kind: type[_Record], name: str) -> None:
         self.kind, self.name = kind, name
@@ -42,25 +34,13 @@ class Handles(Generic[_Record]):
         return handle
 
     def find(self, handle: str) -> _Record:
-        """Record of a handle.
-
-        Raises
-        ------
-        ConfigError
-            If there is none.
-        """
+        """Record of a handle."""
         if handle not in self._records:
             raise unknown_name(f"{self.name} handle", handle, self._records)
         return self._records[handle]
 
     def named(self, mi: Any, name: str) -> _Record:
-        """Record of a handle or of a file (.json) that `optics.record_files.write_record` wrote.
-
-        Raises
-        ------
-        ConfigError
-            If there is none, or it is another kind of record.
-        """
+        """Record of a handle or of a file (.json) that `optics.record_files.write_record` wrote."""
         return read_record(resolved(mi, name), self.kind) if name.endswith(".json") else self.find(name)
 
 
@@ -70,13 +50,7 @@ def resolved(mi: Any, name: str) -> str:
 
 
 def rotation_of(props: Any, plugin: str) -> FloatArray | None:
-    """Property ``rotation``: nine numbers, row by row, as a tensor or written out; None without.
-
-    Raises
-    ------
-    ConfigError
-        Other than nine numbers.
-    """
+    """Property ``rotation``: nine numbers, row by row, as a tensor or written out; None without."""
     if "rotation" not in props:
         return None
     value = props["rotation"]

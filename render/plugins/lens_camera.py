@@ -124,54 +124,30 @@ def exit_disk(camera: Camera) -> tuple[float, float, float, float]:
 
 
 class _Forward(NamedTuple):
-    """The lens as light from a point of the scene goes through it; numbers are Dr.Jit arrays of size one.
+    """The lens as light from a point of the scene goes through it; numbers are Dr.Jit arrays of size one."""
 
-    Attributes
-    ----------
-    xp : DrJitArrays
-        Array functions.
-    program, theta
-        The compiled lens and its parameters.
-    disk_mm : 4 numbers
-        Centre and radius of `render.camera.launch_disk`.
-    film : 6 numbers
-        Column and row of the image plane's origin, counted from the outer corner of the film's crop; pixels per mm;
-        columns, rows and area [mm^2] of the crop.
-    rotation : 9 numbers
-        cam from world.
-    """
-
-    xp: DrJitArrays
+    xp: DrJitArrays  # Array functions
+    # program, theta: The compiled lens and its parameters
     program: LensProgram
     theta: Any
-    disk_mm: Any
+    disk_mm: Any  # Centre and radius of `render.camera.launch_disk`
+    # Column and row of the image plane's origin, counted from the outer corner of the film's crop; pixels per mm;
+    # columns, rows and area [mm^2] of the crop
     film: Any
-    rotation: Any
+    rotation: Any  # cam from world
 
 
 class _Backward(NamedTuple):
-    """The reversed lens as it is traced; numbers are Dr.Jit arrays of size one.
+    """The reversed lens as it is traced; numbers are Dr.Jit arrays of size one."""
 
-    Attributes
-    ----------
-    xp : DrJitArrays
-        Array functions.
-    program, theta
-        The compiled lens and its parameters.
-    film_mm : 4 numbers
-        Width, left edge, height and top edge of the film's crop; rows run downwards.
-    turn, rotation : 9 numbers
-        Reversed lens's frame from film; cam from world; row by row.
-    exit_disk_mm : 4 numbers
-        Centre and radius of `exit_disk`.
-    """
-
-    xp: DrJitArrays
+    xp: DrJitArrays  # Array functions
+    # program, theta: The compiled lens and its parameters
     program: LensProgram
     theta: Any
-    film_mm: Any
+    film_mm: Any  # Width, left edge, height and top edge of the film's crop; rows run downwards
+    # turn, rotation: Reversed lens's frame from film; cam from world; row by row
     turn: Any
-    exit_disk_mm: Any
+    exit_disk_mm: Any  # Centre and radius of `exit_disk`
     rotation: Any
 
 
@@ -233,13 +209,7 @@ def define(mi: Any) -> type:
 
         @property
         def star_motion(self) -> ExposureMotion | None:
-            """Motion under which stars are seen, given or made of the rate; None at rest.
-
-            Raises
-            ------
-            ConfigError
-                Both of them.
-            """
+            """Motion under which stars are seen, given or made of the rate; None at rest."""
             if self._turning is None:
                 self._turning = self.numbers.motion(self.camera, self.exposure_s)
             if self._turning is not None and self.exposure_motion is not None:
@@ -433,13 +403,7 @@ def define(mi: Any) -> type:
             return ds, (spectrum * mi.Float(weight)) & ok
 
         def projection_transform(self) -> Any:
-            """Asked for by integrators that move silhouettes: a lens has none.
-
-            Raises
-            ------
-            ConfigError
-                Always.
-            """
+            """Asked for by integrators that move silhouettes: a lens has none."""
             raise ConfigError(
                 "lens_camera: prb_projective and direct_projective move silhouettes by the projection of a pinhole, "
                 "which a lens does not have; take prb, whose derivatives leave silhouettes out"

@@ -29,21 +29,7 @@ CLOSE = 20.0
 
 
 class SceneShade:
-    """The bodies of a scene, seen from a camera.
-
-    Parameters
-    ----------
-    scene : mi.Scene
-        The scene.
-    direction : (n, 3)
-        Unit vectors towards the stars in the scene's world.
-    rotation : (3, 3)
-        Cam from world; under motion that of the middle of the exposure.
-    position : (3,)
-        Origin of the camera, where the axis meets the plane of its first vertex.
-    scene_unit_mm : float
-        Length of a scene unit.
-    """
+    """The bodies of a scene, seen from a camera."""
 
     def __init__(
         self, scene: Any, direction: FloatArray, rotation: FloatArray, position: Sequence[float], scene_unit_mm: float

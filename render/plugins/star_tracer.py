@@ -50,13 +50,7 @@ KEPT = 8
 
 
 def put_on_film(mi: Any, film: Any, image: Any, bands: tuple[str, ...]) -> None:
-    """Put an image (h, w, b) on a film: luminance, weight, and bands as channels; evaluated when the film is read.
-
-    Raises
-    ------
-    ConfigError
-        A film or a reconstruction filter that cannot hold what the pixels of a detector collect.
-    """
+    """Put an image (h, w, b) on a film: luminance, weight, and bands as channels; evaluated when the film is read."""
     if "HDRFilm" not in type(film).__name__ + str(film.class_name()):
         raise ConfigError(f"star_tracer: a film of kind {film.class_name()}; an hdrfilm is needed")
     if not film.rfilter().is_box_filter():
@@ -148,13 +142,7 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
                 dr.traverse(dr.ADMode.Backward)
 
         def _attached(self, scene: Any, sensor: Any) -> Any:
-            """The image with derivatives.
-
-            Raises
-            ------
-            ConfigError
-                What has none: a rolling shutter, bodies that hide stars or shine, beams that apertures cut.
-            """
+            """The image with derivatives."""
             camera, field = self._seen(scene, sensor)
             motion = camera.star_motion
             if self.bodies is not None or (motion is not None and motion.path is not None):

@@ -89,30 +89,17 @@ class UniformSky:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BackgroundMap:
-    """How much of a diffuse sky each pixel of a camera takes in; made by `background_map`.
+    """How much of a diffuse sky each pixel of a camera takes in; made by `background_map`."""
 
-    Attributes
-    ----------
-    band : tuple of str
-        Names of the b bands.
-    wavelength_nm, weight_nm : (b, k)
-        Nodes, and the weights of filter, camera's response and quadrature together.
-    sunlight_factor : (b,)
-        What the nodes miss of a spectrum as rough as the Sun's: its integral over all its pieces against theirs.
-    etendue_mm2_sr : (h, w, b) float32
-        Etendue of every pixel, mean over the band for sunlight.
-    direction : (gy, gx, 3)
-        Unit vectors in cam at a coarse grid of pixels.
-    spline_x, spline_y : (gx, w), (h, gy) float32
-        Cubic splines from that grid to all columns and rows.
-    """
-
-    band: tuple[str, ...]
+    band: tuple[str, ...]  # Names of the b bands
+    # wavelength_nm, weight_nm: (b, k) Nodes, and the weights of filter, camera's response and quadrature together
     wavelength_nm: FloatArray
     weight_nm: FloatArray
+    # (b,) What the nodes miss of a spectrum as rough as the Sun's: its integral over all its pieces against theirs
     sunlight_factor: FloatArray
-    etendue_mm2_sr: NDArray[np.float32]
-    direction: FloatArray
+    etendue_mm2_sr: NDArray[np.float32]  # (h, w, b) Etendue of every pixel, mean over the band for sunlight
+    direction: FloatArray  # (gy, gx, 3) Unit vectors in cam at a coarse grid of pixels
+    # spline_x, spline_y: (gx, w), (h, gy) Cubic splines from that grid to all columns and rows
     spline_x: NDArray[np.float32]
     spline_y: NDArray[np.float32]
 

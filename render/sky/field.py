@@ -42,27 +42,16 @@ _LIGHT_KM_PER_S = constants.c / 1e3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FieldOfView:
-    """What a camera sees, without its attitude; made by `field_of_view`, once per camera.
+    """What a camera sees, without its attitude; made by `field_of_view`, once per camera."""
 
-    Attributes
-    ----------
-    width_px, height_px : int
-        Size of the detector.
-    margin_px : float
-        Strip around it in which stars still count.
-    half_width : (2,)
-        Largest |X/Z| and |Y/Z| in cam of what it sees, margin included.
-    coefficient : (d, d, 2)
-        Of powers of X/Z and Y/Z over ``half_width``: column and row of the chief ray at the design wavelength.
-    residual_px : float
-        Largest distance of the polynomial from chief rays of a grid other than the one it was made from.
-    """
-
+    # width_px, height_px: Size of the detector
     width_px: int
     height_px: int
-    margin_px: float
-    half_width: FloatArray
+    margin_px: float  # Strip around it in which stars still count
+    half_width: FloatArray  # (2,) Largest |X/Z| and |Y/Z| in cam of what it sees, margin included
+    # (d, d, 2) Of powers of X/Z and Y/Z over ``half_width``: column and row of the chief ray at the design wavelength
     coefficient: FloatArray
+    # Largest distance of the polynomial from chief rays of a grid other than the one it was made from
     residual_px: float
 
     def __post_init__(self) -> None:
@@ -202,28 +191,16 @@ def _chief_px(camera: Camera, x: FloatArray, y: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SkyField:
-    """The stars of a catalogue that one exposure sees.
+    """The stars of a catalogue that one exposure sees."""
 
-    Attributes
-    ----------
-    stars : StarCatalog
-        Their rows, at the epoch of the catalogue.
-    row : (m,) int64
-        Where they stand in the whole catalogue.
-    direction : (m, 3)
-        Where they are seen, unit vectors along icrs: moved to the epoch of the exposure, parallax and aberration
-        included if an observer was given.
-    pixel_px : (m, 2)
-        Column and row of the chief ray at the design wavelength, by the polynomial of the field of view.
-    rotation_cam_from_icrs : (3, 3)
-        Attitude.
-    """
-
-    stars: StarCatalog
-    row: NDArray[np.int64]
+    stars: StarCatalog  # Their rows, at the epoch of the catalogue
+    row: NDArray[np.int64]  # (m,) Where they stand in the whole catalogue
+    # (m, 3) Where they are seen, unit vectors along icrs: moved to the epoch of the exposure, parallax and aberration
+    # included if an observer was given
     direction: FloatArray
+    # (m, 2) Column and row of the chief ray at the design wavelength, by the polynomial of the field of view
     pixel_px: FloatArray
-    rotation_cam_from_icrs: FloatArray
+    rotation_cam_from_icrs: FloatArray  # (3, 3) Attitude
 
     def __post_init__(self) -> None:
         sizes = {"m": len(self.stars)}

@@ -19,27 +19,13 @@ __all__ = ["SkySample", "sample_sky"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SkySample:
-    """m sightings of stars in f attitudes, attitude after attitude.
+    """m sightings of stars in f attitudes, attitude after attitude."""
 
-    Attributes
-    ----------
-    frames : int
-        f.
-    frame : (m,) int64
-        Which attitude.
-    row : (m,) int64
-        Which star of the catalogue.
-    direction : (m, 3)
-        Unit vectors in cam.
-    pixel_px : (m, 2)
-        Column and row of the chief ray.
-    """
-
-    frames: int
-    frame: NDArray[np.int64]
-    row: NDArray[np.int64]
-    direction: FloatArray
-    pixel_px: FloatArray
+    frames: int  # f
+    frame: NDArray[np.int64]  # (m,) Which attitude
+    row: NDArray[np.int64]  # (m,) Which star of the catalogue
+    direction: FloatArray  # (m, 3) Unit vectors in cam
+    pixel_px: FloatArray  # (m, 2) Column and row of the chief ray
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -54,22 +40,7 @@ class SkySample:
 
 
 def sample_sky(index: SkyIndex, view: FieldOfView, attitudes: Rotation) -> SkySample:
-    """Stars on the detector (without its margin) in each attitude, at the epoch of the catalogue.
-
-    Parameters
-    ----------
-    index : SkyIndex
-        Catalogue with its search tree, cut to the magnitudes that matter.
-    view : FieldOfView
-        What the camera sees; its margin is left out.
-    attitudes : Rotation
-        f of them, cam from icrs.
-
-    Raises
-    ------
-    ConfigError
-        A single rotation instead of many.
-    """
+    """Stars on the detector (without its margin) in each attitude, at the epoch of the catalogue."""
     if attitudes.single:
         raise ConfigError("sample_sky: many attitudes are needed; Rotation.from_matrix([...])")
     matrix = attitudes.as_matrix()

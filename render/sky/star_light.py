@@ -27,27 +27,13 @@ COLDEST_K, HOTTEST_K = 900.0, 70000.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarLight:
-    """Light of stars of any temperature in given bands; made by `star_light`, once per set of bands.
+    """Light of stars of any temperature in given bands; made by `star_light`, once per set of bands."""
 
-    Attributes
-    ----------
-    band : tuple of str
-        Names of the b bands.
-    wavelength_nm : (b, k)
-        Nodes (`optics.light.band.band_nodes`).
-    magnitude_system : {"V", "G"}
-        Scale of the magnitudes that it takes.
-    log_temperature : (s,)
-        Knots, equally spaced in log T.
-    spline : scipy.interpolate.CubicSpline
-        Logarithm of the photon rate of a star of magnitude 0 at each node over log T, (b, k).
-    """
-
-    band: tuple[str, ...]
-    wavelength_nm: FloatArray
-    magnitude_system: Literal["V", "G"]
-    log_temperature: FloatArray
-    spline: Any
+    band: tuple[str, ...]  # Names of the b bands
+    wavelength_nm: FloatArray  # (b, k) Nodes (`optics.light.band.band_nodes`)
+    magnitude_system: Literal["V", "G"]  # Scale of the magnitudes that it takes
+    log_temperature: FloatArray  # (s,) Knots, equally spaced in log T
+    spline: Any  # Logarithm of the photon rate of a star of magnitude 0 at each node over log T, (b, k)
 
     def __post_init__(self) -> None:
         freeze(self, "wavelength_nm", shape=("b", "k"), sizes={"b": len(self.band)})
@@ -73,13 +59,7 @@ class StarLight:
         return np.asarray(np.exp(self.spline(np.log(t)) - (0.4 * math.log(10.0)) * m[:, None, None]))
 
     def stars(self, direction: FloatArray, magnitude: ArrayLike, temperature_k: ArrayLike) -> StarField:
-        """Stars of given magnitudes and temperatures, each (n,) or one for all, seen at directions (n, 3).
-
-        Raises
-        ------
-        DomainError
-            As `photon_rate`, or directions that are not of unit length.
-        """
+        """Stars of given magnitudes and temperatures, each (n,) or one for all, seen at directions (n, 3)."""
         m, t = (np.broadcast_to(np.asarray(value, float), len(direction)) for value in (magnitude, temperature_k))
         return StarField(
             direction=direction,

@@ -38,20 +38,7 @@ def sun_spectrum() -> TabulatedSed:
 
 
 def sunlight(wavelength_nm: ArrayLike, *, distance_au: float = 1.0) -> FloatArray:
-    """Photons s^-1 mm^-2 nm^-1 that the Sun sends through an area facing it.
-
-    Parameters
-    ----------
-    wavelength_nm : array_like
-        Wavelengths [nm], any shape.
-    distance_au : float
-        Distance from the Sun [au].
-
-    Raises
-    ------
-    DomainError
-        Wavelength outside 285 ... 1300 nm, distance not positive.
-    """
+    """Photons s^-1 mm^-2 nm^-1 that the Sun sends through an area facing it."""
     if not 0.0 < distance_au < np.inf:
         raise DomainError(f"distance from the Sun = {distance_au} au; it must be positive and finite")
     return sun_spectrum().photon_density(wavelength_nm) / distance_au**2

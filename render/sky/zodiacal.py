@@ -134,29 +134,8 @@ def _colour(wavelength_nm: FloatArray, angle_deg: FloatArray) -> FloatArray:
 
 
 def zodiacal_radiance(direction: ArrayLike, *, from_sun_au: ArrayLike, wavelength_nm: ArrayLike) -> FloatArray:
-    """Radiance of the zodiacal light.
-
-    Parameters
-    ----------
-    direction : (n, 3)
-        Unit vectors along icrs, the way the light comes from.
-    from_sun_au : (3,)
-        Place of the observer as seen from the Sun, along icrs [au]
-        (`render.catalogue.motion.earth_observer(epoch_year).from_sun_au`).
-    wavelength_nm : (k,)
-        Vacuum wavelengths [nm].
-
-    Returns
-    -------
-    (n, k)
-        Photons s^-1 mm^-2 sr^-1 nm^-1.
-
-    Raises
-    ------
-    DomainError
-        A direction within 15 deg of the Sun, an observer nearer than 0.3 or farther than 1.1 au from it, wavelengths
-        outside 285 ... 1300 nm, wrong shapes.
-    """
+    """Radiance of the zodiacal light."""
+    # direction (n, 3), from_sun_au (3,) [au], wavelength_nm (k,) [nm] -> (n, k)
     v, place = np.asarray(direction, np.float64), np.asarray(from_sun_au, np.float64)
     wave = np.atleast_1d(np.asarray(wavelength_nm, np.float64))
     if v.ndim != 2 or v.shape[1] != 3 or place.shape != (3,) or wave.ndim != 1:

@@ -295,7 +295,7 @@ class _Summed:
     """Images at f places, of q wavelengths in b bands."""
 
     light: NDArray[np.float32]  # (b, f, q, i, i) On samples
-    # moment, origin: (f, b, q, 6) As `WaveGrid.moment` and `WaveGrid.origin_px`
+    # moment, origin: (f, b, q, 6), (f, b, 2) As `WaveGrid.moment` and `WaveGrid.origin_px`
     moment: FloatArray
     origin: FloatArray
     radius_px: int  # Of the stamps
