@@ -23,7 +23,7 @@ def test_what_should_notice_is_there():
     for mutant in LIST:
         assert mutant.tests, mutant.name
         assert all((ROOT / test).is_file() for test in mutant.tests), mutant.name
-        assert all((ROOT / "experiments" / name / "criteria.py").is_file() for name in mutant.experiments), mutant.name
+        assert all((ROOT / "experiments" / name / "__main__.py").is_file() for name in mutant.experiments), mutant.name
 
 
 def test_sixty_equations_of_all_rooms_each_once():

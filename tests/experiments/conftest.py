@@ -30,7 +30,7 @@ def shot_noise():
 @pytest.fixture(scope="session")
 def in_words(shot_noise):
     """The same experiment without drawings, which take most of its time."""
-    return replace(shot_noise.experiment, figures={}, report="shot_noise_in_words.md")
+    return replace(shot_noise.experiment, report="shot_noise_in_words.md")
 
 
 @pytest.fixture(scope="session")

@@ -16,10 +16,9 @@ from pydantic import Field
 from experiments.harness.cli import command
 from experiments.harness.config import ExperimentConfig, StrictModel
 from experiments.harness.experiment import Experiment
-from experiments.harness.pivot import Pivot
 from experiments.harness.plotting import band_colours, new_figure
-from experiments.harness.quantities import Quantities
-from experiments.harness.summary import Criterion, Measured
+from experiments.harness.sections import Section, below, col
+from experiments.harness.summary import Measured
 from optics.errors import DomainError
 
 
@@ -39,99 +38,79 @@ class Config(ExperimentConfig):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Result:
-    config: Config
-    mean_e: np.ndarray
-    variance_e2: np.ndarray
-    error_e2: np.ndarray
+class Level:
+    level_e: float = col("Level", "e-", ".0f", json="")
+    mean_e: Measured = col("Mean", "e-", json="levels[level].mean_e")
+    variance_e2: Measured = col("Variance", "e-2", json="levels[level].variance_e2")
+    deviation_sigma: float = col("Deviation", "sigma", "+.2f", json="")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Worst:
+    worst: Measured = col("Largest deviation of a variance", "sigma", ".2f")
+    limit_sigma: float = col("Limit", "sigma", json="")
 
 
 def run(config, *, progress):
     if max(config.mean_e) > 1e12:
         raise DomainError(f"mean_e = {max(config.mean_e):.3g} e-; at most 1e12 e- can be drawn; lower it")
     rng = np.random.Generator(np.random.Philox(config.seed))
-    drawn = []
+    levels = []
     for level in progress.track(config.mean_e, "draw"):
-        drawn.append(rng.poisson(level, config.samples).astype(float))
+        drawn = rng.poisson(level, config.samples).astype(float)
+        variance = float(drawn.var(ddof=1))
+        # variance of a sample variance of Poisson numbers: (m4 - s^4)/n with m4 = lambda + 3 lambda^2
+        error = float(np.sqrt((level + 2 * level**2) / config.samples))
+        levels.append(
+            Level(
+                level_e=level,
+                mean_e=Measured(value=float(drawn.mean()), uncertainty=float(np.sqrt(level / config.samples))),
+                variance_e2=Measured(value=variance, uncertainty=error),
+                deviation_sigma=(variance - level) / error,
+            )
+        )
         if config.pause_s > 0:  # a test that interrupts the run waits for this line
             print("drawing", file=sys.stderr, flush=True)
             time.sleep(config.pause_s)
-    values = np.array(drawn)
-    # variance of a sample variance of Poisson numbers: (m4 - s^4)/n with m4 = lambda + 3 lambda^2
-    level = np.array(config.mean_e)
-    return Result(
-        config=config,
-        mean_e=values.mean(axis=1),
-        variance_e2=values.var(axis=1, ddof=1),
-        error_e2=np.sqrt((level + 2 * level**2) / config.samples),
-    )
-
-
-def deviation_sigma(result):
-    return (result.variance_e2 - np.array(result.config.mean_e)) / result.error_e2
-
-
-def describe(result):
-    q, config = Quantities(), result.config
-    q.axis("level", config.mean_e, "Level", unit="e-", format=".0f", key="level_e")
-    sigma = np.sqrt(np.array(config.mean_e) / config.samples)
-    q.add("mean_e", result.mean_e, "Mean", unit="e-", dims="level", error=sigma, json="")
-    q.add("variance_e2", result.variance_e2, "Variance", unit="e-2", dims="level", error=result.error_e2, json="")
-    q.add("means", result.mean_e, dims="level", json="mean_e")
-    q.add("variances", result.variance_e2, dims="level", json="variance_e2")
-    deviation = deviation_sigma(result)
-    q.add("deviation_sigma", deviation, "Deviation", unit="sigma", dims="level", format="+.2f", json="")
-    worst = Measured(value=float(np.abs(deviation).max()), unit="sigma", n=3)
-    q.add("worst", worst, "Largest deviation", format=".2f")
-    return q
-
-
-def tables(outcome):
-    note = f"Uncertainties are one standard deviation; N = {outcome.config.samples} per level."
-    columns = "mean_e variance_e2 deviation_sigma"
-    return {
-        "levels": Pivot(rows="level", columns=columns, caption="Variance of the signal beside its mean.", note=note)
-    }
+    largest = Measured(value=max(abs(one.deviation_sigma) for one in levels), n=len(levels))
+    return {"levels": levels, "worst": Worst(worst=largest, limit_sigma=config.limit_sigma)}
 
 
 def draw(outcome, width="full"):
-    result = outcome.result
     figure, axes = new_figure(width=width, aspect_ratio=0.5 if width == "full" else 0.8)
-    for colour, shift in zip(
-        band_colours([band.centre_nm for band in result.config.bands]), (0.8, 1.0, 1.25), strict=False
-    ):
-        axes.errorbar(
-            outcome.values("mean_e") * shift,
-            outcome.values("variance_e2"),
-            outcome.errors("variance_e2"),
-            fmt="o",
-            color=colour,
-            label=f"shift {shift}",
-        )
-    axes.plot(result.mean_e, result.mean_e, color="0.6", zorder=0, label="variance = mean")
+    mean = outcome.values("mean_e")
+    colours = band_colours([band.centre_nm for band in outcome.config.bands])
+    for colour, shift in zip(colours, (0.8, 1.0, 1.25), strict=False):
+        variance = outcome.values("variance_e2"), outcome.errors("variance_e2")
+        axes.errorbar(mean * shift, *variance, fmt="o", color=colour, label=f"shift {shift}")
+    axes.plot(mean, mean, color="0.6", zorder=0, label="variance = mean")
     axes.set(xscale="log", yscale="log", xlabel=outcome.heading("mean_e"), ylabel=outcome.heading("variance_e2"))
     axes.legend()
     return figure
 
 
-def criteria(outcome):
-    worst, limit = outcome.value("worst"), outcome.config.limit_sigma
-    return [Criterion(name="largest deviation of a variance", value=worst.value, limit=limit, unit="sigma")]
-
-
 def files(result, folder):
     (folder / "frames").mkdir()
-    np.save(folder / "frames" / "variance.npy", result.variance_e2)
+    np.save(folder / "frames" / "variance.npy", [one.variance_e2.value for one in result["levels"]])
 
 
+SECTIONS = {
+    "levels": Section(
+        record=Level,
+        dim="level",
+        along="level_e",
+        table="levels",
+        caption="Variance of the signal and its mean.",
+        note="Uncertainties are one standard deviation.",
+        figures={"draw": draw},
+    ),
+    "worst": Section(record=Worst, verdicts=[below("worst", "limit_sigma")]),
+}
 experiment = Experiment(
     name="shot_noise",
     config=Config,
     run=run,
-    quantities=describe,
-    tables=tables,
-    criteria=criteria,
-    figures={"draw": draw},
+    sections=SECTIONS,
     report="shot_noise.md",
     quick={"samples": 2000, "bands.1.name": "quick"},
     show=("levels",),

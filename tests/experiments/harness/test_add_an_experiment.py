@@ -47,13 +47,13 @@ def test_it_is_listed_and_runs(added, capsys):
     out = added / "out"
     assert starbench(["photon_transfer", "--quick", "--seed", "5", "--out", str(out)]) == 0
     results = json.loads((out / "summary.json").read_text(encoding="utf-8"))["results"]
-    gain, stated = results["gain"], load_detector("cmv4000").gain_dn_per_e
+    gain, stated = results["gain"]["measured"], load_detector("cmv4000").gain_dn_per_e
     # variance of a variance of n normal numbers 2 s^4 / n; here four levels, each of 10 frames of 64 x 64 pixels
     assert gain["value"] == pytest.approx(stated, rel=5 * np.sqrt(2 / (10 * 64**2)))
     assert gain["uncertainty"] < 0.02 * stated
     report = (out / "report.html").read_text(encoding="utf-8")
     assert "<svg" in report
-    assert f"{results['mean_dn'][0]:.1f}"[:3] in report
+    assert f"{results['levels'][0]['mean_dn']:.1f}" in report
     assert (out / "levels.ecsv").exists()
     assert starbench(["photon_transfer", "--set", "framse=3"]) == 2
     assert "frames" in capsys.readouterr().err

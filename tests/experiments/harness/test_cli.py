@@ -61,7 +61,8 @@ def test_quantities_are_read_back_by_other_programs(output):
     """ECSV by astropy, netCDF by SciPy's own reader, and the array that the experiment saved itself."""
     folder = output[1]
     saved = np.load(folder / "frames" / "variance.npy").tolist()
-    assert json.loads((folder / "summary.json").read_text())["results"]["variance_e2"] == saved
+    levels = json.loads((folder / "summary.json").read_text())["results"]["levels"]
+    assert [one["variance_e2"]["value"] for one in levels] == saved
     assert AstropyTable.read(folder / "levels.ecsv", format="ascii.ecsv")["variance_e2"].tolist() == saved
     with netcdf_file(folder / "results.nc", mmap=False) as data:
         variable = data.variables["variance_e2"]
@@ -230,17 +231,20 @@ def test_fault_of_the_program_is_not_mistaken_for_a_failed_criterion(shot_noise,
     def broken(outcome, width="full"):
         raise ZeroDivisionError
 
-    main = command(replace(shot_noise.experiment, figures={"draw": broken}))
+    levels = replace(shot_noise.SECTIONS["levels"], figures={"draw": broken})
+    main = command(replace(shot_noise.experiment, sections={**shot_noise.SECTIONS, "levels": levels}))
     assert main(["--out", str(tmp_path / "out")]) == 3
     assert "ZeroDivisionError" in capsys.readouterr().err
     assert names(tmp_path) == []
 
 
-def test_criterion_that_is_nan_fails(in_words, tmp_path):
+def test_criterion_that_is_nan_fails(shot_noise, in_words, tmp_path):
     def nan(outcome):
         return [Criterion(name="nan", value=float("nan"), limit=1.0)]
 
-    main = command(replace(in_words, criteria=nan))
+    nan.names = ()
+    worst = replace(shot_noise.SECTIONS["worst"], verdicts=[nan])
+    main = command(replace(in_words, sections={**shot_noise.SECTIONS, "worst": worst}))
     assert main(["--out", str(tmp_path / "out"), "--set", "samples=100"]) == 1
 
 
