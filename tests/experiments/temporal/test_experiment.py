@@ -9,9 +9,10 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from experiments.harness.progress import Progress
-from experiments.laboratory.temporal_error import temporal_error_arcsec
-from experiments.temporal.settings import experiment
-from render.sensor import StarSensor
+from experiments.laboratory.point_scene import point_laboratory, point_scene
+from experiments.laboratory.temporal_error import target_place
+from experiments.temporal.experiment import run as measure
+from render.engine.random import Streams
 
 pytestmark = pytest.mark.slow
 
@@ -22,6 +23,14 @@ FRAMES, STARS = 40, 6
 def run(tiny_run):
     small = {"target__rows": 2, "target__columns": 3, "target__pitch_px": 45.1, "target__edge_px": 40}
     return tiny_run("temporal", **small, compare=["epsf"], frames=FRAMES, draws=20, brightness__levels=2)
+
+
+@pytest.fixture(scope="module")
+def laboratory(run):
+    """Instrument of the run, and the light of its target."""
+    bench, instrument = point_laboratory(run.config, run.config.target)
+    light = point_scene(bench, instrument).light(target_place(bench, instrument), Streams(0), "here")
+    return instrument, light
 
 
 def floor_e2(instrument):
@@ -39,14 +48,14 @@ def test_the_run_is_complete(run):
     assert names < {path.name for path in run.folder.iterdir()}
 
 
-def bounds_px(run):
+def bounds_px(run, laboratory):
     """Cramer-Rao bounds (j, 2) of place and flux: Fisher information of Poisson light in normal noise.
 
     The pixels' light is the sampled PSF read by a cubic spline of SciPy's, its slopes are finite differences.
     """
-    light, signal = run.result.nominal.light, run.results["signal_e"]
+    (instrument, light), signal = laboratory, run.results["signal_e"]
     index = np.arange(light.light_e.shape[1])
-    found = []
+    bounds = []
     for (x, y), corner, psf in zip(light.bundle_px, light.corner_px, light.psf, strict=True):
 
         def pixels(dx, dy, x=x, y=y, corner=corner, psf=psf):
@@ -61,30 +70,31 @@ def bounds_px(run):
             (pixels(0.0, h) - pixels(0.0, -h)) / (2 * h),
             pixels(0.0, 0.0) / signal,
         ]
-        variance = np.maximum(pixels(0.0, 0.0), 0.0) + floor_e2(run.result.instrument)
+        variance = np.maximum(pixels(0.0, 0.0), 0.0) + floor_e2(instrument)
         information = np.array([[(a * b / variance).sum() for b in slopes] for a in slopes])
-        found.append(np.sqrt(np.diag(np.linalg.inv(information))[:2]))
-    return np.array(found)
+        bounds.append(np.sqrt(np.diag(np.linalg.inv(information))[:2]))
+    return np.array(bounds)
 
 
-def test_the_bound_is_that_of_the_fisher_information(run):
-    expected = 3.0 * run.result.instrument.pixel_arcsec * bounds_px(run).mean(0)
-    found = run.results["cramer_rao_arcsec_3sigma"]
-    np.testing.assert_allclose([found["x"], found["y"]], expected, rtol=0.01)
+def test_the_bound_is_that_of_the_fisher_information(run, laboratory):
+    expected = 3.0 * laboratory[0].pixel_arcsec * bounds_px(run, laboratory).mean(0)
+    stated = run.results["cramer_rao_arcsec_3sigma"]
+    np.testing.assert_allclose([stated["x"], stated["y"]], expected, rtol=0.01)
 
 
-def test_the_fit_scatters_as_the_bound_and_the_centre_of_gravity_as_its_own_sum(run):
+def test_the_fit_scatters_as_the_bound_and_the_centre_of_gravity_as_its_own_sum(run, laboratory):
     """Centre of gravity: variance = sum (x - mean)^2 (light + floor) / flux^2, exact to first order in the noise."""
-    light = run.result.nominal.light.light_e[:, 3:10, 3:10]  # it sums 7 x 7 of the 13 x 13 pixels
+    instrument = laboratory[0]
+    light = laboratory[1].light_e[:, 3:10, 3:10]  # it sums 7 x 7 of the 13 x 13 pixels
     index, flux = np.arange(light.shape[1]), light.sum((1, 2))
     gravity = []
     for axis in (2, 1):  # columns are x
         profile = light.sum(3 - axis)
         lever = index - (profile @ index / flux)[:, None]
-        variance = (light + floor_e2(run.result.instrument)).sum(3 - axis)
+        variance = (light + floor_e2(instrument)).sum(3 - axis)
         gravity.append(np.sqrt((lever**2 * variance).sum(1)) / flux)
-    scale = 3.0 * run.result.instrument.pixel_arcsec
-    expected = {"epsf": scale * bounds_px(run).mean(), "cog": scale * np.mean(gravity)}
+    scale = 3.0 * instrument.pixel_arcsec
+    expected = {"epsf": scale * bounds_px(run, laboratory).mean(), "cog": scale * np.mean(gravity)}
     limit = 4.0 / np.sqrt(2.0 * 2 * STARS * FRAMES) + 0.03  # of a standard deviation; one chip against the next
     for method, value in expected.items():
         measured = run.results["temporal_error_arcsec_3sigma"][method]
@@ -93,72 +103,19 @@ def test_the_fit_scatters_as_the_bound_and_the_centre_of_gravity_as_its_own_sum(
     np.testing.assert_allclose([predicted[axis] for axis in "xy"], scale * np.mean(gravity, axis=1), rtol=0.01)
 
 
-# What an equation may be mistaken for, and the criterion that has to notice it.
-
-
-def with_errors(change):
-    """Another result of eq. 1-2: ``change`` of its two `Measured`."""
-    return lambda sigma_px, pixel_arcsec, frames: change(*temporal_error_arcsec(sigma_px, pixel_arcsec, frames))
-
-
-def times(factor):
-    return with_errors(lambda *both: tuple(replace(one, value=factor * one.value) for one in both))
-
-
-def of_rms(sigma_px, pixel_arcsec, frames):
-    return temporal_error_arcsec(np.sqrt((sigma_px**2).mean(0, keepdims=True)), pixel_arcsec, frames)
-
-
-@pytest.mark.parametrize(
-    ("mutant", "noticed"),
-    [
-        pytest.param(times(1 / 3), "target that moves", id="one sigma for three"),
-        pytest.param(times(2.0), "target that moves", id="doubled"),
-        pytest.param(times(1 / np.sqrt(FRAMES)), "target that moves", id="error of the mean"),
-        pytest.param(times(np.sqrt(1 - 1 / FRAMES)), "printed equation", id="divisor N for N - 1"),
-        pytest.param(with_errors(lambda x, y: (y, x)), "target that moves", id="x and y exchanged"),
-        pytest.param(with_errors(lambda x, y: (x, x)), "target that moves", id="x for y"),
-        pytest.param(of_rms, "printed equation", id="RMS over the stars for their mean"),
-    ],
-)
-def test_a_wrong_equation_is_noticed(run, broken, failing, mutant, noticed):
-    broken(temporal_error_arcsec, mutant)
-    assert [name for name in failing("temporal", run.result) if noticed in name]
-
-
-@pytest.mark.parametrize("axis", [0, 1])
-def test_a_shifted_centroid_is_noticed(run, failing, axis):
-    nominal = run.result.nominal
-    moved = nominal.position_px["cog"] + 0.3 * np.eye(2)[axis]
-    result = replace(run.result, nominal=replace(nominal, position_px={**nominal.position_px, "cog": moved}))
-    (name,) = failing("temporal", result)
-    assert name.startswith("cog: centroid minus noiseless light")
-
-
-def test_a_wrong_angle_of_a_pixel_is_noticed(run, failing, monkeypatch):
-    right = run.result.instrument.pixel_arcsec
-    monkeypatch.setattr(StarSensor, "pixel_arcsec", property(lambda self: 1.01 * right))
-    assert "angle of a pixel over that of two traced bundles beside the axis" in failing("temporal", run.result)
-
-
-def test_a_centroid_that_does_not_follow_is_noticed(run, failing):
-    """Nine tenths of a motion, as a window that is too tight would show."""
-    shaken = run.result.shaken
-    seen = shaken.position_px["cog"]
-    slow = seen - 0.1 * (seen - np.nanmean(seen, axis=0))
-    result = replace(run.result, shaken=replace(shaken, position_px={**shaken.position_px, "cog": slow}))
-    (name,) = failing("temporal", result)
-    assert name.startswith("cog: temporal error of a target that moves")
-
-
-def test_no_false_alarm_in_eight_runs(run, failing):
-    """Criteria of this kind fail by chance once in a thousand times; there are three of them for each centroider.
-
-    By rays: noise is what differs."""
-    instrument = run.result.config.instrument.model_copy(update={"diffraction": "rays"})
+def test_the_verdicts_hold_for_other_seeds_and_notice_a_quarter(run, failing):
+    """By rays: noise is what differs. Four verdicts of a false alarm of 1 % each: one in eight runs is let pass."""
+    instrument = run.config.instrument.model_copy(update={"diffraction": "rays"})
+    alarms = 0
     for seed in range(8):
-        config = run.result.config.model_copy(update={"seed": seed, "instrument": instrument})
-        found = failing("temporal", experiment.run(config, progress=Progress()))
-        assert not [name for name in found if any(part in name for part in ("moves", "printed", "minus", "angle"))], (
-            seed
-        )
+        config = run.config.model_copy(update={"seed": seed, "instrument": instrument})
+        alarms += bool(failing("temporal", measure(config, progress=Progress()), config))
+    assert alarms <= 1
+
+    def scaled(record, factor):
+        cells = [[replace(one, value=factor * one.value) for one in row] for row in record.ratio]
+        return replace(record, ratio=cells)
+
+    for factor in (0.75, 1.25):
+        wrong = {**run.result, "levels": [scaled(one, factor) for one in run.result["levels"]]}
+        assert "measured against predicted" in " ".join(failing("temporal", wrong, run.config))
