@@ -16,7 +16,7 @@ from pydantic import BaseModel
 
 from optics.errors import DomainError
 
-__all__ = ["Criterion", "Measured", "dumps", "farthest_from_one", "summary", "to_json", "verdict_line"]
+__all__ = ["Criterion", "Measured", "dumps", "farthest_from_one", "measured", "summary", "to_json", "verdict_line"]
 
 Relation = Literal["<=", "<", ">=", ">"]
 _RELATIONS = {"<=": operator.le, "<": operator.lt, ">=": operator.ge, ">": operator.gt}
@@ -71,6 +71,17 @@ class Measured:
     unit: str = ""  # Its unit; "" for a pure number
     uncertainty: float | None = None  # One standard deviation, same unit
     n: int | None = None  # Samples behind it
+
+
+def measured(values: Any, uncertainty: Any, n: int | None = None, unit: str = "") -> Any:
+    """Array of `Measured`, shaped as ``values``."""
+    every = [
+        Measured(value=float(value), unit=unit, uncertainty=float(error), n=n)
+        for value, error in np.nditer([np.asarray(values, float), np.asarray(uncertainty, float)])
+    ]
+    array = np.empty(len(every), dtype=object)
+    array[:] = every
+    return array.reshape(np.broadcast_shapes(np.shape(values), np.shape(uncertainty)))
 
 
 def verdict_line(criteria: Sequence[Criterion], judged: str = "simulation") -> str:
