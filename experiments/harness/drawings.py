@@ -51,6 +51,8 @@ def curves(
         Quantity or dimension of the axis across; without numbers its names stand as ticks.
     points, lines : str
         Quantities, measured and predicted. Several of one kind without ``by`` get a colour each.
+    by : str
+        Dimension, or quantity of text along ``x``: its values group the points.
     floor : str
         Quantity below which nothing can be.
     dashes : str
@@ -78,20 +80,23 @@ def curves(
         drawn = _keys(o, by)
         drawn = drawn[:: max(1, len(drawn) // members)][:members] if members else drawn
         figure, grid = new_figure(1, len(keys), sharey=True, squeeze=False, **({"aspect_ratio": 0.5} | size))
-        at_x, ticks = _across(o, x)
+        whole_x, ticks = _across(o, x)
+        at_x, group = whole_x, o.values(by) if by in o.data.data_vars else None
         apart = not by and len(points.split()) + len(lines.split()) > 1
         for panel, key in zip(grid[0], keys, strict=True):
 
             def part(name: str, key: Any = key, **more: Any) -> tuple[Any, Any]:
                 where = {panels: key, **(at or {}), **more}
                 where = {dim: one for dim, one in where.items() if dim and dim in o.data[name].dims}
-                return o.values(name, **where), o.errors(name, **where)
+                some = slice(None) if group is None or by not in more else group == more[by]
+                return o.values(name, **where)[some], o.errors(name, **where)[some]
 
             if level is not None:
                 panel.axhline(level, color=INK, linewidth=0.8)
                 panel.axhspan(level - band, level + band, color=SHADE, linewidth=0, zorder=0)
             for k, member in enumerate(drawn):
                 where = {by: member} if by else {}
+                at_x = whole_x if group is None else whole_x[group == member]
                 for n, name in enumerate(one for one in lines.split() if one in o.data):
                     colour = PALETTE[n if apart else k]
                     panel.plot(at_x, part(name, **where)[0], color=colour, linewidth=1.1)
@@ -223,9 +228,13 @@ def maps(
                 panel.invert_yaxis()
             else:
                 down, across = one.dims
-                at_y, at_x = (_across(o, dim)[0] for dim in (down, across))
+                (at_y, words_y), (at_x, words_x) = (_across(o, dim) for dim in (down, across))
                 drawn = panel.pcolormesh(at_x, at_y, one.values.astype(float), shading="nearest", **style)
                 panel.set(xlabel=o.heading(across), ylabel=o.heading(down))
+                if words_x:
+                    panel.set_xticks(at_x, words_x, rotation=90)
+                    panel.set(yticks=at_y, yticklabels=words_y, aspect="equal")
+                    panel.invert_yaxis()
             panel.grid(visible=False)
             panel.set_title(o.label(panels, key) if panels else "")
         figure.colorbar(drawn, ax=list(grid[0]), label=o.heading(name), shrink=0.85)
@@ -234,26 +243,33 @@ def maps(
     return _named(draw, name, place)
 
 
-def cloud(name: str, *, ellipses: str = "", at: dict[str, Any] | None = None) -> Drawing:
-    """Places (..., axis) about zero; quantities (axis) as half-axes of ellipses, ``at`` coordinates or positions."""
+def cloud(name: str, *, ellipses: str = "", panels: str = "", at: dict[str, Any] | None = None) -> Drawing:
+    """Places (..., axis) about zero; quantities as circles, or (axis) as half-axes of ellipses.
+
+    ``at``: coordinates or positions of the ellipses.
+    """
 
     def draw(o: Outcome) -> Figure:
         from experiments.harness.plotting import INK, PALETTE, new_figure
 
-        place = o.values(name)
-        figure, panel = new_figure(width="half", aspect_ratio=1.0)
-        panel.plot(*place.reshape(-1, 2).T, ".", color=PALETTE[0], markersize=1.6, alpha=0.5)
-        turn, reach = np.linspace(0, 2 * np.pi, 181), float(np.nanmax(np.abs(place)))
-        for one, colour in zip((e for e in ellipses.split() if e in o.data), (PALETTE[1], INK), strict=False):
-            half = o.quantity(one)
-            half = half.at(**{dim: _position(o, dim, key) for dim, key in (at or {}).items() if dim in half.dims})
-            reach = max(reach, float(half.values.max()))
-            panel.plot(half.values[0] * np.cos(turn), half.values[1] * np.sin(turn), color=colour, label=half.label)
-        unit = o.heading(name).partition("[")[2]
+        keys, width = _keys(o, panels), {"aspect_ratio": 0.6} if panels else {"width": "half", "aspect_ratio": 1.0}
+        figure, grid = new_figure(1, len(keys), sharex=True, sharey=True, squeeze=False, **width)
+        turn, unit = np.linspace(0, 2 * np.pi, 181), o.heading(name).partition("[")[2]
+        reach = float(np.nanmax(np.abs(o.values(name))))
+        for panel, key in zip(grid[0], keys, strict=True):
+            here = {panels: key} if panels else {}
+            panel.plot(*o.values(name, **here).reshape(-1, 2).T, ".", color=PALETTE[0], markersize=1.6, alpha=0.5)
+            for one, colour in zip((e for e in ellipses.split() if e in o.data), (PALETTE[1], INK), strict=False):
+                half = o.quantity(one)
+                where = {dim: _position(o, dim, k) for dim, k in {**here, **(at or {})}.items() if dim in half.dims}
+                x, y = np.broadcast_to(half.at(**where).values, 2)
+                reach = max(reach, float(x), float(y))
+                panel.plot(x * np.cos(turn), y * np.sin(turn), color=colour, label=half.label)
+            panel.set(xlabel=f"x [{unit}", aspect="equal", title=o.label(panels, key) if panels else "")
+            if ellipses:
+                panel.legend(loc="upper right")
         ends = (-1.1 * reach, 1.1 * reach)
-        panel.set(xlabel=f"x [{unit}", ylabel=f"y [{unit}", xlim=ends, ylim=ends, aspect="equal")
-        if ellipses:
-            panel.legend(loc="upper right")
+        grid[0][0].set(ylabel=f"y [{unit}", xlim=ends, ylim=ends)
         return figure
 
     return _named(draw, name)
@@ -281,9 +297,11 @@ def _named(draw: Any, *names: str) -> Drawing:
 
 
 def _keys(o: Outcome, dim: str) -> list[Any]:
-    """Coordinates along a dimension, positions where it has none; a single None without a dimension."""
+    """Coordinates along a dimension, positions where it has none; a single None without a dimension; or texts."""
     if not dim:
         return [None]
+    if dim in o.data.data_vars:
+        return list(dict.fromkeys(o.values(dim).tolist()))
     return o.data[dim].values.tolist() if dim in o.data.coords else list(range(o.data.sizes[dim]))
 
 
@@ -325,9 +343,9 @@ def _legend(o: Outcome, figure: Figure, by: str, drawn: list[Any], kinds: tuple[
     points, lines = ([one for one in kind.split() if one in o.data] for kind in kinds)
     handles = []
     if by:
-        named = o.labels(by) if by in o.data.coords else {n: f"{by} {n + 1}" for n in range(o.data.sizes[by])}
+        named = o.labels(by) if by in o.data.coords else {n: f"{by} {n + 1}" for n in range(o.data.sizes.get(by, 0))}
         for one, colour, marker in zip(drawn, PALETTE, MARKERS, strict=False):
-            handles.append(Line2D([], [], color=colour, marker=marker, markerfacecolor="white", label=named[one]))
+            handles.append(Line2D([], [], color=colour, marker=marker, markerfacecolor="white", label=named.get(one, one)))
     for one, colour, marker in zip(points, PALETTE, MARKERS, strict=False):
         style = {"marker": marker, "markerfacecolor": "white", "linestyle": ""}
         handles.append(Line2D([], [], color=colour, label=o.quantity(one).label, **style))

@@ -34,7 +34,7 @@ _SHOWN |= {"percent": "%"}
 
 def shown_unit(unit: str) -> str:
     """A unit as readers see it: "arcsec" is ″, "um" is µm."""
-    return _SHOWN.get(unit, unit)
+    return "" if unit.startswith("{") else _SHOWN.get(unit, unit)
 
 
 class Quantities:
@@ -62,14 +62,17 @@ class Quantities:
         format: str = "",
         key: str = "",
         names: Mapping[Any, str] | Sequence[str] | None = None,
+        units: Sequence[str] = (),
     ) -> None:
-        """Describe a dimension."""
+        """Describe a dimension; ``units`` are those of quantities along it whose unit is "{NAME}", one by one."""
         coordinates = np.asarray(values)
         attrs = {"long_name": label or name, "units": unit, "format": format, "key": key}
         self.dataset.coords[name] = (name, coordinates, attrs)
         if names is not None:
             shown = [names[v] for v in coordinates.tolist()] if isinstance(names, Mapping) else list(names)
             self.dataset.coords[f"{name}_label"] = (name, np.asarray(shown, dtype=object))
+        if units:
+            self.dataset.coords[f"{name}_unit"] = (name, np.asarray(units, dtype=object))
 
     def add(
         self,
@@ -264,7 +267,11 @@ def _spread(dims: Sequence[str], one: Quantity, data: xr.Dataset, inner: Callabl
     if not dims:
         return inner(one)
     keys = _keys(data, dims[0])
-    parts = [_spread(dims[1:], one.at(**{dims[0]: n}), data, inner) for n in range(data.sizes[dims[0]])]
+    members = [one.at(**{dims[0]: n}) for n in range(data.sizes[dims[0]])]
+    if one.unit == f"{{{dims[0]}}}":
+        units = data.coords[f"{dims[0]}_unit"].values
+        members = [replace(member, unit=str(unit)) for member, unit in zip(members, units, strict=True)]
+    parts = [_spread(dims[1:], member, data, inner) for member in members]
     return parts if keys is None else dict(zip(keys, parts, strict=True))
 
 

@@ -232,6 +232,8 @@ def agree(
 ) -> Verdict:
     """A quantity against another one, or a number: the largest deviation over the uncertainties of both.
 
+    Cells whose prediction or uncertainty is NaN are left out; if none is left, the verdict fails.
+
     Parameters
     ----------
     name, with_ : str
@@ -257,15 +259,16 @@ def agree(
             expected = predicted.values if predicted is not None else float(str(with_))
             errors = [one.error for one in (measured, predicted) if one is not None and one.error is not None]
             variance = sum((np.square(one) for one in errors), np.square(slack * expected / PREDICTION_SIGMA))
-            pulls = np.ravel((measured.values - expected) / np.sqrt(variance))
+            known = np.broadcast_to(~np.isnan(expected + np.sqrt(variance)), measured.values.shape)
+            pulls = ((measured.values - expected) / np.sqrt(variance))[known]
             other = f"{expected:g}" if predicted is None else predicted.label.lower()
             what = title or f"{measured.label} against {other}"
             number = f", largest of {pulls.size} deviations" if pulls.size > 1 else ""
             out.append(
                 Criterion(
                     name=f"{who}{what}{number}",
-                    value=float(np.abs(pulls).max()),
-                    limit=two_sided_limit(pulls.size, false_alarm),
+                    value=float(np.abs(pulls).max()) if pulls.size else float("nan"),
+                    limit=two_sided_limit(max(pulls.size, 1), false_alarm),
                     unit="sigma",
                     advice=advice,
                 )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments.harness.quantities import Outcome, Quantities, to_results, write_netcdf
+from experiments.harness.quantities import Outcome, Quantities, shown_unit, to_results, write_netcdf
 from experiments.harness.summary import Measured
 from optics.errors import ConfigError, DomainError
 
@@ -181,3 +181,12 @@ def test_netcdf_comes_back_with_labels_and_units(q, tmp_path):
         assert data["te_arcsec"].attrs["units"] == "arcsec"
         assert data["te_arcsec_n"].values.max() == 30
         assert list(data["method_label"].values) == ["centre of gravity", "ePSF fit"]
+
+
+def test_units_along_a_dimension():
+    q = Quantities()
+    q.axis("unknown", ["x0_px", "f_mm"], "Unknown", units=["px", "mm"])
+    q.add("estimate", [1.0, 2.0], unit="{unknown}", dims="unknown", error=0.5, json="unknowns[unknown].estimate")
+    found = to_results(q.dataset)["unknowns"]
+    assert [one["estimate"].unit for one in found.values()] == ["px", "mm"]
+    assert shown_unit("{unknown}") == ""
