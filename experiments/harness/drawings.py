@@ -345,7 +345,8 @@ def _legend(o: Outcome, figure: Figure, by: str, drawn: list[Any], kinds: tuple[
     if by:
         named = o.labels(by) if by in o.data.coords else {n: f"{by} {n + 1}" for n in range(o.data.sizes.get(by, 0))}
         for one, colour, marker in zip(drawn, PALETTE, MARKERS, strict=False):
-            handles.append(Line2D([], [], color=colour, marker=marker, markerfacecolor="white", label=named.get(one, one)))
+            label = named.get(one, one)
+            handles.append(Line2D([], [], color=colour, marker=marker, markerfacecolor="white", label=label))
     for one, colour, marker in zip(points, PALETTE, MARKERS, strict=False):
         style = {"marker": marker, "markerfacecolor": "white", "linestyle": ""}
         handles.append(Line2D([], [], color=colour, label=o.quantity(one).label, **style))
