@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from experiments.harness.quantities import Outcome
 
-__all__ = ["bars", "cloud", "curves", "image", "maps", "scatter"]
+__all__ = ["arrows", "bars", "cloud", "curves", "image", "maps", "scatter"]
 
 Drawing = Callable[["Outcome"], "Figure"]
 GREY, SHADE = "#8a9099", "#eef0f2"
@@ -273,6 +273,44 @@ def cloud(name: str, *, ellipses: str = "", panels: str = "", at: dict[str, Any]
         return figure
 
     return _named(draw, name)
+
+
+def arrows(place: str, *vectors: str, panels: str = "", frame: str = "", longest: float = 0.08, **size: Any) -> Drawing:
+    """Vectors (..., axis) at places (..., axis) on the detector, one panel per quantity or coordinate of ``panels``.
+
+    ``frame`` is a quantity (width, height) whose edge is drawn; the longest arrow is ``longest`` of the reach.
+    """
+
+    def draw(o: Outcome) -> Figure:
+        from experiments.harness.plotting import PALETTE, new_figure
+        from experiments.harness.quantities import shown_unit
+
+        shown = [(one, key) for one in vectors for key in _keys(o, panels)]
+        shape = {"aspect_ratio": 0.7 if len(shown) == 1 else 0.5} | size
+        figure, grid = new_figure(1, len(shown), sharey=True, squeeze=False, **shape)
+        for panel, (name, key) in zip(grid[0], shown, strict=True):
+            at = {panels: key} if panels else {}
+            error = o.quantity(name, **at)
+            where = o.values(place, **(at if panels in o.quantity(place).dims else {})).reshape(-1, 2)
+            corner = o.values(frame) if frame else where.max(0)
+            vector = error.values.reshape(-1, 2)
+            top = float(np.nanmax(np.linalg.norm(vector, axis=1)))
+            scale = (top or 1.0) / (longest * float(corner[0] if frame else np.ptp(where[:, 0])))
+            style = {"angles": "xy", "scale_units": "xy", "scale": scale, "width": 0.004, "color": PALETTE[0]}
+            panel.quiver(*where.T, *vector.T, **style)
+            if frame:
+                x, y = ((-0.5, float(end) - 0.5) for end in corner)
+                panel.plot([x[0], x[1], x[1], x[0], x[0]], [y[0], y[0], y[1], y[1], y[0]], color=GREY, linewidth=0.8)
+            label = o.label(panels, key) if panels else error.label
+            panel.set(
+                xlabel="column [px]", aspect="equal", title=f"{label}: longest {top:.2g} {shown_unit(error.unit)}"
+            )
+            panel.grid(visible=False)
+        grid[0][0].set_ylabel("row [px]")
+        grid[0][0].invert_yaxis()
+        return figure
+
+    return _named(draw, place, *vectors)
 
 
 def image(name: str, *, scale: float = 60.0) -> Drawing:

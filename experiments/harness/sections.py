@@ -41,12 +41,28 @@ from optics.errors import DomainError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Section", "agree", "below", "col", "described", "judged", "ratio_near", "tabulated", "two_sided_limit"]
+__all__ = [
+    "Advice",
+    "Section",
+    "above",
+    "agree",
+    "below",
+    "col",
+    "described",
+    "judged",
+    "ratio_near",
+    "tabulated",
+    "two_sided_limit",
+]
 
 FALSE_ALARM = 0.01
 """Chance that a verdict fails by noise alone, unless it says another one."""
 PREDICTION_SIGMA = 3.0
 """Standard deviations that the stated error of a prediction (``slack``) counts as."""
+
+
+Advice = str | Callable[[Outcome], str]
+"""What is likely wrong where a verdict fails, or what says it of an outcome."""
 
 
 class Verdict(Protocol):
@@ -228,7 +244,7 @@ def agree(
     at: Mapping[str, Any] | None = None,
     false_alarm: float = FALSE_ALARM,
     slack: float = 0.0,
-    advice: str = "",
+    advice: Advice = "",
 ) -> Verdict:
     """A quantity against another one, or a number: the largest deviation over the uncertainties of both.
 
@@ -248,8 +264,8 @@ def agree(
         Chance that the verdict fails by noise alone; the limit follows from it and the number of deviates.
     slack : float
         Part of the predicted value that the prediction may be off, counted as three standard deviations.
-    advice : str
-        What is likely wrong where it fails.
+    advice : str or function
+        What is likely wrong where it fails; a function of the outcome where that depends on what came out.
     """
 
     def judge(outcome: Outcome) -> list[Criterion]:
@@ -270,7 +286,7 @@ def agree(
                     value=float(np.abs(pulls).max()) if pulls.size else float("nan"),
                     limit=two_sided_limit(max(pulls.size, 1), false_alarm),
                     unit="sigma",
-                    advice=advice,
+                    advice=_words(advice, outcome),
                 )
             )
         return out
@@ -288,7 +304,7 @@ def ratio_near(
     at: Mapping[str, Any] | None = None,
     mean: bool = False,
     false_alarm: float = FALSE_ALARM,
-    advice: str = "",
+    advice: Advice = "",
 ) -> Verdict:
     """A ratio: the farthest of several from ``about`` (or their mean) within a part of it, plus what noise may do.
 
@@ -304,7 +320,7 @@ def ratio_near(
             limit = within + two_sided_limit(1 if mean else error.size, false_alarm) * spread
             of = f", mean of {measured.values.size}" if mean and measured.dims else ""
             name_ = f"{who}{title or measured.label}{of}"
-            out.append(Criterion(name=name_, value=value, about=about, limit=limit, advice=advice))
+            out.append(Criterion(name=name_, value=value, about=about, limit=limit, advice=_words(advice, outcome)))
         return out
 
     return _named(judge, name)
@@ -318,23 +334,43 @@ def below(
     each: str = "",
     at: Mapping[str, Any] | None = None,
     size: bool = False,
-    advice: str = "",
+    least: bool = False,
+    advice: Advice = "",
 ) -> Verdict:
-    """The largest of a quantity (with ``size`` of its absolute values) at or below a number or another quantity."""
+    """The largest of a quantity (with ``size`` of its absolute values) at or below a number or another quantity.
+
+    With ``least`` the smallest, at or above it (`above`).
+    """
 
     def judge(outcome: Outcome) -> list[Criterion]:
         out = []
         for measured, who, where in _parts(outcome, name, each, at):
             bound = outcome.quantity(limit).at(**where).values if isinstance(limit, str) else limit
             values = np.abs(measured.values) if size else measured.values
-            worst = int(np.argmax(np.ravel(values / bound))) if np.size(values) > 1 else 0
-            at_worst = float(np.ravel(np.broadcast_to(bound, np.shape(values)))[worst])
-            value = float(np.ravel(values)[worst])
-            name_ = f"{who}{title or measured.label}"
-            out.append(Criterion(name=name_, value=value, limit=at_worst, unit=measured.unit, advice=advice))
+            farthest = np.argmin if least else np.argmax
+            worst = int(farthest(np.ravel(values / bound))) if np.size(values) > 1 else 0
+            out.append(
+                Criterion(
+                    name=f"{who}{title or measured.label}",
+                    value=float(np.ravel(values)[worst]),
+                    limit=float(np.ravel(np.broadcast_to(bound, np.shape(values)))[worst]),
+                    unit=measured.unit,
+                    relation=">=" if least else "<=",
+                    advice=_words(advice, outcome),
+                )
+            )
         return out
 
     return _named(judge, name, limit)
+
+
+def above(name: str, limit: str | float, **others: Any) -> Verdict:
+    """The smallest of a quantity at or above a number or another quantity; parameters as of `below`."""
+    return below(name, limit, least=True, **others)
+
+
+def _words(advice: Advice, outcome: Outcome) -> str:
+    return advice if isinstance(advice, str) else advice(outcome)
 
 
 def _named(judge: Any, *names: str | float) -> Verdict:
