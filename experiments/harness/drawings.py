@@ -50,7 +50,8 @@ def curves(
     x : str
         Quantity or dimension of the axis across; without numbers its names stand as ticks.
     points, lines : str
-        Quantities, measured and predicted. Several of one kind without ``by`` get a colour each.
+        Quantities, measured and predicted. Several of one kind without ``by`` get a colour each; a line that does not
+        depend on ``by`` is drawn once, in black.
     by : str
         Dimension, or quantity of text along ``x``: its values group the points.
     floor : str
@@ -98,8 +99,10 @@ def curves(
                 where = {by: member} if by else {}
                 at_x = whole_x if group is None else whole_x[group == member]
                 for n, name in enumerate(one for one in lines.split() if one in o.data):
-                    colour = PALETTE[n if apart else k]
-                    panel.plot(at_x, part(name, **where)[0], color=colour, linewidth=1.1)
+                    shared = _shared(o, name, by)
+                    if not shared or k == 0:
+                        colour = INK if shared else PALETTE[n if apart else k]
+                        panel.plot(at_x, part(name, **where)[0], color=colour, linewidth=1.1)
                 for n, name in enumerate(one for one in points.split() if one in o.data):
                     value, error = part(name, **where)
                     style = n if apart else k
@@ -132,18 +135,25 @@ def curves(
                 _second_axis(o, panel, at_x, above)
         first = next(o.quantity(one) for one in (points or lines).split() if one in o.data)
         grid[0][0].set_ylabel(replace(first, label=y or first.label).heading)
-        _legend(o, figure, by, drawn, (points, lines) if apart else ("", ""), floor)
+        black = [name for name in (*lines.split(), floor) if name in o.data and (name == floor or _shared(o, name, by))]
+        _legend(o, figure, by, drawn, (points, lines) if apart else ("", ""), black)
         return figure
 
     return _named(draw, points, lines, floor)
 
 
-def bars(dim: str, *, bars: str, points: str = "", by: str = "", panels: str = "", **size: Any) -> Drawing:
-    """Quantities along ``dim`` as bars, those of ``by`` next to each other; ``points`` (predictions) as circles."""
+def bars(
+    dim: str, *, bars: str, points: str = "", marks: str = "", by: str = "", panels: str = "", **size: Any
+) -> Drawing:
+    """Quantities along ``dim`` as bars, those of ``by`` next to each other.
+
+    ``points`` (predictions) are circles, ``marks`` (published) grey diamonds; without ``bars`` the points are the bars.
+    """
 
     def draw(o: Outcome) -> Figure:
         from experiments.harness.plotting import INK, PALETTE, new_figure
 
+        long, circles = (bars, points) if bars in o.data else (points, "")
         keys, members = _keys(o, panels), _keys(o, by)
         figure, grid = new_figure(1, len(keys), sharey=True, squeeze=False, **({"aspect_ratio": 0.36} | size))
         place, thick = -np.arange(o.data.sizes[dim], dtype=float), 0.7 / len(members)
@@ -151,19 +161,23 @@ def bars(dim: str, *, bars: str, points: str = "", by: str = "", panels: str = "
             for k, (member, colour) in enumerate(zip(members, PALETTE, strict=False)):
                 at = {name: value for name, value in ((panels, key), (by, member)) if name}
                 beside = place - thick * (k - (len(members) - 1) / 2)
-                label = o.label(by, member) if by else None
-                panel.barh(beside, o.values(bars, **at), height=thick, color=colour, alpha=0.85, label=label)
-                if points and points in o.data:
-                    panel.plot(o.values(points, **at), beside, "o", color=INK, markerfacecolor="white", markersize=4)
+                label = o.label(by, member) if by else o.quantity(long).label
+                panel.barh(beside, o.values(long, **at), height=thick, color=colour, alpha=0.85, label=label)
+                for name, shape, ink in ((circles, "o", INK), (marks, "D", GREY)):
+                    if name and name in o.data:
+                        style = {"color": ink, "markerfacecolor": "white", "markersize": 4, "linestyle": ""}
+                        label = o.quantity(name).label if k == 0 else None
+                        panel.plot(o.values(name, **at), beside, marker=shape, label=label, **style)
             panel.set_yticks(place, o.names(dim))
             panel.grid(visible=False, axis="y")
-            low = min(0.0, float(np.nanmin(o.values(bars))))
-            panel.set(title=o.label(panels, key) if panels else "", xlabel=o.heading(bars), xlim=(low or 0, None))
-        if by:
-            figure.legend(*grid[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+            low = min(0.0, float(np.nanmin(o.values(long))))
+            panel.set(title=o.label(panels, key) if panels else "", xlabel=o.heading(long), xlim=(low or 0, None))
+        handles, labels = grid[0][0].get_legend_handles_labels()
+        if len(handles) > 1:
+            figure.legend(handles, labels, loc="outside lower center", ncols=4)
         return figure
 
-    return _named(draw, bars, points)
+    return _named(draw, bars, points, marks)
 
 
 def scatter(x: str, y: str, *, by: str = "", panels: str = "", diagonal: bool = False, **size: Any) -> Drawing:
@@ -357,6 +371,11 @@ def _across(o: Outcome, x: str) -> tuple[Any, list[str]]:
     return values.astype(float), []
 
 
+def _shared(o: Outcome, name: str, by: str) -> bool:
+    """Whether a line is the same for all coordinates of ``by``."""
+    return by in o.data.dims and by not in o.data[name].dims
+
+
 def _beside(at_x: Any, k: int, count: int, log: str) -> Any:
     """Places moved a little, so that points of several colours do not hide each other."""
     step = k - (count - 1) / 2
@@ -373,7 +392,7 @@ def _second_axis(o: Outcome, panel: Axes, at_x: Any, name: str) -> None:
     top.set_xlabel(o.heading(name))
 
 
-def _legend(o: Outcome, figure: Figure, by: str, drawn: list[Any], kinds: tuple[str, str], floor: str) -> None:
+def _legend(o: Outcome, figure: Figure, by: str, drawn: list[Any], kinds: tuple[str, str], black: list[str]) -> None:
     from matplotlib.lines import Line2D
 
     from experiments.harness.plotting import INK, MARKERS, PALETTE
@@ -390,7 +409,6 @@ def _legend(o: Outcome, figure: Figure, by: str, drawn: list[Any], kinds: tuple[
         handles.append(Line2D([], [], color=colour, label=o.quantity(one).label, **style))
     for one, colour in zip(lines, PALETTE, strict=False):
         handles.append(Line2D([], [], color=colour, linewidth=1.1, label=o.quantity(one).label))
-    if floor and floor in o.data:
-        handles.append(Line2D([], [], color=INK, linewidth=1.0, label=o.quantity(floor).label))
+    handles += [Line2D([], [], color=INK, linewidth=1.0, label=o.quantity(name).label) for name in black]
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=min(4, len(handles)))

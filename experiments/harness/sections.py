@@ -126,7 +126,9 @@ class Section:
     table: str = ""  # Name of its table and ECSV file; "" for none
     rows: str = ""  # Dimensions that run down; ``dim`` and those of the columns by default
     across: str = ""  # Dimensions spread over columns
-    columns: str = ""  # Columns that are shown, in this order; by default every field with ``shown``
+    # Columns that are shown, in this order; by default every field with ``shown``. What is no field of the record is a
+    # quantity of another section
+    columns: str = ""
     hidden: str = ""  # Dimensions of the rows without a column of their own
     where: Mapping[str, Any] = field(default_factory=dict)  # As of `Pivot`
     caption: str = ""  # Of the table
@@ -180,7 +182,7 @@ class Section:
         """Its table: the shown columns, or every column that has no further dimensions (for the ECSV file)."""
         described = self.columns_of()
         shown = self.columns.split() or [name for name, metadata in described.items() if metadata["shown"]]
-        there = [self.prefix + name for name in shown if self.prefix + name in data]
+        there = [one for one in (self.prefix + name if name in described else name for name in shown) if one in data]
         if not self.rows:
             there = [name for name in there if name != self.prefix + self.along]
         dims = [str(dim) for name in there for dim in data[name].dims]
@@ -298,17 +300,19 @@ def ratio_near(
     name: str,
     about: float = 1.0,
     *,
-    within: float,
+    within: float | str,
     title: str = "",
     each: str = "",
     at: Mapping[str, Any] | None = None,
     mean: bool = False,
+    most: float = np.inf,
     false_alarm: float = FALSE_ALARM,
     advice: Advice = "",
 ) -> Verdict:
     """A ratio: the farthest of several from ``about`` (or their mean) within a part of it, plus what noise may do.
 
-    Parameters as of `agree`; ``within`` is what the prediction may be off besides the noise of the measurement.
+    Parameters as of `agree`; ``within`` is what the prediction may be off besides the noise of the measurement, a
+    number or a quantity. A run so small that the limit would exceed ``most`` gives no verdict.
     """
 
     def judge(outcome: Outcome) -> list[Criterion]:
@@ -317,13 +321,16 @@ def ratio_near(
             error = np.zeros(1) if measured.error is None else np.ravel(measured.error)
             value = float(measured.values.mean()) if mean else about * farthest_from_one(measured.values / about)
             spread = float(np.sqrt((error**2).sum()) / error.size if mean else error.max())
-            limit = within + two_sided_limit(1 if mean else error.size, false_alarm) * spread
+            allowed = float(outcome.value(within)) if isinstance(within, str) else within
+            limit = allowed + two_sided_limit(1 if mean else error.size, false_alarm) * spread
+            if limit > most:
+                continue
             of = f", mean of {measured.values.size}" if mean and measured.dims else ""
             name_ = f"{who}{title or measured.label}{of}"
             out.append(Criterion(name=name_, value=value, about=about, limit=limit, advice=_words(advice, outcome)))
         return out
 
-    return _named(judge, name)
+    return _named(judge, name, within)
 
 
 def below(
