@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.harness.threads import THREADS
+from experiments.harness.system import THREADS
 
 PRODUCTS = """
 import numpy as np

@@ -4,13 +4,14 @@ Commands (``python -m experiments.NAME``) run them; `run_experiment` does the sa
 tables and figures.
 """
 
-import contextlib
 import os
 import signal
 import sys
 import threading
 from importlib.util import find_spec
 from pathlib import Path
+
+import lazy_loader
 
 
 def _leave(number: int, frame: object) -> None:
@@ -27,28 +28,26 @@ if _command and threading.current_thread() is threading.main_thread():  # a comm
 
 for _name in ("optics", "render", "calib"):  # a user's module of that name makes imports fail in strange ways
     _found = find_spec(_name)
-    _file = None if _found is None else _found.origin
-    if _file and Path(_file).resolve().parents[1] != Path(__file__).resolve().parents[1]:
-        _said = f"{_file} hides the package {_name!r} of starbench; rename it or start elsewhere"
-        if _command:
-            print(f"error: {_said}", file=sys.stderr)
-            raise SystemExit(2)
-        raise ImportError(_said)
+    if _found and _found.origin and Path(_found.origin).resolve().parents[1] != Path(__file__).resolve().parents[1]:
+        _said = f"{_found.origin} hides the package {_name!r} of starbench; rename it or start elsewhere"
+        if not _command:
+            raise ImportError(_said)
+        print(f"error: {_said}", file=sys.stderr)
+        raise SystemExit(2)
 
 
 def _no_such_module() -> None:
     """Python says of ``-m experiments.camra`` that there is no such module; say which one is near."""
+    words = [word.removeprefix("-m") for word in sys.orig_argv[1:]]
+    name = next((word.removeprefix("experiments.") for word in words if word.startswith("experiments.")), "")
+    home = Path(__file__).parent
+    if "." in name or not name or (home / name / "__main__.py").exists() or (home / f"{name}.py").exists():
+        return
     from optics.errors import unknown_name
 
-    words = [word.removeprefix("-m") for word in sys.orig_argv[1:]]
-    asked = next((word.removeprefix("experiments.") for word in words if word.startswith("experiments.")), "")
-    home = Path(__file__).parent
-    if "." in asked or not asked or (home / asked / "__main__.py").exists() or (home / f"{asked}.py").exists():
-        return
-    if (home / asked / "command.py").exists():
-        said = f"{asked} is run by: python -m experiments {asked}"
-    else:
-        said = str(unknown_name("experiment", asked, [path.parent.name for path in home.glob("*/__main__.py")]))
+    known = [path.parent.name for path in home.glob("*/__main__.py")]
+    other = (home / name / "command.py").exists()
+    said = f"{name} is run by: python -m experiments {name}" if other else unknown_name("experiment", name, known)
     print(f"error: {said}", file=sys.stderr)
     raise SystemExit(2)
 
@@ -56,7 +55,4 @@ def _no_such_module() -> None:
 if sys.argv[:1] == ["-m"]:
     _no_such_module()
 
-with contextlib.suppress(ImportError):  # of a broken installation: ``starbench doctor`` says what it lacks
-    import lazy_loader
-
-    __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -2,87 +2,86 @@
 
 from __future__ import annotations
 
-import os
 import sys
-from importlib import import_module
+from collections.abc import Sequence
 
-from experiments.harness.system import print_anything
+import click
+from click.shell_completion import get_completion_class
 
-__all__ = ["COMMANDS", "console", "main"]
+from experiments.harness.interrupts import invoke
+from experiments.harness.registry import Commands, found, version_option
+
+__all__ = ["COMMANDS", "console", "main", "starbench"]
 
 COMMANDS = {
-    "completion": "what makes bash, zsh or fish complete all this: completion bash",
-    "doctor": "what is there (LLVM, versions, GPU, stars), what is missing, what to do",
-    "frame": "any FITS image as a page to zoom into, with its stars: frame show FILE.fits --out page.html",
-    "lens": "lens files: lens show FILE, lens convert FILE NEW   (.toml, .zmx, .seq)",
+    "all": ("experiments.harness.together:run_all", "every experiment in turn, and a page that links their reports"),
+    "completion": (f"{__name__}:completion", "completion of all this in bash, zsh or fish: completion bash"),
+    "doctor": ("experiments.doctor:doctor", "LLVM, versions, GPU, stars: what is missing, and what to do"),
+    "frame": (
+        "experiments.frame:frame",
+        "any FITS image as a page to zoom into, with its stars: frame show FILE.fits --out page.html",
+    ),
+    "lens": (
+        "experiments.lens.command:lens",
+        "lens files (.toml, .zmx, .seq): lens show FILE, lens convert FILE NEW",
+    ),
 }
-"""What is no experiment; ``experiments.NAME.command`` runs it."""
+"""Commands that are no experiments."""
+HELP = """Run an experiment: starbench NAME [--quick] [--out DIR], or python -m experiments.NAME; more by NAME --help.
+
+All of them: starbench --all [--quick] [--out DIR]
+"""
 
 
-def main(argv: list[str], *, own_process: bool = False) -> int:
-    """List the experiments, or run one of them."""
-    if argv and argv[0] in COMMANDS:  # without the rest, which a broken installation may lack
-        return int(import_module(f"experiments.{argv[0]}.command").main(argv[1:]))
-    from experiments.harness.registry import found, load
-    from optics.errors import ConfigError
-
-    experiments = found()
-    if "--all" in argv:
-        from experiments.harness.together import run_all
-
-        return run_all([word for word in argv if word != "--all"], experiments)
-    if argv == ["--names"]:
-        sys.stdout.writelines(f"{name}\n" for name in experiments)
-    elif argv == ["--version"]:
-        from experiments.harness.provenance import program_version
-
-        print(program_version())
-    elif argv and argv[0] not in ("-h", "--help"):
-        try:
-            command = load(argv[0], beside=COMMANDS)
-        except ConfigError as error:
-            print(f"error: {error}", file=sys.stderr)
-            return 2
-        return command(argv[1:], own_process=own_process)
-    else:
-        _tell(experiments)
-    return 0
+@click.pass_context
+def _list(context: click.Context, names: bool, **options: bool) -> None:
+    del options
+    if names:
+        click.echo("\n".join(found()))
+    elif context.invoked_subcommand is None:
+        click.echo(context.get_help())
 
 
-def _tell(experiments: dict[str, str]) -> None:
-    print("Run one with:  python -m experiments.NAME [--quick] [--out DIR]   (--help tells the rest)")
-    print("          or:  starbench NAME [--quick] [--out DIR]")
-    print("or all with:   python -m experiments --all [--quick] [--out DIR]")
-    width = max(map(len, [*experiments, *COMMANDS]))
-    for listed in (experiments, COMMANDS):
-        print()
-        for name, line in listed.items():
-            print(f"  {name:<{width}}  {line}")
+@click.command(
+    help="""Print what makes SHELL complete starbench, its experiments, their options and the keys of --set.
+
+\b
+bash: eval "$(starbench completion bash)"   in ~/.bashrc
+zsh:  eval "$(starbench completion zsh)"    in ~/.zshrc, after compinit
+fish: starbench completion fish > ~/.config/fish/completions/starbench.fish
+"""
+)
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+def completion(shell: str) -> None:
+    """The script that click has for the shell."""
+    source = get_completion_class(shell)
+    assert source is not None
+    click.echo(source(starbench, {}, "starbench", "_STARBENCH_COMPLETE").source())
 
 
-def _complete(instruction: str) -> int:
-    """What a shell may put after what was typed."""
-    import click
+starbench = Commands(
+    COMMANDS,
+    name="starbench",
+    help=HELP,
+    callback=_list,
+    invoke_without_command=True,
+    params=[
+        click.Option(["--all"], is_flag=True, help="Run every experiment: the command all."),
+        click.Option(["--names"], is_flag=True, help="Names of the experiments."),
+        version_option(),
+    ],
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 160},
+)
 
-    from experiments.harness.completion import Tree, answer
-    from experiments.harness.registry import found, load
 
-    def command(name: str) -> click.Command:
-        if name not in COMMANDS:
-            loaded: click.Command = load(name).parser  # type: ignore[attr-defined]
-            return loaded
-        module = import_module(f"experiments.{name}.command")
-        known: click.Command | None = getattr(module, name, None)
-        return known or click.Command(name, params=[click.Option([one], is_flag=True) for one in module.OPTIONS])
-
-    return answer(Tree({**found(), **COMMANDS}, command, ("--all", "--names", "--version", "--help")), instruction)
+def main(argv: Sequence[str], *, own_process: bool = False) -> int:
+    """Exit status of a command line; ``--all`` stands for the command ``all``."""
+    words = ["all", *(word for word in argv if word != "--all")] if "--all" in argv else list(argv)
+    return invoke(starbench, words, prog="starbench", alone=own_process)
 
 
 def console() -> int:
     """The console command ``starbench``."""
-    print_anything()
-    if "_STARBENCH_COMPLETE" in os.environ:
-        return _complete(os.environ["_STARBENCH_COMPLETE"])
     return main(sys.argv[1:], own_process=True)
 
 

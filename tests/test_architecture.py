@@ -36,7 +36,7 @@ ORDER = {
 }
 # What experiments share is below them; experiments know nothing of each other's inside.
 EXPERIMENTS = {path.parent.name for path in ROOT.glob("experiments/*/__init__.py")} - {"harness", "laboratory"}
-ORDER["experiments"] = f"harness < laboratory < {' '.join(sorted(EXPERIMENTS))} < __main__"
+ORDER["experiments"] = f"harness < laboratory < doctor frame {' '.join(sorted(EXPERIMENTS))} < __main__"
 # Names that one room may take from another one in spite of the order, by the importing room.
 EXCEPTIONS: dict[str, set[str]] = {
     "experiments.harness": {"experiments"},  # where the registry looks for them

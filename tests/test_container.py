@@ -7,7 +7,7 @@ import tomllib
 from fnmatch import fnmatch
 from pathlib import Path
 
-from experiments.doctor.engine import KNOWN_LLVM
+from experiments.doctor import KNOWN_LLVM
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "container"

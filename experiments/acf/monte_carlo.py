@@ -21,8 +21,7 @@ import numpy as np
 from experiments.acf.points import Plan, Point
 from experiments.acf.settings import Config
 from experiments.acf.trials import Task, work
-from experiments.harness.system import processors, signals_held
-from experiments.harness.threads import one_thread
+from experiments.harness.system import one_thread, processors, signals_held
 from optics.arrays import FloatArray
 from optics.errors import BackendError
 

@@ -24,10 +24,10 @@ from experiments.budget.combine import PRINTED, Budget
 from experiments.budget.settings import Config
 from experiments.harness.cli import configuration_file
 from experiments.harness.config import load_config
+from experiments.harness.interrupts import invoke
 from experiments.harness.range import with_value
 from experiments.laboratory.published import ACC18_ARCSEC
 from optics.arrays import FloatArray
-from optics.errors import StarbenchError
 
 __all__ = ["Tuned", "differences", "tune"]
 
@@ -185,16 +185,5 @@ def _command(file: str | None, settings: tuple[str, ...], prnu: bool, out: Path)
     click.echo(f"{found.evaluations} predictions; written: {out}")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """0, or 2 on bad input (one line)."""
-    try:
-        _command.main(argv, prog_name="python -m experiments.budget.tune", standalone_mode=False)
-    except (StarbenchError, click.ClickException) as error:
-        text = error.format_message() if isinstance(error, click.ClickException) else str(error)
-        print(f"error: {text.splitlines()[0]}", file=sys.stderr)
-        return 2
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(invoke(_command, None, prog="python -m experiments.budget.tune", alone=True))

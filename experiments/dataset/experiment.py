@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -17,7 +16,7 @@ from experiments.dataset.production.remote import RemoteDataset, is_url, working
 from experiments.dataset.settings import Config
 from experiments.harness.cli import command
 from experiments.harness.experiment import Experiment
-from experiments.harness.interrupts import EXIT_FAILED, EXIT_GOOD, Interrupts, guarded
+from experiments.harness.interrupts import EXIT_FAILED, EXIT_GOOD, interrupts
 from experiments.harness.progress import Progress, terminal_progress
 from optics.errors import ConfigError
 from render.engine import Engine
@@ -165,35 +164,17 @@ experiment = Experiment(
 )
 
 
-_run = command(experiment)
+main = command(experiment)
 
 
-def main(argv: Sequence[str] | None = None, *, own_process: bool | None = None) -> int:
-    """The command ``dataset``, and ``dataset check DIR``."""
-    words = sys.argv[1:] if argv is None else list(argv)
-    if words[:1] == ["check"]:
-        return check_command(words[1:])
-    return _run(argv, own_process=own_process)
+@main.command(help="Read every file of a dataset and say what is damaged, and what a run would make again.")
+@click.argument("folder", metavar="FOLDER_OR_URL")
+def check(folder: str) -> int:
+    """0 if every file is as it was written, 1 if not."""
+    from experiments.dataset.production.check import check as checked
 
-
-def check_command(words: Sequence[str]) -> int:
-    """Check a dataset: 0 if every file is as it was written, 1 if not, 2 if there is no dataset, 130 if interrupted."""
-    status: list[int] = []
-
-    @click.command(help="Read every file of a dataset and say what is damaged, and what a run would make again.")
-    @click.argument("folder", metavar="FOLDER_OR_URL")
-    def parse(folder: str) -> None:
-        from experiments.dataset.production.check import check
-
-        with working_copy(folder) if is_url(folder) else nullcontext(Path(folder)) as held:
-            found = check(held, terminal_progress())
-        click.echo("\n".join(found.lines()))
-        status.append(EXIT_FAILED if found.damaged or found.missing else EXIT_GOOD)
-
-    interrupts = Interrupts(said=lambda: "interrupted; nothing was changed")
-
-    def work() -> None:
-        with interrupts.caught():
-            parse.main(list(words), prog_name="starbench dataset check", standalone_mode=False)
-
-    return guarded(work, interrupts) or (status[0] if status else EXIT_GOOD)
+    interrupts.at_once, interrupts.said = False, lambda: "interrupted; nothing was changed"
+    with working_copy(folder) if is_url(folder) else nullcontext(Path(folder)) as held:
+        found = checked(held, terminal_progress())
+    click.echo("\n".join(found.lines()))
+    return EXIT_FAILED if found.damaged or found.missing else EXIT_GOOD

@@ -6,22 +6,22 @@ import contextlib
 import inspect
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import click
+from click.shell_completion import CompletionItem
 
-from experiments.harness.completion import files, folders, setting_keys
 from experiments.harness.config import ExperimentConfig, load_config
 from experiments.harness.experiment import Experiment
-from experiments.harness.interrupts import EXIT_FAILED, EXIT_GOOD, EXIT_INTERRUPTED, Interrupts, guarded, leave
+from experiments.harness.interrupts import EXIT_FAILED, EXIT_GOOD, interrupts, invoke
 from experiments.harness.outputs import RECORD, OutputFolder
-from experiments.harness.progress import terminal_progress
+from experiments.harness.progress import Progress, terminal_progress
+from experiments.harness.registry import version_option
 from experiments.harness.summary import Criterion
-from experiments.harness.system import print_anything
-from experiments.harness.threads import one_thread
+from experiments.harness.system import one_thread
 from optics.errors import ConfigError
 from optics.validate import parse_model
 
@@ -29,9 +29,7 @@ if TYPE_CHECKING:
     from experiments.harness.quantities import Outcome
     from experiments.harness.tables import Table
 
-__all__ = ["Main", "Options", "Run", "asked", "command", "configuration_file", "finished", "output_folder", "write_run"]
-
-Main = Callable[..., int]
+__all__ = ["Main", "Options", "Run", "command", "configuration_file", "finished", "perform"]
 
 
 class Output(Protocol):
@@ -56,15 +54,15 @@ class Output(Protocol):
 class Options:
     """What a command line asks for."""
 
-    sensor: tuple[str, ...]
-    file: str | None
-    settings: tuple[str, ...]
-    short: Mapping[str, str]
-    seed: int | None
-    backend: str
-    out: str
-    force: bool
-    quick: bool
+    sensor: tuple[str, ...] = ()
+    file: str | None = None
+    settings: tuple[str, ...] = ()
+    short: Mapping[str, str] = field(default_factory=dict)
+    seed: int | None = None
+    backend: str = "auto"
+    out: str | None = None  # None writes nothing
+    force: bool = False
+    quick: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,135 +78,122 @@ class Run:
     times_s: Mapping[str, float]
 
 
-def command(experiment: Experiment) -> Main:
-    """Turn an experiment into a command."""
-    status_of_run: list[int] = []
-    interrupts = Interrupts()
-    parser = _parser(experiment, status_of_run, interrupts)
+class Main(click.Group):
+    """An experiment as a command; a call runs it and gives the exit status. It may have subcommands."""
 
-    def main(argv: Sequence[str] | None = None, *, own_process: bool | None = None) -> int:
+    def __init__(self, experiment: Experiment) -> None:
+        super().__init__(
+            experiment.name,
+            help=_help(experiment),
+            params=_options(experiment),
+            callback=click.pass_context(self._run),
+            invoke_without_command=True,
+            subcommand_metavar="",
+            context_settings={"max_content_width": 100, "help_option_names": ["-h", "--help"]},
+        )
+        self.experiment = experiment
+
+    def __call__(self, argv: Sequence[str] | None = None, *, own_process: bool | None = None) -> int:
+        """Run a command line; ``own_process``: whether the process ends with it, as it does without ``argv``."""
         alone = argv is None if own_process is None else own_process
-        if alone:
-            print_anything()
-        status_of_run.clear()
-        interrupts.asked.clear()
-        interrupts.at_once = alone
-        interrupts.said = lambda: OutputFolder.interrupted
+        return invoke(self, argv, prog=f"python -m experiments.{self.name}", alone=alone)
 
-        def work() -> None:
-            with interrupts.caught():
-                parser.main(argv, prog_name=f"python -m experiments.{experiment.name}", standalone_mode=False)
-
-        status = guarded(work, interrupts)
-        if status == EXIT_INTERRUPTED and alone:
-            leave(status)
-        return status or (status_of_run[0] if status_of_run else EXIT_GOOD)
-
-    main.parser = parser  # type: ignore[attr-defined]  # for completion
-    return main
-
-
-def _parser(experiment: Experiment, status: list[int], interrupts: Interrupts) -> click.Command:
-    shorts = _shorts(experiment)
-
-    @click.command(
-        help=_help(experiment), context_settings={"max_content_width": 100, "help_option_names": ["-h", "--help"]}
-    )
-    @click.option("--sensor", metavar="FILE", multiple=True, help=_sensor_help(experiment), shell_complete=files)
-    @click.option(
-        "--config", "file", metavar="FILE", help="TOML file with any part of the configuration.", shell_complete=files
-    )
-    @click.option(
-        "--set",
-        "settings",
-        metavar="KEY=VALUE",
-        multiple=True,
-        help="One setting, dotted keys; repeatable.",
-        shell_complete=setting_keys(lambda: _keys(experiment)),
-    )
-    @click.option("--seed", type=click.IntRange(min=0), help="Seed of all random streams.")
-    @click.option("--backend", type=click.Choice(["auto", "llvm", "cuda"]), default="auto", show_default=True)
-    @click.option(
-        "--out",
-        metavar="DIR",
-        default=f"out/{experiment.name}",
-        show_default=True,
-        help="Output folder.",
-        shell_complete=folders,
-    )
-    @click.option("--force", is_flag=True, help="Replace the output of a run with other settings.")
-    @click.option("--quick", is_flag=True, help="A small run that shows all parts in seconds.")
-    @click.option(
-        "--defaults",
-        type=click.Choice(["sensor", "all"]),
-        is_flag=False,
-        flag_value="sensor",
-        help="Print what the other options make of the defaults, as a commented file for --sensor (all: for --config).",
-    )
-    @click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=_version)
-    @click.option("--schema", is_flag=True, help="Print the JSON schema of the configuration and stop.")
-    def parse(schema: bool, defaults: str | None, **options: Any) -> None:
+    def _run(
+        self, context: click.Context, schema: bool = False, defaults: str | None = None, **options: Any
+    ) -> int | None:
+        if context.invoked_subcommand is not None:
+            return None
         if schema:
-            click.echo(json.dumps(experiment.config.model_json_schema(), indent=2, ensure_ascii=False))
-            return
-        given = {name: options.pop(_parameter(name)) for name in shorts}
+            click.echo(json.dumps(self.experiment.config.model_json_schema(), indent=2, ensure_ascii=False))
+            return None
+        given = {name: options.pop(_parameter(name)) for name in _shorts(self.experiment)}
         short = {name: _text(value) for name, value in given.items() if value not in (None, ())}
         chosen = Options(short=short, **options)
         if defaults is not None:
-            click.echo(_defaults(experiment, chosen, whole=defaults == "all"), nl=False)
-            return
-        with one_thread(unless_told=True):
-            status.append(_perform(experiment, chosen, interrupts))
-
-    for name, (key, text) in shorts.items():
-        if _is_switch(experiment, key):
-            help_text = f"{text} Short for --set {key}=true."
-            parse = click.option(f"--{name}", _parameter(name), flag_value="true", default=None, help=help_text)(parse)
-            continue
-        if _is_list(experiment, key):
-            help_text = f"{text} Repeatable."
-            parse = click.option(f"--{name}", _parameter(name), metavar="TEXT", multiple=True, help=help_text)(parse)
-            continue
-        help_text = f"{text} Short for --set {key}=TEXT."
-        parse = click.option(f"--{name}", _parameter(name), metavar="TEXT", help=help_text)(parse)
-    return parse
+            click.echo(_defaults(self.experiment, chosen, whole=defaults == "all"), nl=False)
+            return None
+        run, folder = perform(self.experiment, chosen, terminal_progress())
+        assert folder is not None
+        _show(run, folder.shown)
+        return EXIT_GOOD if all(criterion.passed for criterion in run.criteria) else EXIT_FAILED
 
 
-def _keys(experiment: Experiment) -> Mapping[str, Any]:
+def command(experiment: Experiment) -> Main:
+    """Turn an experiment into a command."""
+    return Main(experiment)
+
+
+def _options(experiment: Experiment) -> list[click.Parameter]:
+    sensor = "TOML file of a star sensor, taken by every experiment."
+    sensor += "" if experiment.comparison is None else " Repeatable: sensors side by side."
+    text = "Print what the other options make of the defaults, as a commented file for --sensor (all: for --config)."
+    path = click.Path(readable=False)
+    return [
+        click.Option(["--sensor"], metavar="FILE", type=path, multiple=True, help=sensor),
+        click.Option(
+            ["--config", "file"], metavar="FILE", type=path, help="TOML file with any part of the configuration."
+        ),
+        click.Option(
+            ["--set", "settings"],
+            metavar="KEY=VALUE",
+            multiple=True,
+            help="One setting, dotted keys; repeatable.",
+            shell_complete=lambda context, parameter, incomplete: _keys(experiment, incomplete),
+        ),
+        click.Option(["--seed"], type=click.IntRange(min=0), help="Seed of all random streams."),
+        click.Option(["--backend"], type=click.Choice(["auto", "llvm", "cuda"]), default="auto", show_default=True),
+        click.Option(
+            ["--out"],
+            metavar="DIR",
+            type=path,
+            default=f"out/{experiment.name}",
+            show_default=True,
+            help="Output folder.",
+        ),
+        click.Option(["--force"], is_flag=True, help="Replace the output of a run with other settings."),
+        click.Option(["--quick"], is_flag=True, help="A small run that shows all parts in seconds."),
+        click.Option(
+            ["--defaults"], type=click.Choice(["sensor", "all"]), is_flag=False, flag_value="sensor", help=text
+        ),
+        version_option(),
+        click.Option(["--schema"], is_flag=True, help="Print the JSON schema of the configuration and stop."),
+        *(_short(experiment, name, *short) for name, short in _shorts(experiment).items()),
+    ]
+
+
+def _short(experiment: Experiment, name: str, key: str, text: str) -> click.Option:
+    """An option that stands for ``--set KEY=...``: a switch, a repeatable one for a list of text, or text."""
+    known = experiment.config.model_fields.get(key)
+    words = [f"--{name}", _parameter(name)]
+    if known is not None and known.annotation is bool:
+        return click.Option(words, flag_value="true", default=None, help=f"{text} Short for --set {key}=true.")
+    if known is not None and known.annotation == tuple[str, ...]:
+        return click.Option(words, metavar="TEXT", multiple=True, help=f"{text} Repeatable.")
+    return click.Option(words, metavar="TEXT", help=f"{text} Short for --set {key}=TEXT.")
+
+
+def _keys(experiment: Experiment, incomplete: str) -> list[CompletionItem]:
+    """Keys of ``--set`` that begin so, for the completion of shells."""
     from experiments.harness.range import leaf_keys
 
-    return leaf_keys(experiment.config)
+    fields = leaf_keys(experiment.config).items()
+    return [CompletionItem(f"{key}=", help=one.description) for key, one in fields if key.startswith(incomplete)]
 
 
 def _shorts(experiment: Experiment) -> dict[str, tuple[str, str]]:
     """Short options of an experiment; ``--frames`` is the number of frames wherever there is such a number."""
-    field = experiment.config.model_fields.get("frames")
-    common = {"frames": ("frames", f"Number of {field.description}.")} if field and field.annotation is int else {}
+    known = experiment.config.model_fields.get("frames")
+    common = {"frames": ("frames", f"Number of {known.description}.")} if known and known.annotation is int else {}
     return {**common, **experiment.options}
 
 
-def _is_switch(experiment: Experiment, key: str) -> bool:
-    field = experiment.config.model_fields.get(key)
-    return field is not None and field.annotation is bool
-
-
-def _is_list(experiment: Experiment, key: str) -> bool:
-    field = experiment.config.model_fields.get(key)
-    return field is not None and field.annotation == tuple[str, ...]
+def _parameter(option: str) -> str:
+    return f"short_{option.replace('-', '_')}"
 
 
 def _text(value: str | tuple[str, ...]) -> str:
     """What ``--set`` would be given: text, or a list of text as TOML writes it."""
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-
-
-def _sensor_help(experiment: Experiment) -> str:
-    text = "TOML file of a star sensor, taken by every experiment."
-    return text if experiment.comparison is None else f"{text} Repeatable: sensors side by side."
-
-
-def _parameter(option: str) -> str:
-    return f"short_{option.replace('-', '_')}"
 
 
 def _help(experiment: Experiment) -> str:
@@ -226,7 +211,7 @@ def _help(experiment: Experiment) -> str:
     return "\n\n".join(parts)
 
 
-def asked(declared: Experiment, options: Options) -> tuple[Experiment, ExperimentConfig]:
+def _asked(declared: Experiment, options: Options) -> tuple[Experiment, ExperimentConfig]:
     """What is to be run, and its configuration; several sensors are a configuration each."""
     if len(options.sensor) < 2:
         config = _configuration(declared, options)
@@ -272,31 +257,34 @@ def _defaults(experiment: Experiment, options: Options, *, whole: bool) -> str:
     )
 
 
-def _perform(declared: Experiment, options: Options, interrupts: Interrupts) -> int:
-    experiment, config = asked(declared, options)
-    with interrupts.unwinding():
-        folder: Output = output_folder(experiment, options, config)
-    interrupts.said = lambda: folder.interrupted
-    own = {"output": folder} if experiment.output else {}
-    variant = None
-    if experiment.renders(config):
-        from render.engine import Engine
+def perform(declared: Experiment, options: Options, progress: Progress) -> tuple[Run, Output | None]:
+    """Run an experiment and write what it gives: the run, and the folder where one is named."""
+    with one_thread(unless_told=True):
+        experiment, config = _asked(declared, options)
+        interrupts.at_once = False
+        folder = _output_folder(experiment, options, config) if options.out is not None else None
+        variant = None
+        if experiment.renders(config):
+            from render.engine import Engine
 
-        variant = Engine.start(options.backend).variant
-    interrupts.at_once = False
-    progress = terminal_progress()
-    result = experiment.part(experiment.run)(config, progress=progress, **own)
-    with progress.stage("write"):
-        run = finished(experiment, config, result, variant=variant, quick=options.quick, times_s=progress.times_s)
-        with folder.writing() as staging:
-            write_run(run, staging)
-    _show(run, folder.shown)
-    return EXIT_GOOD if all(criterion.passed for criterion in run.criteria) else EXIT_FAILED
+            with interrupts.leaving():
+                variant = Engine.start(options.backend).variant
+        own: dict[str, Any] = {}
+        if folder is not None:
+            interrupts.said = lambda: folder.interrupted
+            own = {"output": folder} if experiment.output else {}
+        result = experiment.part(experiment.run)(config, progress=progress, **own)
+        with progress.stage("write"):
+            run = finished(experiment, config, result, variant=variant, quick=options.quick, times_s=progress.times_s)
+            if folder is not None:
+                with folder.writing() as staging:
+                    _write_run(run, staging)
+    return run, folder
 
 
-def output_folder(experiment: Experiment, options: Options, config: ExperimentConfig) -> Output:
+def _output_folder(experiment: Experiment, options: Options, config: ExperimentConfig) -> Output:
     """The output folder; that of another run is refused unless the user insists."""
-    if not options.out.strip():
+    if options.out is None or not options.out.strip():
         raise ConfigError("--out is empty: name a folder")
     if experiment.output is not None:
         if options.force:
@@ -311,15 +299,6 @@ def output_folder(experiment: Experiment, options: Options, config: ExperimentCo
 
         folder.refuse_other_run(experiment.name, without_paths(config.model_dump(mode="json")))
     return folder
-
-
-def _version(context: click.Context, parameter: click.Parameter, asked: bool) -> None:
-    del parameter
-    if asked:
-        from experiments.harness.provenance import program_version
-
-        click.echo(program_version())
-        context.exit()
 
 
 def finished(
@@ -353,7 +332,7 @@ def configuration_file(name: str | None) -> str | Path | None:
     return shipped
 
 
-def write_run(run: Run, folder: Path) -> None:
+def _write_run(run: Run, folder: Path) -> None:
     from experiments.harness.plotting import house_style
     from experiments.harness.provenance import collect, file_digests, without_paths
     from experiments.harness.quantities import write_netcdf

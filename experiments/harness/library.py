@@ -5,16 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from experiments.harness.cli import Options, Run, asked, finished, output_folder, write_run
+from experiments.harness.cli import Options, Run, perform
 from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
-from experiments.harness.registry import declaration_of, package_of
-from experiments.harness.threads import one_thread
-from optics.errors import ConfigError
+from experiments.harness.registry import declared
+from optics.errors import ConfigError, unknown_name
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -28,15 +26,9 @@ __all__ = ["ExperimentRun", "run_experiment"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class ExperimentRun:
-    """A run of an experiment.
+    """A run of an experiment."""
 
-    Attributes
-    ----------
-    run : Run
-        What the command would write: result, quantities, criteria and tables.
-    """
-
-    run: Run
+    run: Run  # What the command would write: result, quantities, criteria and tables
 
     def __repr__(self) -> str:
         failed = [one.name for one in self.criteria if not one.passed]
@@ -62,7 +54,6 @@ class ExperimentRun:
     def table(self, name: str) -> Table:
         """A table of the report by name, as an `astropy.table.Table`."""
         from experiments.harness.tables import to_astropy
-        from optics.errors import unknown_name
 
         if name not in self.run.tables:
             raise unknown_name("table", name, self.run.tables)
@@ -120,37 +111,18 @@ def run_experiment(
     StarbenchError
         Whatever the command refuses in one line.
     """
-    module = None if isinstance(name, Experiment) else import_module(declaration_of(package_of(name)))
-    declared: Any = name if module is None else module.experiment
-    if declared.output is not None and out is None:
-        raise ConfigError(f"the experiment {declared.name!r} writes as it goes: name a folder, out=")
+    experiment: Experiment = name if isinstance(name, Experiment) else declared(name)
+    if experiment.output is not None and out is None:
+        raise ConfigError(f"the experiment {experiment.name!r} writes as it goes: name a folder, out=")
     options = Options(
         sensor=() if sensor is None else (str(sensor),),
-        file=None,
         settings=tuple(f"{key}={_text(value)}" for key, value in (settings or {}).items()),
-        short={},
         seed=seed,
         backend=backend,
-        out=str(out or ""),
-        force=False,
+        out=None if out is None else str(out),
         quick=quick,
     )
-    with one_thread(unless_told=True):
-        experiment, config = asked(declared, options)
-        folder = output_folder(experiment, options, config) if out is not None else None
-        variant = None
-        if experiment.renders(config):
-            from render.engine import Engine
-
-            variant = Engine.start(backend).variant
-        progress = Progress()
-        own = {"output": folder} if experiment.output else {}
-        result = experiment.part(experiment.run)(config, progress=progress, **own)
-        run = finished(experiment, config, result, variant=variant, quick=quick, times_s=progress.times_s)
-        if folder is not None:
-            with folder.writing() as staging:
-                write_run(run, staging)
-    return ExperimentRun(run=run)
+    return ExperimentRun(run=perform(experiment, options, Progress())[0])
 
 
 def _text(value: Any) -> str:

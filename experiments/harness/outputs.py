@@ -8,13 +8,14 @@ import json
 import os
 import shutil
 import signal
-import sys
 import tempfile
+import uuid
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from experiments.harness.system import signals_held, sync
+from experiments.harness.interrupts import NOTHING_WRITTEN
+from experiments.harness.system import signals_held
 from optics.errors import ConfigError
 
 __all__ = ["PROGRAM", "RECORD", "OutputFolder", "flat", "shown_value"]
@@ -40,7 +41,7 @@ class OutputFolder:
     ...     (staging / "summary.json").write_text("{}")
     """
 
-    interrupted = "interrupted; nothing was written"
+    interrupted = NOTHING_WRITTEN
 
     def __init__(self, path: str | Path) -> None:
         self.shown = str(path)
@@ -51,28 +52,21 @@ class OutputFolder:
     @contextlib.contextmanager
     def writing(self) -> Iterator[Path]:
         """Folder to write into; on leaving without an exception it takes its place, otherwise it vanishes."""
-        made = self._make_parents()
-        staging: Path | None = None
-        done = False
+        staging = self._ancestor() / f".{self.path.name}.partial-{uuid.uuid4().hex[:8]}"
         try:
-            staging = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.partial-", dir=self.path.parent))
+            staging.mkdir()
             yield staging
-            _open_to_umask(staging)
-            _sync_tree(staging)
+            for path in (*sorted(staging.rglob("*")), staging):
+                _sync(path)
             self._refuse_unsuitable()
             with signals_held(*_ENDING):
+                self.path.parent.mkdir(parents=True, exist_ok=True)
                 self._take_place(staging)
-                done = True
         except OSError as error:
             raise ConfigError(f"{self.shown}: cannot be written ({error.strerror or error})") from error
         finally:
-            with signals_held(*_ENDING):
-                if staging is not None:
-                    shutil.rmtree(staging, ignore_errors=True)  # by now the earlier output, or what was not finished
-                if not done:
-                    for folder in reversed(made):
-                        with contextlib.suppress(OSError):
-                            folder.rmdir()
+            with signals_held(*_ENDING):  # by now the earlier output, or what was not finished
+                shutil.rmtree(staging, ignore_errors=True)
 
     def refuse_other_run(self, experiment: str, config: Mapping[str, Any]) -> None:
         """Refuse a folder that holds the output of another experiment, or of this one with other settings."""
@@ -115,31 +109,19 @@ class OutputFolder:
                 "which is no earlier output; name another folder or empty it"
             )
 
+    def _ancestor(self) -> Path:
+        return next(folder for folder in self.path.parents if folder.exists())
+
     def _probe(self) -> None:
-        ancestor = self.path.parent
         try:
-            while not ancestor.exists():
-                ancestor = ancestor.parent
-            os.rmdir(tempfile.mkdtemp(prefix=f".{self.path.name}.probe-", dir=ancestor))
+            with signals_held(*_ENDING):
+                os.rmdir(tempfile.mkdtemp(prefix=f".{self.path.name}.probe-", dir=self._ancestor()))
         except OSError as error:
             raise ConfigError(f"{self.shown}: cannot be written ({error.strerror or error})") from None
 
-    def _make_parents(self) -> list[Path]:
-        missing = [folder for folder in self.path.parents if not folder.exists()]
-        made = []
-        try:
-            for folder in reversed(missing):
-                folder.mkdir(exist_ok=True)
-                made.append(folder)
-        except OSError as error:
-            raise ConfigError(f"{self.shown}: cannot be written ({error.strerror})") from None
-        return made
-
     def _take_place(self, staging: Path) -> None:
         if not self.path.exists() or not any(self.path.iterdir()):
-            if sys.platform == "win32" and self.path.exists():
-                self.path.rmdir()
-            os.rename(staging, self.path)  # POSIX: replaces an empty folder in one step
+            os.rename(staging, self.path)  # replaces an empty folder in one step
         elif not _exchange(staging, self.path):
             earlier = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.earlier-", dir=self.path.parent))
             os.rename(self.path, earlier / "output")
@@ -147,10 +129,10 @@ class OutputFolder:
                 os.rename(staging, self.path)
             except OSError:
                 os.rename(earlier / "output", self.path)
-                earlier.rmdir()
                 raise
-            shutil.rmtree(earlier, ignore_errors=True)
-        sync(self.path.parent)
+            finally:
+                shutil.rmtree(earlier, ignore_errors=True)
+        _sync(self.path.parent)
 
 
 def flat(value: Any, key: str = "") -> dict[str, Any]:
@@ -185,14 +167,9 @@ def _exchange(first: Path, second: Path) -> bool:
     return bool(renameat2(_AT_FDCWD, os.fsencode(first), _AT_FDCWD, os.fsencode(second), _RENAME_EXCHANGE) == 0)
 
 
-def _open_to_umask(folder: Path) -> None:
-    """Give the folder the rights of any new folder; a temporary one is private."""
-    mask = os.umask(0)
-    os.umask(mask)
-    folder.chmod(0o777 & ~mask)
-
-
-def _sync_tree(folder: Path) -> None:
-    for path in sorted(folder.rglob("*")):
-        sync(path)
-    sync(folder)
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -7,11 +7,12 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sized
 from contextlib import contextmanager
-from typing import Any, Protocol, TextIO, TypeVar
+from typing import Protocol, TextIO, TypeVar
 
 __all__ = ["LineProgress", "Progress", "Stage", "terminal_progress"]
 
 Item = TypeVar("Item")
+Show = Callable[[int], None]
 
 
 class Stage(Protocol):
@@ -21,13 +22,16 @@ class Stage(Protocol):
         """Report ``steps`` more of the stage's total as done."""
 
 
-class _SilentStage:
+class _Stage:
+    def __init__(self, show: Show) -> None:
+        self._show = show
+
     def advance(self, steps: int = 1) -> None:
-        """Nothing to show."""
+        self._show(steps)
 
 
 class Progress:
-    """Progress without a display; also the base of the one with bars.
+    """Progress without a display; also the base of those with one.
 
     Attributes
     ----------
@@ -52,8 +56,8 @@ class Progress:
         """Run a stage."""
         start = time.perf_counter()
         try:
-            with self._display(label, total) as stage:
-                yield stage
+            with self._display(label, total) as show:
+                yield _Stage(show)
         finally:
             self.times_s[label] = self.times_s.get(label, 0.0) + time.perf_counter() - start
 
@@ -72,85 +76,35 @@ class Progress:
                 stage.advance()
 
     @contextmanager
-    def _display(self, label: str, total: int | None) -> Iterator[Stage]:
+    def _display(self, label: str, total: int | None) -> Iterator[Show]:
         del label, total
-        yield _SilentStage()
+        yield lambda steps: None
 
 
-class _RichStage:
-    def __init__(self, bars: Any, task: Any) -> None:
-        self._bars = bars
-        self._task = task
-
-    def advance(self, steps: int = 1) -> None:
-        self._bars.advance(self._task, steps)
-
-
-class _RichProgress(Progress):
+class _BarProgress(Progress):
     def __init__(self) -> None:
         super().__init__()
         from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            ProgressColumn,
-            SpinnerColumn,
-            Text,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
+        from rich.progress import MofNCompleteColumn, TimeElapsedColumn
         from rich.progress import Progress as Bars
 
-        class Rate(ProgressColumn):
-            def render(self, task: Any) -> Text:
-                speed = task.finished_speed or task.speed
-                return Text("" if speed is None else f"{speed:.3g}/s")
-
-        self._bars = Bars(
-            SpinnerColumn(),
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=30),
-            MofNCompleteColumn(),
-            Rate(),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
-            transient=True,
-        )
-        self._depth = 0
+        columns = (*Bars.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn())
+        self._bars = Bars(*columns, console=Console(stderr=True), transient=True)
 
     def note(self, words: str) -> None:
         """Above the bars."""
         self._bars.console.print(words, highlight=False, markup=False, soft_wrap=True)
 
     @contextmanager
-    def _display(self, label: str, total: int | None) -> Iterator[Stage]:
-        if self._depth == 0:
-            self._bars.start()
-        self._depth += 1
+    def _display(self, label: str, total: int | None) -> Iterator[Show]:
+        self._bars.start()
         task = self._bars.add_task(label, total=total)
         try:
-            yield _RichStage(self._bars, task)
+            yield lambda steps: self._bars.advance(task, steps)
         finally:
             self._bars.remove_task(task)
-            self._depth -= 1
-            if self._depth == 0:
+            if not self._bars.tasks:
                 self._bars.stop()
-
-
-class _LineStage:
-    def __init__(self, progress: LineProgress, label: str, total: int | None) -> None:
-        self._progress, self._label, self._total, self._done = progress, label, total, 0
-        self._begun = progress.clock()
-
-    def advance(self, steps: int = 1) -> None:
-        self._done += steps
-        of = f" of {self._total}" if self._total is not None else ""
-        took = self._progress.clock() - self._begun
-        rate = f", {self._done / took:.3g}/s" if took > 0 else ""
-        left = (self._total - self._done) * took / self._done if self._total and self._done else 0.0
-        self._progress.say(f"{self._label}: {self._done}{of}{rate}" + (f", {left:.0f} s left" if left > 0 else ""))
 
 
 class LineProgress(Progress):
@@ -161,21 +115,28 @@ class LineProgress(Progress):
 
     def __init__(self, stream: TextIO, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
-        self._stream, self.clock = stream, clock
-        self._start = clock()
+        self._stream, self._clock, self._start = stream, clock, clock()
         self._next = self._start + self.FIRST_S
 
-    def say(self, words: str) -> None:
-        """Write a line if it is time for one."""
-        now = self.clock()
+    def _say(self, words: str) -> None:
+        now = self._clock()
         if now >= self._next:
             print(f"[{now - self._start:.0f} s] {words}", file=self._stream, flush=True)
             self._next = now + self.EVERY_S
 
     @contextmanager
-    def _display(self, label: str, total: int | None) -> Iterator[Stage]:
-        self.say(label)
-        yield _LineStage(self, label, total)
+    def _display(self, label: str, total: int | None) -> Iterator[Show]:
+        begun, done = self._clock(), 0
+
+        def show(steps: int) -> None:
+            nonlocal done
+            done += steps
+            left = (total - done) * (self._clock() - begun) / done if total and done else 0.0
+            of = f" of {total}" if total is not None else ""
+            self._say(f"{label}: {done}{of}" + (f", {left:.0f} s left" if left > 0 else ""))
+
+        self._say(label)
+        yield show
 
 
 def terminal_progress() -> Progress:
@@ -185,4 +146,4 @@ def terminal_progress() -> Progress:
     """
     if sys.stderr is None or (not sys.stderr.isatty() and os.environ.get("STARBENCH_PROGRESS") == "none"):
         return Progress()
-    return _RichProgress() if sys.stderr.isatty() else LineProgress(sys.stderr)
+    return _BarProgress() if sys.stderr.isatty() else LineProgress(sys.stderr)

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import platform
-import re
+import resource
 import subprocess
+import sys
 import time
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
-from importlib import metadata
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path
 from typing import Any
 
+import psutil
+
 from experiments.harness.outputs import PROGRAM
-from experiments.harness.system import own_peak_memory_mb
+from experiments.harness.registry import version_of
 from render.engine.llvm import llvm_version
 
 __all__ = [
@@ -24,7 +27,6 @@ __all__ = [
     "file_digests",
     "peak_memory_mb",
     "process_seconds",
-    "program_version",
     "without_paths",
 ]
 
@@ -41,7 +43,6 @@ _PACKAGES = (
     "matplotlib",
 )
 _WORKERS_MB: list[float] = []
-_IMPORTED = time.perf_counter()
 
 
 def collect(
@@ -66,7 +67,7 @@ def collect(
         "backend": {"variant": variant, "llvm": llvm_version(), "threads": os.cpu_count()},
         "machine": {"cpu": _cpu_name(), "system": platform.system(), "architecture": platform.machine()},
         "python": platform.python_version(),
-        "packages": {name: _version(name) for name in _PACKAGES},
+        "packages": {name: version_of(name) for name in _PACKAGES},
         "git": _git(),
     }
 
@@ -82,7 +83,8 @@ def file_digests(folder: Path) -> dict[str, str]:
 
 def peak_memory_mb() -> float:
     """Largest resident memory of this process so far, and of those that worked for it [MB = 10^6 bytes]."""
-    return own_peak_memory_mb() + sum(_WORKERS_MB)
+    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    return largest / 1e6 + sum(_WORKERS_MB)
 
 
 def count_memory_of_workers(peaks_mb: Iterable[float]) -> None:
@@ -93,13 +95,8 @@ def count_memory_of_workers(peaks_mb: Iterable[float]) -> None:
 
 
 def process_seconds() -> float:
-    """Seconds since this process started, interpreter and imports included (Linux; elsewhere since this import)."""
-    try:
-        after_name = Path("/proc/self/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-        started = int(after_name[19]) / os.sysconf("SC_CLK_TCK")  # field 22 of proc(5), counted from field 3
-        return time.clock_gettime(time.CLOCK_BOOTTIME) - started
-    except (OSError, ValueError, AttributeError, IndexError):
-        return time.perf_counter() - _IMPORTED
+    """Seconds since this process started, interpreter and imports included."""
+    return time.time() - psutil.Process().create_time()
 
 
 def without_paths(value: Any) -> Any:
@@ -108,34 +105,13 @@ def without_paths(value: Any) -> Any:
         return {key: without_paths(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [without_paths(item) for item in value]
-    if isinstance(value, str):
-        if re.match(r"[A-Za-z]:[\\/]", value):
-            return PureWindowsPath(value).name
-        if value.startswith(("/", "~/")):
-            return PurePosixPath(value).name
-    return value
-
-
-def program_version() -> str:
-    """Name and version of the program, for ``--version``."""
-    found = _version(PROGRAM)
-    return f"{PROGRAM} {found}" if found else f"{PROGRAM}, from a source tree that is not installed"
-
-
-def _version(package: str) -> str | None:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None
+    return Path(value).name if isinstance(value, str) and value.startswith(("/", "~/")) else value
 
 
 def _cpu_name() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
+    with contextlib.suppress(OSError, StopIteration):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        return next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     return platform.processor() or platform.machine()
 
 

@@ -1,36 +1,33 @@
-"""Which experiments there are, found among the packages beside this one without importing any of their work."""
+"""Which experiments and commands there are; each is loaded when it is called for, its work when it runs."""
 
 from __future__ import annotations
 
 import importlib.util
 import pkgutil
-from collections.abc import Iterable
+from collections.abc import Mapping
 from functools import cache
 from importlib import import_module, metadata
-from typing import TYPE_CHECKING
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem
 
 import experiments as home
+from experiments.harness.outputs import PROGRAM
 from optics.errors import ConfigError, unknown_name
 
-if TYPE_CHECKING:
-    from experiments.harness.cli import Main
-
-__all__ = ["GROUP", "declaration_of", "found", "load", "package_of"]
+__all__ = ["GROUP", "Commands", "declaration_of", "declared", "found", "load", "version_of", "version_option"]
 
 GROUP = "starbench.experiments"
 """Entry points under which other distributions offer experiments: ``NAME = "package"``, laid out as ours."""
 
 
-def _is_experiment(package: str) -> bool:
-    """Whether a package declares an experiment and ``python -m PACKAGE`` runs it; the frame itself does not."""
-    return all(importlib.util.find_spec(f"{package}.{part}") for part in ("experiment", "__main__"))
-
-
 @cache
 def _packages() -> dict[str, str]:
-    beside = [name for _, name, is_package in pkgutil.iter_modules(home.__path__) if is_package]
-    ours = {name: f"{home.__name__}.{name}" for name in beside}
-    ours = {name: package for name, package in ours.items() if _is_experiment(package)}
+    """Packages of experiments by name: those that declare one and that ``python -m PACKAGE`` runs."""
+    ours = {name: f"{home.__name__}.{name}" for _, name, package in pkgutil.iter_modules(home.__path__) if package}
+    parts = ("experiment", "__main__")
+    ours = {name: at for name, at in ours.items() if all(importlib.util.find_spec(f"{at}.{part}") for part in parts)}
     others = {point.name: point.value for point in metadata.entry_points(group=GROUP)}
     return dict(sorted((others | ours).items()))
 
@@ -40,25 +37,95 @@ def found() -> dict[str, str]:
     return {name: (import_module(at).__doc__ or "").strip().partition("\n")[0] for name, at in _packages().items()}
 
 
-def package_of(name: str, beside: Iterable[str] = ()) -> str:
-    """The package of an experiment."""
-    packages = _packages()
-    if name not in packages:
-        raise unknown_name("experiment", name, [*packages, *beside])
-    return packages[name]
-
-
 def declaration_of(package: str) -> str:
     """Module that declares the experiment of a package: ``settings`` (or ``experiment``)."""
     settings = import_module(f"{package}.settings") if importlib.util.find_spec(f"{package}.settings") else None
     return f"{package}.{'settings' if hasattr(settings, 'experiment') else 'experiment'}"
 
 
-def load(name: str, beside: Iterable[str] = ()) -> Main:
-    """The command of an experiment; parameters and errors as of `package_of`."""
-    package = package_of(name, beside)
-    main = getattr(import_module(declaration_of(package)), "main", None)
+def _declaration(name: str) -> Any:
+    if name not in _packages():
+        raise unknown_name("experiment", name, _packages())
+    return import_module(declaration_of(_packages()[name]))
+
+
+def declared(name: str) -> Any:
+    """The declaration of an experiment, an `experiments.harness.experiment.Experiment`."""
+    return _declaration(name).experiment
+
+
+def load(name: str) -> click.Command:
+    """The command of an experiment."""
+    module = _declaration(name)
+    main: click.Command | None = getattr(module, "main", None)
     if main is None:
-        raise ConfigError(f"experiment {name!r}: {declaration_of(package)} has no main = command(experiment)")
-    command: Main = main
-    return command
+        raise ConfigError(f"experiment {name!r}: {module.__name__} has no main = command(experiment)")
+    return main
+
+
+class Commands(click.Group):
+    """All experiments, and other commands: name -> (``module:command``, what it does); each loaded when called for."""
+
+    def __init__(self, others: Mapping[str, tuple[str, str]], **settings: Any) -> None:
+        super().__init__(**settings)
+        self._others = others
+
+    def _lines(self) -> dict[str, str]:
+        return found() | {name: line for name, (_, line) in self._others.items()}
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Their names."""
+        del ctx
+        return list(self._lines())
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """One of them, loaded."""
+        del ctx
+        if cmd_name not in self._others:
+            return load(cmd_name) if cmd_name in _packages() else None
+        module, _, name = self._others[cmd_name][0].partition(":")
+        loaded: click.Command = getattr(import_module(module), name)
+        return loaded
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click has it; an unknown name is told with the nearest known one."""
+        if args[0] not in self._lines() and not args[0].startswith("-") and not ctx.resilient_parsing:
+            raise unknown_name("experiment", args[0], self._lines())
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """A line for each, none of them loaded."""
+        del ctx
+        others = {name: line for name, (_, line) in self._others.items()}
+        for head, lines in (("Experiments", found()), ("Commands", others)):
+            with formatter.section(head):
+                formatter.write_dl(list(lines.items()))
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Names that begin so, none of them loaded; and options."""
+        lines = self._lines().items()
+        names = [CompletionItem(name, help=line) for name, line in lines if name.startswith(incomplete)]
+        return [*names, *click.Command.shell_complete(self, ctx, incomplete)]
+
+
+def version_of(package: str) -> str | None:
+    """Version of an installed distribution."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def version_option() -> click.Option:
+    """``--version``."""
+
+    def show(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
+        del parameter
+        if wanted:
+            click.echo(f"{PROGRAM} {version_of(PROGRAM) or '(source tree, not installed)'}")
+            context.exit()
+
+    text = "Show the version and stop."
+    return click.Option(["--version"], is_flag=True, is_eager=True, expose_value=False, callback=show, help=text)

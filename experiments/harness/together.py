@@ -1,4 +1,4 @@
-"""``python -m experiments --all``: every experiment in turn, each a process of its own; one page links the reports."""
+"""``starbench --all``: every experiment in turn, each a process of its own; one page links the reports."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 
-from experiments.harness.interrupts import EXIT_BAD_INPUT, EXIT_BROKEN, EXIT_FAILED, EXIT_GOOD, EXIT_INTERRUPTED
+from experiments.harness.interrupts import EXIT_BROKEN, EXIT_FAILED, EXIT_GOOD, EXIT_INTERRUPTED, interrupts
+from experiments.harness.registry import found
 from optics.errors import ConfigError, unknown_name
 from optics.textfile import write_text
 
@@ -27,14 +27,13 @@ MARK = '<meta name="generator" content="starbench">'
 class Entry:
     """One line of the page."""
 
-    name: str  # Experiment and the first line of its description
-    about: str  # Experiment and the first line of its description
-    status: int  # Exit code of the run; see `experiments.harness.cli.command`
-    held: int = 0  # Criteria that hold, and all of them; 0 where there is no result
-    criteria: int = 0  # Criteria that hold, and all of them; 0 where there is no result
-    failed: tuple[str, ...] = ()  # Names of those that do not hold
+    name: str
+    about: str  # First line of the experiment's description
+    status: int  # Exit status of the run
+    criteria: int = 0  # How many were judged
+    failed: tuple[str, ...] = ()  # Names of the criteria that do not hold
     runtime_s: float | None = None  # From the run's provenance
-    quick: bool = False  # Whether it was a quick run
+    quick: bool = False
 
     @property
     def verdict(self) -> str:
@@ -43,43 +42,44 @@ class Entry:
             return "interrupted"
         if self.status not in (EXIT_GOOD, EXIT_FAILED):
             return f"no result (exit code {self.status})"
-        return f"{self.held} of {self.criteria} criteria hold"
+        return f"{self.criteria - len(self.failed)} of {self.criteria} criteria hold"
 
 
-def run_all(arguments: Sequence[str], known: Mapping[str, str]) -> int:
+@click.command(
+    "all",
+    help="Run every experiment, or those of NAMES, and write a page that links their reports.",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+@click.option("--out", default="out", metavar="DIR", type=click.Path(), show_default=True, help="Folder of the page.")
+@click.option("--sensor", metavar="FILE", type=click.Path(), help="As of the experiments, and so the following.")
+@click.option("--force", is_flag=True)
+@click.option("--quick", is_flag=True)
+@click.option("--seed", type=click.IntRange(min=0))
+@click.option("--backend", type=click.Choice(["auto", "llvm", "cuda"]), default="auto")
+@click.argument("names", nargs=-1)
+def run_all(out: str, names: tuple[str, ...], **options: str | int | bool | None) -> int:
     """Run experiments one after the other."""
-
-    @click.command(context_settings={"help_option_names": ["-h", "--help"]})
-    @click.option("--out", default="out", metavar="DIR")
-    @click.option("--sensor", metavar="FILE")
-    @click.option("--force", is_flag=True)
-    @click.option("--quick", is_flag=True)
-    @click.option("--seed", type=click.IntRange(min=0))
-    @click.option("--backend", type=click.Choice(["auto", "llvm", "cuda"]), default="auto")
-    @click.argument("names", nargs=-1)
-    def parse(
-        out: str,
-        sensor: str | None,
-        force: bool,
-        quick: bool,
-        seed: int | None,
-        backend: str,
-        names: tuple[str, ...],
-    ) -> int:
-        for name in names:
-            if name not in known:
-                raise unknown_name("experiment", name, known)
-        folder = _folder(out)
-        options = ["--backend", backend, *(["--quick"] if quick else []), *(["--seed", str(seed)] if seed else [])]
-        options += [*(["--sensor", sensor] if sensor else []), *(["--force"] if force else [])]
-        return _run(folder, [name for name in known if not names or name in names], known, options)
-
-    try:
-        return int(parse.main(list(arguments), prog_name="python -m experiments --all", standalone_mode=False) or 0)
-    except (click.ClickException, ConfigError) as error:
-        said = error.format_message() if isinstance(error, click.ClickException) else str(error)
-        print(f"error: {said}", file=sys.stderr)
-        return EXIT_BAD_INPUT
+    known, interrupts.at_once = found(), False
+    for name in names:
+        if name not in known:
+            raise unknown_name("experiment", name, known)
+    given = [(f"--{name}", value) for name, value in options.items() if value is not None and value is not False]
+    words = [word for option, value in given for word in ((option,) if value is True else (option, str(value)))]
+    folder, entries = _folder(out), list[Entry]()
+    for name in [name for name in known if not names or name in names]:
+        click.echo(f"\n== {name}")
+        command = [sys.executable, "-m", "experiments", name, "--out", str(folder / name), *words]
+        try:
+            status = subprocess.run(command, check=False).returncode
+        except KeyboardInterrupt:  # the child had it too, and wrote nothing
+            status = EXIT_INTERRUPTED
+        entries.append(read_entry(folder / name, name=name, about=known[name], status=status))
+        write_index(entries, folder)
+        if status == EXIT_INTERRUPTED:
+            return EXIT_INTERRUPTED
+    click.echo(f"\nall reports: {folder / INDEX}")
+    statuses = {entry.status for entry in entries}
+    return max(statuses, default=EXIT_GOOD) if statuses <= {EXIT_GOOD, EXIT_FAILED} else EXIT_BROKEN
 
 
 def _folder(out: str) -> Path:
@@ -97,43 +97,18 @@ def _folder(out: str) -> Path:
     return folder
 
 
-def _run(folder: Path, names: Iterable[str], known: Mapping[str, str], options: Sequence[str]) -> int:
-    entries: list[Entry] = []
-    for name in names:
-        print(f"\n== {name}", flush=True)
-        command = [sys.executable, "-m", f"experiments.{name}", "--out", str(folder / name), *options]
-        try:
-            status = subprocess.run(command, check=False).returncode
-        except KeyboardInterrupt:  # the child had it too, and wrote nothing
-            status = EXIT_INTERRUPTED
-        status = status if status >= 0 else 128 - status
-        entries.append(read_entry(folder / name, name=name, about=known[name], status=status))
-        write_index(entries, folder)
-        if status == EXIT_INTERRUPTED:
-            break
-    print(f"\nall reports: {folder / INDEX}")
-    found = {entry.status for entry in entries}
-    if EXIT_INTERRUPTED in found:
-        return EXIT_INTERRUPTED
-    if found <= {EXIT_GOOD, EXIT_FAILED}:
-        return max(found, default=EXIT_GOOD)
-    return EXIT_BROKEN
-
-
 def read_entry(folder: Path, *, name: str, about: str, status: int) -> Entry:
     """What a finished run left in its folder."""
     if status not in (EXIT_GOOD, EXIT_FAILED):
         return Entry(name=name, about=about, status=status)
-    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    origin: dict[str, Any] = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
-    criteria = summary["criteria"]
+    criteria = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["criteria"]
+    origin = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
     return Entry(
         name=name,
         about=about,
         status=status,
-        held=sum(bool(one["passed"]) for one in criteria),
         criteria=len(criteria),
-        failed=tuple(one["name"] for one in criteria if not one["passed"]),
+        failed=tuple(criterion["name"] for criterion in criteria if not criterion["passed"]),
         runtime_s=origin.get("runtime_s"),
         quick=bool(origin.get("quick")),
     )

@@ -8,12 +8,10 @@ from typing import Any
 
 import click
 
-from experiments.harness.completion import files
-from experiments.harness.groups import run_group
 from optics.errors import ConfigError
 from optics.textfile import write_text
 
-__all__ = ["lens", "main"]
+__all__ = ["lens"]
 
 HELP = """Lens files of Zemax (.zmx), CODE V (.seq) and our own (.toml); zoom.zmx#2 is the second configuration."""
 
@@ -66,7 +64,7 @@ def lens() -> None:
 
 
 @lens.command(help="One HTML page: prescription, first-order data, drawing, spots, distortion, colour, MTF, report.")
-@click.argument("file", shell_complete=files)
+@click.argument("file", type=click.Path(readable=False))
 @click.option("--out", default=None, metavar="HTML", help="the page; the file's name with .html if left out")
 @_reading
 def show(file: str, out: str | None, strict: bool, glass: tuple[str, ...], catalogue: tuple[str, ...]) -> None:
@@ -82,7 +80,7 @@ def show(file: str, out: str | None, strict: bool, glass: tuple[str, ...], catal
 
 
 @lens.command(help="Write a lens file as another one: .toml, .zmx or .seq.")
-@click.argument("file", shell_complete=files)
+@click.argument("file", type=click.Path(readable=False))
 @click.argument("new")
 @click.option("--force", is_flag=True, help="replace a file that is there")
 @_reading
@@ -95,8 +93,3 @@ def convert(file: str, new: str, force: bool, strict: bool, glass: tuple[str, ..
     _tell(read)
     for path in write_lens(read, new):
         click.echo(f"written: {path}")
-
-
-def main(argv: list[str]) -> int:
-    """Run the command."""
-    return run_group(lens, argv)

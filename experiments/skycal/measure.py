@@ -13,7 +13,7 @@ from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
 from calib.measure.find import find_stamps
 from calib.records import NoiseModel, Stamps, StarTable
-from experiments.harness.threads import prompt_pool
+from experiments.harness.system import prompt_pool
 from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.readout.frames import dark_subtracted_frame, mean_dark_frame
 from experiments.laboratory.readout.noise_model import true_noise

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from experiments.harness.registry import declaration_of
+from experiments.harness.registry import declared, load
 
 
 @pytest.fixture(scope="session")
@@ -131,8 +131,10 @@ def failing():
     """``failing(name, result, config)``: names of the criteria that do not hold for a result of an experiment."""
 
     def judged(name, result, config=None):
-        declared = importlib.import_module(declaration_of(f"experiments.{name}")).experiment
-        return [one.name for one in declared.judge(declared.outcome(config or result.config, result)) if not one.passed]
+        experiment = declared(name)
+        return [
+            one.name for one in experiment.judge(experiment.outcome(config or result.config, result)) if not one.passed
+        ]
 
     return judged
 
@@ -148,7 +150,7 @@ def refused_by(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 
     def run(name, *arguments, within_s=60.0):
-        main = importlib.import_module(declaration_of(f"experiments.{name}")).main
+        main = load(name)
         present, start = sorted(path.name for path in tmp_path.iterdir()), processor_s()
         assert main([*arguments]) == 2
         assert processor_s() - start < within_s
@@ -186,8 +188,8 @@ def tiny_run(engine, tmp_path_factory):
     def run(name, **settings):
         from experiments.harness.cli import command
 
-        declared, kept = importlib.import_module(declaration_of(f"experiments.{name}")).experiment, []
-        work = declared.part(declared.run)
+        experiment, kept = declared(name), []
+        work = experiment.part(experiment.run)
 
         @functools.wraps(work)
         def keep(config, **keywords):
@@ -197,7 +199,7 @@ def tiny_run(engine, tmp_path_factory):
         given = {"instrument.detector": chip, **{key.replace("__", "."): value for key, value in settings.items()}}
         texts = [f"{key}={json.dumps(value) if isinstance(value, list) else value}" for key, value in given.items()]
         out = tmp_path_factory.mktemp(name) / "out"
-        status = command(replace(declared, run=keep))(
+        status = command(replace(experiment, run=keep))(
             [*(part for text in texts for part in ("--set", text)), "--out", str(out)], own_process=False
         )
         return TinyRun(status=status, folder=out, result=kept[0], config=kept[1])

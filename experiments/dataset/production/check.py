@@ -22,7 +22,7 @@ from experiments.dataset.production.folder import (
     numbers,
 )
 from experiments.harness.progress import Progress
-from experiments.harness.threads import prompt_pool
+from experiments.harness.system import prompt_pool
 from optics.errors import ConfigError
 
 __all__ = ["Checked", "check"]

@@ -13,7 +13,7 @@ from experiments.dataset.production.schedule import make_frames
 from experiments.dataset.settings import Config
 from experiments.dataset.truth.frame_record import FrameRecord
 from experiments.harness.progress import Progress
-from experiments.harness.threads import prompt_pool
+from experiments.harness.system import prompt_pool
 
 SMALLEST_SHARE = {"none": 1.0, "rice": 0.1, "gzip": 0.1}
 """No frame with noise is packed smaller than this."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import multiprocessing
-import os
 import signal
 import tempfile
 import threading
@@ -14,8 +13,7 @@ from collections.abc import Iterator
 from multiprocessing import resource_tracker
 from typing import Any
 
-from experiments.harness.system import signals_held
-from experiments.harness.threads import THREADS
+from experiments.harness.system import THREADS, signals_held
 
 __all__ = ["DEATHS", "hush", "local_cluster"]
 
@@ -70,8 +68,7 @@ def local_cluster(dask: Any, distributed: Any, count: int) -> Iterator[Any]:
                 started.set()
 
         try:
-            if os.name == "posix":  # it lets interrupts through again when it starts, for the thread it starts from
-                resource_tracker.ensure_running()
+            resource_tracker.ensure_running()  # lets interrupts through again for the thread that it starts from
             with signals_held(signal.SIGINT):  # threads and processes that start inherit it: an interrupt is ours
                 threading.Thread(target=start, daemon=True, name="start of the workers").start()
             until = time.monotonic() + START_S

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 
 from experiments.__main__ import main as starbench
 from experiments.harness.config import load_config
-from experiments.harness.registry import declaration_of, found
+from experiments.harness.registry import declared, found
 
 ROOT = Path(__file__).parents[3]
 TIME = r"\d+ (s|min|minutes|h)"
@@ -37,8 +36,8 @@ def test_it_answers_one_thing(name):
 
 @pytest.mark.parametrize("name", found())
 def test_help_says_what_it_answers_how_long_it_takes_and_how_it_is_used(name, capsys):
-    declared = import_module(declaration_of(f"experiments.{name}")).experiment
-    assert declared.name == name
+    experiment = declared(name)
+    assert experiment.name == name
     assert starbench([name, "--help"]) == 0
     said = capsys.readouterr().out
     assert found()[name] in " ".join(said.split())
@@ -51,4 +50,4 @@ def test_help_says_what_it_answers_how_long_it_takes_and_how_it_is_used(name, ca
         options = set(re.findall(r"^  (--[\w-]+)", said, re.M))
         assert {word for word in words if word.startswith("--")} <= options
         settings = [value for option, value in pairwise(words) if option == "--set"]
-        load_config(declared.config, settings=settings)
+        load_config(experiment.config, settings=settings)

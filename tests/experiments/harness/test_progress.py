@@ -49,10 +49,7 @@ def test_long_work_in_a_pipe_says_a_line_now_and_then():
         now[0] += 30.0
     with progress.stage("judge"):
         pass
-    assert (
-        log.getvalue()
-        == "[9 s] render: 1 of 7, 0.111/s, 54 s left\n[45 s] render: 5 of 7, 0.111/s, 18 s left\n[93 s] judge\n"
-    )
+    assert log.getvalue() == "[9 s] render: 1 of 7, 54 s left\n[45 s] render: 5 of 7, 18 s left\n[93 s] judge\n"
 
 
 def test_bars_on_a_terminal(monkeypatch):
@@ -82,11 +79,11 @@ def test_times_of_stages_add_up_and_survive_a_fault():
 def test_paths_of_one_machine_are_cut():
     config = {
         "lens": "/opt/data/lens.toml",
-        "list": ["~/x/y.fits", 3, "C:\\data\\z.toml"],
+        "list": ["~/x/y.fits", 3],
         "ratio": "a/b",
         "none": None,
     }
-    assert without_paths(config) == {"lens": "lens.toml", "list": ["y.fits", 3, "z.toml"], "ratio": "a/b", "none": None}
+    assert without_paths(config) == {"lens": "lens.toml", "list": ["y.fits", 3], "ratio": "a/b", "none": None}
 
 
 def test_process_measures():

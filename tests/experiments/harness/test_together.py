@@ -7,9 +7,13 @@ import pytest
 
 from experiments.__main__ import main
 from experiments.harness import together
-from experiments.harness.together import read_entry, run_all, write_index
+from experiments.harness.together import read_entry, write_index
 
 KNOWN = {"alpha": "The first.", "beta": "The <second>."}
+
+
+def run_all(arguments):
+    return main(["--all", *arguments])
 
 
 def result(folder, *passed, runtime_s=12.0):
@@ -31,20 +35,21 @@ def scripted(monkeypatch, tmp_path):
     def run(command, check):
         assert check is False
         started.append(command)
-        name = command[2].removeprefix("experiments.")
+        name = command[3]
         code, passed = codes[name]
         if passed is not None:
             result(tmp_path / "out" / name, *passed)
         return type("Done", (), {"returncode": code})()
 
     monkeypatch.setattr(together.subprocess, "run", run)
+    monkeypatch.setattr(together, "found", lambda: KNOWN)
     return codes, started
 
 
 def test_page_links_reports_and_names_failures(tmp_path, scripted, capsys):
     codes, started = scripted
     codes |= {"alpha": (0, (True, True)), "beta": (1, (True, False))}
-    assert run_all(["--out", str(tmp_path / "out"), "--quick", "--seed", "7"], KNOWN) == 1
+    assert run_all(["--out", str(tmp_path / "out"), "--quick", "--seed", "7"]) == 1
     page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     assert '<a href="alpha/report.html">' in page
     assert "2 of 2 criteria hold" in page
@@ -53,8 +58,8 @@ def test_page_links_reports_and_names_failures(tmp_path, scripted, capsys):
     assert "12 s" in page
     assert "quick runs" in page
     assert started[0] == [
-        *(sys.executable, "-m", "experiments.alpha", "--out", str(tmp_path / "out" / "alpha")),
-        *("--backend", "auto", "--quick", "--seed", "7"),
+        *(sys.executable, "-m", "experiments", "alpha", "--out", str(tmp_path / "out" / "alpha")),
+        *("--quick", "--seed", "7", "--backend", "auto"),
     ]
     assert "index.html" in capsys.readouterr().out
 
@@ -62,7 +67,7 @@ def test_page_links_reports_and_names_failures(tmp_path, scripted, capsys):
 def test_run_without_result_is_said_and_not_linked(tmp_path, scripted):
     codes, _ = scripted
     codes |= {"alpha": (2, None), "beta": (0, (True,))}
-    assert run_all(["--out", str(tmp_path / "out")], KNOWN) == 3
+    assert run_all(["--out", str(tmp_path / "out")]) == 3
     page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     assert "alpha/report.html" not in page
     assert "no result (exit code 2)" in page
@@ -71,15 +76,15 @@ def test_run_without_result_is_said_and_not_linked(tmp_path, scripted):
 def test_interrupt_stops_the_rest(tmp_path, scripted):
     codes, started = scripted
     codes |= {"alpha": (130, None)}
-    assert run_all(["--out", str(tmp_path / "out")], KNOWN) == 130
+    assert run_all(["--out", str(tmp_path / "out")]) == 130
     assert len(started) == 1
 
 
 def test_names_choose(tmp_path, scripted):
     codes, started = scripted
     codes |= {"beta": (0, (True,))}
-    assert run_all(["--out", str(tmp_path / "out"), "beta"], KNOWN) == 0
-    assert [command[2] for command in started] == ["experiments.beta"]
+    assert run_all(["--out", str(tmp_path / "out"), "beta"]) == 0
+    assert [command[3] for command in started] == ["beta"]
 
 
 @pytest.mark.parametrize(
@@ -97,7 +102,7 @@ def test_bad_input(tmp_path, monkeypatch, capsys, scripted, arguments, expected)
     (tmp_path / "file").touch()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "index.html").write_text("<h1>thesis</h1>")
-    assert run_all(arguments, KNOWN) == 2
+    assert run_all(arguments) == 2
     said = capsys.readouterr().err
     assert expected in said
     assert said.count("\n") == 1
@@ -110,11 +115,3 @@ def test_page_is_replaced_and_nothing_else_left(tmp_path):
     for _ in range(2):
         write_index([read_entry(tmp_path / "alpha", name="alpha", about="", status=0)], tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["alpha", "index.html"]
-
-
-def test_reached_from_the_command(tmp_path, monkeypatch):
-    seen = {}
-    monkeypatch.setattr(together, "run_all", lambda words, known: seen.update(words=words, known=known) or 0)
-    assert main(["--quick", "--all", "--out", "x"]) == 0
-    assert seen["words"] == ["--quick", "--out", "x"]
-    assert "chromatic" in seen["known"]

@@ -1,1 +1,0 @@
-"""Completion of the command ``starbench`` in bash, zsh and fish: ``starbench completion``."""

