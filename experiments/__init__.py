@@ -11,8 +11,6 @@ import threading
 from importlib.util import find_spec
 from pathlib import Path
 
-import lazy_loader
-
 
 def _leave(number: int, frame: object) -> None:
     os.write(2, b"interrupted; nothing was written\n")
@@ -54,5 +52,7 @@ def _no_such_module() -> None:
 
 if sys.argv[:1] == ["-m"]:
     _no_such_module()
+
+import lazy_loader  # noqa: E402  # after the signal is in hand
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
