@@ -23,7 +23,6 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
@@ -345,21 +344,22 @@ def empty_caches() -> None:
 
 def record(comparison: Comparison) -> Recorder:
     """Run an experiment and note who runs what."""
-    from experiments.harness.cli import finished
     from experiments.harness.config import load_config
     from experiments.harness.progress import Progress
+    from experiments.harness.registry import declared
+    from experiments.harness.run import finished
     from render.engine import Engine
 
     concurrent.futures.ProcessPoolExecutor = Here  # type: ignore[misc]
-    declared = import_module(f"experiments.{comparison.experiment}.experiment").experiment
-    config = load_config(declared.config, quick=declared.quick, settings=list(comparison.settings))
+    experiment = declared(comparison.experiment)
+    config = load_config(experiment.config, quick=experiment.quick, settings=list(comparison.settings))
     Engine.start("auto")
     recorder = Recorder(comparison.sides())
     with tempfile.TemporaryDirectory() as folder:
-        output = {"output": declared.output(f"{folder}/out", config)} if declared.output else {}
+        output = {"output": experiment.output(f"{folder}/out", config)} if experiment.output else {}
         with recorder.recording():
-            result = declared.run(config, progress=Progress(), **output)
-            finished(declared, config, result, quick=True)
+            result = experiment.part(experiment.run)(config, progress=Progress(), **output)
+            finished(experiment, config, result, quick=True)
     missing = set(comparison.sides()) - recorder.begun
     if missing:
         sys.exit(f"{comparison.experiment}: {', '.join(sorted(missing))} did not run; name where its sides begin")

@@ -1,3 +1,3 @@
 # Public names and where they live; experiments/__init__.py loads them on first use.
-from .harness.library import ExperimentRun as ExperimentRun
-from .harness.library import run_experiment as run_experiment
+from .harness.run import ExperimentRun as ExperimentRun
+from .harness.run import run_experiment as run_experiment

@@ -22,7 +22,7 @@ import numpy as np
 
 from experiments.budget.combine import PRINTED, Budget
 from experiments.budget.settings import Config
-from experiments.harness.cli import configuration_file
+from experiments.harness.run import configuration_file
 from experiments.harness.config import load_config
 from experiments.harness.interrupts import invoke
 from experiments.harness.range import with_value

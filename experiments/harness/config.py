@@ -160,43 +160,39 @@ def load_config(
 
     What the layers imply (`ExperimentConfig.implied`) stands below all that the user says.
     """
-    values = model_class().model_dump()
+    base = model_class().model_dump()
     for key, value in (quick or {}).items():
-        values = _with_value(model_class, values, key.split("."), value, f"quick setting {key!r}")
-    sources = []
-    tables: list[Mapping[str, Any]] = []
+        base = _with_value(model_class, base, key, value, f"quick setting {key!r}")
+    tables: dict[str, Mapping[str, Any]] = {}
     if sensor is not None:
-        if not issubclass(model_class, ExperimentConfig):
-            raise TypeError(f"{model_class.__name__} is no ExperimentConfig")
-        tables.append(model_class.of_sensor(Path(sensor)))
-        sources.append(str(sensor))
+        tables[str(sensor)] = _as_experiment(model_class).of_sensor(Path(sensor))
     if file is not None:
-        tables.append(read_settings(model_class, file))
-        sources.append(str(file))
+        tables[str(file)] = read_settings(model_class, file)
     given = [*(("--set", one) for one in settings), *((f"--{name}", one) for name, one in (options or {}).items())]
-    if len(given) == 1:
-        name, setting = given[0]
-        sources.append(f"--set {setting}" if name == "--set" else name)
-    else:
-        sources += dict.fromkeys(name for name, _ in given)
+    names = [f"--set {one}" if name == "--set" and len(given) == 1 else name for name, one in given]
+    if seed is not None:
+        given, names = [*given, ("--seed", f"seed={seed}")], [*names, "--seed"]
 
     def overlaid(below: dict[str, Any]) -> dict[str, Any]:
-        for table in tables:
-            below = _merged(model_class, below, table)
+        for table in tables.values():
+            below = _laid(model_class, below, table)
         if file is not None:
-            refuse_values(model_class, below, tables[-1], str(file))
+            refuse_values(model_class, below, tables[str(file)], str(file))
         for name, setting in given:
             below = with_settings(model_class, below, [setting], name)
-        return dict(below)
+        return below
 
-    base, values = values, overlaid(values)
+    values = overlaid(base)
     if issubclass(model_class, ExperimentConfig) and (implied := model_class.implied(values)):
-        values = overlaid(_merged(model_class, base, implied))
-    if seed is not None:
-        values["seed"] = seed
-        sources.append("--seed")
+        values = overlaid(_laid(model_class, base, implied))
     # One look at the whole: two settings may be valid only together.
-    return parse_model(model_class, values, ", ".join(sources) or "configuration")
+    return parse_model(model_class, values, ", ".join([*tables, *dict.fromkeys(names)]) or "configuration")
+
+
+def _as_experiment(model_class: type[BaseModel]) -> type[ExperimentConfig]:
+    if not issubclass(model_class, ExperimentConfig):
+        raise TypeError(f"{model_class.__name__} is no ExperimentConfig")
+    return model_class
 
 
 def read_settings(model_class: type[BaseModel], file: str | Path) -> dict[str, Any]:
@@ -262,60 +258,58 @@ def with_settings(
         if key.count(".") > MOST_LEVELS:
             raise ConfigError(f"--set {key[:60]}...: no key has more than {MOST_LEVELS} dots")
         value = _typed(_annotation_at(model_class, key.split(".")), text.strip())
-        result = _with_value(
-            model_class, result, key.split("."), value, f"--set {setting}" if option == "--set" else option
-        )
+        result = _with_value(model_class, result, key, value, f"--set {setting}" if option == "--set" else option)
     return result
 
 
-def _merged(
-    model_class: type[BaseModel], below: Mapping[str, Any], above: Mapping[str, Any], at: tuple[str, ...] = ()
+def _with_value(
+    model_class: type[BaseModel], values: Mapping[str, Any], key: str, value: Any, where: str
 ) -> dict[str, Any]:
-    """Tables are merged key by key, except where another ``kind`` of table takes the place."""
-    result = dict(below)
-    for key, value in above.items():
-        old = result.get(key)
-        here = (*at, key)
-        if not isinstance(old, Mapping) or not isinstance(value, Mapping):
-            result[key] = value
-        elif _several_kinds(model_class, here) and value.get("kind", old.get("kind")) != old.get("kind"):
-            result[key] = dict(value)
-        else:
-            result[key] = _merged(model_class, old, value, here)
+    """Copy of a configuration with the value at a dotted key; items of a list are keys by number."""
+    keys, above = key.split("."), value
+    for word in reversed(keys):
+        above = {word: above}
+    result: dict[str, Any] = _laid(model_class, values, above, where=where, levels=len(keys))
     return result
+
+
+def _laid(
+    model_class: type[BaseModel],
+    below: Any,
+    above: Any,
+    at: tuple[str, ...] = (),
+    *,
+    where: str = "",
+    levels: int = MOST_LEVELS,
+) -> Any:
+    """Tables laid over one another, key by key, except where another ``kind`` of table takes the place.
+
+    With ``where`` it is a single value that is laid, over items of lists too, and what it cannot lie on is an error.
+    """
+    if not levels or not isinstance(above, Mapping):
+        return above
+
+    def entry(old: Any, key: str) -> Any:
+        return _laid(model_class, old, above[key], (*at, key), where=where, levels=levels - 1)
+
+    if where and isinstance(below, (list, tuple)):
+        (key,) = above
+        if not re.fullmatch(r"\d+", key) or int(key) >= len(below):
+            raise ConfigError(f"{where}: {'.'.join(at)} has items 0 to {len(below) - 1}, {key!r} is none of them")
+        return [entry(old, key) if place == int(key) else old for place, old in enumerate(below)]
+    if not isinstance(below, Mapping):
+        if where and below is not None:
+            raise ConfigError(f"{where}: {'.'.join(at)} = {below!r} is no table; it has no key {next(iter(above))!r}")
+        return dict(above)
+    if above.get("kind", below.get("kind")) != below.get("kind") and _several_kinds(model_class, at):
+        return dict(above)  # the keys of the other kind mean nothing to this one
+    return {**below, **{key: entry(below.get(key), key) for key in above}}
 
 
 def _several_kinds(model_class: type[BaseModel], keys: Sequence[str]) -> bool:
     """Whether the table at a key may be one of several models, told apart by their field ``kind``."""
-    parts = alternatives(_annotation_at(model_class, keys))
-    models = [part for part in parts if isinstance(part, type) and issubclass(part, BaseModel)]
+    models = [part for part in alternatives(_annotation_at(model_class, keys)) if _is_model(part)]
     return len(models) > 1 and all("kind" in model.model_fields for model in models)
-
-
-def _with_value(
-    model_class: type[BaseModel], node: Any, keys: Sequence[str], value: Any, where: str, depth: int = 0
-) -> Any:
-    """Copy of a table or list with the entry at ``keys[depth:]`` replaced; lists are entered by number."""
-    key = keys[depth]
-    last = depth == len(keys) - 1
-    if isinstance(node, (list, tuple)):
-        if not re.fullmatch(r"\d+", key) or int(key) >= len(node):
-            here = ".".join(keys[:depth])
-            raise ConfigError(f"{where}: {here} has items 0 to {len(node) - 1}, {key!r} is none of them")
-        items = list(node)
-        place = int(key)
-        items[place] = value if last else _with_value(model_class, items[place], keys, value, where, depth + 1)
-        return items
-    if node is not None and not isinstance(node, Mapping):
-        raise ConfigError(f"{where}: {'.'.join(keys[:depth])} = {node!r} is no table; it has no key {key!r}")
-    table = dict(node or {})  # nothing: an unknown key, which the model says
-    if not last:
-        table[key] = _with_value(model_class, table.get(key), keys, value, where, depth + 1)
-        return table
-    if key == "kind" and table.get(key, value) != value and _several_kinds(model_class, keys[:-1]):
-        table.clear()  # the keys of the other kind mean nothing to this one
-    table[key] = value
-    return table
 
 
 def _annotation_at(model_class: type[BaseModel], keys: Sequence[str]) -> Any:
@@ -325,7 +319,7 @@ def _annotation_at(model_class: type[BaseModel], keys: Sequence[str]) -> Any:
         found: list[Any] = []
         for annotation in annotations:
             for part in alternatives(annotation):
-                if isinstance(part, type) and issubclass(part, BaseModel):
+                if _is_model(part):
                     if key in part.model_fields:
                         found.append(part.model_fields[key].annotation)
                 elif key.isdigit() and typing.get_origin(part) in (list, tuple):
@@ -351,16 +345,14 @@ def _typed(annotation: Any, text: str) -> Any:
         value = tomllib.loads(f"value = {text}")["value"]
     except (ValueError, KeyError, RecursionError):  # no TOML, a number of thousands of digits, a thousand brackets
         return text
-    if annotation is None:
+    if annotation is None or _takes(annotation, value) or not _takes(annotation, text):
         return value
+    return value if isinstance(value, str) else text
+
+
+def _takes(annotation: Any, value: Any) -> bool:
     try:
         TypeAdapter(annotation).validate_python(value)
     except ValidationError:
-        pass
-    else:
-        return value
-    try:
-        TypeAdapter(annotation).validate_python(text)
-    except ValidationError:
-        return value
-    return text if not isinstance(value, str) else value
+        return False
+    return True

@@ -9,7 +9,7 @@ from experiments.budget.laboratory import build_laboratory, moved_lens
 from experiments.budget.settings import AttitudeConfig, Config, MovedConfig
 from experiments.budget.tolerances import cubic_basis
 from experiments.budget.tune import as_toml, differences
-from experiments.harness.cli import configuration_file
+from experiments.harness.run import configuration_file
 from experiments.harness.config import load_config
 from experiments.harness.range import leaf_keys, logarithmic, parse_sweep, value_at, with_value
 from experiments.laboratory.detector_changes import DetectorConfig, overridden

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from experiments.dataset.frames.attitude_files import read_attitudes
 from experiments.dataset.production.check import check
-from experiments.harness.cli import configuration_file
+from experiments.harness.run import configuration_file
 from experiments.harness.config import alternatives, load_config
 from experiments.harness.progress import Progress
 from experiments.laboratory.own_frames.settings import FolderSettings, read_settings
