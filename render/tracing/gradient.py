@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -38,15 +38,15 @@ from render.camera import Camera
 from render.engine.arrays import DrJitArrays
 from render.engine.jit import dr
 from render.records import StarField
-from render.tracing.motion.paths import StarPaths, at_rest, pick_times
-from render.tracing.pupil.outlines import ARMS, Outlines, outline_series
+from render.tracing.motion.paths import Light, StarPaths, at_rest, pick_times
+from render.tracing.pupil.outlines import ARMS, Arcs, Outlines, outline_series
+from render.tracing.pupil.planning import Group
 from render.tracing.pupil.points import OutlinePoints, PupilPoints, TablePoints
-from render.tracing.rays.images import Light
-from render.tracing.rays.kernel import PIXEL_REACH
+from render.tracing.rays.kernel import PIXEL_REACH, gaussian_shares
 from render.tracing.tracer import Tracer
-from render.tracing.waves.images import Probe, WaveImages
+from render.tracing.waves.images import WaveImages
 from render.tracing.waves.plane_waves import DIFFERENCE
-from render.tracing.waves.stars import WaveStars
+from render.tracing.waves.summed import Probe, SummedImages
 from render.tracing.waves.windows import BandLimited, FieldSampling, window_samples
 
 __all__ = ["AttachedPaths", "LensNumbers", "WaveLanes", "Window", "lens_numbers", "star_image", "summed_waves"]
@@ -218,30 +218,29 @@ def _ray_image(
     scene = scene_of(paths)
     F, camera, planner = scene.F, tracer.camera, tracer.planner
     seen = planner.seen(paths.plain, stars.wavelength_nm, paths.length_px)
-    chiefs = planner.chiefs(seen.mid, stars.wavelength_nm)
     response = F(np.ascontiguousarray(camera.response_at(stars.wavelength_nm).ravel()))
     bands, nodes = stars.wavelength_nm.shape
     image = dr.zeros(F, camera.height_px * camera.width_px * bands)
-    outlines = None if planner.pupil.exact else planner.shapes(seen, chiefs).outlines
-    groups, *_ = planner.groups(seen, stars.wavelength_nm, chiefs)
-    for group in groups:
+    for group in planner.sampled_by_rays(seen).groups:
         if not len(group.members):
             continue
-        if group.plan.mode != "quadrature" or (outlines is not None and outlines.shadow is not None):
-            raise _refused(group.members[0], group.plan.mode)
-        step = max(1, PASS_RAYS // (bands * nodes * scene.times * group.plan.rays_per_node))
+        outlines = _smooth(group)
+        step = max(1, PASS_RAYS // (bands * nodes * scene.times * group.rays))
         for part in (group.members[i : i + step] for i in range(0, len(group.members), step)):
-            points = group.points(part)
+            points = group.of(part)
             sample = _sample(scene, outlines, part, points, stars.wavelength_nm)
             _splat(scene, image, part, points.count, stars.wavelength_nm, sample, rate, response, exposure_s)
     return image
 
 
-def _refused(star: int, mode: str) -> ConfigError:
-    """The error for a star whose pupil has no smooth outline."""
-    return ConfigError(
-        f"star {star} has no derivative: its beam is sampled by {mode}, as the lens or the charge diffusion leaves no "
-        "smooth outline; stars whose beam only the stop limits have one"
+def _smooth(group: Group) -> Outlines | None:
+    """Outlines of a group whose stars have derivatives; None where the launch disk is the outline."""
+    outlines = group.outlines
+    if group.mode == "quadrature" and not isinstance(outlines, Arcs) and (outlines is None or outlines.shadow is None):
+        return outlines
+    raise ConfigError(
+        f"star {group.members[0]} has no derivative: its beam is sampled by {group.mode}, as the lens or the charge "
+        "diffusion leaves no smooth outline; stars whose beam only the stop limits have one"
     )
 
 
@@ -384,7 +383,7 @@ def _splat(
     light = dr.gather(F, rate, star * (bands * colours) + colour) * dr.gather(F, response, colour)
     light = light * toward * area * share
     sigma = camera.charge_diffusion_px
-    columns, rows = (_shares(scene, v + 0.5, sigma) for v in (x, y))
+    columns, rows = (gaussian_shares(scene.F, scene.I, v + 0.5, sigma, PIXEL_REACH) for v in (x, y))
     sensitive = camera.sensitive_columns
     open_ = None if sensitive is None else scene.B(sensitive)
     for r, along_y in enumerate(rows[1]):
@@ -396,19 +395,6 @@ def _splat(
                 inside &= dr.gather(scene.B, open_, U(dr.maximum(column, 0)), inside)
             index = (U(row) * camera.width_px + U(column)) * bands + slot % bands
             dr.scatter_add(image, light * along_y * along_x, index, inside)
-
-
-def _shares(scene: Scene, position: Any, sigma: float) -> tuple[Any, list[Any]]:
-    """First pixel and shares of a Gaussian around a position counted from the image's edge."""
-    F = scene.F
-    width = int(np.ceil(2.0 * PIXEL_REACH * sigma))
-    first = dr.detach(dr.floor(position - 0.5 * width))
-    shares, below = [], F(-1.0)
-    for tap in range(1, width + 2):
-        up_to = dr.erf((first + tap - position) * (1.0 / (np.sqrt(2.0) * sigma))) if tap <= width else F(1.0)
-        shares.append(0.5 * (up_to - below))
-        below = up_to
-    return scene.I(first), shares
 
 
 ARRAYS = ("phase", "fx", "fy", "amplitude", "energy", "right", "down", "part")  # of `_Stamps`
@@ -626,46 +612,39 @@ def _wave_image(
     scene_of: SceneOf, tracer: Tracer, stars: StarField, paths: AttachedPaths, exposure_s: float, rate: Any
 ) -> Any:
     """The image by sums of plane waves."""
-    camera, planner = tracer.camera, tracer.planner
+    camera, planner, waves = tracer.camera, tracer.planner, WaveImages(tracer.planner)
     light = tracer.light(stars, paths.plain, exposure_s)
     seen = planner.seen(paths.plain, stars.wavelength_nm, paths.length_px)
-    chiefs = planner.chiefs(seen.mid, stars.wavelength_nm)
-    waves = WaveStars(planner)
-    few, still, images = waves.summed(light, seen, chiefs)
-    rest = AttachedPaths(at_rest(paths.plain.mid), paths.middle, paths.middle)
-    scene = scene_of(rest)
+    few, images = waves.summed(light, seen)
+    scene = scene_of(AttachedPaths(at_rest(paths.plain.mid), paths.middle, paths.middle))
     moving = scene_of(paths) if images.trail is not None else scene
-    outlines = None if planner.pupil.exact else planner.shapes(still, chiefs).outlines
-    bands, colours = stars.wavelength_nm.shape
+    (bands, colours), mean_nm = stars.wavelength_nm.shape, stars.wavelength_nm.mean(1)
     each = np.broadcast_to(np.eye(colours)[:, None], (colours, bands, colours))
     mixed = waves.condensed(Light(stars.wavelength_nm, each, light.electrons), seen).share  # (k, b, q)
     response = camera.response_at(stars.wavelength_nm) * (math.pi * exposure_s)
     F = scene.F
     image = dr.zeros(F, camera.height_px * camera.width_px * bands)
-    near = waves.near(planner.groups(seen, stars.wavelength_nm, chiefs)[1])
-    for group in planner.wave_groups(still, few.wavelength_nm, chiefs, near):
-        if group.points is None or group.mode != "quadrature" or (outlines is not None and outlines.shadow is not None):
-            raise _refused(group.members[0], group.mode)
-        for probe in images.probes(group):
-            if probe.group.points is None:
-                raise _refused(probe.stars[0], probe.group.mode)
-            for part, radius, fields, order in _alike(images, probe):
-                points = probe.group.points(order, part)
-                sample = _sample(scene, outlines, part, points, few.wavelength_nm)
-                chief = [dr.zeros(F, len(part) * bands)] * 2
-                if outlines is not None:
-                    chief = _attached_chiefs(scene, outlines.chief, part, stars.wavelength_nm.mean(1))
-                offset, weight = _motion(moving, part, stars.wavelength_nm.mean(1), chief, images)
-                windows = _windows(images, probe, part, radius, fields)
-                energy = _energy(scene, part, rate, response[..., None] * np.swapaxes(mixed, 0, 1))
-                lanes = _plane_waves(scene, part, few.wavelength_nm, points, sample, windows)
-                stamps = summed_waves(F, windows, lanes, energy, offset, weight)
-                _add(scene, image, windows, stamps, bands)
+    near = waves.near(planner.sampled_by_rays(seen).bounds)
+    for probe in (p for group in planner.sampled_by_waves(images.still, near).groups for p in images.probes(group)):
+        outlines = _smooth(replace(probe.group, members=probe.stars))
+        for part, radius, fields, order in _alike(images, probe):
+            assert probe.group.points is not None
+            points = probe.group.points(order, part)
+            sample = _sample(scene, outlines, part, points, few.wavelength_nm)
+            chief = [dr.zeros(F, len(part) * bands)] * 2
+            if outlines is not None:
+                chief = _attached_chiefs(scene, outlines.chief, part, mean_nm)
+            offset, weight = _motion(moving, part, mean_nm, chief, images)
+            windows = _windows(images, probe, part, radius, fields)
+            energy = _energy(scene, part, rate, response[..., None] * np.swapaxes(mixed, 0, 1))
+            lanes = _plane_waves(scene, part, few.wavelength_nm, points, sample, windows)
+            stamps = summed_waves(F, windows, lanes, energy, offset, weight)
+            _add(scene, image, windows, stamps, bands)
     return image
 
 
 def _alike(
-    images: WaveImages, probe: Probe
+    images: SummedImages, probe: Probe
 ) -> list[tuple[IntArray, float, tuple[FieldSampling, ...], tuple[int, int]]]:
     """Stars of a probe with the same window and the same rays, not too many of them at a time."""
     radius, highest, order = images.needs(probe)
@@ -680,21 +659,17 @@ def _alike(
 
 
 def _windows(
-    images: WaveImages, probe: Probe, part: IntArray, radius: float, fields: tuple[FieldSampling, ...]
+    images: SummedImages, probe: Probe, part: IntArray, radius: float, fields: tuple[FieldSampling, ...]
 ) -> list[Window]:
     """Windows of some stars of a probe, band by band."""
     mean, _ = images.means(part, probe.waves.take(np.searchsorted(probe.stars, part)))
     size, trail = 2 * int(radius) + 1, images.trail
     mean = np.nan_to_num(mean)
     corner = np.rint(mean) - 0.5 * size
-    first, stamp = np.zeros_like(corner), size
-    if trail is not None:
-        offset = trail.offset_px[part]
-        first = np.floor(offset.min(2))
-        stamp = size + int((np.ceil(offset.max(2)) - first).max(initial=0.0))
+    first, more = (np.zeros_like(corner), 0) if trail is None else trail.room(part)
     sigma, moving = images.camera.charge_diffusion_px, trail is not None
     return [
-        Window(corner[s, b], mean[s, b], size, fields[b], sigma, first[s, b], stamp, moving)
+        Window(corner[s, b], mean[s, b], size, fields[b], sigma, first[s, b], size + more, moving)
         for s, b in np.ndindex(*corner.shape[:2])
     ]
 
@@ -716,7 +691,7 @@ def _energy(scene: Scene, part: IntArray, rate: Any, mixed: FloatArray) -> Any:
 
 
 def _motion(
-    scene: Scene, part: IntArray, wavelength_nm: FloatArray, chief: list[Any], images: WaveImages
+    scene: Scene, part: IntArray, wavelength_nm: FloatArray, chief: list[Any], images: SummedImages
 ) -> tuple[tuple[Any, Any], Any]:
     """Offsets of images [px] and parts of the light, at all times (s b t,)."""
     F, U, bands, times = scene.F, scene.U, len(wavelength_nm), scene.times

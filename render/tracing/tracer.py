@@ -1,38 +1,41 @@
-"""From a star field and a camera to the noiseless image and its truth: plan, trace in passes, compose, account."""
+"""The road from a star field and a camera to the noiseless image and its truth.
+
+Directions during the exposure and the light of every node (`render.tracing.motion.paths`), the points that stand for
+each beam (`render.tracing.pupil.planning`), then the images, which a maker adds up together with the truth: by rays
+(`render.tracing.rays.images`) or by waves (`render.tracing.waves.images`), as the camera says.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from optics.arrays import BoolArray, FloatArray, IntArray
+from optics.arrays import FloatArray, IntArray
 from optics.errors import ConfigError, ConvergenceError, DomainError
 from optics.frames import field_angles_deg
 from optics.rays.pupil import EntrancePupil
 from optics.rays.spots import spot_moments
-from render.camera import Camera, launch_disk
+from render.camera import Camera
 from render.records import StarField, Truth
 from render.tracing.convergence import TOLERANCE
 from render.tracing.motion.exposure import ExposureMotion, IdealLens
-from render.tracing.motion.paths import StarPaths, at_rest, pick_times, star_paths
-from render.tracing.pupil.aim import Chiefs
+from render.tracing.motion.paths import Light, StarPaths, at_rest, pick_times, star_paths
 from render.tracing.pupil.outlines import ARC_LADDER
 from render.tracing.pupil.planning import PupilPlanner, Seen
-from render.tracing.pupil.points import DiskPoints, PupilPoints, SobolPoints
+from render.tracing.pupil.points import PupilPoints
 from render.tracing.pupil.sampling import whole_disk
-from render.tracing.rays.images import PASS_BYTES, PASS_RAYS, Light, Passes
-from render.tracing.rays.kernel import ARRIVED, OUTSIDE, Shade, StarKernel
-from render.tracing.truth import TruthSums
-from render.tracing.waves.stars import WaveStars, check_lit
+from render.tracing.rays.images import RayImages
+from render.tracing.rays.kernel import Shade, StarKernel
+from render.tracing.truth import Sampling, TruthSums
+from render.tracing.waves.images import WaveImages
 
 __all__ = ["TracedStars", "Tracer"]
 
 
-SHADE_LOG2_RAYS = 14
-"""Rays by which it is found out whether something stands in a beam: what hides 3e-4 of it is hardly missed."""
 SHORTEST_PX = 1e-3
 """Path along which the lens's scale is not measured."""
 
@@ -43,7 +46,20 @@ class TracedStars:
 
     electrons: NDArray[np.float32]
     truth: Truth
-    sampling: dict[str, tuple[int, int]]
+    sampling: Sampling
+
+
+class ImageMaker(Protocol):
+    """Makes images of the stars of one camera."""
+
+    def add(self, light: Light, seen: Seen, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
+        """Add stars to the image (h, w, b) and what is known of them to the sums; how they were sampled.
+
+        An image without pixels asks for the truth of rays alone.
+        """
+
+    def cells(self, light: Light, seen: Seen, half_size_px: int, cells_per_px: int) -> FloatArray:
+        """Light per cell (n, b, m, m) of squares about the mean of all light, in shares of what arrives."""
 
 
 class Tracer:
@@ -88,7 +104,8 @@ class Tracer:
             tolerance=tolerance,
             general=general,
         )
-        self._waves = WaveStars(self.planner)
+        by_rays = camera.diffraction == "rays"
+        self.images: ImageMaker = RayImages(self.planner) if by_rays else WaveImages(self.planner)
 
     @property
     def pupil(self) -> EntrancePupil:
@@ -139,79 +156,24 @@ class Tracer:
             paths, length_px = self._moving(stars, motion, exposure_s), motion.length_px
         light = self.light(stars, paths, exposure_s)
         image = np.zeros((self.camera.height_px, self.camera.width_px, len(stars.band)), np.float32)
-        sums, sampling = self._trace(light, paths, image, length_px, shade)
+        sums, sampling = self._add(light, paths, image, length_px, shade)
         return TracedStars(image, sums.truth(light.electrons), sampling)
 
-    def _trace(
+    def _add(
         self,
         light: Light,
         paths: StarPaths,
         image: NDArray[np.float32],
         length_px: float = 0.0,
         shade: Shade | None = None,
-    ) -> tuple[TruthSums, dict[str, tuple[int, int]]]:
+    ) -> tuple[TruthSums, Sampling]:
         """Add all stars to the image; what is known of them afterwards, and how they were sampled."""
         sums = TruthSums.empty(*light.electrons.shape)
-        sampling: dict[str, tuple[int, int]] = {}
         if not len(paths.mid):
-            return sums, sampling
-        seen = self.planner.seen(paths, light.wavelength_nm, length_px)
-        chiefs = self.planner.chiefs(seen.mid, light.wavelength_nm)
-        sums.chief_x[...], sums.chief_y[...] = (np.where(chiefs.blocked, np.nan, v) for v in (chiefs.x_px, chiefs.y_px))
-        by_grid = np.empty(0, np.int64)
-        if shade is None and image.size > 0:
-            by_grid = self._waves.add_by_grid(light, seen, chiefs, image, sums, sampling)
-        if not len(by_grid):
-            return sums, self._trace_each(light, seen, chiefs, image, sums, shade)
-        left = np.setdiff1d(np.arange(len(paths.mid)), by_grid)
-        if len(left):
-            some, others = light.take(left), TruthSums.empty(len(left), light.electrons.shape[1])
-            seen = self.planner.seen(paths.take(left), light.wavelength_nm, length_px)
-            sampling |= self._trace_each(some, seen, chiefs.take(left), image, others, shade)
-            others.chief_x[...], others.chief_y[...] = sums.chief_x[left], sums.chief_y[left]
-            sums.put(left, others)
-        return sums, sampling
-
-    def _trace_each(
-        self,
-        light: Light,
-        seen: Seen,
-        chiefs: Chiefs,
-        image: NDArray[np.float32],
-        sums: TruthSums,
-        shade: Shade | None,
-    ) -> dict[str, tuple[int, int]]:
-        """The same for stars whose rays are traced; how they were sampled."""
-        sampling: dict[str, tuple[int, int]] = {}
-        shaded = None if shade is None else self._shaded(seen, light.wavelength_nm, shade)
-        groups, bounds, entrance = self.planner.groups(seen, light.wavelength_nm, chiefs, shaded)
-        by_waves = self.camera.diffraction != "rays" and image.size > 0
-        rays_to = np.zeros((0, 0, image.shape[2]), np.float32) if by_waves else image
-        entering = (light.share * entrance).sum(2)
-        passes = Passes(self.camera, seen.nodes, light, bounds, rays_to, sums, entering, shade)
-        lost = np.empty(0, np.int64)  # only the last group knows the pupils of stars that are not its own
-        for group in groups:
-            plan, members = group.plan, group.members
-            if group is groups[-1]:
-                members, lost = np.sort(np.concatenate([members, lost])), lost[:0]
-            left = passes.trace(replace(group, members=members)) if len(members) else members
-            lost = np.concatenate([lost, left])
-            if len(members) > len(left):
-                sampling[plan.mode] = (len(members) - len(left), plan.rays_per_node * light.share.shape[2])
-        if by_waves:
-            sampling = self._waves.add(light, seen, chiefs, bounds, image, sums, (shade, shaded))
-        return sampling
-
-    def _shaded(self, seen: Seen, wavelength_nm: FloatArray, shade: Shade) -> BoolArray:
-        """Stars (n,) whose beam, or the disk beside it, something stands in."""
-        kernel = seen.mid
-        shaded = np.zeros(kernel.count, np.bool_)
-        near = np.flatnonzero(shade.near(launch_disk(self.camera)))
-        pupil, step = SobolPoints(SHADE_LOG2_RAYS, self.planner.sobol_seed), PASS_RAYS >> SHADE_LOG2_RAYS
-        for part in (near[i : i + step] for i in range(0, len(near), step)):
-            disks = DiskPoints(pupil, *self.planner.disks(seen, wavelength_nm[:1], part))
-            shaded[part] = kernel.hidden_share(shade, disks, part.astype(np.uint32)) > 0.0
-        return shaded
+            return sums, {}
+        seen = self.planner.seen(paths, light.wavelength_nm, length_px, shade=shade)
+        sums.chief[...] = np.where(seen.chiefs.blocked[..., None], np.nan, seen.chiefs.place_px)
+        return sums, self.images.add(light, seen, image, sums)
 
     def bundle_means(self, stars: StarField, *, rings: int = 6, arms: int = 14) -> FloatArray:
         """Mean landing point (n, b, 2) [px] of every star and band, without an image; NaN where no ray arrives.
@@ -233,11 +195,13 @@ class Tracer:
             left = every[~clear]
         else:
             left = np.arange(len(means))
-            chiefs = self.planner.chiefs(seen.mid, light.wavelength_nm)
-            for mode, members, shapes in self.planner.shapes(seen, chiefs).parts:
-                order = (rings, arms) if mode == "quadrature" else (rings, max(arms, ARC_LADDER[0][1]))
-                means[members], _ = self._means(seen.mid, light, members, shapes.points(order, members))
-                left = np.setdiff1d(left, members)
+            for group in self.planner.sampled(seen, left).groups:
+                order = (rings, arms) if group.mode == "quadrature" else (rings, max(arms, ARC_LADDER[0][1]))
+                assert group.points is not None
+                means[group.members], _ = self._means(
+                    seen.mid, light, group.members, group.points(order, group.members)
+                )
+                left = np.setdiff1d(left, group.members)
         if len(left):  # beams that the kernel finds no outline of
             means[left] = self._beam_means(paths.mid[left], light.wavelength_nm, light.share[left], (rings, arms))
         return means
@@ -293,26 +257,7 @@ class Tracer:
         paths = self._in_cam(stars, None)
         light = self.light(stars, paths, 1.0)
         seen = self.planner.seen(paths, light.wavelength_nm)
-        chiefs = self.planner.chiefs(seen.mid, light.wavelength_nm)
-        if self.camera.diffraction != "rays":
-            return self._waves.cells(light, seen, chiefs, half_size_px, cells_per_px)
-        nothing = np.zeros((0, 0, len(stars.band)), np.float32)
-        sums, _ = self._trace(light, paths, nothing)
-        stamp_px = 2 * half_size_px + 1
-        corner = np.stack([sums.bundle_x, sums.bundle_y], axis=-1) - 0.5 * stamp_px
-        check_lit(corner)
-        groups, bounds, _ = self.planner.groups(seen, light.wavelength_nm, chiefs)
-        passes = Passes(self.camera, seen.nodes, light, bounds, nothing, sums, sums.entrance)
-        side = stamp_px * cells_per_px
-        result = np.empty((*corner.shape[:2], side, side))
-        step = max(1, PASS_BYTES // (corner.shape[1] * side**2 * 16))
-        for group in groups:
-            for part in (group.members[i : i + step] for i in range(0, len(group.members), step)):
-                pupil = group.points(part)
-                collected = passes.splat(pupil, part, corner[part], stamp_px, cells_per_px)
-                light_in = collected.moments[..., [ARRIVED, OUTSIDE]].sum(-1)
-                result[part] = collected.pixels / light_in[..., None, None]
-        return result
+        return self.images.cells(light, seen, half_size_px, cells_per_px)
 
     def _in_cam(self, stars: StarField, rotation: FloatArray | None) -> StarPaths:
         """Directions in cam of stars at rest, after a check that the lens can take the light."""

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optics.arrays import FloatArray
+from optics.arrays import FloatArray, IntArray
+from optics.errors import DomainError
 from render.records import Truth
 from render.tracing.rays.kernel import ARRIVED, FIRST, HIDDEN, LOST, OUTSIDE, SECOND, STRIPS, StampSums
-from render.tracing.waves.images import WaveStamps
 
-__all__ = ["TruthSums", "add_stamps"]
+__all__ = ["RayMoments", "Sampling", "TruthSums", "WaveStamps", "add_stamps", "check_lit"]
 
 
 def add_stamps(
@@ -41,31 +41,63 @@ def add_stamps(
     return kept.reshape(pixels.shape[:2])
 
 
+Sampling = dict[str, tuple[int, int]]
+"""How pupils were sampled: mode -> (stars, rays per star and band)."""
+
+
+def check_lit(place: FloatArray) -> None:
+    """Refuse stars none of whose light arrives, which have no place (n, b, 2)."""
+    if np.isnan(place).any():
+        raise DomainError(f"star {np.argwhere(np.isnan(place))[0][0]}: none of its light reaches the detector")
+
+
+@dataclass(frozen=True, slots=True)
+class RayMoments:
+    """What is known of the rays of s stars in b bands."""
+
+    # mean_px, variance_px2: (s, b, 2) Mean and variance of the landing points along columns and rows
+    mean_px: FloatArray
+    variance_px2: FloatArray
+    # (s, b) Light that the stop alone would let through in that of the launch disk; None where others know it
+    entrance: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class WaveStamps:
+    """Stamps of s stars, all of one size."""
+
+    stars: IntArray  # (s,) Which
+    pixels: FloatArray | NDArray[np.float32]  # (s, b, m, m) Share of the light sent into the launch disk per pixel
+    corner_px: FloatArray  # (s, b, 2) Outer corner (column, row)
+    mean_px: FloatArray  # (s, b, 2) Centroid of all light of the image, on the stamp or beyond, NaN without light
+    light: FloatArray  # (s, b) Share of the light that gets through the lens
+    rays: int  # Of a star, band and wavelength
+    mode: str  # How the pupils were sampled
+    # Of the stars' rays, where no others tell more: those of cells, of which some are covered in part, do not
+    moments: RayMoments | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class TruthSums:
-    """Truth under construction, every field (n, b); NaN until stored."""
+    """Truth under construction, every field (n, b) or, of places, (n, b, 2): column and row; NaN until stored."""
 
-    chief_x: FloatArray
-    chief_y: FloatArray
-    bundle_x: FloatArray
-    bundle_y: FloatArray
-    photon_x: FloatArray
-    photon_y: FloatArray
+    chief: FloatArray
+    bundle: FloatArray
+    photon: FloatArray
+    variance: FloatArray
     image: FloatArray
     vignetted: FloatArray
     off_edge: FloatArray
     hidden: FloatArray
-    variance_x: FloatArray
-    variance_y: FloatArray
     beyond: FloatArray
     entrance: FloatArray
 
     @classmethod
     def empty(cls, stars: int, bands: int) -> TruthSums:
         """Nothing known yet, and nothing beyond stamps."""
-        sums = cls(*(np.full((stars, bands), np.nan) for _ in cls.__dataclass_fields__))
-        sums.beyond[...] = 0.0
-        return sums
+        places, light = np.full((4, stars, bands, 2), np.nan), np.full((6, stars, bands), np.nan)
+        light[4] = 0.0
+        return cls(*places, *light)
 
     def store(
         self,
@@ -76,7 +108,7 @@ class TruthSums:
         on_image: FloatArray,
         entrance: FloatArray,
     ) -> None:
-        """Moments and balance of one pass."""
+        """Moments and balance of one pass of rays."""
         # stars (s,), corner_px (s, b, 2), electrons_in (s, b) [e-], on_image (s, b), entrance (s, b)
         size, moments = sums.pixels.shape[-1], sums.moments
         landed = sums.pixels.sum((2, 3))
@@ -85,12 +117,9 @@ class TruthSums:
             mean = moments[..., FIRST] / arrived
             variance = moments[..., SECOND] / arrived - mean**2
             photon = moments[..., STRIPS] / arrived
-        self.bundle_x[stars] = corner_px[..., 0] + mean[..., 0] * size
-        self.bundle_y[stars] = corner_px[..., 1] + mean[..., 1] * size
-        self.variance_x[stars] = variance[..., 0] * size**2
-        self.variance_y[stars] = variance[..., 1] * size**2
-        self.photon_x[stars] = corner_px[..., 0] + photon[..., 0] * size
-        self.photon_y[stars] = corner_px[..., 1] + photon[..., 1] * size
+        self.bundle[stars] = corner_px + mean * size
+        self.variance[stars] = variance * size**2
+        self.photon[stars] = corner_px + photon * size
         self.entrance[stars] = entrance
         self.image[stars] = on_image * electrons_in
         self.vignetted[stars] = moments[..., LOST] * electrons_in
@@ -101,11 +130,10 @@ class TruthSums:
         """What diffraction makes of stars whose rays are stored, or come with it; parameters as `store`."""
         stars, landed = stamps.stars, stamps.pixels.sum((2, 3), dtype=np.float64)
         if (rays := stamps.moments) is not None:
-            self.bundle_x[stars], self.bundle_y[stars] = rays.mean_px[..., 0], rays.mean_px[..., 1]
-            self.variance_x[stars], self.variance_y[stars] = rays.variance_px2[..., 0], rays.variance_px2[..., 1]
+            self.bundle[stars], self.variance[stars] = rays.mean_px, rays.variance_px2
             if rays.entrance is not None:
                 self.entrance[stars], self.hidden[stars] = rays.entrance, 0.0
-        self.photon_x[stars], self.photon_y[stars] = stamps.mean_px[..., 0], stamps.mean_px[..., 1]
+        self.photon[stars] = stamps.mean_px
         self.image[stars] = on_image * electrons_in
         self.off_edge[stars] = (landed - on_image) * electrons_in
         self.beyond[stars] = (stamps.light - landed) * electrons_in
@@ -120,19 +148,14 @@ class TruthSums:
 
     def truth(self, electrons: FloatArray) -> Truth:
         """The finished record, from the light of the launch disk (n, b)."""
+        places = {"chief_{}_px": self.chief, "bundle_{}_px": self.bundle, "photon_{}_px": self.photon}
+        places["variance_{}_px2"] = self.variance
         return Truth(
-            chief_x_px=self.chief_x,
-            chief_y_px=self.chief_y,
-            bundle_x_px=self.bundle_x,
-            bundle_y_px=self.bundle_y,
-            photon_x_px=self.photon_x,
-            photon_y_px=self.photon_y,
+            **{name.format(axis): v[..., i] for name, v in places.items() for i, axis in enumerate("xy")},
             electrons_in=electrons * self.entrance,
             electrons_image=self.image,
             electrons_vignetted=self.vignetted,
             electrons_off_edge=self.off_edge,
             electrons_hidden=self.hidden,
-            variance_x_px2=self.variance_x,
-            variance_y_px2=self.variance_y,
             electrons_beyond=self.beyond,
         )

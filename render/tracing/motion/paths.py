@@ -29,7 +29,7 @@ from optics.light.collimation import Collimation
 from render.camera import Camera
 from render.tracing.motion.exposure import ExposureMotion, IdealLens, gauss_times
 
-__all__ = ["StarPaths", "at_rest", "pick_times", "star_paths", "uniform_paths"]
+__all__ = ["Light", "StarPaths", "at_rest", "pick_times", "star_paths", "uniform_paths"]
 
 
 FASTEST_SHEAR = 0.2
@@ -57,6 +57,19 @@ class StarPaths:
         shear = None if self.shear is None else self.shear[stars]
         parts = self.mid[stars], self.nodes[stars], self.weight[stars], shear, self.shift_px[stars]
         return StarPaths(*parts, self.collimation)
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """Light of n stars: wavelengths (b, k), shares of nodes (n, b, t k), electrons in the launch disk (n, b)."""
+
+    wavelength_nm: FloatArray
+    share: FloatArray
+    electrons: FloatArray
+
+    def take(self, stars: IntArray) -> Light:
+        """Some of the stars."""
+        return Light(self.wavelength_nm, self.share[stars], self.electrons[stars])
 
 
 def at_rest(direction: FloatArray) -> StarPaths:

@@ -77,6 +77,11 @@ class Chiefs:
     y_px: FloatArray
     blocked: BoolArray  # (n, b) Whether the rim of an aperture stops them
 
+    @property
+    def place_px(self) -> FloatArray:
+        """Columns and rows (n, b, 2) where they land."""
+        return np.stack([self.x_px, self.y_px], axis=-1)
+
     def take(self, stars: IntArray) -> Chiefs:
         """Some of the stars."""
         return Chiefs(self.points[stars], self.x_px[stars], self.y_px[stars], self.blocked[stars])

@@ -246,19 +246,12 @@ MOST_ARCS = 10
 LEAST_IN_ARC = 2
 NARROWINGS = 1
 """Steps of false position after the first."""
-ARC_LADDER = (
-    (6, 22),
-    (7, 26),
-    (8, 31),
-    (9, 36),
-    (10, 42),
-    (11, 48),
-    (13, 58),
-    (16, 72),
-    (20, 90),
-    (25, 112),
-    (32, 144),
-    (41, 184),
+ARC_LADDER = tuple(
+    zip(
+        (6, 7, 8, 9, 10, 11, 13, 16, 20, 25, 32, 41),
+        (22, 26, 31, 36, 42, 48, 58, 72, 90, 112, 144, 184),
+        strict=True,
+    )
 )
 """Rings and azimuths that are tried, in this order; the fewest azimuths are `LEAST_IN_ARC` times `MOST_ARCS`."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from optics.rays.pupil import EntrancePupil, entrance_pupil, launch_disks, stop_
 from render.camera import Camera, launch_disk
 from render.tracing.convergence import HIGHEST_FREQUENCY, MOTION_TOLERANCE, TOLERANCE
 from render.tracing.motion.exposure import IdealLens
-from render.tracing.motion.paths import StarPaths, pick_times, uniform_paths
+from render.tracing.motion.paths import StarPaths, at_rest, pick_times, uniform_paths
 from render.tracing.pupil.aim import Chiefs, aimed_lens, find_chiefs
 from render.tracing.pupil.outlines import (
     ARC_LADDER,
@@ -35,28 +35,27 @@ from render.tracing.pupil.outlines import (
     node_picks,
     node_turns,
 )
-from render.tracing.pupil.points import DiskPoints, PupilPoints
+from render.tracing.pupil.points import DiskPoints, PupilPoints, SobolPoints
 from render.tracing.pupil.sampling import (
     LADDER,
     OUTLINE_LADDER,
     Landed,
-    PupilPlan,
     Trial,
     bounding_disk,
     converged_order,
     lowest_order,
     probe_fields,
     probe_nodes,
-    sobol_plan,
+    sobol_points,
     staggered,
 )
-from render.tracing.rays.images import Bounds, Group, find_bounds
-from render.tracing.rays.kernel import Geometry, StarKernel, reach_px
-from render.tracing.waves.images import WaveGroup
+from render.tracing.rays.kernel import Geometry, Shade, StarKernel, reach_px
 
-__all__ = ["PupilPlanner", "Seen", "Shapes"]
+__all__ = ["Bounds", "Group", "PupilPlanner", "Sampled", "Seen"]
 
-Ladder = tuple[tuple[int, int], ...]
+Order = tuple[int, int]
+"""Rings and azimuths."""
+Points = Callable[[IntArray], PupilPoints]
 
 MOTION_FIELDS = (0, 1, 6, 9, 12, 15)
 """Probe fields that judge under motion."""
@@ -76,14 +75,21 @@ MEANS_RUNG = 4
 """Order, counted from the lowest, by which means of bundles whose images are made by waves are found."""
 WIDEST_TRIAL_PX = 200
 """Size of the stamps of a trial; wider spots are left to Sobol points."""
+SHADE_LOG2_RAYS, SHADE_RAYS = 14, 1 << 27
+"""Rays of a star that find out whether something stands in its beam (what hides 3e-4 of it is hardly missed); rays of
+all stars at a time."""
+BOUND_RAYS = 1 << 20
+DISTORTION = 0.05
+"""Part of the way of an image by which a lens may lead it beside where an ideal one does; more is found by redoing."""
 SHORTEST_PX = 0.25
 """Path below which the order is that of a star at rest."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False)
 class Seen:
-    """Stars as an exposure sees them."""
+    """Stars as an exposure sees them; made by `PupilPlanner.seen`."""
 
+    planner: PupilPlanner
     # mid, nodes: In the middle of the exposure, and at its time nodes; the same for a camera at rest
     mid: StarKernel
     nodes: StarKernel
@@ -91,22 +97,107 @@ class Seen:
     paths: StarPaths
     length_px: float  # Length of the paths
     wavelength_nm: FloatArray  # (b, k) All wavelengths
+    shade: Shade | None  # What stands between the sky and the lens
+    shaded: BoolArray | None  # (n,) Stars whose beam, or the disk beside it, it stands in
+    known_chiefs: Chiefs | None = None  # In place of those at the mean of each band's wavelengths
 
+    @cached_property
+    def chiefs(self) -> Chiefs:
+        """Chief rays."""
+        if self.known_chiefs is not None:
+            return self.known_chiefs
+        return self.planner.chiefs(self.mid, self.wavelength_nm)
 
-Shape = tuple[str, IntArray, Outlines | Arcs]
-"""A mode, its stars, and their outlines."""
+    @property
+    def ends_nm(self) -> FloatArray:
+        """Lowest, median and highest wavelength (b, 3) of the bands."""
+        waves = self.wavelength_nm
+        return np.stack([waves.min(1), np.median(waves, 1), waves.max(1)], axis=1)
 
 
 @dataclass(frozen=True, slots=True)
-class Shapes:
-    """Outlines of the beams of stars, in parts of one mode each."""
+class Bounds:
+    """Lowest and highest landing point (n, b, 2) [px], and whether every bounding ray arrived (n,)."""
 
-    parts: list[Shape]  # No star is in two of them
-    outlines: Outlines | None  # Those by the stop alone; None where the launch disk is the stop
+    low: FloatArray
+    high: FloatArray
+    clear: NDArray[np.bool_]
 
-    def entrance(self, nodes: tuple[int, int, int]) -> FloatArray:
-        """Light (n, b, k) that the stop alone would let through in that of the launch disk; NaN where unknown."""
-        return np.ones(nodes) if self.outlines is None else self.outlines.entrance()
+    @classmethod
+    def empty(cls, stars: int, bands: int) -> Bounds:
+        """Nothing known yet."""
+        shape = (stars, bands, 2)
+        return cls(np.full(shape, np.inf), np.full(shape, -np.inf), np.zeros(stars, bool))
+
+    def moved(self, shift_px: FloatArray) -> Bounds:
+        """With room for offsets (n, 2, 2), the lowest and the highest, that an ideal lens makes of a motion."""
+        room = DISTORTION * np.abs(shift_px).max(1, initial=0.0)
+        return Bounds(
+            self.low + (shift_px[:, 0] - room)[:, None], self.high + (shift_px[:, 1] + room)[:, None], self.clear
+        )
+
+    def box(self, stars: IntArray, margin: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Boxes with a margin; a unit box at the origin where no ray arrives."""
+        low, high = self.low[stars], self.high[stars]
+        empty = ~np.isfinite(low)
+        m = margin[:, None, None]
+        return np.where(empty, 0.0, low) - m, np.where(empty, 0.0, high) + m
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Stars whose pupils are sampled alike: by "quadrature", "arcs", "sobol" points or "cells" of the launch disk.
+
+    ``points`` makes the points of some of them, of so many rings and azimuths; None for cells, which divide the disks
+    that hold the beams (`PupilPlanner.disks`). Where outlines are smooth ``turns`` are the first azimuths (k, rings) on
+    so many rings, in parts of their distance.
+    """
+
+    mode: str
+    members: IntArray
+    points: Callable[[Order, IntArray], PupilPoints] | None
+    outlines: Outlines | Arcs | None = None
+    turns: Callable[[int], FloatArray] | None = None
+    order: Order = (0, 0)  # Of the points of rays; sums of waves find their order star by star
+    error: float = math.nan  # What it was judged by (`converged_order`)
+
+    @property
+    def rays(self) -> int:
+        """Rays of a star, band and node."""
+        return math.prod(self.order)
+
+    def of(self, stars: IntArray) -> PupilPoints:
+        """Points of rays of some stars."""
+        assert self.points is not None
+        return self.points(self.order, stars)
+
+
+@dataclass(frozen=True, slots=True)
+class Sampled:
+    """How stars are sampled."""
+
+    groups: list[Group]  # No star is in two of them
+    bounds: Bounds  # Of the rays of all stars, for images by rays
+    outlines: Outlines | None  # By the stop alone; None where the launch disk is the stop
+    nodes: tuple[int, int, int]  # n, b, t k
+
+    @property
+    def entrance(self) -> FloatArray:
+        """Light (n, b, t k) that the stop alone would let through in that of the launch disk; NaN where unknown."""
+        return np.ones(self.nodes) if self.outlines is None else self.outlines.entrance()
+
+
+def find_bounds(kernel: StarKernel, bounds: Bounds, stars: IntArray, wavelength_nm: FloatArray, points: Points) -> None:
+    """Extent of the bundles of some stars [px] and whether they are clear, at the given wavelengths (b, 3)."""
+    # stars (s,), wavelength_nm (b, 3)
+    step = max(1, BOUND_RAYS // (len(wavelength_nm) * 3 * bounding_disk().count))
+    for part in (stars[i : i + step] for i in range(0, len(stars), step)):
+        landed = kernel.land(points(part), wavelength_nm, part.astype(np.uint32))
+        x, y, ok = (v.reshape(*v.shape[:2], -1) for v in landed)
+        bounds.clear[part] = ok.all((1, 2))
+        for axis, value in enumerate((x, y)):
+            bounds.low[part, :, axis] = np.where(ok, value, np.inf).min(2)
+            bounds.high[part, :, axis] = np.where(ok, value, -np.inf).max(2)
 
 
 def unit_disk(lens: LensSystem) -> EntrancePupil:
@@ -124,13 +215,6 @@ def _open_stop(lens: LensSystem) -> LensSystem:
     return lens.with_surfaces({at: replace(stop, semi_diameter_mm=stop.semi_diameter_mm * (1.0 + 1e-9))})
 
 
-def _fixed_group(plan: PupilPlan, members: IntArray) -> Group:
-    """Stars that share the points of their plan."""
-    pupil = plan.pupil
-    assert pupil is not None
-    return Group(plan, members, lambda stars: pupil)
-
-
 class PupilPlanner:
     """Decides how the stars of one camera are sampled, and keeps what it has found."""
 
@@ -146,7 +230,7 @@ class PupilPlanner:
             launch_disk(camera)  # refuses a lens that lets no light through
         self.program, self.theta = compile_lens(_open_stop(lens) if self.pupil.exact else lens, general=general)
         self._aim = aimed_lens(lens, self.program, self.theta)
-        self._plans: dict[Any, PupilPlan | None] = {}
+        self._plans: dict[Any, tuple[Order, float] | None] = {}
 
     def kernel(
         self, direction: FloatArray, shear: FloatArray | None = None, collimation: Collimation | None = None
@@ -167,16 +251,42 @@ class PupilPlanner:
         """Whether charge diffusion softens the edges of pixels enough for a quadrature."""
         return self.camera.charge_diffusion_px * HIGHEST_FREQUENCY >= LEAST_DAMPED
 
-    def seen(self, paths: StarPaths, wavelength_nm: FloatArray, length_px: float = 0.0) -> Seen:
-        """What is needed of an exposure."""
-        mid = self.kernel(paths.mid, collimation=paths.collimation)
+    def seen(
+        self,
+        paths: StarPaths,
+        wavelength_nm: FloatArray,
+        length_px: float = 0.0,
+        *,
+        shade: Shade | None = None,
+        chiefs: Chiefs | None = None,
+    ) -> Seen:
+        """What is needed of an exposure; chief rays are found where they are not known already."""
+        mid = nodes = self.kernel(paths.mid, collimation=paths.collimation)
         if paths.nodes.shape[1] == 1 and paths.shear is None:
-            return Seen(mid, mid, node_picks(mid, wavelength_nm), paths, 0.0, wavelength_nm)
-        picked, times = pick_times(paths)
-        picks = node_picks(self.kernel(picked), wavelength_nm, times)
-        return Seen(
-            mid, self.kernel(paths.nodes, paths.shear, paths.collimation), picks, paths, length_px, wavelength_nm
-        )
+            picks, length_px = node_picks(mid, wavelength_nm), 0.0
+        else:
+            picked, times = pick_times(paths)
+            picks = node_picks(self.kernel(picked), wavelength_nm, times)
+            nodes = self.kernel(paths.nodes, paths.shear, paths.collimation)
+        seen = Seen(self, mid, nodes, picks, paths, length_px, wavelength_nm, shade, None, chiefs)
+        return seen if shade is None else replace(seen, shaded=self._shaded(seen, shade))
+
+    def still(self, seen: Seen, wavelength_nm: FloatArray) -> Seen:
+        """The same stars in the middle of the exposure, at wavelengths (b, k) that tell the image."""
+        if seen.nodes is seen.mid and wavelength_nm is seen.wavelength_nm:
+            return seen
+        rest = replace(at_rest(seen.paths.mid), collimation=seen.paths.collimation)
+        return replace(self.seen(rest, wavelength_nm, chiefs=seen.chiefs), shade=seen.shade, shaded=seen.shaded)
+
+    def _shaded(self, seen: Seen, shade: Shade) -> BoolArray:
+        """Stars (n,) whose beam, or the disk beside it, something stands in."""
+        shaded = np.zeros(seen.mid.count, np.bool_)
+        near = np.flatnonzero(shade.near(launch_disk(self.camera)))
+        pupil, step = SobolPoints(SHADE_LOG2_RAYS, self.sobol_seed), SHADE_RAYS >> SHADE_LOG2_RAYS
+        for part in (near[i : i + step] for i in range(0, len(near), step)):
+            disks = DiskPoints(pupil, *self.disks(seen, seen.wavelength_nm[:1], part))
+            shaded[part] = seen.mid.hidden_share(shade, disks, part.astype(np.uint32)) > 0.0
+        return shaded
 
     def chiefs(self, kernel: StarKernel, wavelength_nm: FloatArray) -> Chiefs:
         """Chief rays, through the centre of the stop, at the mean of each band's nodes (b, k)."""
@@ -184,22 +294,25 @@ class PupilPlanner:
         centre = np.zeros((kernel.count, len(mean), 2)) if self.pupil.exact else None
         return find_chiefs(self._aim, kernel, mean, centre)
 
-    def shapes(self, seen: Seen, chiefs: Chiefs, cut: IntArray | None = None) -> Shapes:
-        """Outlines of the beams of stars."""
-        # cut (c,): which stars other apertures cut where the launch disk is the stop and the outline of the others
+    def _outlined(self, seen: Seen, cut: IntArray | None = None) -> tuple[list[Group], Outlines | None]:
+        """Groups of stars whose beams have outlines, and outlines by the stop alone.
+
+        Where the launch disk is the stop itself it is the outline of all but the stars that are ``cut``.
+        """
         if not seen.mid.count or self._aim.stop not in dict(self._aim.limits):
-            return Shapes([], None)
+            return [], None
         if self.pupil.exact and self._aim.holes:
-            return Shapes([], None)
-        parts: list[Shape] = []
+            return [], None
+        groups: list[Group] = []
         if self.pupil.exact:
-            outlines, centre = None, chiefs.points
+            outlines, centre = None, seen.chiefs.points
             left = np.arange(seen.mid.count) if cut is None else cut
         else:
-            outlines = find_outlines(self._aim, seen.picks, chiefs)
+            outlines = find_outlines(self._aim, seen.picks, seen.chiefs)
             centre, left = outlines.chief, np.flatnonzero(~outlines.clear)
             if outlines.clear.any():
-                parts.append(("quadrature", np.flatnonzero(outlines.clear), outlines))
+                clear = np.flatnonzero(outlines.clear)
+                groups.append(Group("quadrature", clear, outlines.points, outlines, outlines.turns))
         picks = seen.picks
         for again in (False,) if self._aim.holes else (False, True):
             if again:  # about a point inside the beam where that is not the chief ray's, and at every wavelength
@@ -210,9 +323,73 @@ class PupilPlanner:
             if len(left):
                 arcs = find_arcs(self._aim, picks, centre, left)
                 if len(arcs.stars):
-                    parts.append(("arcs", arcs.stars, arcs))
+                    groups.append(Group("arcs", arcs.stars, arcs.points, arcs))
                 left = np.setdiff1d(left, arcs.stars)
-        return Shapes(parts, outlines)
+        return groups, outlines
+
+    def sampled(self, seen: Seen, stars: IntArray, *, shapes: bool = True) -> Sampled:
+        """Groups of some stars whose beams have outlines; not of those in whose beam something stands."""
+        bands, colours = seen.wavelength_nm.shape
+        bounds, groups, cut = Bounds.empty(seen.mid.count, bands), [], None
+        open_ = stars if seen.shaded is None else stars[~seen.shaded[stars]]
+        if self.pupil.exact:
+            self._find_bounds(bounds, seen, stars)
+            clear, cut = open_[bounds.clear[open_]], open_[~bounds.clear[open_]]
+
+            def turns(count: int) -> FloatArray:
+                return np.repeat(0.5 + node_turns(colours)[:, None], count, axis=1)
+
+            points = partial(staggered, nodes=colours, times=seen.nodes.times)
+            groups.append(Group("quadrature", clear, lambda order, _: points(order), turns=turns))
+        outlines = None
+        if shapes and (cut is None or len(cut)):
+            found, outlines = self._outlined(seen, cut)
+            groups += [replace(group, members=np.intersect1d(group.members, open_)) for group in found]
+        return Sampled(groups, bounds, outlines, (seen.mid.count, bands, colours * seen.nodes.times))
+
+    def sampled_by_rays(self, seen: Seen) -> Sampled:
+        """How all stars are sampled by rays: what no quadrature is fit for goes to the last group, of Sobol points."""
+        everyone = np.arange(seen.mid.count)
+        sampled = self.sampled(seen, everyone, shapes=self.camera.charge_diffusion_px > 0.0)
+        groups, bounds, left = [], sampled.bounds, everyone
+        holed = any(surface.holed for surface in self.camera.lens.surfaces)
+        for group in sampled.groups:
+            if group.outlines is None and holed:
+                continue
+            plan = self.plan(group.mode, seen, group.members)
+            if plan is None:
+                continue
+            if group.outlines is not None:
+                find_bounds(seen.mid, bounds, group.members, seen.picks.ends()[1], group.outlines.bounding)
+            groups.append(replace(group, order=plan[0], error=plan[1]))
+            left = np.setdiff1d(left, group.members)
+        if not self.pupil.exact:
+            self._find_bounds(bounds, seen, left)
+        log2_rays = self.sobol_log2_rays + (0 if self._blurred else UNBLURRED_MORE)
+        sobol = sobol_points(sampled.nodes[2], self.sobol_seed, log2_rays)
+        if seen.nodes is not seen.mid:
+            bounds = bounds.moved(seen.paths.shift_px)
+
+        def moved(_: Order, stars: IntArray) -> DiskPoints:
+            return DiskPoints(sobol, *self.disks(seen, seen.wavelength_nm, stars))
+
+        return replace(sampled, groups=[*groups, Group("sobol", left, moved, order=(sobol.count, 1))], bounds=bounds)
+
+    def sampled_by_waves(self, seen: Seen, stars: IntArray) -> Sampled:
+        """How some stars at rest are sampled for sums of plane waves: those without an outline by cells."""
+        sampled, left = self.sampled(seen, stars), stars
+        for group in sampled.groups:
+            left = np.setdiff1d(left, group.members)
+        groups = [*sampled.groups, Group("cells", left, None)]
+        return replace(sampled, groups=[group for group in groups if len(group.members)])
+
+    def _find_bounds(self, bounds: Bounds, seen: Seen, stars: IntArray) -> None:
+        """Bounds of stars by points of the disks that hold their beams."""
+
+        def points(part: IntArray) -> DiskPoints:
+            return DiskPoints(bounding_disk(), *self.disks(seen, seen.wavelength_nm, part))
+
+        find_bounds(seen.mid, bounds, stars, seen.ends_nm, points)
 
     def _inside(self, seen: Seen, stars: IntArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """A point (n, b, 2) inside the beam of some of the stars, 0 for others, and for which there is one."""
@@ -237,99 +414,14 @@ class PupilPlanner:
         unit = self.pupil.radius_mm
         return np.broadcast_to(centre / unit, (*shape, 2)), np.broadcast_to(reach[:, None] / unit, shape)
 
-    def groups(
-        self, seen: Seen, wavelength_nm: FloatArray, chiefs: Chiefs, shaded: BoolArray | None = None
-    ) -> tuple[list[Group], Bounds, FloatArray]:
-        """How stars are sampled: groups, the last of them able to take any star, bounds of all, and entrances.
-
-        Shaded stars (n,), whose beams something may cut that the lens knows nothing of, go to the last group. An
-        entrance (n, b, k) is the light that the stop alone would let through in that of the launch disk, at every node;
-        NaN where unknown.
-        """
-        count = seen.mid.count
-        everyone = np.arange(count)
-        bounds = Bounds.empty(count, len(wavelength_nm))
-        ends = np.stack([wavelength_nm.min(1), np.median(wavelength_nm, 1), wavelength_nm.max(1)], axis=1)
-        nodes = (count, len(wavelength_nm), wavelength_nm.shape[1] * seen.nodes.times)
-        groups, left, entrance = [], everyone, np.ones(nodes)
-        open_ = np.ones(count, np.bool_) if shaded is None else ~shaded
-        holed = any(surface.holed for surface in self.camera.lens.surfaces)
-
-        def disks(stars: IntArray) -> DiskPoints:
-            return DiskPoints(bounding_disk(), *self.disks(seen, wavelength_nm, stars))
-
-        cut = None
-        if self.pupil.exact:
-            find_bounds(seen.mid, bounds, everyone, ends, disks)
-            clear = bounds.clear & open_
-            plan = None if holed else self.plan("quadrature", wavelength_nm, seen, clear)
-            if plan is not None:
-                groups.append(_fixed_group(plan, everyone[clear]))
-            cut = everyone[~bounds.clear]
-        if self.camera.charge_diffusion_px > 0.0 and (cut is None or len(cut)):
-            shapes = self.shapes(seen, chiefs, cut)
-            entrance = shapes.entrance(nodes)
-            for mode, every, outlines in shapes.parts:
-                members = every[open_[every]]
-                plan = self.plan(mode, wavelength_nm, seen, members)
-                if plan is not None:
-                    find_bounds(seen.mid, bounds, members, seen.picks.ends()[1], outlines.bounding)
-                    groups.append(Group(plan, members, partial(outlines.points, plan.order)))
-        for group in groups:
-            left = np.setdiff1d(left, group.members)
-        if not self.pupil.exact:
-            find_bounds(seen.mid, bounds, left, ends, disks)
-        log2_rays = self.sobol_log2_rays + (0 if self._blurred else UNBLURRED_MORE)
-        sobol = sobol_plan(wavelength_nm.shape[1] * seen.nodes.times, self.sobol_seed, log2_rays)
-        if seen.nodes is not seen.mid:
-            bounds = bounds.moved(seen.paths.shift_px)
-
-        def moved(stars: IntArray) -> DiskPoints:
-            assert sobol.pupil is not None
-            return DiskPoints(sobol.pupil, *self.disks(seen, wavelength_nm, stars))
-
-        return [*groups, Group(sobol, left, moved)], bounds, entrance
-
-    def wave_groups(
-        self,
-        seen: Seen,
-        wavelength_nm: FloatArray,
-        chiefs: Chiefs,
-        stars: IntArray,
-        shaded: BoolArray | None = None,
-    ) -> list[WaveGroup]:
-        """Groups of some stars at rest whose pupils are sampled alike for sums of plane waves; shaded ones by cells."""
-        groups: list[WaveGroup] = []
-        dark = np.empty(0, np.int64) if shaded is None else stars[shaded[stars]]
-        everyone, stars = stars, np.setdiff1d(stars, dark)
-        nodes = wavelength_nm.shape[1]
-        disks, cut = partial(self.disks, seen, wavelength_nm), None
-        if self.pupil.exact:
-
-            def turns(count: int) -> FloatArray:
-                return np.repeat(0.5 + node_turns(nodes)[:, None], count, axis=1)
-
-            bounds = Bounds.empty(seen.mid.count, len(wavelength_nm))
-            ends = np.stack([wavelength_nm.min(1), np.median(wavelength_nm, 1), wavelength_nm.max(1)], axis=1)
-            find_bounds(seen.mid, bounds, stars, ends, lambda part: DiskPoints(bounding_disk(), *disks(part)))
-            clear, cut = stars[bounds.clear[stars]], stars[~bounds.clear[stars]]
-            groups.append(WaveGroup("quadrature", clear, lambda order, _: staggered(order, nodes), disks, turns))
-        for mode, members, shapes in self.shapes(seen, chiefs, cut).parts if cut is None or len(cut) else ():
-            smooth = shapes.turns if isinstance(shapes, Outlines) else None
-            groups.append(WaveGroup(mode, np.intersect1d(members, stars), shapes.points, disks, smooth))
-        left = everyone
-        for group in groups:
-            left = np.setdiff1d(left, group.members)
-        return [group for group in (*groups, WaveGroup("cells", left, None, disks)) if len(group.members)]
-
-    def plan(self, mode: str, wavelength_nm: FloatArray, seen: Seen, members: NDArray[Any]) -> PupilPlan | None:
-        """Quadrature for some of the stars, which have to be clear; None if none is fit.
+    def plan(self, mode: str, seen: Seen, members: IntArray) -> tuple[Order, float] | None:
+        """Order and error of a quadrature for some of the stars, which have to be clear; None if none is fit.
 
         It is found by trial on a field of the stars' extent, under a uniform motion of as many time nodes and at most
         the same length. Extent and length are rounded, so that few different ones occur, and with it the plan depends
         on lens, wavelengths, extent and motion only, not on which stars there are.
         """
-        direction = seen.paths.mid[members]
+        direction, wavelength_nm = seen.paths.mid[members], seen.wavelength_nm
         if not len(direction):
             return None
         step = math.radians(self.camera.lens.max_field_deg) / 16
@@ -354,13 +446,13 @@ class PupilPlanner:
         reach_rad: float,
         times: int,
         length_px: float,
-        still: PupilPlan | None,
-    ) -> PupilPlan | None:
+        still: tuple[Order, float] | None,
+    ) -> tuple[Order, float] | None:
         """Lowest order that is converged for probe stars; under motion at most that of a camera at rest."""
         if self.camera.diffraction != "rays":  # rays make no image then
             fitting = LADDER if self.pupil.exact and mode == "quadrature" else OUTLINE_LADDER
             order = (ARC_LADDER if mode == "arcs" else fitting)[MEANS_RUNG]
-            return self._planned(mode, order, math.nan, wavelength_nm.shape[1], times)
+            return order, math.nan
         if times > 1 and still is None:
             return None
         few = np.ascontiguousarray(wavelength_nm[:, probe_nodes(wavelength_nm.shape[1])])
@@ -370,13 +462,14 @@ class PupilPlanner:
         paths = uniform_paths(fields, tried, part_px / IdealLens.of(self.camera).focal_px)
         seen = self.seen(paths, few, part_px)
         probes = np.arange(len(paths.mid))
-        ladder: Ladder = LADDER
+        ladder: tuple[Order, ...] = LADDER
         points: Callable[[tuple[int, int]], PupilPoints] = partial(staggered, nodes=few.shape[1], times=tried)
         if mode == "arcs" or not self.pupil.exact:
-            shapes = [s for s in self.shapes(seen, self.chiefs(seen.mid, few)).parts if s[0] == mode]
-            if not shapes:
+            found = [group for group in self._outlined(seen)[0] if group.mode == mode]
+            if not found or found[0].points is None:
                 return still
-            probes, points = shapes[0][1], partial(shapes[0][2].points, stars=shapes[0][1])
+            probes = found[0].members
+            points = partial(found[0].points, stars=probes)
             ladder = OUTLINE_LADDER if mode == "quadrature" else ARC_LADDER
         node_weight = None if times == 1 else np.repeat(paths.weight[0] / few.shape[1], few.shape[1])
 
@@ -384,23 +477,12 @@ class PupilPlanner:
             pupil = points(order)
             return Landed(*seen.nodes.land(pupil, few, probes.astype(np.uint32)), pupil.weight, node_weight)
 
-        found: tuple[tuple[int, int], float] | None
         if still is not None:
             least = LEAST_ARC_ORDER if mode == "arcs" else LEAST_ORDER
             tolerance = self.tolerance * (MOTION_TOLERANCE / TOLERANCE)
-            found = lowest_order(land, self.camera.charge_diffusion_px, tolerance, still.order, least)
-        else:
-            fewer = tuple(one for one in ladder if math.prod(one) * wavelength_nm.shape[1] <= MOST_RAYS)
-            found = self._converged(seen, few, points, probes, fewer)
-        if found is None:
-            return None
-        return self._planned(mode, *found, wavelength_nm.shape[1], times)
-
-    def _planned(self, mode: str, order: tuple[int, int], error: float, nodes: int, times: int) -> PupilPlan:
-        """A plan of an order."""
-        fixed = self.pupil.exact and mode == "quadrature"
-        pupil = staggered(order, nodes, times) if fixed else None
-        return PupilPlan(mode, order[0] * order[1], error, pupil, order)
+            return lowest_order(land, self.camera.charge_diffusion_px, tolerance, still[0], least)
+        fewer = tuple(one for one in ladder if math.prod(one) * wavelength_nm.shape[1] <= MOST_RAYS)
+        return self._converged(seen, few, points, probes, fewer)
 
     def _converged(
         self,
@@ -408,7 +490,7 @@ class PupilPlanner:
         wavelength_nm: FloatArray,
         points: Callable[[tuple[int, int]], PupilPoints],
         probes: IntArray,
-        ladder: Ladder,
+        ladder: tuple[Order, ...],
     ) -> tuple[tuple[int, int], float] | None:
         """Lowest order that is converged for probe stars at rest, on stamps that hold their light."""
         if not (ladder and self._blurred):

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from optics.arrays import FloatArray
 from optics.rays.pupil import gauss_disk
 from render.tracing.convergence import TOLERANCE, damped_frequencies, transfer
 from render.tracing.pupil.outlines import node_turns
-from render.tracing.pupil.points import PupilPoints, SobolPoints, TablePoints
+from render.tracing.pupil.points import SobolPoints, TablePoints
 from render.tracing.rays.kernel import ARRIVED, FIRST, LOST, StampSums
 
 __all__ = [
@@ -32,54 +33,33 @@ __all__ = [
     "OUTLINE_LADDER",
     "TOLERANCE",
     "Landed",
-    "PupilPlan",
     "Trial",
     "bounding_disk",
     "converged_order",
     "lowest_order",
     "probe_fields",
     "probe_nodes",
-    "sobol_plan",
+    "sobol_points",
     "staggered",
     "whole_disk",
 ]
 
 
-LADDER = (
-    (4, 8),
-    (6, 10),
-    (8, 14),
-    (10, 18),
-    (12, 22),
-    (15, 28),
-    (19, 36),
-    (24, 46),
-    (30, 58),
-    (38, 74),
-    (48, 94),
-    (60, 120),
+LADDER = tuple(
+    zip(
+        (4, 6, 8, 10, 12, 15, 19, 24, 30, 38, 48, 60),
+        (8, 10, 14, 18, 22, 28, 36, 46, 58, 74, 94, 120),
+        strict=True,
+    )
 )
 """Rings and azimuths that are tried, in this order."""
 
-OUTLINE_LADDER = (
-    (4, 6),
-    (6, 8),
-    (7, 10),
-    (8, 12),
-    (10, 14),
-    (11, 16),
-    (12, 17),
-    (13, 19),
-    (14, 21),
-    (16, 23),
-    (18, 26),
-    (20, 29),
-    (22, 33),
-    (25, 37),
-    (31, 47),
-    (39, 60),
-    (49, 77),
-    (62, 98),
+OUTLINE_LADDER = tuple(
+    zip(
+        (4, 6, 7, 8, 10, 11, 12, 13, 14, 16, 18, 20, 22, 25, 31, 39, 49, 62),
+        (6, 8, 10, 12, 14, 16, 17, 19, 21, 23, 26, 29, 33, 37, 47, 60, 77, 98),
+        strict=True,
+    )
 )
 """The same for outlines, where the rings' azimuths are staggered."""
 
@@ -92,17 +72,6 @@ LEAST_LIGHT = 1e-12
 
 PROBE_NODES = 6
 """Wavelength nodes per band on which the quadrature order is tried."""
-
-
-@dataclass(frozen=True, slots=True)
-class PupilPlan:
-    """Sampling of the pupil for a group of stars."""
-
-    mode: str  # Which rule: Gauss x trapezoid, Gauss x Gauss between the kinks of an outline, or Sobol points
-    rays_per_node: int  # Rays per star, band and node
-    error: float  # What the order was judged by (`converged_order`), NaN for Sobol
-    pupil: PupilPoints | None = None  # Points of the launch disk; None where they follow every star's outline
-    order: tuple[int, int] = (0, 0)  # Rings and azimuths, (0, 0) for Sobol
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,6 +139,7 @@ def probe_fields(reach_rad: float) -> FloatArray:
     return np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=1)
 
 
+@lru_cache(maxsize=8)
 def staggered(order: tuple[int, int], nodes: int, times: int = 1) -> TablePoints:
     """Gauss x trapezoid points, turned from wavelength node to wavelength node, and from time to time."""
     pupil = gauss_disk(*order)
@@ -278,7 +248,6 @@ def lowest_order(
     return (rings, arms), error((rings, arms))
 
 
-def sobol_plan(nodes: int, seed: int, log2_rays: int) -> PupilPlan:
-    """Scrambled Sobol points, a net of its own for every wavelength node."""
-    log2_points = max(6, math.ceil(log2_rays - math.log2(nodes)))
-    return PupilPlan("sobol", 1 << log2_points, math.nan, SobolPoints(log2_points, seed))
+def sobol_points(nodes: int, seed: int, log2_rays: int) -> SobolPoints:
+    """Scrambled Sobol points, a net of its own for each wavelength node of a band that has at least 2^``log2_rays``."""
+    return SobolPoints(max(6, math.ceil(log2_rays - math.log2(nodes))), seed)

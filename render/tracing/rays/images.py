@@ -1,9 +1,8 @@
-"""Stars in passes: stamps sized by their bounds, traced, added to the image, done again where they were too small."""
+"""Images by rays: stamps sized by their bounds, traced, added to the image, done again where they were too small."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +10,9 @@ from numpy.typing import NDArray
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from render.camera import Camera
+from render.tracing.motion.paths import Light
+from render.tracing.pupil.planning import Bounds, Group, PupilPlanner, Sampled, Seen
 from render.tracing.pupil.points import PupilPoints, TablePoints
-from render.tracing.pupil.sampling import PupilPlan, bounding_disk
 from render.tracing.rays.kernel import (
     ARRIVED,
     HIDDEN,
@@ -24,105 +24,72 @@ from render.tracing.rays.kernel import (
     reach_px,
     strips_per_pixel,
 )
-from render.tracing.truth import TruthSums, add_stamps
+from render.tracing.truth import Sampling, TruthSums, add_stamps, check_lit
 
-__all__ = [
-    "MARGIN_PX",
-    "PASS_BYTES",
-    "STAMP_LIMIT_PX",
-    "Bounds",
-    "Group",
-    "Light",
-    "Passes",
-    "find_bounds",
-]
+__all__ = ["RayImages"]
 
-Points = Callable[[IntArray], PupilPoints]
 
 PASS_BYTES = 48 << 20
 """Memory of the stamps of one pass; the number of rays does not count."""
 PASS_RAYS = 1 << 27
-BOUND_RAYS = 1 << 20
 MARGIN_PX = 0.75
 """Room around the bounding rays of a stamp; doubled when a ray falls outside all the same."""
 STAMP_LIMIT_PX = 1024
-DISTORTION = 0.05
-"""Part of the way of an image by which a lens may lead it beside where an ideal one does; more is found by redoing."""
 TABLE_POINTS = 1 << 21
 """Azimuths of all nodes of all stars of one pass of outlines."""
 LIGHT = 1e-12
 """Share of a star's light below which none is lost (rounding of the sums)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Light:
-    """A star field as the tracer sees it: wavelengths (b, k), shares of nodes (n, b, t k), electrons sent in (n, b)."""
+class RayImages:
+    """Makes images of the stars of one camera by rays (`render.tracing.tracer.ImageMaker`)."""
 
-    wavelength_nm: FloatArray
-    share: FloatArray
-    electrons: FloatArray
+    def __init__(self, planner: PupilPlanner) -> None:
+        self.planner, self.camera = planner, planner.camera
 
-    def take(self, stars: IntArray) -> Light:
-        """Some of the stars."""
-        return Light(self.wavelength_nm, self.share[stars], self.electrons[stars])
+    def add(self, light: Light, seen: Seen, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
+        """Add stars to the image and what is known of them to the sums; how they were sampled."""
+        return self.traced(light, seen, image, sums)[1]
 
+    def traced(self, light: Light, seen: Seen, image: NDArray[np.float32], sums: TruthSums) -> tuple[Sampled, Sampling]:
+        """The same; what the planner found of the stars, too."""
+        sampled, sampling = self.planner.sampled_by_rays(seen), Sampling()
+        entering = (light.share * sampled.entrance).sum(2)
+        passes = _Passes(self.camera, seen.nodes, light, sampled.bounds, image, sums, entering, seen.shade)
+        lost = np.empty(0, np.int64)  # only the last group knows the pupils of stars that are not its own
+        for group in sampled.groups:
+            members = group.members
+            if group is sampled.groups[-1]:
+                members, lost = np.sort(np.concatenate([members, lost])), lost[:0]
+            left = passes.trace(replace(group, members=members)) if len(members) else members
+            lost = np.concatenate([lost, left])
+            if len(members) > len(left):
+                sampling[group.mode] = (len(members) - len(left), group.rays * light.share.shape[2])
+        return sampled, sampling
 
-@dataclass(frozen=True, slots=True)
-class Bounds:
-    """Lowest and highest landing point (n, b, 2) [px], and whether every bounding ray arrived (n,)."""
-
-    low: FloatArray
-    high: FloatArray
-    clear: NDArray[np.bool_]
-
-    @classmethod
-    def empty(cls, stars: int, bands: int) -> Bounds:
-        """Nothing known yet."""
-        shape = (stars, bands, 2)
-        return cls(np.full(shape, np.inf), np.full(shape, -np.inf), np.zeros(stars, bool))
-
-    def moved(self, shift_px: FloatArray) -> Bounds:
-        """With room for offsets (n, 2, 2), the lowest and the highest, that an ideal lens makes of a motion."""
-        room = DISTORTION * np.abs(shift_px).max(1, initial=0.0)
-        return Bounds(
-            self.low + (shift_px[:, 0] - room)[:, None], self.high + (shift_px[:, 1] + room)[:, None], self.clear
-        )
-
-    def box(self, stars: IntArray, margin: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Boxes with a margin; a unit box at the origin where no ray arrives."""
-        low, high = self.low[stars], self.high[stars]
-        empty = ~np.isfinite(low)
-        m = margin[:, None, None]
-        return np.where(empty, 0.0, low) - m, np.where(empty, 0.0, high) + m
-
-
-@dataclass(frozen=True, slots=True)
-class Group:
-    """Stars that are sampled alike, and the pupil points of any of them."""
-
-    plan: PupilPlan
-    members: IntArray
-    points: Points
-
-
-def find_bounds(kernel: StarKernel, bounds: Bounds, stars: IntArray, wavelength_nm: FloatArray, points: Points) -> None:
-    """Extent of the bundles of some stars [px] and whether they are clear, at the given wavelengths (b, 3)."""
-    # stars (s,), wavelength_nm (b, 3)
-    step = max(1, BOUND_RAYS // (len(wavelength_nm) * 3 * bounding_disk().count))
-    for part in (stars[i : i + step] for i in range(0, len(stars), step)):
-        landed = kernel.land(points(part), wavelength_nm, part.astype(np.uint32))
-        x, y, ok = (v.reshape(*v.shape[:2], -1) for v in landed)
-        bounds.clear[part] = ok.all((1, 2))
-        for axis, value in enumerate((x, y)):
-            bounds.low[part, :, axis] = np.where(ok, value, np.inf).min(2)
-            bounds.high[part, :, axis] = np.where(ok, value, -np.inf).max(2)
+    def cells(self, light: Light, seen: Seen, half_size_px: int, cells_per_px: int) -> FloatArray:
+        """Light per cell (n, b, m, m) of squares about the bundle means, in shares of what arrives."""
+        nothing, sums = np.zeros((0, 0, light.electrons.shape[1]), np.float32), TruthSums.empty(*light.electrons.shape)
+        sampled, _ = self.traced(light, seen, nothing, sums)
+        stamp_px = 2 * half_size_px + 1
+        corner = sums.bundle - 0.5 * stamp_px
+        check_lit(corner)
+        passes = _Passes(self.camera, seen.nodes, light, sampled.bounds, nothing, sums, sums.entrance)
+        side = stamp_px * cells_per_px
+        result = np.empty((*corner.shape[:2], side, side))
+        step = max(1, PASS_BYTES // (corner.shape[1] * side**2 * 16))
+        for group in sampled.groups:
+            for part in (group.members[i : i + step] for i in range(0, len(group.members), step)):
+                collected = passes.splat(group.of(part), part, corner[part], stamp_px, cells_per_px)
+                light_in = collected.moments[..., [ARRIVED, OUTSIDE]].sum(-1)
+                result[part] = collected.pixels / light_in[..., None, None]
+        return result
 
 
 @dataclass(frozen=True, slots=True)
-class Passes:
+class _Passes:
     """What all groups of stars of a frame share."""
 
-    # camera, kernel, light, bounds: What is traced
     camera: Camera
     kernel: StarKernel
     light: Light
@@ -146,16 +113,16 @@ class Passes:
         while len(todo):
             low, high = self.bounds.box(members[todo], reach + margin[todo])
             redo = []
-            for part, stamp_px in self._passes(high - low, group.plan):
+            for part, stamp_px in self._passes(high - low, group):
                 stars, corner = members[todo[part]], np.floor(low[part]) - 0.5
-                pupil = group.points(stars)
-                shade = self.shade if group.plan.mode == "sobol" else None
+                pupil = group.of(stars)
+                shade = self.shade if group.mode == "sobol" else None
                 collected = self.splat(pupil, stars, corner, stamp_px, shade=shade)
                 outside = np.asarray((collected.moments[..., OUTSIDE] > LIGHT).any(1))
                 if stamp_px == STAMP_LIMIT_PX and outside.any():
                     self._check_size(stars[outside], low[part][outside], high[part][outside])
                     outside[:] = False
-                lost = np.asarray((collected.moments[..., LOST] > LIGHT).any(1) & (group.plan.mode != "sobol"))
+                lost = np.asarray((collected.moments[..., LOST] > LIGHT).any(1) & (group.mode != "sobol"))
                 cut.append(stars[lost])
                 redo.append(todo[part[outside & ~lost]])
                 entrance = self._balanced(collected, pupil, stars)
@@ -201,20 +168,20 @@ class Passes:
             shade=shade,
         )
 
-    def _passes(self, extent_px: FloatArray, plan: PupilPlan) -> list[tuple[IntArray, int]]:
+    def _passes(self, extent_px: FloatArray, group: Group) -> list[tuple[IntArray, int]]:
         """Stars (indices into ``extent_px``) that go into one pass each, and the size of their stamps."""
         size = np.minimum(np.ceil(extent_px).max((1, 2)).astype(int) + 1, STAMP_LIMIT_PX)
         order = np.argsort(size, kind="stable")
         per_pixel = 16 * len(self.light.wavelength_nm)
         strips = 2 * strips_per_pixel(self.camera.charge_diffusion_px)
-        rays = self.light.share[0].size * plan.rays_per_node
-        azimuths = 2 * self.light.share[0].size * plan.order[1]
+        rays = self.light.share[0].size * group.rays
+        azimuths = 2 * self.light.share[0].size * group.order[1]
         passes, start = [], 0
         while start < len(order):
             ahead = size[order[start:]]
             count = np.arange(1, len(ahead) + 1)
             fits = (count * per_pixel * ahead * (ahead + strips) <= PASS_BYTES) & (count * rays <= PASS_RAYS)
-            fits &= (count * azimuths <= TABLE_POINTS) | (plan.pupil is not None)
+            fits &= (count * azimuths <= TABLE_POINTS) | (group.outlines is None)
             stop = start + max(1, int(np.count_nonzero(fits & (ahead <= 1.6 * ahead[0] + 4))))
             passes.append((order[start:stop], int(size[order[stop - 1]])))
             start = stop

@@ -30,7 +30,7 @@ from render.engine import Engine
 from render.engine.jit import dr
 from render.tracing.pupil.points import OutlinePoints, PupilPoints
 
-__all__ = ["Geometry", "Shade", "StampSums", "StarKernel", "reach_px", "strips_per_pixel"]
+__all__ = ["Geometry", "Shade", "StampSums", "StarKernel", "gaussian_shares", "reach_px", "strips_per_pixel"]
 
 
 PIXEL_REACH, STRIP_REACH = 5.0, 4.0
@@ -73,6 +73,21 @@ def strips_per_pixel(diffusion_px: float) -> int:
 def reach_px(diffusion_px: float) -> float:
     """How far from its landing point the light of a ray is spread over pixels."""
     return 0.5 * math.ceil(2.0 * PIXEL_REACH * diffusion_px)
+
+
+def gaussian_shares(F: Any, integer: Any, position: Any, sigma: float, reach: float) -> tuple[Any, list[Any]]:
+    """First cell and share of each of a Gaussian about a position, in cells; the outermost hold what lies beyond."""
+    width = math.ceil(2 * reach * sigma)
+    first = dr.detach(dr.floor(position - 0.5 * width))
+    if width == 0:
+        return integer(first), [F(1.0)]
+    scale = dr.opaque(F, 1.0 / (math.sqrt(2.0) * sigma))
+    shares, below = [], F(-1.0)
+    for tap in range(1, width + 2):
+        up_to = dr.erf((first + tap - position) * scale) if tap <= width else F(1.0)
+        shares.append(0.5 * (up_to - below))
+        below = up_to
+    return integer(first), shares
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,19 +263,7 @@ class StarKernel:
 
     def _shares(self, position_px: Any, per_pixel: int, reach: float) -> tuple[Any, list[Any]]:
         """First cell and share of each along one axis, for ``per_pixel`` cells per pixel from the stamp's corner."""
-        sigma = self.geometry.diffusion_px * per_pixel
-        cells = position_px * per_pixel
-        width = math.ceil(2 * reach * sigma)
-        first = dr.floor(cells - 0.5 * width)
-        if width == 0:
-            return self.I(first), [self.F(1.0)]
-        scale = dr.opaque(self.F, 1.0 / (math.sqrt(2.0) * sigma))
-        shares, below = [], self.F(-1.0)
-        for tap in range(1, width + 2):
-            up_to = dr.erf((first + tap - cells) * scale) if tap <= width else self.F(1.0)
-            shares.append(0.5 * (up_to - below))
-            below = up_to
-        return self.I(first), shares
+        return gaussian_shares(self.F, self.I, position_px * per_pixel, self.geometry.diffusion_px * per_pixel, reach)
 
     def _strip_centre(self, position_px: Any) -> Any:
         """First moment over strips of a Gaussian around a position: the first term of their alias (`strips_per_pixel`).

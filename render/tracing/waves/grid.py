@@ -27,12 +27,13 @@ from optics.rays.pupil import gauss_disk
 from render.camera import Camera
 from render.tracing.motion.exposure import IdealLens
 from render.tracing.motion.paths import at_rest
-from render.tracing.pupil.planning import PupilPlanner
+from render.tracing.pupil.planning import Group, PupilPlanner
 from render.tracing.pupil.points import TablePoints
-from render.tracing.waves.images import LARGEST_RADIUS_PX, RayMoments, Trail, WaveGroup, WaveImages, WaveStamps
+from render.tracing.truth import RayMoments, WaveStamps
 from render.tracing.waves.plane_waves import PlaneWaves
 from render.tracing.waves.polar import turning_shapes
 from render.tracing.waves.spectrum import lagrange, picked_wavelengths
+from render.tracing.waves.summed import LARGEST_RADIUS_PX, SummedImages, Trail
 from render.tracing.waves.windows import COARSE_REACH_PX, FieldSampling, PixelTable, coarser, window_samples
 
 __all__ = [
@@ -102,12 +103,8 @@ class WaveGrid:
         weight, shares, turn = self._weights(direction, share)
         light, moments, origin = self._rays(weight, shares, turn, chief_px)
         size = 2 * self.radius_px + 1
-        corner, stamp_px = np.rint(moments.mean_px) - 0.5 * size, size
-        if trail is not None:
-            offset = trail.offset_px[stars]
-            first = np.floor(offset.min(2))
-            stamp_px = size + int((np.ceil(offset.max(2)) - first).max(initial=0.0))
-            corner = corner + first
+        first, more = (0.0, 0) if trail is None else trail.room(stars)
+        corner, stamp_px = np.rint(moments.mean_px) - 0.5 * size + first, size + more
         pixels = np.zeros((len(stars), share.shape[1], stamp_px, stamp_px), np.float32)
         for b in range(share.shape[1]):
             images = self._images(weight, shares[:, b], turn, b)
@@ -123,7 +120,7 @@ class WaveGrid:
             steps = np.arange(size) - 0.5 * (size - 1)
             pixels *= np.hypot(steps, steps[:, None]) <= self.radius_px
         else:
-            moments = moments.along(trail, stars)
+            moments = trail.along(moments, stars)
         np.maximum(pixels, 0.0, out=pixels)
         return WaveStamps(stars, pixels, corner, moments.mean_px, light, len(self.points) ** 2, "grid", moments)
 
@@ -338,9 +335,7 @@ class _FieldImages:
         place = (edge - camera.centre_px) / self.focal_px
         for _ in range(3):
             seen = self.planner.seen(at_rest(self._direction(place)), self.wavelength_nm)
-            chiefs = self.planner.chiefs(seen.mid, self.wavelength_nm)
-            landed = np.stack([chiefs.x_px.mean(1), chiefs.y_px.mean(1)], axis=-1)
-            place = place + np.nan_to_num((edge - landed) / self.focal_px)
+            place = place + np.nan_to_num((edge - seen.chiefs.place_px.mean(1)) / self.focal_px)
         low, high = place.min(0), place.max(0)
         middle = np.where(np.abs(low + high) < CENTRED * (high - low), 0.0, 0.5 * (low + high))
         return middle, np.maximum(high - middle, middle - low) * (1.0 + 1e-3)
@@ -369,9 +364,8 @@ class _FieldImages:
             steps = np.linspace(low, high, CUT_STEPS + 1)
             paths = at_rest(self._direction(self.reach * np.stack([steps, np.zeros_like(steps)], axis=-1)))
             seen = self.planner.seen(paths, self.wavelength_nm)
-            chiefs = self.planner.chiefs(seen.mid, self.wavelength_nm)
             cut = np.ones(len(steps), np.bool_)
-            for group in self.planner.wave_groups(seen, self.wavelength_nm, chiefs, np.arange(len(steps))):
+            for group in self.planner.sampled_by_waves(seen, np.arange(len(steps))).groups:
                 if group.mode == "quadrature":
                     cut[group.members] = False
             first = int(np.argmax(cut))
@@ -380,16 +374,14 @@ class _FieldImages:
             low, high = float(steps[first - 1]), float(steps[first])
         return low if low > 0.0 else 1.0
 
-    def exact(self, place: FloatArray, share: FloatArray) -> tuple[WaveImages, list[WaveGroup], FloatArray, FloatArray]:
+    def exact(self, place: FloatArray, share: FloatArray) -> tuple[SummedImages, list[Group], FloatArray, FloatArray]:
         """Images of stars whose directions have these tangents (n, 2), their groups, chief rays and entrances."""
         paths = replace(at_rest(self._direction(place)), collimation=self.collimation)
         seen = self.planner.seen(paths, self.wavelength_nm)
-        chiefs = self.planner.chiefs(seen.mid, self.wavelength_nm)
-        images = WaveImages(self.camera, seen.mid, self.wavelength_nm, share)
-        groups = self.planner.wave_groups(seen, self.wavelength_nm, chiefs, np.arange(len(place)))
-        entrance = self.planner.shapes(seen, chiefs, np.empty(0, np.int64)).entrance(share.shape)
-        chief = np.where(chiefs.blocked[..., None], np.nan, np.stack([chiefs.x_px, chiefs.y_px], axis=-1))
-        return images, groups, chief, np.where(np.isnan(entrance), 1.0, entrance)
+        sampled = self.planner.sampled_by_waves(seen, np.arange(len(place)))
+        chief = np.where(seen.chiefs.blocked[..., None], np.nan, seen.chiefs.place_px)
+        entrance = np.where(np.isnan(sampled.entrance), 1.0, sampled.entrance)
+        return SummedImages(self.planner, seen, share), sampled.groups, chief, entrance
 
     def grid(self, size: int) -> WaveGrid | None:
         """A grid with its errors; None for a lens or field without one. Mirrored: from a quarter of the field."""

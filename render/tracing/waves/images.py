@@ -1,426 +1,207 @@
-"""Diffraction images of stars: which rays they need, their stamps, and what of their light these hold.
-
-Every star has a stamp of its own size, a disk of pixels about the centroid: so far out that a pixel beyond would hold
-less than `WING` of the light, by the mean fall of the rings of a round pupil, lambda N / (pi^3 r^3) per pixel. The
-number of rays follows from the phases between neighbouring ones at the rim of that disk (`optics.waves.pupil_field`
-has the rule); light beyond the disk is accounted for and not rendered.
-"""
+"""Images by diffraction of a star field: which stars a grid over the field serves, and the others one by one."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import partial
+import pickle
+from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optics.arrays import FloatArray, IntArray
-from optics.errors import DomainError
-from optics.waves.pupil_field import LARGEST_APERTURE
-from render.camera import Camera
-from render.tracing.pupil.points import DiskPoints, PupilPoints, covered_points
-from render.tracing.rays.kernel import Shade, StarKernel
-from render.tracing.waves.plane_waves import (
-    PlaneWaves,
-    RayArrays,
-    WaveSeries,
-    azimuths,
-    hidden_points,
-    nodes_along,
-    phase_changes,
-    trace_waves,
-)
-from render.tracing.waves.windows import FieldSampling, window_light, window_samples
+from optics.light.collimation import Collimation
+from render.tracing.motion.exposure import IdealLens
+from render.tracing.motion.paths import Light
+from render.tracing.pupil.planning import Bounds, PupilPlanner, Seen
+from render.tracing.pupil.points import OutlinePoints
+from render.tracing.pupil.sampling import whole_disk
+from render.tracing.rays.images import RayImages
+from render.tracing.truth import Sampling, TruthSums, WaveStamps, add_stamps, check_lit
+from render.tracing.waves.grid import WING_PX, WaveGrid, build_grid, worth_a_grid
+from render.tracing.waves.spectrum import condensed_light
+from render.tracing.waves.summed import KeptLight, SummedImages, Trail
 
-__all__ = ["WING", "KeptLight", "RayMoments", "Trail", "WaveGroup", "WaveImages", "WaveStamps"]
+__all__ = ["WaveImages"]
 
 
-WING = 2e-5
-"""Share of a star's light in a pixel below which a stamp ends."""
-NEAREST_PX = 4.0
-"""Least distance of a stamp's edge from the rays."""
-MARGIN_PX = 1.7
-"""How far beyond it light has to be right for pixels at the edge, and for the corners of usual PSFs."""
-MOST_KEPT = 256
-"""Images whose light is kept."""
-PROBE_ORDER = (12, 40)
-MOST_RAYS = 1 << 17
-"""Rays of one star, band and wavelength."""
-LARGEST_RADIUS_PX = 100
-BATCH_LANES = 1 << 22
-COVERED_ORDER = (96, 384)
-SUBDIVISION = 4
-"""Parts of a cell along either axis that tell how much of it gets through."""
-LIGHT = 1e-12
-"""Share of a star's light below which none is lost inside an outline."""
-ROUNDING = 0.05
-"""Steps of the highest frequency [cycles/px], so that few tables are needed."""
+GRIDS, GRID_BATCH = 4, 256
+"""Grids of images (of other cameras or wavelengths) that are kept; stars that are interpolated at a time."""
+SPREAD = 0.25
+"""Part of the detector that stars must spread over for a grid over all of it."""
 
-Points = Callable[[tuple[int, int], IntArray], PupilPoints]
+_grids: dict[tuple[bytes, bytes, bytes, float], WaveGrid | None] = {}
 
 
-@dataclass(frozen=True, slots=True)
-class WaveGroup:
-    """Stars whose pupils are sampled alike: quadrature points of an order, or None where cells are covered in part.
-
-    Those cells divide the disks that hold the beams of stars (`PupilPlanner.disks`). Where outlines are smooth,
-    ``turns`` are the first azimuths (k, rings) on so many rings, in parts of their distance.
-    """
-
-    mode: str
-    members: IntArray
-    points: Points | None
-    disks: Callable[[IntArray], tuple[FloatArray, FloatArray]]
-    turns: Callable[[int], FloatArray] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Probe:
-    """Few rays of some stars of a group, which tell how many are needed."""
-
-    group: WaveGroup
-    stars: IntArray
-    waves: PlaneWaves
-
-
-@dataclass(frozen=True, slots=True)
-class Summands:
-    """Waves of some stars that are summed alike: traced ones, or series from which as many follow as are needed."""
-
-    stars: IntArray  # (s,) Which
-    waves: PlaneWaves  # Traced; the stars' mean, light and variance are theirs
-    radius_px: float  # Of the stamps
-    fields: tuple[FieldSampling, ...]  # How light is sampled, in every band
-    order: IntArray  # (s, b, k, 2) Rings and azimuths of the sum
-    mode: str  # How the pupils were sampled
-    series: WaveSeries | None  # Of the same waves
-
-    def light(
-        self, at: tuple[int, int], shares: FloatArray, corner_px: FloatArray, window_px: float, pad_px: float
-    ) -> NDArray[np.float32]:
-        """Light of one star and band on samples of a window (`render.tracing.waves.windows.window_light`)."""
-        return window_light(partial(self._rays, at), shares, corner_px, window_px, self.fields[at[1]], pad_px=pad_px)
-
-    def _rays(self, at: tuple[int, int], colour: int) -> RayArrays:
-        """Rays of one star, band and wavelength."""
-        if self.series is None:
-            return self.waves.rays(at, colour)
-        count, arms = self.order[*at, colour].tolist()
-        return self.series.rays(at, (count, arms), colour)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StarLight:
-    """Light of one star in a band about the mean of all of it."""
-
-    values: NDArray[np.float32]  # (i, i) Light per px^2, rows first
-    place_px: FloatArray  # (i,) Columns and rows from the mean
-    field: FieldSampling  # How it is sampled
-    reach_px: float  # As far from the mean it is what the pupil makes
-
-
-KeptLight = dict[tuple[bytes, bytes, int], StarLight]
-"""By direction, shares of wavelengths and band."""
-
-
-@dataclass(frozen=True, slots=True)
-class Trail:
-    """Motion of n stars' images during an exposure."""
-
-    offset_px: FloatArray  # (n, b, t, 2) From where they are in the middle of it; the whole image moves alike
-    weight: FloatArray  # (n, b, t) Share of the light at each time, sum 1
-
-    @property
-    def mean_px(self) -> FloatArray:
-        """Mean offset (n, b, 2)."""
-        return np.asarray((self.weight[..., None] * self.offset_px).sum(2))
-
-    @property
-    def variance_px2(self) -> FloatArray:
-        """Variance of the offset (n, b, 2)."""
-        return np.asarray((self.weight[..., None] * self.offset_px**2).sum(2) - self.mean_px**2)
-
-
-@dataclass(frozen=True, slots=True)
-class RayMoments:
-    """What is known of the rays of s stars in b bands."""
-
-    # mean_px, variance_px2: (s, b, 2) Mean and variance of the landing points along columns and rows
-    mean_px: FloatArray
-    variance_px2: FloatArray
-    # (s, b) Light that the stop alone would let through in that of the launch disk; None where others know it
-    entrance: FloatArray | None = None
-
-    def along(self, trail: Trail, stars: IntArray) -> RayMoments:
-        """The same over an exposure."""
-        return RayMoments(
-            self.mean_px + trail.mean_px[stars], self.variance_px2 + trail.variance_px2[stars], self.entrance
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class WaveStamps:
-    """Stamps of s stars, all of one size."""
-
-    stars: IntArray  # (s,) Which
-    pixels: FloatArray | NDArray[np.float32]  # (s, b, m, m) Share of the light sent into the launch disk per pixel
-    corner_px: FloatArray  # (s, b, 2) Outer corner (column, row)
-    mean_px: FloatArray  # (s, b, 2) Centroid of all light of the image, on the stamp or beyond, NaN without light
-    light: FloatArray  # (s, b) Share of the light that gets through the lens
-    rays: int  # Of a star, band and wavelength
-    mode: str  # How the pupils were sampled
-    # Of the stars' rays, where no others tell more: those of cells, of which some are covered in part, do not
-    moments: RayMoments | None = None
+def _state(wavelength_nm: FloatArray, collimation: Collimation | None) -> tuple[bytes, bytes]:
+    """What images at some places depend on, besides the camera and the shares of wavelengths."""
+    return wavelength_nm.tobytes(), b"" if collimation is None else collimation.at(wavelength_nm).tobytes()
 
 
 class WaveImages:
-    """Images of the stars of one kernel, each in one direction, by sums of plane waves of wavelengths (b, k).
+    """Makes diffraction images of the stars of one camera (`render.tracing.tracer.ImageMaker`).
 
-    ``share`` (n, b, k) of each wavelength in a star's light has sum 1. ``kept`` is light of stars that is known, to
-    which `stamps` add and from which `cells` take.
+    Rays tell the truth of stars that are summed one by one. Grids of images are kept between star fields, and shared by
+    all tracers of equal cameras: those that render, and those that make PSFs. The light of the stars of the last field
+    is kept for their PSFs.
     """
 
-    def __init__(
-        self,
-        camera: Camera,
-        kernel: StarKernel,
-        wavelength_nm: FloatArray,
-        share: FloatArray,
-        trail: Trail | None = None,
-        shade: Shade | None = None,
+    def __init__(self, planner: PupilPlanner) -> None:
+        self.planner, self.camera, self.rays = planner, planner.camera, RayImages(planner)
+        self._known: tuple[tuple[bytes, bytes], KeptLight] = (b"", b""), {}
+
+    def add(self, light: Light, seen: Seen, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
+        """Add stars to the image and what is known of them to the sums; how they were sampled."""
+        if not image.size:
+            return self.rays.add(light, seen, image, sums)
+        sampling = Sampling()
+        by_grid = self._add_by_grid(light, seen, image, sums, sampling)
+        left = np.setdiff1d(np.arange(seen.mid.count), by_grid)
+        if not len(by_grid):
+            self._add_summed(light, seen, image, sums, sampling)
+        elif len(left):
+            others = TruthSums.empty(len(left), light.electrons.shape[1])
+            others.chief[...] = sums.chief[left]
+            chiefs, length_px = seen.chiefs.take(left), seen.length_px
+            some = self.planner.seen(seen.paths.take(left), seen.wavelength_nm, length_px, chiefs=chiefs)
+            self._add_summed(light.take(left), some, image, others, sampling)
+            sums.put(left, others)
+        return sampling
+
+    def _add_by_grid(
+        self, light: Light, seen: Seen, image: NDArray[np.float32], sums: TruthSums, sampling: Sampling
+    ) -> IntArray:
+        """Add stars by a grid of images, if they are many enough for it; which."""
+        camera, nobody, chief = self.camera, np.empty(0, np.int64), sums.chief
+        if camera.diffraction != "waves" or seen.shade is not None:
+            return nobody
+        edge = np.array([camera.width_px, camera.height_px]) - 0.5 + WING_PX
+        stars = np.flatnonzero(((chief > -0.5 - WING_PX) & (chief < edge)).all((1, 2)))
+        if not self._spread(chief[stars]) or not worth_a_grid(light.wavelength_nm, len(stars)):
+            return nobody
+        grid = self._grid(light.wavelength_nm, seen.paths.collimation, 0.0)
+        if grid is None:
+            return nobody
+        direction = seen.paths.mid
+        stars = stars[grid.holds(direction[stars])]
+        share, trail = self._moving(light, seen)
+        for part in (stars[i : i + GRID_BATCH] for i in range(0, len(stars), GRID_BATCH)):
+            stamps = grid.stamps(part, direction[part], share[part], chief[part], trail)
+            self._add_stamps(stamps, light, image, sums, sampling)
+        return stars
+
+    def _add_summed(
+        self, light: Light, seen: Seen, image: NDArray[np.float32], sums: TruthSums, sampling: Sampling
     ) -> None:
-        self.camera, self.kernel, self.trail, self.shade = camera, kernel, trail, shade
-        self.kept: KeptLight = {}
-        self.wavelength_nm, self.share = wavelength_nm, share
-        self.index = np.asarray(camera.focused_lens.indices(wavelength_nm)[-1])
+        """Add diffraction images of all stars whose light may meet the detector, after the truth of their rays."""
+        nothing = np.zeros((0, 0, image.shape[2]), np.float32)
+        near = self.near(self.rays.traced(light, seen, nothing, sums)[0].bounds)
+        if not len(near):
+            return
+        few, images = self.summed(light, seen)
+        self._known = _state(few.wavelength_nm, seen.paths.collimation), images.kept if seen.shade is None else {}
+        for group in self.planner.sampled_by_waves(images.still, near).groups:
+            for stamps in images.stamps(group):
+                self._add_stamps(stamps, light, image, sums, sampling)
 
-    def stamps(self, group: WaveGroup, radius_px: float | None = None) -> Iterator[WaveStamps]:
-        """Stamps of the stars of a group, in batches; stars whose rays are lost inside an outline go by cells.
+    def near(self, bounds: Bounds) -> IntArray:
+        """Stars whose images may reach the detector."""
+        edge = np.array([self.camera.width_px, self.camera.height_px]) - 0.5 + WING_PX
+        inside = np.all((bounds.high > -0.5 - WING_PX) & (bounds.low < edge), axis=2)
+        return np.flatnonzero(np.any(inside, axis=1))
 
-        Each has a radius of its own if none is given.
+    def summed(self, light: Light, seen: Seen) -> tuple[Light, SummedImages]:
+        """Light of the wavelengths that have images, and these images of the stars."""
+        few = self.condensed(light, seen)
+        share, trail = self._moving(few, seen)
+        return few, SummedImages(self.planner, self.planner.still(seen, few.wavelength_nm), share, trail)
+
+    def cells(self, light: Light, seen: Seen, half_size_px: int, cells_per_px: int) -> FloatArray:
+        """Light per cell (n, b, m, m) of squares about the centroids, in shares of what arrives.
+
+        By a grid, corners of the square are dark where its stamps have ended.
         """
-        for probe in self.probes(group):
-            for summands in self.summands(probe, radius_px):
-                yield self._stamps(summands)
+        radius_px, chiefs = math.ceil(half_size_px + 0.5), seen.chiefs
+        if self.camera.diffraction == "waves" and worth_a_grid(light.wavelength_nm, len(light.electrons)):
+            chief, by = chiefs.place_px, (light.wavelength_nm, seen.paths.collimation)
+            grid = self._grid(*by, 0.0) if self._spread(chief) else None  # that of the images serves, if it is as large
+            if grid is not None and grid.radius_px < radius_px:
+                grid = self._grid(*by, float(radius_px))
+            if grid is not None and grid.holds(seen.paths.mid).all() and not chiefs.blocked.any():
+                return grid.cells(seen.paths.mid, light.share, chief, half_size_px, cells_per_px)
+        few, images = self.summed(light, seen)
+        if self._known[0] == _state(few.wavelength_nm, seen.paths.collimation):
+            images.kept = self._known[1]
+        side = (2 * half_size_px + 1) * cells_per_px
+        result = np.empty((*light.electrons.shape, side, side))
+        for group in self.planner.sampled_by_waves(images.still, np.arange(len(result))).groups:
+            for stars, cells, _ in images.cells(group, half_size_px, cells_per_px):
+                result[stars] = cells
+        check_lit(result[:, :, 0, :2])
+        return result
 
-    def cells(
-        self, group: WaveGroup, half_size_px: int, cells_per_px: int
-    ) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
-        """Stars, their light per cell (s, b, m, m) of a square about the centroid, in shares of what gets through."""
-        window = 2.0 * half_size_px + 1.0
-        count = (2 * half_size_px + 1) * cells_per_px
-        edges = (np.arange(count) + 0.5) / cells_per_px - 0.5 * window
-        for probe in self.probes(group):
-            for summands in self.summands(probe, math.sqrt(0.5) * window):
-                mean, light = self.means(summands.stars, summands.waves)
-                result = np.empty((*mean.shape[:2], count, count))
-                for at in np.ndindex(*mean.shape[:2]):
-                    star = int(summands.stars[at[0]])
-                    image = self.kept.get(self._key(star, at[1]))
-                    if image is None or image.reach_px < math.sqrt(0.5) * window:
-                        image = self._window_light(summands, at, mean[at], window, 1.0 / cells_per_px)
-                    kernel = image.field.pixel(1.0 / cells_per_px, self.camera.charge_diffusion_px)
-                    matrix = kernel(edges[:, None] - image.place_px) * image.field.light_step
-                    with np.errstate(invalid="ignore"):
-                        result[at] = (matrix @ image.values @ matrix.T) / light[at]
-                yield summands.stars, result, mean
+    def _spread(self, place_px: FloatArray) -> bool:
+        """Whether stars (n, b, 2) spread over so much of the detector that images over all of it are of use."""
+        if not len(place_px):
+            return False
+        return bool(np.ptp(place_px, axis=(0, 1)).prod() > SPREAD * self.camera.width_px * self.camera.height_px)
 
-    def probes(self, group: WaveGroup) -> Iterator[Probe]:
-        """Few rays of the stars of a group, in batches; last those of stars whose outlines hold darkness.
+    def _grid(self, wavelength_nm: FloatArray, collimation: Collimation | None, radius_px: float) -> WaveGrid | None:
+        """The grid of images at these wavelengths, at least as large as a radius; None if there is none."""
+        key = self._camera_state, *_state(wavelength_nm, collimation), radius_px
+        if key not in _grids:
+            while len(_grids) >= GRIDS:
+                _grids.pop(next(iter(_grids)))
+            _grids[key] = build_grid(self.planner, wavelength_nm, collimation, radius_px)
+        return _grids[key]
 
-        Such as that of a hole or a spider; they go by cells.
-        """
-        pierced = []
-        for stars, waves in self.traced(group, PROBE_ORDER):
-            clear = np.ones(len(stars), np.bool_) if group.points is None else waves.lost.max((1, 2)) <= LIGHT
-            if clear.any():
-                yield Probe(group, stars[clear], waves if clear.all() else waves.take(clear))
-            pierced.append(stars[~clear])
-        left = np.concatenate(pierced) if pierced else group.members[:0]
-        if len(left):
-            yield from self.probes(WaveGroup("cells", left, None, group.disks))
+    @cached_property
+    def _camera_state(self) -> bytes:
+        """What images depend on of a camera."""
+        return pickle.dumps(replace(self.camera, rotation_cam_from_world=np.eye(3), response=None))
 
-    def traced(self, group: WaveGroup, order: tuple[int, int]) -> Iterator[tuple[IntArray, PlaneWaves]]:
-        """Stars of a group, in batches, and their rays on so many rings and azimuths."""
-        return ((stars, self._traced(group, order, stars)) for stars in self._batches(group.members, order))
+    def condensed(self, light: Light, seen: Seen) -> Light:
+        """Light of as few wavelengths as tell the images of all, unless none may be interpolated."""
+        if self.camera.diffraction == "exact_waves":
+            return light
+        middle_nm = light.wavelength_nm.mean(1, keepdims=True)
+        x, y, arrived = seen.mid.land(whole_disk((4, 8), 1), middle_nm)
+        extent = [np.where(arrived, v, -np.inf).max(-1) - np.where(arrived, v, np.inf).min(-1) for v in (x, y)]
+        spot_px = 0.5 * max(float(v.max(initial=0.0, where=np.isfinite(v))) for v in extent)
+        focal_px, radius_mm = IdealLens.of(self.camera).focal_px, self.planner.pupil.radius_mm
+        turns = spot_px * radius_mm / (focal_px * 1e-6 * float(middle_nm.min()))
+        waves, share = condensed_light(light.wavelength_nm, light.share, 2.0 * math.pi * turns)
+        return Light(waves, share, light.electrons)
 
-    def summands(self, probe: Probe, radius_px: float | None = None) -> Iterator[Summands]:
-        """Waves of the stars of a probe as sums need them, those together that are alike."""
-        group, waves = probe.group, probe.waves
-        radius, field, order = self.needs(probe, radius_px)
-        series = None if group.turns is None else WaveSeries.of(waves, PROBE_ORDER, group.turns(PROBE_ORDER[0]))
-        resolved = np.zeros(len(radius), np.bool_) if series is None else series.resolved
-        keys = list(zip(radius.tolist(), map(tuple, field.tolist()), resolved.tolist(), strict=True))
-        for key in sorted(set(keys)):
-            alike = np.array([one == key for one in keys])
-            fields, few = tuple(FieldSampling(one) for one in key[1]), order[alike]
-            if key[2]:
-                assert series is not None
-                yield Summands(
-                    probe.stars[alike], waves.take(alike), key[0], fields, few, group.mode, series.take(alike)
-                )
-                continue
-            for most in np.unique(few.max((1, 2)), axis=0):
-                stars = probe.stars[alike][(few.max((1, 2)) == most).all(1)]
-                count, arms = most.tolist()
-                for part in self._batches(stars, (count, arms)):
-                    traced = self._traced(group, (count, arms), part)
-                    every = np.broadcast_to(most, (len(part), *few.shape[1:]))
-                    yield Summands(part, traced, key[0], fields, every, group.mode, None)
+    def _add_stamps(
+        self, stamps: WaveStamps, light: Light, image: NDArray[np.float32], sums: TruthSums, sampling: Sampling
+    ) -> None:
+        electrons = light.electrons[stamps.stars]
+        columns = self.camera.sensitive_columns
+        on_image = add_stamps(image, stamps.pixels, stamps.corner_px, electrons, columns)
+        sums.store_waves(stamps, electrons, on_image)
+        stars, rays = sampling.get(stamps.mode, (0, 0))
+        sampling[stamps.mode] = (stars + len(stamps.stars), max(rays, stamps.rays * light.wavelength_nm.shape[1]))
 
-    def common_needs(self, probes: list[Probe]) -> tuple[int, FieldSampling]:
-        """Radius [px] and sampling that serve all stars of probes."""
-        needs = [self.needs(probe) for probe in probes]
-        radius, highest = (max(float(one[i].max()) for one in needs) for i in (0, 1))
-        return int(radius), FieldSampling(highest)
-
-    def _batches(self, stars: IntArray, order: tuple[int, int]) -> Iterator[IntArray]:
-        """Stars, as many at a time as may be traced together."""
-        step = max(1, BATCH_LANES // (3 * math.prod(order) * self.wavelength_nm.size))
-        return (stars[i : i + step] for i in range(0, len(stars), step))
-
-    def needs(self, probe: Probe, radius_px: float | None = None) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Radius of the stamp (s,) [px], highest frequency (s, b) [cycles/px], order of the quadrature (s, b, k, 2)."""
-        waves, stars = probe.waves, probe.stars
-        self._check_aperture(waves)
-        spot = waves.spot_px
-        rings = (1.0 / (waves.lowest_cutoff * math.pi**3 * WING)) ** (1.0 / 3.0)
-        radius = np.ceil(np.maximum(rings, spot + NEAREST_PX)) if radius_px is None else np.full(len(stars), radius_px)
-        self._check_size(stars, spot, radius)
-        radial, around = phase_changes(waves, PROBE_ORDER, radius + MARGIN_PX)
-        order = np.stack([nodes_along(radial), azimuths(around)], axis=-1)
-        rounded: IntArray = 4 * np.ceil(order / 4.0).astype(np.int64)
-        if probe.group.points is None:
-            rounded = np.maximum(rounded, COVERED_ORDER)
-        self._check_order(stars, rounded.max((1, 2)), spot)
-        return radius.astype(np.float64), ROUNDING * np.ceil(1.03 * waves.highest / ROUNDING), rounded
-
-    def _traced(self, group: WaveGroup, order: tuple[int, int], stars: IntArray) -> PlaneWaves:
-        which = stars.astype(np.uint32)
-        if group.points is not None:
-            return trace_waves(self.kernel, group.points(order, stars), self.wavelength_nm, self.index, which)
-        nodes, disks = self.wavelength_nm.shape[1], group.disks(stars)
-        cells, fine = (DiskPoints(covered_points(order, nodes, parts), *disks) for parts in (1, SUBDIVISION))
-        arrived = self.kernel.land(fine, self.wavelength_nm, which)[2]
-        if self.shade is not None:
-            seen = DiskPoints(fine.points, disks[0][:, :1], disks[1][:, :1])  # the same disk in all bands
-            arrived = arrived & ~hidden_points(self.kernel, self.shade, seen, which)[:, None, None]
-        coverage = arrived.reshape(*arrived.shape[:3], cells.count, -1).mean(-1)
-        return trace_waves(self.kernel, cells, self.wavelength_nm, self.index, which, coverage)
-
-    def means(self, stars: IntArray, waves: PlaneWaves) -> tuple[FloatArray, FloatArray]:
-        """Centroid (s, b, 2) of all light, and the share that gets through (s, b)."""
-        through = self.share[stars] * waves.weight.sum(-1)
-        light = through.sum(2)
-        with np.errstate(invalid="ignore"):
-            mean = (through[..., None] * np.nan_to_num(waves.mean)).sum(2) / light[..., None]
-        return mean, light
-
-    def _variance(self, stars: IntArray, waves: PlaneWaves, mean: FloatArray) -> FloatArray:
-        """Variance (s, b, 2) of the landing points of all wavelengths about their mean."""
-        weight = self.share[stars][..., None] * waves.weight
-        with np.errstate(invalid="ignore"):
-            sums = [
-                (weight * (v - mean[:, :, None, None, i]) ** 2).sum((2, 3)) for i, v in enumerate((waves.x, waves.y))
-            ]
-            return np.asarray(np.stack(sums, axis=-1) / weight.sum((2, 3))[..., None])
-
-    def _stamps(self, summands: Summands) -> WaveStamps:
-        stars, waves, mode = summands.stars, summands.waves, summands.mode
-        (mean, light), size = self.means(stars, waves), 2 * int(summands.radius_px) + 1
-        window = np.rint(np.nan_to_num(mean)) - 0.5 * size
-        if self.trail is None:
-            corner, stamp_px = window, size
-        else:
-            offset = self.trail.offset_px[stars]
-            first = np.floor(offset.min(2))
-            corner = window + first
-            stamp_px = size + int((np.ceil(offset.max(2)) - first).max(initial=0.0))
-        pixels = np.zeros((*light.shape, stamp_px, stamp_px))
-        for s, b in np.argwhere(light > 0.0).tolist():
-            image = self._window_light(summands, (s, b), mean[s, b], float(size), 1.0)
-            if len(self.kept) < MOST_KEPT:
-                self.kept[self._key(int(stars[s]), b)] = image
-            shift = mean[s, b] - window[s, b] - 0.5 * size
-            if self.trail is None:
-                pixels[s, b] = self._still(image, shift, size)
-            else:
-                way = self.trail.offset_px[stars[s], b], self.trail.weight[stars[s], b]
-                pixels[s, b] = self._moving(image, shift, size, *way, stamp_px)
-        rays = RayMoments(mean, self._variance(stars, waves, mean))
-        rays = rays if self.trail is None else rays.along(self.trail, stars)
-        kept = None if mode == "cells" else rays
-        count = int(summands.order.prod(-1).max())
-        return WaveStamps(stars, np.maximum(pixels, 0.0), corner, rays.mean_px, light, count, mode, kept)
-
-    def _window_light(
-        self, summands: Summands, at: tuple[int, int], mean_px: FloatArray, window_px: float, box_px: float
-    ) -> StarLight:
-        """Light of a window about the mean of all of it, with a margin for boxes anywhere in it."""
-        field = summands.fields[at[1]]
-        pad = field.pixel(box_px, self.camera.charge_diffusion_px).reach_px
-        share = self.share[summands.stars[at[0]], at[1]]
-        image = summands.light(at, share, mean_px - 0.5 * window_px, window_px, pad)
-        place = window_samples(field, window_px, pad) - 0.5 * window_px
-        return StarLight(image, place, field, summands.radius_px + MARGIN_PX)
-
-    def _key(self, star: int, band: int) -> tuple[bytes, bytes, int]:
-        """What tells a star's light in a band from that of others, but for rounding."""
-        return self.kernel.direction[star].round(13).tobytes(), self.share[star, band].round(10).tobytes(), band
-
-    def _still(self, light: StarLight, shift_px: FloatArray, size: int) -> FloatArray:
-        """Pixels of a disk in a window whose middle the mean of the light lies beside."""
-        kernel = light.field.pixel(1.0, self.camera.charge_diffusion_px)
-        centres = np.arange(0.5, size) - 0.5 * size
-        column, row = (
-            (kernel((centres - d)[:, None] - light.place_px) * light.field.light_step).astype(light.values.dtype)
-            for d in shift_px
+    @staticmethod
+    def _moving(light: Light, seen: Seen) -> tuple[FloatArray, Trail | None]:
+        """Shares of wavelengths (n, b, k) of an exposure, and how images move during it; None for a camera at rest."""
+        bands, colours = light.wavelength_nm.shape
+        share = light.share.reshape(*light.share.shape[:2], -1, colours)
+        if seen.nodes is seen.mid:
+            return share.sum(2), None
+        times, chiefs = seen.nodes.times, seen.chiefs
+        points = np.nan_to_num(chiefs.points)
+        ray = OutlinePoints(
+            centre=points,
+            azimuth=np.zeros((times, 1)),
+            radius=np.zeros((len(points), bands, times, 1)),
+            share=np.ones((len(points), bands, times, 1)),
+            arm=np.zeros(1, np.uint32),
+            ring=np.zeros(1),
+            ring_weight=np.ones(1),
         )
-        disk = np.hypot(centres, centres[:, None]) <= 0.5 * (size - 1)
-        return np.asarray((row @ light.values @ column.T) * disk, np.float64)
-
-    def _moving(
-        self, light: StarLight, shift_px: FloatArray, size: int, moves_px: FloatArray, weight: FloatArray, stamp_px: int
-    ) -> FloatArray:
-        """Pixels of the same disk along a trail."""
-        kernel = light.field.pixel(1.0, self.camera.charge_diffusion_px)
-        column_px, row_px = (light.place_px + d for d in shift_px)
-        image = light.values * (np.hypot(column_px, row_px[:, None]) <= 0.5 * size)
-        centres = np.arange(0.5, stamp_px) - 0.5 * size + np.floor(moves_px.min(0))[:, None]
-        column, row = (
-            kernel(centres[axis][:, None] - place - moves_px[:, axis, None, None]) * light.field.light_step
-            for axis, place in enumerate((column_px, row_px))
-        )
-        column, row = column.astype(image.dtype), (row * weight[:, None, None]).astype(image.dtype)
-        return np.asarray(((row @ image) @ np.swapaxes(column, 1, 2)).sum(0), np.float64)
-
-    def _check_aperture(self, waves: PlaneWaves) -> None:
-        """Refuse light so fast that the scalar theory fails."""
-        pitch_nm = self.camera.pixel_pitch_mm * 1e6
-        sine = float((0.5 * waves._spans() * (self.wavelength_nm / pitch_nm)).max(initial=0.0))
-        if sine > LARGEST_APERTURE:
-            raise DomainError(
-                f"light converges at F/{0.5 / sine:.2f}; the scalar theory of diffraction is used up to F/"
-                f"{0.5 / LARGEST_APERTURE:.2f}; set diffraction = 'rays' for this lens"
-            )
-
-    def _check_size(self, stars: IntArray, spot_px: FloatArray, radius_px: FloatArray) -> None:
-        worst = int(np.argmax(radius_px))
-        if radius_px[worst] > LARGEST_RADIUS_PX:
-            raise DomainError(
-                f"the rays of star {stars[worst]} land up to {spot_px[worst]:.0f} px from their mean; diffraction is "
-                f"rendered in stamps of at most {LARGEST_RADIUS_PX} px radius; check the focus (defocus_mm = "
-                f"{self.camera.defocus_mm:g} mm), or set diffraction = 'rays', which is right for such images"
-            )
-
-    def _check_order(self, stars: IntArray, order: IntArray, spot_px: FloatArray) -> None:
-        worst = int(np.argmax(order.prod(1)))
-        if order[worst].prod() > MOST_RAYS:
-            raise DomainError(
-                f"the wavefront of star {stars[worst]} needs {order[worst, 0]} rings x {order[worst, 1]} azimuths of "
-                f"the pupil ({spot_px[worst]:.0f} px of blur); at most {MOST_RAYS} rays are traced; check the focus "
-                f"(defocus_mm = {self.camera.defocus_mm:g} mm), or set diffraction = 'rays', which is right for such "
-                "images"
-            )
+        x, y, _ = seen.nodes.land(ray, light.wavelength_nm.mean(1, keepdims=True))
+        offset = np.stack([x[..., 0], y[..., 0]], axis=-1) - chiefs.place_px[:, :, None]
+        return share.sum(2), Trail(np.nan_to_num(offset), share.sum(3))

@@ -13,7 +13,7 @@ from optics.lens_file import load_lens
 from render.camera import Camera
 from render.forward import star_scene
 from render.records import StarField
-from render.tracing.waves.images import WaveImages
+from render.tracing.waves.summed import SummedImages
 from render.tracing.waves.windows import FieldSampling, window_samples
 
 WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
@@ -84,10 +84,10 @@ def by_direct_sums(monkeypatch):
     on samples 3 px farther away: where the kernel of a pixel ends images that move would make steps too.
     """
     monkeypatch.setattr(FieldSampling, "pixel", farther(FieldSampling.pixel))
-    monkeypatch.setattr("render.tracing.waves.images.window_light", direct_sum)
+    monkeypatch.setattr("render.tracing.waves.summed.window_light", direct_sum)
     monkeypatch.setattr("render.tracing.waves.plane_waves.TAIL", 0.0)
     for name in ("needs", "means"):
-        monkeypatch.setattr(WaveImages, name, held(getattr(WaveImages, name)))
+        monkeypatch.setattr(SummedImages, name, held(getattr(SummedImages, name)))
 
 
 def exact_image(scene):
@@ -101,7 +101,7 @@ def exact_image(scene):
         paths = tracer._moving(field.stars, motion, camera.exposure_s)
     light = tracer.light(field.stars, paths, camera.exposure_s)
     image = np.zeros((camera.optics.height_px, camera.optics.width_px, 1))
-    tracer._trace(light, paths, image, 0.0 if motion is None else motion.length_px)
+    tracer._add(light, paths, image, 0.0 if motion is None else motion.length_px)
     return image
 
 

@@ -16,7 +16,7 @@ from render.records import StarField
 from render.tracing.convergence import TOLERANCE
 from render.tracing.pupil import points as pupil_points
 from render.tracing.pupil.points import SobolPoints
-from render.tracing.pupil.sampling import LADDER, bounding_disk, probe_fields, sobol_plan, staggered
+from render.tracing.pupil.sampling import LADDER, bounding_disk, probe_fields, sobol_points, staggered
 from render.tracing.tracer import Tracer
 
 
@@ -57,12 +57,12 @@ def test_scrambling_depends_on_the_seed_only(engine):
 def test_sobol_points_fill_the_disk_evenly(engine):
     import drjit as dr
 
-    plan = sobol_plan(4, 1, 16)  # 4 nodes with 2^14 points each
-    assert plan.rays_per_node == 1 << 14
+    points = sobol_points(4, 1, 16)  # 4 nodes with 2^14 points each
+    assert points.count == 1 << 14
     types = engine.types
-    x, y, weight = plan.pupil.sample(types, types.UInt32(0), types.UInt32(2), dr.arange(types.UInt32, 1 << 14))
+    x, y, weight = points.sample(types, types.UInt32(0), types.UInt32(2), dr.arange(types.UInt32, 1 << 14))
     x, y = x.numpy(), y.numpy()
-    assert np.array_equal(plan.pupil.weight, np.full(1 << 14, weight.numpy()[0]))
+    assert np.array_equal(points.weight, np.full(1 << 14, weight.numpy()[0]))
     # moments of the uniform disk: 1/4, 0, 1/8 = <x^4>, 1/24 = <x^2 y^2>
     for value, expected in ((x, 0), (x * x, 1 / 4), (x * y, 0), (x**4, 1 / 8), (x * x * y * y, 1 / 24)):
         assert abs(value.mean() - expected) < 1e-5
@@ -107,13 +107,12 @@ def test_chosen_order_keeps_its_tolerance(engine, bench, diffusion_px, defocus_m
     tracer = Tracer(camera)
     planner = tracer.planner
     seen = planner.seen(tracer._in_cam(stars, None), stars.wavelength_nm)
-    (group, rest), _, _ = planner.groups(seen, stars.wavelength_nm, planner.chiefs(seen.mid, stars.wavelength_nm))
-    plan = group.plan
+    group, rest = planner.sampled_by_rays(seen).groups
     assert len(group.members) == 12
     assert len(rest.members) == 0
-    assert plan.error < TOLERANCE
+    assert group.error < TOLERANCE
     fine = stamps(tracer, stars, staggered((60, 120), 3), size=22).pixels
-    assert np.abs(stamps(tracer, stars, plan.pupil, size=22).pixels - fine).max() < TOLERANCE
+    assert np.abs(stamps(tracer, stars, group.of(group.members), size=22).pixels - fine).max() < TOLERANCE
 
 
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-5])
@@ -125,18 +124,16 @@ def test_order_inside_outlines_is_high_enough_and_not_far_too_high(engine, bench
     tracer = Tracer(camera, tolerance=tolerance)
     planner = tracer.planner
     seen = planner.seen(tracer._in_cam(stars, None), stars.wavelength_nm)
-    chiefs = planner.chiefs(seen.mid, stars.wavelength_nm)
-    (group, rest), _, _ = planner.groups(seen, stars.wavelength_nm, chiefs)
-    (shape,) = planner.shapes(seen, chiefs).parts
+    group, rest = planner.sampled_by_rays(seen).groups
     assert len(group.members) == 12
     assert len(rest.members) == 0
 
     def error(order):
-        pixels = stamps(tracer, stars, shape[2].points(order, shape[1]), size=30).pixels
+        pixels = stamps(tracer, stars, group.points(order, group.members), size=30).pixels
         return np.abs(pixels - exact).max()
 
-    exact = stamps(tracer, stars, shape[2].points((45, 70), shape[1]), size=30).pixels
-    rings, arms = group.plan.order
+    exact = stamps(tracer, stars, group.points((45, 70), group.members), size=30).pixels
+    rings, arms = group.order
     assert error((rings, arms)) < tolerance < error((round(0.7 * rings), round(0.7 * arms)))
 
 
