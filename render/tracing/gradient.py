@@ -628,8 +628,7 @@ def _wave_image(
     for probe in (p for group in planner.sampled_by_waves(images.still, near).groups for p in images.probes(group)):
         outlines = _smooth(replace(probe.group, members=probe.stars))
         for part, radius, fields, order in _alike(images, probe):
-            assert probe.group.points is not None
-            points = probe.group.points(order, part)
+            points = probe.group.of(part, order)
             sample = _sample(scene, outlines, part, points, few.wavelength_nm)
             chief = [dr.zeros(F, len(part) * bands)] * 2
             if outlines is not None:

@@ -197,11 +197,9 @@ class Tracer:
             left = np.arange(len(means))
             for group in self.planner.sampled(seen, left).groups:
                 order = (rings, arms) if group.mode == "quadrature" else (rings, max(arms, ARC_LADDER[0][1]))
-                assert group.points is not None
-                means[group.members], _ = self._means(
-                    seen.mid, light, group.members, group.points(order, group.members)
-                )
-                left = np.setdiff1d(left, group.members)
+                members = group.members
+                means[members], _ = self._means(seen.mid, light, members, group.of(members, order))
+                left = np.setdiff1d(left, members)
         if len(left):  # beams that the kernel finds no outline of
             means[left] = self._beam_means(paths.mid[left], light.wavelength_nm, light.share[left], (rings, arms))
         return means

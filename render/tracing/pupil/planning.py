@@ -166,10 +166,10 @@ class Group:
         """Rays of a star, band and node."""
         return math.prod(self.order)
 
-    def of(self, stars: IntArray) -> PupilPoints:
-        """Points of rays of some stars."""
+    def of(self, stars: IntArray, order: Order | None = None) -> PupilPoints:
+        """Points of some stars, of the group's order or another one."""
         assert self.points is not None
-        return self.points(self.order, stars)
+        return self.points(order or self.order, stars)
 
 
 @dataclass(frozen=True, slots=True)
@@ -461,20 +461,19 @@ class PupilPlanner:
         part_px = length_px * tried / times
         paths = uniform_paths(fields, tried, part_px / IdealLens.of(self.camera).focal_px)
         seen = self.seen(paths, few, part_px)
-        probes = np.arange(len(paths.mid))
         ladder: tuple[Order, ...] = LADDER
-        points: Callable[[tuple[int, int]], PupilPoints] = partial(staggered, nodes=few.shape[1], times=tried)
+        points = partial(staggered, nodes=few.shape[1], times=tried)
+        group = Group(mode, np.arange(len(paths.mid)), lambda order, _: points(order))
         if mode == "arcs" or not self.pupil.exact:
-            found = [group for group in self._outlined(seen)[0] if group.mode == mode]
-            if not found or found[0].points is None:
+            found = [one for one in self._outlined(seen)[0] if one.mode == mode]
+            if not found:
                 return still
-            probes = found[0].members
-            points = partial(found[0].points, stars=probes)
-            ladder = OUTLINE_LADDER if mode == "quadrature" else ARC_LADDER
+            group, ladder = found[0], OUTLINE_LADDER if mode == "quadrature" else ARC_LADDER
+        probes = group.members
         node_weight = None if times == 1 else np.repeat(paths.weight[0] / few.shape[1], few.shape[1])
 
-        def land(order: tuple[int, int]) -> Landed:
-            pupil = points(order)
+        def land(order: Order) -> Landed:
+            pupil = group.of(probes, order)
             return Landed(*seen.nodes.land(pupil, few, probes.astype(np.uint32)), pupil.weight, node_weight)
 
         if still is not None:
@@ -482,21 +481,17 @@ class PupilPlanner:
             tolerance = self.tolerance * (MOTION_TOLERANCE / TOLERANCE)
             return lowest_order(land, self.camera.charge_diffusion_px, tolerance, still[0], least)
         fewer = tuple(one for one in ladder if math.prod(one) * wavelength_nm.shape[1] <= MOST_RAYS)
-        return self._converged(seen, few, points, probes, fewer)
+        return self._converged(seen, group, fewer)
 
-    def _converged(
-        self,
-        seen: Seen,
-        wavelength_nm: FloatArray,
-        points: Callable[[tuple[int, int]], PupilPoints],
-        probes: IntArray,
-        ladder: tuple[Order, ...],
-    ) -> tuple[tuple[int, int], float] | None:
+    def _converged(self, seen: Seen, group: Group, ladder: tuple[Order, ...]) -> tuple[Order, float] | None:
         """Lowest order that is converged for probe stars at rest, on stamps that hold their light."""
         if not (ladder and self._blurred):
             return None
+        probes, wavelength_nm = group.members, seen.wavelength_nm
         stars = probes.astype(np.uint32)
-        x, y, ok = (v.reshape(*v.shape[:2], -1) for v in seen.nodes.land(points(ladder[0]), wavelength_nm, stars))
+        x, y, ok = (
+            v.reshape(*v.shape[:2], -1) for v in seen.nodes.land(group.of(probes, ladder[0]), wavelength_nm, stars)
+        )
         if not ok.any():
             return None
         low, high = (
@@ -511,10 +506,10 @@ class PupilPlanner:
             return None
         share = np.full((len(probes), *wavelength_nm.shape), 1.0 / wavelength_nm.shape[1])
 
-        def trial(order: tuple[int, int]) -> Trial:
+        def trial(order: Order) -> Trial:
             stamps = seen.nodes.splat(
                 stars=stars,
-                pupil=points(order),
+                pupil=group.of(probes, order),
                 wavelength_nm=wavelength_nm,
                 node_share=share,
                 corner_px=corner,
