@@ -195,7 +195,7 @@ COMPARISONS = (
         experiment="camera",
         what="noise, detection, attitude",
         predicted=("experiments.camera.prediction:predict_camera",),
-        measured=("experiments.camera.rendered:render_frames",),
+        measured=("experiments.camera.frames:render_frames",),
     ),
     Comparison(
         experiment="acf",

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from experiments.camera.records import CameraPrediction
+    from experiments.camera.prediction import CameraPrediction
     from experiments.camera.settings import Config
 
 __all__ = ["predict"]

@@ -2,7 +2,7 @@
 
 import sys
 
-from experiments.camera.experiment import main
+from experiments.camera.settings import main
 
 if __name__ == "__main__":
     sys.exit(main())

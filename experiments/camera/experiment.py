@@ -1,87 +1,534 @@
-"""My camera: run and declaration."""
+"""My camera: what a star sensor will do, its requirements, what to change first, and frames that confirm it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
-from experiments.camera.comparison.experiment import experiment as comparison
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.camera.frames import FRAMES, SOLVED, compare, render_frames, solved_frames
+from experiments.camera.optical_state import OpticalState
+from experiments.camera.prediction import Accuracy, CameraPrediction, Optics, Sky, accuracy, optics, predict_camera, sky
 from experiments.camera.settings import Config
-from experiments.camera.sweep.experiment import experiment as sweep
-from experiments.harness.cli import command
-from experiments.harness.experiment import Experiment
+from experiments.harness.drawings import bars, curves
+from experiments.harness.plotting import INK, PALETTE, band_colours, new_figure
 from experiments.harness.progress import Progress
+from experiments.harness.quantities import Outcome, Quantities
+from experiments.harness.range import value_at, with_value
+from experiments.harness.sections import Section, col, numbers_of
+from experiments.harness.what_if import REQUIREMENTS, Requirement, judge, missed_words
+from experiments.laboratory.checks import focus_remark
+from experiments.laboratory.requirements import AT_LEAST
+from optics.arrays import FloatArray
+from optics.errors import DomainError, StarbenchError
+from optics.figures import draw_lens
+from optics.lens_file import load_lens
+from optics.rays.spots import trace_spots
 
-if TYPE_CHECKING:
-    from experiments.camera.result import Result
-    from experiments.camera.tornado import Swing
+__all__ = ["SECTIONS", "limits", "predict", "run"]
 
-__all__ = ["Config", "experiment", "main", "run"]
+CURVE_POINTS = 91
 
 
-def run(config: Config, *, progress: Progress) -> Result:
+# --- What the report says of the sensor in words
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setup:
+    """The sensor in words, and what does not fit."""
+
+    name: str = col("Sensor", json="")
+    lens: str = col("Lens", json="")
+    detector: str = col("Detector", json="")
+    answer: str = col("Requirements in a sentence", json="")
+    requirements_missed: int = col("Requirements that are missed")
+    saturated: bool = col("The quoted star saturates", json="")
+    top_e: float = col("Electrons that a pixel can show", "e-", ".0f", json="")
+    converter_e: float = col("Electrons at which the converter overruns", "e-", ".0f", json="")
+    full_well_e: float = col("Full well", "e-", ".0f", json="")
+    catalogue_ends: bool = col("The sensor finds fainter stars than the catalogue has", json="")
+    magnitude_system: str = col("Magnitude system", json="")
+    depth_mag: float = col("Faintest stars that were looked up", "mag", ".1f", json="")
+    fwhm_px: float = col("FWHM of the detection filter", "px", ".2f", json="")
+    trail_px: float = col("Trail of a star in an exposure", "px", ".2g", json="")
+    state: OpticalState
+
+
+def setup(prediction: CameraPrediction, requirements: Sequence[Requirement]) -> Setup:
+    """What the report says in words."""
+    state, processing, chip = prediction.state, prediction.processing, prediction.processing.detector
+    lens = state.instrument.camera.lens.name
+    return Setup(
+        name=prediction.config.name or f"{lens} on {chip.name}",
+        lens=lens,
+        detector=chip.name,
+        answer=missed_words(requirements),
+        requirements_missed=sum(not one.met for one in requirements),
+        saturated=prediction.saturated,
+        top_e=processing.top_e,
+        converter_e=prediction.adc_top_e,
+        full_well_e=chip.full_well_e,
+        catalogue_ends=prediction.catalogue_ends,
+        magnitude_system=state.light.magnitude_system,
+        depth_mag=prediction.view.depth_mag,
+        fwhm_px=processing.fwhm_px,
+        trail_px=state.trail_length_px,
+        state=state,
+    )
+
+
+def limits(config: Config) -> dict[str, tuple[float, bool]]:
+    """Requirements of the sensor file: number -> (value, whether at least)."""
+    required = config.requirements.model_dump()
+    return {key: (float(value), key in AT_LEAST) for key, value in required.items() if value is not None}
+
+
+def draw_section(outcome: Outcome) -> Figure:
+    """Section through the lens with fans of rays to the middle, to 70 % of the half diagonal and to the corner."""
+    state: OpticalState = outcome.result["setup"].state
+    fields = state.performance.field_deg
+    figure = draw_lens(state.instrument.camera.focused_lens, fields_deg=[0.0, float(fields[2]), float(fields[-1])])
+    figure.axes[0].set_title("")
+    width, height = figure.get_size_inches()
+    figure.set_size_inches(7.6, 7.6 * height / width)
+    return figure
+
+
+def draw_spots(outcome: Outcome) -> Figure:
+    """Rays of the pass band at three fields, the pixels of the detector behind them."""
+    state: OpticalState = outcome.result["setup"].state
+    focused, pitch = state.instrument.camera.focused_lens, state.instrument.camera.pixel_pitch_mm
+    chosen = [0, 2, 4]
+    angles, waves = state.performance.field_deg[chosen], state.performance.wavelength_nm[[0, 2, 5]]
+    traced = trace_spots(focused, angles, np.zeros(3), waves, order=(8, 30))
+    figure, axes = new_figure(1, 3, aspect_ratio=0.38, sharex=True, sharey=True)
+    middle, reach = state.performance.white_mm[chosen], 0.0
+    for column, panel in enumerate(axes):
+        for band, (wave, colour) in enumerate(zip(waves, band_colours(waves.tolist()), strict=True)):
+            lit = traced.area_mm2[column, band] > 0
+            x = (traced.rays.x[column, band][lit] - middle[column]) / pitch
+            y = traced.rays.y[column, band][lit] / pitch
+            reach = max(reach, float(np.abs(np.concatenate([x, y])).max(initial=0.0)))
+            panel.plot(x, y, ".", color=colour, markersize=1.6, label=f"{wave:.0f} nm")
+        rms = outcome.values("field_spot_um")[chosen[column]]
+        panel.set_title(f"{angles[column]:.2f}°, RMS {rms:.1f} µm", fontsize=8.5)
+        panel.set(xlabel="x [px]", aspect="equal")
+    side = np.ceil(1.1 * reach - 0.5) + 0.5
+    step = max(1, int(np.ceil(side / 3.0)))
+    ticks = step * np.arange(-(side // step), side // step + 1)
+    for panel in axes:
+        panel.set(xlim=(-side, side), ylim=(-side, side), xticks=ticks, yticks=ticks)
+        for line in np.arange(-side, side + 1) if side <= 12 else ():
+            panel.axhline(line, color="0.88", linewidth=0.5, zorder=0)
+            panel.axvline(line, color="0.88", linewidth=0.5, zorder=0)
+        panel.grid(False)
+    axes[0].set_ylabel("y [px]")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, markerscale=5)
+    return figure
+
+
+# --- Over the field
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fields:
+    """Spot, focus, distortion, light and colour over the field; spot and focus of all light of the pass band."""
+
+    field_spot_um: FloatArray = col("RMS spot radius", "um", ".2f", "field")
+    field_focus_um: FloatArray = col("Best focus", "um", ".1f", "field")
+    field_distortion_percent: FloatArray = col("Distortion", "percent", ".3f", "field")
+    field_vignetting_percent: FloatArray = col("Vignetting", "percent", ".1f", "field")
+    field_colour_px: FloatArray = col("Lateral colour", "px", ".3f", "field wavelength", shown=False)
+    axial_colour_focus_um: FloatArray = col("Best focus on axis", "um", ".1f", "wavelength", shown=False)
+    performance: Any
+
+
+def fields(prediction: CameraPrediction) -> Fields:
+    """The traced performance of the lens."""
+    lens = prediction.state.performance
+    return Fields(
+        field_spot_um=1e3 * lens.white.rms_mm(),
+        field_focus_um=1e3 * lens.white.best_mm,
+        field_distortion_percent=100.0 * lens.distortion,
+        field_vignetting_percent=100.0 * (1.0 - lens.vignetting),
+        field_colour_px=lens.lateral_colour_mm / prediction.state.instrument.camera.pixel_pitch_mm,
+        axial_colour_focus_um=1e3 * lens.axial_colour_mm,
+        performance=lens,
+    )
+
+
+def field_axes(q: Quantities, found: Fields) -> None:
+    """Field angles and wavelengths of the trace."""
+    q.axis("field", found.performance.field_deg, "Field", unit="deg", format=".2f", key="field_deg")
+    waves = found.performance.wavelength_nm
+    q.axis("wavelength", waves, "Wavelength", unit="nm", format=".0f", key="wavelength_nm")
+
+
+# --- Against magnitude
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Magnitudes:
+    """Light, detection and accuracy of a star against its magnitude, mean over the detector; NaN where it saturates."""
+
+    star_electrons_e: FloatArray = col("Electrons", "e-", ".0f", "colour magnitude", shown=False)
+    magnitude_nea_arcsec: FloatArray = col("NEA", "arcsec", ".3f", "magnitude")
+    magnitude_bound_arcsec: FloatArray = col("Cramér-Rao bound of the NEA", "arcsec", ".3f", "magnitude")
+    magnitude_single_arcsec: FloatArray = col("Single-star accuracy", "arcsec", ".3f", "magnitude")
+    magnitude_found: FloatArray = col("Share of stars that are found", "", ".3f", "magnitude")
+    magnitude_mag: FloatArray
+    colours_k: Sequence[float]
+
+
+def magnitudes(prediction: CameraPrediction) -> Magnitudes:
+    """From brighter than the brightest star that does not saturate to fainter than the limit."""
+    state, stars, config = prediction.state, prediction.stars, prediction.config
+    full, high = prediction.value("saturation_mag"), prediction.value("limiting_magnitude_mag") + 1.0
+    magnitude = np.linspace(min(full - 0.5, high - 2.0), high, CURVE_POINTS)
+    part = (np.arange(8) + 0.5) / 8.0 - 0.5
+    camera = state.instrument.camera
+    radius = np.hypot(*np.meshgrid(part * camera.width_px, part * camera.height_px)).ravel()
+    at = [prediction.electrons(np.full(len(radius), m), config.star.temperature_k, radius) for m in magnitude]
+
+    def curve(sigma_px: FloatArray) -> FloatArray:
+        rms = [float(np.sqrt((stars.sigma_at(sigma_px, e, radius) ** 2).mean())) for e in at]
+        return np.where(magnitude < full, np.nan, state.pixel_arcsec * np.array(rms))
+
+    return Magnitudes(
+        star_electrons_e=np.stack([prediction.electrons(magnitude, kelvin) for kelvin in config.star.colours_k]),
+        magnitude_nea_arcsec=curve(stars.centroid.noise_px),
+        magnitude_bound_arcsec=curve(stars.centroid.bound_px),
+        magnitude_single_arcsec=np.hypot(
+            curve(stars.centroid.total_px), np.nan_to_num(prediction.value("colour_arcsec"))
+        ),
+        magnitude_found=np.array([float(stars.found_at(e, radius).mean()) for e in at]),
+        magnitude_mag=magnitude,
+        colours_k=config.star.colours_k,
+    )
+
+
+def magnitude_axes(q: Quantities, found: Magnitudes) -> None:
+    """Magnitudes and colours of the curves."""
+    q.axis("magnitude", found.magnitude_mag, "Magnitude", unit="mag", format=".2f", key="magnitude_mag")
+    q.axis("colour", np.array(found.colours_k), "Star", unit="K", format=".0f", key="temperature_k")
+
+
+# --- Over the sky
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Attitudes:
+    """Every attitude that was looked up."""
+
+    attitudes: int = col("Attitudes")
+    sky_stars: FloatArray = col("Stars per frame", dims="attitude", json="")
+    sky_cross_arcsec: FloatArray = col("Attitude across, 1σ", "arcsec", dims="attitude", json="")
+    sky_roll_arcsec: FloatArray = col("Attitude roll, 1σ", "arcsec", dims="attitude", json="")
+
+
+def attitudes(prediction: CameraPrediction) -> Attitudes:
+    """Stars and errors of every attitude; errors are infinite where too few stars are found."""
+    forecast = prediction.attitude
+    return Attitudes(
+        attitudes=len(forecast.stars),
+        sky_stars=forecast.stars,
+        sky_cross_arcsec=np.sqrt((forecast.total_arcsec[:, :2] ** 2).mean(axis=1)),
+        sky_roll_arcsec=forecast.total_arcsec[:, 2],
+    )
+
+
+def draw_sky(outcome: Outcome) -> Figure:
+    """Stars per frame, attitude across and roll over the sky, worst 1 % marked."""
+    figure, axes = new_figure(1, 3, aspect_ratio=0.34)
+    for panel, name, worst, colour in (
+        (axes[0], "sky_stars", "stars_worst_per_frame", PALETTE[2]),
+        (axes[1], "sky_cross_arcsec", "attitude_cross_worst_arcsec", PALETTE[0]),
+        (axes[2], "sky_roll_arcsec", "attitude_roll_worst_arcsec", PALETTE[1]),
+    ):
+        values = outcome.values(name)
+        known, at = values[np.isfinite(values)], outcome.value(worst)
+        if known.size:
+            top = float(np.quantile(known, 0.995)) * 1.1
+            panel.hist(np.clip(known, None, top), bins=28, color=colour, alpha=0.7)
+            panel.margins(y=0.3)  # room for the words above the bars
+        if np.isfinite(at):
+            panel.axvline(at, color=INK, linewidth=0.9, dashes=(4, 3))
+            panel.annotate("worst 1 %", (at, 0.97), xycoords=("data", "axes fraction"), xytext=(3, 0),
+                           textcoords="offset points", va="top", fontsize=7.5, rotation=90)  # fmt: skip
+        panel.set(xlabel=outcome.heading(name), yticks=[])
+        panel.spines["left"].set_visible(False)
+    axes[0].set_ylabel("attitudes")
+    return figure
+
+
+# --- From the coldest to the hottest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Temperatures:
+    """Lens and housing at one temperature, the detector where the focus was set."""
+
+    thermal_focus_um: FloatArray = col("Best focus", "um", ".1f", "temperature")
+    thermal_scale_ppm: FloatArray = col("Plate scale, change", "ppm", ".1f", "temperature")
+    thermal_spot_px: FloatArray = col("RMS spot radius, largest", "px", ".3f", "temperature")
+    thermal_colour_px: FloatArray = col("Lateral colour", "px", ".3f", "temperature")
+    thermal_nea_arcsec: FloatArray = col("NEA", "arcsec", ".3f", "temperature")
+    thermal_attitude_arcsec: FloatArray = col("Attitude across, median", "arcsec", ".3f", "temperature")
+    temperature_c: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThermalRange:
+    """Largest changes over the temperatures; NaN for a lens without thermal data."""
+
+    focus_shift_um: float = col("Change of the best focus over temperature", "um", ".1f")
+    spot_thermal_px: float = col("Spot radius (RMS), largest over temperature", "px", ".3f")
+    scale_change_ppm: float = col("Change of the plate scale over temperature", "ppm", ".1f")
+    refusal: str = col("Why there is no answer", json="")
+
+
+def temperatures(config: Config) -> tuple[Temperatures | None, ThermalRange]:
+    """The sensor predicted at all temperatures; None, and the reason, for a lens without thermal data."""
+    setting, reference_c = config.thermal, load_lens(config.instrument.lens).environment.temperature_c
+    at_c = np.linspace(setting.lowest_c, setting.highest_c, setting.points)
+    try:
+        reference, *found = (
+            predict_camera(with_value(config, "instrument.lens_temperature_c", float(t))) for t in (reference_c, *at_c)
+        )
+    except DomainError as error:
+        nothing = math.nan
+        refusal = str(error).splitlines()[0]
+        return None, ThermalRange(
+            focus_shift_um=nothing, spot_thermal_px=nothing, scale_change_ppm=nothing, refusal=refusal
+        )
+    scale_mm = np.array([one.state.performance.plate_scale_mm for one in found])
+
+    def values(name: str) -> FloatArray:
+        return np.array([one.value(name) for one in found])
+
+    over = Temperatures(
+        thermal_focus_um=values("best_focus_um"),
+        thermal_scale_ppm=1e6 * (scale_mm / reference.state.performance.plate_scale_mm - 1.0),
+        thermal_spot_px=values("spot_px"),
+        thermal_colour_px=values("lateral_colour_px"),
+        thermal_nea_arcsec=values("nea_arcsec"),
+        thermal_attitude_arcsec=values("attitude_cross_arcsec"),
+        temperature_c=at_c,
+    )
+    return over, ThermalRange(
+        focus_shift_um=float(np.ptp(over.thermal_focus_um)),
+        spot_thermal_px=float(over.thermal_spot_px.max()),
+        scale_change_ppm=float(np.abs(over.thermal_scale_ppm).max()),
+        refusal="",
+    )
+
+
+def temperature_axis(q: Quantities, found: Temperatures) -> None:
+    """Temperatures of lens and housing."""
+    q.axis("temperature", found.temperature_c, "Temperature", unit="°C", format=".0f", key="temperature_c")
+
+
+# --- What to change first
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Swing:
+    """One key moved down and up, the others as they are: relative changes, for magnitudes the difference."""
+
+    key: str = col("Key", json="")
+    low: float = col("From", format=".3g", json="")
+    high: float = col("To", format=".3g", json="")
+    unit: str = col("Unit", json="")
+    swing_attitude_cross_arcsec: Sequence[float] = col("Attitude", format="+.3f", dims="end")
+    swing_single_star_arcsec: Sequence[float] = col("Single star", format="+.3f", dims="end", shown=False)
+    swing_limiting_magnitude_mag: Sequence[float] = col("Limit", "mag", "+.2f", "end")
+    swing_stars_worst_per_frame: Sequence[float] = col("Stars", format="+.3f", dims="end", shown=False)
+    label: str  # Of the key
+
+    @property
+    def size(self) -> float:
+        """Largest change of the attitude that is known."""
+        return max((abs(one) for one in self.swing_attitude_cross_arcsec if math.isfinite(one)), default=0.0)
+
+
+CHANGED = ("attitude_cross_arcsec", "single_star_arcsec", "limiting_magnitude_mag", "stars_worst_per_frame")
+FEW_ATTITUDES = 150
+"""Differences of the same attitudes are known from fewer of them."""
+
+
+def swings(config: Config, base: CameraPrediction, *, advance: Callable[[], None] = lambda: None) -> list[Swing]:
+    """Swings of all keys, the largest first."""
+    fewer = config.sky.model_copy(update={"attitudes": min(FEW_ATTITUDES, config.sky.attitudes)})
+    config = config.model_copy(update={"sky": fewer})
+    middle, rows = predict_camera(config), []
+    advance()
+    for key, label, unit, low, value, high in parameters(config, base):
+        ends = []
+        for at in (low, high):
+            ends.append(_changes(config, key, at, middle) if at != value else dict.fromkeys(CHANGED, 0.0))
+            advance()
+        moved = {f"swing_{name}": [end[name] for end in ends] for name in CHANGED}
+        rows.append(Swing(key=key, label=label, low=low, high=high, unit=unit, **moved))
+    return sorted(rows, key=lambda one: -one.size)
+
+
+def _changes(config: Config, key: str, value: float, middle: CameraPrediction) -> dict[str, float]:
+    """NaN where the setting is refused, or nothing is known to change."""
+    try:
+        found = predict_camera(with_value(config, key, value))
+    except (StarbenchError, ValueError):
+        return dict.fromkeys(CHANGED, math.nan)
+    changes = {}
+    for name in CHANGED:
+        new, old = found.value(name), middle.value(name)
+        relative = new / old - 1.0 if math.isfinite(old) and old else math.nan
+        changes[name] = new - old if name.endswith("_mag") else relative
+    return changes
+
+
+def parameters(config: Config, base: CameraPrediction) -> list[tuple[str, str, str, float, float, float]]:
+    """Key, label, unit, low, value, high."""
+    change, chip = config.tornado, base.processing.detector
+    share, depth_mm = change.change_fraction, base.value("depth_of_focus_um") * 1e-3
+    rows = []
+    for key, label, unit, own in (
+        ("instrument.exposure_s", "exposure", "s", None),
+        ("instrument.f_number", "F-number", "", base.value("f_number")),
+        ("detector.read_noise_e", "read noise", "e⁻", chip.read_noise_e),
+        ("detector.dark_current_e_per_s", "dark current", "e⁻/s", chip.dark_current_e_per_s),
+        ("detector.prnu", "PRNU", "", chip.prnu),
+        ("throughput_fraction", "throughput (QE, coatings)", "", None),
+        ("background_e_per_s", "straylight", "e⁻/s", None),
+        ("threshold_sigma", "detection limit", "σ", base.value("threshold_sigma")),
+    ):
+        value = float(value_at(config, key) if own is None else own)
+        low, high = value * (1.0 - share), value * (1.0 + share)
+        if key == "instrument.f_number":
+            low = value  # a stop can be closed, not opened beyond what the lens has
+        if key == "throughput_fraction":
+            high = min(high, 1.0)
+        rows.append((key, label, unit, low, value, high))
+    for key, label, unit, step in (
+        ("instrument.defocus_mm", "defocus", "mm", depth_mm),
+        ("instrument.chip_temperature_c", "chip temperature", "°C", change.chip_k),
+    ):
+        value = value_at(config, key)
+        rows.append((key, label, unit, value - step, value, value + step))
+    return [row for row in rows if row[3] < row[5] and row[0] in change.parameters]
+
+
+def swing_axes(q: Quantities, found: Sequence[Swing]) -> None:
+    """Keys, named with their two values."""
+    names = [f"{one.label}: {one.low:.3g} | {one.high:.3g} {one.unit}".strip() for one in found]
+    q.axis("key", np.array([one.key for one in found], dtype=object), "Key", names=names)
+    q.axis("end", ["low", "high"], "End", names=["lower value", "upper value"])
+
+
+# --- The run
+
+
+def predict(config: Config, *, progress: Progress) -> dict[str, Any]:
+    """The sensor without temperatures, changes and frames: what sweeps and comparisons need."""
+    del progress
+    return predicted(predict_camera(config))
+
+
+def predicted(prediction: CameraPrediction, *more: Any) -> dict[str, Any]:
+    """Sections that a prediction fills; ``more`` records have further numbers that are required."""
+    numbers = optics(prediction), accuracy(prediction), sky(prediction)
+    requirements = judge(limits(prediction.config), numbers_of(*numbers, *more))
+    return {
+        "setup": setup(prediction, requirements),
+        "requirements": requirements,
+        **dict(zip(("optics", "accuracy", "sky"), numbers, strict=True)),
+        "fields": fields(prediction),
+        "magnitudes": magnitudes(prediction),
+        "attitudes": attitudes(prediction),
+    }
+
+
+def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     """Predict, warm and cool, vary, render."""
-    from experiments.camera.prediction import predict_camera
-    from experiments.camera.result import Result
-    from experiments.camera.thermal import thermal_study
-    from experiments.camera.tornado import predict_tornado, tornado_size
-    from experiments.laboratory.checks import focus_remark
-
     with progress.stage("predict"):
         prediction = predict_camera(config)
     state = prediction.state
     if remark := focus_remark(state.instrument.camera, state.light.wavelength_nm.ravel()):
         progress.note(remark)
     with progress.stage("temperature"):
-        thermal = thermal_study(config)
-    swings: tuple[Swing, ...] = ()
+        over_temperature, thermal = temperatures(config)
+    sections: dict[str, Any] = predicted(prediction, thermal)
+    sections |= {"temperatures": over_temperature, "thermal": thermal}
     if config.tornado.parameters:
-        with progress.stage("what to change", total=tornado_size(config, prediction)) as stage:
-            swings = predict_tornado(config, prediction, advance=stage.advance)
-    rendered = None
+        keys = parameters(config, prediction)
+        with progress.stage("what to change", total=1 + 2 * len(keys)) as stage:
+            sections["changes"] = swings(config, prediction, advance=stage.advance) or None
     if not config.predict_only:
-        from experiments.camera.rendered import render_frames
-
         with progress.stage("frames", total=config.frames.readouts + config.frames.sky) as stage:
             rendered = render_frames(prediction, advance=stage.advance)
-    return Result(config=config, prediction=prediction, thermal=thermal, swings=swings, rendered=rendered)
+        sections["frames"] = compare(prediction, rendered)
+        sections["solved"] = solved_frames(prediction, rendered)
+    return sections
 
 
-def _instead(config: Config) -> Experiment | None:
-    return sweep if config.sweep else None
-
-
-experiment = Experiment(
-    name="camera",
-    config=Config,
-    run=run,
-    takes="1 min (--quick: 40 s)",
-    examples={
-        "--sensor my.toml": "your own sensor",
-        "--sensor my.toml --predict-only": "the answer without frames, in 17 s",
-        "--sensor my.toml --set instrument.exposure_s=0.2": "the same with another exposure",
-        "--sensor my.toml --sweep instrument.exposure_s=0.05:0.4:8": "what if: curves over the exposure, in seconds",
-        "--sensor my.toml --sweep exposure_s=0.01:1:9:log": "spaced in the logarithm; exposure_s=0.05,0.1,0.4: a list",
-        "--sensor my.toml --sweep exposure_s=0.05:0.4:8 --sweep f_number=3:5:5": "a map over two keys",
-        "--sensor a.toml --sensor b.toml": "sensors side by side, by prediction",
-    },
-    show=("requirements",),
-    options={
-        "predict-only": ("predict_only", "No rendered frames: an answer in seconds."),
-        "sweep": (
-            "sweep",
-            "KEY=LOW:HIGH:POINTS[:log] or KEY=A,B,C: predict a range of any number of the sensor; two make a map.",
-        ),
-    },
-    instead=_instead,
-    comparison=comparison,
-    renders=lambda config: not config.predict_only,
-    quick={
-        "sky.attitudes": 200,
-        "thermal.points": 3,
-        "frames.sky": 4,
-        "frames.chart_stars": 200,
-        "frames.readouts": 5,
-        "dark_frames": 8,
-    },
-)
-main = command(experiment)
+SECTIONS: Mapping[str, Section] = {
+    "setup": Section(record=Setup, figures={"lens": draw_section, "spots": draw_spots}),
+    "requirements": REQUIREMENTS,
+    "optics": Section(
+        record=Optics, table="optics", vertical=True, caption="Lens and detector, as configured."
+    ),
+    "accuracy": Section(
+        record=Accuracy,
+        table="accuracy",
+        vertical=True,
+        caption="The star of [star], one axis, one standard deviation, mean over the detector.",
+    ),
+    "sky": Section(record=Sky, table="sky", vertical=True, caption="Detection, and the real sky (1σ)."),
+    "fields": Section(
+        record=Fields,
+        axes=field_axes,
+        table="fields",
+        caption="Over the field; spot and focus of all light of the pass band.",
+    ),
+    "magnitudes": Section(
+        record=Magnitudes,
+        axes=magnitude_axes,
+        table="magnitudes",
+        caption="Against magnitude, mean over the detector, one axis, one standard deviation.",
+        figures={
+            "magnitude_accuracy": curves(
+                "magnitude",
+                lines="magnitude_single_arcsec magnitude_nea_arcsec magnitude_bound_arcsec",
+                log="y",
+                y="One axis, 1σ",
+                aspect_ratio=0.9,
+                width="half",
+            ),
+            "completeness": curves("magnitude", lines="magnitude_found", aspect_ratio=0.9, width="half"),
+        },
+    ),
+    "attitudes": Section(record=Attitudes, figures={"sky_distributions": draw_sky}),
+    "temperatures": Section(
+        record=Temperatures,
+        axes=temperature_axis,
+        table="thermal",
+        caption="Over temperature, the detector where the focus was set.",
+    ),
+    "thermal": Section(record=ThermalRange),
+    "changes": Section(
+        record=Swing,
+        dim="key",
+        along="key",
+        axes=swing_axes,
+        table="what_to_change",
+        across="end",
+        columns="low high unit swing_attitude_cross_arcsec swing_limiting_magnitude_mag",
+        caption="Change of attitude error (relative) and limiting magnitude at both values of each key.",
+        figures={"what_to_change": bars("key", bars="swing_attitude_cross_arcsec", by="end", aspect_ratio=0.5)},
+    ),
+    "frames": FRAMES,
+    "solved": SOLVED,
+}  # fmt: skip

@@ -7,9 +7,9 @@ laboratory (experiment ``budget``).
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import lru_cache
-from types import MappingProxyType
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -17,39 +17,33 @@ from calib.attitude.predicted import attitude_covariance
 from calib.measure.centroid import centroider_class
 from calib.measure.centroid_prediction import (
     SCALE_FREE,
+    CentroidErrors,
     CentroidResponse,
     phase_windows,
     predict_centroids,
     psf_mismatch,
 )
+from calib.measure.crlb import matched_snr
 from calib.measure.detection_statistics import (
     clipped_noise,
     detection_probability,
+    false_alarms,
     threshold_for_false_alarms,
 )
 from calib.records import NoiseModel
-from experiments.camera.optical_state import OpticalState, optical_state
-from experiments.camera.records import (
-    AttitudeForecast,
-    CameraPrediction,
-    Processing,
-    StarErrors,
-    colour_distance,
-    detector_radii,
-    exposed_s,
-)
-from experiments.camera.scalars import scalars_of
+from experiments.camera.optical_state import COLD_K, HOT_K, OpticalState, optical_state
 from experiments.camera.settings import Config
 from experiments.camera.sky import SkyView, sky_view
+from experiments.harness.sections import col
 from experiments.laboratory.detector_changes import overridden
 from experiments.laboratory.instrument import configured_detector
 from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC
 from render.detector.noise import PixelNoise
+from render.detector.spec import Detector
 from render.records import EffectivePsf
 
-__all__ = ["CameraPrediction", "predict_camera"]
-
+__all__ = ["Accuracy", "CameraPrediction", "Optics", "Sky", "accuracy", "optics", "predict_camera", "sky"]
 
 FLUX_KNOTS = 14
 PLAIN = NoiseModel(read_noise_e=10.0)
@@ -58,6 +52,162 @@ FAINTEST_E, BRIGHTEST_E = 20.0, 1e6
 FOUND_KNOTS, FOUND_RANGE = 32, (0.2, 8.0)
 DEEPER_MAG = 1.0
 """Stars that the sky is searched for are so much fainter than what half of the time is found."""
+WORST = 0.01
+"""Share of the sky that its worst part is."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Processing:
+    """How frames are measured, and the noise that counts there."""
+
+    detector: Detector  # With the changes of the configuration, cut to the window
+    pixel: PixelNoise  # Of a pixel in one exposure
+    noise: NoiseModel  # Of a frame minus the mean dark frame, without the even light: what an estimator is told
+    background_e: float  # Even light in a pixel
+    empty_e2: float  # Temporal variance of a pixel without star
+    threshold_sigma: float  # Detection limit, in the noise that an image is estimated to have
+    estimated: float  # That noise over the root mean square one
+    fwhm_px: float  # Width of the detection filter
+    noise_spread: float  # Standard deviation over the pixels of the variance, relative
+    top_e: float  # Electrons at which a pixel saturates
+
+    @property
+    def false_alarms(self) -> float:
+        """Expected in a frame."""
+        return float(self.false_alarms_at(np.array(self.threshold_sigma)))
+
+    def false_alarms_at(self, threshold_sigma: FloatArray) -> FloatArray:
+        """The same for other detection limits."""
+        pixels, limit = self.detector.width_px * self.detector.height_px, threshold_sigma * self.estimated
+        return false_alarms(limit, pixels, fwhm_px=self.fwhm_px, noise_spread=self.noise_spread)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StarErrors:
+    """Errors and detection against the electrons of a star, at f distances from the middle of the detector."""
+
+    radius_px: FloatArray  # (f,) Distances
+    centroid: CentroidErrors  # Noise, patterns, pixel phase; k numbers of electrons
+    # (f, k) By the spots of stars of another colour than the PSF's, for one of 10 000 K or 3500 K, whichever is more
+    colour_px: FloatArray
+    # (2, f) How much sharper spots of stars of 3500 and 10 000 K are than that of the quoted star: light that shows
+    # as well against the noise, relative
+    sharpness: FloatArray
+    found_electrons: FloatArray  # (d,) Electrons about the detection limit
+    found: FloatArray  # (f, d) Probability of a detection
+
+    def sigma_at(self, sigma_px: FloatArray, electrons: FloatArray, radius_px: FloatArray) -> FloatArray:
+        """Errors (f, k) at stars (n,): linear in distance, a power of the electrons between its knots."""
+        log = np.log(np.maximum(sigma_px, 1e-12))
+        return np.exp(self._at(log, self.centroid.electrons, electrons, radius_px))
+
+    def found_at(self, electrons: FloatArray, radius_px: FloatArray) -> FloatArray:
+        """Probability (n,) that stars are found."""
+        share = self._at(self.found, self.found_electrons, electrons, radius_px)
+        return np.where(electrons < self.found_electrons[0], 0.0, share)
+
+    def effective(
+        self, electrons: FloatArray, temperature_k: FloatArray, radius_px: FloatArray, reference_k: float
+    ) -> FloatArray:
+        """Electrons of stars of the quoted colour that show as well against the noise as these stars (n,)."""
+        cold, hot = (np.interp(radius_px, self.radius_px, row) for row in self.sharpness)
+        apart = np.minimum(colour_distance(temperature_k, reference_k), 2.0)
+        towards = np.where(temperature_k < reference_k, cold, hot)
+        return np.asarray(electrons * towards**apart)
+
+    def _at(self, values: FloatArray, knots: FloatArray, electrons: FloatArray, radius_px: FloatArray) -> FloatArray:
+        from scipy.ndimage import map_coordinates
+
+        k = np.interp(np.log(np.maximum(electrons, 1e-9)), np.log(knots), np.arange(len(knots)))
+        r = np.interp(radius_px, self.radius_px, np.arange(len(self.radius_px)))
+        return np.asarray(map_coordinates(values, np.stack([r, k]), order=1, mode="nearest"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttitudeForecast:
+    """Over f attitudes of the sky."""
+
+    found: FloatArray  # (f,) Expected number of stars that are found, and its variance by noise
+    found_variance: FloatArray  # (f,) Expected number of stars that are found, and its variance by noise
+    # (f,) Expected number of those that are fit: not saturated, whole and alone in their window, on good pixels
+    stars: FloatArray
+    # (f, 3) One standard deviation about x, y (across) and z (roll): by temporal noise; with patterns, pixel phase
+    # and star colours. Infinite where too few stars are seen
+    noise_arcsec: FloatArray
+    # (f, 3) One standard deviation about x, y (across) and z (roll): by temporal noise; with patterns, pixel phase
+    # and star colours. Infinite where too few stars are seen
+    total_arcsec: FloatArray
+    sigma_px: FloatArray  # (m,) Error of each sighting of the view, per axis, all terms
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CameraPrediction:
+    """Everything that was predicted."""
+
+    config: Config  # For which sensor
+    state: OpticalState  # Lens and light
+    processing: Processing  # Detector and noise
+    stars: StarErrors  # Errors against electrons
+    view: SkyView  # Sky
+    attitude: AttitudeForecast  # Attitudes
+    limits_mag: Mapping[float, float]  # Share of stars that are found -> magnitude
+
+    @cached_property
+    def numbers(self) -> Mapping[str, float]:
+        """Single numbers by name, the same names for every sensor (`Optics`, `Accuracy`, `Sky`)."""
+        return {name: value for one in (optics(self), accuracy(self), sky(self)) for name, value in asdict(one).items()}
+
+    def value(self, name: str) -> float:
+        """A number by name."""
+        return self.numbers[name]
+
+    @property
+    def saturated(self) -> bool:
+        """Whether the star that the accuracy is quoted for saturates: there is no accuracy then."""
+        return self.config.star.magnitude_mag < self.value("saturation_mag")
+
+    @property
+    def adc_top_e(self) -> float:
+        """Electrons at which the converter overruns."""
+        chip = self.processing.detector
+        return (chip.largest_dn - chip.offset_dn) / chip.gain_dn_per_e
+
+    @property
+    def catalogue_ends(self) -> bool:
+        """Whether the sensor finds stars that the catalogue does not hold."""
+        return self.view.depth_mag < self.value("limiting_magnitude_mag")
+
+    def peak_share(self, electrons: float) -> float:
+        """Charge of a star's brightest pixel over what a pixel can show."""
+        return float(self.stars.centroid.peak.max()) * electrons / max(self.processing.top_e, 1e-9)
+
+    def electrons(self, magnitude: FloatArray, temperature_k: float, radius_px: FloatArray | float = 0.0) -> FloatArray:
+        """Electrons in one exposure of stars of magnitudes (n,)."""
+        m = np.atleast_1d(np.asarray(magnitude, float))
+        kelvin, radius = np.full(len(m), float(temperature_k)), np.broadcast_to(np.asarray(radius_px, float), m.shape)
+        return self.state.electrons_per_s(m, kelvin, radius) * exposed_s(self.config)
+
+
+def exposed_s(config: Config) -> float:
+    """Exposure time, shortened by light that is lost where nobody knows."""
+    return config.instrument.exposure_s * config.throughput_fraction
+
+
+def detector_radii(state: OpticalState) -> FloatArray:
+    """Distances from the middle of places (n,) that lie evenly over the detector."""
+    camera, part = state.instrument.camera, (np.arange(16) + 0.5) / 16.0 - 0.5
+    x, y = np.meshgrid(part * camera.width_px, part * camera.height_px)
+    return np.hypot(x, y).ravel()
+
+
+def colour_distance(temperature_k: FloatArray, reference_k: float) -> FloatArray:
+    """How far a colour lies from the reference, 1 at 3500 or 10 000 K; in 1/T, as colours are spaced."""
+    inverse, middle = 1.0 / np.asarray(temperature_k), 1.0 / reference_k
+    cold, hot = max(1.0 / COLD_K - middle, 1e-6), max(middle - 1.0 / HOT_K, 1e-6)
+    return np.asarray(np.where(inverse > middle, (inverse - middle) / cold, (middle - inverse) / hot))
+
+
+# --- The prediction
 
 
 def predict_camera(config: Config) -> CameraPrediction:
@@ -72,16 +222,9 @@ def predict_camera(config: Config) -> CameraPrediction:
     limit = _limits(config, state, stars)
     view = sky_view(config, limit[0.5] + DEEPER_MAG)
     attitude = _attitude(config, state, processing, stars, view)
-    prediction = CameraPrediction(
-        config=config,
-        state=state,
-        processing=processing,
-        stars=stars,
-        view=view,
-        attitude=attitude,
-        scalars={},
+    return CameraPrediction(
+        config=config, state=state, processing=processing, stars=stars, view=view, attitude=attitude, limits_mag=limit
     )
-    return replace(prediction, scalars=MappingProxyType(scalars_of(prediction, limit)))
 
 
 def _processing(config: Config, state: OpticalState) -> Processing:
@@ -239,4 +382,161 @@ def _attitude(
         noise_arcsec=spread[0],
         total_arcsec=spread[1],
         sigma_px=np.sqrt(variance),
+    )
+
+
+# --- The single numbers, the same names for every sensor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Optics:
+    """Lens and detector."""
+
+    focal_length_mm: float = col("Focal length", "mm", ".3f")
+    f_number: float = col("F-number", "", ".2f")
+    pupil_mm: float = col("Entrance pupil", "mm", ".2f")
+    plate_scale_arcsec_per_mm: float = col("Plate scale", "arcsec/mm", ".1f")
+    pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".3f")
+    field_width_deg: float = col("Field, width", "deg", ".2f")
+    field_height_deg: float = col("Field, height", "deg", ".2f")
+    field_deg: float = col("Field, shorter side", "deg", ".2f", shown=False)
+    field_diagonal_deg: float = col("Field, diagonal", "deg", ".2f")
+    spot_axis_um: float = col("Spot radius (RMS) on axis", "um", ".2f")
+    spot_um: float = col("Spot radius (RMS), largest", "um", ".2f")
+    spot_px: float = col("Spot radius (RMS), largest", "px", ".3f")
+    best_focus_um: float = col("Best focus, from the detector", "um", ".1f")
+    depth_of_focus_um: float = col("Depth of focus, ±", "um", ".1f")
+    distortion_percent: float = col("Distortion, largest", "percent", ".3f")
+    lateral_colour_px: float = col("Lateral colour over the pass band", "px", ".3f")
+    star_colour_px: float = col("Shift of a 10 000 K against a 3500 K star", "px", ".3f")
+    axial_colour_um: float = col("Axial colour over the pass band", "um", ".1f")
+    vignetting_percent: float = col("Vignetting, largest", "percent", ".2f")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Accuracy:
+    """The star of ``[star]``, one axis, one standard deviation; NaN where it saturates."""
+
+    electrons_e: float = col("Electrons", "e-", ".0f")
+    snr: float = col("Signal-to-noise ratio", "", ".1f")
+    nea_arcsec: float = col("NEA", "arcsec", ".3f")
+    pattern_arcsec: float = col("Pixel patterns", "arcsec", ".3f")
+    phase_arcsec: float = col("Pixel phase", "arcsec", ".3f")
+    colour_arcsec: float = col("Star colours", "arcsec", ".3f")
+    single_star_arcsec: float = col("Single-star accuracy", "arcsec", ".3f")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sky:
+    """Detection, and attitudes over the sky, one standard deviation."""
+
+    saturation_mag: float = col("Brightest star that does not saturate", "mag", ".2f")
+    limiting_magnitude_mag: float = col("Limiting magnitude, half are found", "mag", ".2f")
+    complete_magnitude_mag: float = col("Limiting magnitude, 90 % are found", "mag", ".2f")
+    threshold_sigma: float = col("Detection limit", "sigma", ".2f")
+    false_alarms_per_frame: float = col("False alarms per frame", "", ".3g")
+    stars_mean_per_frame: float = col("Stars per frame, mean over the sky", "", ".1f")
+    stars_worst_per_frame: float = col("Stars per frame, worst 1 % of the sky", "", ".1f")
+    update_rate_hz: float = col("Frames per second that the exposure allows", "Hz", ".3g")
+    attitude_cross_arcsec: float = col("Attitude across, median", "arcsec", ".3f")
+    attitude_cross_worst_arcsec: float = col("Attitude across, worst 1 % of the sky", "arcsec", ".3f")
+    attitude_roll_arcsec: float = col("Attitude roll, median", "arcsec", ".3f")
+    attitude_roll_worst_arcsec: float = col("Attitude roll, worst 1 % of the sky", "arcsec", ".3f")
+    attitude_cross_noise_arcsec: float = col("Attitude across, median, noise alone", "arcsec", ".3f", shown=False)
+    attitude_cross_worst_noise_arcsec: float = col(
+        "Attitude across, worst 1 %, noise alone", "arcsec", ".3f", shown=False
+    )
+    attitude_roll_noise_arcsec: float = col("Attitude roll, median, noise alone", "arcsec", ".3f", shown=False)
+    attitude_roll_worst_noise_arcsec: float = col("Attitude roll, worst 1 %, noise alone", "arcsec", ".3f", shown=False)
+
+
+def optics(prediction: CameraPrediction) -> Optics:
+    """Numbers of the lens on this detector."""
+    state, lens = prediction.state, prediction.state.performance
+    camera = state.instrument.camera
+    pitch, rms = camera.pixel_pitch_mm, lens.white.rms_mm()
+    half = np.array([camera.width_px, camera.height_px]) * pitch / 2.0 / lens.plate_scale_mm
+    wide, high = 2.0 * np.degrees(np.arctan(half))
+    first, last = (int(np.abs(np.log(state.temperatures_k / t)).argmin()) for t in (COLD_K, HOT_K))
+    return Optics(
+        focal_length_mm=lens.focal_length_mm,
+        f_number=lens.f_number,
+        pupil_mm=abs(lens.focal_length_mm) / lens.f_number,
+        plate_scale_arcsec_per_mm=RAD_ARCSEC / lens.plate_scale_mm,
+        pixel_arcsec=state.pixel_arcsec,
+        field_width_deg=float(wide),
+        field_height_deg=float(high),
+        field_deg=float(min(wide, high)),
+        field_diagonal_deg=2.0 * float(np.degrees(np.arctan(np.hypot(*half)))),
+        spot_axis_um=1e3 * float(rms[0]),
+        spot_um=1e3 * float(rms.max()),
+        spot_px=float(rms.max()) / pitch,
+        best_focus_um=1e3 * lens.best_focus_mm,
+        depth_of_focus_um=1e3 * lens.depth_of_focus_mm(pitch),
+        distortion_percent=100.0 * float(np.abs(lens.distortion).max()),
+        lateral_colour_px=float(np.ptp(lens.bundle_mm, axis=1).max() / pitch),
+        star_colour_px=float(np.abs(state.colour_px[last] - state.colour_px[first]).max()),
+        axial_colour_um=float(np.ptp(lens.axial_colour_mm) * 1e3),
+        vignetting_percent=100.0 * float(1.0 - lens.vignetting.min()),
+    )
+
+
+def accuracy(prediction: CameraPrediction) -> Accuracy:
+    """Numbers of the star that is quoted, mean over the detector."""
+    config, state, processing = prediction.config, prediction.state, prediction.processing
+    star, stars, radius = config.star, prediction.stars, detector_radii(state)
+    electrons = prediction.electrons(np.full(len(radius), star.magnitude_mag), star.temperature_k, radius)
+    pixel = state.pixel_arcsec
+
+    def over_detector(sigma_px: FloatArray) -> float:
+        return pixel * float(np.sqrt((stars.sigma_at(sigma_px, electrons, radius) ** 2).mean()))
+
+    view = prediction.view
+    bright = view.magnitude <= prediction.limits_mag[0.5]
+    shift = state.colour_shift_px(view.temperature_k[bright], view.radius_px[bright])
+    spot = over_detector(stars.colour_px) if stars.colour_px.any() else 0.0
+    apart = colour_distance(view.temperature_k[bright], star.temperature_k)
+    colour = float("nan")
+    if bright.any():
+        colour = float(np.hypot(pixel * np.sqrt(0.5 * (shift**2).mean()), spot * np.sqrt((apart**2).mean())))
+    axis = float(prediction.electrons(np.array([star.magnitude_mag]), star.temperature_k)[0])
+    quoted = 1.0 if prediction.peak_share(axis) <= 1.0 else float("nan")  # clipped spots have no predicted centroid
+    noise = quoted * over_detector(stars.centroid.noise_px)
+    pattern = quoted * over_detector(stars.centroid.pattern_px)
+    phase = quoted * over_detector(stars.centroid.phase_px) if stars.centroid.phase_px.any() else quoted * 0.0
+    light = phase_windows(state.psfs[:1], config.window_px).light
+    snr = matched_snr(light, np.full(len(light), axis), processing.background_e, processing.noise)
+    return Accuracy(
+        electrons_e=axis,
+        snr=quoted * float(snr.mean()),
+        nea_arcsec=noise,
+        pattern_arcsec=pattern,
+        phase_arcsec=phase,
+        colour_arcsec=colour,
+        single_star_arcsec=float(np.sqrt(noise**2 + pattern**2 + phase**2 + np.nan_to_num(colour) ** 2)),
+    )
+
+
+def sky(prediction: CameraPrediction) -> Sky:
+    """Numbers of detection and attitude."""
+    config, processing, forecast = prediction.config, prediction.processing, prediction.attitude
+    axis = float(prediction.electrons(np.array([config.star.magnitude_mag]), config.star.temperature_k)[0])
+    attitudes = {}
+    for kind, values in (("", forecast.total_arcsec), ("_noise", forecast.noise_arcsec)):
+        across = np.sqrt((values[:, :2] ** 2).mean(1))
+        for name, one in (("cross", across), ("roll", values[:, 2])):
+            for part, level in (("", 0.5), ("_worst", 1.0 - WORST)):
+                value = float(np.quantile(one, level, method="inverted_cdf"))
+                attitudes[f"attitude_{name}{part}{kind}_arcsec"] = value
+    full = max(prediction.peak_share(axis), 1e-9)
+    return Sky(
+        saturation_mag=config.star.magnitude_mag + 2.5 * float(np.log10(full)),
+        limiting_magnitude_mag=prediction.limits_mag[0.5],
+        complete_magnitude_mag=prediction.limits_mag[0.9],
+        threshold_sigma=processing.threshold_sigma,
+        false_alarms_per_frame=processing.false_alarms,
+        stars_mean_per_frame=float(forecast.stars.mean()),
+        stars_worst_per_frame=float(np.quantile(forecast.stars, WORST)),
+        update_rate_hz=1.0 / config.instrument.exposure_s,
+        **attitudes,
     )

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import typing
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from experiments.harness.cli import command
 from experiments.harness.config import StrictModel
-from experiments.harness.range import SweepRange, check_range, leaf_keys, parse_sweep
+from experiments.harness.experiment import Experiment
+from experiments.harness.sweeps import SweptConfig, with_what_if
 from experiments.laboratory.detector_changes import DetectorConfig
 from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig
 
@@ -22,12 +23,9 @@ __all__ = [
     "StarConfig",
     "ThermalConfig",
     "TornadoConfig",
+    "experiment",
+    "main",
 ]
-
-
-MOST_POINTS = 400
-_NO_SENSOR = frozenset({"requirements", "filters", "sky", "thermal", "frames", "tornado"})
-"""Tables that say nothing of the sensor's prediction."""
 
 
 class StarConfig(StrictModel):
@@ -107,8 +105,10 @@ class TornadoConfig(StrictModel):
     chip_k: float = Field(default=10.0, gt=0, le=50, description="temperature of the chip")
 
 
-class Config(SensorExperimentConfig, SensorConfig):
+class Config(SweptConfig, SensorExperimentConfig, SensorConfig):
     """A sensor file, and what is looked at; the defaults are the built-in star tracker."""
+
+    NOT_SWEPT: ClassVar[frozenset[str]] = frozenset({"requirements", "filters", "sky", "thermal", "frames", "tornado"})
 
     detector: DetectorConfig = DetectorConfig()
     throughput_fraction: float = Field(
@@ -128,12 +128,6 @@ class Config(SensorExperimentConfig, SensorConfig):
     frames: FramesConfig = FramesConfig()
     tornado: TornadoConfig = TornadoConfig()
     predict_only: bool = Field(default=False, description="no rendered frames: an answer in seconds")
-    sweep: tuple[str, ...] = Field(
-        default=(),
-        max_length=2,
-        description="KEY=LOW:HIGH:POINTS[:log] or KEY=A,B,C of a key of the sensor; two: a map",
-    )
-    sweep_measured: bool = Field(default=False, description="render frames at every point of a sweep too")
 
     @model_validator(mode="after")
     def _shutter(self) -> Config:
@@ -145,24 +139,47 @@ class Config(SensorExperimentConfig, SensorConfig):
             )
         return self
 
-    @model_validator(mode="after")
-    def _sweeps(self) -> Config:
-        ranges = self.sweep_ranges
-        for one in ranges:
-            check_range(type(self), one)
-        keys = {one.key for one in ranges}
-        if len(keys) < len(ranges):
-            raise ValueError(f"sweep: {ranges[0].key} is swept twice")
-        points = math.prod(len(one.values) for one in ranges)
-        if points > MOST_POINTS:
-            raise ValueError(f"sweep: {points} points; at most {MOST_POINTS} together")
-        if self.sweep_measured and (self.predict_only or len(ranges) > 1):
-            why = "predict_only asks for none" if self.predict_only else "a map would take hours; sweep one key"
-            raise ValueError(f"sweep_measured renders frames at every point: {why}")
-        return self
 
-    @property
-    def sweep_ranges(self) -> tuple[SweepRange, ...]:
-        """The sweeps that are asked for."""
-        keys = {key: field for key, field in leaf_keys(type(self)).items() if key.partition(".")[0] not in _NO_SENSOR}
-        return tuple(parse_sweep(text, keys) for text in self.sweep)
+experiment = with_what_if(
+    Experiment(
+        name="camera",
+        config=Config,
+        run="experiment:run",
+        sections="experiment:SECTIONS",
+        predict="experiment:predict",
+        limits="experiment:limits",
+        swept=(
+            "attitude_cross_arcsec",
+            "attitude_roll_arcsec",
+            "single_star_arcsec",
+            "limiting_magnitude_mag",
+            "stars_worst_per_frame",
+            "nea_arcsec",
+            "stars_mean_per_frame",
+            "spot_px",
+        ),
+        compared=("magnitude_nea_arcsec", "magnitude_found"),
+        takes="1 min (--quick: 40 s)",
+        examples={
+            "--sensor my.toml": "your own sensor",
+            "--sensor my.toml --predict-only": "the answer without frames, in 17 s",
+            "--sensor my.toml --set instrument.exposure_s=0.2": "the same with another exposure",
+            "--sensor my.toml --sweep instrument.exposure_s=0.05:0.4:8": "what if: curves over the exposure",
+            "--sensor my.toml --sweep exposure_s=0.01:1:9:log": "in the logarithm; exposure_s=0.05,0.1,0.4: a list",
+            "--sensor my.toml --sweep exposure_s=0.05:0.4:8 --sweep f_number=3:5:5": "a map over two keys",
+            "--sensor a.toml --sensor b.toml": "sensors side by side, by prediction",
+        },
+        show=("requirements",),
+        options={"predict-only": ("predict_only", "No rendered frames: an answer in seconds.")},
+        renders=lambda config: not config.predict_only,
+        quick={
+            "sky.attitudes": 200,
+            "thermal.points": 3,
+            "frames.sky": 4,
+            "frames.chart_stars": 200,
+            "frames.readouts": 5,
+            "dark_frames": 8,
+        },
+    )
+)
+main = command(experiment)

@@ -48,12 +48,17 @@ class Experiment:
     # ``run(config, *, progress) -> {section: record, records or None}``: the work under some settings; it reports
     # stages to ``progress`` (`experiments.harness.progress.Progress`) and raises `StarbenchError` on bad input
     run: Part
-    sections: Part | Mapping[str, Any] | None = None  # Name -> `experiments.harness.sections.Section`
+    # Name -> `experiments.harness.sections.Section`; or ``sections(result)`` where they depend on what was run
+    sections: Part | Mapping[str, Any] | None = None
     # ``axes(config) -> Quantities``: dimensions that the sections share
     axes: Part | None = None
     # ``predict(config, *, progress)``: the same sections without frames, for sweeps and comparisons of sensors
     predict: Part | None = None
-    swept: Sequence[str] = ()  # Quantities without dimensions that a sweep of settings shows, the chief one first
+    swept: Sequence[str] = ()  # Quantities without dimensions that sweeps and comparisons show, the chief one first
+    # Quantities along one dimension (which is numbered) that a comparison of sensors draws on each other
+    compared: Sequence[str] = ()
+    # ``limits(config)``: quantity -> (required value, whether at least); what a sweep looks for
+    limits: Part | None = None
     takes: str = ""  # How long a default and a quick run take on two cores, for the help text
     # Two command lines (what follows the name) -> what they do
     examples: Mapping[str, str] = field(default_factory=dict)
@@ -98,14 +103,15 @@ class Experiment:
         """File of the report's template."""
         return Path(sys.modules[self.config.__module__].__file__ or ".").parent / self.report
 
-    @property
-    def parts(self) -> Mapping[str, Section]:
+    def parts(self, result: Any) -> Mapping[str, Section]:
         """Its sections; none of an experiment that describes its quantities by itself."""
         if self.sections is None or isinstance(self.sections, Mapping):
             return self.sections or {}
-        module, _, name = str(self.sections).partition(":")
-        found: Mapping[str, Section] = getattr(import_module(f"{self.package}.{module}"), name)
-        return found
+        if isinstance(self.sections, str):
+            found = self.part(self.sections)
+            return found if isinstance(found, Mapping) else found(result)
+        sections: Mapping[str, Section] = self.sections(result)
+        return sections
 
     def part(self, part: Part) -> Callable[..., Any]:
         """A part of the experiment, imported now if need be."""
@@ -125,7 +131,7 @@ class Experiment:
         from experiments.harness.sections import described
 
         q = self.part(self.axes)(config) if self.axes is not None else Quantities()
-        return Outcome(config=config, result=result, data=described(self.parts, q, result).dataset)
+        return Outcome(config=config, result=result, data=described(self.parts(result), q, result).dataset)
 
     def results(self, outcome: Outcome) -> dict[str, Any]:
         """The ``results`` of ``summary.json``; they end with what the process took, if nobody described that."""
@@ -143,7 +149,7 @@ class Experiment:
         if self.sections is not None:
             from experiments.harness.sections import tabulated
 
-            made = dict(tabulated(self.parts, outcome, every=every))
+            made = dict(tabulated(self.parts(outcome.result), outcome, every=every))
         else:
             made = dict(self.part(self.tables)(outcome)) if self.tables is not None else {}
         return {name: pivot(outcome.data, one) if isinstance(one, Pivot) else one for name, one in made.items()}
@@ -153,7 +159,7 @@ class Experiment:
         if self.sections is not None:
             from experiments.harness.sections import judged
 
-            return judged(self.parts, outcome)
+            return judged(self.parts(outcome.result), outcome)
         return list(self.part(self.criteria)(outcome))
 
     def draw(self, outcome: Outcome) -> Callable[..., Any]:
@@ -161,7 +167,8 @@ class Experiment:
 
         def call(name: str, *arguments: Any) -> Any:
             if self.sections is not None:
-                known = {key: drawing for one in self.parts.values() for key, drawing in one.figures.items()}
+                sections = self.parts(outcome.result).values()
+                known = {key: drawing for one in sections for key, drawing in one.figures.items()}
             elif isinstance(self.figures, str):
                 module = import_module(f"{self.package}.{self.figures}")
                 known = {one: getattr(module, one) for one in module.__all__}

@@ -34,8 +34,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from experiments.harness.pivot import Pivot
-from experiments.harness.quantities import Outcome, Quantities, Quantity
+from experiments.harness.quantities import Outcome, Quantities, Quantity, shown_unit
 from experiments.harness.summary import Criterion, farthest_from_one
+from experiments.harness.tables import Column, Table, cell_text
 from optics.errors import DomainError
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ __all__ = [
     "col",
     "described",
     "judged",
+    "numbers_of",
     "ratio_near",
     "tabulated",
     "two_sided_limit",
@@ -131,6 +133,7 @@ class Section:
     columns: str = ""
     hidden: str = ""  # Dimensions of the rows without a column of their own
     where: Mapping[str, Any] = field(default_factory=dict)  # As of `Pivot`
+    vertical: bool = False  # One row per quantity: label, value (of every record), unit, name
     caption: str = ""  # Of the table
     note: str = ""  # Small print below the table
     figures: Mapping[str, Callable[..., Figure]] = field(default_factory=dict)  # Name -> figure of an outcome
@@ -155,7 +158,7 @@ class Section:
             q.axis(self.dim, values, **parts, key=(head.get("key") or self.along))
         for name, metadata in described.items():
             values = [getattr(one, name) for one in records]
-            if not records or all(one is None for one in values):
+            if not records or all(one is None for one in values) or self.prefix + name == self.dim:
                 continue
             own = dict(metadata["col"])
             place, place_of_error, dims = own.pop("json"), own.pop("json_error"), own.pop("dims")
@@ -178,8 +181,10 @@ class Section:
             return {key: self._placed(one) for key, one in place.items()}
         return f"{self.place}.{place}" if isinstance(place, str) else [f"{self.place}.{one}" for one in place]
 
-    def pivot(self, data: Any, *, every: bool = False) -> Pivot:
+    def table_of(self, data: Any, *, every: bool = False) -> Pivot | Table:
         """Its table: the shown columns, or every column that has no further dimensions (for the ECSV file)."""
+        if self.vertical:
+            return self._vertical(data, every=every)
         described = self.columns_of()
         shown = self.columns.split() or [name for name, metadata in described.items() if metadata["shown"]]
         there = [one for one in (self.prefix + name if name in described else name for name in shown) if one in data]
@@ -201,6 +206,23 @@ class Section:
             note=self.note,
         )
 
+    def _vertical(self, data: Any, *, every: bool) -> Table:
+        described = self.columns_of()
+        names = self.columns.split() or [name for name, metadata in described.items() if metadata["shown"]]
+        names = list(dict.fromkeys((*names, *described))) if every else names
+        names = [self.prefix + name for name in names if name != self.dim]
+        there = [Quantity.of(data, name) for name in names if name in data]
+        keys = data[f"{self.dim}_label" if f"{self.dim}_label" in data else self.dim].values if self.dim else ["Value"]
+        heads = [Column(name=str(one), key=f"{self.dim}_{n}" if self.dim else "") for n, one in enumerate(keys, 1)]
+        rows = []
+        for one in there:
+            if one.dims != ((self.dim,) if self.dim else ()):
+                continue
+            values = [one.at(**{self.dim: n}).scalar() for n in range(len(keys))] if self.dim else [one.scalar()]
+            shown = values if every else [cell_text(value, one.format) for value in values]
+            rows.append((one.label, *shown, shown_unit(one.unit), one.name))
+        return Table(columns=("Quantity", *heads, "Unit", "Name"), rows=rows, caption=self.caption, note=self.note)
+
 
 def described(sections: Mapping[str, Section], q: Quantities, result: Mapping[str, Any]) -> Quantities:
     """Quantities of all sections, in their order.
@@ -218,10 +240,19 @@ def described(sections: Mapping[str, Section], q: Quantities, result: Mapping[st
     return q
 
 
-def tabulated(sections: Mapping[str, Section], outcome: Outcome, *, every: bool = False) -> dict[str, Pivot]:
+def numbers_of(*records: Any) -> dict[str, Quantity]:
+    """Single numbers of records, by name."""
+    q = Quantities()
+    for one in records:
+        Section(record=type(one)).describe(q, one)
+    known = {name: Quantity.of(q.dataset, str(name)) for name in q.dataset.data_vars}
+    return {str(name): one for name, one in known.items() if not one.dims and one.values.dtype.kind in "if"}
+
+
+def tabulated(sections: Mapping[str, Section], outcome: Outcome, *, every: bool = False) -> dict[str, Pivot | Table]:
     """Tables of the sections that have one; with ``every`` all their columns."""
     there = [one for name, one in sections.items() if one.table and outcome.result.get(name) is not None]
-    return {section.table: section.pivot(outcome.data, every=every) for section in there}
+    return {section.table: section.table_of(outcome.data, every=every) for section in there}
 
 
 def judged(sections: Mapping[str, Section], outcome: Outcome) -> list[Criterion]:

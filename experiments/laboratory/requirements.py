@@ -6,7 +6,19 @@ from pydantic import Field
 
 from experiments.harness.config import StrictModel
 
-__all__ = ["RequirementsConfig"]
+__all__ = ["AT_LEAST", "RequirementsConfig"]
+
+AT_LEAST = frozenset(
+    {
+        "field_deg",
+        "field_diagonal_deg",
+        "limiting_magnitude_mag",
+        "stars_mean_per_frame",
+        "stars_worst_per_frame",
+        "update_rate_hz",
+    }
+)
+"""Requirements that the sensor has to reach; it must not exceed the others."""
 
 
 def _asked(description: str, low: float = 0.0) -> float | None:

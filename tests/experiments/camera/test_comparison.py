@@ -5,10 +5,10 @@ import json
 import pytest
 
 from experiments.camera import predict
-from experiments.camera.comparison.study import side_by_side
-from experiments.camera.experiment import main
-from experiments.camera.settings import Config
+from experiments.camera.settings import Config, experiment, main
+from experiments.harness.progress import Progress
 from experiments.harness.range import with_value
+from experiments.harness.what_if import run_comparison
 from optics.errors import DomainError
 
 SENSOR = """
@@ -35,15 +35,14 @@ ONE = Config(
 @pytest.mark.slow
 def test_each_sensor_is_what_it_is_alone_and_differs_in_what_was_changed():
     other = with_value(ONE, "instrument.exposure_s", 0.3)
-    found = side_by_side([ONE, other])
-    assert len(set(found.names)) == 2  # though both are the same lens on the same detector
-    for sensor, config in zip(found.sensors, (ONE, other), strict=True):
-        alone = predict(config)
-        assert sensor.scalars["attitude_roll_arcsec"].value == alone.value("attitude_roll_arcsec")
-    assert found.differences == {"instrument.exposure_s": (0.1, 0.3)}
-    assert found.best("limiting_magnitude_mag", more=True) is found.sensors[1]
+    found = run_comparison(experiment, [ONE, other], progress=Progress())
+    assert len({one.sensor for one in found["sensors"]}) == 2  # though both are the same lens on the same detector
+    for sensor, config in zip(found["sensors"], (ONE, other), strict=True):
+        assert sensor.attitude_roll_arcsec == predict(config).value("attitude_roll_arcsec")
+    assert [(one.key, one.value) for one in found["differences"]] == [("instrument.exposure_s", ["0.1", "0.3"])]
+    no_window = with_value(with_value(ONE, "instrument.width_px", 0), "instrument.height_px", 0)
     with pytest.raises(DomainError, match=r"sensor 2 .*width_px"):
-        side_by_side([ONE, with_value(with_value(ONE, "instrument.width_px", 0), "instrument.height_px", 0)])
+        run_comparison(experiment, [ONE, no_window], progress=Progress())
 
 
 @pytest.mark.slow

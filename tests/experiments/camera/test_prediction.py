@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from experiments.camera import predict
+from experiments.camera.experiment import ThermalRange, limits, predicted, swings
 from experiments.camera.optical_state import optical_state
+from experiments.camera.prediction import accuracy
 from experiments.camera.settings import Config
-from experiments.camera.tornado import predict_tornado
-from experiments.camera.verdicts import judge, verdict_words
 from experiments.harness.range import with_value
+from experiments.harness.sections import numbers_of
+from experiments.harness.what_if import judge, missed_words
 from experiments.laboratory.requirements import RequirementsConfig
 from optics.errors import ConfigError, DomainError
 from optics.light.photometry import band_photon_rate
@@ -67,7 +69,7 @@ def test_a_star_that_saturates_has_no_accuracy_and_meets_no_requirement(config):
     assert long.saturated
     for name in ("nea_arcsec", "single_star_arcsec", "snr"):
         assert np.isnan(long.value(name)), name
-    assert not judge(RequirementsConfig(nea_arcsec=100.0), long.scalars)[0].met
+    assert not judge({"nea_arcsec": (100.0, False)}, numbers_of(accuracy(long)))[0].met
 
 
 def test_pairs_that_merge_are_found_once(tracker):
@@ -151,28 +153,23 @@ def test_tornado_and_verdicts(config, tracker):
             )
         }
     )
-    swings = predict_tornado(few, tracker)
-    assert swings[-1].key == "detector.prnu"
-    light = {swing.key: swing for swing in swings}["throughput_fraction"]
-    assert light.at_low["limiting_magnitude_mag"] == pytest.approx(2.5 * np.log10(0.8), abs=0.01)
-    asked = RequirementsConfig(limiting_magnitude_mag=3.0, nea_arcsec=0.01, field_deg=10.0)
-    verdicts = judge(asked, tracker.scalars)
-    assert [one.met for one in verdicts] == [True, True, False]
-    assert verdicts[1].margin == pytest.approx(tracker.value("limiting_magnitude_mag") - 3.0)
-    assert "misses 1 of 3 requirements: NEA" in verdict_words(verdicts)
-    assert "Nothing was asked" in verdict_words(judge(RequirementsConfig(), tracker.scalars))
+    found = swings(few, tracker)
+    assert found[-1].key == "detector.prnu"
+    light = {one.key: one for one in found}["throughput_fraction"]
+    assert light.swing_limiting_magnitude_mag[0] == pytest.approx(2.5 * np.log10(0.8), abs=0.01)
+    required = {"limiting_magnitude_mag": 3.0, "nea_arcsec": 0.01, "field_deg": 10.0}
+    asked = config.model_copy(update={"requirements": RequirementsConfig(**required)})
+    verdicts = predicted(predict(asked))["requirements"]
+    assert {one.key: one.met for one in verdicts} == dict.fromkeys(required, True) | {"nea_arcsec": False}
+    excess = {one.key: one.excess for one in verdicts}["limiting_magnitude_mag"]
+    assert excess == pytest.approx(tracker.value("limiting_magnitude_mag") - 3.0)
+    assert missed_words(verdicts) == "The sensor misses 1 of 3 requirements: NEA."
 
 
 def test_every_requirement_has_its_prediction(tracker):
-    from experiments.camera.result import thermal_scalars
-    from experiments.camera.thermal import ThermalStudy
-
-    one = np.ones(1)
-    study = ThermalStudy(
-        temperature_c=one, focus_um=one, scale_ppm=one, spot_px=one, colour_px=one, nea_arcsec=one, attitude_arcsec=one
-    )
-    known = {**tracker.scalars, **thermal_scalars(study)}
-    assert set(RequirementsConfig.model_fields) <= set(known)
+    names = set(tracker.numbers) | set(ThermalRange.__dataclass_fields__)
+    assert set(RequirementsConfig.model_fields) <= names
+    assert limits(Config()) == {}
 
 
 def test_refused(config):

@@ -1,4 +1,4 @@
-"""Rendered frames that confirm the prediction: an artificial chart read out many times, and frames of the real sky.
+"""Rendered frames against the prediction: an artificial chart read out many times, and frames of the real sky.
 
 The chart has stars of one brightness, whose scatter from readout to readout is the noise, and stars about the limiting
 magnitude, of which a share is found. The sky is seen in the first attitudes that were predicted; the camera is
@@ -10,9 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -20,8 +23,12 @@ from calib.attitude.solve import solve_wahba
 from calib.attitude.star_attitude import identify_stars, solve_attitude
 from calib.cameras.base import CameraModel
 from calib.cameras.fit import fit_camera
-from experiments.camera.records import CameraPrediction, exposed_s
+from experiments.camera.prediction import CameraPrediction, exposed_s
 from experiments.camera.settings import Config
+from experiments.harness.plotting import new_figure
+from experiments.harness.quantities import Outcome, Quantities
+from experiments.harness.sections import Section, agree, below, col
+from experiments.harness.summary import Measured
 from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.detector_changes import overridden
 from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector
@@ -30,6 +37,7 @@ from experiments.laboratory.readout.psf_grid import render_psf_grid
 from experiments.laboratory.readout.reduction import MeasuredFrame, Reduction, measure_frame
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
+from optics.figures import draw_image
 from render.camera import Camera
 from render.detector.readout import expose
 from render.engine.random import Streams
@@ -38,8 +46,7 @@ from render.motion.trajectory import ConstantRate
 from render.records import Frame, StarField
 from render.tracing.motion.exposure import ExposureMotion, exposure_motion
 
-__all__ = ["ChartFrames", "Rendered", "SkyFrames", "render_frames"]
-
+__all__ = ["FRAMES", "SOLVED", "Compared", "Solved", "compare", "frames_drawn", "render_frames", "solved_frames"]
 
 MATCH_PX = 2.0
 """A detection this near to the light of a star is that star."""
@@ -298,3 +305,260 @@ def _attitude_error(
         bench.model.unproject(pixel), known.direction[solved.catalogue], sigma_rad=pixel_rad * sigma_px
     )
     return attitude_error_arcsec(weighted.rotation, truth), "solved"
+
+
+# --- Measured against predicted
+
+
+WIDEST_MAG = 3.0
+UNFIT_SHARE = 0.05
+"""Stars whose fit does not converge, or that look too sharp: known to so much of their number."""
+MODEL_SHARE, MODEL_MAG = 0.03, 0.05
+"""What the prediction leaves out (fields between five, PSFs in cells, a linear response), three standard deviations."""
+FEWEST_STARS = 8
+"""Fewer are not always told from chance."""
+FALSE_ALARM = 1e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Compared:
+    """One quantity, measured in frames and predicted for the same stars and attitudes."""
+
+    comparison: str = col("Quantity")
+    label: str = col("What", json="")
+    measured: float = col("Measured in frames", format=".4g")
+    predicted: float = col("Predicted", format=".4g")
+    unit: str = col("Unit", json="")
+    error: float = col("Standard deviation of the difference", format=".2g")
+    n: int = col("Samples", json="")
+    pull: Measured = col("Difference", "sigma", ".1f", json="")
+
+
+def compared(**given: Any) -> Compared:
+    """A comparison with its difference in standard deviations."""
+    error = given["error"]
+    pull = (given["measured"] - given["predicted"]) / error if error > 0 else math.nan
+    return Compared(pull=Measured(value=pull, unit="sigma", uncertainty=1.0), **given)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Solved:
+    """Frames of the sky, and their attitudes."""
+
+    chart_stars: int = col("Chart stars", json="")
+    frames_unsolved: int = col(f"Frames with {FEWEST_STARS} stars or more that are not solved")
+    rendered: Rendered
+
+
+def solved_frames(prediction: CameraPrediction, rendered: Rendered) -> Solved:
+    """What became of the frames of the sky."""
+    error = rendered.sky.error_arcsec
+    enough = prediction.attitude.stars[: len(error)] >= FEWEST_STARS
+    unsolved = int(np.count_nonzero(enough & ~np.isfinite(error).all(axis=1)))
+    return Solved(chart_stars=len(rendered.chart.magnitude), frames_unsolved=unsolved, rendered=rendered)
+
+
+def compare(prediction: CameraPrediction, rendered: Rendered) -> list[Compared]:
+    """All comparisons of a run."""
+    return [
+        _electrons(prediction, rendered),
+        _noise(prediction, rendered),
+        _limit(prediction, rendered),
+        _alarms(prediction, rendered),
+        *_stars(prediction, rendered),
+        *_attitude(prediction, rendered),
+    ]
+
+
+def bright_stars(prediction: CameraPrediction, rendered: Rendered) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Errors (k, n, 2) [px], electrons and distances (n,) of the chart's bright stars that are fit in all readouts."""
+    chart = rendered.chart
+    good = (chart.magnitude == chart.bright_mag) & np.isfinite(chart.error_px).all(axis=(0, 2))
+    return chart.error_px[:, good], chart.electrons[good], chart.radius_px[good]
+
+
+def _electrons(prediction: CameraPrediction, rendered: Rendered) -> Compared:
+    """Light of the renderer, beside lens area times throughput by another trace with other rays."""
+    chart = rendered.chart
+    whole = chart.magnitude == chart.bright_mag
+    kelvin = prediction.config.star.temperature_k
+    expected = prediction.electrons(chart.magnitude[whole], kelvin, chart.radius_px[whole])
+    # both are quadratures of the pupil: a part in a thousand is what they promise
+    return compared(
+        comparison="electrons",
+        label=f"Electrons of a star of {chart.bright_mag:.2f} mag",
+        unit="e-",
+        measured=float(chart.electrons[whole].mean()),
+        predicted=float(expected.mean()),
+        error=1e-3 * float(expected.mean()),
+        n=int(whole.sum()),
+    )
+
+
+def _noise(prediction: CameraPrediction, rendered: Rendered) -> Compared:
+    errors, electrons, radius = bright_stars(prediction, rendered)
+    readouts, stars = errors.shape[:2]
+    scale, star = prediction.state.pixel_arcsec, prediction.stars
+    seen = float(np.sqrt(errors.var(axis=0, ddof=1).mean())) * scale
+    expected = float(np.sqrt((star.sigma_at(star.centroid.noise_px, electrons, radius) ** 2).mean())) * scale
+    samples = 2 * stars * (readouts - 1)
+    # pixels differ in read noise: of the some 4 pi s^2 under a star each has its own
+    pixel = prediction.processing.pixel
+    under = max(4.0 * np.pi * (prediction.state.fwhm_px / 2.3548) ** 2 * stars, 1.0)
+    chips = 0.5 * np.sqrt(pixel.floor_e4 / under) / pixel.floor_e2
+    return compared(
+        comparison="nea",
+        label=f"NEA of a star of {rendered.chart.bright_mag:.2f} mag",
+        unit="arcsec",
+        measured=seen,
+        predicted=expected,
+        error=expected * math.hypot(1.0 / math.sqrt(2.0 * samples), chips, MODEL_SHARE / 3.0),
+        n=samples,
+    )
+
+
+def _limit(prediction: CameraPrediction, rendered: Rendered) -> Compared:
+    """Shift of the predicted completeness curve that makes the chart's faint stars found as often as they were."""
+    chart, star = rendered.chart, prediction.stars
+    faint = chart.magnitude != chart.bright_mag
+    electrons, radius, seen = chart.electrons[faint], chart.radius_px[faint], chart.found[:, faint].mean(axis=0)
+
+    def share(shift_mag: float) -> FloatArray:
+        return star.found_at(electrons * 10.0 ** (0.4 * shift_mag), radius)
+
+    def excess(shift_mag: float) -> float:
+        return float(share(shift_mag).mean() - seen.mean())
+
+    limit = prediction.value("limiting_magnitude_mag")
+    inside = excess(-WIDEST_MAG) < 0.0 < excess(WIDEST_MAG)
+    shift = float(brentq(excess, -WIDEST_MAG, WIDEST_MAG)) if inside else float("nan")
+    slope = (excess(0.02) - excess(-0.02)) / 0.04
+    spread = (seen - share(0.0)).std(ddof=1) / np.sqrt(len(seen))  # stars differ; readouts of one star share its place
+    return compared(
+        comparison="limiting_magnitude",
+        label="Limiting magnitude, half are found",
+        unit="mag",
+        measured=limit + shift,
+        predicted=limit,
+        error=math.hypot(spread / slope, MODEL_MAG / 3.0),
+        n=int(seen.size * len(chart.found)),
+    )
+
+
+def _alarms(prediction: CameraPrediction, rendered: Rendered) -> Compared:
+    counts = np.concatenate([rendered.chart.false_alarms, rendered.sky.false_alarms])
+    expected = prediction.value("false_alarms_per_frame") * len(counts)
+    # Poisson, and the mean dark frame is the same in all frames: its noise repeats
+    repeated = 1.0 + len(counts) / (1.0 + prediction.config.dark_frames)
+    return compared(
+        comparison="false_alarms",
+        label=f"False alarms in {len(counts)} frames",
+        unit="",
+        measured=float(counts.sum()),
+        predicted=expected,
+        error=float(np.sqrt(expected * repeated + 1.0 + (0.1 * expected) ** 2)),
+        n=int(counts.sum()),
+    )
+
+
+def _stars(prediction: CameraPrediction, rendered: Rendered) -> tuple[Compared, ...]:
+    forecast, frames = prediction.attitude, len(rendered.sky.found)
+    variance = float(forecast.found_variance[:frames].sum())
+    return tuple(
+        compared(
+            comparison=name,
+            label=words,
+            unit="",
+            measured=float(seen.sum()),
+            predicted=float(expected[:frames].sum()),
+            error=float(np.sqrt(variance + 1.0 + (share * expected[:frames].sum()) ** 2)),
+            n=frames,
+        )
+        for name, words, seen, expected, share in (
+            ("stars", f"Stars found in {frames} frames of the sky", rendered.sky.found, forecast.found, 0.0),
+            ("fit_stars", "of them fit for an attitude", rendered.sky.fit, forecast.stars, UNFIT_SHARE),
+        )
+    )
+
+
+def _attitude(prediction: CameraPrediction, rendered: Rendered) -> tuple[Compared, ...]:
+    """Root mean square of the errors, beside that of the standard deviations predicted for the same attitudes."""
+    error = rendered.sky.error_arcsec
+    solved = np.isfinite(error).all(axis=1)
+    sigma = prediction.attitude.total_arcsec[: len(error)][solved]
+    found: list[Compared] = []
+    if not solved.any():
+        return ()
+    for name, columns, words in (("cross", slice(0, 2), "across"), ("roll", slice(2, 3), "roll")):
+        seen, expected = error[solved][:, columns], sigma[:, columns]
+        typical = float(np.sqrt((expected**2).mean()))
+        # the mean square of normal errors of different sigma
+        spread = float(np.sqrt(2.0 * (expected**4).sum())) / expected.size / (2.0 * typical)
+        found.append(
+            compared(
+                comparison=f"attitude_{name}",
+                label=f"Attitude {words}, RMS of {int(solved.sum())} frames",
+                unit="arcsec",
+                measured=float(np.sqrt((seen**2).mean())),
+                predicted=typical,
+                error=spread,
+                n=int(seen.size),
+            )
+        )
+    return tuple(found)
+
+
+def _comparisons(q: Quantities, compared: list[Compared]) -> None:
+    q.axis("comparison", np.array([one.comparison for one in compared], dtype=object), "Quantity")
+
+
+def frames_drawn(outcome: Outcome) -> Figure:
+    """The first frame of the sky, with what was detected in it."""
+    rendered: Rendered = outcome.result["solved"].rendered
+    height, width = rendered.example_e.shape
+    figure, panel = new_figure(aspect_ratio=min(1.05, 0.92 * height / width + 0.05))
+    draw_image(rendered.example_e, panel)
+    ring = {"markersize": 9, "markerfacecolor": "none", "markeredgecolor": "#f0b000", "markeredgewidth": 0.8}
+    panel.plot(*rendered.example_px.T, "o", **ring)
+    panel.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="column [px]", ylabel="row [px]")
+    panel.grid(False)
+    return figure
+
+
+JUDGED = {
+    "nea": "NEA: scatter of readouts against prediction",
+    "limiting_magnitude": "limiting magnitude: share of chart stars found against prediction",
+    "false_alarms": "false alarms counted against predicted",
+    "stars": "stars found in the sky against predicted",
+    "attitude_cross": "attitude across: error of solved frames against prediction",
+    "attitude_roll": "attitude roll: error of solved frames against prediction",
+}
+ADVICE = {"nea": "the centroider does not follow its linear response: too faint a star, too small a window"}
+FRAMES = Section(
+    record=Compared,
+    dim="comparison",
+    axes=_comparisons,
+    prefix="compared_",
+    place="frames[comparison]",
+    table="frames",
+    hidden="comparison",
+    rows="comparison",
+    caption="Rendered frames against the prediction for the same stars and attitudes.",
+    note="The difference is in standard deviations of measured minus predicted, if the prediction is right.",
+    verdicts=[
+        agree(
+            "compared_pull",
+            0.0,
+            at={"comparison": key},
+            title=title,
+            false_alarm=FALSE_ALARM,
+            advice=ADVICE.get(key, ""),
+        )
+        for key, title in JUDGED.items()
+    ],
+)
+SOLVED = Section(
+    record=Solved,
+    figures={"frame": frames_drawn},
+    verdicts=[below("frames_unsolved", 0.0, title=f"frames of the sky with {FEWEST_STARS} stars or more, not solved")],
+)

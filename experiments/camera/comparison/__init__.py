@@ -1,1 +1,0 @@
-"""Several sensors side by side, predicted under the same sky."""

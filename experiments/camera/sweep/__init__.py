@@ -1,1 +1,0 @@
-"""What if: one or two keys of the sensor over a range, predicted at every value."""

@@ -1,0 +1,133 @@
+"""Sweeps and comparisons as part of a declaration: ``--sweep KEY=LOW:HIGH:POINTS`` and several ``--sensor``.
+
+``experiment = with_what_if(Experiment(..., predict="module:predict", swept=(...)))`` gives both to any experiment that
+predicts its numbers without frames; the work is in `experiments.harness.what_if`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+from pydantic import Field, create_model, model_validator
+
+from experiments.harness.config import ExperimentConfig
+from experiments.harness.experiment import Experiment
+from experiments.harness.progress import Progress
+from experiments.harness.range import SweepRange, check_range, leaf_keys, parse_sweep
+
+__all__ = ["SweptConfig", "with_what_if"]
+
+MOST_POINTS, MOST_SENSORS = 400, 7
+
+
+class SweptConfig(ExperimentConfig):
+    """A configuration of which one or two numbers may be swept."""
+
+    NOT_SWEPT: ClassVar[frozenset[str]] = frozenset()
+    """Tables that say nothing of the prediction."""
+
+    sweep: tuple[str, ...] = Field(
+        default=(),
+        max_length=2,
+        description="KEY=LOW:HIGH:POINTS[:log] or KEY=A,B,C of a key of the sensor; two: a map",
+    )
+
+    @model_validator(mode="after")
+    def _sweeps(self) -> SweptConfig:
+        ranges = self.sweep_ranges
+        for one in ranges:
+            check_range(type(self), one)
+        if len({one.key for one in ranges}) < len(ranges):
+            raise ValueError(f"sweep: {ranges[0].key} is swept twice")
+        points = math.prod(len(one.values) for one in ranges)
+        if points > MOST_POINTS:
+            raise ValueError(f"sweep: {points} points; at most {MOST_POINTS} together")
+        return self
+
+    @property
+    def sweep_ranges(self) -> tuple[SweepRange, ...]:
+        """Keys that are swept, with their values."""
+        known = leaf_keys(type(self)).items()
+        keys = {key: field for key, field in known if key.partition(".")[0] not in self.NOT_SWEPT}
+        return tuple(parse_sweep(text, keys) for text in self.sweep)
+
+
+def with_what_if(declared: Experiment) -> Experiment:
+    """The experiment with ``--sweep``, and with several ``--sensor`` next to each other."""
+
+    def instead(config: Any) -> Experiment | None:
+        if config.sweep:
+            return _sweep(declared)
+        return declared.instead(config) if declared.instead is not None else None
+
+    option = "KEY=LOW:HIGH:POINTS[:log] or KEY=A,B,C: predict over a range of any number of the sensor; two make a map."
+    return replace(
+        declared,
+        options={**declared.options, "sweep": ("sweep", option)},
+        instead=instead,
+        comparison=_comparison(declared),
+    )
+
+
+def _sweep(declared: Experiment) -> Experiment:
+    def run(config: Any, *, progress: Progress) -> Any:
+        from experiments.harness.what_if import run_sweep
+
+        return run_sweep(declared, config, progress=progress)
+
+    def sections(result: Any) -> Any:
+        from experiments.harness.what_if import sweep_sections
+
+        return sweep_sections(result)
+
+    return _by_prediction(declared, declared.config, run, sections, report="what_if.md", show=("sweep",))
+
+
+def _comparison(declared: Experiment) -> Experiment:
+    def run(config: Any, *, progress: Progress) -> Any:
+        from experiments.harness.what_if import run_comparison
+
+        return run_comparison(declared, config.sensors, progress=progress)
+
+    def sections(result: Any) -> Any:
+        from experiments.harness.what_if import comparison_sections
+
+        return comparison_sections(result)
+
+    single = declared.config
+    sensors = Field(default=(single(),), min_length=1, max_length=MOST_SENSORS, description="side by side")
+    config = create_model(
+        "ComparisonConfig", __base__=_Comparison, __module__=single.__module__, sensors=(tuple[single, ...], sensors)
+    )
+    return _by_prediction(
+        declared, config, run, sections, report="comparison.md", show=("sensors", "requirements"), axes=None
+    )
+
+
+class _Comparison(ExperimentConfig):
+    """One configuration per sensor."""
+
+    sensors: tuple[Any, ...]
+
+    @model_validator(mode="after")
+    def _no_sweep(self) -> _Comparison:
+        if any(one.sweep for one in self.sensors):
+            raise ValueError("a sweep is of one sensor: give one --sensor, or no --sweep")
+        return self
+
+
+def _by_prediction(
+    declared: Experiment, config: type[ExperimentConfig], run: Any, sections: Any, report: str, **given: Any
+) -> Experiment:
+    return Experiment(
+        name=declared.name,
+        config=config,
+        run=run,
+        sections=sections,
+        report=Path(__file__).with_name(report),
+        renders=lambda _: False,
+        **given,
+    )
