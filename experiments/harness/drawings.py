@@ -166,8 +166,8 @@ def bars(
                 for name, shape, ink in ((circles, "o", INK), (marks, "D", GREY)):
                     if name and name in o.data:
                         style = {"color": ink, "markerfacecolor": "white", "markersize": 4, "linestyle": ""}
-                        label = o.quantity(name).label if k == 0 else None
-                        panel.plot(o.values(name, **at), beside, marker=shape, label=label, **style)
+                        own = o.quantity(name).label if k == 0 else None
+                        panel.plot(o.values(name, **at), beside, marker=shape, label=own, **style)
             panel.set_yticks(place, o.names(dim))
             panel.grid(visible=False, axis="y")
             low = min(0.0, float(np.nanmin(o.values(long))))
@@ -405,7 +405,7 @@ def _legend(o: Outcome, figure: Figure, by: str, drawn: list[Any], kinds: tuple[
             label = named.get(one, one)
             handles.append(Line2D([], [], color=colour, marker=marker, markerfacecolor="white", label=label))
     for one, colour, marker in zip(points, PALETTE, MARKERS, strict=False):
-        style = {"marker": marker, "markerfacecolor": "white", "linestyle": ""}
+        style: dict[str, Any] = {"marker": marker, "markerfacecolor": "white", "linestyle": ""}
         handles.append(Line2D([], [], color=colour, label=o.quantity(one).label, **style))
     for one, colour in zip(lines, PALETTE, strict=False):
         handles.append(Line2D([], [], color=colour, linewidth=1.1, label=o.quantity(one).label))

@@ -97,7 +97,7 @@ def _comparison(declared: Experiment) -> Experiment:
 
         return comparison_sections(result)
 
-    single = declared.config
+    single: Any = declared.config
     sensors = Field(default=(single(),), min_length=1, max_length=MOST_SENSORS, description="side by side")
     config = create_model(
         "ComparisonConfig", __base__=_Comparison, __module__=single.__module__, sensors=(tuple[single, ...], sensors)
